@@ -1,0 +1,87 @@
+//! A plan: the ordered changes that carry out one request, and their inverse.
+//!
+//! Invariant: a change holds everything needed to undo it; `SystemGraph::apply(plan)` then `apply(inverse(plan))` is the
+//! identity on everything but the revision and the number of the next connection.
+
+use serde_json::Value;
+
+use crate::{Component, ComponentId, Connection, State, Verb};
+
+/// One step an LCM can do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// Makes the instance; `component.state` is CREATED. Config follows as `Configure`.
+    Create {
+        id: ComponentId,
+        component: Box<Component>,
+    },
+    /// Destroys it; `component` is what it was.
+    Destroy {
+        id: ComponentId,
+        component: Box<Component>,
+    },
+    /// Whole configurations before and after; the state goes `from_state` → `to_state`.
+    Configure {
+        id: ComponentId,
+        from: Value,
+        to: Value,
+        from_state: State,
+        to_state: State,
+    },
+    /// Start, Stop, Resume or Reset.
+    Run {
+        id: ComponentId,
+        verb: Verb,
+        from: State,
+        to: State,
+    },
+    Connect {
+        connection: Connection,
+    },
+    Disconnect {
+        connection: Connection,
+    },
+}
+
+/// A component a glob matched but the verb leaves alone, with the reason.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Skipped {
+    pub id: ComponentId,
+    pub why: String,
+}
+
+/// What an accepted request will do, in order. Empty `changes` = nothing to do.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Plan {
+    pub changes: Vec<Change>,
+    pub skipped: Vec<Skipped>,
+}
+
+/// The plan that undoes `plan`.
+pub fn inverse(plan: &Plan) -> Plan {
+    Plan { changes: plan.changes.iter().rev().map(undo).collect(), skipped: Vec::new() }
+}
+
+fn undo(change: &Change) -> Change {
+    match change.clone() {
+        Change::Create { id, component } => Change::Destroy { id, component },
+        Change::Destroy { id, component } => Change::Create { id, component },
+        Change::Configure { id, from, to, from_state, to_state } => {
+            Change::Configure { id, from: to, to: from, from_state: to_state, to_state: from_state }
+        }
+        Change::Run { id, from, to, .. } => Change::Run { id, verb: way_back(to, from), from: to, to: from },
+        Change::Connect { connection } => Change::Disconnect { connection },
+        Change::Disconnect { connection } => Change::Connect { connection },
+    }
+}
+
+/// The verb that leads an LCM from `from` to `to`, or as near to it as is safe: nothing is ever put into motion that did
+/// not move before, and no fault is made again.
+fn way_back(from: State, to: State) -> Verb {
+    match (from, to) {
+        (State::Stopped(_), State::Active) => Verb::Resume,
+        (_, State::Active) => Verb::Start,
+        (_, State::Ready) => Verb::Reset,
+        (_, State::Created | State::Stopped(_) | State::Fault) => Verb::Stop,
+    }
+}

@@ -1,0 +1,197 @@
+//! What a component class offers, as the graph knows it: the manifest's content in the model's own types.
+//!
+//! Invariant: order is the manifest's order; ids of commands, functions, events and handlers are positions over all
+//! interfaces of the class, as in the plugin ABI.
+
+use serde_json::Value;
+
+use crate::Type;
+
+/// One class of one plugin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassInfo {
+    pub plugin: String,
+    pub version: String,
+    /// sha256 of the plugin file, hex; empty for classes linked into the host.
+    pub hash: String,
+    pub name: String,
+    pub doc: String,
+    pub safety: Safety,
+    /// Opens a device.
+    pub hardware: bool,
+    pub safe_from_any_thread: bool,
+    /// Defaults; every field is set.
+    pub execution: Execution,
+    /// JSON Schema of the configuration, with the extra keywords `unit` and `live`.
+    pub config_schema: Value,
+    pub ports: Ports,
+}
+
+impl ClassInfo {
+    /// `plugin/class`, the spelling that is always unique.
+    pub fn full_name(&self) -> String {
+        format!("{}/{}", self.plugin, self.name)
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Safety {
+    #[default]
+    None,
+    Sensor,
+    Actuator,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExecutionModel {
+    Periodic,
+    Continuous,
+    OnSignal,
+    OnCallback,
+    /// Head of a stream chain; with `rate_hz` it steps on a grid.
+    Stream,
+    /// Passive: runs in its callers' threads.
+    None,
+}
+
+/// Where the thread comes from. In a request unset fields take the class's default.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Execution {
+    pub model: Option<ExecutionModel>,
+    pub period_ns: Option<u64>,
+    /// Offset of the grid, ns.
+    pub phase_ns: Option<u64>,
+    /// Runs in the stream of this component (`process/component`), after it.
+    pub stream_of: Option<String>,
+    /// Runs inside the step of this component (`exec_in`).
+    pub inside: Option<String>,
+    /// SCHED_FIFO priority 1–99; unset = normal scheduling.
+    pub priority: Option<u8>,
+    pub cpus: Vec<usize>,
+}
+
+/// Everything that can be connected.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Ports {
+    pub inputs: Vec<Input>,
+    pub outputs: Vec<Output>,
+    pub required: Vec<Required>,
+    pub provided: Vec<Provided>,
+    /// Type of one row of the state table.
+    pub state: Option<Type>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum PortType {
+    Plain(Type),
+    Frame {
+        header: Type,
+        format: String,
+        /// 0 = reserved at Configure.
+        max_bytes: usize,
+    },
+    Any,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Input {
+    pub name: String,
+    pub doc: String,
+    pub ty: PortType,
+    pub optional: bool,
+    /// Default queue depth in samples; 0 = latest value.
+    pub fifo: usize,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Output {
+    pub name: String,
+    pub doc: String,
+    pub ty: PortType,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Provided {
+    pub name: String,
+    pub doc: String,
+    /// "" or a tag such as "truth", "sim".
+    pub tag: String,
+    pub commands: Vec<Command>,
+    pub events: Vec<Event>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandKind {
+    Void,
+    Write,
+    Read,
+    QualifiedRead,
+    VoidReturn,
+    WriteReturn,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overflow {
+    #[default]
+    Reject,
+    LatestWins,
+    DropOldest,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Command {
+    pub name: String,
+    pub doc: String,
+    pub kind: CommandKind,
+    pub arg: Option<Arg>,
+    pub ret: Option<Type>,
+    pub ret_unit: String,
+    pub overflow: Overflow,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arg {
+    pub name: String,
+    pub doc: String,
+    pub ty: Type,
+    pub unit: String,
+    pub min: Option<f64>,
+    pub max: Option<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    pub name: String,
+    pub doc: String,
+    pub payload: Option<Type>,
+    pub unit: String,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Required {
+    pub name: String,
+    pub doc: String,
+    pub optional: bool,
+    pub functions: Vec<Function>,
+    pub handlers: Vec<Handler>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Function {
+    pub name: String,
+    pub doc: String,
+    pub arg: Option<Type>,
+    pub ret: Option<Type>,
+    /// Unit the argument must have; "" = not checked.
+    pub unit: String,
+    pub optional: bool,
+    pub any: bool,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Handler {
+    pub name: String,
+    pub doc: String,
+    pub payload: Option<Type>,
+    pub optional: bool,
+}

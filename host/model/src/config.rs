@@ -1,0 +1,235 @@
+//! Configurations: defaults, merge patches, validation against the class's JSON Schema.
+//!
+//! Invariant: a configuration is checked whole before a component sees it; every violation carries the JSON pointer of
+//! the offending value and, where the schema knows it, the unit.
+
+use std::collections::BTreeMap;
+
+use jsonschema::ValidationError;
+use jsonschema::error::{TypeKind, ValidationErrorKind};
+use serde_json::{Map, Value};
+
+use crate::nearest;
+
+/// One thing that is wrong with a configuration.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Violation {
+    /// JSON pointer into the configuration.
+    pub pointer: String,
+    /// "cutoff_hz: 1000 Hz is above 400 Hz".
+    pub message: String,
+}
+
+/// The object of the schema's defaults; keys without a default are absent.
+pub fn defaults(schema: &Value) -> Value {
+    complete(schema, Value::Object(Map::new()))
+}
+
+/// `value` with every absent key that has a default filled in, also in nested objects.
+pub fn complete(schema: &Value, value: Value) -> Value {
+    let (Some(properties), Value::Object(mut map)) = (properties(schema), value.clone()) else {
+        return value;
+    };
+    for (key, sub) in properties {
+        let filled = match (map.remove(key), sub.get("default")) {
+            (Some(given), _) => Some(complete(sub, given)),
+            (None, Some(default)) => Some(complete(sub, default.clone())),
+            // An object without a default of its own still has those of its parts, if that makes it anything.
+            (None, None) => Some(defaults(sub)).filter(|v| v.as_object().is_some_and(|o| !o.is_empty())),
+        };
+        if let Some(filled) = filled {
+            map.insert(key.clone(), filled);
+        }
+    }
+    Value::Object(map)
+}
+
+fn properties(schema: &Value) -> Option<&Map<String, Value>> {
+    schema.get("properties")?.as_object()
+}
+
+/// JSON merge patch (RFC 7396): objects merge, null removes, anything else replaces.
+pub fn merge(base: &Value, patch: &Value) -> Value {
+    let Value::Object(patch) = patch else { return patch.clone() };
+    let mut out = match base {
+        Value::Object(map) => map.clone(),
+        _ => Map::new(),
+    };
+    for (key, change) in patch {
+        if change.is_null() {
+            out.remove(key);
+        } else {
+            let merged = merge(out.get(key).unwrap_or(&Value::Null), change);
+            out.insert(key.clone(), merged);
+        }
+    }
+    Value::Object(out)
+}
+
+/// Everything wrong with `config`, one entry per JSON pointer, in the pointers' order; empty = valid.
+pub fn validate(schema: &Value, config: &Value) -> Vec<Violation> {
+    let validator = match jsonschema::validator_for(schema) {
+        Ok(validator) => validator,
+        Err(error) => {
+            let message = format!("the class's own configuration schema is invalid: {error}");
+            return vec![Violation { pointer: String::new(), message }];
+        }
+    };
+    let mut found = BTreeMap::new();
+    for error in validator.iter_errors(config) {
+        for violation in violations(schema, &error) {
+            found.entry(violation.pointer).or_insert(violation.message);
+        }
+    }
+    found.into_iter().map(|(pointer, message)| Violation { pointer, message }).collect()
+}
+
+/// A configuration change that a running component accepts: only settings declared `live` differ.
+///
+/// # Errors
+/// The dotted names of the settings that differ and are not live.
+pub fn live_only(schema: &Value, from: &Value, to: &Value) -> Result<(), Vec<String>> {
+    let mut fixed = Vec::new();
+    not_live(schema, from, to, "", &mut fixed);
+    if fixed.is_empty() { Ok(()) } else { Err(fixed) }
+}
+
+fn not_live(schema: &Value, from: &Value, to: &Value, path: &str, fixed: &mut Vec<String>) {
+    if from == to || is_live(schema) {
+        return;
+    }
+    let (Some(properties), Value::Object(a), Value::Object(b)) = (properties(schema), from, to) else {
+        fixed.push(if path.is_empty() { "the configuration".to_owned() } else { path.to_owned() });
+        return;
+    };
+    let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
+    keys.sort();
+    keys.dedup();
+    for key in keys {
+        let sub = properties.get(key).unwrap_or(&Value::Null);
+        let (x, y) = (a.get(key).unwrap_or(&Value::Null), b.get(key).unwrap_or(&Value::Null));
+        let name = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+        not_live(sub, x, y, &name, fixed);
+    }
+}
+
+fn is_live(schema: &Value) -> bool {
+    schema.get("live").and_then(Value::as_bool).unwrap_or(false)
+}
+
+/// Dotted names of the settings that may change while running.
+pub fn live_settings(schema: &Value) -> Vec<String> {
+    let mut out = Vec::new();
+    for (key, sub) in properties(schema).into_iter().flatten() {
+        if is_live(sub) {
+            out.push(key.clone());
+        } else {
+            out.extend(live_settings(sub).into_iter().map(|inner| format!("{key}.{inner}")));
+        }
+    }
+    out
+}
+
+/// The schema of the value at `pointer`, as far as `properties` and `items` lead there.
+fn schema_at<'a>(schema: &'a Value, pointer: &str) -> Option<&'a Value> {
+    segments(pointer).iter().try_fold(schema, |at, segment| {
+        at.get("properties").and_then(|p| p.get(segment)).or_else(|| at.get("items"))
+    })
+}
+
+fn segments(pointer: &str) -> Vec<String> {
+    pointer.split('/').skip(1).map(|s| s.replace("~1", "/").replace("~0", "~")).collect()
+}
+
+/// `/limits/force/0` → `limits.force.0`; the whole configuration is "the configuration".
+fn dotted(pointer: &str) -> String {
+    if pointer.is_empty() { "the configuration".to_owned() } else { segments(pointer).join(".") }
+}
+
+fn violations(schema: &Value, error: &ValidationError<'_>) -> Vec<Violation> {
+    let pointer = error.instance_path().as_str();
+    let here = schema_at(schema, pointer);
+    let unit = here.map(unit_of).unwrap_or_default();
+    let (name, value) = (dotted(pointer), brief(error.instance()));
+    let one = |message: String| vec![Violation { pointer: pointer.to_owned(), message }];
+    match error.kind() {
+        ValidationErrorKind::Maximum { limit } => {
+            one(format!("{name}: {value}{unit} is above {limit}{unit}"))
+        }
+        ValidationErrorKind::Minimum { limit } => {
+            one(format!("{name}: {value}{unit} is below {limit}{unit}"))
+        }
+        ValidationErrorKind::ExclusiveMaximum { limit } => {
+            one(format!("{name}: {value}{unit} is not below {limit}{unit}"))
+        }
+        ValidationErrorKind::ExclusiveMinimum { limit } => {
+            one(format!("{name}: {value}{unit} is not above {limit}{unit}"))
+        }
+        ValidationErrorKind::Type { kind } => one(format!("{name}: {value} is not {}{unit}", kinds(kind))),
+        ValidationErrorKind::Enum { options } => {
+            let options: Vec<String> = options.as_array().into_iter().flatten().map(brief).collect();
+            one(format!("{name}: {value} is none of {}", options.join(", ")))
+        }
+        ValidationErrorKind::MaxItems { limit } => one(format!("{name}: it has more than {limit} items")),
+        ValidationErrorKind::MinItems { limit } => one(format!("{name}: it has fewer than {limit} items")),
+        ValidationErrorKind::Required { property } => {
+            missing(pointer, here, property.as_str().unwrap_or_default())
+        }
+        ValidationErrorKind::AdditionalProperties { unexpected } => {
+            unexpected.iter().map(|key| unknown(pointer, here, key)).collect()
+        }
+        _ => one(format!("{name}: {error}")),
+    }
+}
+
+fn below(pointer: &str, key: &str) -> String {
+    format!("{pointer}/{}", key.replace('~', "~0").replace('/', "~1"))
+}
+
+fn missing(pointer: &str, parent: Option<&Value>, key: &str) -> Vec<Violation> {
+    let pointer = below(pointer, key);
+    let schema = parent.and_then(|p| p.get("properties")).and_then(|p| p.get(key));
+    let text =
+        |of: &str| schema.and_then(|s| s.get(of)).and_then(Value::as_str).unwrap_or_default().to_owned();
+    let what = [text("type") + &schema.map(unit_of).unwrap_or_default(), text("description")];
+    let what: Vec<&str> = what.iter().map(|s| s.trim()).filter(|s| !s.is_empty()).collect();
+    let what = if what.is_empty() { String::new() } else { format!(" ({})", what.join("; ")) };
+    let message = format!("{} is missing{what}", dotted(&pointer));
+    vec![Violation { pointer, message }]
+}
+
+fn unknown(pointer: &str, parent: Option<&Value>, key: &str) -> Violation {
+    let pointer = below(pointer, key);
+    let names = || parent.and_then(properties).into_iter().flat_map(Map::keys).map(String::as_str);
+    let hint = match nearest(key, names()) {
+        Some(name) => format!("did you mean {name}?"),
+        None if names().next().is_none() => "it takes no settings".to_owned(),
+        None => format!("there are {}", names().collect::<Vec<_>>().join(", ")),
+    };
+    Violation { message: format!("{} is unknown; {hint}", dotted(&pointer)), pointer }
+}
+
+/// " Hz", or nothing.
+fn unit_of(schema: &Value) -> String {
+    match schema.get("unit").and_then(Value::as_str) {
+        Some(unit) if !unit.is_empty() => format!(" {unit}"),
+        _ => String::new(),
+    }
+}
+
+fn kinds(kind: &TypeKind) -> String {
+    let names: Vec<String> = match kind {
+        TypeKind::Single(t) => vec![t.to_string()],
+        TypeKind::Multiple(set) => set.iter().map(|t| t.to_string()).collect(),
+    };
+    let article = if names.first().is_some_and(|n| n.starts_with(['a', 'e', 'i', 'o'])) { "an" } else { "a" };
+    format!("{article} {}", names.join(" or "))
+}
+
+fn brief(value: &Value) -> String {
+    match value {
+        Value::Array(items) => format!("a list of {}", items.len()),
+        Value::Object(_) => "an object".to_owned(),
+        other => other.to_string(),
+    }
+}

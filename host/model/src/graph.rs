@@ -1,0 +1,141 @@
+//! The system graph: processes, components, connections.
+//!
+//! Invariant: every connection's ends exist and fit; an input and a required interface have at most one source; a
+//! refused request leaves the graph untouched. The desired part is what requests made of it; `state`, `health`, `fault`
+//! are what the LCMs last reported.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use crate::{Change, ClassInfo, ComponentId, Execution, Health, Name, Plan, PortId, Ports, State};
+
+/// Identifies a connection within one GCM's life; never reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ConnectionId(pub u64);
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SystemGraph {
+    /// +1 per accepted change.
+    pub revision: u64,
+    pub processes: BTreeMap<Name, Process>,
+    pub components: BTreeMap<ComponentId, Component>,
+    pub connections: BTreeMap<ConnectionId, Connection>,
+    /// Number the next connection gets; the first is 1, and a change that is undone does not give its number back.
+    pub next_connection: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProcessState {
+    Attached,
+    Lost,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Process {
+    /// One per incarnation of the process, never reused.
+    pub epoch: u64,
+    pub state: ProcessState,
+    /// Address of the process's own endpoint, for people; "" when embedded.
+    pub endpoint: String,
+    /// OS process id, for people.
+    pub pid: u32,
+    /// Every class its plugin directories offer now.
+    pub classes: Vec<Arc<ClassInfo>>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Component {
+    pub class: Arc<ClassInfo>,
+    /// The whole configuration (defaults filled in), as far as given; what is missing keeps the component in CREATED.
+    pub config: Value,
+    /// Complete: the class's defaults overlaid with what Create said.
+    pub execution: Execution,
+    /// Ports as they are now (`describe` after Configure may change them).
+    pub ports: Arc<Ports>,
+    pub state: State,
+    pub health: Health,
+    /// Why it is in FAULT; empty otherwise.
+    pub fault: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Queue {
+    Latest,
+    Fifo {
+        depth: usize,
+        /// Overwrite the oldest (true) or drop the newest (false) when full.
+        drop_oldest: bool,
+    },
+}
+
+/// Options of a connection; unset = the ports' defaults.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ConnectOptions {
+    pub queue: Option<Queue>,
+    /// Older samples are STALE_INPUT, ns.
+    pub max_age_ns: Option<u64>,
+    /// Default deadline of blocking calls, ns.
+    pub deadline_ns: Option<u64>,
+    /// Mailbox depth in commands or events.
+    pub mailbox: Option<usize>,
+    /// By-name copy when the layouts differ.
+    pub adapt: bool,
+    /// Take the place of an existing connection of the client end.
+    pub replace: bool,
+    /// Pins the carrier ("inline", "heap"); empty = chosen by the LCM.
+    pub carrier: String,
+}
+
+/// `client` is an input or a required interface, `server` an output or a provided interface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Connection {
+    pub id: ConnectionId,
+    pub client: PortId,
+    pub server: PortId,
+    pub options: ConnectOptions,
+}
+
+impl SystemGraph {
+    /// The effect of an accepted plan, without doing any of it. Health and fault texts are left alone: they are what the
+    /// LCMs report.
+    pub fn apply(&mut self, plan: &Plan) {
+        for change in &plan.changes {
+            self.carry_out(change);
+        }
+        if !plan.changes.is_empty() {
+            self.revision += 1;
+        }
+    }
+
+    /// A change to something that has gone meanwhile has no effect.
+    pub(crate) fn carry_out(&mut self, change: &Change) {
+        match change {
+            Change::Create { id, component } => {
+                self.components.insert(id.clone(), (**component).clone());
+            }
+            Change::Destroy { id, .. } => {
+                self.components.remove(id);
+            }
+            Change::Configure { id, to, to_state, .. } => {
+                if let Some(component) = self.components.get_mut(id) {
+                    component.config = to.clone();
+                    component.state = *to_state;
+                }
+            }
+            Change::Run { id, to, .. } => {
+                if let Some(component) = self.components.get_mut(id) {
+                    component.state = *to;
+                }
+            }
+            Change::Connect { connection } => {
+                self.next_connection = self.next_connection.max(connection.id.0 + 1);
+                self.connections.insert(connection.id, connection.clone());
+            }
+            Change::Disconnect { connection } => {
+                self.connections.remove(&connection.id);
+            }
+        }
+    }
+}

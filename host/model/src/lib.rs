@@ -1,0 +1,40 @@
+//! Decides, never does: names, types, the system graph, plans and refusals.
+//!
+//! Invariant: pure functions of their arguments. No I/O, clock, thread, randomness, unsafe or async; `BTreeMap`s so that
+//! the same input gives the same output, in simulation as in production.
+#![forbid(unsafe_code)]
+// Refusals are rare and carry their values by design; boxing them would burden every match on them.
+#![allow(clippy::result_large_err)]
+
+mod change;
+mod class;
+mod config;
+mod connect;
+mod graph;
+mod name;
+mod nearest;
+mod plan;
+mod refusal;
+mod request;
+mod state;
+mod types;
+mod value;
+
+pub use change::{Change, Plan, Skipped, inverse};
+pub use class::{
+    Arg, ClassInfo, Command, CommandKind, Event, Execution, ExecutionModel, Function, Handler, Input, Output,
+    Overflow, PortType, Ports, Provided, Required, Safety,
+};
+pub use config::{Violation, complete, defaults, live_only, live_settings, merge, validate};
+pub use connect::{Binding, Link, Port, bindings};
+pub use graph::{
+    Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph,
+};
+pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
+pub use nearest::nearest;
+pub use plan::{plan, plan_all};
+pub use refusal::{Code, Refusal, errors_markdown};
+pub use request::{Request, Which};
+pub use state::{Health, State, StopReason, Verb, allowed, transition};
+pub use types::{CopyRun, EnumType, Field, Prim, StructType, Type};
+pub use value::{ValueError, check_range, decode, encode};

@@ -1,0 +1,63 @@
+//! Create: an instance, and its configuration when that is complete.
+//!
+//! Invariant: without a configuration the schema's defaults are taken, and what they leave open keeps the component in
+//! CREATED; a configuration that was given must be valid.
+
+use std::sync::Arc;
+
+use serde_json::{Map, Value};
+
+use super::{Planner, execution};
+use crate::{
+    Change, Component, ComponentId, Execution, Health, Refusal, State, complete, defaults, merge, validate,
+};
+
+impl Planner {
+    pub(super) fn create(
+        &mut self,
+        id: &ComponentId,
+        class: &str,
+        config: Option<&Value>,
+        asked: &Execution,
+    ) -> Result<(), Refusal> {
+        self.graph.attached(&id.process)?;
+        let class = self.graph.class(&id.process, class)?;
+        if self.graph.components.contains_key(id) {
+            return Err(Refusal::ComponentExists { id: id.clone() });
+        }
+        let execution = execution::overlay(&class.execution, asked);
+        execution::check_cycle(&self.graph, id, &execution)?;
+        let schema = &class.config_schema;
+        let whole = match config {
+            None => defaults(schema),
+            // Merged onto nothing, so that null means the same as in Configure: the default.
+            Some(given @ Value::Object(_)) => complete(schema, merge(&Value::Object(Map::new()), given)),
+            Some(other) => other.clone(),
+        };
+        let violations = validate(schema, &whole);
+        if config.is_some() && !violations.is_empty() {
+            return Err(Refusal::ConfigInvalid { id: id.clone(), violations });
+        }
+        execution::check(&self.graph, id, &execution)?;
+        let component = Component {
+            ports: Arc::new(class.ports.clone()),
+            class,
+            config: whole.clone(),
+            execution,
+            state: State::Created,
+            health: Health::Ok,
+            fault: String::new(),
+        };
+        self.push(Change::Create { id: id.clone(), component: Box::new(component) });
+        if violations.is_empty() {
+            self.push(Change::Configure {
+                id: id.clone(),
+                from: whole.clone(),
+                to: whole,
+                from_state: State::Created,
+                to_state: State::Ready,
+            });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,118 @@
+//! The planner: `(&SystemGraph, Request) → Plan | Refusal`.
+//!
+//! Invariant: pure, and every check happens here, before anything runs. Checks are made in the order of the error table
+//! (path, process, class, component, interface, direction, connected, types, cycle, state, configuration, arguments), so
+//! that the same mistake always gets the same answer.
+
+mod configure;
+mod create;
+mod execution;
+mod lookup;
+mod remove;
+mod run;
+mod wire;
+
+use std::collections::BTreeMap;
+
+use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph};
+
+/// What `request` would do to `graph`.
+///
+/// # Errors
+/// The first check that fails; nothing is changed by asking.
+pub fn plan(graph: &SystemGraph, request: &Request) -> Result<Plan, Refusal> {
+    plan_all(graph, std::slice::from_ref(request))
+}
+
+/// One plan for several requests, all or nothing. Later requests see the effects of earlier ones; a component that runs
+/// in another's stream or step may be listed before that one.
+///
+/// # Errors
+/// The first check that fails.
+pub fn plan_all(graph: &SystemGraph, requests: &[Request]) -> Result<Plan, Refusal> {
+    let mut planner = Planner { graph: graph.clone(), plan: Plan::default() };
+    for index in in_order(graph, requests)? {
+        planner.request(&requests[index])?;
+    }
+    Ok(planner.plan)
+}
+
+/// The graph as it will be, and the changes that lead there.
+struct Planner {
+    graph: SystemGraph,
+    plan: Plan,
+}
+
+impl Planner {
+    fn request(&mut self, request: &Request) -> Result<(), Refusal> {
+        match request {
+            Request::Create { id, class, config, execution } => {
+                self.create(id, class, config.as_ref(), execution)
+            }
+            Request::Remove { id, force } => self.remove(id, *force),
+            Request::Configure { id, patch } => self.configure(id, patch),
+            Request::Start { targets } => self.start(targets),
+            Request::Stop { targets } => self.stop(targets),
+            Request::Resume { targets } => self.resume(targets),
+            Request::Reset { targets } => self.reset(targets),
+            Request::Connect { client, server, options } => self.connect(client, server, options),
+            Request::Disconnect { which } => self.disconnect(which),
+        }
+    }
+
+    fn push(&mut self, change: Change) {
+        self.graph.carry_out(&change);
+        self.plan.changes.push(change);
+    }
+
+    fn skip(&mut self, id: &ComponentId, why: impl Into<String>) {
+        self.plan.skipped.push(Skipped { id: id.clone(), why: why.into() });
+    }
+}
+
+/// Indices of `requests`, each Create after the one it names in `stream_of` or `inside`; otherwise as given.
+fn in_order(graph: &SystemGraph, requests: &[Request]) -> Result<Vec<usize>, Refusal> {
+    let mut creates = BTreeMap::new();
+    for (i, request) in requests.iter().enumerate() {
+        if let Request::Create { id, execution, .. } = request {
+            creates.entry(id.clone()).or_insert((i, host_of(execution)));
+        }
+    }
+    let mut order = Vec::with_capacity(requests.len());
+    let mut done = vec![false; requests.len()];
+    for (i, request) in requests.iter().enumerate() {
+        // The chain of hosts above this one that are still to be created, outermost last.
+        let mut chain = vec![i];
+        let mut path = Vec::new();
+        let mut next = match request {
+            Request::Create { id, execution, .. } if !done[i] => {
+                path.push(id.clone());
+                host_of(execution)
+            }
+            _ => None,
+        };
+        while let Some(host) = next.filter(|h| !graph.components.contains_key(h)) {
+            let Some((at, above)) = creates.get(&host).filter(|(at, _)| !done[*at]) else { break };
+            if let Some(start) = path.iter().position(|id| *id == host) {
+                let mut path = path.split_off(start);
+                path.push(host);
+                return Err(Refusal::SyncCycle { path });
+            }
+            path.push(host);
+            chain.push(*at);
+            next = above.clone();
+        }
+        for at in chain.into_iter().rev() {
+            if !std::mem::replace(&mut done[at], true) {
+                order.push(at);
+            }
+        }
+    }
+    Ok(order)
+}
+
+/// The component in whose thread this execution runs, if it names one that can be read.
+pub(crate) fn host_of(execution: &Execution) -> Option<ComponentId> {
+    let named = execution.stream_of.as_deref().or(execution.inside.as_deref())?;
+    ComponentId::parse(named).ok()
+}

@@ -1,0 +1,237 @@
+//! Why a request is refused: values, not sentences; sentences, codes and help are made from them in one place.
+//!
+//! Invariant: every variant has a reason code, a sentence that says what was asked and what is wrong, and help that says
+//! what to do (a test fails otherwise); `docs/errors.md` is generated from here.
+
+mod details;
+mod examples;
+mod text;
+
+pub use examples::errors_markdown;
+pub(crate) use text::duration;
+
+use crate::{ComponentId, MemberId, Name, PortId, State, Verb, Violation};
+
+/// gRPC status codes by name; the wire numbers live in `control/status.rs`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Code {
+    InvalidArgument,
+    NotFound,
+    AlreadyExists,
+    FailedPrecondition,
+    Aborted,
+    DeadlineExceeded,
+    Unavailable,
+    ResourceExhausted,
+    PermissionDenied,
+    Unimplemented,
+    Internal,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Refusal {
+    BadPath {
+        text: String,
+        why: String,
+    },
+    ProcessNotFound {
+        process: Name,
+        known: Vec<Name>,
+    },
+    ProcessLost {
+        process: Name,
+    },
+    /// The name is held by a process that answers.
+    ProcessExists {
+        process: Name,
+        endpoint: String,
+        pid: u32,
+    },
+    /// This port belongs to a process that another GCM manages.
+    ManagedElsewhere {
+        at: String,
+    },
+    /// No plugin or class of that name in any process.
+    PluginNotFound {
+        name: String,
+        known: Vec<String>,
+    },
+    /// `elsewhere`: processes that have it; `ambiguous`: full names the short name could mean.
+    ClassNotFound {
+        process: Name,
+        class: String,
+        known: Vec<String>,
+        elsewhere: Vec<Name>,
+        ambiguous: Vec<String>,
+    },
+    ComponentExists {
+        id: ComponentId,
+    },
+    ComponentNotFound {
+        id: ComponentId,
+        known: Vec<ComponentId>,
+    },
+    /// A glob that matches nothing.
+    NothingMatches {
+        pattern: String,
+        known: Vec<ComponentId>,
+    },
+    InterfaceNotFound {
+        port: PortId,
+        known: Vec<String>,
+    },
+    MemberNotFound {
+        member: MemberId,
+        known: Vec<String>,
+    },
+    ConnectionNotFound {
+        asked: String,
+        known: Vec<String>,
+    },
+    /// Client and server are swapped, or both are of the same direction.
+    WrongDirection {
+        client: PortId,
+        client_is: &'static str,
+        server: PortId,
+        server_is: &'static str,
+    },
+    AlreadyConnected {
+        client: PortId,
+        server: PortId,
+    },
+    ConnectionExists {
+        id: u64,
+        client: PortId,
+        server: PortId,
+    },
+    CommandMissing {
+        client: PortId,
+        server: PortId,
+        function: String,
+        known: Vec<String>,
+    },
+    CommandKindMismatch {
+        client: PortId,
+        server: PortId,
+        function: String,
+        wants: String,
+        has: String,
+    },
+    /// `difference` names the first difference by field.
+    TypeMismatch {
+        client: PortId,
+        server: PortId,
+        what: String,
+        difference: String,
+    },
+    FormatMismatch {
+        client: PortId,
+        server: PortId,
+        wants: String,
+        has: String,
+    },
+    SyncCycle {
+        path: Vec<ComponentId>,
+    },
+    WrongState {
+        id: ComponentId,
+        state: State,
+        verb: Verb,
+        allowed: Vec<Verb>,
+        why: String,
+    },
+    /// Start while required ends are open.
+    Unconnected {
+        id: ComponentId,
+        ports: Vec<String>,
+    },
+    ConfigInvalid {
+        id: ComponentId,
+        violations: Vec<Violation>,
+    },
+    /// An execution setting or another argument of a request is not acceptable.
+    ArgumentInvalid {
+        what: String,
+        why: String,
+        field: String,
+    },
+    ComponentRefused {
+        id: ComponentId,
+        entry: &'static str,
+        text: String,
+    },
+    ComponentFault {
+        id: ComponentId,
+        text: String,
+    },
+    InUse {
+        id: ComponentId,
+        by: Vec<String>,
+    },
+    PluginAbi {
+        file: String,
+        text: String,
+    },
+    PluginUntrusted {
+        file: String,
+        text: String,
+    },
+    PluginBadFile {
+        file: String,
+        text: String,
+    },
+    RevisionConflict {
+        expected: u64,
+        actual: u64,
+    },
+    /// WaitFor: none of the wanted states came in time.
+    NotReached {
+        id: ComponentId,
+        state: State,
+        wanted: Vec<State>,
+        after_ns: u64,
+    },
+    LcmTimeout {
+        process: Name,
+        what: String,
+    },
+    Unbound {
+        member: MemberId,
+    },
+    Disabled {
+        member: MemberId,
+    },
+    NotActive {
+        member: MemberId,
+        state: State,
+    },
+    WouldBlock {
+        member: MemberId,
+    },
+    CommandFailed {
+        member: MemberId,
+        text: String,
+    },
+    Deadline {
+        member: MemberId,
+        after_ns: u64,
+        may_still_run: bool,
+    },
+    PeerLost {
+        member: MemberId,
+    },
+    QueueFull {
+        member: MemberId,
+        depth: usize,
+    },
+    NotImplemented {
+        what: String,
+        hint: String,
+    },
+    Forbidden {
+        what: String,
+    },
+    Internal {
+        text: String,
+    },
+}

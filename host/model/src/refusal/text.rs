@@ -1,0 +1,345 @@
+//! The sentence of a refusal and the help that goes with it.
+//!
+//! Invariant: the sentence says what was asked, what is wrong and what exists; `help` says what to do. No list is longer
+//! than [`MOST`] entries.
+
+use std::fmt::{self, Display, Write as _};
+
+use crate::{Refusal, nearest};
+
+/// Entries of a list that are spelled out.
+const MOST: usize = 12;
+
+/// "a, b, c and 5 more".
+pub(super) fn list<T: Display>(items: &[T]) -> String {
+    let mut out = String::new();
+    for (i, item) in items.iter().take(MOST).enumerate() {
+        // Writing to a String cannot fail.
+        let _ = write!(out, "{}{item}", if i > 0 { ", " } else { "" });
+    }
+    if items.len() > MOST {
+        let _ = write!(out, " and {} more", items.len() - MOST);
+    }
+    out
+}
+
+/// The known name nearest to the mistyped one.
+pub(super) fn near<T: Display>(wanted: &str, known: &[T]) -> Option<String> {
+    let names: Vec<String> = known.iter().map(ToString::to_string).collect();
+    nearest(wanted, names.iter().map(String::as_str)).map(str::to_owned)
+}
+
+/// "; did you mean `host`? There are gcm, host" — or only the part that helps.
+fn choices<T: Display>(wanted: &str, known: &[T]) -> String {
+    let there = if known.len() == 1 { "There is" } else { "There are" };
+    match near(wanted, known) {
+        _ if known.is_empty() => "; there are none".to_owned(),
+        Some(name) => format!("; did you mean `{name}`? {there} {}", list(known)),
+        None => format!("; {} {}", there.to_lowercase(), list(known)),
+    }
+}
+
+/// 1500000 ns → "1.5 ms".
+pub(crate) fn duration(ns: u64) -> String {
+    let (scale, unit) = match ns {
+        0..1_000 => (1.0, "ns"),
+        1_000..1_000_000 => (1e3, "µs"),
+        1_000_000..1_000_000_000 => (1e6, "ms"),
+        _ => (1e9, "s"),
+    };
+    format!("{} {unit}", ns as f64 / scale)
+}
+
+impl Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use Refusal::*;
+        match self {
+            BadPath { text, why } => write!(f, "`{text}` is not a path: {why}"),
+            ProcessNotFound { process, known } => {
+                write!(f, "there is no process `{process}`{}", choices(process.as_str(), known))
+            }
+            ProcessLost { process } => {
+                write!(f, "process `{process}` is lost: it is known but does not answer")
+            }
+            ProcessExists { process, endpoint, pid } => {
+                let endpoint = if endpoint.is_empty() { "" } else { &format!(", listening on {endpoint}") };
+                write!(f, "the name `{process}` is taken by a process that answers (pid {pid}{endpoint})")
+            }
+            ClassNotFound { process, class, ambiguous, .. } if !ambiguous.is_empty() => {
+                write!(f, "class `{class}` could be any of {} in process `{process}`", list(ambiguous))
+            }
+            ClassNotFound { process, class, known, elsewhere, .. } => {
+                write!(f, "process `{process}` has no class `{class}`{}", choices(class, known))?;
+                if elsewhere.is_empty() {
+                    Ok(())
+                } else {
+                    write!(f, "; it is available in {}", list(elsewhere))
+                }
+            }
+            ComponentExists { id } => write!(f, "component `{id}` exists already"),
+            ComponentNotFound { id, known } => {
+                write!(f, "there is no component `{id}`{}", choices(&id.to_string(), known))
+            }
+            NothingMatches { pattern, known } => {
+                write!(f, "no component matches `{pattern}`{}", choices(pattern, known))
+            }
+            InterfaceNotFound { port, known } => write!(
+                f,
+                "component `{}` has no interface, input or output `{}`{}",
+                port.component,
+                port.port,
+                choices(port.port.as_str(), known)
+            ),
+            MemberNotFound { member, known } => {
+                write!(
+                    f,
+                    "`{}` has no `{}`{}",
+                    member.port,
+                    member.member,
+                    choices(member.member.as_str(), known)
+                )
+            }
+            ManagedElsewhere { at } => write!(f, "this process is managed by the GCM at {at}"),
+            PluginNotFound { name, known } => {
+                write!(f, "there is no plugin or class \"{name}\" in any process{}", choices(name, known))
+            }
+            ConnectionNotFound { asked, known } => {
+                write!(f, "there is no connection {asked}{}", choices(asked, known))
+            }
+            WrongDirection { client, client_is, server, server_is } => write!(
+                f,
+                "`{client}` is {client_is} and `{server}` is {server_is}, which do not go together as client and server"
+            ),
+            AlreadyConnected { client, server } => {
+                write!(f, "`{client}` is already connected, to `{server}`")
+            }
+            ConnectionExists { id, client, server } => {
+                write!(f, "`{client}` is already connected to `{server}`: that is connection {id}")
+            }
+            CommandMissing { client, server, function, known } => {
+                write!(
+                    f,
+                    "`{client}` needs `{function}`, which `{server}` does not offer{}",
+                    choices(function, known)
+                )
+            }
+            CommandKindMismatch { client, server, function, wants, has } => {
+                write!(
+                    f,
+                    "`{function}` is wanted by `{client}` as {wants}, but `{server}` offers it as {has}"
+                )
+            }
+            TypeMismatch { client, server, what, difference } => {
+                write!(f, "the {what} of `{client}` (here) and `{server}` (there) differ: {difference}")
+            }
+            FormatMismatch { client, server, wants, has } => {
+                write!(f, "`{client}` takes {wants}, but `{server}` gives {has}")
+            }
+            SyncCycle { path } => {
+                let path: Vec<String> = path.iter().map(|id| format!("`{id}`")).collect();
+                write!(
+                    f,
+                    "the components would call each other in a circle, in one thread: {}",
+                    path.join(" → ")
+                )
+            }
+            WrongState { id, state, verb, allowed, why } => {
+                write!(f, "{verb} of `{id}` is not allowed in state {state}")?;
+                if !why.is_empty() {
+                    write!(f, ": {why}")?;
+                }
+                if allowed.is_empty() { Ok(()) } else { write!(f, "; allowed are {}", list(allowed)) }
+            }
+            Unconnected { id, ports } => {
+                write!(f, "`{id}` cannot start: not connected {} {}", is_are(ports.len()), list(ports))
+            }
+            ConfigInvalid { id, violations } => {
+                let messages: Vec<&str> = violations.iter().map(|v| v.message.as_str()).collect();
+                write!(f, "the configuration of `{id}` is not valid: {}", messages.join("; "))
+            }
+            ArgumentInvalid { what, why, .. } => write!(f, "{why} ({what})"),
+            ComponentRefused { id, entry, text } => write!(f, "`{id}` refused to {entry}: {text}"),
+            ComponentFault { id, text } => write!(f, "`{id}` is in FAULT: {text}"),
+            InUse { id, by } => write!(f, "`{id}` is in use by {}", list(by)),
+            PluginAbi { file, text } => write!(f, "plugin `{file}` does not fit this host: {text}"),
+            PluginUntrusted { file, text } => write!(f, "plugin `{file}` is not trusted: {text}"),
+            PluginBadFile { file, text } => write!(f, "`{file}` is not a usable plugin: {text}"),
+            RevisionConflict { expected, actual } => {
+                write!(
+                    f,
+                    "the request was made for revision {expected}, but the graph is at revision {actual}"
+                )
+            }
+            NotReached { id, state, wanted, after_ns } => {
+                let wanted: Vec<String> = wanted.iter().map(ToString::to_string).collect();
+                let waited = duration(*after_ns);
+                write!(f, "`{id}` is {state} and did not become {} within {waited}", wanted.join(" or "))
+            }
+            LcmTimeout { process, what } => {
+                write!(f, "process `{process}` did not answer in time ({what}); the change was taken back")
+            }
+            Unbound { member } => write!(f, "`{member}` is not connected to anything"),
+            Disabled { member } => write!(f, "command `{member}` is disabled"),
+            NotActive { member, state } => {
+                write!(f, "`{member}` cannot run: its component is {state}, not ACTIVE")
+            }
+            WouldBlock { member } => {
+                write!(f, "`{member}` would have to wait, which a real-time thread must not do")
+            }
+            CommandFailed { member, text } => write!(f, "command `{member}` failed: {text}"),
+            Deadline { member, after_ns, may_still_run } => {
+                let still =
+                    if *may_still_run { "it may still run" } else { "it was taken back and will not run" };
+                write!(f, "`{member}` did not finish within {}; {still}", duration(*after_ns))
+            }
+            PeerLost { member } => write!(f, "the process or component behind `{member}` is gone"),
+            QueueFull { member, depth } => {
+                write!(f, "the queue of `{member}` is full: {depth} calls are waiting already")
+            }
+            NotImplemented { what, .. } => write!(f, "{what} is not in this version"),
+            Forbidden { what } => write!(f, "{what} is not allowed for this caller"),
+            Internal { text } => write!(f, "trocar itself made a mistake: {text}"),
+        }
+    }
+}
+
+impl std::error::Error for Refusal {}
+
+fn is_are(n: usize) -> &'static str {
+    if n == 1 { "is" } else { "are" }
+}
+
+impl Refusal {
+    /// What to do about it, as one or two whole sentences.
+    pub fn help(&self) -> String {
+        use Refusal::*;
+        match self {
+            BadPath { .. } => "Write a path as process/component/interface/command, as far as it is needed, without a \
+                slash in front. Names begin with a letter or _ and hold letters, digits, _ . and -; where several \
+                components are meant, * stands for any part of a name and ** for everything below."
+                .into(),
+            ProcessNotFound { process, .. } => format!(
+                "Use one of the processes listed by `trocar ls`, or start it: `trocar host --name {process} --plugins DIR`."
+            ),
+            ProcessLost { process } => format!(
+                "Start the process again (`trocar host --name {process}`); its components come back STOPPED and wait \
+                for Resume."
+            ),
+            ProcessExists { .. } => {
+                "Give this process another name (`--name`), or end the other one first.".into()
+            }
+            ClassNotFound { ambiguous, .. } if !ambiguous.is_empty() => {
+                "Write the class with its plugin in front, as plugin/class.".into()
+            }
+            ClassNotFound { .. } => "Put the plugin's .so into the process's plugin directory; `trocar plugin ls` shows \
+                what was found there and why a file was refused."
+                .into(),
+            ComponentExists { id } => {
+                format!("Take another name, or remove it first: `trocar rm {id}`. Configure changes it in place.")
+            }
+            ComponentNotFound { .. } => "Use a component listed by `trocar ls`, or create it first.".into(),
+            NothingMatches { .. } => "Check the pattern against `trocar ls`: * stays within one part of the path, \
+                process/** means everything in a process."
+                .into(),
+            InterfaceNotFound { port, .. } => {
+                format!("`trocar describe {}` shows its interfaces, inputs and outputs.", port.component)
+            }
+            MemberNotFound { member, .. } => {
+                format!("`trocar describe {}` shows the commands and events.", member.port.component)
+            }
+            ManagedElsewhere { at } => format!("Ask there: `--gcm {at}`, or grpcurl with that address."),
+            PluginNotFound { .. } => "`trocar plugin ls` lists every plugin and why a file was refused.".into(),
+            ConnectionNotFound { .. } => "`trocar graph` lists the connections with their numbers.".into(),
+            WrongDirection { client_is, server_is, .. } => {
+                let swapped = matches!(*client_is, "an output" | "a provided interface")
+                    && matches!(*server_is, "an input" | "a required interface");
+                let first = if swapped { "Exchange client and server. " } else { "" };
+                format!(
+                    "{first}An input (client) takes an output (server); a required interface (client) takes a provided \
+                    interface (server)."
+                )
+            }
+            AlreadyConnected { .. } => {
+                "Disconnect it first, or ask with replace: true, which rewires in one step.".into()
+            }
+            ConnectionExists { id, .. } => format!(
+                "Nothing is left to do; to change its options ask with replace: true, to undo it disconnect {id}."
+            ),
+            CommandMissing { server, .. } => format!(
+                "Connect to an interface that offers it (`trocar describe {}`), or make the function optional in the \
+                client's class.",
+                server.component
+            ),
+            CommandKindMismatch { .. } => "Declare the function in the client's class with the argument and result the \
+                command has: without a result it binds to void and write commands, with one to reads and returning \
+                commands."
+                .into(),
+            TypeMismatch { .. } => "Build both plugins against the same payload type, or put a converting component \
+                between them; for fields that only moved, ask with adapt: true."
+                .into(),
+            FormatMismatch { .. } => "Put a filter between them that converts, or set the server's format in its \
+                configuration."
+                .into(),
+            SyncCycle { .. } => "Let one of them run in a thread of its own (execution without stream_of or inside), or \
+                leave one of the connections queued (carrier: \"heap\")."
+                .into(),
+            WrongState { id, state, verb, .. } => match (verb, state) {
+                (_, crate::State::Fault) => format!("Reset it first: `trocar reset {id}`."),
+                (crate::Verb::Configure, _) => format!("Stop it first: `trocar stop {id}`."),
+                (_, crate::State::Created) => format!("Configure it first; `trocar describe {id}` shows what is missing."),
+                _ => "Ask for one of the allowed verbs.".into(),
+            },
+            Unconnected { .. } => "Connect each of them, then start again; or declare the end optional in the class.".into(),
+            ConfigInvalid { .. } => "Correct each of the values; `trocar describe` shows every setting with its unit, \
+                limits and default."
+                .into(),
+            ArgumentInvalid { .. } => "Correct the value and ask again; `trocar describe` shows units and limits.".into(),
+            ComponentRefused { .. } => "The component's own words say why; correct that and ask again. It is as it was \
+                before."
+                .into(),
+            ComponentFault { id, .. } => {
+                format!("Remove the cause, then `trocar reset {id}`; `trocar logs` has the details.")
+            }
+            InUse { .. } => "Disconnect or remove those first, or ask with force: true, which disconnects.".into(),
+            PluginAbi { .. } => "Rebuild the plugin with the trocar-sdk of this host's version.".into(),
+            PluginUntrusted { .. } => "Install a copy that the trust mode of this process accepts, or change the mode; \
+                `trocar plugin inspect FILE` shows hash, owner and permissions."
+                .into(),
+            PluginBadFile { .. } => "Build or copy the file again; `trocar plugin inspect FILE` checks it without running \
+                it."
+                .into(),
+            RevisionConflict { .. } => "Read the graph again and decide anew; leave out expected_revision to act on \
+                whatever is there."
+                .into(),
+            NotReached { id, .. } => {
+                format!("`trocar describe {id}` shows what it does; a longer deadline can be given.")
+            }
+            LcmTimeout { process, .. } => format!(
+                "Look whether process `{process}` hangs or is overloaded (`trocar top`), then ask again; a longer \
+                deadline can be given."
+            ),
+            Unbound { .. } => "Connect the required interface first.".into(),
+            Disabled { .. } => "Its component switched it off for now; its own state or events say when it returns.".into(),
+            NotActive { member, state } => match state {
+                crate::State::Fault => format!("`trocar reset {0}`, then `trocar start {0}`.", member.port.component),
+                crate::State::Stopped(_) => format!("`trocar resume {}`.", member.port.component),
+                _ => format!("`trocar start {}`.", member.port.component),
+            },
+            WouldBlock { .. } => "Send it without waiting, or let both components share one executor.".into(),
+            CommandFailed { .. } => "The component's own words say why; `trocar describe` shows what the command needs.".into(),
+            Deadline { .. } => "Give a longer deadline if the command is slow by nature; otherwise look at the \
+                component's health in `trocar ls`."
+                .into(),
+            PeerLost { .. } => "Look for the process with `trocar ls`; connections return by themselves when it is back, \
+                motion waits for Resume."
+                .into(),
+            QueueFull { .. } => "Call more slowly, give the connection a deeper mailbox, or let the command's policy be \
+                latest_wins."
+                .into(),
+            NotImplemented { hint, .. } if !hint.is_empty() => hint.clone(),
+            NotImplemented { .. } => "Do without it in this version.".into(),
+            Forbidden { .. } => "Ask with an identity whose role allows it.".into(),
+            Internal { .. } => "Please report it with the log; nothing was changed on purpose.".into(),
+        }
+    }
+}

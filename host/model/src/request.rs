@@ -1,0 +1,53 @@
+//! What can be asked of the graph.
+
+use serde_json::Value;
+
+use crate::{ComponentId, ConnectOptions, ConnectionId, Execution, PortId, Target};
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// `config: None` means the schema's defaults.
+    Create {
+        id: ComponentId,
+        class: String,
+        config: Option<Value>,
+        execution: Execution,
+    },
+    /// Refused while connected, unless `force`, which disconnects first.
+    Remove {
+        id: ComponentId,
+        force: bool,
+    },
+    /// JSON merge patch (RFC 7396) on the present configuration.
+    Configure {
+        id: ComponentId,
+        patch: Value,
+    },
+    Start {
+        targets: Vec<Target>,
+    },
+    Stop {
+        targets: Vec<Target>,
+    },
+    Resume {
+        targets: Vec<Target>,
+    },
+    Reset {
+        targets: Vec<Target>,
+    },
+    Connect {
+        client: PortId,
+        server: PortId,
+        options: ConnectOptions,
+    },
+    Disconnect {
+        which: Which,
+    },
+}
+
+/// The connection a Disconnect means.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Which {
+    Id(ConnectionId),
+    Pair { client: PortId, server: PortId },
+}

@@ -1,0 +1,48 @@
+//! The declared range of a command's argument.
+//!
+//! Invariant: NaN is within no range.
+
+use serde_json::Value;
+
+use super::special;
+use crate::Arg;
+
+/// The declared range of an argument, for a scalar and for every item of a list.
+///
+/// # Errors
+/// "value 300 is above maximum 100 mm".
+pub fn check_range(arg: &Arg, value: &Value) -> Result<(), String> {
+    if arg.min.is_none() && arg.max.is_none() {
+        return Ok(());
+    }
+    range(arg, value, "value")
+}
+
+fn range(arg: &Arg, value: &Value, name: &str) -> Result<(), String> {
+    let number = match value {
+        Value::Array(items) => {
+            return items
+                .iter()
+                .enumerate()
+                .try_for_each(|(i, item)| range(arg, item, &format!("{name}[{i}]")));
+        }
+        Value::Number(n) => n.as_f64(),
+        Value::String(s) => special(s).or_else(|| s.parse().ok()),
+        _ => None,
+    };
+    let Some(number) = number else { return Ok(()) };
+    let unit = if arg.unit.is_empty() { String::new() } else { format!(" {}", arg.unit) };
+    let shown = || match value {
+        Value::String(s) => s.clone(),
+        _ => number.to_string(),
+    };
+    if number.is_nan() {
+        let limit = arg.min.map(|m| format!("minimum {m}")).or(arg.max.map(|m| format!("maximum {m}")));
+        return Err(format!("{name} NaN is not a number within {}{unit}", limit.unwrap_or_default()));
+    }
+    match (arg.min, arg.max) {
+        (Some(min), _) if number < min => Err(format!("{name} {} is below minimum {min}{unit}", shown())),
+        (_, Some(max)) if number > max => Err(format!("{name} {} is above maximum {max}{unit}", shown())),
+        _ => Ok(()),
+    }
+}

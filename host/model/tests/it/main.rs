@@ -1,0 +1,14 @@
+//! Outer tests of the model, by public names only; one file per promise.
+#![allow(clippy::unwrap_used, clippy::result_large_err)]
+
+mod configuring;
+mod connecting;
+mod creating;
+mod invariants;
+mod paths;
+mod refusals;
+mod removing;
+mod running;
+mod scene;
+mod types;
+mod values;

@@ -1,0 +1,97 @@
+//! Refusals: every one has a code, a sentence, help and a place in docs/errors.md.
+
+use std::collections::BTreeSet;
+
+use trocar_model::*;
+
+use crate::scene::*;
+
+/// Names of the variants, read from the source: an enum cannot be asked for them.
+fn variants() -> Vec<String> {
+    let source = include_str!("../../src/refusal.rs");
+    let body = source.split("pub enum Refusal {").nth(1).unwrap().split("\n}").next().unwrap();
+    let name = |line: &str| {
+        let line = line.strip_prefix("    ")?;
+        line.starts_with(|c: char| c.is_ascii_uppercase())
+            .then(|| line.split([' ', ',']).next().unwrap().to_owned())
+    };
+    body.lines().filter_map(name).collect()
+}
+
+fn screaming(camel: &str) -> String {
+    let mut out = String::new();
+    for c in camel.chars() {
+        if c.is_ascii_uppercase() && !out.is_empty() {
+            out.push('_');
+        }
+        out.push(c.to_ascii_uppercase());
+    }
+    out
+}
+
+#[test]
+fn every_refusal_has_an_example_and_its_reason_is_its_name() {
+    let variants: BTreeSet<String> = variants().iter().map(|v| screaming(v)).collect();
+    let reasons: Vec<&str> = Refusal::examples().iter().map(Refusal::reason).collect();
+    let unique: BTreeSet<String> = reasons.iter().map(|r| (*r).to_owned()).collect();
+    assert_eq!(unique, variants, "an example is missing, or a reason is not spelled as its variant");
+    assert_eq!(unique.len(), reasons.len(), "two examples have the same reason");
+}
+
+#[test]
+fn every_refusal_says_what_is_wrong_and_what_to_do() {
+    for refusal in Refusal::examples() {
+        let (text, help, reason) = (refusal.to_string(), refusal.help(), refusal.reason());
+        assert!(
+            text.len() > 15 && !text.ends_with('.'),
+            "{reason}: {text:?} must be a sentence without a full stop"
+        );
+        assert!(help.len() > 15 && help.ends_with('.'), "{reason}: {help:?} must be whole sentences");
+        assert!(!text.contains("failed to"), "{reason}: {text:?} says failed to without because");
+        assert!(
+            !text.contains('\n') && !help.contains('\n') && !help.contains("  "),
+            "{reason} must be one line"
+        );
+        assert!(refusal.metadata().values().all(|v| !v.is_empty()), "{reason}: {:?}", refusal.metadata());
+    }
+}
+
+#[test]
+fn long_lists_are_cut_in_the_sentence_but_whole_in_the_metadata() {
+    let known: Vec<ComponentId> = (0..40).map(|i| id(&format!("host/c{i}"))).collect();
+    let refusal = Refusal::ComponentNotFound { id: id("host/robot"), known };
+    let text = refusal.to_string();
+    assert!(text.ends_with("host/c11 and 28 more"), "{text}");
+    assert_eq!(refusal.metadata()["known"].split(',').count(), 40);
+}
+
+#[test]
+fn a_slip_is_answered_with_the_name_that_was_meant() {
+    let refusal = refused(&theatre(), &start(&["host/robt"]));
+    assert!(refusal.to_string().contains("did you mean `host/robot`?"), "{refusal}");
+    assert_eq!(refusal.metadata()["nearest"], "host/robot");
+}
+
+#[test]
+fn each_violation_of_a_configuration_becomes_a_field() {
+    let request =
+        Request::Configure { id: id("host/robot"), patch: serde_json::json!({"limit": 99, "joint": 1}) };
+    let fields = refused(&theatre(), &request).field_violations();
+    let names: Vec<&str> = fields.iter().map(|(f, _)| f.as_str()).collect();
+    assert_eq!(names, ["config/joint", "config/limit"]);
+    assert_eq!(fields[1].1, "limit: 99 N is above 10 N");
+}
+
+#[test]
+fn the_page_of_errors_is_what_the_code_says() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/errors.md");
+    let want = errors_markdown();
+    if std::env::var_os("TROCAR_BLESS").is_some() {
+        std::fs::write(path, &want).unwrap();
+    }
+    let have = std::fs::read_to_string(path).unwrap_or_default();
+    assert!(
+        have == want,
+        "docs/errors.md is stale; run `TROCAR_BLESS=1 cargo test -p trocar-model` and look at the diff"
+    );
+}

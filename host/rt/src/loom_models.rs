@@ -1,0 +1,323 @@
+//! Loom models: every interleaving of two or three threads over the lock-free cores, within loom's bounds.
+//!
+//! Run with `RUSTFLAGS="--cfg loom" cargo test -p trocar-rt --release --lib loom_`.
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use loom::thread;
+
+use crate::cell::BindingCell;
+use crate::mailbox::{EntryHead, Mailbox, Overflow, Push};
+use crate::pool::FramePool;
+use crate::reply::{Reply, ReplyPool};
+use crate::state::state_table;
+use crate::stream::{DropPolicy, Meta, Payload, Queue, StreamReader, stream_link};
+use crate::wake::Waker;
+
+fn model(f: impl Fn() + Sync + Send + 'static) {
+    let mut builder = loom::model::Builder::new();
+    builder.preemption_bound = Some(3);
+    builder.check(f);
+}
+
+fn row(n: u64) -> [u8; 16] {
+    let mut row = [0; 16];
+    row[..8].copy_from_slice(&n.to_ne_bytes());
+    row[8..].copy_from_slice(&(!n).to_ne_bytes());
+    row
+}
+
+#[test]
+fn loom_a_state_reader_gets_whole_rows_or_none() {
+    model(|| {
+        let (mut writer, reader) = state_table(16, 3);
+        let thread = thread::spawn(move || {
+            for n in 0..4 {
+                writer.publish(n, n, |out| out.copy_from_slice(&row(n)));
+            }
+        });
+        let mut out = [0; 16];
+        if let Some(info) = reader.row(0, &mut out).ok().or_else(|| reader.delayed(1, &mut out).ok()) {
+            assert_eq!((info.stamp_ns, info.tick, out), (info.row, info.row, row(info.row)), "torn row");
+        }
+        thread.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_notification_is_never_lost() {
+    model(|| {
+        let waker = Arc::new(Waker::new());
+        let other = Arc::clone(&waker);
+        let done = Arc::new(AtomicUsize::new(0));
+        let told = Arc::clone(&done);
+        let thread = thread::spawn(move || {
+            told.store(1, Ordering::Relaxed);
+            other.notify();
+        });
+        assert!(waker.wait(None), "without a deadline a wait ends by a notification only");
+        assert_eq!(done.load(Ordering::Relaxed), 1);
+        thread.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_two_notifiers_are_both_seen() {
+    model(|| {
+        let waker = Arc::new(Waker::new());
+        let mail = Arc::new(Mailbox::new(2, 0, 0));
+        let threads: Vec<_> = (0..2)
+            .map(|_| {
+                let (waker, mail) = (Arc::clone(&waker), Arc::clone(&mail));
+                thread::spawn(move || {
+                    assert_eq!(mail.push(EntryHead::default(), &[], Overflow::Reject), Push::Queued);
+                    waker.notify();
+                })
+            })
+            .collect();
+        let mut seen = 0;
+        while seen < 2 {
+            assert!(waker.wait(None));
+            seen += mail.drain(|_, _| {}, |_| {});
+        }
+        threads.into_iter().for_each(|t| t.join().unwrap());
+    });
+}
+
+fn head(index: u32, reply: u64) -> EntryHead {
+    EntryHead { index, reply, ..EntryHead::default() }
+}
+
+fn push(mail: &Mailbox, reply: u64, overflow: Overflow, found: &dyn Fn(EntryHead)) {
+    match mail.push(head(0, reply), &reply.to_ne_bytes(), overflow) {
+        Push::Queued => {}
+        Push::DroppedOldest(old) => found(old),
+        Push::Full => found(head(0, reply)),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Two pushes against a drain, into a mailbox of one: each head must turn up exactly once.
+fn every_head_turns_up_once(overflow: Overflow) {
+    model(move || {
+        let mail = Arc::new(Mailbox::new(1, 8, 1));
+        let sums = Arc::new(AtomicUsize::new(0));
+        let (other, sum) = (Arc::clone(&mail), Arc::clone(&sums));
+        let found = move |h: EntryHead| {
+            sum.fetch_add(1 << (8 * h.reply), Ordering::Relaxed);
+        };
+        let theirs = found.clone();
+        let thread = thread::spawn(move || push(&other, 1, overflow, &theirs));
+        push(&mail, 2, overflow, &found);
+        mail.drain(
+            |h, data| {
+                assert_eq!(data, h.reply.to_ne_bytes(), "the payload of another entry");
+                found(h);
+            },
+            &found,
+        );
+        thread.join().unwrap();
+        mail.close(&found);
+        assert_eq!(sums.load(Ordering::Relaxed), 0x01_01_00, "heads found, one byte each");
+    });
+}
+
+#[test]
+fn loom_a_rejecting_mailbox_loses_no_head() {
+    every_head_turns_up_once(Overflow::Reject);
+}
+
+#[test]
+fn loom_a_dropping_mailbox_loses_no_head() {
+    every_head_turns_up_once(Overflow::DropOldest);
+}
+
+#[test]
+fn loom_a_latest_wins_mailbox_loses_no_head() {
+    every_head_turns_up_once(Overflow::LatestWins);
+}
+
+/// A server that sleeps once it has consumed all notifications must not leave an entry behind.
+fn no_entry_stays_without_a_notification(overflow: Overflow) {
+    model(move || {
+        let server = Arc::new((Mailbox::new(1, 0, 1), Waker::new()));
+        let threads: Vec<_> = (1..=2)
+            .map(|reply| {
+                let server = Arc::clone(&server);
+                thread::spawn(move || {
+                    let (mail, waker) = &*server;
+                    if let Push::Queued | Push::DroppedOldest(_) = mail.push(head(0, reply), &[], overflow) {
+                        waker.notify();
+                    }
+                })
+            })
+            .collect();
+        let (mail, waker) = &*server;
+        if waker.take() {
+            mail.drain(|_, _| {}, |_| {});
+        }
+        threads.into_iter().for_each(|t| t.join().unwrap());
+        if waker.take() {
+            mail.drain(|_, _| {}, |_| {});
+        }
+        assert!(mail.is_empty(), "queued, and the server sleeps");
+    });
+}
+
+#[test]
+fn loom_a_dropping_mailbox_never_leaves_its_server_asleep() {
+    no_entry_stays_without_a_notification(Overflow::DropOldest);
+}
+
+#[test]
+fn loom_a_latest_wins_mailbox_never_leaves_its_server_asleep() {
+    no_entry_stays_without_a_notification(Overflow::LatestWins);
+}
+
+#[test]
+fn loom_a_push_against_a_close_is_refused_or_handed_back() {
+    model(|| {
+        let mail = Arc::new(Mailbox::new(1, 0, 0));
+        let other = Arc::clone(&mail);
+        let thread = thread::spawn(move || other.push(head(0, 1), &[], Overflow::DropOldest));
+        let mut handed = 0;
+        mail.close(|_| handed += 1);
+        let expected = match thread.join().unwrap() {
+            Push::Queued => 1,
+            Push::Closed => 0,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(handed, expected);
+        assert!(mail.is_empty());
+    });
+}
+
+#[test]
+fn loom_a_caller_is_answered_or_gives_up_and_the_cell_is_free_again() {
+    model(|| {
+        let pool = ReplyPool::new(1, 1, 0);
+        let ticket = pool.acquire().unwrap();
+        let (server, token) = (Arc::clone(&pool), ticket.token());
+        let thread = thread::spawn(move || match server.begin(token, -1) {
+            Some(running) => {
+                running.finish(7, |ret, _| {
+                    ret[0] = 42;
+                    0
+                });
+                true
+            }
+            None => false,
+        });
+        let mut got = 0;
+        let reply = ticket.wait(1, |ret, _| got = ret[0]);
+        let began = thread.join().unwrap();
+        match reply {
+            Reply::Done(status) => assert_eq!((status, got, began), (7, 42, true)),
+            Reply::DeadlineNotStarted => assert!(!began, "given up and run all the same"),
+            Reply::DeadlineMayRun => assert!(began, "nobody has begun it"),
+        }
+        assert_eq!(pool.in_use(), 0, "after {reply:?}");
+        assert!(pool.begin(token, -1).is_none(), "an old token must fit nothing");
+    });
+}
+
+struct CountsDrop(u32, Arc<AtomicUsize>);
+
+impl Drop for CountsDrop {
+    fn drop(&mut self) {
+        self.1.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn loom_a_replaced_binding_is_dropped_after_its_callers_left() {
+    model(|| {
+        let drops = Arc::new(AtomicUsize::new(0));
+        let cell = Arc::new(BindingCell::new(Box::new(CountsDrop(1, Arc::clone(&drops)))));
+        let callers: Vec<_> = (0..2)
+            .map(|_| {
+                let (cell, drops) = (Arc::clone(&cell), Arc::clone(&drops));
+                thread::spawn(move || {
+                    let guard = cell.enter();
+                    if guard.0 == 1 {
+                        assert_eq!(drops.load(Ordering::Relaxed), 0, "dropped under a caller");
+                    }
+                    drop(guard);
+                })
+            })
+            .collect();
+        cell.swap(Box::new(CountsDrop(2, Arc::clone(&drops))));
+        callers.into_iter().for_each(|t| t.join().unwrap());
+        assert_eq!(cell.reclaim(), 0);
+        assert_eq!(drops.load(Ordering::Relaxed), 1);
+        assert_eq!(cell.enter().0, 2);
+    });
+}
+
+#[test]
+fn loom_a_slot_is_lent_to_one_and_comes_back_after_its_last_frame() {
+    model(|| {
+        let pool = FramePool::new(1, 8, 0).unwrap();
+        let mut writing = pool.loan().unwrap();
+        writing.parts_mut().0[0] = 1;
+        let frame = writing.freeze(0);
+        let other = frame.clone();
+        let thread = thread::spawn(move || {
+            assert_eq!(other.header()[0], 1);
+            if let Ok(mut mine) = other.try_unique() {
+                mine.parts_mut().0[0] = 2;
+            }
+        });
+        if let Ok(mut mine) = frame.try_unique() {
+            assert_eq!(mine.parts_mut().0[0], 1, "written by another holder");
+        }
+        thread.join().unwrap();
+        assert_eq!(pool.stats().free, 1);
+        assert!(pool.loan().is_some());
+    });
+}
+
+/// Three samples against a reader that looks twice: order, wholeness and the counts.
+fn samples_come_in_order_and_all_are_counted(queue: Queue) {
+    model(move || {
+        let (writer, mut reader) = stream_link(Payload::Plain { bytes: 8 }, queue);
+        let thread = thread::spawn(move || {
+            for seq in 1..=3u64 {
+                let _ = writer.push(&(seq * 10).to_ne_bytes(), Meta { stamp_ns: 0, seq });
+            }
+            writer
+        });
+        let (mut last, mut gaps) = (0, 0);
+        let mut look = |reader: &mut StreamReader| {
+            let Some(sample) = reader.next() else { return false };
+            assert_eq!(sample.data, (sample.meta.seq * 10).to_ne_bytes(), "torn sample");
+            assert!(sample.meta.seq > last, "{} after {last}", sample.meta.seq);
+            gaps += sample.meta.seq - last - 1;
+            last = sample.meta.seq;
+            true
+        };
+        look(&mut reader);
+        let writer = thread.join().unwrap();
+        while look(&mut reader) {}
+        let stats = writer.stats();
+        assert_eq!((stats.pushed, stats.taken + stats.dropped), (3, 3), "{stats:?}");
+        assert_eq!(gaps + (3 - last), stats.dropped, "gaps");
+    });
+}
+
+#[test]
+fn loom_a_latest_link_counts_every_sample() {
+    samples_come_in_order_and_all_are_counted(Queue::Latest);
+}
+
+#[test]
+fn loom_a_dropping_queue_counts_every_sample() {
+    samples_come_in_order_and_all_are_counted(Queue::Fifo { depth: 1, drop: DropPolicy::DropOldest });
+}
+
+#[test]
+fn loom_a_keeping_queue_counts_every_sample() {
+    samples_come_in_order_and_all_are_counted(Queue::Fifo { depth: 1, drop: DropPolicy::DropNewest });
+}

@@ -1,0 +1,412 @@
+//! The bounded mailbox of one client at one server: any thread pushes, the server's thread drains.
+//!
+//! An entry belongs to whoever moved its slot's sequence to *busy*, and whoever does so ends by queueing or
+//! taking an entry, so a drain that stops at a busy slot is always followed by a notification or by room.
+//! Every head that is dropped is handed to exactly one caller, so that its reply can be answered.
+
+use crate::buf::{AlignedBuf, round_up};
+use crate::exclusive::TryCell;
+use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Shared, spin_loop, yield_now};
+
+/// What an entry is, apart from its payload.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EntryHead {
+    /// Meaning given by the user of the mailbox (command, event, …).
+    pub kind: u32,
+    /// Which command or event of the server's binding; `LatestWins` is per index.
+    pub index: u32,
+    /// Token of the reply cell, 0 = no reply wanted.
+    pub reply: u64,
+    /// When it was pushed, ns of the monotonic clock.
+    pub stamp_ns: u64,
+}
+
+/// What happens when the mailbox is full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overflow {
+    /// The new entry is refused.
+    Reject,
+    /// Only the newest entry of an index counts: older ones still queued are skipped at the drain, and make
+    /// room when the mailbox is full.
+    LatestWins,
+    /// The oldest entry, of whatever index, is dropped.
+    DropOldest,
+}
+
+/// What became of a push. Notify the server after `Queued` and `DroppedOldest`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use = "a dropped or refused entry must be answered"]
+pub enum Push {
+    Queued,
+    /// Refused, counted in `rejected`. Under `DropOldest` only while the oldest entry is being copied out by
+    /// a thread that was suspended over it; under `LatestWins` only behind entries of other indices.
+    Full,
+    /// Queued, at the cost of this older entry, which will not be drained: answer its reply.
+    DroppedOldest(EntryHead),
+    /// Refused: the payload is longer than the mailbox's `payload_bytes`. Counted in `rejected`.
+    TooLong,
+    /// Refused: the mailbox was closed. Counted in `rejected`.
+    Closed,
+}
+
+/// Counters of a mailbox since it was made, in entries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MailboxStats {
+    /// How many fit.
+    pub depth: u64,
+    /// How many are queued now.
+    pub queued: u64,
+    /// The most that were ever queued at once.
+    pub high_water: u64,
+    /// Accepted.
+    pub pushed: u64,
+    /// Accepted and later dropped: overflow, superseded, or still queued at close.
+    pub dropped: u64,
+    /// Refused.
+    pub rejected: u64,
+}
+
+/// Attempts of a push against other threads before it answers `Full`.
+const ATTEMPTS: usize = 256;
+/// Set in `tail` when the mailbox is closed: no push can claim a position any more.
+const CLOSED: u64 = 1 << 63;
+
+const FREE: u64 = 0;
+const READY: u64 = 1;
+const BUSY: u64 = 2;
+
+/// The sequence of a slot at position `at`. Positions only grow, so no value ever returns.
+const fn phase(at: u64, phase: u64) -> u64 {
+    4 * at + phase
+}
+
+struct Slot {
+    sequence: AtomicU64,
+    /// Copy of the head's index that may be read without owning the slot.
+    index: AtomicU32,
+    body: Shared<Body>,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Body {
+    head: EntryHead,
+    len: usize,
+}
+
+/// Bounded, many producers, one consumer.
+pub struct Mailbox {
+    depth: u64,
+    payload_bytes: usize,
+    stride: usize,
+    slots: Box<[Slot]>,
+    payloads: AlignedBuf,
+    /// Per index: position + 1 of the newest entry pushed with `LatestWins`.
+    newest: Box<[AtomicU64]>,
+    tail: Padded<AtomicU64>,
+    head: Padded<AtomicU64>,
+    /// The server's own copy of the entry it handles, so that the slot is free meanwhile.
+    handled: TryCell<AlignedBuf>,
+    high_water: AtomicU64,
+    replaced: AtomicU64,
+    dropped: AtomicU64,
+    rejected: AtomicU64,
+}
+
+enum Claim {
+    /// The caller owns the slot of this position.
+    Mine(u64),
+    /// The oldest entry is being written or taken by another thread.
+    InWork,
+    Empty,
+}
+
+impl Mailbox {
+    /// A mailbox of `depth` entries (at least 1) with up to `payload_bytes` each, whose commands have the
+    /// indices `0..indices`.
+    pub fn new(depth: usize, payload_bytes: usize, indices: usize) -> Self {
+        let depth = depth.max(1);
+        let slots = (depth + 1).next_power_of_two();
+        let stride = round_up(payload_bytes, 16);
+        Self {
+            depth: depth as u64,
+            payload_bytes,
+            stride,
+            slots: (0..slots as u64)
+                .map(|at| Slot {
+                    sequence: AtomicU64::new(phase(at, FREE)),
+                    index: AtomicU32::new(0),
+                    body: Shared::new(Body::default()),
+                })
+                .collect(),
+            payloads: AlignedBuf::new(stride * slots),
+            newest: (0..indices).map(|_| AtomicU64::new(0)).collect(),
+            tail: Padded(AtomicU64::new(0)),
+            head: Padded(AtomicU64::new(0)),
+            handled: TryCell::new(AlignedBuf::new(stride)),
+            high_water: AtomicU64::new(0),
+            replaced: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+            rejected: AtomicU64::new(0),
+        }
+    }
+
+    /// Queues an entry. Any thread; never waits; copies the payload.
+    pub fn push(&self, head: EntryHead, payload: &[u8], overflow: Overflow) -> Push {
+        let pushed = if payload.len() > self.payload_bytes {
+            Push::TooLong
+        } else {
+            self.try_push(head, payload, overflow)
+        };
+        match pushed {
+            Push::Queued => {}
+            Push::DroppedOldest(_) => count(&self.dropped),
+            Push::Full | Push::TooLong | Push::Closed => count(&self.rejected),
+        }
+        pushed
+    }
+
+    fn try_push(&self, head: EntryHead, payload: &[u8], overflow: Overflow) -> Push {
+        for _ in 0..ATTEMPTS {
+            let tail = self.tail.0.load(Ordering::Acquire);
+            if tail & CLOSED != 0 {
+                return Push::Closed;
+            }
+            let oldest = self.head.0.load(Ordering::Acquire);
+            if tail.saturating_sub(oldest) < self.depth {
+                if self.slot(tail).sequence.load(Ordering::Acquire) != phase(tail, FREE) {
+                    // The entry one round ago is still being copied out, or this tail is no longer true.
+                    spin_loop();
+                } else if self.claim_tail(tail) {
+                    self.fill(tail, head, payload, overflow);
+                    self.raise_high_water(tail + 1 - oldest);
+                    return Push::Queued;
+                }
+                continue;
+            }
+            let may_drop = match overflow {
+                Overflow::Reject => return Push::Full,
+                Overflow::DropOldest => true,
+                Overflow::LatestWins => self.would_be_superseded(oldest, head.index),
+            };
+            if may_drop {
+                if self.claim(oldest) {
+                    return self.push_instead_of(oldest, tail, head, payload, overflow);
+                }
+                spin_loop();
+            } else if let Some(dropped) = self.replace_newest(tail, head, payload) {
+                return Push::DroppedOldest(dropped);
+            } else if self.head.0.load(Ordering::Acquire) == oldest {
+                return Push::Full;
+            }
+        }
+        Push::Full
+    }
+
+    /// With the mailbox full and its oldest slot owned, nobody else can claim the tail: the spare slot of the
+    /// ring takes the new entry before the oldest gives its place up, so exactly one entry pays for it.
+    fn push_instead_of(
+        &self,
+        oldest: u64,
+        tail: u64,
+        head: EntryHead,
+        payload: &[u8],
+        overflow: Overflow,
+    ) -> Push {
+        let free = self.slot(tail).sequence.load(Ordering::Acquire) == phase(tail, FREE);
+        if !free || !self.claim_tail(tail) {
+            // Closed meanwhile (`close` takes the oldest then), or a suspended reader sits on the spare slot.
+            self.slot(oldest).sequence.store(phase(oldest, READY), Ordering::Release);
+            let closed = self.tail.0.load(Ordering::Acquire) & CLOSED != 0;
+            return if closed { Push::Closed } else { Push::Full };
+        }
+        // SAFETY: the slot of `oldest` is owned by this thread until `release`.
+        let dropped = unsafe { *self.slot(oldest).body.exclusive() }.head;
+        self.release(oldest);
+        self.fill(tail, head, payload, overflow);
+        Push::DroppedOldest(dropped)
+    }
+
+    /// Puts the new content into the last entry of the mailbox, where that is of the same index.
+    fn replace_newest(&self, tail: u64, head: EntryHead, payload: &[u8]) -> Option<EntryHead> {
+        let last = self.newest.get(head.index as usize)?.load(Ordering::Acquire).checked_sub(1)?;
+        if last + 1 != tail || !self.claim(last) {
+            return None;
+        }
+        // SAFETY: the slot of `last` is owned by this thread until it is made ready again.
+        let dropped = unsafe { *self.slot(last).body.exclusive() }.head;
+        count(&self.replaced);
+        self.write(last, head, payload);
+        self.slot(last).sequence.store(phase(last, READY), Ordering::Release);
+        Some(dropped)
+    }
+
+    /// Hands entries to `run` in order: what was queued at entry, plus once what arrived meanwhile; those
+    /// that a newer one superseded go to `skip`. How many were run. The payload is 16-byte aligned and valid
+    /// during the call; the slot is already free then. Server's thread only: while a drain runs, a second one
+    /// (from inside `run`, or another thread) does nothing and answers 0.
+    pub fn drain(&self, mut run: impl FnMut(EntryHead, &[u8]), mut skip: impl FnMut(EntryHead)) -> usize {
+        let Some(mut copy) = self.handled.try_enter() else { return 0 };
+        let mut handled = 0;
+        for _ in 0..2 {
+            let end = self.tail.0.load(Ordering::Acquire) & !CLOSED;
+            loop {
+                let at = match self.claim_oldest(end) {
+                    Claim::Mine(at) => at,
+                    Claim::InWork => return handled,
+                    Claim::Empty => break,
+                };
+                // SAFETY: the slot of `at` is owned by this thread until `release`.
+                let Body { head, len } = unsafe { *self.slot(at).body.exclusive() };
+                let superseded = self.newest_of(head.index) > at + 1;
+                if !superseded {
+                    // SAFETY: both blocks have `stride >= len` bytes here, and the slot is owned.
+                    unsafe { copy.at(0).copy_from_nonoverlapping(self.payload(at), len) };
+                }
+                self.release(at);
+                if superseded {
+                    count(&self.dropped);
+                    skip(head);
+                } else {
+                    handled += 1;
+                    run(head, &copy.as_mut_slice()[..len]);
+                }
+            }
+        }
+        handled
+    }
+
+    /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's thread:
+    /// may yield until a push that is just copying is done.
+    pub fn close(&self, mut skip: impl FnMut(EntryHead)) {
+        let end = self.tail.0.fetch_or(CLOSED, Ordering::AcqRel) & !CLOSED;
+        loop {
+            match self.claim_oldest(end) {
+                Claim::Mine(at) => {
+                    // SAFETY: the slot of `at` is owned by this thread until `release`.
+                    let dropped = unsafe { *self.slot(at).body.exclusive() }.head;
+                    self.release(at);
+                    count(&self.dropped);
+                    skip(dropped);
+                }
+                Claim::InWork => yield_now(),
+                Claim::Empty => return,
+            }
+        }
+    }
+
+    /// Whether nothing is queued, nor just being pushed.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn len(&self) -> u64 {
+        let head = self.head.0.load(Ordering::Acquire);
+        (self.tail.0.load(Ordering::Acquire) & !CLOSED).saturating_sub(head)
+    }
+
+    /// The counters now; each is exact, all together are of nearly the same moment.
+    pub fn stats(&self) -> MailboxStats {
+        let pushed = self.tail.0.load(Ordering::Acquire) & !CLOSED;
+        MailboxStats {
+            depth: self.depth,
+            queued: self.len(),
+            high_water: self.high_water.load(Ordering::Relaxed),
+            pushed: pushed + self.replaced.load(Ordering::Relaxed),
+            dropped: self.dropped.load(Ordering::Relaxed),
+            rejected: self.rejected.load(Ordering::Relaxed),
+        }
+    }
+
+    fn slot(&self, at: u64) -> &Slot {
+        &self.slots[at as usize & (self.slots.len() - 1)]
+    }
+
+    fn payload(&self, at: u64) -> *mut u8 {
+        self.payloads.at((at as usize & (self.slots.len() - 1)) * self.stride)
+    }
+
+    fn claim_tail(&self, tail: u64) -> bool {
+        self.tail.0.compare_exchange(tail, tail + 1, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+    }
+
+    /// Takes the right to a queued entry.
+    fn claim(&self, at: u64) -> bool {
+        let sequence = &self.slot(at).sequence;
+        let (ready, busy) = (phase(at, READY), phase(at, BUSY));
+        sequence.compare_exchange(ready, busy, Ordering::Acquire, Ordering::Relaxed).is_ok()
+    }
+
+    /// Takes the right to the oldest entry before position `end`. Each further turn means that another thread
+    /// took one, so there are at most as many turns as entries.
+    fn claim_oldest(&self, end: u64) -> Claim {
+        loop {
+            let oldest = self.head.0.load(Ordering::Acquire);
+            if oldest >= end {
+                return Claim::Empty;
+            }
+            if self.claim(oldest) {
+                return Claim::Mine(oldest);
+            }
+            if self.head.0.load(Ordering::Acquire) == oldest {
+                return Claim::InWork;
+            }
+        }
+    }
+
+    /// Gives an owned oldest slot to the push of one round later.
+    fn release(&self, at: u64) {
+        self.head.0.store(at + 1, Ordering::Release);
+        let next_round = at + self.slots.len() as u64;
+        self.slot(at).sequence.store(phase(next_round, FREE), Ordering::Release);
+    }
+
+    fn fill(&self, at: u64, head: EntryHead, payload: &[u8], overflow: Overflow) {
+        self.write(at, head, payload);
+        self.slot(at).index.store(head.index, Ordering::Relaxed);
+        if overflow == Overflow::LatestWins
+            && let Some(newest) = self.newest.get(head.index as usize)
+        {
+            newest.fetch_max(at + 1, Ordering::AcqRel);
+        }
+        self.slot(at).sequence.store(phase(at, READY), Ordering::Release);
+    }
+
+    /// The slot of `at` must be owned by this thread.
+    fn write(&self, at: u64, head: EntryHead, payload: &[u8]) {
+        // SAFETY: the slot is owned, and its payload block has `stride >= payload.len()` bytes.
+        unsafe {
+            *self.slot(at).body.exclusive() = Body { head, len: payload.len() };
+            self.payload(at).copy_from_nonoverlapping(payload.as_ptr(), payload.len());
+        }
+    }
+
+    fn newest_of(&self, index: u32) -> u64 {
+        self.newest.get(index as usize).map_or(0, |newest| newest.load(Ordering::Acquire))
+    }
+
+    /// Whether the entry at `oldest` is superseded, or will be by a push of `index`. Still true when the claim
+    /// of that very position succeeds afterwards: its index cannot change before it is taken.
+    fn would_be_superseded(&self, oldest: u64, index: u32) -> bool {
+        let slot = self.slot(oldest);
+        if slot.sequence.load(Ordering::Acquire) != phase(oldest, READY) {
+            return false;
+        }
+        let old = slot.index.load(Ordering::Relaxed);
+        old == index || self.newest_of(old) > oldest + 1
+    }
+
+    fn raise_high_water(&self, queued: u64) {
+        if queued > self.high_water.load(Ordering::Relaxed) {
+            self.high_water.fetch_max(queued.min(self.depth), Ordering::Relaxed);
+        }
+    }
+}
+
+fn count(counter: &AtomicU64) {
+    counter.fetch_add(1, Ordering::Relaxed);
+}
+
+// SAFETY: bodies and payloads are reached only by the owner of their slot, passed on with Release and Acquire.
+unsafe impl Send for Mailbox {}
+// SAFETY: as above.
+unsafe impl Sync for Mailbox {}

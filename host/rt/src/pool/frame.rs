@@ -1,0 +1,191 @@
+//! A frame while it is written ([`FrameMut`]) and while it is read ([`Frame`]).
+//!
+//! The content of a slot is written only through its one `FrameMut`; a `Frame` only reads. A loan holds one count
+//! on its pool, made at `loan` and given back with the slot's last count, so cloning touches the slot alone.
+
+use std::fmt;
+use std::mem::ManuallyDrop;
+use std::sync::Arc;
+
+use super::FramePool;
+use super::slots::Slots;
+
+/// A frame that is being written: the only handle to its slot.
+#[derive(Debug)]
+pub struct FrameMut(Loan);
+
+/// A written frame: shared by count, read-only.
+#[derive(Clone, Debug)]
+pub struct Frame(Loan);
+
+impl FrameMut {
+    pub(super) fn lend(pool: Arc<FramePool>, slot: u32) -> Self {
+        let pool = Arc::into_raw(pool);
+        let loan = Loan { pool, slot };
+        loan.pool().slots.set_owner(slot, pool);
+        Self(loan)
+    }
+
+    /// Address of the header: `header_bytes` of the pool, 64-byte aligned.
+    pub fn header_ptr(&self) -> *mut u8 {
+        self.0.pool().header_ptr(self.0.slot)
+    }
+
+    /// Address of the bytes: `capacity` of them, 64-byte aligned.
+    pub fn bytes_ptr(&self) -> *mut u8 {
+        self.0.pool().bytes_ptr(self.0.slot)
+    }
+
+    /// How many bytes fit after the header.
+    pub fn capacity(&self) -> usize {
+        self.0.pool().max_bytes
+    }
+
+    /// Header and bytes, to be written. They hold what the slot's last frame held.
+    pub fn parts_mut(&mut self) -> (&mut [u8], &mut [u8]) {
+        let pool = self.0.pool();
+        // SAFETY: two disjoint parts of the slot, mapped and zeroed at first, and `self` is its only handle.
+        unsafe {
+            (
+                std::slice::from_raw_parts_mut(self.header_ptr(), pool.header_bytes),
+                std::slice::from_raw_parts_mut(self.bytes_ptr(), pool.max_bytes),
+            )
+        }
+    }
+
+    /// Ends the writing: a frame with `len` bytes (at most `capacity`) after its header.
+    pub fn freeze(self, len: usize) -> Frame {
+        let slots = &self.0.pool().slots;
+        slots.set_len(self.0.slot, len.min(self.capacity()));
+        slots.next_generation(self.0.slot);
+        Frame(self.0)
+    }
+
+    /// Hands this handle out as a number; it must come back through [`FrameMut::from_raw`], or the slot is lost.
+    pub fn into_raw(self) -> u64 {
+        self.0.into_raw() | WRITING
+    }
+
+    /// Takes a handle back; `None` for 0, for a [`Frame`]'s number and for one whose handle has come back already
+    /// (as long as the slot was not lent, frozen or given back 65 536 times since).
+    ///
+    /// # Safety
+    /// 0, or from [`FrameMut::into_raw`] of a frame whose pool is still alive.
+    pub unsafe fn from_raw(raw: u64) -> Option<Self> {
+        if raw & WRITING == 0 {
+            return None;
+        }
+        // SAFETY: the caller's promise is the one asked for.
+        let loan = unsafe { Loan::from_raw(raw & !WRITING) }?;
+        // The number is used up, whatever becomes of the handle.
+        loan.pool().slots.next_generation(loan.slot);
+        Some(Self(loan))
+    }
+}
+
+impl Frame {
+    /// The header, as long as the pool's `header_bytes`.
+    pub fn header(&self) -> &[u8] {
+        let pool = self.0.pool();
+        // SAFETY: mapped, initialised, and written by nobody while a `Frame` of this slot exists.
+        unsafe { std::slice::from_raw_parts(pool.header_ptr(self.0.slot), pool.header_bytes) }
+    }
+
+    /// The bytes after the header, as many as were frozen.
+    pub fn bytes(&self) -> &[u8] {
+        let pool = self.0.pool();
+        // SAFETY: as for the header; the length was limited to the slot's when frozen.
+        unsafe { std::slice::from_raw_parts(pool.bytes_ptr(self.0.slot), pool.slots.len(self.0.slot)) }
+    }
+
+    /// Whether this is the only handle to its slot.
+    pub fn is_unique(&self) -> bool {
+        self.0.pool().slots.is_unique(self.0.slot)
+    }
+
+    /// The frame for writing in place, or itself when others read it too.
+    pub fn try_unique(self) -> Result<FrameMut, Frame> {
+        if !self.is_unique() {
+            return Err(self);
+        }
+        self.0.pool().slots.next_generation(self.0.slot);
+        Ok(FrameMut(self.0))
+    }
+
+    /// Hands this count out as a number; it must come back through [`Frame::from_raw`], or the slot is lost.
+    pub fn into_raw(self) -> u64 {
+        self.0.into_raw()
+    }
+
+    /// Takes a count back; `None` for 0, for a [`FrameMut`]'s number and for one of a frame that is gone (as long as the slot was not
+    /// lent, frozen or given back 65 536 times since).
+    ///
+    /// # Safety
+    /// 0, or from [`Frame::into_raw`] of a frame whose pool is still alive; and it comes back at most once,
+    /// which is not noticed while other handles keep the frame alive.
+    pub unsafe fn from_raw(raw: u64) -> Option<Self> {
+        if raw & WRITING != 0 {
+            return None;
+        }
+        // SAFETY: the caller's promise is the one asked for.
+        unsafe { Loan::from_raw(raw) }.map(Self)
+    }
+}
+
+/// Marks the number of a [`FrameMut`]; the lowest bit of a descriptor is 0.
+const WRITING: u64 = 1;
+
+/// One count on a slot.
+struct Loan {
+    pool: *const FramePool,
+    slot: u32,
+}
+
+// SAFETY: a count may be given back on any thread, and pools may be dropped on any thread.
+unsafe impl Send for Loan {}
+// SAFETY: `&Loan` reads, or counts atomically.
+unsafe impl Sync for Loan {}
+
+impl Loan {
+    fn pool(&self) -> &FramePool {
+        // SAFETY: the pool is alive while a slot of it is lent, by the count taken in `lend`.
+        unsafe { &*self.pool }
+    }
+
+    fn into_raw(self) -> u64 {
+        let loan = ManuallyDrop::new(self);
+        loan.pool().slots.descriptor(loan.slot)
+    }
+
+    /// # Safety
+    /// 0, or from `into_raw`, of a pool that is still alive.
+    unsafe fn from_raw(raw: u64) -> Option<Self> {
+        // SAFETY: the caller's promise is the one asked for.
+        let (pool, entry) = unsafe { Slots::resolve::<FramePool>(raw) }?;
+        // SAFETY: the entry's generation fits, so the slot is lent and its owner, the pool, alive.
+        let slot = unsafe { &*pool }.slots.slot_at(entry);
+        Some(Self { pool, slot })
+    }
+}
+
+impl Clone for Loan {
+    fn clone(&self) -> Self {
+        self.pool().slots.share(self.slot);
+        Self { pool: self.pool, slot: self.slot }
+    }
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        if self.pool().slots.give_back(self.slot) {
+            // SAFETY: the count that `lend` took for this loan, given back once, with its last handle.
+            unsafe { Arc::decrement_strong_count(self.pool) };
+        }
+    }
+}
+
+impl fmt::Debug for Loan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "slot {}", self.slot)
+    }
+}

@@ -1,0 +1,159 @@
+//! Which slots are free, who counts on the others, and which generation they are in.
+//!
+//! A slot is free exactly while its bit is set; its count and generation are touched only by holders of a loan.
+//! Taking and giving back are wait-free: a look at each bit at most, and no word that could return to an old value.
+
+use super::PoolStats;
+use crate::sync::{AtomicU32, AtomicU64, Ordering};
+
+pub(super) struct Slots {
+    free: Box<[AtomicU64]>,
+    entries: Box<[Entry]>,
+    lent: AtomicU32,
+    high_water: AtomicU32,
+    exhausted: AtomicU64,
+}
+
+/// Own cache line: counts of neighbouring frames are touched by different threads.
+#[repr(align(64))]
+struct Entry {
+    count: AtomicU32,
+    /// +1 with every change of hands: lent, frozen, made unique, given back.
+    generation: AtomicU32,
+    /// Bytes in use after the header, set when frozen.
+    len: AtomicU64,
+    /// Address of the pool, set when lent: how a descriptor finds its way back.
+    owner: AtomicU64,
+}
+
+impl Slots {
+    pub(super) fn new(slots: u32) -> Self {
+        let word = |at: u32| AtomicU64::new(u64::MAX >> (64 - (slots - at * 64).min(64)));
+        Self {
+            free: (0..slots.div_ceil(64)).map(word).collect(),
+            entries: (0..slots)
+                .map(|_| Entry {
+                    count: AtomicU32::new(0),
+                    generation: AtomicU32::new(0),
+                    len: AtomicU64::new(0),
+                    owner: AtomicU64::new(0),
+                })
+                .collect(),
+            lent: AtomicU32::new(0),
+            high_water: AtomicU32::new(0),
+            exhausted: AtomicU64::new(0),
+        }
+    }
+
+    /// A free slot with a count of one.
+    pub(super) fn take(&self) -> Option<u32> {
+        let Some(slot) = self.free.iter().zip(0..).find_map(|(word, at)| Self::take_bit(word, at)) else {
+            self.exhausted.fetch_add(1, Ordering::Relaxed);
+            return None;
+        };
+        self.entry(slot).count.store(1, Ordering::Relaxed);
+        self.next_generation(slot);
+        let lent = self.lent.fetch_add(1, Ordering::Relaxed) + 1;
+        if lent > self.high_water.load(Ordering::Relaxed) {
+            self.high_water.fetch_max(lent.min(self.entries.len() as u32), Ordering::Relaxed);
+        }
+        Some(slot)
+    }
+
+    fn take_bit(word: &AtomicU64, at: u32) -> Option<u32> {
+        let mut seen = word.load(Ordering::Relaxed);
+        // Each turn drops a bit from `seen`, won or lost, so there are at most 64.
+        while seen != 0 {
+            let bit = seen & seen.wrapping_neg();
+            if word.fetch_and(!bit, Ordering::Acquire) & bit != 0 {
+                return Some(at * 64 + bit.trailing_zeros());
+            }
+            seen &= !bit;
+        }
+        None
+    }
+
+    pub(super) fn share(&self, slot: u32) {
+        self.entry(slot).count.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Gives one count back; with the last one the slot becomes free, and the answer is true.
+    pub(super) fn give_back(&self, slot: u32) -> bool {
+        let before = self.entry(slot).count.fetch_sub(1, Ordering::AcqRel);
+        if before != 1 {
+            return false;
+        }
+        self.next_generation(slot);
+        self.lent.fetch_sub(1, Ordering::Relaxed);
+        self.free[slot as usize / 64].fetch_or(1 << (slot % 64), Ordering::Release);
+        true
+    }
+
+    /// Whether the caller's count is the only one; then everything former holders did has happened before.
+    pub(super) fn is_unique(&self, slot: u32) -> bool {
+        self.entry(slot).count.load(Ordering::Acquire) == 1
+    }
+
+    pub(super) fn set_owner<T>(&self, slot: u32, pool: *const T) {
+        self.entry(slot).owner.store(pool.expose_provenance() as u64, Ordering::Release);
+    }
+
+    /// What a holder hands out for its count: address of the entry (48 bits, the low 6 of them 0) under the
+    /// low 16 bits of the generation. Never 0.
+    pub(super) fn descriptor(&self, slot: u32) -> u64 {
+        let entry = self.entry(slot);
+        let address = std::ptr::from_ref(entry).expose_provenance() as u64;
+        u64::from(entry.generation.load(Ordering::Acquire)) << 48 | address
+    }
+
+    /// The pool's address and the entry's, when the descriptor's generation is still the entry's.
+    ///
+    /// # Safety
+    /// 0, or from `descriptor` of a pool that is still alive.
+    pub(super) unsafe fn resolve<T>(descriptor: u64) -> Option<(*const T, *const ())> {
+        let address = (descriptor << 16 >> 16) as usize;
+        if address == 0 {
+            return None;
+        }
+        let entry = std::ptr::with_exposed_provenance::<Entry>(address);
+        // SAFETY: the caller vouches that this is the address of an entry of a pool that is alive.
+        let Entry { generation, owner, .. } = unsafe { &*entry };
+        if generation.load(Ordering::Acquire) & 0xffff != (descriptor >> 48) as u32 {
+            return None;
+        }
+        let pool = std::ptr::with_exposed_provenance(owner.load(Ordering::Acquire) as usize);
+        Some((pool, entry.cast()))
+    }
+
+    /// The slot whose entry lies at this address, as `resolve` gave it.
+    pub(super) fn slot_at(&self, entry: *const ()) -> u32 {
+        ((entry.addr() - self.entries.as_ptr().addr()) / size_of::<Entry>()) as u32
+    }
+
+    /// For the only holder: makes every descriptor given out before stale.
+    pub(super) fn next_generation(&self, slot: u32) {
+        self.entry(slot).generation.fetch_add(1, Ordering::Release);
+    }
+
+    pub(super) fn len(&self, slot: u32) -> usize {
+        self.entry(slot).len.load(Ordering::Relaxed) as usize
+    }
+
+    pub(super) fn set_len(&self, slot: u32, len: usize) {
+        self.entry(slot).len.store(len as u64, Ordering::Relaxed);
+    }
+
+    pub(super) fn stats(&self) -> PoolStats {
+        let slots = self.entries.len() as u32;
+        PoolStats {
+            slots,
+            free: slots.saturating_sub(self.lent.load(Ordering::Relaxed)),
+            high_water: self.high_water.load(Ordering::Relaxed),
+            exhausted: self.exhausted.load(Ordering::Relaxed),
+        }
+    }
+
+    fn entry(&self, slot: u32) -> &Entry {
+        &self.entries[slot as usize]
+    }
+}

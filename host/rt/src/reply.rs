@@ -1,0 +1,270 @@
+//! Reply cells: where a blocking caller waits, always with a deadline, and its server answers without waiting.
+//!
+//! One word per cell holds generation, phase and whether the caller sleeps; every step is a compare-and-swap on
+//! it, so a cell is answered once, freed once, and a token of an earlier use fits nothing any more.
+
+use std::sync::Arc;
+
+use crate::buf::{AlignedBuf, round_up};
+use crate::os::WaitResult;
+use crate::sync::{AtomicU32, Futex, Ordering, Shared};
+
+/// What became of a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reply {
+    /// The server answered with this status.
+    Done(i32),
+    /// The deadline passed before the server began; it will not run.
+    DeadlineNotStarted,
+    /// The deadline passed while the server was at it; it may still run to its end.
+    DeadlineMayRun,
+}
+
+const PHASE: u32 = 0b0111;
+const FREE: u32 = 0;
+/// The caller holds the ticket, the server has not begun.
+const WAITING: u32 = 1;
+/// The server is at it.
+const RUNNING: u32 = 2;
+/// Answered; the caller owns the content.
+const DONE: u32 = 3;
+/// The server is at it and the caller has left: the server's end frees the cell.
+const ABANDONED: u32 = 4;
+/// The caller sleeps on the word, or is about to.
+const ASLEEP: u32 = 0b1000;
+const GENERATION: u32 = 4;
+
+const fn with_phase(word: u32, phase: u32) -> u32 {
+    (word >> GENERATION << GENERATION) | phase
+}
+
+#[derive(Clone, Copy, Default)]
+struct Answer {
+    status: i32,
+    text_len: usize,
+}
+
+struct Cell {
+    state: Futex,
+    answer: Shared<Answer>,
+}
+
+/// A fixed number of reply cells, shared by the callers of one connection and their server.
+pub struct ReplyPool {
+    cells: Box<[Cell]>,
+    content: AlignedBuf,
+    ret_bytes: usize,
+    text_bytes: usize,
+    next: AtomicU32,
+}
+
+// SAFETY: a cell's content is reached by the server in RUNNING and ABANDONED and by the caller in DONE only.
+unsafe impl Send for ReplyPool {}
+// SAFETY: as above.
+unsafe impl Sync for ReplyPool {}
+
+impl ReplyPool {
+    /// `cells` calls can be waiting at once; each answer has `ret_bytes` of result, 64-byte aligned, and up
+    /// to `text_bytes` of text.
+    pub fn new(cells: usize, ret_bytes: usize, text_bytes: usize) -> Arc<Self> {
+        let stride = round_up(ret_bytes, 64) + round_up(text_bytes, 64);
+        Arc::new(Self {
+            cells: (0..cells)
+                .map(|_| Cell { state: Futex::new(FREE), answer: Shared::new(Answer::default()) })
+                .collect(),
+            content: AlignedBuf::new(stride * cells),
+            ret_bytes,
+            text_bytes,
+            next: AtomicU32::new(0),
+        })
+    }
+
+    /// A cell for one call, or `None` when all are in use. Any thread; at most one look at each cell.
+    pub fn acquire(self: &Arc<Self>) -> Option<Ticket> {
+        let count = self.cells.len();
+        let start = self.next.fetch_add(1, Ordering::Relaxed) as usize;
+        (0..count).map(|i| start.wrapping_add(i) % count).find_map(|index| {
+            let word = &self.cells[index].state.word;
+            let free = word.load(Ordering::Relaxed);
+            let taken = with_phase(free.wrapping_add(1 << GENERATION), WAITING);
+            let is_free = free & PHASE == FREE;
+            let mine =
+                is_free && word.compare_exchange(free, taken, Ordering::Acquire, Ordering::Relaxed).is_ok();
+            mine.then(|| Ticket { pool: Arc::clone(self), index, word: taken })
+        })
+    }
+
+    /// How many cells are in use now.
+    pub fn in_use(&self) -> usize {
+        self.cells.iter().filter(|c| c.state.word.load(Ordering::Relaxed) & PHASE != FREE).count()
+    }
+
+    /// The server begins the call of this token. `None`: the caller has given up, or the token is 0 or of an
+    /// earlier use; then the entry is not to be executed for its sake. Should the answer never come (the
+    /// [`Running`] is dropped, by a panic or a removal), the caller gets `status_if_dropped`.
+    pub fn begin(&self, token: u64, status_if_dropped: i32) -> Option<Running<'_>> {
+        let index = (token as u32).checked_sub(1)? as usize;
+        let cell = self.cells.get(index)?;
+        let waiting = (token >> 32) as u32;
+        if waiting & (PHASE | ASLEEP) != WAITING {
+            return None;
+        }
+        let running = with_phase(waiting, RUNNING);
+        for asleep in [0, ASLEEP] {
+            let (from, to) = (waiting | asleep, running | asleep);
+            if cell.state.word.compare_exchange(from, to, Ordering::Acquire, Ordering::Relaxed).is_ok() {
+                return Some(Running { pool: self, index, status: status_if_dropped });
+            }
+        }
+        None
+    }
+
+    /// Answers the call of this token unexecuted; whether somebody was still waiting for it.
+    pub fn fail(&self, token: u64, status: i32) -> bool {
+        self.begin(token, status).is_some()
+    }
+
+    fn stride(&self) -> usize {
+        round_up(self.ret_bytes, 64) + round_up(self.text_bytes, 64)
+    }
+
+    fn content(&self, index: usize) -> (*mut u8, *mut u8) {
+        let start = index * self.stride();
+        (self.content.at(start), self.content.at(start + round_up(self.ret_bytes, 64)))
+    }
+}
+
+/// The caller's right to one cell. Dropping it is giving up.
+#[must_use = "a ticket that is not waited for is given up"]
+pub struct Ticket {
+    pool: Arc<ReplyPool>,
+    index: usize,
+    /// The cell's word as it was taken: generation and WAITING.
+    word: u32,
+}
+
+impl Ticket {
+    /// What the server needs to answer; never 0.
+    pub fn token(&self) -> u64 {
+        u64::from(self.word) << 32 | (self.index as u64 + 1)
+    }
+
+    /// Sleeps until the answer or the absolute monotonic deadline in ns. With an answer, `take` gets the
+    /// result bytes and the text, also when the status says failure.
+    pub fn wait(self, deadline_ns: u64, take: impl FnOnce(&[u8], &[u8])) -> Reply {
+        let cell = &self.pool.cells[self.index];
+        loop {
+            let word = cell.state.word.load(Ordering::Acquire);
+            if word & PHASE == DONE {
+                break;
+            }
+            let asleep = word | ASLEEP;
+            let slept = &cell.state.word;
+            if word != asleep
+                && slept.compare_exchange(word, asleep, Ordering::Relaxed, Ordering::Relaxed).is_err()
+            {
+                continue;
+            }
+            if cell.state.wait(asleep, Some(deadline_ns)) == WaitResult::TimedOut {
+                match self.give_up() {
+                    WAITING => return Reply::DeadlineNotStarted,
+                    RUNNING => return Reply::DeadlineMayRun,
+                    _ => break,
+                }
+            }
+        }
+        // SAFETY: DONE, seen with Acquire: the server has left the cell and this ticket owns the content.
+        let Answer { status, text_len } = unsafe { *cell.answer.readable() };
+        let (ret, text) = self.pool.content(self.index);
+        // SAFETY: as above; both addresses lie in the cell's content, `text_len` was checked by the server.
+        let (ret, text) = unsafe {
+            (std::slice::from_raw_parts(ret, self.pool.ret_bytes), std::slice::from_raw_parts(text, text_len))
+        };
+        take(ret, text);
+        Reply::Done(status)
+    }
+
+    /// Leaves the cell, or finds that it is DONE and stays; the phase it was in. Called again, it finds a
+    /// cell of another generation and does nothing.
+    fn give_up(&self) -> u32 {
+        let word = &self.pool.cells[self.index].state.word;
+        let mut now = word.load(Ordering::Acquire);
+        // At most four turns: begin, finish and the sleeper's mark can each come between once.
+        while now >> GENERATION == self.word >> GENERATION {
+            let phase = now & PHASE;
+            let left = match phase {
+                WAITING => FREE,
+                RUNNING => ABANDONED,
+                _ => return phase,
+            };
+            let to = with_phase(now, left);
+            match word.compare_exchange_weak(now, to, Ordering::AcqRel, Ordering::Acquire) {
+                Ok(_) => return phase,
+                Err(other) => now = other,
+            }
+        }
+        FREE
+    }
+}
+
+impl Drop for Ticket {
+    fn drop(&mut self) {
+        if self.give_up() == DONE {
+            let word = &self.pool.cells[self.index].state.word;
+            // Release: the next use of the cell writes after this one has read.
+            word.store(with_phase(self.word, FREE), Ordering::Release);
+        }
+    }
+}
+
+/// The server's right, and duty, to answer one call.
+#[must_use = "dropping it answers the caller with the status for lost servers"]
+pub struct Running<'a> {
+    pool: &'a ReplyPool,
+    index: usize,
+    status: i32,
+}
+
+impl Running<'_> {
+    /// Answers: `fill` writes the result and the text into the cell and says how long the text is. Never
+    /// waits; one system call when the caller sleeps.
+    pub fn finish(mut self, status: i32, fill: impl FnOnce(&mut [u8], &mut [u8]) -> usize) {
+        let (ret, text) = self.pool.content(self.index);
+        // SAFETY: this `Running` is the only user of the content until its drop; the blocks are this long.
+        let (ret, text) = unsafe {
+            (
+                std::slice::from_raw_parts_mut(ret, self.pool.ret_bytes),
+                std::slice::from_raw_parts_mut(text, self.pool.text_bytes),
+            )
+        };
+        let text_len = fill(ret, text).min(self.pool.text_bytes);
+        self.status = status;
+        self.answer(text_len);
+        let _answered = std::mem::ManuallyDrop::new(self);
+    }
+
+    fn answer(&self, text_len: usize) {
+        let cell = &self.pool.cells[self.index];
+        // SAFETY: RUNNING or ABANDONED: the caller keeps away from the answer until DONE.
+        unsafe { *cell.answer.exclusive() = Answer { status: self.status, text_len } };
+        let word = &cell.state.word;
+        let mut now = word.load(Ordering::Acquire);
+        // At most three turns: falling asleep and giving up can each come between once.
+        loop {
+            let end = if now & PHASE == ABANDONED { FREE } else { DONE };
+            match word.compare_exchange_weak(now, with_phase(now, end), Ordering::AcqRel, Ordering::Acquire) {
+                Ok(_) => break,
+                Err(other) => now = other,
+            }
+        }
+        if now & ASLEEP != 0 && now & PHASE == RUNNING {
+            cell.state.wake(1);
+        }
+    }
+}
+
+impl Drop for Running<'_> {
+    fn drop(&mut self) {
+        self.answer(0);
+    }
+}

@@ -1,0 +1,271 @@
+//! The state table: a ring of rows, published once per step by the component, read by anybody at any time.
+//!
+//! The writer never waits for a reader. A reader gets a whole row or the reason why not, never a torn one:
+//! publication `n` lies in row `n % rows` under the sequence of [`crate::seq`].
+
+use std::sync::Arc;
+
+use crate::buf::AlignedBuf;
+use crate::seq::{self, Stale};
+use crate::sync::{AtomicU64, Ordering, Padded};
+
+const STAMP: usize = 0;
+const TICK: usize = 1;
+const DATA: usize = 2;
+
+/// Attempts of `latest` before it gives up: each lost one means that the writer went round the whole ring.
+const ATTEMPTS: usize = 1000;
+
+/// Which row was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RowInfo {
+    /// When the step was, ns of the monotonic clock.
+    pub stamp_ns: u64,
+    /// Number of the step as its executor counts.
+    pub tick: u64,
+    /// Number of the publication in this table, from 0 without gaps.
+    pub row: u64,
+}
+
+/// Why there is no such row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Miss {
+    /// Nothing was published yet.
+    Empty,
+    /// It was there and has been overwritten.
+    Lapped,
+    /// It lies in the future.
+    NotYet,
+    /// The kept rows go around it: that tick was never published.
+    Missing,
+}
+
+struct Table {
+    words: Box<[AtomicU64]>,
+    published: Padded<AtomicU64>,
+    row_bytes: usize,
+    rows: u64,
+    stride: usize,
+}
+
+impl Table {
+    fn row(&self, n: u64) -> &[AtomicU64] {
+        let start = (n % self.rows) as usize * self.stride;
+        &self.words[start..start + seq::OVERHEAD + DATA + self.row_bytes.div_ceil(8)]
+    }
+}
+
+/// A table of `rows` rows of `row_bytes` bytes (0 is allowed), with its one writer and its first reader.
+///
+/// # Panics
+/// With fewer than 3 rows: a reader of the newest row could then be lapped by a single publication.
+pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) {
+    assert!(rows >= 3, "a state table has at least 3 rows, {rows} were asked for");
+    let stride = (seq::OVERHEAD + DATA + row_bytes.div_ceil(8)).next_multiple_of(8);
+    let table = Arc::new(Table {
+        words: seq::words(stride * rows),
+        published: Padded(AtomicU64::new(0)),
+        row_bytes,
+        rows: rows as u64,
+        stride,
+    });
+    let scratch = AlignedBuf::new(row_bytes.next_multiple_of(8));
+    (StateWriter { table: Arc::clone(&table), scratch, next: 0 }, StateReader { table })
+}
+
+/// The component's end: the only writer.
+pub struct StateWriter {
+    table: Arc<Table>,
+    scratch: AlignedBuf,
+    next: u64,
+}
+
+impl StateWriter {
+    /// Publishes one row: `fill` writes it into the writer's own 64-byte aligned block (which still holds the
+    /// row before), then it is copied into the ring. The step's thread; cost is two copies of the row.
+    pub fn publish(&mut self, stamp_ns: u64, tick: u64, fill: impl FnOnce(&mut [u8])) -> RowInfo {
+        let row_bytes = self.table.row_bytes;
+        fill(&mut self.scratch.as_mut_slice()[..row_bytes]);
+        let n = self.next;
+        let (data, _) = self.scratch.as_mut_slice().as_chunks::<8>();
+        let data = data.iter().map(|&b| u64::from_ne_bytes(b));
+        seq::write(self.table.row(n), n, [stamp_ns, tick].into_iter().chain(data));
+        self.next = n + 1;
+        self.table.published.0.store(self.next, Ordering::Release);
+        RowInfo { stamp_ns, tick, row: n }
+    }
+
+    /// Another reader of the same table.
+    pub fn reader(&self) -> StateReader {
+        StateReader { table: Arc::clone(&self.table) }
+    }
+}
+
+/// A reader: cheap to clone, for any thread. Every `out` takes the row's first `out.len()` bytes, and holds
+/// nothing meaningful when no row was read.
+#[derive(Clone)]
+pub struct StateReader {
+    table: Arc<Table>,
+}
+
+impl StateReader {
+    pub fn row_bytes(&self) -> usize {
+        self.table.row_bytes
+    }
+
+    /// How many rows are kept.
+    pub fn rows(&self) -> u64 {
+        self.table.rows
+    }
+
+    /// How many rows were ever published.
+    pub fn published(&self) -> u64 {
+        self.table.published.0.load(Ordering::Acquire)
+    }
+
+    /// The newest row. `None` when nothing was published yet, or when the writer went round the whole ring
+    /// during each of 1000 attempts.
+    pub fn latest(&self, out: &mut [u8]) -> Option<RowInfo> {
+        for _ in 0..ATTEMPTS {
+            let newest = self.published().checked_sub(1)?;
+            if let Ok(info) = self.read(newest, out) {
+                return Some(info);
+            }
+        }
+        None
+    }
+
+    /// The row of publication `n` (see [`RowInfo::row`]).
+    pub fn row(&self, n: u64, out: &mut [u8]) -> Result<RowInfo, Miss> {
+        match self.published() {
+            0 => Err(Miss::Empty),
+            published if n >= published => Err(Miss::NotYet),
+            _ => self.read(n, out),
+        }
+    }
+
+    /// The row `k` publications before the newest; `delayed(0)` is the newest.
+    pub fn delayed(&self, k: u64, out: &mut [u8]) -> Result<RowInfo, Miss> {
+        let newest = self.published().checked_sub(1).ok_or(Miss::Empty)?;
+        self.read(newest.checked_sub(k).ok_or(Miss::NotYet)?, out)
+    }
+
+    /// The row of this tick. Ticks must not decrease from row to row.
+    pub fn at_tick(&self, tick: u64, out: &mut [u8]) -> Result<RowInfo, Miss> {
+        let published = self.published();
+        if published == 0 {
+            return Err(Miss::Empty);
+        }
+        let n = self.first(published, |info| info.tick >= tick);
+        if n == published {
+            return Err(Miss::NotYet);
+        }
+        let info = self.read(n, out)?;
+        match info.tick == tick {
+            true => Ok(info),
+            false if self.may_be_lapped(n) => Err(Miss::Lapped),
+            false => Err(Miss::Missing),
+        }
+    }
+
+    /// The row nearest in time. Stamps must not decrease from row to row. A time after the newest row gives
+    /// the newest; a time before all kept rows is `Lapped` once rows have been overwritten.
+    pub fn at_time(&self, stamp_ns: u64, out: &mut [u8]) -> Result<RowInfo, Miss> {
+        let published = self.published();
+        if published == 0 {
+            return Err(Miss::Empty);
+        }
+        let after = self.first(published, |info| info.stamp_ns >= stamp_ns);
+        if after == published {
+            return self.read(published - 1, out);
+        }
+        let next = self.info(after)?;
+        if after == 0 || next.stamp_ns == stamp_ns {
+            return self.read(after, out);
+        }
+        // The row before may have been overwritten: then nobody knows any more whether it was nearer.
+        let before = self.info(after - 1)?;
+        let nearer_before = stamp_ns - before.stamp_ns <= next.stamp_ns - stamp_ns;
+        self.read(if nearer_before { after - 1 } else { after }, out)
+    }
+
+    /// Gives every row from `cursor` on to `sink`, in order, through `scratch`, and moves the cursor on; how
+    /// many rows were overwritten before they could be read. Start with a cursor of 0 (all kept rows; those
+    /// already gone count as lost) or of `published()` (from now on). Ends at the row that was newest at entry.
+    ///
+    /// # Panics
+    /// When `scratch` is shorter than a row.
+    pub fn read_batch(
+        &self,
+        cursor: &mut u64,
+        scratch: &mut [u8],
+        mut sink: impl FnMut(RowInfo, &[u8]),
+    ) -> u64 {
+        let scratch = &mut scratch[..self.table.row_bytes];
+        let end = self.published();
+        let mut lost = 0;
+        let mut skip_to = |cursor: &mut u64, n: u64| {
+            lost += n.saturating_sub(*cursor);
+            *cursor = (*cursor).max(n);
+        };
+        skip_to(cursor, self.oldest(end));
+        while *cursor < end {
+            match self.read(*cursor, scratch) {
+                Ok(info) => {
+                    sink(info, scratch);
+                    *cursor += 1;
+                }
+                // The oldest row is always in danger, so at least the one that was just missed is given up.
+                Err(_) => skip_to(cursor, self.oldest(self.published()).max(*cursor + 1)),
+            }
+        }
+        lost
+    }
+
+    fn oldest(&self, published: u64) -> u64 {
+        published.saturating_sub(self.table.rows)
+    }
+
+    fn may_be_lapped(&self, n: u64) -> bool {
+        n > 0 && n <= self.oldest(self.published())
+    }
+
+    /// The first kept row for which `reached` holds, or `published`: a binary search in which an overwritten
+    /// row counts as not reached.
+    fn first(&self, published: u64, reached: impl Fn(RowInfo) -> bool) -> u64 {
+        let (mut low, mut high) = (self.oldest(published), published);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            if self.info(middle).is_ok_and(&reached) {
+                high = middle;
+            } else {
+                low = middle + 1;
+            }
+        }
+        low
+    }
+
+    fn info(&self, n: u64) -> Result<RowInfo, Miss> {
+        self.read(n, &mut [])
+    }
+
+    fn read(&self, n: u64, out: &mut [u8]) -> Result<RowInfo, Miss> {
+        let wanted = out.len().min(self.table.row_bytes);
+        let out = &mut out[..wanted];
+        let mut info = RowInfo { row: n, ..RowInfo::default() };
+        let done = seq::read(self.table.row(n), n, DATA + wanted.div_ceil(8), |at, word| match at {
+            STAMP => info.stamp_ns = word,
+            TICK => info.tick = word,
+            _ => {
+                let start = (at - DATA) * 8;
+                let end = wanted.min(start + 8);
+                out[start..end].copy_from_slice(&word.to_ne_bytes()[..end - start]);
+            }
+        });
+        match done {
+            Ok(()) => Ok(info),
+            Err(Stale::Later) => Err(Miss::Lapped),
+            Err(Stale::Earlier) => Err(Miss::NotYet),
+        }
+    }
+}

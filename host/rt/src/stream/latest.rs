@@ -1,0 +1,38 @@
+//! The newest sample: three places, of which writer and reader own one each and exchange the third.
+//!
+//! `middle` holds the index of the third place and whether its sample is unseen; each end moves by one swap.
+
+use crate::sync::{AtomicU32, Ordering};
+
+pub(super) const SLOTS: usize = 3;
+/// The places the ends begin with; the middle begins with the third.
+pub(super) const WRITERS: usize = 0;
+pub(super) const READERS: usize = 1;
+
+const UNSEEN: u32 = 4;
+
+pub(super) struct Latest {
+    middle: AtomicU32,
+}
+
+impl Latest {
+    pub(super) fn new() -> Self {
+        Self { middle: AtomicU32::new(2) }
+    }
+
+    /// Gives the written place away for another one; whether that one held an unseen sample. Wait-free.
+    pub(super) fn publish(&self, written: usize) -> (usize, bool) {
+        let got = self.middle.swap(written as u32 | UNSEEN, Ordering::AcqRel);
+        ((got & 3) as usize, got & UNSEEN != 0)
+    }
+
+    /// Whether there is an unseen sample: once true for the reader, it stays true until it takes one.
+    pub(super) fn has_unseen(&self) -> bool {
+        self.middle.load(Ordering::Relaxed) & UNSEEN != 0
+    }
+
+    /// Gives the seen (and emptied) place away for the newest one. Wait-free.
+    pub(super) fn exchange(&self, seen: usize) -> usize {
+        (self.middle.swap(seen as u32, Ordering::AcqRel) & 3) as usize
+    }
+}

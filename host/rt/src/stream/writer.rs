@@ -1,0 +1,126 @@
+//! The output's end of a link.
+//!
+//! One producer at a time is inside; a second one at the same moment is turned away and counted as a drop.
+
+use std::sync::Arc;
+
+use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count};
+use crate::exclusive::TryCell;
+use crate::pool::Frame;
+use crate::sync::Ordering;
+
+/// What became of a push. All but `Queued` and `DroppedOldest` mean that this sample will not be seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pushed {
+    Queued,
+    /// Queued, and an older unseen sample gave way.
+    DroppedOldest,
+    /// The queue is full and keeps the old ones, or another thread was just pushing.
+    DroppedNewest,
+    /// Plain bytes to a link of frames, a frame to a link of bytes, or more bytes than a sample has.
+    WrongPayload,
+    /// The reader is gone.
+    NoReader,
+}
+
+/// The places the writer owns.
+pub(super) enum End {
+    Latest { back: usize },
+    Fifo { free: Vec<u32> },
+}
+
+/// The writing end: for one producer thread, reachable through `&self`.
+pub struct StreamWriter {
+    pub(super) link: Arc<Link>,
+    pub(super) end: TryCell<End>,
+}
+
+impl StreamWriter {
+    /// Offers a sample of plain bytes, copied. Never waits.
+    pub fn push(&self, data: &[u8], meta: Meta) -> Pushed {
+        let fits = matches!(self.link.payload, Payload::Plain { bytes } if data.len() <= bytes);
+        // SAFETY: `offer` gives a place that the writer owns; the length fits.
+        self.offer(fits, |place| unsafe { self.link.slots.write(place, meta, data) })
+    }
+
+    /// Offers a frame: its handle is passed on, or dropped. Never waits.
+    pub fn push_frame(&self, frame: Frame, meta: Meta) -> Pushed {
+        self.offer(self.link.payload == Payload::Frame, |place| {
+            // SAFETY: `offer` gives a place that the writer owns, and this is its only reference.
+            let content = unsafe { self.link.slots.content(place) };
+            content.meta = meta;
+            content.frame = Some(frame);
+        })
+    }
+
+    /// Whether the reading end still exists.
+    pub fn has_reader(&self) -> bool {
+        !self.link.reader_left.load(Ordering::Relaxed)
+    }
+
+    pub fn stats(&self) -> StreamStats {
+        self.counters().stats()
+    }
+
+    /// The link's counters, for whoever shows them.
+    pub fn counters(&self) -> StreamCounters {
+        StreamCounters(Arc::clone(&self.link.counters))
+    }
+
+    fn offer(&self, fits: bool, fill: impl FnOnce(usize)) -> Pushed {
+        let counters = &self.link.counters.writer.0;
+        count(&counters.pushed, 1);
+        let pushed = if !fits {
+            Pushed::WrongPayload
+        } else if !self.has_reader() {
+            Pushed::NoReader
+        } else {
+            match self.end.try_enter() {
+                Some(mut end) => self.put(&mut end, fill),
+                None => Pushed::DroppedNewest,
+            }
+        };
+        if pushed != Pushed::Queued {
+            count(&counters.dropped, 1);
+        }
+        pushed
+    }
+
+    fn put(&self, end: &mut End, fill: impl FnOnce(usize)) -> Pushed {
+        match (&self.link.order, end) {
+            (Order::Latest(latest), End::Latest { back }) => {
+                fill(*back);
+                let (got, unseen) = latest.publish(*back);
+                *back = got;
+                // SAFETY: the place was just taken over by the writer.
+                unsafe { self.link.slots.empty(got) };
+                if unseen { Pushed::DroppedOldest } else { Pushed::Queued }
+            }
+            (Order::Fifo(fifo), End::Fifo { free }) => {
+                if fifo.drop == DropPolicy::DropNewest && fifo.is_full() {
+                    return Pushed::DroppedNewest;
+                }
+                // Of depth + 3 places at most depth are queued and two at the reader: one is always free.
+                let Some(place) = free.pop().map(|p| p as usize).or_else(|| fifo.reuse()) else {
+                    return Pushed::DroppedNewest;
+                };
+                fill(place);
+                let dropped = fifo.drop_oldest();
+                if let Some(oldest) = dropped {
+                    // SAFETY: the place was just taken over by the writer.
+                    unsafe { self.link.slots.empty(oldest) };
+                    free.push(oldest as u32);
+                }
+                fifo.push(place);
+                if dropped.is_some() { Pushed::DroppedOldest } else { Pushed::Queued }
+            }
+            _ => unreachable!("both are made together in `stream_link`"),
+        }
+    }
+}
+
+impl Drop for StreamWriter {
+    fn drop(&mut self) {
+        self.link.writer_left.store(true, Ordering::Release);
+    }
+}

@@ -1,0 +1,117 @@
+//! The atomics, the cell and the futex every algorithm here is written over: std's, or loom's under `cfg(loom)`.
+//!
+//! No algorithm may name `std::sync::atomic` itself, or loom would not see its steps; and none may use a
+//! fence, which ThreadSanitizer misjudges.
+
+#[cfg(loom)]
+pub(crate) use loom::{
+    hint::spin_loop,
+    sync::Mutex,
+    sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
+    thread::yield_now,
+};
+#[cfg(not(loom))]
+pub(crate) use std::{
+    hint::spin_loop,
+    sync::Mutex,
+    sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
+    thread::yield_now,
+};
+
+/// Keeps two words that different threads write from sharing a cache line.
+#[repr(align(64))]
+pub(crate) struct Padded<T>(pub(crate) T);
+
+/// Interior mutability whose exclusivity some atomic word proves.
+#[cfg(not(loom))]
+pub(crate) struct Shared<T>(std::cell::UnsafeCell<T>);
+
+#[cfg(not(loom))]
+impl<T> Shared<T> {
+    pub(crate) fn new(value: T) -> Self {
+        Self(std::cell::UnsafeCell::new(value))
+    }
+
+    /// The address, for a holder of the exclusive right to it.
+    pub(crate) fn exclusive(&self) -> *mut T {
+        self.0.get()
+    }
+
+    /// The address, for one of several readers while nobody holds the exclusive right.
+    pub(crate) fn readable(&self) -> *const T {
+        self.0.get()
+    }
+}
+
+/// Interior mutability whose exclusivity some atomic word proves; loom checks the claim at each access.
+#[cfg(loom)]
+pub(crate) struct Shared<T>(loom::cell::UnsafeCell<T>);
+
+#[cfg(loom)]
+impl<T> Shared<T> {
+    pub(crate) fn new(value: T) -> Self {
+        Self(loom::cell::UnsafeCell::new(value))
+    }
+
+    /// The address; loom fails the model when another access is not ordered before this one.
+    pub(crate) fn exclusive(&self) -> *mut T {
+        self.0.with_mut(|p| p)
+    }
+
+    /// The address; loom fails the model when a writing access is not ordered before this one.
+    pub(crate) fn readable(&self) -> *const T {
+        self.0.with(|p| p)
+    }
+}
+
+/// A 32-bit word that threads can sleep on.
+pub(crate) struct Futex {
+    pub(crate) word: AtomicU32,
+    #[cfg(loom)]
+    queue: (Mutex<()>, loom::sync::Condvar),
+}
+
+impl Futex {
+    pub(crate) fn new(value: u32) -> Self {
+        Self {
+            word: AtomicU32::new(value),
+            #[cfg(loom)]
+            queue: (Mutex::new(()), loom::sync::Condvar::new()),
+        }
+    }
+
+    /// Sleeps while the word holds `expected`, until a wake or the absolute monotonic deadline in ns. May
+    /// return for no reason.
+    #[cfg(not(loom))]
+    pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>) -> crate::os::WaitResult {
+        crate::os::futex_wait(&self.word, expected, deadline_ns)
+    }
+
+    /// Wakes up to `n` sleepers: one system call.
+    #[cfg(not(loom))]
+    pub(crate) fn wake(&self, n: u32) {
+        crate::os::futex_wake(&self.word, n);
+    }
+
+    /// As the kernel does it: the comparison and going to sleep are one step. With a deadline it times out at
+    /// once, which is one of the things a real clock may do.
+    #[cfg(loom)]
+    pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>) -> crate::os::WaitResult {
+        let guard = self.queue.0.lock().expect("no model panics inside the futex");
+        if self.word.load(Ordering::Relaxed) != expected {
+            return crate::os::WaitResult::Changed;
+        }
+        if deadline_ns.is_some() {
+            return crate::os::WaitResult::TimedOut;
+        }
+        drop(self.queue.1.wait(guard));
+        crate::os::WaitResult::Woken
+    }
+
+    /// Wakes every sleeper.
+    #[cfg(loom)]
+    pub(crate) fn wake(&self, _n: u32) {
+        let _guard = self.queue.0.lock().expect("no model panics inside the futex");
+        self.queue.1.notify_all();
+    }
+}

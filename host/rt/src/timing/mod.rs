@@ -1,0 +1,9 @@
+//! Time of periodic work: the grid of deadlines and the statistics of what really happened.
+
+mod cycle;
+mod grid;
+mod histogram;
+
+pub use cycle::{CycleSnapshot, CycleStats, Spread};
+pub use grid::Grid;
+pub use histogram::Histogram;

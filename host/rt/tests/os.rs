@@ -1,0 +1,56 @@
+//! The system calls do what they say, and their refusals say what to do.
+#![allow(clippy::unwrap_used)]
+
+use std::sync::atomic::AtomicU32;
+
+use trocar_rt::os::{self, WaitResult};
+
+#[test]
+fn the_clock_never_goes_back_and_sleeping_reaches_its_deadline() {
+    let start = os::now_ns();
+    os::sleep_until(start + 1_000_000);
+    assert!(os::now_ns() >= start + 1_000_000);
+    os::sleep_until(0);
+}
+
+#[test]
+fn a_futex_wait_tells_change_and_time_apart() {
+    let word = AtomicU32::new(1);
+    assert_eq!(os::futex_wait(&word, 2, None), WaitResult::Changed);
+    assert_eq!(os::futex_wait(&word, 1, Some(os::now_ns() + 1_000_000)), WaitResult::TimedOut);
+    os::futex_wake(&word, 1);
+}
+
+#[test]
+fn settings_of_a_thread_are_taken_or_refused_with_help() {
+    let thread = std::thread::spawn(|| {
+        os::set_thread_name("name-of-a-thread-that-is-long");
+        os::set_timer_slack_ns(1).unwrap();
+        let name = std::fs::read_to_string("/proc/thread-self/comm").unwrap();
+        assert_eq!(name.trim_end(), "name-of-a-threa");
+        if let Err(e) = os::set_fifo(10) {
+            assert!(
+                e.to_string().contains("SCHED_FIFO priority 10") && e.to_string().contains("CAP_SYS_NICE")
+            );
+        }
+        assert!(os::set_fifo(100).is_err(), "there is no priority 100");
+        let first = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+        let allowed = first.lines().find_map(|l| l.strip_prefix("Cpus_allowed_list:")).unwrap();
+        let cpu = allowed.trim().split(['-', ',']).next().unwrap().parse().unwrap();
+        os::set_affinity(&[cpu]).unwrap();
+    });
+    thread.join().unwrap();
+    for cpus in [&[][..], &[100_000], &[1_000]] {
+        let e = os::set_affinity(cpus).unwrap_err();
+        assert!(e.to_string().contains(&format!("{cpus:?}")), "{e}");
+    }
+}
+
+#[test]
+fn locking_memory_is_refused_where_it_would_break_later_threads() {
+    if let Err(e) = os::lock_memory() {
+        assert!(e.to_string().contains("lock all memory"), "{e}");
+    }
+    // Whatever the answer was, threads can still be made and memory mapped.
+    std::thread::spawn(|| vec![1u8; 16 << 20].len()).join().unwrap();
+}

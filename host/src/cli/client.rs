@@ -1,0 +1,151 @@
+//! Connects to a GCM and reads what a refusal says.
+//!
+//! Invariant: never waits longer than its limits; an address without a GCM is told apart from a GCM that refuses.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use tonic::transport::{Channel, Endpoint};
+use tonic_types::StatusExt;
+use trocar_proto::v1::gcm_service_client::GcmServiceClient;
+use trocar_proto::v1::interact_service_client::InteractServiceClient;
+use trocar_proto::v1::plugin_service_client::PluginServiceClient;
+
+/// How long to wait for a connection.
+const CONNECT: Duration = Duration::from_secs(2);
+
+/// The three services of one address.
+#[derive(Clone, Debug)]
+pub(super) struct Client {
+    pub(super) gcm: GcmServiceClient<Channel>,
+    pub(super) interact: InteractServiceClient<Channel>,
+    pub(super) plugin: PluginServiceClient<Channel>,
+}
+
+/// What a status says, in the words of the error table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Told {
+    pub(super) code: &'static str,
+    pub(super) reason: String,
+    pub(super) message: String,
+    pub(super) help: String,
+    pub(super) metadata: BTreeMap<String, String>,
+    /// True: no answer of a GCM at all.
+    pub(super) transport: bool,
+}
+
+impl Client {
+    /// Connects to `host:port` (a scheme and a missing port are filled in).
+    ///
+    /// # Errors
+    /// A sentence: malformed address, nobody listens, no answer in 2 s.
+    pub(super) async fn connect(addr: &str) -> Result<Self, String> {
+        let uri = uri(addr);
+        let endpoint = Endpoint::from_shared(uri)
+            .map_err(|_| "not an address; write HOST:PORT, e.g. 127.0.0.1:50551".to_owned())?
+            .connect_timeout(CONNECT)
+            .tcp_nodelay(true);
+        let channel = endpoint.connect().await.map_err(|e| root_cause(&e))?;
+        Ok(Self {
+            gcm: GcmServiceClient::new(channel.clone()),
+            interact: InteractServiceClient::new(channel.clone()),
+            plugin: PluginServiceClient::new(channel),
+        })
+    }
+}
+
+fn uri(addr: &str) -> String {
+    let bare = addr.strip_prefix("http://").unwrap_or(addr).trim_end_matches('/');
+    let has_port = bare
+        .rsplit_once(':')
+        .is_some_and(|(_, port)| !port.is_empty() && port.bytes().all(|b| b.is_ascii_digit()));
+    let default_port = super::session::DEFAULT_GCM.rsplit_once(':').map_or("", |(_, port)| port);
+    if has_port { format!("http://{bare}") } else { format!("http://{bare}:{default_port}") }
+}
+
+/// The innermost error is the one that says something ("Connection refused").
+fn root_cause(e: &dyn std::error::Error) -> String {
+    let mut cause = e;
+    while let Some(inner) = cause.source() {
+        cause = inner;
+    }
+    cause.to_string()
+}
+
+/// Takes a status apart.
+pub(super) fn explain(status: &tonic::Status) -> Told {
+    let details = status.get_error_details();
+    let info = details.error_info();
+    let reason = info.map_or_else(String::new, |i| i.reason.clone());
+    let help =
+        details.help().and_then(|h| h.links.first()).map(|l| l.description.clone()).unwrap_or_default();
+    let code = code_name(status.code());
+    Told {
+        code,
+        // A status without our details is not an answer of a GCM; its code is all there is.
+        reason: if reason.is_empty() { code.to_owned() } else { reason },
+        message: status.message().to_owned(),
+        help,
+        metadata: info.map(|i| i.metadata.clone().into_iter().collect()).unwrap_or_default(),
+        transport: status.code() == tonic::Code::Unavailable && info.is_none(),
+    }
+}
+
+fn code_name(code: tonic::Code) -> &'static str {
+    use tonic::Code;
+    match code {
+        Code::Ok => "OK",
+        Code::Cancelled => "CANCELLED",
+        Code::Unknown => "UNKNOWN",
+        Code::InvalidArgument => "INVALID_ARGUMENT",
+        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
+        Code::NotFound => "NOT_FOUND",
+        Code::AlreadyExists => "ALREADY_EXISTS",
+        Code::PermissionDenied => "PERMISSION_DENIED",
+        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
+        Code::FailedPrecondition => "FAILED_PRECONDITION",
+        Code::Aborted => "ABORTED",
+        Code::OutOfRange => "OUT_OF_RANGE",
+        Code::Unimplemented => "UNIMPLEMENTED",
+        Code::Internal => "INTERNAL",
+        Code::Unavailable => "UNAVAILABLE",
+        Code::DataLoss => "DATA_LOSS",
+        Code::Unauthenticated => "UNAUTHENTICATED",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tonic_types::ErrorDetails;
+
+    use super::*;
+
+    #[test]
+    fn a_port_and_a_scheme_are_filled_in() {
+        let uris: Vec<String> = ["localhost", "http://h:1/", "10.0.0.1:99"].map(uri).into();
+        assert_eq!(uris, ["http://localhost:50551", "http://h:1", "http://10.0.0.1:99"]);
+    }
+
+    #[test]
+    fn a_refusal_is_taken_apart_into_reason_help_and_metadata() {
+        let mut details = ErrorDetails::new();
+        details.set_error_info(
+            "CLASS_NOT_FOUND",
+            "trocar.v1",
+            [("nearest".to_owned(), "eyerobot".to_owned())],
+        );
+        details.add_help_link("did you mean eyerobot?", "");
+        let told = explain(&tonic::Status::with_error_details(tonic::Code::NotFound, "no class", details));
+        assert_eq!(
+            (told.code, told.reason.as_str(), told.transport),
+            ("NOT_FOUND", "CLASS_NOT_FOUND", false)
+        );
+        assert_eq!(told.help, "did you mean eyerobot?");
+        assert_eq!(told.metadata.get("nearest").map(String::as_str), Some("eyerobot"));
+    }
+
+    #[test]
+    fn a_broken_connection_is_not_a_refusal() {
+        assert!(explain(&tonic::Status::unavailable("broken pipe")).transport);
+    }
+}

@@ -1,0 +1,96 @@
+//! `trocar connect CLIENT SERVER` and `trocar disconnect`.
+//!
+//! Invariant: client = input or required interface, server = output or provided interface; the GCM checks everything.
+
+use clap::Args;
+
+use super::failure::{Done, Failure};
+use super::mutation::{MutationArgs, show};
+use super::session::Session;
+use super::units;
+
+/// Connects a client end to a server end: `trocar connect host/mover/robot host/robot/arm`.
+#[derive(Args, Debug)]
+pub(super) struct ConnectArgs {
+    /// Input or required interface: process/component/port.
+    pub(super) client: String,
+    /// Output or provided interface: process/component/port.
+    pub(super) server: String,
+    /// Queue this many samples instead of the port's default.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "latest")]
+    pub(super) fifo: Option<u32>,
+    /// When the queue is full, overwrite the oldest instead of dropping the newest.
+    #[arg(long, requires = "fifo")]
+    pub(super) drop_oldest: bool,
+    /// Keep the latest value only.
+    #[arg(long)]
+    pub(super) latest: bool,
+    /// Older samples are stale, e.g. 5ms.
+    #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
+    pub(super) max_age: Option<u64>,
+    /// Default deadline of waiting calls, e.g. 100ms.
+    #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
+    pub(super) deadline: Option<u64>,
+    /// Depth of the queue of commands or events.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) mailbox: Option<u32>,
+    /// Copy by name when the layouts differ.
+    #[arg(long)]
+    pub(super) adapt: bool,
+    /// Take the place of the client's present connection.
+    #[arg(long)]
+    pub(super) replace: bool,
+    /// Pin how samples travel (inline, heap).
+    #[arg(long, value_name = "NAME")]
+    pub(super) carrier: Option<String>,
+    #[command(flatten)]
+    pub(super) mutation: MutationArgs,
+}
+
+/// Cuts a connection: `trocar disconnect 4`, or its two ends.
+#[derive(Args, Debug)]
+pub(super) struct DisconnectArgs {
+    /// The connection's id (`trocar ls`), or its client end.
+    #[arg(value_name = "ID|CLIENT")]
+    pub(super) which: String,
+    /// Its server end, when the first is the client end.
+    pub(super) server: Option<String>,
+    #[command(flatten)]
+    pub(super) mutation: MutationArgs,
+}
+
+/// What a Disconnect names.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Cut {
+    Id(u64),
+    Pair { client: String, server: String },
+}
+
+pub(super) async fn connect(args: ConnectArgs, session: &Session) -> Done {
+    let outcome = session.connect(&args).await?;
+    let id = outcome.connection;
+    let done = format!("connected {} → {} (id {id})", args.server, args.client);
+    show(session, &outcome, args.mutation.dry_run, &done)
+}
+
+pub(super) async fn disconnect(args: DisconnectArgs, session: &Session) -> Done {
+    let cut = cut(&args)?;
+    let outcome = session.disconnect(&cut, &args.mutation).await?;
+    let done = match &cut {
+        Cut::Id(id) => format!("disconnected {id}"),
+        Cut::Pair { client, server } => format!("disconnected {server} → {client}"),
+    };
+    show(session, &outcome, args.mutation.dry_run, &done)
+}
+
+fn cut(args: &DisconnectArgs) -> Result<Cut, Failure> {
+    match (args.which.parse::<u64>(), &args.server) {
+        (Ok(id), None) => Ok(Cut::Id(id)),
+        (Err(_), Some(server)) => Ok(Cut::Pair { client: args.which.clone(), server: server.clone() }),
+        (Ok(_), Some(_)) => Err(Failure::usage("a connection id stands alone", "trocar disconnect ID")),
+        (Err(_), None) => Err(Failure::usage(
+            format!("{:?} is not a connection id and there is no server end", args.which),
+            "trocar disconnect ID, or trocar disconnect CLIENT SERVER; `trocar ls` lists both",
+        )),
+    }
+}

@@ -1,0 +1,317 @@
+//! `trocar describe PATH`: what a process, component, interface or class offers, with docs, units and kinds.
+//!
+//! Invariant: text and `--json` are made from the same `DescribeView`.
+
+use std::fmt::Write as _;
+
+use clap::Args;
+use serde_json::Value;
+
+use super::failure::{Done, Exit};
+use super::session::Session;
+use super::view::{
+    ArgView, ClassView, ComponentView, DescribeView, MemberView, PortsView, StreamView, TypeView,
+};
+use super::{out, style, units};
+
+/// Describes a process, component, interface, command or class.
+#[derive(Args, Debug)]
+pub(super) struct DescribeArgs {
+    /// process[/component[/port[/member]]]; with --class a class: plugin/class, or the class alone.
+    path: String,
+    /// PATH is a class.
+    #[arg(long)]
+    class: bool,
+}
+
+pub(super) async fn run(args: DescribeArgs, session: &Session) -> Done {
+    let view = session.describe(&args.path, args.class).await?;
+    if session.json() {
+        return session.print_json(&view);
+    }
+    out::text(&render(&view, style::stdout()));
+    Ok(Exit::Ok)
+}
+
+fn render(view: &DescribeView, colour: bool) -> String {
+    let mut page = Page { text: String::new(), colour };
+    if let Some(process) = &view.process {
+        page.title(&format!("process {}", process.name), &process.state);
+        page.line(1, &format!("pid {}, epoch {}, endpoint {}", process.pid, process.epoch, process.endpoint));
+    }
+    match (&view.component, &view.class) {
+        (Some(component), class) => page.component(component, class.as_ref()),
+        (None, Some(class)) => page.class(class),
+        _ => {}
+    }
+    if let Some(ports) = &view.ports {
+        page.ports(ports);
+    } else if let (None, Some(class)) = (&view.component, &view.class) {
+        page.ports(&class.ports);
+    }
+    if !view.connections.is_empty() {
+        page.heading("connections");
+        for c in &view.connections {
+            page.line(1, &format!("{}  {} → {}  {}", c.id, c.server, c.client, c.carrier));
+        }
+    }
+    if !view.classes.is_empty() {
+        page.heading("classes");
+        for c in &view.classes {
+            page.entry(1, &c.name, &c.doc);
+        }
+    }
+    page.text
+}
+
+/// The text as it grows.
+struct Page {
+    text: String,
+    colour: bool,
+}
+
+impl Page {
+    fn line(&mut self, indent: usize, line: &str) {
+        let _ = writeln!(self.text, "{:1$}{line}", "", indent * 2);
+    }
+
+    fn title(&mut self, title: &str, state: &str) {
+        let title = style::paint(title, style::HEAD, self.colour);
+        let state = style::paint(state, style::of_state(state), self.colour);
+        self.line(0, format!("{title}  {state}").trim_end());
+    }
+
+    fn heading(&mut self, heading: &str) {
+        let heading = style::paint(heading, style::HEAD, self.colour);
+        self.line(0, &heading);
+    }
+
+    /// A name with its documentation dimmed behind it.
+    fn entry(&mut self, indent: usize, what: &str, doc: &str) {
+        let doc = style::paint(doc.trim(), style::DIM, self.colour);
+        self.line(indent, format!("{what}  {doc}").trim_end());
+    }
+
+    fn component(&mut self, c: &ComponentView, class: Option<&ClassView>) {
+        self.title(&c.path, &c.state);
+        if !c.fault.is_empty() {
+            self.line(1, &format!("fault: {}", c.fault));
+        }
+        self.entry(1, &format!("class {}", c.class), class.map_or("", |k| &k.doc));
+        let thread =
+            if c.execution.thread.is_empty() { String::new() } else { format!(", {}", c.execution.thread) };
+        self.line(1, &format!("health {}, runs {}{thread}", c.health, c.rate()));
+        let s = &c.stats;
+        self.line(
+            1,
+            &format!(
+                "steps {}, skipped {}, overruns {}, late p50 {} p99 {} max {}, compute avg {} max {}, load {}",
+                s.executed,
+                s.skipped,
+                s.overruns,
+                units::time(s.lateness_p50_ns),
+                units::time(s.lateness_p99_ns),
+                units::time(s.lateness_max_ns),
+                units::time(s.compute_avg_ns),
+                units::time(s.compute_max_ns),
+                units::percent(s.load)
+            ),
+        );
+        self.line(
+            1,
+            &format!(
+                "commands {} ({} refused), events dropped {}",
+                s.commands, s.commands_rejected, s.events_dropped
+            ),
+        );
+        for warning in &c.warnings {
+            self.line(1, &format!("warning: {warning}"));
+        }
+        self.config(&c.config, class.map_or(&Value::Null, |k| &k.config_schema));
+    }
+
+    fn class(&mut self, c: &ClassView) {
+        self.title(&format!("class {}", c.name), "");
+        self.entry(1, &format!("version {}", c.version), &c.doc);
+        let device = if c.hardware { ", opens a device" } else { "" };
+        let execution = ComponentView { execution: c.execution.clone(), ..ComponentView::default() };
+        self.line(1, &format!("safety {}{device}, runs {}", c.safety, execution.rate()));
+        self.config(&Value::Null, &c.config_schema);
+    }
+
+    /// Each setting: value (or default), unit, range, whether it may change while running, doc.
+    fn config(&mut self, config: &Value, schema: &Value) {
+        let Some(properties) = schema.get("properties").and_then(Value::as_object).filter(|p| !p.is_empty())
+        else {
+            if config.as_object().is_some_and(|c| !c.is_empty()) {
+                self.heading("config");
+                self.line(1, &config.to_string());
+            }
+            return;
+        };
+        self.heading("config");
+        for (name, rules) in properties {
+            let text = |key: &str| rules.get(key).and_then(Value::as_str).unwrap_or_default();
+            let value = config.get(name).or_else(|| rules.get("default"));
+            let mut line =
+                format!("{name} = {}", value.map_or_else(|| "(required)".to_owned(), Value::to_string));
+            push(&mut line, " ", text("unit"));
+            if let Some(range) = range(rules.get("minimum"), rules.get("maximum")) {
+                push(&mut line, "  ", &range);
+            }
+            if rules.get("live") == Some(&Value::Bool(true)) {
+                line.push_str("  live");
+            }
+            self.entry(1, &line, text("description"));
+        }
+    }
+
+    fn ports(&mut self, ports: &PortsView) {
+        for (heading, streams) in [("inputs", &ports.inputs), ("outputs", &ports.outputs)] {
+            if !streams.is_empty() {
+                self.heading(heading);
+            }
+            for s in streams {
+                self.stream(s);
+            }
+        }
+        for r in &ports.required {
+            let optional = if r.optional { " (optional)" } else { "" };
+            self.heading(&format!("required interface {}{optional}", r.name));
+            self.members(&r.doc, r.functions.iter().chain(&r.handlers));
+        }
+        for p in &ports.provided {
+            let tag = if p.tag.is_empty() { String::new() } else { format!(" [{}]", p.tag) };
+            self.heading(&format!("provided interface {}{tag}", p.name));
+            self.members(&p.doc, p.commands.iter().chain(&p.events));
+        }
+        if let Some(state) = &ports.state {
+            self.heading("state table row");
+            self.fields(1, state);
+        }
+    }
+
+    fn stream(&mut self, s: &StreamView) {
+        let mut line = format!("{}: {}", s.name, s.ty.name);
+        push(&mut line, " + ", &s.format);
+        if s.fifo > 0 {
+            let _ = write!(line, "  fifo {}", s.fifo);
+        }
+        if s.optional {
+            line.push_str("  optional");
+        }
+        self.entry(1, &line, &s.doc);
+        self.fields(2, &s.ty);
+    }
+
+    fn members<'m>(&mut self, doc: &str, members: impl Iterator<Item = &'m MemberView>) {
+        if !doc.is_empty() {
+            let doc = style::paint(doc.trim(), style::DIM, self.colour);
+            self.line(1, &doc);
+        }
+        for m in members {
+            let arg = m.arg.as_ref().map(signature).unwrap_or_default();
+            let mut line = format!("{}({arg})", m.name);
+            if let Some(returns) = &m.returns {
+                push(&mut line, " → ", &signature(returns));
+            }
+            push(&mut line, "  ", &m.kind);
+            if m.optional {
+                line.push_str(", optional");
+            }
+            self.entry(1, &line, &m.doc);
+            for arg in [&m.arg, &m.returns].into_iter().flatten() {
+                self.fields(2, &arg.ty);
+            }
+        }
+    }
+
+    fn fields(&mut self, indent: usize, ty: &TypeView) {
+        for f in &ty.fields {
+            let mut line = format!(".{}: {}", f.name, f.ty);
+            push(&mut line, " ", &bracketed(&f.unit));
+            self.entry(indent, &line, &f.doc);
+        }
+        if !ty.values.is_empty() {
+            self.line(indent, &ty.values.join(" | "));
+        }
+    }
+}
+
+/// `name: type [unit] range`.
+fn signature(arg: &ArgView) -> String {
+    let mut text =
+        if arg.name.is_empty() { arg.ty.name.clone() } else { format!("{}: {}", arg.name, arg.ty.name) };
+    push(&mut text, " ", &bracketed(&arg.unit));
+    let (min, max) = (arg.min.map(Value::from), arg.max.map(Value::from));
+    push(&mut text, " ", &range(min.as_ref(), max.as_ref()).unwrap_or_default());
+    text
+}
+
+fn bracketed(unit: &str) -> String {
+    if unit.is_empty() { String::new() } else { format!("[{unit}]") }
+}
+
+fn range(min: Option<&Value>, max: Option<&Value>) -> Option<String> {
+    let number = |v: &Value| v.as_f64().map_or_else(|| v.to_string(), |n| n.to_string());
+    match (min, max) {
+        (Some(min), Some(max)) => Some(format!("{}…{}", number(min), number(max))),
+        (Some(min), None) => Some(format!("≥ {}", number(min))),
+        (None, Some(max)) => Some(format!("≤ {}", number(max))),
+        (None, None) => None,
+    }
+}
+
+fn push(line: &mut String, before: &str, text: &str) {
+    if !text.is_empty() {
+        line.push_str(before);
+        line.push_str(text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::super::view::ProvidedView;
+    use super::*;
+
+    #[test]
+    fn a_command_shows_its_kind_unit_range_and_doc() {
+        let ty = TypeView { name: "i32".into(), ..TypeView::default() };
+        let arg = ArgView {
+            name: "value".into(),
+            ty,
+            unit: "mm".into(),
+            min: Some(0.0),
+            max: Some(100.0),
+            ..ArgView::default()
+        };
+        let write = MemberView {
+            name: "Write".into(),
+            kind: "write".into(),
+            doc: "Sets the set point.".into(),
+            arg: Some(arg),
+            ..MemberView::default()
+        };
+        let provided =
+            vec![ProvidedView { name: "Provided".into(), commands: vec![write], ..ProvidedView::default() }];
+        let view = DescribeView {
+            ports: Some(PortsView { provided, ..PortsView::default() }),
+            ..DescribeView::default()
+        };
+        assert_eq!(
+            render(&view, false),
+            "provided interface Provided\n  Write(value: i32 [mm] 0…100)  write  Sets the set point.\n"
+        );
+    }
+
+    #[test]
+    fn a_setting_shows_its_value_unit_range_and_whether_it_is_live() {
+        let schema = json!({"properties": {"cutoff_hz": {
+            "default": 50.0, "unit": "Hz", "minimum": 0.1, "maximum": 400, "live": true, "description": "Corner."}}});
+        let mut page = Page { text: String::new(), colour: false };
+        page.config(&json!({"cutoff_hz": 20}), &schema);
+        assert_eq!(page.text, "config\n  cutoff_hz = 20 Hz  0.1…400  live  Corner.\n");
+    }
+}

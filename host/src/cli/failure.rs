@@ -1,0 +1,195 @@
+//! How a subcommand ends: exit code, reason code, one clear sentence, help; the same content for people and for scripts.
+//!
+//! Invariant: this file alone prints failures; with `--json` stdout holds exactly one JSON object about it.
+
+use std::collections::BTreeMap;
+
+use serde_json::json;
+use trocar_model::{Code, Refusal};
+
+use super::{out, style};
+use crate::system_file::Problem;
+
+/// What a subcommand returns.
+pub(super) type Done = Result<Exit, Failure>;
+
+/// Exit codes of the program, part of its interface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Exit {
+    Ok = 0,
+    Refused = 1,
+    Usage = 2,
+    NoGcm = 3,
+    TimedOut = 4,
+    Partial = 5,
+    Interrupted = 130,
+}
+
+/// Why a subcommand did not succeed.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Failure {
+    pub(super) exit: Exit,
+    /// gRPC status code by name, e.g. "NOT_FOUND".
+    pub(super) code: String,
+    /// Reason code of the error table, or one of the program's own: USAGE, SYSTEM_FILE, IO, NO_GCM …
+    pub(super) reason: String,
+    pub(super) message: String,
+    pub(super) help: String,
+    pub(super) metadata: BTreeMap<String, String>,
+}
+
+impl Failure {
+    fn new(
+        exit: Exit,
+        code: &str,
+        reason: &str,
+        message: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self {
+            exit,
+            code: code.to_owned(),
+            reason: reason.to_owned(),
+            message: message.into(),
+            help: help.into(),
+            metadata: BTreeMap::new(),
+        }
+    }
+
+    /// Wrong flags or arguments.
+    pub(super) fn usage(message: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::new(Exit::Usage, "INVALID_ARGUMENT", "USAGE", message, help)
+    }
+
+    /// Something of this machine: a file, a directory, a port.
+    pub(super) fn local(reason: &str, message: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::new(Exit::Refused, "FAILED_PRECONDITION", reason, message, help)
+    }
+
+    /// No GCM answers at `addr`.
+    pub(super) fn no_gcm(addr: &str, why: &str) -> Self {
+        Self::new(
+            Exit::NoGcm,
+            "UNAVAILABLE",
+            "NO_GCM",
+            format!("no GCM answers at {addr}: {why}"),
+            "start one (`trocar demo`, `trocar run FILE`, `trocar host`), or name its address: --gcm ADDR or TROCAR_GCM",
+        )
+    }
+
+    /// What a gRPC answer said.
+    pub(super) fn answered(
+        code: &str,
+        reason: &str,
+        message: String,
+        help: String,
+        metadata: BTreeMap<String, String>,
+    ) -> Self {
+        let exit = if code == "DEADLINE_EXCEEDED" { Exit::TimedOut } else { Exit::Refused };
+        Self { metadata, ..Self::new(exit, code, reason, message, help) }
+    }
+
+    /// Prints it: a sentence and a "help:" line on stderr, or one JSON object on stdout.
+    pub(super) fn print(&self, json: bool) {
+        if json {
+            out::line(&self.to_json().to_string());
+            return;
+        }
+        let (red, green, reset) = style::error_colours();
+        let message = self.message.trim_end();
+        eprintln!("{red}error:{reset} {message}");
+        if !self.help.is_empty() {
+            eprintln!(" {green}help:{reset} {}", self.help);
+        }
+    }
+
+    pub(super) fn to_json(&self) -> serde_json::Value {
+        json!({
+            "code": self.code,
+            "reason": self.reason,
+            "message": self.message,
+            "help": self.help,
+            "metadata": self.metadata,
+        })
+    }
+}
+
+impl From<&Refusal> for Failure {
+    fn from(refusal: &Refusal) -> Self {
+        let code = code_name(refusal.code());
+        Self::answered(code, refusal.reason(), refusal.to_string(), refusal.help(), refusal.metadata())
+    }
+}
+
+impl From<Refusal> for Failure {
+    fn from(refusal: Refusal) -> Self {
+        Self::from(&refusal)
+    }
+}
+
+impl From<Problem> for Failure {
+    fn from(problem: Problem) -> Self {
+        let mut failure = Self::new(
+            Exit::Refused,
+            "INVALID_ARGUMENT",
+            "SYSTEM_FILE",
+            problem.to_string(),
+            problem.help.clone(),
+        );
+        failure.metadata = BTreeMap::from([
+            ("file".to_owned(), problem.file),
+            ("line".to_owned(), problem.line.to_string()),
+            ("column".to_owned(), problem.column.to_string()),
+            ("pointer".to_owned(), problem.pointer),
+        ]);
+        failure
+    }
+}
+
+/// The gRPC spelling of a code.
+fn code_name(code: Code) -> &'static str {
+    match code {
+        Code::InvalidArgument => "INVALID_ARGUMENT",
+        Code::NotFound => "NOT_FOUND",
+        Code::AlreadyExists => "ALREADY_EXISTS",
+        Code::FailedPrecondition => "FAILED_PRECONDITION",
+        Code::Aborted => "ABORTED",
+        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
+        Code::Unavailable => "UNAVAILABLE",
+        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
+        Code::PermissionDenied => "PERMISSION_DENIED",
+        Code::Unimplemented => "UNIMPLEMENTED",
+        Code::Internal => "INTERNAL",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_keeps_its_reason_and_exit_code() {
+        let failure = Failure::from(Refusal::RevisionConflict { expected: 3, actual: 4 });
+        assert_eq!((failure.exit, failure.reason.as_str()), (Exit::Refused, "REVISION_CONFLICT"));
+        assert!(!failure.help.is_empty(), "a refusal without help leaves a person alone");
+    }
+
+    #[test]
+    fn json_has_the_five_keys_a_script_needs() {
+        let json = Failure::no_gcm("127.0.0.1:50551", "connection refused").to_json();
+        let keys: Vec<&String> = json.as_object().map(|o| o.keys().collect()).unwrap_or_default();
+        assert_eq!(keys, ["code", "help", "message", "metadata", "reason"]);
+    }
+
+    #[test]
+    fn a_timeout_has_its_own_exit_code() {
+        let failure = Failure::answered(
+            "DEADLINE_EXCEEDED",
+            "LCM_TIMEOUT",
+            String::new(),
+            String::new(),
+            BTreeMap::new(),
+        );
+        assert_eq!(failure.exit as i32, 4);
+    }
+}

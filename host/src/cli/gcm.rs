@@ -1,0 +1,55 @@
+//! `trocar gcm`: a GCM without components; hosts attach to it.
+//!
+//! Invariant: it is in no data path: ending it delays no sample between components.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+
+use super::failure::{Done, Failure};
+use super::session::Session;
+use super::{hosting, logging, out, session};
+use crate::host::{Host, StateChoice, state_home};
+
+/// Runs a GCM that hosts attach to: `trocar host --gcm ADDR`.
+#[derive(Args, Debug)]
+pub(super) struct GcmArgs {
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
+    listen: String,
+    /// Where it keeps its state [default: trocar/gcm in the user's state directory].
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Forget what an earlier run left in the state directory.
+    #[arg(long)]
+    fresh: bool,
+}
+
+pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
+    if session.explicit_gcm().is_some() {
+        return Err(Failure::usage(
+            "`trocar gcm` is a GCM itself and attaches to none",
+            "leave --gcm out; use --listen",
+        ));
+    }
+    logging::install(log::LevelFilter::Info);
+    let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
+    let host = Host::start_gcm(&args.listen, &state, args.fresh).await?;
+    logging::to_file(host.state().path());
+    if session.json() {
+        let line = json!({
+            "listening": host.addr().to_string(),
+            "pid": std::process::id(),
+            "state": host.state().path(),
+        });
+        out::line(&line.to_string());
+    } else {
+        out::line(&format!("gcm listening on {}", host.addr()));
+        out::line(&format!(
+            "  attach hosts: trocar host --gcm {} --listen 127.0.0.1:0 --name NAME",
+            host.addr()
+        ));
+    }
+    hosting::until_stopped(host).await
+}

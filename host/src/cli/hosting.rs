@@ -1,0 +1,117 @@
+//! `trocar host`: a process with an LCM, plugin directories, and a GCM of its own or elsewhere.
+//!
+//! Invariant: the first line on stdout says where it listens; it ends on Ctrl-C with its devices safe.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::json;
+use trocar_model::Name;
+
+use super::failure::{Done, Exit, Failure};
+use super::session::Session;
+use super::{logging, out, session};
+use crate::host::{Host, HostConfig, HostError, StateChoice, state_home};
+use crate::loader::Trust;
+
+/// Runs a host: an LCM with plugin directories, and a GCM of its own unless --gcm names one.
+#[derive(Args, Debug)]
+pub(super) struct HostArgs {
+    /// Name of the process, the first part of its components' paths.
+    #[arg(long, default_value = "host", value_parser = name)]
+    name: Name,
+    /// Directory of plugin files, watched; may be given several times [default: ./plugins, else the program's own].
+    #[arg(long, value_name = "DIR")]
+    plugins: Vec<PathBuf>,
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
+    listen: String,
+    /// Where it keeps its state [default: trocar/NAME in the user's state directory].
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Forget what an earlier run left in the state directory.
+    #[arg(long)]
+    fresh: bool,
+    /// Which plugin files are taken: dev (your own and root's) or allowlist:FILE (sha256 listed).
+    #[arg(long, default_value = "dev", value_name = "MODE")]
+    trust: String,
+}
+
+pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
+    logging::install(log::LevelFilter::Info);
+    let state = args.state.unwrap_or_else(|| state_home().join(args.name.as_str()));
+    let config = HostConfig {
+        name: args.name,
+        plugins: plugin_dirs(args.plugins),
+        listen: args.listen,
+        state: StateChoice::Durable(state),
+        fresh: args.fresh,
+        gcm: session.explicit_gcm().map(str::to_owned),
+        trust: trust(&args.trust)?,
+    };
+    let host = Host::start(config.clone()).await?;
+    logging::to_file(host.state().path());
+    say_listening(&config, &host, session);
+    until_stopped(host).await
+}
+
+/// clap's parser of a process name.
+pub(super) fn name(text: &str) -> Result<Name, String> {
+    Name::parse(text).map_err(|e| e.to_string())
+}
+
+/// Reads `--trust`.
+pub(super) fn trust(text: &str) -> Result<Trust, Failure> {
+    text.parse().map_err(|e| Failure::from(HostError::Store(e)))
+}
+
+/// The directories named, else `./plugins`, else the program's own directory (where cargo puts built plugins).
+pub(super) fn plugin_dirs(named: Vec<PathBuf>) -> Vec<PathBuf> {
+    if !named.is_empty() {
+        return named;
+    }
+    let here = Path::new("plugins");
+    if here.is_dir() {
+        return vec![here.to_owned()];
+    }
+    let own = std::env::current_exe().ok().and_then(|exe| exe.parent().map(Path::to_owned));
+    own.into_iter().collect()
+}
+
+/// Waits for the end and ends in order.
+pub(super) async fn until_stopped(mut host: Host) -> Done {
+    let ended = host.until_asked_to_stop().await;
+    host.shutdown().await;
+    ended?;
+    Ok(Exit::Ok)
+}
+
+fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
+    let dirs: Vec<String> = config.plugins.iter().map(|d| d.display().to_string()).collect();
+    if session.json() {
+        let line = json!({
+            "listening": host.addr().to_string(),
+            "process": config.name.as_str(),
+            "pid": std::process::id(),
+            "state": host.state().path(),
+            "plugins": dirs,
+            "gcm": config.gcm,
+        });
+        out::line(&line.to_string());
+        return;
+    }
+    let gcm = config.gcm.as_ref().map_or_else(|| "its own GCM".to_owned(), |addr| format!("GCM {addr}"));
+    out::line(&format!("host {} listening on {}", config.name, host.addr()));
+    out::line(&format!("  {gcm}, plugins {}, state {}", dirs.join(" "), host.state().path().display()));
+    out::line("  Ctrl-C stops it, devices safe first");
+}
+
+impl From<HostError> for Failure {
+    fn from(e: HostError) -> Self {
+        match &e {
+            HostError::Refused(refusal) => Failure::from(refusal),
+            HostError::NoGcm { addr, because } => Failure::no_gcm(addr, because),
+            _ => Failure::local(e.reason(), e.to_string(), e.help()),
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Where log lines go: stderr for people, a rotated file in the state directory for later.
+//!
+//! Invariant: a full disk or a closed stderr never stops the program; the level that is recorded is never coarser than
+//! the one shown.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use log::{Level, LevelFilter, Log, Metadata, Record};
+
+use super::logs::clock;
+
+/// Size at which a file becomes the old one, bytes; two are kept.
+const ROTATE_BYTES: u64 = 4 << 20;
+const FILE: &str = "trocar.log";
+
+static LOGGER: Logger = Logger { shown: Mutex::new(LevelFilter::Warn), file: Mutex::new(None) };
+
+struct Logger {
+    shown: Mutex<LevelFilter>,
+    file: Mutex<Option<Rotating>>,
+}
+
+struct Rotating {
+    path: PathBuf,
+    file: File,
+    bytes: u64,
+}
+
+/// Starts logging: `shown` and above to stderr; `TROCAR_LOG` (error … trace) overrides it. Info is always recorded.
+pub(super) fn install(shown: LevelFilter) {
+    let asked = std::env::var("TROCAR_LOG").ok().and_then(|l| l.parse().ok());
+    let shown = asked.unwrap_or(shown);
+    *LOGGER.shown.lock().unwrap_or_else(PoisonError::into_inner) = shown;
+    // A second call (several hosts in one process) keeps the first logger.
+    let _ = log::set_logger(&LOGGER);
+    log::set_max_level(shown.max(LevelFilter::Info));
+}
+
+/// Also writes to `<dir>/trocar.log`; when that cannot be opened, says so and goes on.
+pub(super) fn to_file(dir: &Path) {
+    let path = dir.join(FILE);
+    match Rotating::open(path.clone()) {
+        Ok(file) => *LOGGER.file.lock().unwrap_or_else(PoisonError::into_inner) = Some(file),
+        Err(e) => log::warn!("no log file: {}: {e}", path.display()),
+    }
+}
+
+impl Rotating {
+    fn open(path: PathBuf) -> std::io::Result<Self> {
+        let file = File::options().create(true).append(true).open(&path)?;
+        let bytes = file.metadata()?.len();
+        Ok(Self { path, file, bytes })
+    }
+
+    fn write(&mut self, line: &str) -> std::io::Result<()> {
+        if self.bytes > ROTATE_BYTES {
+            fs::rename(&self.path, self.path.with_extension("log.1"))?;
+            *self = Self::open(self.path.clone())?;
+        }
+        self.file.write_all(line.as_bytes())?;
+        self.bytes += line.len() as u64;
+        Ok(())
+    }
+}
+
+impl Log for Logger {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        let target = metadata.target();
+        let ours = matches!(target, "component" | "plugin" | "audit") || target.starts_with("trocar");
+        ours || metadata.level() <= Level::Warn
+    }
+
+    fn log(&self, record: &Record<'_>) {
+        if !self.enabled(record.metadata()) {
+            return;
+        }
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+        let line = format!("{}Z {:5} {}\n", clock(now), record.level(), record.args());
+        if record.level() <= *self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
+            let _ = std::io::stderr().write_all(line.as_bytes());
+        }
+        if let Some(file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+            let _ = file.write(&line);
+        }
+    }
+
+    fn flush(&self) {}
+}

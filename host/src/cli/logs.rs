@@ -1,0 +1,61 @@
+//! `trocar logs [-f] [PATH]`.
+//!
+//! Invariant: lines lost on the way are counted and said.
+
+use clap::{Args, ValueEnum};
+
+use super::failure::{Done, Exit};
+use super::out;
+use super::session::Session;
+
+/// Shows what components and hosts log.
+#[derive(Args, Debug)]
+pub(super) struct LogsArgs {
+    /// Only this process, component or glob.
+    #[arg(default_value = "", hide_default_value = true)]
+    path: String,
+    /// Go on with what comes.
+    #[arg(long, short)]
+    follow: bool,
+    /// Most detailed level shown.
+    #[arg(long, value_enum, default_value_t = Level::Info)]
+    level: Level,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Level {
+    Error,
+    Warn,
+    Info,
+    Debug,
+    Trace,
+}
+
+pub(super) async fn run(args: LogsArgs, session: &Session) -> Done {
+    let level = format!("{:?}", args.level).to_lowercase();
+    let mut lines = session.logs(&args.path, &level, args.follow).await?;
+    while let Some(line) = lines.next().await? {
+        if session.json() {
+            session.print_json(&line)?;
+            continue;
+        }
+        if line.skipped > 0 {
+            out::line(&format!("({} lines lost)", line.skipped));
+        }
+        out::line(&format!(
+            "{}  {:5}  {}  {}",
+            clock(line.wall_ns),
+            line.level.to_uppercase(),
+            line.path,
+            line.message
+        ));
+    }
+    Ok(Exit::Ok)
+}
+
+/// Time of day in UTC, ms.
+pub(super) fn clock(wall_ns: u64) -> String {
+    let ms = wall_ns / 1_000_000;
+    let (s, ms) = (ms / 1000, ms % 1000);
+    format!("{:02}:{:02}:{:02}.{ms:03}", s / 3600 % 24, s / 60 % 60, s % 60)
+}

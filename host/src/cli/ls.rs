@@ -1,0 +1,149 @@
+//! `trocar ls`: processes, components, connections and classes.
+//!
+//! Invariant: one question to the GCM; it answers in under 50 ms.
+
+use clap::Args;
+
+use super::failure::{Done, Exit};
+use super::session::Session;
+use super::table::Table;
+use super::view::SystemView;
+use super::{out, style, units};
+
+/// Lists processes, components, connections and classes.
+#[derive(Args, Debug)]
+pub(super) struct LsArgs {
+    /// Only this process, component or glob.
+    #[arg(default_value = "", hide_default_value = true)]
+    path: String,
+}
+
+pub(super) async fn run(args: LsArgs, session: &Session) -> Done {
+    let view = session.list_of(&args.path).await?;
+    if session.json() {
+        return session.print_json(&view);
+    }
+    out::text(&render(&view, style::stdout()));
+    Ok(Exit::Ok)
+}
+
+fn render(view: &SystemView, colour: bool) -> String {
+    let mut text = String::new();
+    let mut part = |title: &str, table: &Table| {
+        if !table.is_empty() {
+            let gap = if text.is_empty() { "" } else { "\n" };
+            text.push_str(&format!(
+                "{gap}{}\n{}",
+                style::paint(title, style::HEAD, colour),
+                table.render(2, colour)
+            ));
+        }
+    };
+    part("Processes", &processes(view));
+    part("Components", &components(view));
+    part("Connections", &connections(view));
+    part("Classes", &classes(view));
+    text.push_str(&format!("\nrevision {}\n", view.revision));
+    text
+}
+
+fn plain(text: impl Into<String>) -> (String, anstyle::Style) {
+    (text.into(), style::PLAIN)
+}
+
+fn processes(view: &SystemView) -> Table {
+    let mut table = Table::new(&["NAME", "STATE", "PID", "EPOCH", "ENDPOINT"]);
+    for p in &view.processes {
+        let state = (p.state.clone(), style::of_state(&p.state));
+        table.styled([
+            plain(&p.name),
+            state,
+            plain(p.pid.to_string()),
+            plain(p.epoch.to_string()),
+            plain(&p.endpoint),
+        ]);
+    }
+    table
+}
+
+fn components(view: &SystemView) -> Table {
+    let mut table = Table::new(&[
+        "PATH", "CLASS", "STATE", "HEALTH", "RUNS", "STEPS", "SKIPPED", "OVERRUNS", "LATE p99", "LOAD",
+    ]);
+    for c in &view.components {
+        let state = if c.fault.is_empty() { c.state.clone() } else { format!("{}: {}", c.state, c.fault) };
+        let s = &c.stats;
+        table.styled([
+            plain(&c.path),
+            plain(&c.class),
+            (state, style::of_state(&c.state)),
+            (c.health.clone(), style::of_state(&c.health)),
+            plain(c.rate()),
+            plain(s.executed.to_string()),
+            plain(s.skipped.to_string()),
+            plain(s.overruns.to_string()),
+            plain(if s.lateness_max_ns == 0 { "-".to_owned() } else { units::time(s.lateness_p99_ns) }),
+            plain(units::percent(s.load)),
+        ]);
+    }
+    table
+}
+
+fn connections(view: &SystemView) -> Table {
+    let mut table =
+        Table::new(&["ID", "SERVER", "CLIENT", "CARRIER", "PASSED", "DROPPED", "LATENCY p50", "p99"]);
+    for c in &view.connections {
+        table.row([
+            c.id.to_string(),
+            c.server.clone(),
+            c.client.clone(),
+            c.carrier.clone(),
+            c.passed.to_string(),
+            c.dropped.to_string(),
+            units::time(c.latency_p50_ns),
+            units::time(c.latency_p99_ns),
+        ]);
+    }
+    table
+}
+
+fn classes(view: &SystemView) -> Table {
+    let mut table = Table::new(&["CLASS", "IN"]);
+    let mut names: Vec<&String> = view.processes.iter().flat_map(|p| &p.classes).collect();
+    names.sort();
+    names.dedup();
+    for name in names {
+        let holders = view.processes.iter().filter(|p| p.classes.contains(name)).map(|p| p.name.as_str());
+        table.row([name.clone(), holders.collect::<Vec<_>>().join(", ")]);
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::view::{ComponentView, ProcessView};
+    use super::*;
+
+    #[test]
+    fn a_fault_is_shown_with_its_reason_and_empty_parts_are_left_out() {
+        let view = SystemView {
+            revision: 7,
+            processes: vec![ProcessView {
+                name: "host".into(),
+                classes: vec!["sine/sine".into()],
+                ..ProcessView::default()
+            }],
+            components: vec![ComponentView {
+                path: "host/s".into(),
+                state: "FAULT".into(),
+                fault: "panicked at src/lib.rs:3".into(),
+                ..ComponentView::default()
+            }],
+            connections: Vec::new(),
+        };
+        let text = render(&view, false);
+        assert!(text.contains("FAULT: panicked at src/lib.rs:3"), "{text}");
+        assert!(!text.contains("Connections"), "{text}");
+        assert!(text.ends_with("revision 7\n"), "{text}");
+    }
+}

@@ -1,0 +1,211 @@
+//! The command line: clap's tree, one file per subcommand.
+//!
+//! Invariant: the whole surface (names, flags, help) is compared with `host/tests/cli-surface.txt`; a subcommand only
+//! asks over gRPC what anybody could ask, except those that are a process themselves (`host`, `gcm`, `run`, `demo`).
+
+mod call;
+mod client;
+mod completions;
+mod configure;
+mod connect;
+mod convert;
+mod create;
+mod demo;
+mod describe;
+mod echo;
+mod failure;
+mod figures;
+mod gcm;
+mod graph;
+mod hosting;
+mod logging;
+mod logs;
+mod ls;
+mod mutation;
+mod out;
+mod plugin;
+mod plugin_new;
+mod run;
+mod schema;
+mod session;
+mod states;
+mod style;
+mod table;
+mod units;
+mod vet;
+mod view;
+mod watch;
+
+use std::process::ExitCode;
+
+use clap::{Args, CommandFactory, Parser, Subcommand};
+
+use failure::{Done, Exit, Failure};
+use session::Session;
+
+/// Component-based software for computer-assisted intervention.
+///
+/// First steps: `trocar demo`, then `trocar ls` in another terminal.
+#[derive(Parser, Debug)]
+#[command(name = "trocar", version, propagate_version = false, disable_help_subcommand = true, max_term_width = 110)]
+struct Cli {
+    #[command(flatten)]
+    global: Global,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Flags every subcommand takes.
+#[derive(Args, Debug)]
+struct Global {
+    /// Address of the GCM [default: $TROCAR_GCM or 127.0.0.1:50551].
+    #[arg(long, global = true, value_name = "ADDR")]
+    gcm: Option<String>,
+    /// Answers and errors as JSON on stdout.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+/// One variant per subcommand; its flags are in its file.
+#[derive(Subcommand, Debug)]
+enum Command {
+    Demo(demo::DemoArgs),
+    Run(run::RunArgs),
+    Host(hosting::HostArgs),
+    Gcm(gcm::GcmArgs),
+    Ls(ls::LsArgs),
+    Describe(describe::DescribeArgs),
+    Graph(graph::GraphArgs),
+    Create(create::CreateArgs),
+    Configure(configure::ConfigureArgs),
+    Start(states::StartArgs),
+    Stop(states::StopArgs),
+    Resume(states::ResumeArgs),
+    Reset(states::ResetArgs),
+    Connect(connect::ConnectArgs),
+    Disconnect(connect::DisconnectArgs),
+    Rm(states::RmArgs),
+    Call(call::CallArgs),
+    Echo(echo::EchoArgs),
+    Watch(watch::WatchArgs),
+    Logs(logs::LogsArgs),
+    Plugin(plugin::PluginArgs),
+    Completions(completions::CompletionsArgs),
+    Schema(schema::SchemaArgs),
+    #[command(name = "__vet", hide = true)]
+    Vet(vet::VetArgs),
+}
+
+/// The program: parses, does, prints, answers the exit code.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => return refused_by_clap(&e),
+    };
+    // The vetting child shares nothing with the rest: no runtime, no logger, no threads before the plugin is opened.
+    if let Command::Vet(args) = cli.command {
+        return vet::run(&args);
+    }
+    let json = cli.global.json;
+    match dispatch(cli) {
+        Ok(exit) => ExitCode::from(exit as u8),
+        Err(failure) => {
+            failure.print(json);
+            ExitCode::from(failure.exit as u8)
+        }
+    }
+}
+
+fn dispatch(cli: Cli) -> Done {
+    let session = Session::new(cli.global.gcm, cli.global.json);
+    match cli.command {
+        Command::Demo(args) => process(demo::run(args, &session)),
+        Command::Run(args) => process(run::run(args, &session)),
+        Command::Host(args) => process(hosting::run(args, &session)),
+        Command::Gcm(args) => process(gcm::run(args, &session)),
+        Command::Ls(args) => ask(ls::run(args, &session)),
+        Command::Describe(args) => ask(describe::run(args, &session)),
+        Command::Graph(args) => ask(graph::run(args, &session)),
+        Command::Create(args) => ask(create::run(args, &session)),
+        Command::Configure(args) => ask(configure::run(args, &session)),
+        Command::Start(args) => ask(states::start(args, &session)),
+        Command::Stop(args) => ask(states::stop(args, &session)),
+        Command::Resume(args) => ask(states::resume(args, &session)),
+        Command::Reset(args) => ask(states::reset(args, &session)),
+        Command::Connect(args) => ask(connect::connect(args, &session)),
+        Command::Disconnect(args) => ask(connect::disconnect(args, &session)),
+        Command::Rm(args) => ask(states::remove(args, &session)),
+        Command::Call(args) => ask(call::run(args, &session)),
+        Command::Echo(args) => ask(echo::run(args, &session)),
+        Command::Watch(args) => ask(watch::run(args, &session)),
+        Command::Logs(args) => ask(logs::run(args, &session)),
+        Command::Plugin(args) => ask(plugin::run(args, &session)),
+        Command::Completions(args) => Ok(completions::run(&args)),
+        Command::Schema(args) => Ok(schema::run(&args)),
+        Command::Vet(_) => Ok(Exit::Ok),
+    }
+}
+
+/// Runs a question on one thread: starting more would cost most of the 50 ms a listing may take.
+fn ask(question: impl Future<Output = Done>) -> Done {
+    block_on(tokio::runtime::Builder::new_current_thread(), async {
+        tokio::select! {
+            done = question => done,
+            _ = tokio::signal::ctrl_c() => Ok(Exit::Interrupted),
+        }
+    })
+}
+
+/// Runs a process that holds components; it handles its own signals.
+fn process(main: impl Future<Output = Done>) -> Done {
+    block_on(tokio::runtime::Builder::new_multi_thread(), main)
+}
+
+fn block_on(mut builder: tokio::runtime::Builder, main: impl Future<Output = Done>) -> Done {
+    let runtime = builder.enable_all().thread_name("trocar-io").build();
+    let runtime = runtime.map_err(|e| {
+        Failure::local("IO", format!("cannot start threads: {e}"), "raise the limit on processes and files (ulimit -u, -n)")
+    })?;
+    let done = runtime.block_on(main);
+    // A plugin's blocking call may never return; the process ends all the same.
+    runtime.shutdown_background();
+    done
+}
+
+/// Clap's words in the program's own shape.
+fn refused_by_clap(e: &clap::Error) -> ExitCode {
+    use clap::error::ErrorKind;
+    if !e.use_stderr() {
+        out::text(&e.render().to_string());
+        return ExitCode::SUCCESS;
+    }
+    let json = std::env::args_os().any(|a| a == "--json");
+    if e.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand && !json {
+        eprint!("{}", e.render());
+        return ExitCode::from(Exit::Usage as u8);
+    }
+    let text = e.render().to_string();
+    let sentence: Vec<&str> = text.lines().take_while(|l| !l.trim().is_empty()).map(str::trim).collect();
+    let sentence = sentence.join(" ");
+    let line = |start: &str| text.lines().find_map(|l| l.trim().strip_prefix(start)).map(str::to_owned);
+    let usage = line("Usage: ").map(|u| format!("usage: {u}"));
+    let help: Vec<String> = [line("tip: "), usage].into_iter().flatten().collect();
+    let help = if help.is_empty() { "see `trocar --help`".to_owned() } else { help.join("; ") };
+    Failure::usage(sentence.trim_start_matches("error: "), help).print(json);
+    ExitCode::from(Exit::Usage as u8)
+}
+
+/// The tree, for completions and for the test of the surface.
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::command;
+
+    #[test]
+    fn the_tree_has_no_contradictions() {
+        command().debug_assert();
+    }
+}

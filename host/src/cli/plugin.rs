@@ -1,0 +1,144 @@
+//! `trocar plugin ls|inspect|new`.
+//!
+//! Invariant: `inspect` runs no byte of the file it looks at.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use serde_json::json;
+use trocar_plugin_api::manifest::{Class, Manifest};
+
+use super::failure::{Done, Exit, Failure};
+use super::session::Session;
+use super::table::Table;
+use super::{out, plugin_new, style};
+use crate::loader;
+
+/// Lists, inspects and begins plugins.
+#[derive(Args, Debug)]
+pub(super) struct PluginArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand, Debug)]
+enum What {
+    /// Lists the files of the plugin directories, refused ones with the reason.
+    Ls {
+        /// Only this process.
+        #[arg(default_value = "", hide_default_value = true)]
+        process: String,
+    },
+    /// Shows what a plugin file offers, without running a byte of it.
+    Inspect {
+        /// The .so file.
+        file: PathBuf,
+    },
+    New(plugin_new::NewArgs),
+}
+
+pub(super) async fn run(args: PluginArgs, session: &Session) -> Done {
+    match args.what {
+        What::Ls { process } => ls(&process, session).await,
+        What::Inspect { file } => inspect(&file, session),
+        What::New(args) => plugin_new::run(&args, session),
+    }
+}
+
+async fn ls(process: &str, session: &Session) -> Done {
+    let plugins = session.plugins(process).await?;
+    if session.json() {
+        return session.print_json(&plugins);
+    }
+    let colour = style::stdout();
+    let mut table = Table::new(&["PROCESS", "PLUGIN", "VERSION", "ABI", "LOADED", "CLASSES", "FILE"]);
+    for p in plugins.iter().filter(|p| p.refused.is_empty()) {
+        let loaded = if p.loaded { "yes" } else { "no" }.to_owned();
+        let cells = [&p.process, &p.name, &p.version, &p.abi, &loaded, &p.classes.join(" "), &p.file];
+        table.row(cells.map(Clone::clone));
+    }
+    out::text(&if table.is_empty() { "no plugin is listed\n".to_owned() } else { table.render(0, colour) });
+    for p in &plugins {
+        for warning in &p.warnings {
+            out::line(&format!("{}: {warning}", style::paint("warning", style::WARN, colour)));
+        }
+        if !p.refused.is_empty() {
+            out::line(&format!(
+                "{}: {} [{}]",
+                style::paint("refused", style::BAD, colour),
+                p.refused,
+                p.refused_reason
+            ));
+        }
+    }
+    Ok(Exit::Ok)
+}
+
+fn inspect(file: &std::path::Path, session: &Session) -> Done {
+    let seen = loader::inspect_file(file).map_err(|e| {
+        // The loader's sentences end with the remedy behind the last colon.
+        let text = e.to_string();
+        let (what, remedy) = text.rsplit_once(": ").unwrap_or((&text, ""));
+        Failure::local(e.reason(), what, remedy)
+    })?;
+    if session.json() {
+        return session.print_json(&json!({
+            "file": seen.file,
+            "bytes": seen.size,
+            "hash": seen.hash.to_string(),
+            "machine": seen.machine,
+            "needed": seen.needed,
+            "warnings": seen.warnings,
+            "manifest": seen.manifest,
+        }));
+    }
+    out::line(&format!("{}  {} KiB  {}", seen.file.display(), seen.size.div_ceil(1024), seen.machine));
+    out::line(&format!("sha256 {}", seen.hash));
+    out::text(&describe(&seen.manifest));
+    if !seen.needed.is_empty() {
+        out::line(&format!("needs {}", seen.needed.join(", ")));
+    }
+    for warning in &seen.warnings {
+        out::line(&format!("warning: {warning}"));
+    }
+    Ok(Exit::Ok)
+}
+
+fn describe(m: &Manifest) -> String {
+    let [major, minor] = m.abi;
+    let mut text = format!("plugin {} {}  ABI {major}.{minor}  {}\n", m.name, m.version, m.built_with);
+    if !m.doc.is_empty() {
+        text.push_str(&format!("{}\n", m.doc));
+    }
+    for class in &m.classes {
+        text.push_str(&describe_class(&m.name, class));
+    }
+    text
+}
+
+fn describe_class(plugin: &str, c: &Class) -> String {
+    let mut text = format!("class {plugin}/{}  {}\n", c.name, c.doc.trim());
+    let mut line = |kind: &str, name: &str, doc: &str| {
+        text.push_str(format!("  {kind} {name}  {}", doc.trim()).trim_end());
+        text.push('\n');
+    };
+    for p in &c.inputs {
+        line("input", &p.name, &p.doc);
+    }
+    for p in &c.outputs {
+        line("output", &p.name, &p.doc);
+    }
+    for r in &c.required {
+        line("required interface", &r.name, &r.doc);
+    }
+    for p in &c.provided {
+        line("provided interface", &p.name, &p.doc);
+        for command in &p.commands {
+            line(&format!("  {}", command.kind), &command.name, &command.doc);
+        }
+        for event in &p.events {
+            line("  event", &event.name, &event.doc);
+        }
+    }
+    text
+}

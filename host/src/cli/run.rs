@@ -1,0 +1,162 @@
+//! `trocar run FILE`: a system file's one process with its own GCM, nothing kept afterwards.
+//!
+//! Invariant: the whole file is applied or nothing; a refusal points at the line it comes from.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use serde_json::json;
+use trocar_model::Refusal;
+
+use super::failure::{Done, Exit, Failure};
+use super::session::Session;
+use super::{hosting, logging, out, session};
+use crate::gcm::ExecuteOptions;
+use crate::host::{Host, HostConfig, StateChoice};
+use crate::loader::{AllowList, Trust};
+use crate::system_file::{BadSet, SystemFile, TrustSpec};
+
+/// How long a whole system may take to come up.
+const BRING_UP: Duration = Duration::from_secs(60);
+
+/// Runs a system file: GCM and host in one process.
+#[derive(Args, Debug)]
+pub(super) struct RunArgs {
+    /// The system file (`trocar schema system` describes it).
+    file: PathBuf,
+    /// Another value for one setting: process/component.key=value; may be given several times.
+    #[arg(long = "set", value_name = "ASSIGNMENT")]
+    sets: Vec<String>,
+    /// Plugin directories instead of the file's; may be given several times.
+    #[arg(long, value_name = "DIR")]
+    plugins: Vec<PathBuf>,
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
+    listen: String,
+    /// End by itself after this many seconds.
+    #[arg(long, value_name = "N")]
+    seconds: Option<u64>,
+}
+
+pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
+    if session.explicit_gcm().is_some() {
+        return Err(Failure::usage(
+            "`trocar run` has a GCM of its own",
+            "leave --gcm out; --listen sets its address",
+        ));
+    }
+    logging::install(log::LevelFilter::Warn);
+    let mut file = SystemFile::read(&args.file)?;
+    for assignment in &args.sets {
+        file.set(assignment)?;
+    }
+    let base = args.file.parent().unwrap_or(Path::new("")).to_owned();
+    let mut host = Host::start(config(&file, &base, args.plugins, args.listen)?).await?;
+    if let Err(failure) = bring_up(&host, &file).await {
+        host.shutdown().await;
+        return Err(failure);
+    }
+    say_running(&host, &file, session);
+    match args.seconds {
+        Some(seconds) => tokio::select! {
+            ended = host.until_asked_to_stop() => ended?,
+            () = tokio::time::sleep(Duration::from_secs(seconds)) => {}
+        },
+        None => host.until_asked_to_stop().await?,
+    }
+    host.shutdown().await;
+    Ok(Exit::Ok)
+}
+
+/// The host a system file's one process asks for; relative paths are relative to `base`.
+pub(super) fn config(
+    file: &SystemFile,
+    base: &Path,
+    plugins: Vec<PathBuf>,
+    listen: String,
+) -> Result<HostConfig, Failure> {
+    let process = file.single_process()?;
+    let plugins = match (plugins.is_empty(), process.plugins.is_empty()) {
+        (false, _) => plugins,
+        (true, false) => process.plugins.iter().map(|dir| base.join(dir)).collect(),
+        (true, true) => hosting::plugin_dirs(Vec::new()),
+    };
+    let trust = match &process.trust {
+        TrustSpec::Dev => Trust::Dev,
+        TrustSpec::AllowList(list) => {
+            let list = AllowList::read(&base.join(list)).map_err(crate::host::HostError::Store)?;
+            Trust::AllowList(list)
+        }
+    };
+    Ok(HostConfig {
+        name: process.name.clone(),
+        plugins,
+        listen,
+        state: StateChoice::Ephemeral,
+        fresh: false,
+        gcm: None,
+        trust,
+    })
+}
+
+/// Applies the whole file; a refusal is led back to its place in the file.
+pub(super) async fn bring_up(host: &Host, file: &SystemFile) -> Result<(), Failure> {
+    let Some(gcm) = host.gcm() else { return Ok(()) };
+    let identity = std::env::var("USER").unwrap_or_default();
+    let options = ExecuteOptions { deadline: Some(Instant::now() + BRING_UP), identity, ..ExecuteOptions::default() };
+    let executed = gcm.execute(file.requests(), options).await.map_err(|refusal| placed(file, &refusal))?;
+    for report in &executed.reports {
+        for warning in &report.warnings {
+            eprintln!("warning: {}: {warning}", report.id);
+        }
+    }
+    Ok(())
+}
+
+fn placed(file: &SystemFile, refusal: &Refusal) -> Failure {
+    let mut failure = Failure::from(refusal);
+    if let Some(place) = file.locate(refusal) {
+        failure.message = format!("{}:{}:{}: {}", place.file, place.line, place.column, failure.message);
+        failure.metadata.insert("file".to_owned(), place.file);
+        failure.metadata.insert("line".to_owned(), place.line.to_string());
+        failure.metadata.insert("column".to_owned(), place.column.to_string());
+        failure.metadata.insert("pointer".to_owned(), place.pointer);
+    }
+    failure
+}
+
+fn say_running(host: &Host, file: &SystemFile, session: &Session) {
+    let (components, connections) = (file.components.len(), file.connections.len());
+    if session.json() {
+        let line = json!({
+            "listening": host.addr().to_string(),
+            "components": components,
+            "connections": connections,
+        });
+        out::line(&line.to_string());
+        return;
+    }
+    let addr = host.addr();
+    out::line(&format!("{components} components, {connections} connections; listening on {addr}"));
+    out::text(&hints(addr, None));
+}
+
+/// Lines to paste. `command` is a read command to call, if one is known.
+pub(super) fn hints(addr: std::net::SocketAddr, command: Option<&str>) -> String {
+    let gcm = if addr.to_string() == session::DEFAULT_GCM { String::new() } else { format!(" --gcm {addr}") };
+    let mut text = format!("  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n");
+    if let Some(command) = command {
+        text.push_str(&format!(
+            "  grpcurl -plaintext -d '{{\"path\":\"{command}\"}}' {addr} trocar.v1.InteractService/Invoke\n"
+        ));
+    }
+    text.push_str("Ctrl-C stops it, devices safe first.\n");
+    text
+}
+
+impl From<BadSet> for Failure {
+    fn from(bad: BadSet) -> Self {
+        Failure::usage(bad.to_string(), bad.help)
+    }
+}

@@ -1,0 +1,144 @@
+//! `trocar start|stop|resume|reset|rm`: what changes a component's state.
+//!
+//! Invariant: `stop --all` reaches every process it can, with or without a GCM, before it reports the first failure.
+
+use clap::Args;
+
+use super::failure::{Done, Exit, Failure};
+use super::mutation::{MutationArgs, Outcome, show};
+use super::session::Session;
+use super::{out, style};
+use crate::host::announce;
+
+/// Which components.
+#[derive(Args, Debug)]
+pub(super) struct PathArgs {
+    /// Components or globs: host/robot, host/**, '*/robot'.
+    #[arg(value_name = "PATH", required = true)]
+    pub(super) paths: Vec<String>,
+    #[command(flatten)]
+    pub(super) mutation: MutationArgs,
+}
+
+/// Starts components, servers before clients.
+#[derive(Args, Debug)]
+pub(super) struct StartArgs {
+    #[command(flatten)]
+    of: PathArgs,
+}
+
+/// Stops components; their devices are brought to their safe condition.
+#[derive(Args, Debug)]
+pub(super) struct StopArgs {
+    /// Components or globs: host/robot, host/**, '*/robot'.
+    #[arg(value_name = "PATH", required_unless_present = "all")]
+    paths: Vec<String>,
+    /// Everything, also when no GCM answers (then: every process of this user on this machine). A software stop.
+    #[arg(long, conflicts_with = "paths")]
+    all: bool,
+    #[command(flatten)]
+    mutation: MutationArgs,
+}
+
+/// Resumes stopped components with the state they had.
+#[derive(Args, Debug)]
+pub(super) struct ResumeArgs {
+    #[command(flatten)]
+    of: PathArgs,
+}
+
+/// Makes new instances of components, e.g. after a FAULT.
+#[derive(Args, Debug)]
+pub(super) struct ResetArgs {
+    #[command(flatten)]
+    of: PathArgs,
+}
+
+/// Removes components.
+#[derive(Args, Debug)]
+pub(super) struct RmArgs {
+    #[command(flatten)]
+    of: PathArgs,
+    /// Stop and disconnect first.
+    #[arg(long)]
+    force: bool,
+}
+
+/// A verb of the state table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verb {
+    Start,
+    Stop,
+    Resume,
+    Reset,
+}
+
+pub(super) async fn start(args: StartArgs, session: &Session) -> Done {
+    verb(session, Verb::Start, &args.of.paths, &args.of.mutation).await
+}
+
+pub(super) async fn resume(args: ResumeArgs, session: &Session) -> Done {
+    verb(session, Verb::Resume, &args.of.paths, &args.of.mutation).await
+}
+
+pub(super) async fn reset(args: ResetArgs, session: &Session) -> Done {
+    verb(session, Verb::Reset, &args.of.paths, &args.of.mutation).await
+}
+
+pub(super) async fn stop(args: StopArgs, session: &Session) -> Done {
+    if !args.all {
+        return verb(session, Verb::Stop, &args.paths, &args.mutation).await;
+    }
+    let everything = ["**".to_owned()];
+    match session.verb(Verb::Stop, &everything, &args.mutation).await {
+        Ok(outcome) => show(session, &outcome, args.mutation.dry_run, "nothing was active"),
+        // An empty system has nothing to stop: that is what was asked for.
+        Err(f) if f.exit == Exit::Refused && f.code == "NOT_FOUND" => {
+            show(session, &Outcome::default(), args.mutation.dry_run, "nothing was active")
+        }
+        Err(f) if args.mutation.dry_run => Err(f),
+        Err(f) => stop_without_gcm(session, f).await,
+    }
+}
+
+async fn verb(session: &Session, verb: Verb, paths: &[String], mutation: &MutationArgs) -> Done {
+    let outcome = session.verb(verb, paths, mutation).await?;
+    show(session, &outcome, mutation.dry_run, "nothing to do")
+}
+
+/// Asks every process of this user on this machine by its own socket. `why` is what the GCM answered, if anything.
+async fn stop_without_gcm(session: &Session, why: Failure) -> Done {
+    let answers = announce::stop_everything().await;
+    if answers.is_empty() {
+        return Err(why);
+    }
+    let failed = answers.iter().any(|a| a.result.is_err());
+    if session.json() {
+        let list: Vec<_> = answers
+            .iter()
+            .map(|a| serde_json::json!({ "pid": a.pid, "stopped": a.result.is_ok(), "text": a.text() }))
+            .collect();
+        session.print_json(&serde_json::json!({ "gcm": why.to_json(), "processes": list }))?;
+    } else {
+        eprintln!("warning: {}", why.message);
+        for answer in &answers {
+            let (word, colour) =
+                if answer.result.is_ok() { ("stopped", style::GOOD) } else { ("failed", style::BAD) };
+            let word = style::paint(word, colour, style::stdout());
+            out::line(&format!("process {}  {word}: {}", answer.pid, answer.text()));
+        }
+    }
+    Ok(if failed { Exit::Partial } else { Exit::Ok })
+}
+
+pub(super) async fn remove(args: RmArgs, session: &Session) -> Done {
+    let mut whole = Outcome::default();
+    for path in &args.of.paths {
+        let one = session.remove(path, args.force, &args.of.mutation).await?;
+        whole.revision = one.revision;
+        whole.plan.extend(one.plan);
+        whole.warnings.extend(one.warnings);
+        whole.skipped.extend(one.skipped);
+    }
+    show(session, &whole, args.of.mutation.dry_run, &format!("removed {}", args.of.paths.join(", ")))
+}

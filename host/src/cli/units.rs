@@ -1,0 +1,107 @@
+//! Numbers with their units, and durations as people type them.
+//!
+//! Invariant: every figure the program prints for people comes from here, so none is without its unit.
+
+/// A time, from ns to s, with three digits.
+pub(super) fn time(ns: u64) -> String {
+    let n = ns as f64;
+    match ns {
+        0..=999 => format!("{ns} ns"),
+        1_000..=999_999 => format!("{} µs", three(n / 1e3)),
+        1_000_000..=999_999_999 => format!("{} ms", three(n / 1e6)),
+        _ => format!("{} s", three(n / 1e9)),
+    }
+}
+
+/// A rate.
+pub(super) fn rate(hz: f64) -> String {
+    format!("{} Hz", three(hz))
+}
+
+/// A rate of a period in ns.
+pub(super) fn rate_of_period(period_ns: u64) -> String {
+    if period_ns == 0 { "-".to_owned() } else { rate(1e9 / period_ns as f64) }
+}
+
+/// A part of one.
+pub(super) fn percent(part: f64) -> String {
+    format!("{:.1} %", part * 100.0)
+}
+
+/// Three significant digits, whole numbers stay whole.
+fn three(n: f64) -> String {
+    let rounded = match n.abs() {
+        a if a >= 100.0 => format!("{n:.0}"),
+        a if a >= 10.0 => format!("{n:.1}"),
+        _ => format!("{n:.2}"),
+    };
+    match rounded.split_once('.') {
+        Some((whole, zeros)) if zeros.bytes().all(|b| b == b'0') => whole.to_owned(),
+        _ => rounded,
+    }
+}
+
+/// Reads "1s", "20ms", "1.5 s", "250us", "1min" as ns.
+///
+/// # Errors
+/// No number, no unit, or not above 0.
+pub(super) fn parse_time(text: &str) -> Result<u64, String> {
+    let text = text.trim();
+    let unit_at =
+        text.find(|c: char| !(c.is_ascii_digit() || c == '.')).ok_or("a unit is missing: 1s, 20ms, 250us")?;
+    let (number, unit) = text.split_at(unit_at);
+    let factor = match unit.trim() {
+        "ns" => 1.0,
+        "us" | "µs" => 1e3,
+        "ms" => 1e6,
+        "s" => 1e9,
+        "min" => 60e9,
+        other => return Err(format!("{other:?} is not a unit of time; write ns, us, ms, s or min")),
+    };
+    let number: f64 = number.parse().map_err(|_| format!("{text:?} does not begin with a number"))?;
+    let ns = (number * factor).round();
+    if ns >= 1.0 && ns < 9e18 {
+        Ok(ns as u64)
+    } else {
+        Err("it must be above 0 and below 292 years".to_owned())
+    }
+}
+
+/// Reads a rate above 0 in Hz.
+///
+/// # Errors
+/// Not a number above 0.
+pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
+    match text.trim_end_matches("Hz").trim().parse::<f64>() {
+        Ok(hz) if hz > 0.0 && hz.is_finite() => Ok(hz),
+        _ => Err("a rate is a number above 0, in Hz".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn times_carry_the_unit_that_fits() {
+        let shown: Vec<String> = [0, 999, 1_000, 12_345, 1_200_000, 2_500_000_000].map(time).into();
+        assert_eq!(shown, ["0 ns", "999 ns", "1 µs", "12.3 µs", "1.20 ms", "2.50 s"]);
+        assert_eq!(rate_of_period(1_000_000), "1000 Hz");
+        assert_eq!(rate(29.97), "30 Hz");
+    }
+
+    #[test]
+    fn typed_times_are_read_with_their_unit() {
+        let read: Vec<u64> = ["1s", "20ms", "1.5 s", "250us", "1min"].map(|t| parse_time(t).unwrap()).into();
+        assert_eq!(read, [1_000_000_000, 20_000_000, 1_500_000_000, 250_000, 60_000_000_000]);
+    }
+
+    #[test]
+    fn a_time_without_a_unit_is_refused() {
+        assert!(parse_time("5").unwrap_err().contains("unit is missing"));
+        assert!(parse_time("5 parsec").unwrap_err().contains("not a unit"));
+        assert!(parse_time("0s").unwrap_err().contains("above 0"));
+        assert!(parse_time("s").unwrap_err().contains("begin with a number"));
+    }
+}

@@ -1,0 +1,337 @@
+//! What the program shows of a system: plain values, independent of the wire.
+//!
+//! Invariant: `--json` prints exactly these structs, so their fields are part of the program's interface; every number
+//! says its unit in its name.
+
+use serde::Serialize;
+use serde_json::Value;
+
+/// One answer of List.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct SystemView {
+    pub(super) revision: u64,
+    pub(super) processes: Vec<ProcessView>,
+    pub(super) components: Vec<ComponentView>,
+    pub(super) connections: Vec<ConnectionView>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ProcessView {
+    pub(super) name: String,
+    /// ATTACHED or LOST.
+    pub(super) state: String,
+    pub(super) epoch: u64,
+    pub(super) endpoint: String,
+    pub(super) pid: u32,
+    /// Full names, `plugin/class`.
+    pub(super) classes: Vec<String>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ComponentView {
+    /// `process/component`.
+    pub(super) path: String,
+    pub(super) class: String,
+    pub(super) state: String,
+    pub(super) health: String,
+    /// Why it is in FAULT.
+    pub(super) fault: String,
+    pub(super) config: Value,
+    pub(super) execution: ExecutionView,
+    pub(super) stats: StatsView,
+    pub(super) warnings: Vec<String>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ExecutionView {
+    pub(super) model: String,
+    /// 0 = not periodic.
+    pub(super) period_ns: u64,
+    pub(super) phase_ns: u64,
+    pub(super) stream_of: String,
+    pub(super) inside: String,
+    pub(super) priority: u32,
+    pub(super) cpus: Vec<u32>,
+    /// Where it runs, in words.
+    pub(super) thread: String,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct StatsView {
+    pub(super) executed: u64,
+    pub(super) skipped: u64,
+    pub(super) overruns: u64,
+    pub(super) lateness_p50_ns: u64,
+    pub(super) lateness_p99_ns: u64,
+    pub(super) lateness_max_ns: u64,
+    pub(super) period_avg_ns: u64,
+    pub(super) compute_avg_ns: u64,
+    pub(super) compute_max_ns: u64,
+    /// Compute time over period, 0–1.
+    pub(super) load: f64,
+    pub(super) commands: u64,
+    pub(super) commands_rejected: u64,
+    pub(super) events_dropped: u64,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ConnectionView {
+    pub(super) id: u64,
+    pub(super) client: String,
+    pub(super) server: String,
+    pub(super) carrier: String,
+    pub(super) passed: u64,
+    pub(super) dropped: u64,
+    pub(super) bytes: u64,
+    pub(super) latency_p50_ns: u64,
+    pub(super) latency_p99_ns: u64,
+}
+
+impl ComponentView {
+    /// The state with its reason, as one word or phrase.
+    pub(super) fn rate(&self) -> String {
+        match (self.execution.stream_of.as_str(), self.execution.inside.as_str()) {
+            ("", "") if self.execution.period_ns > 0 => {
+                super::units::rate_of_period(self.execution.period_ns)
+            }
+            ("", "") => self.execution.model.clone(),
+            ("", owner) => format!("inside {owner}"),
+            (owner, _) => format!("stream of {owner}"),
+        }
+    }
+}
+
+impl ConnectionView {
+    /// Component of the client end.
+    pub(super) fn client_component(&self) -> &str {
+        component_of(&self.client)
+    }
+
+    /// Component of the server end.
+    pub(super) fn server_component(&self) -> &str {
+        component_of(&self.server)
+    }
+
+    /// `out → in`, without the components.
+    pub(super) fn ports(&self) -> String {
+        format!("{} → {}", port_of(&self.server), port_of(&self.client))
+    }
+}
+
+fn component_of(port: &str) -> &str {
+    port.rsplit_once('/').map_or(port, |(component, _)| component)
+}
+
+fn port_of(port: &str) -> &str {
+    port.rsplit_once('/').map_or(port, |(_, port)| port)
+}
+
+/// One answer of Describe: what the path names, and what lies under it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct DescribeView {
+    pub(super) path: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) process: Option<ProcessView>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) component: Option<ComponentView>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) class: Option<ClassView>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) ports: Option<PortsView>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) connections: Vec<ConnectionView>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) classes: Vec<ClassView>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ClassView {
+    /// `plugin/class`.
+    pub(super) name: String,
+    pub(super) version: String,
+    pub(super) hash: String,
+    pub(super) doc: String,
+    /// none, sensor or actuator.
+    pub(super) safety: String,
+    pub(super) hardware: bool,
+    pub(super) execution: ExecutionView,
+    pub(super) config_schema: Value,
+    pub(super) ports: PortsView,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct PortsView {
+    pub(super) inputs: Vec<StreamView>,
+    pub(super) outputs: Vec<StreamView>,
+    pub(super) required: Vec<RequiredView>,
+    pub(super) provided: Vec<ProvidedView>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) state: Option<TypeView>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct StreamView {
+    pub(super) name: String,
+    pub(super) doc: String,
+    #[serde(rename = "type")]
+    pub(super) ty: TypeView,
+    /// Format of the bytes behind a frame's header; "" for plain samples.
+    pub(super) format: String,
+    pub(super) optional: bool,
+    /// Default queue depth, samples; 0 = latest value.
+    pub(super) fifo: u32,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ProvidedView {
+    pub(super) name: String,
+    pub(super) doc: String,
+    pub(super) tag: String,
+    pub(super) commands: Vec<MemberView>,
+    pub(super) events: Vec<MemberView>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct RequiredView {
+    pub(super) name: String,
+    pub(super) doc: String,
+    pub(super) optional: bool,
+    pub(super) functions: Vec<MemberView>,
+    pub(super) handlers: Vec<MemberView>,
+}
+
+/// A command, event, function or handler.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct MemberView {
+    pub(super) name: String,
+    /// void, write, read, qualified read, void-return, write-return, event, function or handler.
+    pub(super) kind: String,
+    pub(super) doc: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) arg: Option<ArgView>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) returns: Option<ArgView>,
+    pub(super) optional: bool,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ArgView {
+    pub(super) name: String,
+    pub(super) doc: String,
+    #[serde(rename = "type")]
+    pub(super) ty: TypeView,
+    pub(super) unit: String,
+    pub(super) min: Option<f64>,
+    pub(super) max: Option<f64>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct TypeView {
+    pub(super) name: String,
+    pub(super) hash: String,
+    pub(super) bytes: u32,
+    pub(super) doc: String,
+    /// Fields of a struct, one level deep.
+    pub(super) fields: Vec<FieldView>,
+    /// Names of an enumeration.
+    pub(super) values: Vec<String>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct FieldView {
+    pub(super) name: String,
+    #[serde(rename = "type")]
+    pub(super) ty: String,
+    pub(super) unit: String,
+    pub(super) doc: String,
+    pub(super) frame: String,
+}
+
+/// One plugin file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct PluginView {
+    pub(super) process: String,
+    pub(super) file: String,
+    pub(super) name: String,
+    pub(super) version: String,
+    pub(super) hash: String,
+    pub(super) abi: String,
+    pub(super) built_with: String,
+    pub(super) doc: String,
+    pub(super) classes: Vec<String>,
+    pub(super) loaded: bool,
+    pub(super) warnings: Vec<String>,
+    /// Reason code; "" = not refused.
+    pub(super) refused_reason: String,
+    pub(super) refused: String,
+}
+
+/// The answer of a call.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ReplyView {
+    /// False: queued only.
+    pub(super) executed: bool,
+    pub(super) value: Option<Value>,
+    pub(super) unit: String,
+    pub(super) stamp_ns: u64,
+    pub(super) age_ns: u64,
+}
+
+/// One item of a subscription.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ItemView {
+    pub(super) path: String,
+    /// state, event or stream.
+    pub(super) kind: String,
+    pub(super) value: Value,
+    pub(super) stamp_ns: u64,
+    pub(super) seq: u64,
+    pub(super) skipped: u64,
+}
+
+/// One change of the graph.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ChangeView {
+    pub(super) revision: u64,
+    /// True: this is the whole graph.
+    pub(super) snapshot: bool,
+    pub(super) processes: Vec<ProcessView>,
+    pub(super) components: Vec<ComponentView>,
+    pub(super) connections: Vec<ConnectionView>,
+    pub(super) removed_processes: Vec<String>,
+    pub(super) removed_components: Vec<String>,
+    pub(super) removed_connections: Vec<u64>,
+}
+
+impl ChangeView {
+    /// One line per thing that is new, different or gone.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for p in &self.processes {
+            lines.push(format!("process {}  {}  {} classes", p.name, p.state, p.classes.len()));
+        }
+        for c in &self.components {
+            let fault = if c.fault.is_empty() { String::new() } else { format!("  {}", c.fault) };
+            lines.push(format!("component {}  {}  {}  {}{fault}", c.path, c.class, c.state, c.health));
+        }
+        lines.extend(
+            self.connections.iter().map(|c| format!("connection {}  {} → {}", c.id, c.server, c.client)),
+        );
+        lines.extend(self.removed_connections.iter().map(|id| format!("connection {id}  gone")));
+        lines.extend(self.removed_components.iter().map(|path| format!("component {path}  gone")));
+        lines.extend(self.removed_processes.iter().map(|name| format!("process {name}  gone")));
+        lines
+    }
+}
+
+/// One line of a log.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct LogView {
+    /// Ns since the Unix epoch.
+    pub(super) wall_ns: u64,
+    pub(super) level: String,
+    pub(super) path: String,
+    pub(super) target: String,
+    pub(super) message: String,
+    pub(super) skipped: u64,
+}

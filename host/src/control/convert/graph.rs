@@ -1,0 +1,141 @@
+//! Graph, reports and figures: model → wire.
+
+use std::collections::BTreeMap;
+
+use trocar_model::{Component, ComponentId, Connection, Name, Process, ProcessState, SystemGraph};
+use trocar_proto::v1;
+
+use super::json::to_struct;
+use super::types::{execution_out, health, options_out, ports, safety, state};
+use crate::lcm::{Detail, LinkDetail, PluginInfo, Report, Spread};
+
+pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
+    let state = match p.state {
+        ProcessState::Attached => v1::ProcessState::Attached,
+        ProcessState::Lost => v1::ProcessState::Lost,
+    };
+    v1::Process {
+        name: name.to_string(),
+        epoch: p.epoch,
+        state: state as i32,
+        endpoint: p.endpoint.clone(),
+        pid: p.pid,
+        classes: p.classes.iter().map(|c| c.full_name()).collect(),
+    }
+}
+
+pub(crate) fn component(id: &ComponentId, c: &Component, detail: Option<&Detail>) -> v1::Component {
+    let (state, stop_reason) = state(c.state);
+    v1::Component {
+        path: id.to_string(),
+        class: c.class.full_name(),
+        plugin_version: c.class.version.clone(),
+        state: state as i32,
+        stop_reason: stop_reason as i32,
+        health: health(c.health) as i32,
+        fault: c.fault.clone(),
+        config: Some(to_struct(&c.config)),
+        execution: Some(execution_out(&c.execution)),
+        safety: safety(c.class.safety) as i32,
+        stats: detail.map(stats),
+    }
+}
+
+pub(crate) fn stats(d: &Detail) -> v1::ComponentStats {
+    v1::ComponentStats {
+        period: Some(spread(&d.period)),
+        compute: Some(spread(&d.compute)),
+        lateness_p50_ns: d.lateness_p50_ns,
+        lateness_p99_ns: d.lateness_p99_ns,
+        lateness_max_ns: d.lateness_max_ns,
+        executed: d.executed,
+        skipped: d.skipped,
+        overruns: d.overruns,
+        load: d.load,
+        commands: d.commands,
+        commands_rejected: d.commands_rejected,
+        events_dropped: d.events_dropped,
+        thread: d.thread.clone(),
+        realtime: d.realtime,
+        warnings: d.warnings.clone(),
+    }
+}
+
+fn spread(s: &Spread) -> v1::Spread {
+    v1::Spread { avg_ns: s.avg_ns, std_ns: s.std_ns, min_ns: s.min_ns, max_ns: s.max_ns }
+}
+
+pub(crate) fn connection(c: &Connection, detail: Option<&LinkDetail>) -> v1::Connection {
+    let d = detail.cloned().unwrap_or_default();
+    v1::Connection {
+        id: c.id.0,
+        client: c.client.to_string(),
+        server: c.server.to_string(),
+        options: Some(options_out(&c.options)),
+        carrier: d.carrier,
+        passed: d.passed,
+        dropped: d.dropped,
+        bytes: d.bytes,
+        latency_p50_ns: d.latency_p50_ns,
+        latency_p99_ns: d.latency_p99_ns,
+    }
+}
+
+/// Live figures gathered from the LCMs.
+#[derive(Default)]
+pub(crate) struct Figures {
+    pub(crate) details: BTreeMap<ComponentId, Detail>,
+    pub(crate) links: BTreeMap<u64, LinkDetail>,
+    pub(crate) warnings: Vec<String>,
+}
+
+pub(crate) fn list(graph: &SystemGraph, term: u64, figures: &Figures) -> v1::ListResponse {
+    v1::ListResponse {
+        revision: graph.revision,
+        term,
+        processes: graph.processes.iter().map(|(n, p)| process(n, p)).collect(),
+        components: graph
+            .components
+            .iter()
+            .map(|(id, c)| component(id, c, figures.details.get(id)))
+            .collect(),
+        connections: graph
+            .connections
+            .values()
+            .map(|c| connection(c, figures.links.get(&c.id.0)))
+            .collect(),
+        classes: Vec::new(),
+        warnings: figures.warnings.clone(),
+    }
+}
+
+pub(crate) fn report(r: &Report) -> v1::ComponentReport {
+    let (state, stop_reason) = state(r.state);
+    v1::ComponentReport {
+        path: r.id.to_string(),
+        state: state as i32,
+        stop_reason: stop_reason as i32,
+        health: health(r.health) as i32,
+        fault: r.fault.clone(),
+        warnings: r.warnings.clone(),
+        ports: r.ports.as_deref().map(ports),
+    }
+}
+
+pub(crate) fn plugin(p: PluginInfo) -> v1::Plugin {
+    v1::Plugin {
+        process: p.process,
+        file: p.file,
+        name: p.name,
+        version: p.version,
+        hash: p.hash,
+        abi: p.abi,
+        built_with: p.built_with,
+        doc: p.doc,
+        classes: p.classes,
+        loaded: p.loaded,
+        warnings: p.warnings,
+        refused_reason: p.refused_reason,
+        refused: p.refused,
+    }
+}

@@ -1,0 +1,169 @@
+//! Requests: wire → model.
+
+use prost_types::Duration;
+use trocar_model::{
+    ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, PortId, Queue, Refusal, Request,
+    Target, Which,
+};
+use trocar_proto::v1;
+
+use super::json::{duration_ns, from_struct};
+
+/// What every mutating request carries.
+pub(crate) struct Common {
+    pub(crate) validate_only: bool,
+    pub(crate) request_id: String,
+    pub(crate) expected_revision: Option<u64>,
+}
+
+fn invalid(what: &str, why: impl Into<String>, field: &str) -> Refusal {
+    Refusal::ArgumentInvalid { what: what.into(), why: why.into(), field: field.into() }
+}
+
+pub(crate) fn create(r: v1::CreateRequest) -> Result<Request, Refusal> {
+    let id = if r.path.is_empty() {
+        if r.process.is_empty() || r.name.is_empty() {
+            let why = "name the component: process and name, or path \"process/name\"";
+            return Err(invalid("Create", why, if r.process.is_empty() { "process" } else { "name" }));
+        }
+        ComponentId::new(Name::parse(&r.process)?, Name::parse(&r.name)?)
+    } else {
+        ComponentId::parse(&r.path)?
+    };
+    if r.class.is_empty() {
+        return Err(invalid("Create", "class is missing: name one of the process's classes", "class"));
+    }
+    let execution = r.execution.map(execution).transpose()?.unwrap_or_default();
+    Ok(Request::Create { id, class: r.class, config: r.config.map(from_struct), execution })
+}
+
+pub(crate) fn remove(r: v1::RemoveRequest) -> Result<Request, Refusal> {
+    Ok(Request::Remove { id: ComponentId::parse(&r.path)?, force: r.force })
+}
+
+pub(crate) fn configure(r: v1::ConfigureRequest) -> Result<Request, Refusal> {
+    let patch = r.config.map(from_struct).unwrap_or_else(|| serde_json::json!({}));
+    Ok(Request::Configure { id: ComponentId::parse(&r.path)?, patch })
+}
+
+/// The components Start, Stop, Resume and Reset name.
+pub(crate) fn targets(verb: &str, paths: Vec<String>, path: String) -> Result<Vec<Target>, Refusal> {
+    let all: Vec<String> = paths.into_iter().chain((!path.is_empty()).then_some(path)).collect();
+    if all.is_empty() {
+        return Err(invalid(verb, "no path is named: give paths such as [\"host/robot\"] or [\"host/**\"]", "paths"));
+    }
+    all.iter().map(|p| Target::parse(p)).collect()
+}
+
+pub(crate) fn connect(r: v1::ConnectRequest) -> Result<Request, Refusal> {
+    Ok(Request::Connect {
+        client: PortId::parse(&r.client)?,
+        server: PortId::parse(&r.server)?,
+        options: r.options.map(options).transpose()?.unwrap_or_default(),
+    })
+}
+
+pub(crate) fn disconnect(r: v1::DisconnectRequest) -> Result<Request, Refusal> {
+    let which = if r.id != 0 {
+        Which::Id(ConnectionId(r.id))
+    } else if r.client.is_empty() && r.server.is_empty() {
+        return Err(invalid("Disconnect", "name the connection: id, or client and server", "id"));
+    } else {
+        Which::Pair { client: PortId::parse(&r.client)?, server: PortId::parse(&r.server)? }
+    };
+    Ok(Request::Disconnect { which })
+}
+
+pub(crate) fn step(step: v1::Step) -> Result<Request, Refusal> {
+    use v1::step::Step as S;
+    match step.step {
+        Some(S::Create(r)) => create(r),
+        Some(S::Remove(r)) => remove(r),
+        Some(S::Configure(r)) => configure(r),
+        Some(S::Start(r)) => Ok(Request::Start { targets: targets("Start", r.paths, r.path)? }),
+        Some(S::Stop(r)) => Ok(Request::Stop { targets: targets("Stop", r.paths, r.path)? }),
+        Some(S::Resume(r)) => Ok(Request::Resume { targets: targets("Resume", r.paths, r.path)? }),
+        Some(S::Reset(r)) => Ok(Request::Reset { targets: targets("Reset", r.paths, r.path)? }),
+        Some(S::Connect(r)) => connect(r),
+        Some(S::Disconnect(r)) => disconnect(r),
+        None => Err(invalid("Apply", "a step is empty: give it one of create, connect, start, …", "steps")),
+    }
+}
+
+fn ns(duration: &Duration, field: &str) -> Result<u64, Refusal> {
+    duration_ns(duration).ok_or_else(|| invalid("a duration", "it must not be negative", field))
+}
+
+pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
+    use ExecutionModel as M;
+    let model = match e.model.as_str() {
+        "" => None,
+        "periodic" => Some(M::Periodic),
+        "continuous" => Some(M::Continuous),
+        "on_signal" => Some(M::OnSignal),
+        "on_callback" => Some(M::OnCallback),
+        "stream" => Some(M::Stream),
+        "none" => Some(M::None),
+        other => {
+            let why = format!(
+                "\"{other}\" is not one of periodic, continuous, on_signal, on_callback, stream, none"
+            );
+            return Err(invalid("execution.model", why, "execution.model"));
+        }
+    };
+    let from_rate = if e.rate_hz == 0.0 {
+        None
+    } else if e.rate_hz.is_finite() && e.rate_hz > 0.0 {
+        Some((1e9 / e.rate_hz).round() as u64)
+    } else {
+        let why = format!("{} Hz is not a rate: give a positive number", e.rate_hz);
+        return Err(invalid("execution.rate_hz", why, "execution.rate_hz"));
+    };
+    let period = e.period.as_ref().map(|d| ns(d, "execution.period")).transpose()?;
+    let priority = e
+        .priority
+        .map(|p| u8::try_from(p).map_err(|_| invalid("execution.priority", "it must be 1 to 99", "execution.priority")))
+        .transpose()?;
+    Ok(Execution {
+        model,
+        period_ns: period.or(from_rate),
+        phase_ns: e.phase.as_ref().map(|d| ns(d, "execution.phase")).transpose()?,
+        stream_of: (!e.stream_of.is_empty()).then_some(e.stream_of),
+        inside: (!e.inside.is_empty()).then_some(e.inside),
+        priority,
+        cpus: e.cpus.into_iter().map(|c| c as usize).collect(),
+    })
+}
+
+/// Longest queue of a connection, samples or commands.
+const MAX_DEPTH: u32 = 65_536;
+
+pub(crate) fn options(o: v1::ConnectOptions) -> Result<ConnectOptions, Refusal> {
+    let depth = |n: u32, field: &str| {
+        if n <= MAX_DEPTH {
+            Ok(n as usize)
+        } else {
+            Err(invalid(field, format!("{n} is more than {MAX_DEPTH}"), field))
+        }
+    };
+    let queue = match &o.queue {
+        None => None,
+        Some(v1::Queue { fifo: 0, .. }) => Some(Queue::Latest),
+        Some(q) => {
+            Some(Queue::Fifo { depth: depth(q.fifo, "options.queue.fifo")?, drop_oldest: q.drop_oldest })
+        }
+    };
+    let mailbox = match o.mailbox {
+        Some(0) => return Err(invalid("options.mailbox", "a mailbox needs room for 1 or more", "options.mailbox")),
+        other => other.map(|n| depth(n, "options.mailbox")).transpose()?,
+    };
+    Ok(ConnectOptions {
+        queue,
+        max_age_ns: o.max_age.as_ref().map(|d| ns(d, "options.max_age")).transpose()?,
+        deadline_ns: o.deadline.as_ref().map(|d| ns(d, "options.deadline")).transpose()?,
+        mailbox,
+        adapt: o.adapt,
+        replace: o.replace,
+        carrier: o.carrier,
+    })
+}

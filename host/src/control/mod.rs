@@ -1,0 +1,14 @@
+//! The gRPC edge: one port, thin methods, the only place that knows wire types on the serving side.
+//!
+//! Invariant: every refusal leaves through `status.rs`, every name enters through `convert`; a method decides nothing.
+
+mod attach;
+mod convert;
+mod deadline;
+mod serve;
+mod server;
+mod status;
+mod uplink;
+
+pub use serve::{ServeConfig, ServeError, Server};
+pub use uplink::Uplink;

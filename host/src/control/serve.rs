@@ -1,0 +1,168 @@
+//! The port: binds, serves every service with reflection and health, stops gracefully.
+//!
+//! Invariant: only loopback addresses until calls are authenticated; connections are bounded in size, number of streams
+//! and idle time.
+
+use std::fmt;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+use tonic::transport::server::TcpIncoming;
+use trocar_model::Name;
+use trocar_proto::FILE_DESCRIPTOR_SET;
+use trocar_proto::v1::attach_service_server::AttachServiceServer;
+use trocar_proto::v1::gcm_service_server::GcmServiceServer;
+use trocar_proto::v1::interact_service_server::InteractServiceServer;
+use trocar_proto::v1::plugin_service_server::PluginServiceServer;
+
+use super::attach::AttachEdge;
+use super::server::Edge;
+use crate::gcm::Gcm;
+use crate::lcm::Lcm;
+
+/// Streams one connection may have open at once.
+const MAX_STREAMS: u32 = 256;
+/// Time open calls get at shutdown.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// What a port serves.
+pub struct ServeConfig {
+    /// Address and port; port 0 takes a free one.
+    pub listen: String,
+    pub gcm: Option<Gcm>,
+    /// The LCM of this process.
+    pub local: Option<(Name, Arc<dyn Lcm>)>,
+    /// Address of the GCM that manages this process, when it is another's.
+    pub managed_by: Option<String>,
+}
+
+/// Why a port cannot be served.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServeError {
+    pub because: String,
+    /// What to do.
+    pub help: String,
+}
+
+impl fmt::Display for ServeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.because)
+    }
+}
+
+impl std::error::Error for ServeError {}
+
+/// A served port.
+pub struct Server {
+    addr: SocketAddr,
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<()>,
+}
+
+impl Server {
+    /// Binds and serves in the background.
+    ///
+    /// # Errors
+    /// The address is malformed, taken, or not a loopback address.
+    pub async fn start(config: ServeConfig) -> Result<Server, ServeError> {
+        let listener = bind(&config.listen).await?;
+        let addr = listener.local_addr().map_err(|e| unusable(&config.listen, &e))?;
+        let edge = Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by };
+        let router = routes(edge, config.gcm).await.map_err(|because| ServeError {
+            because,
+            help: "rebuild trocar: its service descriptions are damaged".into(),
+        })?;
+        let (stop, stopped) = oneshot::channel();
+        let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+        let task = tokio::spawn(async move {
+            let served = router.serve_with_incoming_shutdown(incoming, async {
+                // A dropped sender means the same.
+                let _ = stopped.await;
+            });
+            if let Err(e) = served.await {
+                log::error!("the gRPC port ended: {e}");
+            }
+        });
+        Ok(Server { addr, stop, task })
+    }
+
+    /// Where it listens.
+    pub fn addr(&self) -> SocketAddr {
+        self.addr
+    }
+
+    /// Takes no more calls; open ones get a moment, streams are cut.
+    pub async fn shutdown(self) {
+        // A server that ended by itself has nobody listening.
+        let _ = self.stop.send(());
+        let mut task = self.task;
+        if tokio::time::timeout(GRACE, &mut task).await.is_err() {
+            task.abort();
+        }
+    }
+}
+
+async fn bind(listen: &str) -> Result<TcpListener, ServeError> {
+    let addrs = tokio::net::lookup_host(listen).await.map_err(|e| ServeError {
+        because: format!("\"{listen}\" is not an address to listen on: {e}"),
+        help: "give HOST:PORT, for example --listen 127.0.0.1:50551 (port 0 takes a free one)".into(),
+    })?;
+    let addrs: Vec<SocketAddr> = addrs.collect();
+    if let Some(open) = addrs.iter().find(|a| !is_loopback(a.ip())) {
+        return Err(ServeError {
+            because: format!("{open} can be reached from other machines, and calls are not authenticated yet"),
+            help: "listen on 127.0.0.1 or [::1]; reach it from elsewhere through an SSH tunnel".into(),
+        });
+    }
+    TcpListener::bind(&addrs[..]).await.map_err(|e| unusable(listen, &e))
+}
+
+fn is_loopback(ip: IpAddr) -> bool {
+    ip.is_loopback()
+}
+
+fn unusable(listen: &str, e: &std::io::Error) -> ServeError {
+    if e.kind() == std::io::ErrorKind::AddrInUse {
+        return ServeError {
+            because: format!("{listen} is taken by another program"),
+            help: format!(
+                "if a GCM runs there, attach to it with --gcm {listen} --listen 127.0.0.1:0; else listen elsewhere: \
+                 --listen 127.0.0.1:0 takes a free port"
+            ),
+        };
+    }
+    ServeError {
+        because: format!("{listen} cannot be listened on: {e}"),
+        help: "choose another address with --listen".into(),
+    }
+}
+
+async fn routes(edge: Edge, gcm: Option<Gcm>) -> Result<tonic::transport::server::Router, String> {
+    let (reporter, health) = tonic_health::server::health_reporter();
+    reporter.set_serving::<GcmServiceServer<Edge>>().await;
+    reporter.set_serving::<InteractServiceServer<Edge>>().await;
+    reporter.set_serving::<PluginServiceServer<Edge>>().await;
+    reporter.set_serving::<AttachServiceServer<AttachEdge>>().await;
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    let mut server = tonic::transport::Server::builder()
+        .max_concurrent_streams(MAX_STREAMS)
+        .http2_keepalive_interval(Some(Duration::from_secs(20)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(10)));
+    Ok(server
+        .add_service(GcmServiceServer::new(edge.clone()))
+        .add_service(InteractServiceServer::new(edge.clone()))
+        .add_service(PluginServiceServer::new(edge))
+        .add_optional_service(gcm.map(|gcm| AttachServiceServer::new(AttachEdge::new(gcm))))
+        .add_service(health)
+        .add_service(reflection().build_v1().map_err(|e| e.to_string())?)
+        .add_service(reflection().build_v1alpha().map_err(|e| e.to_string())?))
+}

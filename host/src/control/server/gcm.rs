@@ -1,0 +1,346 @@
+//! GcmService: one thin method per RPC.
+
+use std::time::Duration;
+
+use tonic::{Request, Response, Status};
+use trocar_model::{Change, ComponentId, Name, Plan, Refusal, Request as Asked, State, StopReason, Target};
+use trocar_proto::v1::gcm_service_server::GcmService;
+use trocar_proto::v1::{self, ComponentState};
+
+use super::watch::{WatchStream, watch};
+use super::{Edge, not_built, refuse};
+use crate::control::convert::{self, Common, Figures};
+use crate::control::deadline::deadline;
+use crate::gcm::{ExecuteOptions, Executed};
+
+/// Executes and answers; the response types differ in name only.
+macro_rules! mutate {
+    ($self:ident, $request:ident, $response:ident, $convert:expr) => {{
+        let until = deadline(&$request);
+        let identity = identity(&$request);
+        let r = $request.into_inner();
+        let common = Common {
+            validate_only: r.validate_only,
+            request_id: r.request_id.clone(),
+            expected_revision: r.expected_revision,
+        };
+        let asked: Result<Vec<Asked>, Refusal> = $convert(r);
+        let done = $self.execute(asked.map_err(refuse)?, common, until, identity).await?;
+        (
+            v1::$response {
+                revision: done.revision,
+                plan: lines(&done.plan),
+                components: done.reports.iter().map(convert::report).collect(),
+                skipped: skipped(&done),
+                warnings: warnings(&done),
+                ..Default::default()
+            },
+            done,
+        )
+    }};
+}
+
+fn identity<T>(request: &Request<T>) -> String {
+    request.remote_addr().map_or_else(|| "local".into(), |a| a.to_string())
+}
+
+fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
+    let skipped = done.skipped().iter();
+    skipped.map(|s| v1::SkippedComponent { path: s.id.to_string(), why: s.why.clone() }).collect()
+}
+
+fn warnings(done: &Executed) -> Vec<String> {
+    let failed = done.failed.iter().map(|(id, refusal)| format!("{id}: {refusal}"));
+    done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed).collect()
+}
+
+/// The plan in words: "+ create …", "~ configure …", "- stop …".
+fn lines(plan: &Plan) -> Vec<String> {
+    plan.changes.iter().map(line).collect()
+}
+
+fn line(change: &Change) -> String {
+    match change {
+        Change::Create { id, component } => format!("+ create {id} ({})", component.class.full_name()),
+        Change::Destroy { id, .. } => format!("- remove {id}"),
+        Change::Configure { id, to, .. } => format!("~ configure {id} {to}"),
+        Change::Run { id, verb, .. } => format!("~ {} {id}", verb.to_string().to_lowercase()),
+        Change::Connect { connection: c } => format!("+ connect {} to {}", c.client, c.server),
+        Change::Disconnect { connection: c } => format!("- disconnect {} from {}", c.client, c.server),
+    }
+}
+
+impl Edge {
+    async fn execute(
+        &self,
+        requests: Vec<Asked>,
+        common: Common,
+        until: std::time::Instant,
+        identity: String,
+    ) -> Result<Executed, Status> {
+        let options = ExecuteOptions {
+            validate_only: common.validate_only,
+            request_id: common.request_id,
+            expected_revision: common.expected_revision,
+            // Room for the rollback inside the caller's own deadline.
+            deadline: Some(until - Duration::from_millis(100)),
+            identity,
+        };
+        let gcm = self.gcm()?.clone();
+        // A caller that goes away must not leave a change half made.
+        let running = tokio::spawn(async move { gcm.execute(requests, options).await });
+        match running.await {
+            Ok(done) => done.map_err(refuse),
+            Err(e) => Err(refuse(Refusal::Internal { text: format!("the request panicked: {e}") })),
+        }
+    }
+
+    async fn one_component(&self, id: &ComponentId, until: std::time::Instant) -> Result<(u64, v1::Component), Status> {
+        let graph = self.gcm()?.graph();
+        let component = graph.components.get(id).ok_or_else(|| {
+            refuse(match graph.processes.contains_key(&id.process) {
+                true => Refusal::ComponentNotFound {
+                    id: id.clone(),
+                    known: graph.components.keys().cloned().collect(),
+                },
+                false => Refusal::ProcessNotFound {
+                    process: id.process.clone(),
+                    known: graph.processes.keys().cloned().collect(),
+                },
+            })
+        })?;
+        let figures = self.figures(&graph, std::slice::from_ref(id), until).await;
+        Ok((graph.revision, convert::component(id, component, figures.details.get(id))))
+    }
+}
+
+#[tonic::async_trait]
+impl GcmService for Edge {
+    async fn create(&self, request: Request<v1::CreateRequest>) -> Result<Response<v1::CreateResponse>, Status> {
+        let (mut answer, done) = mutate!(self, request, CreateResponse, |r| Ok(vec![convert::create(r)?]));
+        if let Some(Change::Create { id, .. }) = done.plan.changes.first() {
+            answer.path = id.to_string();
+        }
+        Ok(Response::new(answer))
+    }
+
+    async fn remove(&self, request: Request<v1::RemoveRequest>) -> Result<Response<v1::RemoveResponse>, Status> {
+        Ok(Response::new(mutate!(self, request, RemoveResponse, |r| Ok(vec![convert::remove(r)?])).0))
+    }
+
+    async fn configure(
+        &self,
+        request: Request<v1::ConfigureRequest>,
+    ) -> Result<Response<v1::ConfigureResponse>, Status> {
+        Ok(Response::new(mutate!(self, request, ConfigureResponse, |r| Ok(vec![convert::configure(r)?])).0))
+    }
+
+    async fn start(&self, request: Request<v1::StartRequest>) -> Result<Response<v1::StartResponse>, Status> {
+        Ok(Response::new(
+            mutate!(self, request, StartResponse, |r: v1::StartRequest| Ok(vec![Asked::Start {
+                targets: convert::targets("Start", r.paths, r.path)?
+            }]))
+            .0,
+        ))
+    }
+
+    async fn stop(&self, request: Request<v1::StopRequest>) -> Result<Response<v1::StopResponse>, Status> {
+        Ok(Response::new(
+            mutate!(self, request, StopResponse, |r: v1::StopRequest| Ok(vec![Asked::Stop {
+                targets: convert::targets("Stop", r.paths, r.path)?
+            }]))
+            .0,
+        ))
+    }
+
+    async fn resume(&self, request: Request<v1::ResumeRequest>) -> Result<Response<v1::ResumeResponse>, Status> {
+        Ok(Response::new(
+            mutate!(self, request, ResumeResponse, |r: v1::ResumeRequest| Ok(vec![Asked::Resume {
+                targets: convert::targets("Resume", r.paths, r.path)?
+            }]))
+            .0,
+        ))
+    }
+
+    async fn reset(&self, request: Request<v1::ResetRequest>) -> Result<Response<v1::ResetResponse>, Status> {
+        Ok(Response::new(
+            mutate!(self, request, ResetResponse, |r: v1::ResetRequest| Ok(vec![Asked::Reset {
+                targets: convert::targets("Reset", r.paths, r.path)?
+            }]))
+            .0,
+        ))
+    }
+
+    async fn connect(&self, request: Request<v1::ConnectRequest>) -> Result<Response<v1::ConnectResponse>, Status> {
+        let (mut answer, done) = mutate!(self, request, ConnectResponse, |r| Ok(vec![convert::connect(r)?]));
+        for change in &done.plan.changes {
+            if let Change::Connect { connection } = change {
+                answer.id = connection.id.0;
+            }
+        }
+        Ok(Response::new(answer))
+    }
+
+    async fn disconnect(
+        &self,
+        request: Request<v1::DisconnectRequest>,
+    ) -> Result<Response<v1::DisconnectResponse>, Status> {
+        Ok(Response::new(mutate!(self, request, DisconnectResponse, |r| Ok(vec![convert::disconnect(r)?])).0))
+    }
+
+    async fn apply(&self, request: Request<v1::ApplyRequest>) -> Result<Response<v1::ApplyResponse>, Status> {
+        Ok(Response::new(
+            mutate!(self, request, ApplyResponse, |r: v1::ApplyRequest| r
+                .steps
+                .into_iter()
+                .map(convert::step)
+                .collect())
+            .0,
+        ))
+    }
+
+    async fn get_state(
+        &self,
+        request: Request<v1::GetStateRequest>,
+    ) -> Result<Response<v1::GetStateResponse>, Status> {
+        let until = deadline(&request);
+        let id = ComponentId::parse(&request.into_inner().path).map_err(refuse)?;
+        let (revision, component) = self.one_component(&id, until).await?;
+        Ok(Response::new(v1::GetStateResponse { revision, component: Some(component) }))
+    }
+
+    async fn list(&self, request: Request<v1::ListRequest>) -> Result<Response<v1::ListResponse>, Status> {
+        let until = deadline(&request);
+        let r = request.into_inner();
+        let gcm = self.gcm()?;
+        let mut graph = gcm.graph().as_ref().clone();
+        if !r.path.is_empty() {
+            match Target::parse(&r.path).map_err(refuse)? {
+                Target::One(one) => graph.components.retain(|id, _| *id == one),
+                Target::Glob(pattern) => graph.components.retain(|id, _| pattern.matches(id)),
+            }
+            let kept: Vec<ComponentId> = graph.components.keys().cloned().collect();
+            let holds = |id: &ComponentId| kept.contains(id);
+            graph.connections.retain(|_, c| holds(&c.client.component) || holds(&c.server.component));
+        }
+        let ids: Vec<ComponentId> = graph.components.keys().cloned().collect();
+        let figures = if r.brief { Figures::default() } else { self.figures(&graph, &ids, until).await };
+        let mut answer = convert::list(&graph, gcm.term(), &figures);
+        if r.classes {
+            let mut seen = std::collections::BTreeSet::new();
+            let classes = graph.processes.values().flat_map(|p| &p.classes);
+            answer.classes = classes
+                .filter(|c| seen.insert((c.full_name(), c.hash.clone())))
+                .map(|c| convert::class(c))
+                .collect();
+        }
+        Ok(Response::new(answer))
+    }
+
+    async fn describe(
+        &self,
+        request: Request<v1::DescribeRequest>,
+    ) -> Result<Response<v1::DescribeResponse>, Status> {
+        let until = deadline(&request);
+        let r = request.into_inner();
+        let graph = self.gcm()?.graph();
+        let mut answer = v1::DescribeResponse { revision: graph.revision, ..Default::default() };
+        if !r.class.is_empty() {
+            let classes = graph.processes.values().flat_map(|p| &p.classes);
+            let found = classes.clone().find(|c| c.full_name() == r.class || c.name == r.class);
+            let class = found.ok_or_else(|| {
+                refuse(Refusal::PluginNotFound {
+                    name: r.class.clone(),
+                    known: classes.map(|c| c.full_name()).collect(),
+                })
+            })?;
+            answer.class = Some(convert::class(class));
+            return Ok(Response::new(answer));
+        }
+        if !r.path.contains('/') {
+            let name = Name::parse(&r.path).map_err(refuse)?;
+            let process = graph.processes.get(&name).ok_or_else(|| {
+                refuse(Refusal::ProcessNotFound {
+                    process: name.clone(),
+                    known: graph.processes.keys().cloned().collect(),
+                })
+            })?;
+            answer.process = Some(convert::process(&name, process));
+            answer.classes = process.classes.iter().map(|c| convert::class(c)).collect();
+            return Ok(Response::new(answer));
+        }
+        let id = ComponentId::parse(&r.path).map_err(refuse)?;
+        let (_, component) = self.one_component(&id, until).await?;
+        answer.component = Some(component);
+        if let Some(component) = graph.components.get(&id) {
+            answer.ports = Some(convert::ports(&component.ports));
+            answer.class = Some(convert::class(&component.class));
+        }
+        let figures = self.figures(&graph, &[], until).await;
+        answer.connections = graph
+            .connections
+            .values()
+            .filter(|c| c.client.component == id || c.server.component == id)
+            .map(|c| convert::connection(c, figures.links.get(&c.id.0)))
+            .collect();
+        Ok(Response::new(answer))
+    }
+
+    async fn wait_for(
+        &self,
+        request: Request<v1::WaitForRequest>,
+    ) -> Result<Response<v1::WaitForResponse>, Status> {
+        let mut until = deadline(&request);
+        let r = request.into_inner();
+        let id = ComponentId::parse(&r.path).map_err(refuse)?;
+        if let Some(ns) = r.deadline.as_ref().and_then(convert::duration_ns) {
+            until = until.min(std::time::Instant::now() + Duration::from_nanos(ns));
+        }
+        let states: Vec<State> = r.states().flat_map(states).collect();
+        if states.is_empty() {
+            return Err(refuse(Refusal::ArgumentInvalid {
+                what: "WaitFor".into(),
+                why: "no state is named: give states such as [\"COMPONENT_STATE_ACTIVE\"]".into(),
+                field: "states".into(),
+            }));
+        }
+        self.gcm()?.wait_for(&id, &states, until).await.map_err(refuse)?;
+        let (revision, component) = self.one_component(&id, deadline_from(until)).await?;
+        Ok(Response::new(v1::WaitForResponse { revision, component: Some(component) }))
+    }
+
+    async fn replace(&self, _: Request<v1::ReplaceRequest>) -> Result<Response<v1::ReplaceResponse>, Status> {
+        Err(not_built("Replace (hot swap)", "stop, remove and create the component again"))
+    }
+
+    async fn r#move(&self, _: Request<v1::MoveRequest>) -> Result<Response<v1::MoveResponse>, Status> {
+        Err(not_built("Move", "remove the component and create it in the other process"))
+    }
+
+    type WatchStream = WatchStream;
+
+    async fn watch(&self, request: Request<v1::WatchRequest>) -> Result<Response<WatchStream>, Status> {
+        let gcm = self.gcm()?;
+        Ok(Response::new(watch(gcm.watch(), gcm.term(), request.into_inner().from_revision)))
+    }
+}
+
+/// At least a moment for the last question.
+fn deadline_from(until: std::time::Instant) -> std::time::Instant {
+    until.max(std::time::Instant::now() + Duration::from_millis(100))
+}
+
+fn states(state: ComponentState) -> Vec<State> {
+    match state {
+        ComponentState::Unspecified => Vec::new(),
+        ComponentState::Created => vec![State::Created],
+        ComponentState::Ready => vec![State::Ready],
+        ComponentState::Active => vec![State::Active],
+        ComponentState::Fault => vec![State::Fault],
+        ComponentState::Stopped => {
+            let reasons =
+                [StopReason::Requested, StopReason::Restarted, StopReason::Interlock, StopReason::PeerLost];
+            reasons.into_iter().map(State::Stopped).collect()
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! Watch: a snapshot, then what changed between one state of the graph and the next.
+//!
+//! Invariant: the difference is a pure function of two graphs; a slow watcher misses states between, never a change.
+
+use std::collections::BTreeMap;
+use std::pin::Pin;
+use std::sync::Arc;
+
+use tokio::sync::{mpsc, watch};
+use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+use trocar_model::SystemGraph;
+use trocar_proto::v1;
+
+use crate::control::convert;
+
+pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
+
+/// A watcher that knows revision `from` already gets no snapshot when nothing is newer.
+pub(super) fn watch(mut graphs: watch::Receiver<Arc<SystemGraph>>, term: u64, from: u64) -> WatchStream {
+    let (tell, told) = mpsc::channel(4);
+    tokio::spawn(async move {
+        let mut seen = graphs.borrow_and_update().clone();
+        if (from == 0 || from != seen.revision) && tell.send(Ok(snapshot(&seen, term))).await.is_err() {
+            return;
+        }
+        loop {
+            tokio::select! {
+                () = tell.closed() => return,
+                changed = graphs.changed() => if changed.is_err() { return },
+            }
+            let now = graphs.borrow_and_update().clone();
+            if let Some(delta) = delta(&seen, &now) {
+                let news = Some(v1::watch_response::News::Delta(delta));
+                if tell.send(Ok(v1::WatchResponse { revision: now.revision, term, news })).await.is_err() {
+                    return;
+                }
+            }
+            seen = now;
+        }
+    });
+    Box::pin(ReceiverStream::new(told))
+}
+
+fn snapshot(graph: &SystemGraph, term: u64) -> v1::WatchResponse {
+    let list = convert::list(graph, term, &convert::Figures::default());
+    let snapshot = v1::Snapshot {
+        processes: list.processes,
+        components: list.components,
+        connections: list.connections,
+    };
+    let news = Some(v1::watch_response::News::Snapshot(snapshot));
+    v1::WatchResponse { revision: graph.revision, term, news }
+}
+
+fn delta(before: &SystemGraph, after: &SystemGraph) -> Option<v1::Delta> {
+    let (p, c, l) = (&after.processes, &after.components, &after.connections);
+    let delta = v1::Delta {
+        processes: changed(&before.processes, p).map(|(n, p)| convert::process(n, p)).collect(),
+        components: changed(&before.components, c).map(|(id, c)| convert::component(id, c, None)).collect(),
+        connections: changed(&before.connections, l).map(|(_, c)| convert::connection(c, None)).collect(),
+        removed_processes: removed(&before.processes, p).map(ToString::to_string).collect(),
+        removed_components: removed(&before.components, c).map(ToString::to_string).collect(),
+        removed_connections: removed(&before.connections, l).map(|id| id.0).collect(),
+    };
+    (delta != v1::Delta::default()).then_some(delta)
+}
+
+fn changed<'a, K: Ord, V: PartialEq>(
+    before: &'a BTreeMap<K, V>,
+    after: &'a BTreeMap<K, V>,
+) -> impl Iterator<Item = (&'a K, &'a V)> {
+    after.iter().filter(|(k, v)| before.get(k) != Some(v))
+}
+
+fn removed<'a, K: Ord, V>(
+    before: &'a BTreeMap<K, V>,
+    after: &'a BTreeMap<K, V>,
+) -> impl Iterator<Item = &'a K> {
+    before.keys().filter(|k| !after.contains_key(k))
+}

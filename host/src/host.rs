@@ -1,0 +1,13 @@
+//! A host process as a value: state directory, plugins, LCM, GCM (or the way to one), and the gRPC port.
+//!
+//! Invariant: what starts last stops first, except that devices are made safe before anything else ends.
+
+pub(crate) mod announce;
+mod error;
+mod process;
+pub(crate) mod signals;
+mod state_dir;
+
+pub use error::HostError;
+pub use process::{Host, HostConfig};
+pub use state_dir::{StateChoice, StateDir, state_home};

@@ -1,0 +1,186 @@
+//! A Unix socket per host process, for its own user: how `trocar stop --all` works without a GCM.
+//!
+//! Invariant: it needs no gRPC, no name and no port; the directory is readable by its user only, so no other user can ask.
+
+use std::fs::{self, DirBuilder};
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{UnixListener, UnixStream};
+
+use super::{HostError, state_dir};
+
+/// How long a process may take to stop its components.
+const PATIENCE: Duration = Duration::from_secs(5);
+const STOP: &str = "stop\n";
+
+/// This process's socket; removed on drop.
+#[derive(Debug)]
+pub(super) struct Announcement {
+    path: PathBuf,
+    listener: UnixListener,
+}
+
+/// What one process answered.
+#[derive(Clone, Debug)]
+pub(crate) struct Answer {
+    pub(crate) pid: u32,
+    /// Its words: Ok when everything stands still.
+    pub(crate) result: Result<String, String>,
+}
+
+impl Answer {
+    pub(crate) fn text(&self) -> &str {
+        match &self.result {
+            Ok(text) | Err(text) => text,
+        }
+    }
+}
+
+fn directory() -> PathBuf {
+    state_dir::state_home().join("run")
+}
+
+impl Announcement {
+    /// Opens the socket of this process in `instance`'s name (several hosts may live in one process).
+    ///
+    /// # Errors
+    /// The directory cannot be made or the socket cannot be bound.
+    pub(super) fn open(instance: &str) -> Result<Self, HostError> {
+        Self::open_in(&directory(), instance)
+    }
+
+    fn open_in(dir: &Path, instance: &str) -> Result<Self, HostError> {
+        let failed =
+            |e: std::io::Error| HostError::StateUnwritable { dir: dir.to_owned(), because: e.to_string() };
+        DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(failed)?;
+        let path = dir.join(format!("{}.{instance}.sock", std::process::id()));
+        // A process id comes again: what lies here belongs to nobody alive.
+        let _ = fs::remove_file(&path);
+        let listener = UnixListener::bind(&path).map_err(failed)?;
+        Ok(Self { path, listener })
+    }
+
+    /// Serves requests for ever: each one runs `stop`, whose words go back to the asker.
+    pub(super) async fn serve<F, S>(&self, stop: S)
+    where
+        S: Fn() -> F + Clone + Send + 'static,
+        F: Future<Output = Result<String, String>> + Send,
+    {
+        loop {
+            match self.listener.accept().await {
+                Ok((stream, _)) => {
+                    let stop = stop.clone();
+                    tokio::spawn(async move { answer(stream, stop).await });
+                }
+                // Out of descriptors: others may free some.
+                Err(_) => tokio::time::sleep(Duration::from_millis(100)).await,
+            }
+        }
+    }
+}
+
+async fn answer<F: Future<Output = Result<String, String>>>(mut stream: UnixStream, stop: impl Fn() -> F) {
+    let mut asked = [0; STOP.len()];
+    let read = tokio::time::timeout(PATIENCE, stream.read_exact(&mut asked)).await;
+    if !matches!(read, Ok(Ok(_))) || asked != STOP.as_bytes() {
+        return;
+    }
+    let answer = match stop().await {
+        Ok(text) => format!("+{text}"),
+        Err(text) => format!("-{text}"),
+    };
+    // The asker may have gone; the stop is done all the same.
+    let _ = stream.write_all(answer.as_bytes()).await;
+}
+
+impl Drop for Announcement {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Asks every host process of this user on this machine to stop its components, all at once.
+pub(crate) async fn stop_everything() -> Vec<Answer> {
+    stop_everything_in(&directory()).await
+}
+
+async fn stop_everything_in(dir: &Path) -> Vec<Answer> {
+    let entries = fs::read_dir(dir).into_iter().flatten().flatten();
+    let asked: Vec<_> = entries
+        .map(|e| e.path())
+        .filter(|p| p.extension().is_some_and(|e| e == "sock"))
+        .map(|path| tokio::spawn(async move { ask(&path).await }))
+        .collect();
+    let mut answers = Vec::new();
+    for one in asked {
+        answers.extend(one.await.ok().flatten());
+    }
+    answers
+}
+
+/// `None`: nobody lives behind this socket any more.
+async fn ask(path: &Path) -> Option<Answer> {
+    let pid = path.file_name()?.to_str()?.split('.').next()?.parse().ok()?;
+    let mut stream = match UnixStream::connect(path).await {
+        Ok(stream) => stream,
+        Err(e) if e.kind() == std::io::ErrorKind::ConnectionRefused => {
+            let _ = fs::remove_file(path);
+            return None;
+        }
+        Err(_) => return None,
+    };
+    let talk = async {
+        stream.write_all(STOP.as_bytes()).await.map_err(|e| e.to_string())?;
+        let mut text = String::new();
+        stream.read_to_string(&mut text).await.map_err(|e| e.to_string())?;
+        match text.split_at_checked(1) {
+            Some(("+", words)) => Ok(words.to_owned()),
+            Some(("-", words)) => Err(words.to_owned()),
+            _ => Err("it ended before it answered".to_owned()),
+        }
+    };
+    let silent = format!("no answer within {} s", PATIENCE.as_secs());
+    let result = tokio::time::timeout(PATIENCE, talk).await.unwrap_or(Err(silent));
+    Some(Answer { pid, result })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    async fn serving(
+        dir: &Path,
+        instance: &str,
+        answer: Result<String, String>,
+    ) -> tokio::task::JoinHandle<()> {
+        let announcement = Announcement::open_in(dir, instance).unwrap();
+        tokio::spawn(async move { announcement.serve(move || std::future::ready(answer.clone())).await })
+    }
+
+    #[tokio::test]
+    async fn every_process_is_asked_and_its_words_come_back() {
+        let temp = tempfile::tempdir().unwrap();
+        let good = serving(temp.path(), "a", Ok("everything stands still".into())).await;
+        let bad = serving(temp.path(), "b", Err("host/x did not stop".into())).await;
+        let mut answers = stop_everything_in(temp.path()).await;
+        answers.sort_by_key(|a| a.result.is_err());
+        assert_eq!(answers[0].text(), "everything stands still");
+        assert_eq!(answers[1].result, Err("host/x did not stop".into()));
+        assert!(answers.iter().all(|a| a.pid == std::process::id()), "{answers:?}");
+        good.abort();
+        bad.abort();
+    }
+
+    #[tokio::test]
+    async fn a_socket_nobody_listens_on_is_swept_away() {
+        let temp = tempfile::tempdir().unwrap();
+        let dead = temp.path().join("4242.host.sock");
+        drop(std::os::unix::net::UnixListener::bind(&dead).unwrap());
+        assert!(stop_everything_in(temp.path()).await.is_empty());
+        assert!(!dead.exists(), "the dead socket is still there");
+    }
+}

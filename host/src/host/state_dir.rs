@@ -1,0 +1,226 @@
+//! Where a process keeps its state, and the lock that keeps a second process out of it.
+//!
+//! Invariant: a directory has one user at a time (an OS lock, released by the kernel when the process ends however it
+//! ends); an ephemeral directory is gone after its process.
+
+use std::fs::{self, DirBuilder, File};
+use std::io::{ErrorKind, Read, Seek, Write};
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+
+use super::HostError;
+
+const LOCK: &str = "lock";
+
+/// What `--state` says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum StateChoice {
+    /// Kept: counters, plugin cache, logs.
+    Durable(PathBuf),
+    /// Made now, removed at the end.
+    Ephemeral,
+}
+
+/// An open, locked state directory.
+#[derive(Debug)]
+pub struct StateDir {
+    path: PathBuf,
+    ephemeral: bool,
+    /// It was not there before.
+    made: bool,
+    _lock: File,
+}
+
+impl StateDir {
+    /// Makes the directory where it is missing and locks it. `fresh` empties it first.
+    ///
+    /// # Errors
+    /// In use, not writable, or not a directory.
+    pub fn open(choice: &StateChoice, fresh: bool) -> Result<Self, HostError> {
+        match choice {
+            StateChoice::Durable(path) => {
+                let dir = Self::lock(path, false)?;
+                if fresh {
+                    dir.clear()?;
+                }
+                Ok(dir)
+            }
+            StateChoice::Ephemeral => Self::lock(&ephemeral_path(), true),
+        }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// True when it is removed at the end.
+    pub fn is_ephemeral(&self) -> bool {
+        self.ephemeral
+    }
+
+    fn lock(path: &Path, ephemeral: bool) -> Result<Self, HostError> {
+        let unwritable =
+            |e: std::io::Error| HostError::StateUnwritable { dir: path.to_owned(), because: e.to_string() };
+        let made = !path.exists();
+        DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(unwritable)?;
+        let mut file = File::options()
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .open(path.join(LOCK))
+            .map_err(unwritable)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(fs::TryLockError::WouldBlock) => {
+                let mut pid = String::new();
+                // An unreadable holder is still a holder.
+                let _ = file.read_to_string(&mut pid);
+                return Err(HostError::StateInUse { dir: path.to_owned(), pid: pid.trim().to_owned() });
+            }
+            Err(fs::TryLockError::Error(e)) => return Err(unwritable(e)),
+        }
+        file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
+        writeln!(file, "{}", std::process::id()).map_err(unwritable)?;
+        Ok(Self { path: path.to_owned(), ephemeral, made, _lock: file })
+    }
+
+    /// Takes back what `open` made, for a process that does not come up after all.
+    pub(super) fn undo(mut self) {
+        self.ephemeral |= self.made;
+    }
+
+    /// Forgets everything but the counters that must never go back (`gcm.json`: term and epochs fence old processes).
+    fn clear(&self) -> Result<(), HostError> {
+        let unwritable =
+            |e: std::io::Error| HostError::StateUnwritable { dir: self.path.clone(), because: e.to_string() };
+        for entry in fs::read_dir(&self.path).map_err(unwritable)? {
+            let entry = entry.map_err(unwritable)?;
+            let kept = entry.file_name() == LOCK || entry.file_name() == "gcm.json";
+            if kept {
+                continue;
+            }
+            let gone = match entry.file_type().map_err(unwritable)?.is_dir() {
+                true => fs::remove_dir_all(entry.path()),
+                false => fs::remove_file(entry.path()),
+            };
+            gone.or_else(|e| if e.kind() == ErrorKind::NotFound { Ok(()) } else { Err(unwritable(e)) })?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for StateDir {
+    fn drop(&mut self) {
+        if self.ephemeral {
+            // Best effort: the system cleans its temporary files.
+            let _ = fs::remove_dir_all(&self.path);
+        }
+    }
+}
+
+/// `$XDG_STATE_HOME/trocar`, or `~/.local/state/trocar`; without a home directory the temporary one.
+pub fn state_home() -> PathBuf {
+    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    set("XDG_STATE_HOME")
+        .filter(|p| p.is_absolute())
+        .or_else(|| set("HOME").map(|home| home.join(".local/state")))
+        .unwrap_or_else(std::env::temp_dir)
+        .join("trocar")
+}
+
+/// Under the temporary directory, unless programs may not be run there: plugins are opened from the state directory.
+fn ephemeral_path() -> PathBuf {
+    let temp = std::env::temp_dir();
+    let base = if forbids_execution(&temp) { state_home() } else { temp };
+    let unique =
+        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.subsec_nanos());
+    base.join(format!("trocar-{}-{unique:08x}", std::process::id()))
+}
+
+/// True when `path` lies on a mount with `noexec`.
+fn forbids_execution(path: &Path) -> bool {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let mounts = fs::read_to_string("/proc/self/mountinfo").unwrap_or_default();
+    options_of(&mounts, &path).is_some_and(|options| options.split(',').any(|o| o == "noexec"))
+}
+
+/// The options of the mount `path` lies on: the deepest mount point above it, the last one of equal ones.
+fn options_of<'m>(mountinfo: &'m str, path: &Path) -> Option<&'m str> {
+    mountinfo
+        .lines()
+        .filter_map(|line| {
+            let mut words = line.split(' ').skip(4);
+            Some((Path::new(words.next()?), words.next()?))
+        })
+        .filter(|(point, _)| path.starts_with(point))
+        .max_by_key(|(point, _)| point.components().count())
+        .map(|(_, options)| options)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_second_user_of_a_state_directory_is_told_who_holds_it() {
+        let temp = tempfile::tempdir().unwrap();
+        let choice = StateChoice::Durable(temp.path().join("state"));
+        let first = StateDir::open(&choice, false).unwrap();
+        let refused = StateDir::open(&choice, false).unwrap_err();
+        assert!(refused.to_string().contains(&format!("process {}", std::process::id())), "{refused}");
+        drop(first);
+        StateDir::open(&choice, false).unwrap();
+    }
+
+    #[test]
+    fn fresh_keeps_the_counters_and_forgets_the_rest() {
+        let temp = tempfile::tempdir().unwrap();
+        let choice = StateChoice::Durable(temp.path().to_owned());
+        fs::write(temp.path().join("gcm.json"), "{}").unwrap();
+        fs::create_dir(temp.path().join("plugins")).unwrap();
+        fs::write(temp.path().join("trocar.log"), "").unwrap();
+        let dir = StateDir::open(&choice, true).unwrap();
+        let mut left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["gcm.json", "lock"]);
+    }
+
+    #[test]
+    fn an_ephemeral_directory_is_gone_afterwards() {
+        let dir = StateDir::open(&StateChoice::Ephemeral, false).unwrap();
+        let path = dir.path().to_owned();
+        assert!(path.is_dir());
+        drop(dir);
+        assert!(!path.exists(), "{} is still there", path.display());
+    }
+
+    #[test]
+    fn undo_removes_a_directory_that_was_made_and_keeps_one_that_was_there() {
+        let temp = tempfile::tempdir().unwrap();
+        let new = temp.path().join("new");
+        StateDir::open(&StateChoice::Durable(new.clone()), false).unwrap().undo();
+        assert!(!new.exists(), "the new directory is still there");
+        StateDir::open(&StateChoice::Durable(temp.path().to_owned()), false).unwrap().undo();
+        assert!(temp.path().exists(), "a directory that was there before is gone");
+    }
+
+    #[test]
+    fn a_file_in_the_way_is_named() {
+        let temp = tempfile::tempdir().unwrap();
+        let file = temp.path().join("file");
+        fs::write(&file, "").unwrap();
+        let refused = StateDir::open(&StateChoice::Durable(file.join("state")), false).unwrap_err();
+        assert!(refused.to_string().contains("file/state"), "{refused}");
+    }
+
+    #[test]
+    fn the_deepest_and_newest_mount_counts() {
+        let mounts = "1 0 0:1 / / rw,relatime - ext4 a b\n2 1 0:2 / /tmp rw,noexec - tmpfs a b\n\
+                      3 2 0:3 / /tmp/x rw - tmpfs a b\n";
+        assert_eq!(options_of(mounts, Path::new("/tmp/a")), Some("rw,noexec"));
+        assert_eq!(options_of(mounts, Path::new("/tmp/x/y")), Some("rw"));
+        assert_eq!(options_of(mounts, Path::new("/tmpfile")), Some("rw,relatime"));
+    }
+}

@@ -1,0 +1,220 @@
+//! What a GCM can ask of a Local Component Manager, in its own process or through an Attach stream.
+//!
+//! Invariant: every call ends by its deadline, whatever a component does; a refused or failed change leaves nothing half made.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use async_trait::async_trait;
+use serde_json::Value;
+use tokio::sync::{broadcast, mpsc};
+use trocar_model::{Change, ClassInfo, ComponentId, Health, MemberId, Ports, Refusal, State};
+
+/// The owner of one process's components.
+#[async_trait]
+pub trait Lcm: Send + Sync {
+    /// Carries out one change and answers how the component stands afterwards (for a connection: the client's).
+    ///
+    /// # Errors
+    /// ComponentRefused, ComponentFault, the plugin refusals, LcmTimeout; the change is then undone as far as it got.
+    async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal>;
+
+    /// Calls a command. Reads are answered from the published state row.
+    async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal>;
+
+    /// Reads without a command: the state row of a component, or the newest sample of an output.
+    async fn read(&self, path: String, deadline: Instant) -> Result<Sample, Refusal>;
+
+    /// Follows events, component states and outputs until the receiver is dropped. Slow receivers lose items, counted
+    /// in the next item's `skipped`.
+    async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal>;
+
+    /// Live figures of one component.
+    async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal>;
+
+    /// Figures of every connection that ends in this process.
+    async fn links(&self) -> Result<Vec<LinkDetail>, Refusal>;
+
+    /// The plugins its directories hold, refused ones too.
+    async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal>;
+
+    /// Everything it has: sent at registration and after a gap in the news.
+    async fn inventory(&self) -> Result<Inventory, Refusal>;
+
+    /// What changes by itself; a lagging receiver asks for the inventory again.
+    fn news(&self) -> broadcast::Receiver<News>;
+}
+
+/// How a component stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    pub id: ComponentId,
+    pub state: State,
+    pub health: Health,
+    /// Why it is in FAULT; empty otherwise.
+    pub fault: String,
+    /// Present when the ports may have changed.
+    pub ports: Option<Arc<Ports>>,
+    /// Sentences for the caller, e.g. a real-time setting the machine refused.
+    pub warnings: Vec<String>,
+}
+
+#[derive(Clone, Debug)]
+pub enum News {
+    State(Report),
+    /// The plugin directories offer this now.
+    Catalog(Vec<Arc<ClassInfo>>),
+    Log(LogLine),
+}
+
+#[derive(Clone, Debug, Default)]
+pub struct Inventory {
+    pub components: Vec<Report>,
+    pub classes: Vec<Arc<ClassInfo>>,
+}
+
+/// One line a component or the host logged.
+#[derive(Clone, Debug)]
+pub struct LogLine {
+    /// Ns since the Unix epoch.
+    pub wall_ns: u64,
+    /// 1 error … 5 trace.
+    pub level: u32,
+    /// The component's path, or the process name.
+    pub path: String,
+    pub target: String,
+    pub message: String,
+}
+
+#[derive(Clone, Debug)]
+pub struct Invoke {
+    pub member: MemberId,
+    pub arg: Payload,
+    /// Return as soon as it is queued.
+    pub send: bool,
+    /// Relative, ns.
+    pub deadline_ns: u64,
+}
+
+#[derive(Clone, Debug, Default)]
+pub enum Payload {
+    #[default]
+    None,
+    Json(Value),
+    /// Exact bytes of the described type.
+    Encoded(Vec<u8>),
+}
+
+#[derive(Clone, Debug)]
+pub struct Reply {
+    /// False: queued only.
+    pub executed: bool,
+    pub value: Option<Value>,
+    pub encoded: Vec<u8>,
+    /// Stamp of the state row a read was answered from, ns; 0 otherwise.
+    pub stamp_ns: u64,
+    pub age_ns: u64,
+    /// Unit of the value, "" = none.
+    pub unit: String,
+}
+
+#[derive(Clone, Debug)]
+pub struct Sample {
+    pub value: Value,
+    pub encoded: Vec<u8>,
+    pub stamp_ns: u64,
+    pub age_ns: u64,
+    pub seq: u64,
+    /// Bytes of the frame behind the header; 0 for plain samples.
+    pub frame_bytes: u64,
+}
+
+/// One thing to follow: `process/component` (its state), `…/interface/event`, or `…/output`.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    pub path: String,
+    /// Most items per second of an output; 0 = 30.
+    pub max_rate_hz: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ItemKind {
+    State,
+    Event,
+    Stream,
+}
+
+#[derive(Clone, Debug)]
+pub struct Item {
+    pub path: String,
+    pub kind: ItemKind,
+    pub value: Value,
+    pub stamp_ns: u64,
+    pub seq: u64,
+    /// Items lost on the way to this receiver since the previous one.
+    pub skipped: u64,
+}
+
+/// A figure's distribution, ns.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spread {
+    pub avg_ns: f64,
+    pub std_ns: f64,
+    pub min_ns: u64,
+    pub max_ns: u64,
+}
+
+/// The system interface's `period_statistics` and counters.
+#[derive(Clone, Debug, Default)]
+pub struct Detail {
+    pub period: Spread,
+    pub compute: Spread,
+    pub lateness_p50_ns: u64,
+    pub lateness_p99_ns: u64,
+    pub lateness_max_ns: u64,
+    pub executed: u64,
+    pub skipped: u64,
+    pub overruns: u64,
+    /// Compute time over period, 0–1.
+    pub load: f64,
+    pub commands: u64,
+    pub commands_rejected: u64,
+    pub events_dropped: u64,
+    /// Where it runs: "own thread", "stream of host/source", "callers' threads".
+    pub thread: String,
+    /// True when SCHED_FIFO was granted.
+    pub realtime: bool,
+    pub warnings: Vec<String>,
+}
+
+#[derive(Clone, Debug, Default)]
+pub struct LinkDetail {
+    pub connection: u64,
+    /// "inline", "heap".
+    pub carrier: String,
+    pub passed: u64,
+    pub dropped: u64,
+    pub bytes: u64,
+    /// Age of a sample when the client took it.
+    pub latency_p50_ns: u64,
+    pub latency_p99_ns: u64,
+}
+
+/// One file of a plugin directory.
+#[derive(Clone, Debug, Default)]
+pub struct PluginInfo {
+    pub process: String,
+    pub file: String,
+    pub name: String,
+    pub version: String,
+    pub hash: String,
+    pub abi: String,
+    pub built_with: String,
+    pub doc: String,
+    pub classes: Vec<String>,
+    pub loaded: bool,
+    pub warnings: Vec<String>,
+    /// Reason code and sentence when refused; empty otherwise.
+    pub refused_reason: String,
+    pub refused: String,
+}

@@ -1,0 +1,378 @@
+//! Manifest → model: the class descriptions of a plugin in the graph's own types.
+//!
+//! Invariant: order is kept (ids are positions), offsets and sizes are checked here so that nobody behind this file has to
+//! distrust a description; the system interface is appended to every class, last, so it moves no id.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use trocar_model as model;
+use trocar_plugin_api::manifest as wire;
+
+use super::system;
+
+/// Largest payload that may pass through a mailbox or a state table, bytes.
+pub const MAX_PAYLOAD: usize = 64 * 1024;
+
+/// All classes of a manifest.
+///
+/// # Errors
+/// A sentence naming the first description that contradicts itself.
+pub fn classes(manifest: &wire::Manifest, hash: &str) -> Result<Vec<Arc<model::ClassInfo>>, String> {
+    let mut types = Types { manifest, done: BTreeMap::new(), open: Vec::new() };
+    manifest
+        .classes
+        .iter()
+        .map(|class| {
+            class_info(manifest, hash, class, &mut types)
+                .map(Arc::new)
+                .map_err(|e| format!("class {}: {e}", class.name))
+        })
+        .collect()
+}
+
+fn class_info(
+    manifest: &wire::Manifest,
+    hash: &str,
+    class: &wire::Class,
+    types: &mut Types,
+) -> Result<model::ClassInfo, String> {
+    name(&class.name)?;
+    let execution = model::Execution {
+        model: Some(execution_model(&class.execution.model)?),
+        period_ns: (class.execution.period_ns > 0).then_some(class.execution.period_ns),
+        ..Default::default()
+    };
+    Ok(model::ClassInfo {
+        plugin: manifest.name.clone(),
+        version: manifest.version.clone(),
+        hash: hash.to_owned(),
+        name: class.name.clone(),
+        doc: class.doc.clone(),
+        safety: match class.safety.as_str() {
+            "actuator" => model::Safety::Actuator,
+            "sensor" => model::Safety::Sensor,
+            "none" | "" => model::Safety::None,
+            other => return Err(format!("safety \"{other}\" is not one of none, sensor, actuator")),
+        },
+        hardware: class.hardware,
+        safe_from_any_thread: class.safe_from_any_thread,
+        execution,
+        config_schema: class.config.clone(),
+        ports: ports(class, types)?,
+    })
+}
+
+fn execution_model(text: &str) -> Result<model::ExecutionModel, String> {
+    use model::ExecutionModel as M;
+    Ok(match text {
+        "periodic" => M::Periodic,
+        "continuous" => M::Continuous,
+        "on_signal" | "" => M::OnSignal,
+        "on_callback" => M::OnCallback,
+        "stream" => M::Stream,
+        "none" => M::None,
+        other => {
+            return Err(format!(
+                "execution model \"{other}\" is not one of periodic, continuous, on_signal, on_callback, stream, none"
+            ));
+        }
+    })
+}
+
+fn name(text: &str) -> Result<(), String> {
+    text.parse::<model::Name>().map(|_| ()).map_err(|_| format!("\"{text}\" is not a valid name"))
+}
+
+fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String> {
+    let mut seen = std::collections::BTreeSet::new();
+    let mut unique = |kind: &str, n: &str| {
+        name(n)?;
+        if n == system::INTERFACE {
+            return Err(format!("{kind} may not be named {n}: every component has that interface already"));
+        }
+        if seen.insert(n.to_owned()) {
+            Ok(())
+        } else {
+            Err(format!("{kind} {n} has the name of another port of this class"))
+        }
+    };
+    let mut ports = model::Ports::default();
+    for input in &class.inputs {
+        unique("input", &input.name)?;
+        ports.inputs.push(model::Input {
+            name: input.name.clone(),
+            doc: input.doc.clone(),
+            ty: types.port(&input.ty).map_err(|e| format!("input {}: {e}", input.name))?,
+            optional: input.optional,
+            fifo: input.fifo,
+        });
+    }
+    for output in &class.outputs {
+        unique("output", &output.name)?;
+        ports.outputs.push(model::Output {
+            name: output.name.clone(),
+            doc: output.doc.clone(),
+            ty: types.port(&output.ty).map_err(|e| format!("output {}: {e}", output.name))?,
+        });
+    }
+    for required in &class.required {
+        unique("required interface", &required.name)?;
+        ports.required.push(self::required(required, types)?);
+    }
+    for provided in &class.provided {
+        unique("provided interface", &provided.name)?;
+        ports.provided.push(self::provided(provided, types)?);
+    }
+    if let Some(state) = &class.state {
+        ports.state = Some(types.resolve(state).map_err(|e| format!("state: {e}"))?);
+    }
+    ports.provided.push(system::interface());
+    Ok(ports)
+}
+
+fn required(required: &wire::Required, types: &mut Types) -> Result<model::Required, String> {
+    let functions = required
+        .functions
+        .iter()
+        .map(|f| {
+            name(&f.name)?;
+            Ok(model::Function {
+                name: f.name.clone(),
+                doc: f.doc.clone(),
+                arg: types.optional(&f.arg)?,
+                ret: types.optional(&f.ret)?,
+                unit: f.unit.clone(),
+                optional: f.optional,
+                any: f.any,
+            })
+        })
+        .collect::<Result<_, String>>()?;
+    let handlers = required
+        .handlers
+        .iter()
+        .map(|h| {
+            name(&h.name)?;
+            Ok(model::Handler {
+                name: h.name.clone(),
+                doc: h.doc.clone(),
+                payload: types.optional(&h.payload)?,
+                optional: h.optional,
+            })
+        })
+        .collect::<Result<_, String>>()?;
+    Ok(model::Required {
+        name: required.name.clone(),
+        doc: required.doc.clone(),
+        optional: required.optional,
+        functions,
+        handlers,
+    })
+}
+
+fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provided, String> {
+    let commands = provided
+        .commands
+        .iter()
+        .map(|c| command(c, types).map_err(|e| format!("command {}/{}: {e}", provided.name, c.name)))
+        .collect::<Result<_, String>>()?;
+    let events = provided
+        .events
+        .iter()
+        .map(|e| {
+            name(&e.name)?;
+            Ok(model::Event {
+                name: e.name.clone(),
+                doc: e.doc.clone(),
+                payload: types.optional(&e.payload)?,
+                unit: e.unit.clone(),
+            })
+        })
+        .collect::<Result<_, String>>()?;
+    Ok(model::Provided {
+        name: provided.name.clone(),
+        doc: provided.doc.clone(),
+        tag: provided.tag.clone(),
+        commands,
+        events,
+    })
+}
+
+fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command, String> {
+    use model::CommandKind as K;
+    name(&command.name)?;
+    let (kind, wants_arg, wants_ret) = match command.kind.as_str() {
+        "void" => (K::Void, false, false),
+        "write" => (K::Write, true, false),
+        "read" => (K::Read, false, true),
+        "qualified_read" => (K::QualifiedRead, true, true),
+        "void_return" => (K::VoidReturn, false, true),
+        "write_return" => (K::WriteReturn, true, true),
+        other => return Err(format!("kind \"{other}\" is not a command kind")),
+    };
+    if wants_arg != command.arg.is_some() || wants_ret != command.ret.is_some() {
+        return Err(format!("a {} command has the wrong argument or result", command.kind));
+    }
+    let arg = match &command.arg {
+        None => None,
+        Some(a) => Some(model::Arg {
+            name: a.name.clone(),
+            doc: a.doc.clone(),
+            ty: types.resolve(&a.ty)?,
+            unit: a.unit.clone(),
+            min: a.min,
+            max: a.max,
+        }),
+    };
+    Ok(model::Command {
+        name: command.name.clone(),
+        doc: command.doc.clone(),
+        kind,
+        arg,
+        ret: types.optional(&command.ret)?,
+        ret_unit: command.ret_unit.clone(),
+        overflow: match command.overflow.as_str() {
+            "latest_wins" => model::Overflow::LatestWins,
+            "drop_oldest" => model::Overflow::DropOldest,
+            "reject" | "" => model::Overflow::Reject,
+            other => return Err(format!("overflow \"{other}\" is not one of reject, latest_wins, drop_oldest")),
+        },
+    })
+}
+
+/// Resolves references; a type that contains itself or names a missing one is an error.
+struct Types<'a> {
+    manifest: &'a wire::Manifest,
+    done: BTreeMap<String, model::Type>,
+    open: Vec<String>,
+}
+
+impl Types<'_> {
+    fn port(&mut self, ty: &wire::PortType) -> Result<model::PortType, String> {
+        Ok(match ty {
+            wire::PortType::Plain { plain } => model::PortType::Plain(self.resolve(plain)?),
+            wire::PortType::Frame { frame, format, max_bytes } => model::PortType::Frame {
+                header: self.resolve(frame)?,
+                format: format.clone(),
+                max_bytes: *max_bytes,
+            },
+            wire::PortType::Any(text) if text == "any" => model::PortType::Any,
+            wire::PortType::Any(text) => return Err(format!("port type \"{text}\" is not known")),
+        })
+    }
+
+    fn optional(&mut self, ty: &Option<wire::Type>) -> Result<Option<model::Type>, String> {
+        ty.as_ref().map(|t| self.resolve(t)).transpose()
+    }
+
+    fn resolve(&mut self, ty: &wire::Type) -> Result<model::Type, String> {
+        let resolved = match ty {
+            wire::Type::Prim(text) => model::Type::Prim(prim(text)?),
+            wire::Type::Array { item, n } => {
+                model::Type::Array { item: Box::new(self.resolve(item)?), n: count(*n)? }
+            }
+            wire::Type::List { item, n } => {
+                model::Type::List { item: Box::new(self.resolve(item)?), n: count(*n)? }
+            }
+            wire::Type::Text { n } => model::Type::Text { n: count(*n)? },
+            wire::Type::Ref { name } => self.named(name)?,
+        };
+        if resolved.size() > MAX_PAYLOAD {
+            return Err(format!(
+                "a payload of {} bytes is larger than {MAX_PAYLOAD}: use a frame",
+                resolved.size()
+            ));
+        }
+        Ok(resolved)
+    }
+
+    fn named(&mut self, name: &str) -> Result<model::Type, String> {
+        if let Some(done) = self.done.get(name) {
+            return Ok(done.clone());
+        }
+        if self.open.iter().any(|n| n == name) {
+            return Err(format!("type {name} contains itself"));
+        }
+        let manifest = self.manifest;
+        let named = manifest.named(name).ok_or_else(|| format!("type {name} is not described"))?;
+        self.open.push(name.to_owned());
+        let ty = if let Some(repr) = &named.repr {
+            model::Type::Enum(Arc::new(model::EnumType {
+                name: name.to_owned(),
+                repr: prim(repr)?,
+                values: named.values.iter().map(|v| (v.name.clone(), v.value)).collect(),
+            }))
+        } else {
+            self.structure(named)?
+        };
+        self.open.pop();
+        if ty.size() != named.size || ty.align() != named.align {
+            return Err(format!(
+                "type {name} says size {} and alignment {}, its fields say {} and {}",
+                named.size,
+                named.align,
+                ty.size(),
+                ty.align()
+            ));
+        }
+        self.done.insert(name.to_owned(), ty.clone());
+        Ok(ty)
+    }
+
+    /// Fields must follow each other without holes: padding would carry undefined bytes across processes.
+    fn structure(&mut self, named: &wire::NamedType) -> Result<model::Type, String> {
+        let mut at = 0usize;
+        let mut fields = Vec::with_capacity(named.fields.len());
+        for field in &named.fields {
+            let ty = self.resolve(&field.ty).map_err(|e| format!("{}.{}: {e}", named.name, field.name))?;
+            if field.at != at || !at.is_multiple_of(ty.align().max(1)) {
+                return Err(format!(
+                    "field {}.{} lies at {} where {at} was expected: payloads have no padding",
+                    named.name, field.name, field.at
+                ));
+            }
+            at = at.checked_add(ty.size()).filter(|n| *n <= MAX_PAYLOAD).ok_or("type too large")?;
+            fields.push(model::Field {
+                name: field.name.clone(),
+                at: field.at,
+                ty,
+                unit: field.unit.clone(),
+                doc: field.doc.clone(),
+                frame: field.frame.clone(),
+            });
+        }
+        if at != named.size || !named.align.is_power_of_two() || named.align > 16 {
+            return Err(format!("type {} says size {}, its fields fill {at}", named.name, named.size));
+        }
+        Ok(model::Type::Struct(Arc::new(model::StructType {
+            name: named.name.clone(),
+            doc: named.doc.clone(),
+            size: named.size,
+            align: named.align,
+            fields,
+        })))
+    }
+}
+
+fn count(n: usize) -> Result<usize, String> {
+    if n <= MAX_PAYLOAD { Ok(n) } else { Err(format!("{n} items are more than {MAX_PAYLOAD}")) }
+}
+
+fn prim(text: &str) -> Result<model::Prim, String> {
+    use model::Prim as P;
+    Ok(match text {
+        "bool" => P::Bool,
+        "u8" => P::U8,
+        "i8" => P::I8,
+        "u16" => P::U16,
+        "i16" => P::I16,
+        "u32" => P::U32,
+        "i32" => P::I32,
+        "u64" => P::U64,
+        "i64" => P::I64,
+        "f32" => P::F32,
+        "f64" => P::F64,
+        "stamp" => P::Stamp,
+        other => return Err(format!("type \"{other}\" is not known")),
+    })
+}

@@ -1,0 +1,436 @@
+//! The outside's way in: invoke a command, read a state row or an output, follow events, states and outputs.
+//!
+//! Invariant: costs the component nothing but a push into a bounded queue; whoever reads too slowly loses items, counted.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::sync::{broadcast, mpsc};
+use trocar_model::{
+    Arg, Command, ComponentId, MemberId, PortId, PortType, Refusal, Type, ValueError, check_range, decode, encode,
+};
+use trocar_plugin_api::abi::{
+    DEADLINE, DISABLED, EXECUTED, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, QUEUED, UNBOUND,
+    WOULD_BLOCK,
+};
+use trocar_rt::mailbox::{EntryHead, Mailbox};
+use trocar_rt::os;
+use trocar_rt::stream::{Payload as StreamPayload, Queue, StreamReader, stream_link};
+
+use super::api::{Invoke, Item, ItemKind, News, Payload, Reply, Sample, Selection};
+use super::boundary::{Answer, EventSink, FnBinding, OutLink, Tap};
+use super::connect;
+use super::instance::Instance;
+use super::local::LocalLcm;
+
+/// Items a slow receiver may have waiting.
+const ITEMS: usize = 256;
+/// Events one follower may have waiting between two looks.
+const TAP_DEPTH: usize = 256;
+/// How often followers look at their queues.
+const LOOK: Duration = Duration::from_millis(5);
+/// Items per second of an output when nothing else is asked.
+const DEFAULT_RATE_HZ: f64 = 30.0;
+
+/// Carries out one call; reads are answered from the published row.
+pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Reply, Refusal> {
+    let (id, command) = find_command(&instance, &call.member)?;
+    let arg = argument(&call.member, &command, &call.arg)?;
+    let ret = command.ret.clone();
+    let (send, deadline_ns, member) = (call.send, call.deadline_ns, call.member.clone());
+    let unit = command.ret_unit.clone();
+    let target = connect::target(&instance, &command, id, &instance.external.clone(), id, deadline_ns);
+    let ret_bytes = ret.as_ref().map_or(0, Type::size);
+    let answer = match &target {
+        // Never waits: answered here.
+        FnBinding::Read(read) => read.answer(&arg, ret_bytes),
+        _ => tokio::task::spawn_blocking(move || match &target {
+            FnBinding::Command(command) => command.answer(&arg, ret_bytes, send, deadline_ns),
+            FnBinding::Read(_) | FnBinding::Unbound => Answer::unbound(),
+        })
+        .await
+        .map_err(|e| Refusal::Internal { text: format!("calling {member} panicked: {e}") })?,
+    };
+    match answer.outcome {
+        EXECUTED | QUEUED => {}
+        refused => return Err(refusal(&instance, member, refused, answer, deadline_ns)),
+    }
+    let executed = answer.outcome == EXECUTED;
+    let value = match (&ret, executed) {
+        (Some(ty), true) => Some(decode(ty, &answer.value).map_err(|e| undecodable(&member, &e))?),
+        _ => None,
+    };
+    let age_ns = if answer.stamp_ns == 0 { 0 } else { os::now_ns().saturating_sub(answer.stamp_ns) };
+    Ok(Reply {
+        executed,
+        value,
+        encoded: if executed { answer.value } else { Vec::new() },
+        stamp_ns: answer.stamp_ns,
+        age_ns,
+        unit,
+    })
+}
+
+fn undecodable(what: &dyn std::fmt::Display, e: &ValueError) -> Refusal {
+    Refusal::Internal { text: format!("{what} gave a value that does not fit its type: {e}") }
+}
+
+fn refusal(instance: &Instance, member: MemberId, outcome: Outcome, answer: Answer, deadline_ns: u64) -> Refusal {
+    match outcome {
+        UNBOUND => Refusal::Unbound { member },
+        DISABLED => Refusal::Disabled { member },
+        NOT_ACTIVE => Refusal::NotActive { member, state: instance.state() },
+        WOULD_BLOCK => Refusal::WouldBlock { member },
+        QUEUE_FULL => Refusal::QueueFull { member, depth: instance.external.mailbox.stats().depth as usize },
+        DEADLINE => Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: answer.may_still_run },
+        PEER_LOST => Refusal::PeerLost { member },
+        INVALID_ARGUMENT => {
+            Refusal::ArgumentInvalid { what: member.to_string(), why: answer.text, field: "json".into() }
+        }
+        _ => Refusal::CommandFailed { member, text: answer.text },
+    }
+}
+
+/// The command a member names, with its id.
+fn find_command(instance: &Instance, member: &MemberId) -> Result<(usize, Command), Refusal> {
+    let ports = instance.ports();
+    let port = member.port.port.as_str();
+    let Some(interface) = ports.provided.iter().position(|p| p.name == port) else {
+        return Err(Refusal::InterfaceNotFound {
+            port: member.port.clone(),
+            known: ports.provided.iter().map(|p| p.name.clone()).collect(),
+        });
+    };
+    let commands = &ports.provided[interface].commands;
+    match commands.iter().position(|c| c.name == member.member.as_str()) {
+        Some(i) => Ok((ports.first_command(interface) + i, commands[i].clone())),
+        None => Err(Refusal::MemberNotFound {
+            member: member.clone(),
+            known: commands.iter().map(|c| c.name.clone()).collect(),
+        }),
+    }
+}
+
+/// The argument as exact bytes of the command's type, within its declared range.
+fn argument(member: &MemberId, command: &Command, given: &Payload) -> Result<Vec<u8>, Refusal> {
+    let invalid =
+        |why: String| Refusal::ArgumentInvalid { what: member.to_string(), why, field: "json".into() };
+    let Some(arg) = &command.arg else {
+        return match given {
+            Payload::None | Payload::Json(Value::Null) => Ok(Vec::new()),
+            Payload::Encoded(bytes) if bytes.is_empty() => Ok(Vec::new()),
+            _ => Err(invalid(format!("{} takes no argument", command.name))),
+        };
+    };
+    let checked = |value: &Value| check_range(arg, value).map_err(&invalid);
+    match given {
+        Payload::None => Err(invalid(missing(command, arg))),
+        Payload::Json(value) => {
+            checked(value)?;
+            encode(&arg.ty, value).map_err(|e| invalid(e.to_string()))
+        }
+        Payload::Encoded(bytes) => {
+            let value = decode(&arg.ty, bytes).map_err(|e| invalid(e.to_string()))?;
+            checked(&value)?;
+            Ok(bytes.clone())
+        }
+    }
+}
+
+fn missing(command: &Command, arg: &Arg) -> String {
+    let unit = if arg.unit.is_empty() { String::new() } else { format!(" in {}", arg.unit) };
+    format!("{} needs an argument {}: {}{unit}", command.name, arg.name, arg.ty.title())
+}
+
+/// The state row of `process/component`, or the next sample of `process/component/output`.
+pub(super) async fn read(lcm: &LocalLcm, path: &str, deadline: Instant) -> Result<Sample, Refusal> {
+    if path.split('/').count() == 2 {
+        let instance = lcm.instance(&ComponentId::parse(path)?)?;
+        return state_row(&instance);
+    }
+    let port = PortId::parse(path)?;
+    let mut output = Output::open(lcm.instance(&port.component)?, &port)?;
+    loop {
+        if let Some((sample, _)) = output.newest()? {
+            return Ok(sample);
+        }
+        if Instant::now() >= deadline {
+            return Err(Refusal::LcmTimeout { process: port.component.process, what: format!("a sample of {path}") });
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+fn state_row(instance: &Instance) -> Result<Sample, Refusal> {
+    let ports = instance.ports();
+    let mut sample =
+        Sample { value: json!({}), encoded: Vec::new(), stamp_ns: 0, age_ns: 0, seq: 0, frame_bytes: 0 };
+    if let Some(ty) = &ports.state {
+        let mut row = vec![0; ty.size()];
+        if let Some(info) = instance.rows.latest(&mut row) {
+            sample.value = decode(ty, &row).map_err(|e| undecodable(&instance.id, &e))?;
+            sample.stamp_ns = info.stamp_ns;
+            sample.age_ns = os::now_ns().saturating_sub(info.stamp_ns);
+            sample.seq = info.tick;
+            sample.encoded = row;
+        }
+    }
+    Ok(sample)
+}
+
+/// A reader from outside on one output; the link goes with it.
+struct Output {
+    instance: Arc<Instance>,
+    index: usize,
+    ty: Type,
+    reader: StreamReader,
+    link: Arc<OutLink>,
+    last_seq: u64,
+}
+
+impl Output {
+    fn open(instance: Arc<Instance>, port: &PortId) -> Result<Output, Refusal> {
+        let ports = instance.ports();
+        let Some(index) = ports.outputs.iter().position(|o| o.name == port.port.as_str()) else {
+            return Err(Refusal::InterfaceNotFound {
+                port: port.clone(),
+                known: ports.outputs.iter().map(|o| o.name.clone()).collect(),
+            });
+        };
+        let (ty, payload) = match &ports.outputs[index].ty {
+            PortType::Plain(ty) => (ty.clone(), StreamPayload::Plain { bytes: ty.size() }),
+            PortType::Frame { header, .. } => (header.clone(), StreamPayload::Frame),
+            PortType::Any => {
+                return Err(Refusal::NotImplemented {
+                    what: format!("reading the untyped output {port}"),
+                    hint: "read what it is connected to".into(),
+                });
+            }
+        };
+        let (writer, reader) = stream_link(payload, Queue::Latest);
+        let link = Arc::new(OutLink::new(0, writer, None));
+        let added = link.clone();
+        instance.slots.output(index).edit(|links| links.push(added));
+        Ok(Output { instance, index, ty, reader, link, last_seq: 0 })
+    }
+
+    /// The newest sample not shown yet, and how many were left out before it.
+    fn newest(&mut self) -> Result<Option<(Sample, u64)>, Refusal> {
+        let Some(sample) = self.reader.latest().filter(|s| s.fresh) else { return Ok(None) };
+        let value = decode(&self.ty, sample.data).map_err(|e| undecodable(&self.instance.id, &e))?;
+        let skipped = if self.last_seq == 0 { 0 } else { sample.meta.seq - self.last_seq - 1 };
+        self.last_seq = sample.meta.seq;
+        let shown = Sample {
+            value,
+            encoded: sample.data.to_vec(),
+            stamp_ns: sample.meta.stamp_ns,
+            age_ns: os::now_ns().saturating_sub(sample.meta.stamp_ns),
+            seq: sample.meta.seq,
+            frame_bytes: sample.bytes.len() as u64,
+        };
+        self.reader.release();
+        Ok(Some((shown, skipped)))
+    }
+}
+
+impl Drop for Output {
+    fn drop(&mut self) {
+        let link = self.link.clone();
+        self.instance.slots.output(self.index).edit(|links| links.retain(|l| !Arc::ptr_eq(l, &link)));
+        self.instance.reclaim();
+    }
+}
+
+/// A reader from outside on one event; the tap goes with it.
+struct EventFeed {
+    instance: Arc<Instance>,
+    index: usize,
+    ty: Option<Type>,
+    tap: Arc<Tap>,
+    sink: Arc<EventSink>,
+    seq: u64,
+    dropped: u64,
+}
+
+impl EventFeed {
+    fn open(instance: Arc<Instance>, member: &MemberId) -> Result<EventFeed, Refusal> {
+        let ports = instance.ports();
+        let port = member.port.port.as_str();
+        let Some(interface) = ports.provided.iter().position(|p| p.name == port) else {
+            return Err(Refusal::InterfaceNotFound {
+                port: member.port.clone(),
+                known: ports.provided.iter().map(|p| p.name.clone()).collect(),
+            });
+        };
+        let events = &ports.provided[interface].events;
+        let Some(i) = events.iter().position(|e| e.name == member.member.as_str()) else {
+            return Err(Refusal::MemberNotFound {
+                member: member.clone(),
+                known: events.iter().map(|e| e.name.clone()).collect(),
+            });
+        };
+        let ty = events[i].payload.clone();
+        let tap = Arc::new(Tap { mailbox: Mailbox::new(TAP_DEPTH, ty.as_ref().map_or(0, Type::size), 0) });
+        let sink = Arc::new(EventSink::Tap(tap.clone()));
+        let index = ports.first_event(interface) + i;
+        let added = sink.clone();
+        instance.slots.event(index).edit(|sinks| sinks.push(added));
+        Ok(EventFeed { instance, index, ty, tap, sink, seq: 0, dropped: 0 })
+    }
+
+    fn drain(&mut self, path: &str, mut give: impl FnMut(Item)) {
+        let dropped = self.tap.mailbox.stats().dropped;
+        let mut skipped = dropped - self.dropped;
+        self.dropped = dropped;
+        let show = |head: EntryHead, payload: &[u8]| {
+            self.seq += 1 + skipped;
+            let value = match &self.ty {
+                Some(ty) => decode(ty, &payload[..ty.size()]).unwrap_or(Value::Null),
+                None => Value::Null,
+            };
+            give(Item {
+                path: path.to_owned(),
+                kind: ItemKind::Event,
+                value,
+                stamp_ns: head.stamp_ns,
+                seq: self.seq,
+                skipped: std::mem::take(&mut skipped),
+            });
+        };
+        self.tap.mailbox.drain(show, |_| ());
+    }
+}
+
+impl Drop for EventFeed {
+    fn drop(&mut self) {
+        let sink = self.sink.clone();
+        self.instance.slots.event(self.index).edit(|sinks| sinks.retain(|s| !Arc::ptr_eq(s, &sink)));
+        self.instance.reclaim();
+    }
+}
+
+/// What one selection follows.
+enum Feed {
+    State { id: ComponentId, news: broadcast::Receiver<News> },
+    Event(EventFeed),
+    Output(Box<Output>, Duration),
+}
+
+/// Opens every selection, or none, and follows them until the receiver is dropped.
+pub(super) fn subscribe(lcm: &LocalLcm, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
+    let feeds = selections
+        .iter()
+        .map(|s| open(lcm, s).map(|feed| (s.path.clone(), feed)))
+        .collect::<Result<Vec<_>, _>>()?;
+    let (tell, told) = mpsc::channel(ITEMS);
+    for (path, feed) in feeds {
+        tokio::spawn(follow(path, feed, Teller { tell: tell.clone(), lost: AtomicU64::new(0) }));
+    }
+    Ok(told)
+}
+
+fn open(lcm: &LocalLcm, selection: &Selection) -> Result<Feed, Refusal> {
+    let path = selection.path.as_str();
+    match path.split('/').count() {
+        2 => {
+            let id = ComponentId::parse(path)?;
+            let news = lcm.news_receiver();
+            lcm.instance(&id)?;
+            Ok(Feed::State { id, news })
+        }
+        3 => {
+            let port = PortId::parse(path)?;
+            let rate = if selection.max_rate_hz > 0.0 { selection.max_rate_hz } else { DEFAULT_RATE_HZ };
+            let pause = Duration::from_secs_f64(1.0 / rate.clamp(0.01, 1000.0));
+            Ok(Feed::Output(Box::new(Output::open(lcm.instance(&port.component)?, &port)?), pause))
+        }
+        _ => {
+            let member = MemberId::parse(path)?;
+            Ok(Feed::Event(EventFeed::open(lcm.instance(&member.port.component)?, &member)?))
+        }
+    }
+}
+
+/// Hands items to the receiver; what a full channel cannot take is counted into the next one.
+struct Teller {
+    tell: mpsc::Sender<Item>,
+    lost: AtomicU64,
+}
+
+impl Teller {
+    fn give(&self, mut item: Item) {
+        item.skipped += self.lost.swap(0, Ordering::Relaxed);
+        let skipped = item.skipped;
+        if self.tell.try_send(item).is_err() {
+            self.lost.fetch_add(skipped + 1, Ordering::Relaxed);
+        }
+    }
+}
+
+async fn follow(path: String, feed: Feed, teller: Teller) {
+    match feed {
+        Feed::State { id, mut news } => loop {
+            tokio::select! {
+                () = teller.tell.closed() => return,
+                received = news.recv() => match received {
+                    Ok(News::State(report)) if report.id == id => teller.give(Item {
+                        path: path.clone(),
+                        kind: ItemKind::State,
+                        value: json!({
+                            "state": report.state.to_string(),
+                            "health": report.health.to_string(),
+                            "fault": report.fault,
+                        }),
+                        stamp_ns: os::now_ns(),
+                        seq: 0,
+                        skipped: 0,
+                    }),
+                    Ok(_) => {}
+                    Err(broadcast::error::RecvError::Lagged(n)) => {
+                        teller.lost.fetch_add(n, Ordering::Relaxed);
+                    }
+                    Err(broadcast::error::RecvError::Closed) => return,
+                },
+            }
+        },
+        Feed::Event(mut feed) => {
+            while !rest(&teller, LOOK).await {
+                feed.drain(&path, |item| teller.give(item));
+            }
+        }
+        Feed::Output(mut output, pause) => {
+            while !rest(&teller, pause).await {
+                match output.newest() {
+                    Ok(Some((sample, skipped))) => {
+                        let mut value = sample.value;
+                        if sample.frame_bytes > 0
+                            && let Some(object) = value.as_object_mut()
+                        {
+                            object.insert("frame_bytes".into(), sample.frame_bytes.into());
+                        }
+                        teller.give(Item {
+                            path: path.clone(),
+                            kind: ItemKind::Stream,
+                            value,
+                            stamp_ns: sample.stamp_ns,
+                            seq: sample.seq,
+                            skipped,
+                        });
+                    }
+                    Ok(None) => {}
+                    Err(refusal) => log::error!("following {path}: {refusal}"),
+                }
+            }
+        }
+    }
+}
+
+/// Waits for the next look; true when the receiver is gone.
+async fn rest(teller: &Teller, pause: Duration) -> bool {
+    tokio::select! {
+        () = teller.tell.closed() => true,
+        () = tokio::time::sleep(pause) => false,
+    }
+}

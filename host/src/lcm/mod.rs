@@ -1,0 +1,25 @@
+//! The Local Component Manager: the only owner of this process's components.
+//!
+//! Invariant: it never runs component code on its own threads and shares no lock with one that does.
+
+mod api;
+mod boundary;
+mod classes;
+mod connect;
+mod context;
+pub mod convert;
+mod executor;
+mod external;
+mod hub;
+mod instance;
+mod local;
+mod logs;
+mod order;
+mod store;
+mod system;
+
+pub use api::*;
+pub use boundary::plugin_log;
+pub use classes::{Classes, LoadedClass};
+pub use local::{LcmConfig, LocalLcm};
+pub use store::StoreClasses;

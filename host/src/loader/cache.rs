@@ -1,0 +1,147 @@
+//! The only place the dynamic linker loads plugins from: `<state>/plugins/<sha256>/<name>.so`.
+//!
+//! Invariant: a path handed out holds exactly the bytes of that hash, is owned by this user, and nobody else can write it or
+//! a directory above it up to the cache's root. Files are made complete under another name, then renamed.
+
+use std::fs::{self, File, OpenOptions, Permissions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use super::file::own_uid;
+use super::{Fault, Hash, StoreError};
+
+pub(crate) struct Cache {
+    root: PathBuf,
+}
+
+impl Cache {
+    /// Makes `<state>/plugins` if needed and proves that it can be written and executed from.
+    ///
+    /// # Errors
+    /// Unwritable, foreign, or on a filesystem mounted noexec.
+    pub(crate) fn open(state: &Path) -> Result<Cache, StoreError> {
+        let root = state.join("plugins");
+        let unwritable =
+            |e: io::Error| StoreError::StateUnwritable { dir: state.into(), because: e.to_string() };
+        private_dir(&root).map_err(unwritable)?;
+        let meta = fs::metadata(&root).map_err(unwritable)?;
+        if meta.uid() != own_uid() {
+            return Err(StoreError::StateForeign { dir: root, owner: meta.uid() });
+        }
+        if meta.mode() & 0o077 != 0 {
+            fs::set_permissions(&root, Permissions::from_mode(0o700)).map_err(unwritable)?;
+        }
+        let probe = root.join(temporary_name());
+        OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .open(&probe)
+            .and_then(|_| fs::remove_file(&probe))
+            .map_err(unwritable)?;
+        if is_noexec(&root).map_err(unwritable)? {
+            return Err(StoreError::StateNoExec { dir: root });
+        }
+        let root = root.canonicalize().map_err(unwritable)?;
+        Ok(Cache { root })
+    }
+
+    /// The cached file of `hash`; written from `bytes` unless it is there already, whole and private.
+    pub(crate) fn put(&self, hash: &Hash, name: &str, bytes: &[u8]) -> Result<PathBuf, Fault> {
+        let dir = self.dir(hash);
+        let path = dir.join(format!("{name}.so"));
+        if is_whole(&path, bytes) {
+            return Ok(path);
+        }
+        let failed = |e: io::Error| Fault::Cache { path: path.clone(), because: e.to_string() };
+        private_dir(&dir).map_err(failed)?;
+        write_whole(&path, bytes, 0o500).map_err(failed)?;
+        Ok(path)
+    }
+
+    /// True when the vetting child of this host version found nothing wrong with `hash`.
+    pub(crate) fn is_vetted(&self, hash: &Hash) -> bool {
+        self.dir(hash).join(verdict_name()).exists()
+    }
+
+    /// Remembers a good verdict; a lost one only costs another look.
+    pub(crate) fn set_vetted(&self, hash: &Hash) {
+        if let Err(error) = write_whole(&self.dir(hash).join(verdict_name()), b"ok\n", 0o400) {
+            log::debug!("the verdict on {} was not kept: {error}", hash.short());
+        }
+    }
+
+    fn dir(&self, hash: &Hash) -> PathBuf {
+        self.root.join(hash.to_string())
+    }
+}
+
+/// Another host or ABI version judges anew.
+fn verdict_name() -> String {
+    use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
+    format!("vetted-{}-{ABI_MAJOR}.{ABI_MINOR}", env!("CARGO_PKG_VERSION"))
+}
+
+fn private_dir(path: &Path) -> io::Result<()> {
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(path)
+}
+
+fn temporary_name() -> String {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    format!(".tmp-{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed))
+}
+
+fn write_whole(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
+    let temporary = path.with_file_name(temporary_name());
+    let write = || {
+        let mut file = OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .mode(0o600)
+            .custom_flags(libc::O_NOFOLLOW)
+            .open(&temporary)?;
+        file.write_all(bytes)?;
+        file.set_permissions(Permissions::from_mode(mode))?;
+        drop(file);
+        fs::rename(&temporary, path)
+    };
+    write().inspect_err(|_| drop(fs::remove_file(&temporary)))
+}
+
+/// Compares with the bytes in memory: cheaper than hashing the copy.
+fn is_whole(path: &Path, bytes: &[u8]) -> bool {
+    let read = || -> io::Result<bool> {
+        let mut file: File = OpenOptions::new().read(true).custom_flags(libc::O_NOFOLLOW).open(path)?;
+        let meta = file.metadata()?;
+        let private = meta.is_file() && meta.uid() == own_uid() && meta.mode() & 0o022 == 0;
+        if !private || meta.len() != bytes.len() as u64 {
+            return Ok(false);
+        }
+        let mut piece = vec![0; 64 << 10];
+        for bytes in bytes.chunks(piece.len()) {
+            let piece = &mut piece[..bytes.len()];
+            file.read_exact(piece)?;
+            if piece != bytes {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    };
+    read().unwrap_or(false)
+}
+
+fn is_noexec(path: &Path) -> io::Result<bool> {
+    let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes())?;
+    // SAFETY: `statvfs` is a plain struct of integers for which all zeros is valid.
+    let mut stat: libc::statvfs = unsafe { std::mem::zeroed() };
+    // SAFETY: the path is zero-terminated and `stat` is ours to write.
+    match unsafe { libc::statvfs(path.as_ptr(), &raw mut stat) } {
+        0 => Ok(stat.f_flag & libc::ST_NOEXEC != 0),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+#[cfg(test)]
+#[path = "cache_tests.rs"]
+mod tests;

@@ -1,0 +1,428 @@
+//! Every reason why a plugin file, a class or a plugin store is refused.
+//!
+//! Invariant: variants hold values; the sentence with its remedy is written once, in `Display`, and fits on one line.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
+
+use super::Hash;
+
+/// Why a plugin or a class cannot be used.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PluginError {
+    /// One file is not acceptable.
+    Refused { file: PathBuf, fault: Fault },
+    /// No listed plugin offers the class; `refused` is a refused file whose name looks like the one asked for.
+    ClassNotFound {
+        asked: String,
+        nearest: Option<String>,
+        available: Vec<String>,
+        refused: Option<Box<PluginError>>,
+    },
+    /// A short class name that several plugins offer.
+    ClassAmbiguous { asked: String, offered: Vec<String> },
+}
+
+/// What is wrong with one file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Fault {
+    Vanished,
+    Unreadable {
+        because: String,
+    },
+    /// `kind` with its article: "a FIFO".
+    NotRegular {
+        kind: &'static str,
+    },
+    /// Sizes in bytes.
+    TooLarge {
+        size: u64,
+        limit: u64,
+    },
+    ChangedWhileRead,
+    Empty,
+    NotElf {
+        text: bool,
+    },
+    /// `what` lies at `needs` bytes, the file has `has`.
+    Truncated {
+        what: String,
+        needs: u64,
+        has: u64,
+    },
+    Malformed {
+        what: String,
+    },
+    WrongMachine {
+        built_for: String,
+        host: &'static str,
+    },
+    Executable,
+    /// An object file, a core dump: `kind` with its article.
+    NotALibrary {
+        kind: &'static str,
+    },
+    RunPath {
+        path: String,
+    },
+    MissingLibrary {
+        name: String,
+    },
+    LibraryByPath {
+        name: String,
+    },
+    NoNote,
+    BadManifest {
+        because: String,
+    },
+    Abi {
+        plugin: [u32; 2],
+    },
+    PanicAbort,
+    SameName {
+        plugin: String,
+        other: PathBuf,
+    },
+    WorldWritable {
+        mode: u32,
+    },
+    GroupWritable {
+        mode: u32,
+    },
+    ForeignOwner {
+        owner: u32,
+        own: u32,
+    },
+    Symlink,
+    SymlinkLeadsOut,
+    NotAllowed {
+        hash: Hash,
+        list: PathBuf,
+    },
+    UndefinedSymbol {
+        symbol: String,
+    },
+    DlOpen {
+        because: String,
+    },
+    NoEntry,
+    Layout {
+        difference: String,
+    },
+    /// The entry's table and the manifest disagree.
+    EntryDiffers {
+        what: String,
+    },
+    /// `during` completes "…while".
+    Crashed {
+        during: Stage,
+        how: String,
+    },
+    Hung {
+        during: Stage,
+        seconds: u64,
+    },
+    Quit {
+        during: Stage,
+        code: i32,
+    },
+    VetFailed {
+        because: String,
+    },
+    Cache {
+        path: PathBuf,
+        because: String,
+    },
+    Init {
+        status: i32,
+    },
+}
+
+/// How far the vetting child came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// dlopen: constructors of global objects.
+    Loading,
+    Layout,
+    Entry,
+}
+
+/// Why a store cannot be opened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum StoreError {
+    DirMissing { dir: PathBuf },
+    DirNotADirectory { dir: PathBuf },
+    DirUnreadable { dir: PathBuf, because: String },
+    StateUnwritable { dir: PathBuf, because: String },
+    StateForeign { dir: PathBuf, owner: u32 },
+    StateNoExec { dir: PathBuf },
+    TrustUnknown { asked: String },
+    TrustSigned,
+    AllowList { file: PathBuf, because: String },
+}
+
+impl PluginError {
+    /// The reason code of the error table.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            PluginError::ClassNotFound { .. } | PluginError::ClassAmbiguous { .. } => "CLASS_NOT_FOUND",
+            PluginError::Refused { fault, .. } => fault.reason(),
+        }
+    }
+
+    /// The file a refusal is about.
+    pub fn file(&self) -> Option<&PathBuf> {
+        match self {
+            PluginError::Refused { file, .. } => Some(file),
+            _ => None,
+        }
+    }
+}
+
+impl Fault {
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Fault::Abi { .. } | Fault::Layout { .. } => "PLUGIN_ABI",
+            Fault::WorldWritable { .. }
+            | Fault::GroupWritable { .. }
+            | Fault::ForeignOwner { .. }
+            | Fault::Symlink
+            | Fault::SymlinkLeadsOut
+            | Fault::NotAllowed { .. } => "PLUGIN_UNTRUSTED",
+            _ => "PLUGIN_BAD_FILE",
+        }
+    }
+}
+
+impl std::error::Error for PluginError {}
+impl std::error::Error for StoreError {}
+
+impl fmt::Display for PluginError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            PluginError::Refused { file, fault } => {
+                let name = file.file_name().map_or_else(|| file.to_string_lossy(), |n| n.to_string_lossy());
+                write!(f, "{name}: {fault}")
+            }
+            PluginError::ClassNotFound { asked, nearest, available, refused } => {
+                write!(f, "no class `{asked}` in any listed plugin")?;
+                if let Some(name) = nearest {
+                    write!(f, "; did you mean `{name}`?")?;
+                }
+                match available.is_empty() {
+                    true => write!(f, "; no plugin is listed: put its .so into a plugin directory")?,
+                    false => write!(f, "; available: {}", available.join(", "))?,
+                }
+                if let Some(error) = refused {
+                    write!(f, "; a file of that name is refused: {error}")?;
+                }
+                Ok(())
+            }
+            PluginError::ClassAmbiguous { asked, offered } => {
+                write!(f, "class `{asked}` is offered by several plugins: say {}", offered.join(" or "))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Stage::Loading => "its constructors run (dlopen)",
+            Stage::Layout => "its layout description is read",
+            Stage::Entry => "its entry is called",
+        })
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Fault::Vanished => write!(f, "the file is gone: copy it into the plugin directory again"),
+            Fault::Unreadable { because } => write!(f, "cannot be read ({because}): check its permissions"),
+            Fault::NotRegular { kind } => {
+                write!(f, "is {kind}, not a regular file: put the shared library itself here")
+            }
+            Fault::TooLarge { size, limit } => write!(
+                f,
+                "is {} MiB long, a plugin may have {} MiB: strip it or check what was copied",
+                size >> 20,
+                limit >> 20
+            ),
+            Fault::ChangedWhileRead => {
+                write!(f, "changed while it was read: write it under another name, then rename it")
+            }
+            Fault::Empty => write!(f, "is empty: copy it again"),
+            Fault::NotElf { text: true } => {
+                write!(f, "is a text file, not a shared library: put a compiled .so here")
+            }
+            Fault::NotElf { text: false } => {
+                write!(f, "is not an ELF file, so not a shared library: put a compiled .so here")
+            }
+            Fault::Truncated { what, needs, has } => write!(
+                f,
+                "is truncated: {what} needs {needs} bytes of file, it has {has}: copy it again, completely"
+            ),
+            Fault::Malformed { what } => write!(f, "is a damaged ELF file: {what}: copy or build it again"),
+            Fault::WrongMachine { built_for, host } => {
+                write!(f, "is built for {built_for}, this host is {host}: build it for {host}")
+            }
+            Fault::Executable => write!(
+                f,
+                "is an executable, not a shared library: build it with crate-type cdylib (Rust) or -shared (C, C++)"
+            ),
+            Fault::NotALibrary { kind } => {
+                write!(f, "is {kind}, not a shared library: link it with -shared")
+            }
+            Fault::RunPath { path } => write!(
+                f,
+                "carries the library search path `{path}`: link it without -rpath (only $ORIGIN is allowed)"
+            ),
+            Fault::MissingLibrary { name } => write!(
+                f,
+                "needs the library `{name}`, which this system does not have: install it, or link it statically"
+            ),
+            Fault::LibraryByPath { name } => write!(
+                f,
+                "needs a library by its path `{name}`: link with -l so that the system's search applies"
+            ),
+            Fault::NoNote => write!(
+                f,
+                "is a shared library but no trocar plugin (no .note.trocar): end it with trocar_plugin!(…) \
+                 or TROCAR_MANIFEST in C"
+            ),
+            Fault::BadManifest { because } => {
+                write!(f, "has a manifest this host cannot use: {because}: correct and rebuild the plugin")
+            }
+            Fault::Abi { plugin: [major, minor] } => {
+                let remedy = if *major > ABI_MAJOR { "update the host, or rebuild" } else { "rebuild" };
+                write!(
+                    f,
+                    "speaks ABI {major}.{minor}, this host speaks {ABI_MAJOR}.{ABI_MINOR}: {remedy} the plugin \
+                     with trocar-sdk {ABI_MAJOR}.x"
+                )
+            }
+            Fault::PanicAbort => write!(
+                f,
+                "was built with panic = \"abort\", so a panic would end the whole host: build it with \
+                 panic = \"unwind\""
+            ),
+            Fault::SameName { plugin, other } => {
+                write!(f, "has the same plugin name `{plugin}` as {}: remove one of the two", other.display())
+            }
+            Fault::WorldWritable { mode } => {
+                write!(f, "can be written by everybody (mode {:o}): run chmod go-w on it", mode & 0o7777)
+            }
+            Fault::GroupWritable { mode } => {
+                write!(f, "can be written by its group (mode {:o}): run chmod g-w on it", mode & 0o7777)
+            }
+            Fault::ForeignOwner { owner, own } => write!(
+                f,
+                "belongs to user {owner}, this host runs as user {own} and takes only its own and root's files: \
+                 copy or chown it"
+            ),
+            Fault::Symlink => write!(f, "is a symbolic link, which this trust mode refuses: copy the file"),
+            Fault::SymlinkLeadsOut => {
+                write!(f, "is a symbolic link that leads out of the plugin directory: copy the file")
+            }
+            Fault::NotAllowed { hash, list } => write!(
+                f,
+                "is not in the allow list {}: if you trust it, add its sha256 {hash}",
+                list.display()
+            ),
+            Fault::UndefinedSymbol { symbol } => write!(
+                f,
+                "uses the symbol `{symbol}`, which nothing defines: link the library that has it (-Wl,-z,defs \
+                 finds this at build time)"
+            ),
+            Fault::DlOpen { because } => write!(f, "cannot be loaded: {because}"),
+            Fault::NoEntry => write!(
+                f,
+                "has a manifest but does not export `trocar_plugin_v1`: export it (visibility default), then rebuild"
+            ),
+            Fault::Layout { difference } => write!(
+                f,
+                "was built with another layout of the contract: {difference}: rebuild it with trocar-sdk {ABI_MAJOR}.x"
+            ),
+            Fault::EntryDiffers { what } => {
+                write!(
+                    f,
+                    "says one thing in its manifest and another in its entry: {what}: rebuild it completely"
+                )
+            }
+            Fault::Crashed { during, how } => write!(
+                f,
+                "crashes while {during} ({how}); it was tried in a child process, this host is not affected: \
+                 debug it with `trocar __vet FILE`"
+            ),
+            Fault::Hung { during, seconds } => write!(
+                f,
+                "does not come back within {seconds} s while {during}; the child process that tried it was \
+                 ended: do slow work in `configure` or `start`"
+            ),
+            Fault::Quit { during, code } => {
+                write!(f, "ends the process with code {code} while {during}: a plugin must not call exit")
+            }
+            Fault::VetFailed { because } => write!(f, "could not be tried in a child process: {because}"),
+            Fault::Cache { path, because } => write!(
+                f,
+                "cannot be copied to the plugin cache {}: {because}: free or repair the state directory",
+                path.display()
+            ),
+            Fault::Init { status } => {
+                write!(f, "refuses to work: its init answers {status}: see the log for its reason")
+            }
+        }
+    }
+}
+
+impl fmt::Display for StoreError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            StoreError::DirMissing { dir } => {
+                write!(
+                    f,
+                    "plugin directory {} does not exist: create it with mkdir -p, or name another",
+                    dir.display()
+                )
+            }
+            StoreError::DirNotADirectory { dir } => {
+                write!(f, "{} is not a directory: name the directory that holds the plugins", dir.display())
+            }
+            StoreError::DirUnreadable { dir, because } => write!(
+                f,
+                "plugin directory {} cannot be read ({because}): give this user read and execute permission",
+                dir.display()
+            ),
+            StoreError::StateUnwritable { dir, because } => write!(
+                f,
+                "state directory {} cannot be written ({because}): name a writable one with --state DIR",
+                dir.display()
+            ),
+            StoreError::StateForeign { dir, owner } => write!(
+                f,
+                "{} belongs to user {owner}, who could exchange plugins in it: name an own one with --state DIR",
+                dir.display()
+            ),
+            StoreError::StateNoExec { dir } => write!(
+                f,
+                "{} is on a filesystem mounted noexec, plugins cannot be loaded from it: name another with --state DIR",
+                dir.display()
+            ),
+            StoreError::TrustUnknown { asked } => {
+                write!(f, "no trust mode `{asked}`: say dev or allowlist:FILE")
+            }
+            StoreError::TrustSigned => write!(
+                f,
+                "trust mode `signed` is not in this version: say allowlist:FILE to load known files only, or dev"
+            ),
+            StoreError::AllowList { file, because } => write!(
+                f,
+                "allow list {} cannot be used: {because}: it is a file of your own with {{\"sha256\": [\"…\"]}}",
+                file.display()
+            ),
+        }
+    }
+}

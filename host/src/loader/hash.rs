@@ -1,0 +1,52 @@
+//! The sha256 of a file: the identity of a plugin's bytes.
+//!
+//! Invariant: trust, cache, vetting verdicts and loaded libraries are keyed by this and by nothing a file can claim.
+
+use std::fmt;
+
+use sha2::{Digest, Sha256};
+
+/// 32 bytes, shown as 64 lower-case hex digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Hash([u8; 32]);
+
+impl Hash {
+    pub fn of(bytes: &[u8]) -> Hash {
+        let mut out = [0; 32];
+        out.copy_from_slice(&Sha256::digest(bytes));
+        Hash(out)
+    }
+
+    /// Parses 64 hex digits of either case.
+    pub fn parse(text: &str) -> Option<Hash> {
+        let digits = text.as_bytes();
+        if digits.len() != 64 {
+            return None;
+        }
+        let mut out = [0; 32];
+        for (byte, pair) in out.iter_mut().zip(digits.chunks_exact(2)) {
+            let value = |d: u8| char::from(d).to_digit(16);
+            *byte = (value(pair[0])? << 4 | value(pair[1])?) as u8;
+        }
+        Some(Hash(out))
+    }
+
+    /// The first 12 hex digits, for people.
+    pub fn short(&self) -> String {
+        let mut text = self.to_string();
+        text.truncate(12);
+        text
+    }
+}
+
+impl fmt::Display for Hash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Hash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}

@@ -1,0 +1,37 @@
+//! The plugin directory → vetted, cached, loaded classes.
+//!
+//! Invariant: check, then run. No byte of a plugin executes in this process before its file was read once, judged, described
+//! by its manifest, and survived in a child process; and nothing but the cache is ever given to the dynamic linker.
+
+mod cache;
+mod catalog;
+mod child;
+mod elf;
+mod error;
+mod file;
+mod hash;
+mod host_table;
+mod inspect;
+mod libraries;
+mod load;
+mod manifest;
+mod scan;
+mod store;
+mod trust;
+mod vet;
+mod watch;
+
+pub use catalog::{CatalogChange, PluginEntry};
+pub use child::vet_main;
+pub use error::{Fault, PluginError, Stage, StoreError};
+pub use hash::Hash;
+pub use host_table::{LogFn, log_to_crate};
+pub use inspect::{Inspection, inspect_file};
+pub use load::{LoadedClass, LoadedPlugin};
+pub use store::{ClassRef, ListedPlugin, PluginStore, PluginStoreConfig};
+pub use trust::{AllowList, Trust};
+pub use vet::VET_ARG;
+pub use watch::WatchHandle;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,307 @@
+//! The plugin store of a host: what is in its directories, and the way from a class name to a loaded class.
+//!
+//! Invariant: a file's bytes are read once; what is loaded is what was hashed and inspected. One scan at a time, and its
+//! news are told in order. Locks are never held while a plugin's code or a child process runs, except that plugin's own.
+
+use std::collections::{BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::time::Duration;
+
+use trocar_plugin_api::manifest::{Class, Manifest};
+
+use super::cache::Cache;
+use super::host_table::{LogFn, log_to_crate};
+use super::load::{self, LoadedClass, LoadedPlugin};
+use super::scan::{SETTLE, Scanner};
+use super::vet::{self, VET_LIMIT};
+use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog};
+
+/// Where plugins come from and what is done with them.
+#[derive(Clone, Debug)]
+pub struct PluginStoreConfig {
+    /// Watched directories; the first one wins where two files have the same plugin name.
+    pub dirs: Vec<PathBuf>,
+    /// State directory of this process; plugins are cached in `<state>/plugins`.
+    pub state: PathBuf,
+    pub trust: Trust,
+    /// The binary that knows the hidden subcommand `__vet`: `std::env::current_exe()` in a host.
+    pub host_exe: PathBuf,
+    /// Where plugins log to outside their instances.
+    pub log: LogFn,
+}
+
+impl PluginStoreConfig {
+    /// Trust `dev`, lines to the `log` crate.
+    pub fn new(dirs: Vec<PathBuf>, state: PathBuf, host_exe: PathBuf) -> PluginStoreConfig {
+        PluginStoreConfig { dirs, state, trust: Trust::Dev, host_exe, log: log_to_crate }
+    }
+}
+
+/// See the module's documentation. All calls may block on files; never from a real-time thread.
+pub struct PluginStore {
+    config: PluginStoreConfig,
+    vet_limit: Duration,
+    cache: Cache,
+    scanner: Mutex<Scanner>,
+    entries: RwLock<Arc<Vec<PluginEntry>>>,
+    /// One slot per file content, so that a slow plugin does not hold up another.
+    loaded: Mutex<HashMap<Hash, Slot>>,
+    pub(super) observers: Mutex<Vec<Observer>>,
+    /// Files seen to be written and not yet closed.
+    pub(super) writing: Mutex<BTreeSet<PathBuf>>,
+}
+
+type Slot = Arc<Mutex<Option<Arc<LoadedPlugin>>>>;
+
+pub(super) struct Observer {
+    pub(super) id: u64,
+    pub(super) tell: Box<dyn Fn(&CatalogChange) + Send>,
+}
+
+/// A plugin whose file was taken; none of its code has run.
+pub struct ListedPlugin {
+    pub manifest: Manifest,
+    pub hash: Hash,
+    pub file: PathBuf,
+    /// Bytes.
+    pub size: u64,
+    pub warnings: Vec<String>,
+    /// Kept until the plugin is loaded, then the cache has them.
+    content: Mutex<Option<Arc<Vec<u8>>>>,
+}
+
+/// A class of a listed plugin.
+#[derive(Clone, Debug)]
+pub struct ClassRef {
+    pub plugin: Arc<ListedPlugin>,
+    index: usize,
+}
+
+impl ClassRef {
+    /// `plugin/class`.
+    pub fn full_name(&self) -> String {
+        format!("{}/{}", self.plugin.name(), self.class().name)
+    }
+
+    pub fn class(&self) -> &Class {
+        &self.plugin.manifest.classes[self.index]
+    }
+}
+
+impl ListedPlugin {
+    pub(crate) fn new(
+        manifest: Manifest,
+        file: &Path,
+        hash: Hash,
+        bytes: Vec<u8>,
+        warnings: Vec<String>,
+    ) -> ListedPlugin {
+        let size = bytes.len() as u64;
+        let content = Mutex::new(Some(Arc::new(bytes)));
+        ListedPlugin { manifest, hash, file: file.into(), size, warnings, content }
+    }
+
+    pub fn name(&self) -> &str {
+        &self.manifest.name
+    }
+}
+
+impl std::fmt::Debug for ListedPlugin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {} ({})", self.name(), self.manifest.version, self.hash.short())
+    }
+}
+
+impl PluginStore {
+    /// Checks the directories and takes the first look into them.
+    ///
+    /// # Errors
+    /// A directory that is missing, no directory, unreadable; a state directory that cannot hold plugins.
+    pub fn open(config: PluginStoreConfig) -> Result<Arc<PluginStore>, StoreError> {
+        PluginStore::open_with_limit(config, VET_LIMIT)
+    }
+
+    pub(crate) fn open_with_limit(
+        config: PluginStoreConfig,
+        vet_limit: Duration,
+    ) -> Result<Arc<PluginStore>, StoreError> {
+        config.dirs.iter().try_for_each(|dir| check_dir(dir))?;
+        let store = PluginStore {
+            cache: Cache::open(&config.state)?,
+            config,
+            vet_limit,
+            scanner: Mutex::default(),
+            entries: RwLock::default(),
+            loaded: Mutex::default(),
+            observers: Mutex::default(),
+            writing: Mutex::default(),
+        };
+        store.rescan();
+        Ok(Arc::new(store))
+    }
+
+    pub fn dirs(&self) -> &[PathBuf] {
+        &self.config.dirs
+    }
+
+    /// Looks at the directories now; waits up to half a second for files that are just being written. Observers hear of
+    /// changes on this thread, before it returns, so an observer must not call this.
+    pub fn rescan(&self) {
+        for _ in 0..3 {
+            if !self.scan(&BTreeSet::new()) {
+                return;
+            }
+            std::thread::sleep(SETTLE);
+        }
+    }
+
+    /// One look; true when a file is still being written.
+    pub(super) fn scan(&self, closed: &BTreeSet<PathBuf>) -> bool {
+        let mut scanner = lock(&self.scanner);
+        let writing = lock(&self.writing).clone();
+        let scan = scanner.scan(&self.config.dirs, &self.config.trust, closed, &writing);
+        let before = self.entries();
+        let after = Arc::new(catalog::assemble(&before, scan.findings));
+        let changes = catalog::changes(&before, &after);
+        self.drop_loaded_content(&after);
+        *self.entries.write().unwrap_or_else(PoisonError::into_inner) = after;
+        let observers = lock(&self.observers);
+        for change in &changes {
+            observers.iter().for_each(|o| (o.tell)(change));
+        }
+        scan.unsettled
+    }
+
+    /// Everything that looks like a plugin, listed or refused, in the order of directories and names.
+    pub fn list(&self) -> Vec<PluginEntry> {
+        self.entries().to_vec()
+    }
+
+    /// Every available class, in the order of [`PluginStore::list`].
+    pub fn classes(&self) -> Vec<ClassRef> {
+        let of = |plugin: &Arc<ListedPlugin>| {
+            let refs =
+                (0..plugin.manifest.classes.len()).map(|index| ClassRef { plugin: plugin.clone(), index });
+            refs.collect::<Vec<_>>()
+        };
+        self.entries().iter().filter_map(PluginEntry::listed).flat_map(of).collect()
+    }
+
+    /// Finds `plugin/class`, or `class` where one plugin alone offers it.
+    ///
+    /// # Errors
+    /// Unknown (with the nearest name and what exists) or ambiguous (with all full names).
+    pub fn class(&self, name: &str) -> Result<ClassRef, PluginError> {
+        let matches = |c: &ClassRef| match name.split_once('/') {
+            Some((plugin, class)) => c.plugin.name() == plugin && c.class().name == class,
+            None => c.class().name == name,
+        };
+        let classes = self.classes();
+        let mut found: Vec<&ClassRef> = classes.iter().filter(|c| matches(c)).collect();
+        match (found.pop(), found.is_empty()) {
+            (Some(class), true) => Ok(class.clone()),
+            (Some(class), false) => {
+                let mut offered: Vec<_> = found.iter().map(|c| c.full_name()).collect();
+                offered.push(class.full_name());
+                Err(PluginError::ClassAmbiguous { asked: name.into(), offered })
+            }
+            (None, _) => Err(self.not_found(name, &classes)),
+        }
+    }
+
+    fn not_found(&self, asked: &str, classes: &[ClassRef]) -> PluginError {
+        let available: Vec<_> = classes.iter().map(ClassRef::full_name).collect();
+        let short = asked.rsplit('/').next().unwrap_or(asked);
+        let near = |full: &&String| {
+            let class = full.rsplit('/').next().unwrap_or(full);
+            strsim::jaro_winkler(asked, full).max(strsim::jaro_winkler(short, class))
+        };
+        let nearest = available
+            .iter()
+            .filter(|full| near(full) > 0.8)
+            .max_by(|a, b| near(a).total_cmp(&near(b)))
+            .cloned();
+        let plugin = asked.split('/').next().unwrap_or(asked).replace('-', "_");
+        let refused = self.entries().iter().find_map(|entry| match entry {
+            PluginEntry::Refused { file, reason, .. } if !plugin.is_empty() => {
+                let stem = file.file_stem()?.to_string_lossy().replace('-', "_");
+                stem.contains(&plugin).then(|| Box::new(reason.clone()))
+            }
+            _ => None,
+        });
+        PluginError::ClassNotFound { asked: asked.into(), nearest, available, refused }
+    }
+
+    /// Cache, vet, dlopen, `init`: milliseconds the first time, a look-up afterwards. Blocking; several threads may call.
+    ///
+    /// # Errors
+    /// What the vetting child or the dynamic linker says; the host is unharmed and a later try starts anew.
+    pub fn load(&self, class: &ClassRef) -> Result<LoadedClass, PluginError> {
+        let plugin = &class.plugin;
+        let refused = |fault| PluginError::Refused { file: plugin.file.clone(), fault };
+        let slot = lock(&self.loaded).entry(plugin.hash).or_default().clone();
+        let mut slot = lock(&slot);
+        let loaded = match &*slot {
+            Some(loaded) => loaded.clone(),
+            None => {
+                let loaded = Arc::new(self.load_plugin(plugin).map_err(refused)?);
+                *slot = Some(loaded.clone());
+                *lock(&plugin.content) = None;
+                loaded
+            }
+        };
+        loaded.class(class.index).ok_or_else(|| {
+            refused(Fault::EntryDiffers { what: format!("class `{}` is not there", class.class().name) })
+        })
+    }
+
+    /// True when the code of this file content is in the process.
+    pub fn is_loaded(&self, hash: &Hash) -> bool {
+        let slot = lock(&self.loaded).get(hash).cloned();
+        slot.is_some_and(|slot| lock(&slot).is_some())
+    }
+
+    fn load_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
+        let Some(bytes) = lock(&plugin.content).clone() else { return Err(Fault::Vanished) };
+        let path = self.cache.put(&plugin.hash, plugin.name(), &bytes)?;
+        if !self.cache.is_vetted(&plugin.hash) {
+            vet::vet(&self.config.host_exe, &path, self.vet_limit)?;
+            self.cache.set_vetted(&plugin.hash);
+        }
+        load::load(&path, plugin.hash, &plugin.manifest, self.config.log)
+    }
+
+    /// A file that came back with content that is loaded already needs no bytes in memory.
+    fn drop_loaded_content(&self, entries: &[PluginEntry]) {
+        for plugin in entries.iter().filter_map(PluginEntry::listed) {
+            let slot = lock(&self.loaded).get(&plugin.hash).cloned();
+            let loaded = slot.is_some_and(|slot| slot.try_lock().is_ok_and(|s| s.is_some()));
+            if loaded {
+                *lock(&plugin.content) = None;
+            }
+        }
+    }
+
+    fn entries(&self) -> Arc<Vec<PluginEntry>> {
+        self.entries.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// A panic of one caller leaves the data whole: every update is a single assignment.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn check_dir(dir: &Path) -> Result<(), StoreError> {
+    let dir = dir.to_path_buf();
+    let wrong = |e: std::io::Error| match e.kind() {
+        std::io::ErrorKind::NotFound => StoreError::DirMissing { dir: dir.clone() },
+        std::io::ErrorKind::NotADirectory => StoreError::DirNotADirectory { dir: dir.clone() },
+        _ => StoreError::DirUnreadable { dir: dir.clone(), because: e.to_string() },
+    };
+    if !std::fs::metadata(&dir).map_err(wrong)?.is_dir() {
+        return Err(StoreError::DirNotADirectory { dir });
+    }
+    std::fs::read_dir(&dir).map(drop).map_err(wrong)
+}

@@ -1,0 +1,179 @@
+//! Tries a plugin out in a child process, so that what kills a process kills that one.
+//!
+//! Invariant: the child is spawned (never forked by hand), bounded in time, and always reaped; only what it says in lines of
+//! our own prefix counts, whatever the plugin prints. The host loads nothing the child did not come back from.
+
+use std::io::{self, Read};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use super::Fault;
+use super::error::Stage;
+use super::load::LoadFault;
+
+/// Hidden subcommand of the host binary: `__vet FILE`.
+pub const VET_ARG: &str = "__vet";
+/// How long constructors, layout and entry may take together.
+pub(crate) const VET_LIMIT: Duration = Duration::from_secs(10);
+/// Begins every line of the child that is meant for us.
+pub(crate) const PREFIX: &str = "trocar-vet ";
+/// More than this the child never says, bytes.
+const REPORT_LIMIT: u64 = 64 << 10;
+
+/// Runs `exe __vet file` and turns what happened into a verdict.
+pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault> {
+    // Where the binary was replaced since this process started, run the one this process is.
+    let replaced = exe.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
+    let exe = if replaced { Path::new("/proc/self/exe") } else { exe };
+    let failed = |e: io::Error| Fault::VetFailed { because: format!("{}: {e}", exe.display()) };
+    let mut child = Command::new(exe)
+        .arg(VET_ARG)
+        .arg(file)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .process_group(0)
+        .spawn()
+        .map_err(failed)?;
+    let in_time = ends_within(&child, limit);
+    let status = end_group(&mut child).map_err(failed)?;
+    let status = in_time.map_err(failed)?.then_some(status);
+    let report = Report::parse(&read_report(&mut child));
+    report.verdict(status, limit)
+}
+
+/// What the child said.
+#[derive(Debug, Default, PartialEq)]
+struct Report {
+    stage: Option<Stage>,
+    result: Option<Result<(), LoadFault>>,
+}
+
+impl Report {
+    fn parse(text: &str) -> Report {
+        let mut report = Report::default();
+        for line in text.lines().filter_map(|l| l.strip_prefix(PREFIX)) {
+            match line {
+                "loading" => report.stage = Some(Stage::Loading),
+                "layout" => report.stage = Some(Stage::Layout),
+                "entry" => report.stage = Some(Stage::Entry),
+                "ok" => report.result = Some(Ok(())),
+                json => {
+                    if let Ok(fault) = serde_json::from_str(json) {
+                        report.result = Some(Err(fault));
+                    }
+                }
+            }
+        }
+        report
+    }
+
+    /// `status` is none when the child had to be ended.
+    fn verdict(self, status: Option<ExitStatus>, limit: Duration) -> Result<(), Fault> {
+        match (self.result, self.stage, status) {
+            (Some(Ok(())), _, Some(status)) if status.success() => Ok(()),
+            (Some(Err(fault)), ..) => Err(fault.into()),
+            (_, None, None) => Err(Fault::VetFailed { because: "the child did not answer in time".into() }),
+            (_, None, Some(status)) => {
+                Err(Fault::VetFailed { because: format!("the child ended with {status}") })
+            }
+            (_, Some(during), None) => Err(Fault::Hung { during, seconds: limit.as_secs().max(1) }),
+            (_, Some(during), Some(status)) => match status.signal() {
+                Some(signal) => Err(Fault::Crashed { during, how: signal_name(signal) }),
+                None => Err(Fault::Quit { during, code: status.code().unwrap_or(-1) }),
+            },
+        }
+    }
+}
+
+/// How a stage is written on the wire.
+pub(crate) fn stage_word(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Loading => "loading",
+        Stage::Layout => "layout",
+        Stage::Entry => "entry",
+    }
+}
+
+fn signal_name(signal: i32) -> String {
+    match signal {
+        libc::SIGSEGV => "SIGSEGV, an invalid memory access".into(),
+        libc::SIGBUS => "SIGBUS, memory that its file does not have".into(),
+        libc::SIGABRT => "SIGABRT, abort or a panic that left the plugin".into(),
+        libc::SIGILL => "SIGILL, an instruction this processor does not have".into(),
+        libc::SIGFPE => "SIGFPE, an arithmetic error".into(),
+        other => format!("signal {other}"),
+    }
+}
+
+/// Waits for the end of the child without reaping it, so that its number still is its own; false when the limit passed.
+/// Does not wait for the pipe: a grandchild may hold it open.
+fn ends_within(child: &Child, limit: Duration) -> io::Result<bool> {
+    // Kernels before 5.3 have no pidfd; then poll only sleeps, in short steps.
+    let pidfd = open_pidfd(child.id()).ok();
+    let (fd, longest) = pidfd.as_ref().map_or((-1, 5), |fd| (fd.as_raw_fd(), 1000));
+    let begin = Instant::now();
+    loop {
+        if has_ended(child.id())? {
+            return Ok(true);
+        }
+        let left = limit.saturating_sub(begin.elapsed()).as_millis() as i32;
+        if left == 0 {
+            return Ok(false);
+        }
+        let mut event = libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
+        // SAFETY: one entry, ours to write.
+        unsafe { libc::poll(&raw mut event, 1, left.min(longest)) };
+    }
+}
+
+fn has_ended(pid: u32) -> io::Result<bool> {
+    // SAFETY: `siginfo_t` is plain data for which all zeros is valid.
+    let mut info: libc::siginfo_t = unsafe { std::mem::zeroed() };
+    let options = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
+    // SAFETY: `info` is ours to write; the child is ours and not reaped.
+    match unsafe { libc::waitid(libc::P_PID, pid, &raw mut info, options) } {
+        // SAFETY: waitid has filled the fields of a child's end, or left them zero.
+        0 => Ok(unsafe { info.si_pid() } != 0),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+fn open_pidfd(pid: u32) -> io::Result<OwnedFd> {
+    // SAFETY: plain integers; the child is not reaped yet, so the number is its own.
+    let fd = unsafe { libc::syscall(libc::SYS_pidfd_open, pid, 0) };
+    match fd {
+        0.. => {
+            // SAFETY: the kernel has just given this descriptor to us alone.
+            Ok(unsafe { OwnedFd::from_raw_fd(fd as i32) })
+        }
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+/// Ends the child if it still runs, and whatever it started; then reaps it.
+fn end_group(child: &mut Child) -> io::Result<ExitStatus> {
+    if let Ok(group) = i32::try_from(child.id()) {
+        // SAFETY: a plain number: the group the child leads, which exists until it is reaped.
+        unsafe { libc::kill(-group, libc::SIGKILL) };
+    }
+    child.wait()
+}
+
+/// What lies in the pipe now; never waits for more.
+fn read_report(child: &mut Child) -> String {
+    let Some(stdout) = child.stdout.take() else { return String::new() };
+    // SAFETY: an open descriptor of ours; the call changes only its mode.
+    unsafe { libc::fcntl(stdout.as_raw_fd(), libc::F_SETFL, libc::O_NONBLOCK) };
+    let mut bytes = Vec::new();
+    // "Would block" ends the reading like an end of file; what came until then is kept.
+    let _ = stdout.take(REPORT_LIMIT).read_to_end(&mut bytes);
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[cfg(test)]
+#[path = "vet_tests.rs"]
+mod tests;

@@ -1,0 +1,9 @@
+//! The one binary `trocar`: everything is in the library, so that other programs can hold a host too.
+//!
+//! Invariant: no logic here.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    trocar::cli::main()
+}

@@ -1,0 +1,233 @@
+//! The system file: one strict JSON text that says which processes, components and connections make a system.
+//!
+//! Invariant: reading is pure and refuses everything it does not understand; what comes out is only `model` requests,
+//! so a system file can never do what single requests cannot.
+
+mod cursor;
+mod overrides;
+mod problem;
+mod read;
+mod scan;
+mod schema;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use trocar_model::{ComponentId, ConnectOptions, Execution, Name, PortId, Refusal, Request, Target};
+
+pub use overrides::BadSet;
+pub use problem::Problem;
+pub use schema::system_schema;
+
+use cursor::{COMMENT, Document};
+
+/// A whole system, as written.
+#[derive(Clone, Debug)]
+pub struct SystemFile {
+    pub processes: Vec<ProcessSpec>,
+    /// In the order of the file.
+    pub components: Vec<ComponentSpec>,
+    pub connections: Vec<ConnectionSpec>,
+    document: Document,
+}
+
+/// One process of a system file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProcessSpec {
+    pub name: Name,
+    /// Plugin directories, as written (relative to the file's directory).
+    pub plugins: Vec<PathBuf>,
+    pub trust: TrustSpec,
+}
+
+/// Which plugin files a process takes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum TrustSpec {
+    #[default]
+    Dev,
+    /// A JSON file of sha256 hashes, relative to the system file's directory.
+    AllowList(PathBuf),
+}
+
+/// One component of a system file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ComponentSpec {
+    pub id: ComponentId,
+    pub class: String,
+    pub config: Option<Value>,
+    pub execution: Execution,
+    pub start: bool,
+}
+
+/// One connection of a system file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConnectionSpec {
+    pub client: PortId,
+    pub server: PortId,
+    pub options: ConnectOptions,
+}
+
+impl SystemFile {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Unreadable, not UTF-8, not JSON, or not a system file: the first problem, with its place.
+    pub fn read(path: &Path) -> Result<Self, Problem> {
+        let shown = path.display().to_string();
+        let whole = |what: String, help: &str| Problem {
+            file: shown.clone(),
+            line: 0,
+            column: 0,
+            pointer: String::new(),
+            what,
+            help: help.to_owned(),
+        };
+        let bytes = std::fs::read(path).map_err(|e| {
+            whole(format!("the system file cannot be read: {e}"), "check the path and its permissions")
+        })?;
+        let text = String::from_utf8(bytes).map_err(|e| {
+            let upto = e.utf8_error().valid_up_to();
+            whole(format!("not UTF-8 text: byte {upto} is not valid"), "save the file as UTF-8")
+        })?;
+        Self::parse(&shown, text)
+    }
+
+    /// Checks a text; `file` is the name used in problems.
+    ///
+    /// # Errors
+    /// As [`SystemFile::read`].
+    pub fn parse(file: &str, text: String) -> Result<Self, Problem> {
+        read::system(Document::parse(file, text)?)
+    }
+
+    /// Applies `process/component.key[.key]=value` to a component's configuration.
+    ///
+    /// # Errors
+    /// Malformed, or names a component the file does not have.
+    pub fn set(&mut self, assignment: &str) -> Result<(), BadSet> {
+        overrides::set(&mut self.components, assignment)
+    }
+
+    /// The requests that make this system: creates (a stream's or step's owner before its members), connects, then one
+    /// Start of everything that is not `"start": false`.
+    pub fn requests(&self) -> Vec<Request> {
+        let mut requests: Vec<Request> = in_thread_order(&self.components)
+            .into_iter()
+            .map(|c| Request::Create {
+                id: c.id.clone(),
+                class: c.class.clone(),
+                config: c.config.clone(),
+                execution: c.execution.clone(),
+            })
+            .collect();
+        requests.extend(self.connections.iter().map(|c| Request::Connect {
+            client: c.client.clone(),
+            server: c.server.clone(),
+            options: c.options.clone(),
+        }));
+        let targets: Vec<Target> =
+            self.components.iter().filter(|c| c.start).map(|c| Target::One(c.id.clone())).collect();
+        if !targets.is_empty() {
+            requests.push(Request::Start { targets });
+        }
+        requests
+    }
+
+    /// The one process of the file.
+    ///
+    /// # Errors
+    /// None or several: a file with several processes is for `up`.
+    pub fn single_process(&self) -> Result<&ProcessSpec, Problem> {
+        match self.processes.as_slice() {
+            [one] => Ok(one),
+            all => {
+                let names: Vec<&str> = all.iter().map(|p| p.name.as_str()).collect();
+                let node = self.document.root.nearest_to("/processes");
+                Err(self.document.problem(
+                    node.at,
+                    "/processes",
+                    format!("the file has {} processes ({}), `run` takes one", all.len(), names.join(", ")),
+                    "a system of several processes is for `trocar up`; or name one process and move its components there"
+                        .to_owned(),
+                ))
+            }
+        }
+    }
+
+    /// Where in the file the thing a refusal is about was written.
+    pub fn locate(&self, refusal: &Refusal) -> Option<Problem> {
+        let pointer = self.pointer_of(refusal)?;
+        let at = self.document.root.nearest_to(&pointer).at;
+        Some(self.document.problem(at, &pointer, refusal.to_string(), refusal.help()))
+    }
+
+    fn pointer_of(&self, refusal: &Refusal) -> Option<String> {
+        let component = |id: &ComponentId| problem::join("/components", &id.to_string());
+        let pair = |client: &PortId, server: &PortId| {
+            let at = self.connections.iter().position(|c| c.client == *client && c.server == *server)?;
+            Some(format!("/connections/{at}"))
+        };
+        let port = |port: &PortId| {
+            self.connections.iter().enumerate().find_map(|(at, c)| {
+                let end = if c.client == *port { "client" } else { "server" };
+                (c.client == *port || c.server == *port).then(|| format!("/connections/{at}/{end}"))
+            })
+        };
+        match refusal {
+            Refusal::ClassNotFound { class, .. } => {
+                let spec = self.components.iter().find(|c| c.class == *class)?;
+                Some(component(&spec.id) + "/class")
+            }
+            Refusal::ConfigInvalid { id, violations } => {
+                let within = violations.first().map_or("", |v| v.pointer.as_str());
+                Some(component(id) + "/config" + within)
+            }
+            Refusal::ComponentNotFound { id, .. } => {
+                let at = self
+                    .connections
+                    .iter()
+                    .position(|c| c.client.component == *id || c.server.component == *id)?;
+                Some(format!("/connections/{at}"))
+            }
+            Refusal::ComponentExists { id }
+            | Refusal::WrongState { id, .. }
+            | Refusal::Unconnected { id, .. }
+            | Refusal::ComponentRefused { id, .. }
+            | Refusal::ComponentFault { id, .. } => Some(component(id)),
+            Refusal::InterfaceNotFound { port: asked, .. } => port(asked),
+            Refusal::WrongDirection { client, server, .. }
+            | Refusal::AlreadyConnected { client, server }
+            | Refusal::ConnectionExists { client, server, .. }
+            | Refusal::CommandMissing { client, server, .. }
+            | Refusal::CommandKindMismatch { client, server, .. }
+            | Refusal::TypeMismatch { client, server, .. }
+            | Refusal::FormatMismatch { client, server, .. } => pair(client, server),
+            _ => None,
+        }
+    }
+}
+
+/// File order, but a component that runs in another's thread comes after that one. A cycle keeps file order: the model
+/// refuses it with its own words.
+fn in_thread_order(components: &[ComponentSpec]) -> Vec<&ComponentSpec> {
+    let mut done: Vec<&ComponentSpec> = Vec::with_capacity(components.len());
+    let mut left: Vec<&ComponentSpec> = components.iter().collect();
+    while !left.is_empty() {
+        let waits = |c: &&ComponentSpec| {
+            [&c.execution.stream_of, &c.execution.inside]
+                .into_iter()
+                .flatten()
+                .any(|owner| left.iter().any(|o| o.id != c.id && o.id.to_string() == *owner))
+        };
+        let (later, now): (Vec<_>, Vec<_>) = left.iter().copied().partition(waits);
+        if now.is_empty() {
+            done.extend(later);
+            break;
+        }
+        done.extend(now);
+        left = later;
+    }
+    done
+}

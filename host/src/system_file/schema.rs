@@ -1,0 +1,115 @@
+//! The JSON Schema of the system file, for editors: `trocar schema system`.
+//!
+//! Invariant: it lists exactly the keys `read.rs` reads (a test compares them).
+
+use serde_json::{Value, json};
+
+/// JSON Schema (draft 2020-12) of a system file.
+pub fn system_schema() -> Value {
+    let models: Vec<&str> = super::read::MODELS.iter().map(|(name, _)| *name).collect();
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "trocar system file",
+        "description": "Which processes, components and connections make a system. Keys named // are comments.",
+        "type": "object",
+        "required": ["version"],
+        "additionalProperties": false,
+        "properties": {
+            "$schema": { "type": "string", "description": "Where this schema is, for editors." },
+            "//": { "description": "A comment." },
+            "version": { "const": 1, "description": "Version of the file format." },
+            "processes": {
+                "type": "object",
+                "description": "Processes by name. Left out: those the components name.",
+                "properties": { "//": { "description": "A comment." } },
+                "additionalProperties": { "$ref": "#/$defs/process" }
+            },
+            "components": {
+                "type": "object",
+                "description": "Components by path: process/component.",
+                "properties": { "//": { "description": "A comment." } },
+                "additionalProperties": { "$ref": "#/$defs/component" }
+            },
+            "connections": {
+                "type": "array",
+                "description": "Who uses what of whom.",
+                "items": { "$ref": "#/$defs/connection" }
+            },
+            "scenarios": { "type": "object", "description": "Not part of this version: leave it empty.", "maxProperties": 0 }
+        },
+        "$defs": {
+            "process": {
+                "type": "object",
+                "additionalProperties": false,
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "plugins": {
+                        "type": "array", "items": { "type": "string" },
+                        "description": "Directories of plugin files, relative to this file."
+                    },
+                    "trust": {
+                        "type": "string", "pattern": "^(dev|allowlist:.+)$", "default": "dev",
+                        "description": "dev: your own and root's files. allowlist:FILE: only files whose sha256 the file lists (relative to this file)."
+                    }
+                }
+            },
+            "component": {
+                "type": "object",
+                "required": ["class"],
+                "additionalProperties": false,
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "class": { "type": "string", "description": "plugin/class, or the class alone where it is unique." },
+                    "config": { "type": "object", "description": "Configuration; what is left out takes the class's default." },
+                    "execution": { "$ref": "#/$defs/execution" },
+                    "start": { "type": "boolean", "default": true, "description": "Start it with the system." }
+                }
+            },
+            "execution": {
+                "type": "object",
+                "description": "Where the component's thread comes from; what is left out takes the class's default.",
+                "additionalProperties": false,
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "model": { "enum": models, "description": "What makes it step." },
+                    "rate_hz": { "type": "number", "exclusiveMinimum": 0, "description": "Steps per second, Hz." },
+                    "period_us": { "type": "number", "exclusiveMinimum": 0, "description": "Time between steps, µs; instead of rate_hz." },
+                    "phase_us": { "type": "number", "minimum": 0, "description": "Offset of its grid, µs." },
+                    "stream_of": { "type": "string", "description": "Runs in the stream of this component (process/component)." },
+                    "inside": { "type": "string", "description": "Runs inside the step of this component (process/component)." },
+                    "priority": { "type": "integer", "minimum": 1, "maximum": 99, "description": "SCHED_FIFO priority." },
+                    "cpus": { "type": "array", "items": { "type": "integer", "minimum": 0 }, "description": "CPUs it may run on." }
+                }
+            },
+            "connection": {
+                "type": "object",
+                "required": ["client", "server"],
+                "additionalProperties": false,
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "client": { "type": "string", "description": "Input or required interface: process/component/port." },
+                    "server": { "type": "string", "description": "Output or provided interface: process/component/port." },
+                    "queue": {
+                        "description": "\"latest\", or a bounded queue.",
+                        "oneOf": [{ "const": "latest" }, { "$ref": "#/$defs/queue" }]
+                    },
+                    "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Older samples are stale, ms." },
+                    "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Default deadline of waiting calls, ms." },
+                    "mailbox": { "type": "integer", "minimum": 1, "description": "Depth of the queue of commands or events." },
+                    "adapt": { "type": "boolean", "default": false, "description": "Copy by name when the layouts differ." },
+                    "carrier": { "type": "string", "description": "Pins how samples travel; left out: chosen by the host." }
+                }
+            },
+            "queue": {
+                "type": "object",
+                "required": ["fifo"],
+                "additionalProperties": false,
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "fifo": { "type": "integer", "minimum": 1, "description": "Depth in samples." },
+                    "drop_oldest": { "type": "boolean", "default": false, "description": "When full: overwrite the oldest instead of dropping the newest." }
+                }
+            }
+        }
+    })
+}

@@ -1,0 +1,236 @@
+//! Each kind of mistake in a system file, with the place and the help it must answer.
+#![allow(clippy::unwrap_used)]
+
+use serde_json::json;
+use trocar_model::{ExecutionModel, Queue, Refusal, Request};
+
+use super::{Problem, SystemFile, system_schema};
+
+const GOOD: &str = r#"{
+  "version": 1,
+  "//": "a comment",
+  "//": "and another",
+  "processes": { "host": { "plugins": ["plugins"], "trust": "dev" } },
+  "components": {
+    "host/gray":   { "class": "gray", "execution": { "stream_of": "host/source" } },
+    "host/robot":  { "class": "eyerobot", "config": { "seed": 7, "//": "why 7" },
+                     "execution": { "model": "periodic", "rate_hz": 1000, "priority": 80, "cpus": [1] } },
+    "host/source": { "class": "stereo/image_source", "execution": { "model": "stream" } },
+    "host/log":    { "class": "recorder", "start": false }
+  },
+  "connections": [
+    { "client": "host/gray/image", "server": "host/source/image" },
+    { "client": "host/log/any", "server": "host/robot/arm", "queue": { "fifo": 4096 }, "max_age_ms": 2.5 }
+  ],
+  "scenarios": {}
+}"#;
+
+fn parse(text: &str) -> Result<SystemFile, Problem> {
+    SystemFile::parse("system.json", text.to_owned())
+}
+
+/// The file with one part replaced, which must then be refused.
+fn refused(part: &str, by: &str) -> Problem {
+    assert!(GOOD.contains(part), "the good file has no {part:?}");
+    parse(&GOOD.replacen(part, by, 1)).unwrap_err()
+}
+
+#[test]
+fn a_good_file_becomes_creates_then_connects_then_one_start() {
+    let file = parse(GOOD).unwrap();
+    let requests = file.requests();
+    let kinds: Vec<String> = requests
+        .iter()
+        .map(|r| match r {
+            Request::Create { id, .. } => format!("create {id}"),
+            Request::Connect { client, .. } => format!("connect {client}"),
+            Request::Start { targets } => format!("start {}", targets.len()),
+            other => panic!("unexpected {other:?}"),
+        })
+        .collect();
+    assert_eq!(
+        kinds,
+        [
+            "create host/robot",
+            "create host/source",
+            "create host/log",
+            "create host/gray",
+            "connect host/gray/image",
+            "connect host/log/any",
+            "start 3"
+        ],
+        "a stream's owner is created before its members, and what says start: false is not started"
+    );
+}
+
+#[test]
+fn values_arrive_in_the_models_units() {
+    let file = parse(GOOD).unwrap();
+    let robot = file.components.iter().find(|c| c.class == "eyerobot").unwrap();
+    assert_eq!(robot.execution.period_ns, Some(1_000_000));
+    assert_eq!(robot.execution.model, Some(ExecutionModel::Periodic));
+    assert_eq!(robot.execution.priority, Some(80));
+    assert_eq!(robot.execution.cpus, [1]);
+    assert_eq!(robot.config, Some(json!({"seed": 7})), "comments do not reach the component");
+    let log = &file.connections[1].options;
+    assert_eq!(log.queue, Some(Queue::Fifo { depth: 4096, drop_oldest: false }));
+    assert_eq!(log.max_age_ns, Some(2_500_000));
+}
+
+#[test]
+fn an_unknown_key_is_refused_with_its_place_and_the_nearest_name() {
+    let p = refused("\"class\": \"eyerobot\"", "\"clas\": \"eyerobot\"");
+    assert_eq!((p.line, p.column, p.pointer.as_str()), (8, 22, "/components/host~1robot/clas"));
+    assert!(p.help.contains("did you mean \"class\"?"), "{}", p.help);
+    assert_eq!(
+        p.to_string(),
+        "system.json:8:22: /components/host~1robot/clas: unknown key \"clas\" in a component"
+    );
+}
+
+#[test]
+fn a_duplicate_key_is_refused_with_both_places() {
+    let p = refused("\"scenarios\": {}", "\"version\": 1");
+    assert_eq!((p.line, p.pointer.as_str()), (17, "/version"));
+    assert!(p.what.contains("already at line 2, column 3"), "{}", p.what);
+    let p = refused("\"seed\": 7", "\"seed\": 7, \"seed\": 8");
+    assert!(p.pointer.ends_with("/config/seed"), "duplicates inside config too: {p}");
+}
+
+#[test]
+fn text_that_is_not_json_is_refused_with_line_and_column() {
+    let p = refused("\"version\": 1,", "\"version\": 1");
+    assert_eq!((p.line, p.column), (3, 3), "{p}");
+    let p = parse("{\n  // system\n  \"version\": 1\n}").unwrap_err();
+    assert!(p.help.contains("JSON has no comments"), "{}", p.help);
+    let p = parse("").unwrap_err();
+    assert!(p.help.contains("empty"), "{}", p.help);
+}
+
+#[test]
+fn another_version_is_refused_and_a_missing_one_too() {
+    assert!(refused("\"version\": 1,", "\"version\": 2,").what.contains("reads version 1"));
+    assert!(refused("\"version\": 1,", "").what.contains("has no \"version\""));
+}
+
+#[test]
+fn a_wrong_type_names_what_was_found() {
+    let p = refused("\"rate_hz\": 1000", "\"rate_hz\": \"1 kHz\"");
+    assert_eq!(p.what, "expected a number above 0 Hz, found the text \"1 kHz\"");
+    assert!(refused("\"start\": false", "\"start\": 0").what.contains("expected true or false"));
+    assert!(refused("\"priority\": 80", "\"priority\": 100").what.contains("from 1 to 99"));
+    assert!(refused("{ \"seed\": 7, \"//\": \"why 7\" }", "[]").what.contains("found a list"));
+}
+
+#[test]
+fn a_model_that_does_not_exist_lists_those_that_do() {
+    let p = refused("\"model\": \"periodic\"", "\"model\": \"periodical\"");
+    assert!(p.help.contains("did you mean \"periodic\"?") && p.help.contains("on_signal"), "{}", p.help);
+}
+
+#[test]
+fn two_keys_for_one_thing_are_refused() {
+    let p = refused("\"rate_hz\": 1000", "\"rate_hz\": 1000, \"period_us\": 1000");
+    assert!(p.what.contains("exclude each other"), "{}", p.what);
+}
+
+#[test]
+fn a_malformed_path_is_refused_where_it_is_written() {
+    let p = refused("\"host/log\":    {", "\"log\":    {");
+    assert_eq!((p.line, p.column), (11, 5), "{p}");
+    let p = refused("\"server\": \"host/source/image\"", "\"server\": \"host/source\"");
+    assert_eq!(p.pointer, "/connections/0/server");
+    assert!(p.help.contains("process/component/port"), "{}", p.help);
+}
+
+#[test]
+fn a_process_or_component_that_is_not_in_the_file_is_refused() {
+    let p = refused("\"host/log\":    {", "\"hots/log\":    {");
+    assert!(p.what.contains("\"hots\"") && p.help.contains("did you mean \"host\"?"), "{p} / {}", p.help);
+    let p = refused("\"server\": \"host/source/image\"", "\"server\": \"host/sorce/image\"");
+    assert!(p.help.contains("did you mean \"host/source\"?"), "{}", p.help);
+}
+
+#[test]
+fn the_same_connection_twice_is_refused() {
+    let part = "{ \"client\": \"host/gray/image\", \"server\": \"host/source/image\" },";
+    let p = refused(part, &format!("{part}{part}"));
+    assert!(p.what.contains("listed twice"), "{}", p.what);
+}
+
+#[test]
+fn scenarios_and_signed_trust_say_that_they_are_not_in_this_version() {
+    assert!(
+        refused("\"scenarios\": {}", "\"scenarios\": {\"a\": {}}").what.contains("not part of this version")
+    );
+    assert!(refused("\"dev\"", "\"signed\"").what.contains("not part of this version"));
+    assert!(refused("\"dev\"", "\"allowlist\"").what.contains("needs the file of hashes"));
+}
+
+#[test]
+fn several_processes_are_not_for_run() {
+    let text = GOOD.replacen("\"trust\": \"dev\" } }", "\"trust\": \"dev\" }, \"other\": {} }", 1);
+    let p = parse(&text).unwrap().single_process().unwrap_err().clone();
+    assert!(p.what.contains("2 processes (host, other)") && p.help.contains("trocar up"), "{p} / {}", p.help);
+}
+
+#[test]
+fn without_processes_they_are_those_of_the_components() {
+    let file = parse(r#"{"version": 1, "components": {"a/x": {"class": "c"}}}"#).unwrap();
+    assert_eq!(file.single_process().unwrap().name.as_str(), "a");
+}
+
+#[test]
+fn set_changes_one_configuration_value() {
+    let mut file = parse(GOOD).unwrap();
+    file.set("host/robot.port=/dev/ttyUSB1").unwrap();
+    file.set("host/robot.limits.tilt_rad=0.5").unwrap();
+    file.set("host/source.loop=false").unwrap();
+    let config =
+        |class: &str| file.components.iter().find(|c| c.class == class).unwrap().config.clone().unwrap();
+    assert_eq!(config("eyerobot"), json!({"seed": 7, "port": "/dev/ttyUSB1", "limits": {"tilt_rad": 0.5}}));
+    assert_eq!(config("stereo/image_source"), json!({"loop": false}));
+}
+
+#[test]
+fn set_refuses_what_it_cannot_place() {
+    let mut file = parse(GOOD).unwrap();
+    assert!(file.set("host/robot.port").unwrap_err().why.contains("no '='"));
+    assert!(file.set("host/robt.port=1").unwrap_err().help.contains("did you mean \"host/robot\"?"));
+    assert!(file.set("port=1").unwrap_err().help.contains("process/component.key=value"));
+    assert!(file.set("host/robot..x=1").unwrap_err().why.contains("empty key"));
+}
+
+#[test]
+fn a_refusal_of_the_model_is_led_back_to_its_place() {
+    let file = parse(GOOD).unwrap();
+    let client = file.connections[0].client.clone();
+    let p = file.locate(&Refusal::InterfaceNotFound { port: client, known: vec!["images".into()] }).unwrap();
+    assert_eq!((p.line, p.pointer.as_str()), (14, "/connections/0/client"), "{p}");
+}
+
+#[test]
+fn the_schema_lists_exactly_the_keys_that_are_read() {
+    let schema = system_schema();
+    let keys = |pointer: &str| -> Vec<String> {
+        let map =
+            schema.pointer(pointer).and_then(|v| v.as_object()).unwrap_or_else(|| panic!("no {pointer}"));
+        map.keys().filter(|k| *k != "//").cloned().collect()
+    };
+    let sorted = |known: &[&str]| {
+        let mut known: Vec<String> = known.iter().map(|k| (*k).to_owned()).collect();
+        known.sort();
+        known
+    };
+    let parts = [
+        ("/properties", super::read::SYSTEM),
+        ("/$defs/process/properties", super::read::PROCESS),
+        ("/$defs/component/properties", super::read::COMPONENT),
+        ("/$defs/execution/properties", super::read::EXECUTION),
+        ("/$defs/connection/properties", super::read::CONNECTION),
+        ("/$defs/queue/properties", super::read::QUEUE),
+    ];
+    for (pointer, known) in parts {
+        assert_eq!(keys(pointer), sorted(known), "{pointer} of the schema and read.rs differ");
+    }
+}

@@ -1,0 +1,32 @@
+# Short names for what is typed often; every line also works by hand.
+
+# The newcomer's first command.
+demo:
+    cargo build --release
+    ./target/release/trocar demo
+
+# Every test, or the suites named.
+test *suites:
+    ./tests/run {{suites}}
+
+# What must pass before a change is taken.
+ci:
+    ./.ci/run
+
+# The figures of docs/BENCHMARKS.md, alone on the machine.
+bench:
+    cargo build --release
+    cargo run --release -p trocar-tests --bin bench
+
+# Writes golden files anew: CLI surface, errors.md, generated protocol code.
+bless:
+    TROCAR_BLESS=1 cargo test -p trocar-proto -p trocar-model
+    TROCAR_BLESS=1 cargo test -p trocar
+
+# Interleavings of the real-time core.
+loom:
+    RUSTFLAGS="--cfg loom" CARGO_TARGET_DIR=target/loom cargo test -p trocar-rt --release --lib loom_
+
+# Licences, advisories, sources.
+deny:
+    cargo deny check

@@ -1,0 +1,360 @@
+//! The C tables both sides call through.
+//!
+//! Invariant: a field is never moved, retyped or removed; new fields go to the end and readers ask [`has_entry`] first.
+//! Threads: the LCM serialises all calls on one instance; `step`, slots and `state_copy` are the only real-time ones.
+
+use core::ffi::c_void;
+
+/// Version of this contract. A host loads plugins of the same major and of any minor.
+pub const ABI_MAJOR: u32 = 1;
+/// Grows when entries are appended. Older and newer minors load each other.
+pub const ABI_MINOR: u32 = 0;
+/// The one symbol a plugin exports.
+pub const ENTRY_SYMBOL: &str = "trocar_plugin_v1";
+/// Signature of [`ENTRY_SYMBOL`]: returns a table that lives as long as the library.
+pub type EntryFn = unsafe extern "C" fn() -> *const PluginTable;
+
+/// True when the field at `offset` with `size` bytes lies inside a table that says it has `struct_size` bytes.
+pub const fn has_entry(struct_size: u32, offset: usize, size: usize) -> bool {
+    offset + size <= struct_size as usize
+}
+
+/// Result of a class-table entry: 0 is success, negative values are the `STATUS_*` failures.
+pub type Status = i32;
+pub const STATUS_OK: Status = 0;
+/// The entry refused or failed; the reason is in the error buffer.
+pub const STATUS_FAILED: Status = -1;
+/// The entry panicked; the component goes to FAULT and its instance is not trusted again.
+pub const STATUS_PANICKED: Status = -2;
+/// An argument or the configuration was not acceptable; the reason is in the error buffer.
+pub const STATUS_INVALID: Status = -3;
+/// The plugin does not implement this id.
+pub const STATUS_UNSUPPORTED: Status = -4;
+
+/// Outcome of a call through a slot. Non-negative: done or on its way; negative: exactly one reason why not.
+pub type Outcome = i32;
+pub const EXECUTED: Outcome = 0;
+pub const QUEUED: Outcome = 1;
+/// No peer is connected.
+pub const UNBOUND: Outcome = -1;
+pub const QUEUE_FULL: Outcome = -2;
+/// Waiting is not allowed on this thread (a `call` from `step` to another executor).
+pub const WOULD_BLOCK: Outcome = -3;
+pub const DISABLED: Outcome = -4;
+pub const INVALID_ARGUMENT: Outcome = -5;
+/// The command ran and failed; the reason is in `CallOpts::err`.
+pub const FAILED: Outcome = -6;
+/// No answer in time; `CallOpts::may_still_run` tells whether it may still be executed.
+pub const DEADLINE: Outcome = -7;
+pub const PEER_LOST: Outcome = -8;
+pub const NOT_ACTIVE: Outcome = -9;
+/// The frame pool of an output has no free slot; the frame is dropped and counted.
+pub const EXHAUSTED: Outcome = -10;
+
+/// Borrowed bytes; text is UTF-8 without a terminating zero. `ptr` may be null only when `len` is 0.
+#[repr(C)]
+#[derive(Clone, Copy)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Bytes {
+    pub ptr: *const u8,
+    pub len: usize,
+}
+
+/// Caller-owned buffer for one sentence of explanation; the callee writes at most `cap` bytes and sets `len`.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct ErrBuf {
+    pub ptr: *mut u8,
+    pub cap: usize,
+    pub len: usize,
+}
+
+/// A callback that takes bytes; may be called several times, the pieces are concatenated.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Sink {
+    pub ctx: *mut c_void,
+    pub write: unsafe extern "C" fn(ctx: *mut c_void, bytes: Bytes),
+}
+
+/// What a plugin's entry returns.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct PluginTable {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub abi_major: u32,
+    pub abi_minor: u32,
+    pub name: Bytes,
+    pub version: Bytes,
+    /// Called once after dlopen, before any instance: install log forwarding and panic hook. May be null.
+    pub init: Option<unsafe extern "C" fn(host: *const HostTable) -> Status>,
+    pub class_count: u32,
+    pub reserved: u32,
+    /// `class_count` pointers, in the manifest's order.
+    pub classes: *const *const ClassTable,
+}
+
+/// One component class. A null entry is not implemented. Ids are positions in the manifest, counted over all
+/// interfaces of the class in order: commands and emitted events over the provided ones, functions and event
+/// handlers over the required ones.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct ClassTable {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub name: Bytes,
+    /// Makes an instance in its unconfigured state; null on failure with the reason in `err`. Opens no device.
+    pub create: Option<
+        unsafe extern "C" fn(host: *const HostTable, instance_name: Bytes, err: *mut ErrBuf) -> *mut c_void,
+    >,
+    pub destroy: Option<unsafe extern "C" fn(this: *mut c_void)>,
+    /// Takes the whole configuration as JSON, already checked against the class's schema by the host.
+    pub configure: Option<unsafe extern "C" fn(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status>,
+    /// Writes the class description (JSON as in the manifest) that holds for the current configuration.
+    pub describe: Option<unsafe extern "C" fn(this: *mut c_void, sink: *const Sink) -> Status>,
+    /// Hands over the slot tables; again after `describe` changed them. They stay valid until the next `bind` or `destroy`.
+    pub bind:
+        Option<unsafe extern "C" fn(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status>,
+    pub start: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    pub stop: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    pub resume: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    /// Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown.
+    pub make_safe: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    pub step: Option<unsafe extern "C" fn(this: *mut c_void, tick: *const Tick, err: *mut ErrBuf) -> Status>,
+    /// Executes a void, write, void-return or write-return command.
+    pub command: Option<
+        unsafe extern "C" fn(
+            this: *mut c_void,
+            id: u32,
+            arg: *const c_void,
+            ret: *mut c_void,
+            err: *mut ErrBuf,
+        ) -> Status,
+    >,
+    /// Executes a read or qualified read as a pure function of one published state row. Any thread, no instance.
+    pub read: Option<
+        unsafe extern "C" fn(
+            state_row: *const c_void,
+            id: u32,
+            arg: *const c_void,
+            ret: *mut c_void,
+            err: *mut ErrBuf,
+        ) -> Status,
+    >,
+    /// An event of a required interface.
+    pub on_event: Option<
+        unsafe extern "C" fn(this: *mut c_void, id: u32, payload: *const c_void, err: *mut ErrBuf) -> Status,
+    >,
+    /// The reply to an earlier `HostTable::service`, as JSON.
+    pub on_service: Option<unsafe extern "C" fn(this: *mut c_void, token: u64, reply: Bytes) -> Status>,
+    /// Copies the plain state block (the manifest's `state` type, `len` bytes) to `dst`.
+    pub state_copy: Option<unsafe extern "C" fn(this: *mut c_void, dst: *mut c_void, len: usize)>,
+    /// Writes what must survive a swap and is not in the plain state block.
+    pub snapshot: Option<unsafe extern "C" fn(this: *mut c_void, sink: *const Sink) -> Status>,
+    /// Takes a `snapshot` and, before it, the plain state block converted to this version's type (may be empty).
+    pub restore: Option<
+        unsafe extern "C" fn(this: *mut c_void, state: Bytes, snapshot: Bytes, err: *mut ErrBuf) -> Status,
+    >,
+    /// Growth without touching this table: "trocar.shadow/1", "trocar.selftest/1"; null when unknown.
+    pub extension: Option<unsafe extern "C" fn(this: *mut c_void, id: Bytes) -> *const c_void>,
+}
+
+/// What a `step` is told about its cycle. All times are ns of the host's monotonic clock.
+#[repr(C)]
+#[derive(Clone, Copy, Default, Debug)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Tick {
+    pub struct_size: u32,
+    pub flags: u32,
+    /// Cycle number since Start, from 0; skipped cycles are counted too.
+    pub cycle: u64,
+    /// When this step began.
+    pub now_ns: u64,
+    /// When it should have begun; equals `now_ns` for executors without a grid.
+    pub deadline_ns: u64,
+    /// Nominal period; 0 when the component is not periodic.
+    pub period_ns: u64,
+    /// Time since the previous step began; `period_ns` on the first.
+    pub elapsed_ns: u64,
+}
+
+/// The slot tables of one instance, each an array of pointers in the manifest's order.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Ports {
+    pub struct_size: u32,
+    pub output_count: u32,
+    pub input_count: u32,
+    pub function_count: u32,
+    pub event_count: u32,
+    pub reserved: u32,
+    pub outputs: *const *const OutSlot,
+    pub inputs: *const *const InSlot,
+    pub functions: *const *const FnSlot,
+    pub events: *const *const EventSlot,
+}
+
+/// Room for one frame, lent by the pool of an output.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Loan {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub header: *mut c_void,
+    pub bytes: *mut u8,
+    /// Bytes available behind `bytes`.
+    pub capacity: u64,
+    /// The host's own; handed back unchanged.
+    pub token: u64,
+}
+
+/// An output. Never waits for a reader.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct OutSlot {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub ctx: *mut c_void,
+    /// Publishes a copy of one plain sample. EXECUTED, or UNBOUND when nobody is connected.
+    pub write: unsafe extern "C" fn(ctx: *mut c_void, value: *const c_void, stamp_ns: u64) -> Outcome,
+    /// Lends room for one frame; EXHAUSTED when every slot is in use (counted).
+    pub loan: unsafe extern "C" fn(ctx: *mut c_void, loan: *mut Loan) -> Outcome,
+    /// Publishes a loan of which `len` bytes are filled; the loan is gone afterwards.
+    pub commit: unsafe extern "C" fn(ctx: *mut c_void, loan: *mut Loan, len: u64, stamp_ns: u64) -> Outcome,
+    /// Gives a loan back unpublished.
+    pub cancel: unsafe extern "C" fn(ctx: *mut c_void, loan: *mut Loan),
+    /// Publishes a frame held by an input as this output, without a copy.
+    pub forward: unsafe extern "C" fn(ctx: *mut c_void, sample: *const SampleView, stamp_ns: u64) -> Outcome,
+    /// (Re)makes the pool: `slots` frames of up to `max_bytes`. From `configure` and `start` only.
+    pub reserve: unsafe extern "C" fn(ctx: *mut c_void, max_bytes: u64, slots: u32) -> Outcome,
+    /// The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
+    pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
+}
+
+/// Set in [`SampleView::flags`] when the sample had not been seen by this input before.
+pub const SAMPLE_FRESH: u32 = 1;
+/// Set when the sample is older than the connection's `max_age`.
+pub const SAMPLE_STALE: u32 = 2;
+
+/// One sample or frame, valid until the next `latest`, `next` or `release` on the same input.
+#[repr(C)]
+#[derive(Clone, Copy)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct SampleView {
+    pub struct_size: u32,
+    pub flags: u32,
+    /// The plain value, or the header of a frame.
+    pub header: *const c_void,
+    pub bytes: *const u8,
+    pub len: u64,
+    pub stamp_ns: u64,
+    /// Counts the writes of the output, from 1; a gap is exactly what was dropped on the way.
+    pub seq: u64,
+    /// The host's own; handed back unchanged.
+    pub token: u64,
+}
+
+/// Answer of `latest` and `next`: a sample is in the view.
+pub const IN_SAMPLE: i32 = 1;
+/// Nothing (new) there.
+pub const IN_EMPTY: i32 = 0;
+/// No output is connected.
+pub const IN_UNBOUND: i32 = -1;
+
+/// An input. `latest` gives the newest sample again and again (see [`SAMPLE_FRESH`]); `next` gives each once, in order.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct InSlot {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub ctx: *mut c_void,
+    pub latest: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> i32,
+    pub next: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> i32,
+    /// Hands the held sample back before the next one is asked for.
+    pub release: unsafe extern "C" fn(ctx: *mut c_void),
+    /// Writable bytes of the held frame when this input is its only owner, else null.
+    pub writable: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> *mut u8,
+    /// The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
+    pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
+}
+
+/// Returns at once: EXECUTED when it ran inline, QUEUED, or the reason why not.
+pub const MODE_SEND: u32 = 0;
+/// Waits for the result, at most until the deadline.
+pub const MODE_CALL: u32 = 1;
+
+/// Options and out-fields of one call. A null pointer means MODE_SEND.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct CallOpts {
+    pub struct_size: u32,
+    pub mode: u32,
+    /// Relative, ns; 0 = the connection's default (1 s unless set).
+    pub deadline_ns: u64,
+    /// Where the reason goes; may be null.
+    pub err: *mut ErrBuf,
+    /// Out: stamp of the state row a read was answered from.
+    pub stamp_ns: u64,
+    /// Out: 1 when the outcome is DEADLINE and the command may still run.
+    pub may_still_run: u32,
+    pub reserved: u32,
+}
+
+/// A function of a required interface.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct FnSlot {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub ctx: *mut c_void,
+    pub call: unsafe extern "C" fn(
+        ctx: *mut c_void,
+        arg: *const c_void,
+        ret: *mut c_void,
+        opts: *mut CallOpts,
+    ) -> Outcome,
+    /// The command's description now behind an untyped function, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
+    pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
+}
+
+/// An event generator of a provided interface.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct EventSlot {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub ctx: *mut c_void,
+    /// Broadcasts; EXECUTED, or QUEUE_FULL when at least one observer missed it (counted there).
+    pub emit: unsafe extern "C" fn(ctx: *mut c_void, payload: *const c_void) -> Outcome,
+}
+
+/// Log levels of [`HostTable::log`], as in the `log` crate.
+pub const LOG_ERROR: u32 = 1;
+pub const LOG_WARN: u32 = 2;
+pub const LOG_INFO: u32 = 3;
+pub const LOG_DEBUG: u32 = 4;
+pub const LOG_TRACE: u32 = 5;
+
+/// What a host offers to one instance (`create`) or to a whole plugin (`init`).
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct HostTable {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub abi_major: u32,
+    pub abi_minor: u32,
+    pub ctx: *mut c_void,
+    /// Monotonic clock, ns. Any thread.
+    pub now_ns: unsafe extern "C" fn(ctx: *mut c_void) -> u64,
+    /// Any thread; from `step` the line is put in a bounded ring and written elsewhere.
+    pub log: unsafe extern "C" fn(ctx: *mut c_void, level: u32, target: Bytes, message: Bytes),
+    /// A dynamic component service, as the JSON of the gRPC request with its verb: `{"verb":"Create",…}`.
+    /// The reply arrives in `ClassTable::on_service` with the same token. WOULD_BLOCK from `step`.
+    pub service: unsafe extern "C" fn(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome,
+    /// Brackets a call that comes in on a thread of the plugin's own (execution model `on_callback`).
+    pub callback_enter: unsafe extern "C" fn(ctx: *mut c_void) -> Outcome,
+    pub callback_leave: unsafe extern "C" fn(ctx: *mut c_void),
+    /// Growth without touching this table: "trocar.parallel/1"; null when unknown.
+    pub extension: unsafe extern "C" fn(ctx: *mut c_void, id: Bytes) -> *const c_void,
+}

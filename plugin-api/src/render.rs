@@ -1,0 +1,647 @@
+//! Renders a [`PluginDesc`] to the manifest's JSON in a const context.
+//!
+//! Invariant: the same bytes whether called to count (`N = 0`) or to fill; each struct or enum appears once in `types`.
+
+use crate::abi::{ABI_MAJOR, ABI_MINOR};
+use crate::desc::{
+    ArgDesc, ClassDesc, CommandDesc, ConfigFieldDesc, PluginDesc, PortType, ProvidedDesc, RequiredDesc,
+    TypeDesc, TypeKind,
+};
+
+/// Most distinct structs and enums one plugin may name.
+const MAX_TYPES: usize = 256;
+
+/// The manifest and its length. Call with `N = 0` for the length, then with that `N`; the text is padded with spaces
+/// to a multiple of 4 bytes.
+pub const fn render<const N: usize>(plugin: &PluginDesc) -> ([u8; N], usize) {
+    let mut out = Out { buf: [b' '; N], len: 0 };
+    out.plugin(plugin);
+    let padded = out.len.next_multiple_of(4);
+    assert!(N == 0 || N == padded, "call render::<0> first and use its length");
+    (out.buf, padded)
+}
+
+struct Out<const N: usize> {
+    buf: [u8; N],
+    len: usize,
+}
+
+struct Types {
+    seen: [Option<&'static TypeDesc>; MAX_TYPES],
+    len: usize,
+}
+
+const fn same_text(a: &str, b: &str) -> bool {
+    let (a, b) = (a.as_bytes(), b.as_bytes());
+    if a.len() != b.len() {
+        return false;
+    }
+    let mut i = 0;
+    while i < a.len() {
+        if a[i] != b[i] {
+            return false;
+        }
+        i += 1;
+    }
+    true
+}
+
+const fn named(ty: &TypeDesc) -> Option<&'static str> {
+    match &ty.kind {
+        TypeKind::Enum { name, .. } | TypeKind::Struct { name, .. } => Some(name),
+        _ => None,
+    }
+}
+
+const fn field_count(ty: &TypeDesc) -> usize {
+    match &ty.kind {
+        TypeKind::Struct { fields, .. } => fields.len(),
+        TypeKind::Enum { values, .. } => values.len(),
+        _ => 0,
+    }
+}
+
+impl Types {
+    const fn add(&mut self, ty: &'static TypeDesc) {
+        match &ty.kind {
+            TypeKind::Array { item, .. } | TypeKind::List { item, .. } => self.add(item),
+            TypeKind::Prim(_) | TypeKind::Text { .. } => {}
+            TypeKind::Enum { name, .. } | TypeKind::Struct { name, .. } => {
+                let mut i = 0;
+                while i < self.len {
+                    if let Some(other) = self.seen[i]
+                        && let Some(other_name) = named(other)
+                        && same_text(other_name, name)
+                    {
+                        assert!(
+                            other.size == ty.size && field_count(other) == field_count(ty),
+                            "two different payload types of this plugin have the same name"
+                        );
+                        return;
+                    }
+                    i += 1;
+                }
+                if let TypeKind::Struct { fields, .. } = &ty.kind {
+                    let mut f = 0;
+                    while f < fields.len() {
+                        self.add(fields[f].ty);
+                        f += 1;
+                    }
+                }
+                assert!(self.len < MAX_TYPES, "a plugin may name at most 256 payload types");
+                self.seen[self.len] = Some(ty);
+                self.len += 1;
+            }
+        }
+    }
+
+    const fn add_opt(&mut self, ty: Option<&'static TypeDesc>) {
+        if let Some(ty) = ty {
+            self.add(ty);
+        }
+    }
+
+    const fn add_port(&mut self, ty: PortType) {
+        match ty {
+            PortType::Plain(t) | PortType::Frame { header: t, .. } => self.add(t),
+            PortType::Any => {}
+        }
+    }
+
+    const fn add_class(&mut self, class: &ClassDesc) {
+        let mut i = 0;
+        while i < class.inputs.len() {
+            self.add_port(class.inputs[i].ty);
+            i += 1;
+        }
+        i = 0;
+        while i < class.outputs.len() {
+            self.add_port(class.outputs[i].ty);
+            i += 1;
+        }
+        i = 0;
+        while i < class.required.len() {
+            let mut j = 0;
+            while j < class.required[i].functions.len() {
+                self.add_opt(class.required[i].functions[j].arg);
+                self.add_opt(class.required[i].functions[j].ret);
+                j += 1;
+            }
+            j = 0;
+            while j < class.required[i].handlers.len() {
+                self.add_opt(class.required[i].handlers[j].payload);
+                j += 1;
+            }
+            i += 1;
+        }
+        i = 0;
+        while i < class.provided.len() {
+            let mut j = 0;
+            while j < class.provided[i].commands.len() {
+                if let Some(arg) = &class.provided[i].commands[j].arg {
+                    self.add(arg.ty);
+                }
+                self.add_opt(class.provided[i].commands[j].ret);
+                j += 1;
+            }
+            j = 0;
+            while j < class.provided[i].events.len() {
+                self.add_opt(class.provided[i].events[j].payload);
+                j += 1;
+            }
+            i += 1;
+        }
+        self.add_opt(class.state);
+    }
+}
+
+impl<const N: usize> Out<N> {
+    const fn byte(&mut self, b: u8) {
+        if N > 0 {
+            self.buf[self.len] = b;
+        }
+        self.len += 1;
+    }
+
+    const fn raw(&mut self, text: &str) {
+        let bytes = text.as_bytes();
+        let mut i = 0;
+        while i < bytes.len() {
+            self.byte(bytes[i]);
+            i += 1;
+        }
+    }
+
+    const fn text(&mut self, text: &str) {
+        let bytes = text.as_bytes();
+        self.byte(b'"');
+        let mut i = 0;
+        while i < bytes.len() {
+            match bytes[i] {
+                b'"' | b'\\' => {
+                    self.byte(b'\\');
+                    self.byte(bytes[i]);
+                }
+                b'\n' => self.raw("\\n"),
+                b'\t' => self.raw("\\t"),
+                c if c < 0x20 => {
+                    self.raw("\\u00");
+                    self.byte(b"0123456789abcdef"[(c >> 4) as usize]);
+                    self.byte(b"0123456789abcdef"[(c & 15) as usize]);
+                }
+                c => self.byte(c),
+            }
+            i += 1;
+        }
+        self.byte(b'"');
+    }
+
+    const fn number(&mut self, n: u64) {
+        if n >= 10 {
+            self.number(n / 10);
+        }
+        self.byte(b'0' + (n % 10) as u8);
+    }
+
+    const fn signed(&mut self, n: i64) {
+        if n < 0 {
+            self.byte(b'-');
+        }
+        self.number(n.unsigned_abs());
+    }
+
+    /// `"key":` preceded by a comma unless it is the first of its object.
+    const fn key(&mut self, key: &str, first: bool) {
+        if !first {
+            self.byte(b',');
+        }
+        self.text(key);
+        self.byte(b':');
+    }
+
+    const fn pair(&mut self, key: &str, value: &str, first: bool) {
+        self.key(key, first);
+        self.text(value);
+    }
+
+    /// Like `pair`, but leaves the key out when the value is empty.
+    const fn pair_opt(&mut self, key: &str, value: &str) {
+        if !value.is_empty() {
+            self.pair(key, value, false);
+        }
+    }
+
+    const fn flag(&mut self, key: &str, value: bool) {
+        if value {
+            self.key(key, false);
+            self.raw("true");
+        }
+    }
+
+    const fn literal_opt(&mut self, key: &str, json: &str) {
+        if !json.is_empty() {
+            self.key(key, false);
+            self.raw(json);
+        }
+    }
+
+    const fn comma(&mut self, i: usize) {
+        if i > 0 {
+            self.byte(b',');
+        }
+    }
+
+    const fn plugin(&mut self, p: &PluginDesc) {
+        self.raw("{\"trocar\":1,\"abi\":[");
+        self.number(ABI_MAJOR as u64);
+        self.byte(b',');
+        self.number(ABI_MINOR as u64);
+        self.raw("]");
+        self.pair("name", p.name, false);
+        self.pair("version", p.version, false);
+        self.pair("vendor", p.vendor, false);
+        self.pair("license", p.license, false);
+        self.pair("doc", p.doc, false);
+        self.pair("built_with", p.built_with, false);
+        self.pair("panic", "unwind", false);
+        self.flag("unload", p.unload);
+        let mut types = Types { seen: [None; MAX_TYPES], len: 0 };
+        let mut i = 0;
+        while i < p.classes.len() {
+            types.add_class(p.classes[i]);
+            i += 1;
+        }
+        self.raw(",\"types\":[");
+        i = 0;
+        while i < types.len {
+            self.comma(i);
+            if let Some(ty) = types.seen[i] {
+                self.named_type(ty);
+            }
+            i += 1;
+        }
+        self.raw("],\"classes\":[");
+        i = 0;
+        while i < p.classes.len() {
+            self.comma(i);
+            self.class(p.classes[i]);
+            i += 1;
+        }
+        self.raw("]}");
+    }
+
+    const fn named_type(&mut self, ty: &TypeDesc) {
+        self.byte(b'{');
+        match &ty.kind {
+            TypeKind::Struct { name, doc, fields } => {
+                self.pair("name", name, true);
+                self.pair_opt("doc", doc);
+                self.size(ty);
+                self.raw(",\"fields\":[");
+                let mut i = 0;
+                while i < fields.len() {
+                    self.comma(i);
+                    self.byte(b'{');
+                    self.pair("name", fields[i].name, true);
+                    self.key("at", false);
+                    self.number(fields[i].at as u64);
+                    self.key("type", false);
+                    self.type_ref(fields[i].ty);
+                    self.pair_opt("unit", fields[i].unit);
+                    self.pair_opt("doc", fields[i].doc);
+                    self.pair_opt("frame", fields[i].frame);
+                    self.byte(b'}');
+                    i += 1;
+                }
+                self.byte(b']');
+            }
+            TypeKind::Enum { name, repr, values } => {
+                self.pair("name", name, true);
+                self.size(ty);
+                self.pair("enum", repr.name(), false);
+                self.raw(",\"values\":[");
+                let mut i = 0;
+                while i < values.len() {
+                    self.comma(i);
+                    self.byte(b'{');
+                    self.pair("name", values[i].0, true);
+                    self.key("value", false);
+                    self.signed(values[i].1);
+                    self.byte(b'}');
+                    i += 1;
+                }
+                self.byte(b']');
+            }
+            _ => {}
+        }
+        self.byte(b'}');
+    }
+
+    const fn size(&mut self, ty: &TypeDesc) {
+        self.key("size", false);
+        self.number(ty.size as u64);
+        self.key("align", false);
+        self.number(ty.align as u64);
+    }
+
+    const fn type_ref(&mut self, ty: &TypeDesc) {
+        match &ty.kind {
+            TypeKind::Prim(p) => self.text(p.name()),
+            TypeKind::Array { item, n } => self.sized("array", item, *n),
+            TypeKind::List { item, n } => self.sized("list", item, *n),
+            TypeKind::Text { n } => {
+                self.raw("{\"text\":");
+                self.number(*n as u64);
+                self.byte(b'}');
+            }
+            TypeKind::Enum { name, .. } | TypeKind::Struct { name, .. } => {
+                self.raw("{\"ref\":");
+                self.text(name);
+                self.byte(b'}');
+            }
+        }
+    }
+
+    const fn sized(&mut self, key: &str, item: &TypeDesc, n: usize) {
+        self.byte(b'{');
+        self.key(key, true);
+        self.type_ref(item);
+        self.key("n", false);
+        self.number(n as u64);
+        self.byte(b'}');
+    }
+
+    const fn type_opt(&mut self, key: &str, ty: Option<&TypeDesc>) {
+        if let Some(ty) = ty {
+            self.key(key, false);
+            self.type_ref(ty);
+        }
+    }
+
+    const fn port(&mut self, ty: PortType) {
+        match ty {
+            PortType::Plain(t) => {
+                self.raw("{\"plain\":");
+                self.type_ref(t);
+                self.byte(b'}');
+            }
+            PortType::Frame { header, format, max_bytes } => {
+                self.raw("{\"frame\":");
+                self.type_ref(header);
+                self.pair_opt("format", format);
+                self.key("max_bytes", false);
+                self.number(max_bytes as u64);
+                self.byte(b'}');
+            }
+            PortType::Any => self.raw("\"any\""),
+        }
+    }
+
+    const fn class(&mut self, c: &ClassDesc) {
+        self.byte(b'{');
+        self.pair("name", c.name, true);
+        self.pair("doc", c.doc, false);
+        self.pair("safety", c.safety.name(), false);
+        self.flag("hardware", c.hardware);
+        self.flag("safe_from_any_thread", c.safe_from_any_thread);
+        self.raw(",\"execution\":{");
+        self.pair("model", c.model, true);
+        self.key("period_ns", false);
+        self.number(c.period_ns);
+        self.byte(b'}');
+        self.config(c.config);
+        self.raw(",\"inputs\":[");
+        let mut i = 0;
+        while i < c.inputs.len() {
+            self.comma(i);
+            self.byte(b'{');
+            self.pair("name", c.inputs[i].name, true);
+            self.pair_opt("doc", c.inputs[i].doc);
+            self.key("type", false);
+            self.port(c.inputs[i].ty);
+            self.flag("optional", c.inputs[i].optional);
+            self.key("fifo", false);
+            self.number(c.inputs[i].fifo as u64);
+            self.byte(b'}');
+            i += 1;
+        }
+        self.raw("],\"outputs\":[");
+        i = 0;
+        while i < c.outputs.len() {
+            self.comma(i);
+            self.byte(b'{');
+            self.pair("name", c.outputs[i].name, true);
+            self.pair_opt("doc", c.outputs[i].doc);
+            self.key("type", false);
+            self.port(c.outputs[i].ty);
+            self.byte(b'}');
+            i += 1;
+        }
+        self.raw("],\"required\":[");
+        i = 0;
+        while i < c.required.len() {
+            self.comma(i);
+            self.required(&c.required[i]);
+            i += 1;
+        }
+        self.raw("],\"provided\":[");
+        i = 0;
+        while i < c.provided.len() {
+            self.comma(i);
+            self.provided(&c.provided[i]);
+            i += 1;
+        }
+        self.byte(b']');
+        self.type_opt("state", c.state);
+        self.byte(b'}');
+    }
+
+    const fn config(&mut self, fields: &[ConfigFieldDesc]) {
+        self.raw(",\"config\":{\"type\":\"object\",\"additionalProperties\":false,\"properties\":{");
+        let mut i = 0;
+        while i < fields.len() {
+            let f = &fields[i];
+            self.key(f.name, i == 0);
+            self.byte(b'{');
+            self.raw(f.schema);
+            self.pair_opt("description", f.doc);
+            self.pair_opt("unit", f.unit);
+            self.literal_opt("minimum", f.min);
+            self.literal_opt("maximum", f.max);
+            self.literal_opt("default", f.default);
+            self.flag("live", f.live);
+            self.byte(b'}');
+            i += 1;
+        }
+        self.raw("},\"required\":[");
+        i = 0;
+        let mut listed = 0;
+        while i < fields.len() {
+            if fields[i].default.is_empty() {
+                self.comma(listed);
+                self.text(fields[i].name);
+                listed += 1;
+            }
+            i += 1;
+        }
+        self.raw("]}");
+    }
+
+    const fn required(&mut self, r: &RequiredDesc) {
+        self.byte(b'{');
+        self.pair("name", r.name, true);
+        self.pair_opt("doc", r.doc);
+        self.flag("optional", r.optional);
+        self.raw(",\"functions\":[");
+        let mut i = 0;
+        while i < r.functions.len() {
+            let f = &r.functions[i];
+            self.comma(i);
+            self.byte(b'{');
+            self.pair("name", f.name, true);
+            self.pair_opt("doc", f.doc);
+            self.type_opt("arg", f.arg);
+            self.type_opt("ret", f.ret);
+            self.pair_opt("unit", f.unit);
+            self.flag("optional", f.optional);
+            self.flag("any", f.any);
+            self.byte(b'}');
+            i += 1;
+        }
+        self.raw("],\"handlers\":[");
+        i = 0;
+        while i < r.handlers.len() {
+            let h = &r.handlers[i];
+            self.comma(i);
+            self.byte(b'{');
+            self.pair("name", h.name, true);
+            self.pair_opt("doc", h.doc);
+            self.type_opt("payload", h.payload);
+            self.flag("optional", h.optional);
+            self.byte(b'}');
+            i += 1;
+        }
+        self.raw("]}");
+    }
+
+    const fn provided(&mut self, p: &ProvidedDesc) {
+        self.byte(b'{');
+        self.pair("name", p.name, true);
+        self.pair_opt("doc", p.doc);
+        self.pair_opt("tag", p.tag);
+        self.raw(",\"commands\":[");
+        let mut i = 0;
+        while i < p.commands.len() {
+            self.comma(i);
+            self.command(&p.commands[i]);
+            i += 1;
+        }
+        self.raw("],\"events\":[");
+        i = 0;
+        while i < p.events.len() {
+            let e = &p.events[i];
+            self.comma(i);
+            self.byte(b'{');
+            self.pair("name", e.name, true);
+            self.pair_opt("doc", e.doc);
+            self.type_opt("payload", e.payload);
+            self.pair_opt("unit", e.unit);
+            self.byte(b'}');
+            i += 1;
+        }
+        self.raw("]}");
+    }
+
+    const fn command(&mut self, c: &CommandDesc) {
+        self.byte(b'{');
+        self.pair("name", c.name, true);
+        self.pair_opt("doc", c.doc);
+        self.pair("kind", c.kind.name(), false);
+        if let Some(arg) = &c.arg {
+            self.key("arg", false);
+            self.arg(arg);
+        }
+        self.type_opt("ret", c.ret);
+        self.pair_opt("ret_unit", c.ret_unit);
+        self.pair("overflow", if c.overflow.is_empty() { "reject" } else { c.overflow }, false);
+        self.byte(b'}');
+    }
+
+    const fn arg(&mut self, a: &ArgDesc) {
+        self.byte(b'{');
+        self.pair("name", a.name, true);
+        self.pair_opt("doc", a.doc);
+        self.key("type", false);
+        self.type_ref(a.ty);
+        self.pair_opt("unit", a.unit);
+        self.literal_opt("min", a.min);
+        self.literal_opt("max", a.max);
+        self.byte(b'}');
+    }
+}
+
+#[cfg(all(test, feature = "manifest"))]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use crate::desc::*;
+    use crate::manifest::{Manifest, PortType as MPort, Type};
+
+    static F64: TypeDesc = TypeDesc::prim(Prim::F64);
+    static FORCE3: TypeDesc = TypeDesc { size: 24, align: 8, kind: TypeKind::Array { item: &F64, n: 3 } };
+    static FORCE: TypeDesc = TypeDesc {
+        size: 24,
+        align: 8,
+        kind: TypeKind::Struct {
+            name: "Force",
+            doc: "A \"quoted\"\nforce",
+            fields: &[FieldDesc { name: "f", at: 0, ty: &FORCE3, unit: "N", doc: "", frame: "" }],
+        },
+    };
+    static CLASS: ClassDesc = ClassDesc {
+        name: "low_pass",
+        doc: "µ",
+        safety: Safety::Sensor,
+        hardware: false,
+        safe_from_any_thread: false,
+        model: "periodic",
+        period_ns: 1_000_000,
+        config: &[ConfigFieldDesc {
+            name: "cutoff_hz",
+            doc: "corner",
+            schema: "\"type\":\"number\"",
+            unit: "Hz",
+            min: "0.1",
+            max: "400.0",
+            default: "50.0",
+            live: true,
+        }],
+        inputs: &[InputDesc { name: "raw", doc: "", ty: PortType::Plain(&FORCE), optional: false, fifo: 0 }],
+        outputs: &[OutputDesc { name: "out", doc: "", ty: PortType::Plain(&FORCE) }],
+        required: &[],
+        provided: &[],
+        state: Some(&FORCE),
+    };
+    static PLUGIN: PluginDesc = PluginDesc {
+        name: "filters",
+        version: "0.1.0",
+        vendor: "",
+        license: "",
+        doc: "",
+        built_with: "",
+        unload: false,
+        classes: &[&CLASS],
+    };
+    const LEN: usize = crate::render::<0>(&PLUGIN).1;
+    static TEXT: [u8; LEN] = crate::render::<LEN>(&PLUGIN).0;
+
+    #[test]
+    fn a_manifest_rendered_at_compile_time_parses_back_with_each_type_once() {
+        let m = Manifest::parse(&TEXT).unwrap();
+        assert_eq!(m.types.len(), 1);
+        assert_eq!(m.types[0].doc, "A \"quoted\"\nforce");
+        assert_eq!(m.classes[0].doc, "µ");
+        assert_eq!(m.classes[0].inputs[0].ty, MPort::Plain { plain: Type::Ref { name: "Force".into() } });
+        assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["maximum"], 400.0);
+        assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["unit"], "Hz");
+    }
+}

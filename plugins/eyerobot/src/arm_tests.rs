@@ -1,0 +1,263 @@
+//! Tests of the arm against the simulated drive: motions, pre-emption, faults, safety.
+//!
+//! Invariant: time is counted in periods of `DT`, never read from a clock.
+
+use super::*;
+use crate::drive::{SimulatedDrive, Simulation};
+use crate::joints::COUNT;
+
+const DT: f64 = 1e-3;
+
+fn arm() -> Arm<SimulatedDrive> {
+    Arm::new(
+        Settings::default(),
+        SimulatedDrive::new(Simulation::default(), Joints::zeros()),
+        Joints::zeros(),
+    )
+}
+
+fn ready() -> Arm<SimulatedDrive> {
+    let mut arm = arm();
+    arm.state_command("enable").expect("from DISABLED");
+    arm.state_command("home").expect("from ENABLED");
+    arm.step(DT);
+    assert!(arm.operating().is_ready(), "home from zero is over after one period: {:?}", arm.operating());
+    arm
+}
+
+fn steps<D: Drive>(arm: &mut Arm<D>, count: usize) {
+    for _ in 0..count {
+        arm.step(DT);
+    }
+}
+
+fn steps_until<D: Drive>(arm: &mut Arm<D>, most: usize, over: impl Fn(&Arm<D>) -> bool) -> usize {
+    for n in 0..most {
+        if over(arm) {
+            return n;
+        }
+        arm.step(DT);
+    }
+    panic!("not reached in {most} periods: {:?} {:?}", arm.operating(), arm.fault());
+}
+
+#[test]
+fn motions_are_refused_until_the_arm_is_enabled_and_homed() {
+    let mut arm = arm();
+    let refused = arm.servo_jp(&[0.0; COUNT]).expect_err("DISABLED");
+    assert_eq!(refused.to_string(), "the arm is DISABLED: send state_command `enable` first");
+    arm.state_command("enable").expect("allowed");
+    let refused = arm.move_jp(&[0.0; COUNT]).expect_err("not homed");
+    assert_eq!(refused.to_string(), "the arm is not homed: send state_command `home` and wait for is_homed");
+}
+
+#[test]
+fn move_jp_is_busy_until_the_end_and_arrives() {
+    let mut arm = ready();
+    let goal = [0.004, -0.003, 0.002, 0.05, -0.04];
+    arm.move_jp(&goal).expect("inside the limits");
+    assert!(arm.operating().is_busy);
+    let periods = steps_until(&mut arm, 2_000, |arm| !arm.operating().is_busy);
+    assert!(periods > 400, "4 mm at 10 mm/s take at least 0.4 s, not {periods} ms");
+    assert_eq!(arm.setpoint().position.as_slice(), goal);
+    steps(&mut arm, 500);
+    let off = arm.measured().position - Joints::from_column_slice(&goal);
+    for i in 0..COUNT {
+        assert!(off[i].abs() <= Simulation::default().quantum[i], "joint {i} rests {:e} away", off[i]);
+    }
+}
+
+#[test]
+fn home_moves_back_to_zero_and_sets_is_homed_on_arrival() {
+    let mut arm = ready();
+    arm.move_jp(&[0.005, 0.0, 0.0, 0.0, 0.0]).expect("inside");
+    steps(&mut arm, 1_000);
+    arm.state_command("unhome").expect("not busy");
+    arm.state_command("home").expect("enabled");
+    assert!(!arm.operating().is_homed && arm.operating().is_busy);
+    steps_until(&mut arm, 1_000, |arm| arm.operating().is_homed);
+    assert_eq!(arm.setpoint().position, Joints::zeros());
+}
+
+#[test]
+fn servo_jp_goes_at_most_at_the_joints_speed() {
+    let mut arm = ready();
+    arm.servo_jp(&[0.05, 0.0, 0.0, 1.0, 0.0]).expect("inside");
+    steps(&mut arm, 1_000);
+    let q = arm.measured().position;
+    assert!((q[0] - 0.010).abs() < 1e-4 && (q[3] - 7f64.to_radians()).abs() < 1e-3, "{q:?}");
+    assert_eq!(arm.operating().state, State::Enabled, "{:?}", arm.fault());
+}
+
+#[test]
+fn servo_cp_follows_a_pose_and_refuses_one_out_of_reach() {
+    let mut arm = ready();
+    let kinematics = arm.settings().kinematics;
+    let goal = kinematics.forward(&Joints::from_column_slice(&[0.001, 0.002, -0.001, 0.02, 0.03]));
+    arm.servo_cp(&goal).expect("reachable");
+    steps(&mut arm, 2_500);
+    assert!((arm.measured_cp().translation.vector - goal.translation.vector).norm() < 5e-6);
+    let far = Isometry3::translation(1.0, 0.0, 0.0);
+    assert!(matches!(arm.servo_cp(&far), Err(ArmError::Pose(_))));
+}
+
+#[test]
+fn a_new_motion_pre_empts_a_running_one_without_a_jump() {
+    let mut arm = ready();
+    arm.move_jp(&[0.02, 0.0, 0.0, 0.0, 0.0]).expect("inside");
+    steps(&mut arm, 500);
+    arm.move_jp(&[-0.02, 0.0, 0.0, 0.0, 0.0]).expect("inside");
+    let mut before = arm.setpoint();
+    for _ in 0..4_500 {
+        arm.step(DT);
+        let jump = arm.setpoint().velocity[0] - before.velocity[0];
+        assert!(jump.abs() <= 0.5 * DT * (1.0 + 1e-6), "velocity jumps by {jump} m/s");
+        before = arm.setpoint();
+    }
+    assert_eq!(arm.setpoint().position[0], -0.02);
+}
+
+#[test]
+fn a_refused_goal_leaves_the_running_motion_as_it_was() {
+    let mut arm = ready();
+    let goal = [0.005, 0.0, 0.0, 0.0, 0.0];
+    arm.move_jp(&goal).expect("inside");
+    steps(&mut arm, 100);
+    assert!(arm.move_jp(&[0.051, 0.0, 0.0, 0.0, 0.0]).is_err());
+    assert!(arm.servo_jp(&[f64::NAN; COUNT]).is_err());
+    assert!(arm.servo_jv(&[0.02, 0.0, 0.0, 0.0, 0.0]).is_err());
+    assert!(arm.servo_jv(&[0.0; 4]).is_err());
+    steps(&mut arm, 1_000);
+    assert_eq!(arm.setpoint().position.as_slice(), goal);
+}
+
+#[test]
+fn servo_jv_that_is_not_repeated_holds_the_arm_after_its_timeout() {
+    let mut arm = ready();
+    arm.servo_jv(&[0.01, 0.0, 0.0, 0.0, 0.0]).expect("at the speed limit");
+    steps(&mut arm, 1_000);
+    // 0.1 s at 10 mm/s, then the braking way of 0.1 mm.
+    let q = arm.measured().position[0];
+    assert!((0.001..=0.0012).contains(&q), "stopped at {q} m");
+    assert_eq!(arm.setpoint().velocity, Joints::zeros());
+}
+
+#[test]
+fn servo_jv_across_a_limit_stops_and_faults_and_the_way_back_is_open() {
+    let mut arm = ready();
+    arm.move_jp(&[0.0495, 0.0, 0.0, 0.0, 0.0]).expect("inside");
+    steps_until(&mut arm, 10_000, |arm| !arm.operating().is_busy);
+    let outwards = [0.01, 0.0, 0.0, 0.0, 0.0];
+    for _ in 0..200 {
+        let _ = arm.servo_jv(&outwards);
+        arm.step(DT);
+    }
+    assert_eq!(arm.operating().state, State::Fault);
+    assert!(matches!(arm.fault(), Some(Fault::Limit { joint: 0, .. })), "{:?}", arm.fault());
+    let stopped = arm.measured();
+    assert!(stopped.position[0] < 0.0503 && stopped.velocity == Joints::zeros(), "{stopped:?}");
+    assert!(arm.servo_jv(&outwards).is_err(), "a faulted arm takes no motion");
+
+    arm.state_command("enable").expect("retry");
+    assert_eq!(arm.fault(), None);
+    arm.move_jp(&[0.04, 0.0, 0.0, 0.0, 0.0]).expect("inwards");
+    steps_until(&mut arm, 2_000, |arm| !arm.operating().is_busy);
+    assert_eq!((arm.operating().state, arm.setpoint().position[0]), (State::Enabled, 0.04));
+}
+
+#[test]
+fn hold_brakes_a_move_and_stays() {
+    let mut arm = ready();
+    arm.move_jp(&[0.02, 0.0, 0.0, 0.0, 0.0]).expect("inside");
+    steps(&mut arm, 500);
+    arm.hold();
+    assert!(!arm.operating().is_busy);
+    steps(&mut arm, 100);
+    let stands = arm.setpoint();
+    steps(&mut arm, 500);
+    assert_eq!(arm.setpoint(), stands);
+    assert!((arm.measured().position - stands.position).norm() < 1e-5, "follows to where it braked");
+}
+
+#[test]
+fn pause_refuses_motions_and_resume_takes_them_again() {
+    let mut arm = ready();
+    arm.move_jp(&[0.02, 0.0, 0.0, 0.0, 0.0]).expect("inside");
+    steps(&mut arm, 300);
+    arm.state_command("pause").expect("enabled");
+    steps(&mut arm, 100);
+    let stands = arm.setpoint().position;
+    assert!(arm.servo_jp(&[0.0; COUNT]).is_err());
+    steps(&mut arm, 500);
+    assert_eq!(arm.setpoint().position, stands);
+    arm.state_command("resume").expect("paused");
+    steps(&mut arm, 100);
+    assert_eq!(arm.setpoint().position, stands, "an old motion does not come back");
+    assert!(arm.servo_jp(&[0.0; COUNT]).is_ok());
+}
+
+#[test]
+fn make_safe_stops_in_full_motion_and_only_resume_lets_it_move_again() {
+    let mut arm = ready();
+    arm.move_jp(&[0.02, 0.0, 0.0, 0.1, 0.0]).expect("inside");
+    steps(&mut arm, 500);
+    arm.make_safe();
+    let stands = arm.measured().position;
+    assert_eq!(arm.operating(), Operating { state: State::Paused, is_homed: true, is_busy: false });
+    steps(&mut arm, 1_000);
+    let crept = (arm.measured().position - stands).abs();
+    for i in 0..COUNT {
+        assert!(crept[i] <= Simulation::default().quantum[i], "joint {i} crept by {:e}", crept[i]);
+    }
+    assert!(arm.servo_jp(&[0.0; COUNT]).is_err());
+}
+
+/// A drive that does not move, and loses joint 2 after some cycles.
+struct Stuck {
+    cycles_left: usize,
+}
+
+impl Drive for Stuck {
+    fn cycle(&mut self, _: &Joints, _: f64) -> Result<Measured, Lost> {
+        self.cycles_left = self.cycles_left.checked_sub(1).ok_or(Lost { joint: 2, why: "encoder silent" })?;
+        Ok(Measured { position: Joints::zeros(), velocity: Joints::zeros() })
+    }
+
+    fn make_safe(&mut self) {}
+}
+
+fn stuck(cycles_left: usize) -> Arm<Stuck> {
+    let mut arm = Arm::new(Settings::default(), Stuck { cycles_left }, Joints::zeros());
+    arm.state_command("enable").expect("from DISABLED");
+    arm.state_command("home").expect("from ENABLED");
+    steps(&mut arm, 1);
+    arm
+}
+
+#[test]
+fn a_joint_that_does_not_follow_is_a_fault() {
+    let mut arm = stuck(usize::MAX);
+    arm.servo_jp(&[0.0, 0.01, 0.0, 0.0, 0.0]).expect("inside");
+    let periods = steps_until(&mut arm, 100, |arm| arm.operating().state == State::Fault);
+    assert!((50..=52).contains(&periods), "0.5 mm at 10 mm/s are 50 periods, not {periods}");
+    assert!(matches!(arm.fault(), Some(Fault::Following { joint: 1, .. })), "{:?}", arm.fault());
+}
+
+#[test]
+fn a_drive_that_loses_a_joint_is_a_fault_with_its_reason() {
+    let mut arm = stuck(10);
+    steps(&mut arm, 20);
+    assert_eq!(arm.operating().state, State::Fault);
+    assert_eq!(arm.fault().map(|f| f.to_string()).as_deref(), Some("drive of joint z: encoder silent"));
+}
+
+#[test]
+fn two_arms_with_the_same_seed_and_commands_measure_the_same() {
+    let run = || {
+        let mut arm = ready();
+        arm.move_jp(&[0.01, 0.02, -0.01, 0.3, 0.2]).expect("inside");
+        steps(&mut arm, 1_500);
+        arm.measured()
+    };
+    assert_eq!(run(), run());
+}

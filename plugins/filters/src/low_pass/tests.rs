@@ -1,0 +1,77 @@
+//! The sample component on the bench.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use trocar_sdk::testing::Bench;
+
+fn force(z: f64) -> Force {
+    Force { stamp: Stamp::INVALID, f: [0.0, 0.0, z] }
+}
+
+#[test]
+fn a_constant_force_is_reached_in_the_end() {
+    let mut bench = Bench::<LowPass>::new("{}");
+    for _ in 0..100 {
+        bench.push("raw", force(1.0));
+        bench.step(1);
+    }
+    let out = bench.outputs::<Force>("filtered");
+    assert_eq!(out.len(), 100);
+    assert!(out[0].f[2] < 0.3, "the first sample jumps to {}", out[0].f[2]);
+    assert!((out[99].f[2] - 1.0).abs() < 1e-6, "after 100 ms the filter is at {}", out[99].f[2]);
+}
+
+#[test]
+fn a_sample_is_filtered_once_however_often_the_component_steps() {
+    let mut bench = Bench::<LowPass>::new("{}");
+    bench.push("raw", force(1.0));
+    bench.step(5);
+    assert_eq!(bench.outputs::<Force>("filtered").len(), 1);
+}
+
+#[test]
+fn a_sample_carries_the_time_of_its_step_when_it_has_no_stamp_of_its_own() {
+    let mut bench = Bench::<LowPass>::new("{}");
+    bench.push("raw", force(1.0));
+    bench.step(1);
+    assert_eq!(bench.samples::<Force>("filtered")[0].1, bench.now());
+}
+
+#[test]
+fn an_overload_is_told_and_the_robot_held() {
+    let mut bench = Bench::<LowPass>::new(r#"{"limit": 0.1}"#);
+    bench.push("raw", force(10.0));
+    bench.step(1);
+    let value = bench.read::<(), Force>("value", ()).unwrap().f[2];
+    assert_eq!(bench.events::<f64>("ctl/overload"), [value]);
+    assert_eq!(bench.calls::<f64>("hold"), [0.0]);
+}
+
+#[test]
+fn clear_forgets_the_past() {
+    let mut bench = Bench::<LowPass>::new("{}");
+    bench.push("raw", force(10.0));
+    bench.step(1);
+    assert_ne!(bench.state().y.f[2], 0.0);
+    bench.command::<(), ()>("clear", ()).unwrap();
+    assert_eq!(bench.read::<(), Force>("value", ()).unwrap().f, [0.0; 3]);
+}
+
+#[test]
+fn a_corner_above_the_limit_is_refused_with_its_unit_and_the_old_one_stays() {
+    let mut bench = Bench::<LowPass>::new(r#"{"cutoff_hz": 400}"#);
+    let refused = bench.configure(r#"{"cutoff_hz": 1000}"#).unwrap_err();
+    assert_eq!(refused.reason, "cutoff_hz: 1000 Hz is above 400 Hz");
+    bench.push("raw", force(1.0));
+    bench.step(1);
+    assert!(bench.state().y.f[2] > 0.9, "a 400 Hz corner follows at once, got {}", bench.state().y.f[2]);
+}
+
+#[test]
+fn a_disconnected_peer_stops_nobody() {
+    let mut bench = Bench::<LowPass>::new(r#"{"limit": 0.1}"#);
+    bench.connect_function("hold", false);
+    bench.push("raw", force(10.0));
+    bench.step(1);
+    assert_eq!(bench.events::<f64>("overload").len(), 1);
+}

@@ -1,0 +1,64 @@
+//! The derives of trocar-sdk: what turns a struct and its `impl` blocks into a component class.
+//!
+//! Invariant: generated code names everything by absolute path (`::trocar_sdk::…`), needs no import of the author's,
+//! and every mistake is a compile error that points at the author's own tokens.
+#![forbid(unsafe_code)]
+
+mod attrs;
+mod class;
+mod component;
+mod config;
+mod fields;
+mod handles;
+mod payload;
+mod provides;
+
+use proc_macro::TokenStream;
+use syn::parse_macro_input;
+
+/// Makes a `#[repr(C)]` struct a payload: plain old data without padding, described field by field.
+///
+/// Field attributes: `#[unit("N")]`, `#[frame("retina")]` (coordinate frame). Struct attribute: `#[format("image")]`
+/// for headers of frames.
+#[proc_macro_derive(Payload, attributes(unit, frame, format))]
+pub fn derive_payload(input: TokenStream) -> TokenStream {
+    done(payload::derive(parse_macro_input!(input)))
+}
+
+/// Makes a struct the configuration of a component.
+///
+/// Field attribute: `#[config(live, min = 0.1, max = 400.0, unit = "Hz", default = 50.0, one_of = ["a", "b"])]`.
+#[proc_macro_derive(Config, attributes(config))]
+pub fn derive_config(input: TokenStream) -> TokenStream {
+    done(config::derive(parse_macro_input!(input)))
+}
+
+/// Makes a struct a component class.
+///
+/// Struct attribute: `#[component(name = "…", rate_hz = 1000, model = "…", safety = "…", hardware,
+/// safe_from_any_thread, provides("a", "b"), requires("c"), optional("c"))]`. Field attributes: `#[input]`, `#[output]`,
+/// `#[required]`, `#[event("interface")]`, `#[state]`, `#[config]`, `#[host]`; a field without one is private run-time
+/// state and needs `Default`.
+#[proc_macro_derive(
+    Component,
+    attributes(component, input, output, required, event, state, config, host, unit, frame)
+)]
+pub fn derive_component(input: TokenStream) -> TokenStream {
+    done(component::derive(parse_macro_input!(input)))
+}
+
+/// The commands of one provided interface: `#[provides("ctl")] impl LowPass { #[command] … #[read] … }`.
+#[proc_macro_attribute]
+pub fn provides(args: TokenStream, item: TokenStream) -> TokenStream {
+    done(provides::expand(parse_macro_input!(args), parse_macro_input!(item)))
+}
+
+/// The event handlers of one required interface: `#[handles("robot")] impl Guide { #[on] fn … }`.
+#[proc_macro_attribute]
+pub fn handles(args: TokenStream, item: TokenStream) -> TokenStream {
+    done(handles::expand(parse_macro_input!(args), parse_macro_input!(item)))
+}
+
+fn done(result: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
+    result.unwrap_or_else(|e| e.to_compile_error()).into()
+}

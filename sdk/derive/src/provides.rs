@@ -1,0 +1,283 @@
+//! `#[provides("interface")]`: the commands and reads of one provided interface.
+//!
+//! Invariant: what a command is (void, write, …, read) follows from its signature alone; the `impl` block itself stays
+//! as the author wrote it, minus our attributes.
+
+use crate::attrs;
+use proc_macro2::{Ident, TokenStream};
+use quote::{format_ident, quote, quote_spanned};
+use syn::parse::{Parse, ParseStream};
+use syn::{Attribute, Expr, FnArg, ImplItem, ItemImpl, LitStr, Meta, Pat, ReturnType, Type};
+
+/// `"ctl"` or `"truth", tag = "truth"`.
+pub(crate) struct InterfaceArgs {
+    pub(crate) name: LitStr,
+    pub(crate) tag: String,
+}
+
+impl Parse for InterfaceArgs {
+    fn parse(input: ParseStream<'_>) -> syn::Result<Self> {
+        let name: LitStr =
+            input.parse().map_err(|_| input.error("name the interface: #[provides(\"ctl\")]"))?;
+        attrs::check_name(&name.value(), name.span())?;
+        let mut tag = String::new();
+        if !input.is_empty() {
+            input.parse::<syn::Token![,]>()?;
+            let key: Ident = input.parse()?;
+            if key != "tag" {
+                return Err(syn::Error::new(key.span(), "unknown setting; there is tag = \"…\""));
+            }
+            input.parse::<syn::Token![=]>()?;
+            tag = input.parse::<LitStr>()?.value();
+        }
+        Ok(InterfaceArgs { name, tag })
+    }
+}
+
+/// One command or read.
+struct Command {
+    method: Ident,
+    name: String,
+    doc: String,
+    is_read: bool,
+    overflow: String,
+    ret_unit: String,
+    arg: Option<Argument>,
+    ret: TokenStream,
+}
+
+/// The one argument a command, read or handler may take.
+pub(crate) struct Argument {
+    pub(crate) name: String,
+    /// The payload type, without a reference.
+    pub(crate) ty: Type,
+    pub(crate) by_ref: bool,
+    doc: String,
+    unit: String,
+    min: String,
+    max: String,
+}
+
+pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<TokenStream> {
+    if let Some((_, path, _)) = &item.trait_ {
+        return Err(syn::Error::new_spanned(path, "#[provides] stands on an inherent `impl` block"));
+    }
+    let mut commands = Vec::new();
+    for inner in &mut item.items {
+        if let ImplItem::Fn(f) = inner
+            && let Some((attr, is_read)) = take_attr(&mut f.attrs)
+        {
+            commands.push(command(&attr, is_read, f)?);
+        }
+    }
+    let class = &item.self_ty;
+    let name = args.name.value();
+    let part = format_ident!("__TROCAR_PROVIDES_{}", attrs::ident_part(&name));
+    let (doc, tag) = (attrs::docs(&item.attrs), &args.tag);
+    let descs = commands.iter().map(Command::desc);
+    let calls = commands.iter().enumerate().filter(|(_, c)| !c.is_read).map(|(i, c)| c.dispatch(i, class));
+    let reads = commands.iter().enumerate().filter(|(_, c)| c.is_read).map(|(i, c)| c.dispatch(i, class));
+    let declared = declared(class, &args.name, "DeclaresProvided");
+    Ok(quote! {
+        #item
+        #declared
+        impl #class {
+            #[doc(hidden)]
+            #[allow(non_upper_case_globals, dead_code, unused_variables)]
+            pub(crate) const #part: ::trocar_sdk::__private::ProvidedPart<#class> =
+                ::trocar_sdk::__private::ProvidedPart {
+                    doc: #doc,
+                    tag: #tag,
+                    commands: &[#(#descs),*],
+                    command: |this, id, call| match id { #(#calls,)* _ => call.unknown(id) },
+                    read: |state, id, call| match id { #(#reads,)* _ => call.unknown(id) },
+                };
+        }
+    })
+}
+
+/// A check that the class declares the interface, placed at the interface's name.
+pub(crate) fn declared(class: &Type, name: &LitStr, by: &str) -> TokenStream {
+    let key = attrs::interface_key(&name.value());
+    let by = format_ident!("{by}");
+    quote_spanned! { name.span() =>
+        const _: fn() = || {
+            fn declared<C: ::trocar_sdk::__private::#by<#key>>() {}
+            declared::<#class>();
+        };
+    }
+}
+
+fn take_attr(attrs: &mut Vec<Attribute>) -> Option<(Attribute, bool)> {
+    let at = attrs.iter().position(|a| a.path().is_ident("command") || a.path().is_ident("read"))?;
+    let attr = attrs.remove(at);
+    let is_read = attr.path().is_ident("read");
+    Some((attr, is_read))
+}
+
+fn command(attr: &Attribute, is_read: bool, f: &mut syn::ImplItemFn) -> syn::Result<Command> {
+    let mut c = Command {
+        method: f.sig.ident.clone(),
+        name: f.sig.ident.to_string(),
+        doc: attrs::docs(&f.attrs),
+        is_read,
+        overflow: String::new(),
+        ret_unit: String::new(),
+        arg: None,
+        ret: match &f.sig.output {
+            ReturnType::Default => quote!(()),
+            ReturnType::Type(_, ty) => quote!(#ty),
+        },
+    };
+    if !matches!(attr.meta, Meta::Path(_)) {
+        attr.parse_nested_meta(|meta| {
+            let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
+            let text = || meta.value()?.parse::<LitStr>();
+            match key.as_str() {
+                "name" => {
+                    let name = text()?;
+                    attrs::check_name(&name.value(), name.span())?;
+                    c.name = name.value();
+                }
+                "unit" => c.ret_unit = text()?.value(),
+                "overflow" if !is_read => {
+                    let policy = text()?;
+                    c.overflow = policy.value();
+                    if !["reject", "latest_wins", "drop_oldest"].contains(&c.overflow.as_str()) {
+                        return Err(syn::Error::new(
+                            policy.span(),
+                            "overflow is reject, latest_wins or drop_oldest",
+                        ));
+                    }
+                }
+                _ => {
+                    return Err(
+                        meta.error("unknown setting; there are name, unit and, for commands, overflow")
+                    );
+                }
+            }
+            Ok(())
+        })?;
+    }
+    let mut inputs = f.sig.inputs.iter_mut();
+    let first_is_right = match inputs.next() {
+        Some(FnArg::Receiver(r)) => !is_read && r.reference.is_some() && r.mutability.is_some(),
+        Some(FnArg::Typed(_)) => is_read,
+        None => false,
+    };
+    if !first_is_right {
+        let wanted = if is_read {
+            "a read is a pure function of a state row: `fn value(s: &MyState) -> T` (no self)"
+        } else {
+            "a command is `fn name(&mut self[, argument]) [-> result]`"
+        };
+        return Err(syn::Error::new_spanned(&f.sig.ident, wanted));
+    }
+    c.arg = argument(&mut inputs)?;
+    if is_read && matches!(f.sig.output, ReturnType::Default) {
+        return Err(syn::Error::new_spanned(&f.sig.ident, "a read returns a value: add `-> T`"));
+    }
+    Ok(c)
+}
+
+/// The remaining parameter, if any, with its `#[arg(…)]` taken off.
+pub(crate) fn argument<'a>(
+    inputs: &mut impl Iterator<Item = &'a mut FnArg>,
+) -> syn::Result<Option<Argument>> {
+    let Some(first) = inputs.next() else { return Ok(None) };
+    let FnArg::Typed(typed) = first else { return Err(syn::Error::new_spanned(first, "unexpected self")) };
+    if let Some(extra) = inputs.next() {
+        return Err(syn::Error::new_spanned(
+            extra,
+            "at most one argument: put several values into one payload",
+        ));
+    }
+    let (ty, by_ref) = match &*typed.ty {
+        Type::Reference(r) => ((*r.elem).clone(), true),
+        ty => (ty.clone(), false),
+    };
+    let name = match &*typed.pat {
+        Pat::Ident(p) => p.ident.to_string().trim_start_matches('_').to_string(),
+        _ => String::new(),
+    };
+    let mut arg = Argument {
+        name,
+        ty,
+        by_ref,
+        doc: String::new(),
+        unit: String::new(),
+        min: String::new(),
+        max: String::new(),
+    };
+    for attr in typed.attrs.iter().filter(|a| a.path().is_ident("arg")) {
+        attr.parse_nested_meta(|meta| {
+            if meta.path.is_ident("unit") {
+                arg.unit = meta.value()?.parse::<LitStr>()?.value();
+            } else if meta.path.is_ident("doc") {
+                arg.doc = meta.value()?.parse::<LitStr>()?.value();
+            } else if meta.path.is_ident("min") {
+                arg.min = attrs::number(&meta.value()?.parse::<Expr>()?)?;
+            } else if meta.path.is_ident("max") {
+                arg.max = attrs::number(&meta.value()?.parse::<Expr>()?)?;
+            } else {
+                return Err(meta.error("unknown setting; there are unit, min, max and doc"));
+            }
+            Ok(())
+        })?;
+    }
+    typed.attrs.retain(|a| !a.path().is_ident("arg"));
+    Ok(Some(arg))
+}
+
+impl Command {
+    fn desc(&self) -> TokenStream {
+        let Command { name, doc, is_read, overflow, ret_unit, ret, .. } = self;
+        let (arg_ty, arg) = match &self.arg {
+            None => (quote!(()), quote!(None)),
+            Some(Argument { name, ty, doc, unit, min, max, .. }) => (
+                quote!(#ty),
+                quote! {
+                    Some(::trocar_sdk::__private::ArgDesc {
+                        name: #name, doc: #doc, ty: <#ty as ::trocar_sdk::Payload>::DESC,
+                        unit: #unit, min: #min, max: #max,
+                    })
+                },
+            ),
+        };
+        quote! {
+            ::trocar_sdk::__private::CommandDesc {
+                name: #name,
+                doc: #doc,
+                kind: ::trocar_sdk::__private::kind_of::<#arg_ty, #ret>(#is_read),
+                arg: #arg,
+                ret: <<#ret as ::trocar_sdk::__private::Answer>::Value as ::trocar_sdk::Value>::DESC,
+                ret_unit: #ret_unit,
+                overflow: #overflow,
+            }
+        }
+    }
+
+    fn dispatch(&self, id: usize, class: &Type) -> TokenStream {
+        let (id, method) = (id as u32, &self.method);
+        let this = if self.is_read { quote!(state) } else { quote!(this) };
+        let (arg_ty, pattern, call) = call_of(&self.arg, quote!(<#class>::#method), this);
+        // Why `run` may be called: the description above names the very types used here.
+        quote!(#id => unsafe { call.run::<#arg_ty, _>(|#pattern| #call) })
+    }
+}
+
+/// Argument type, closure pattern and call expression of a method with at most one argument.
+pub(crate) fn call_of(
+    arg: &Option<Argument>,
+    path: TokenStream,
+    this: TokenStream,
+) -> (TokenStream, TokenStream, TokenStream) {
+    match arg {
+        None => (quote!(()), quote!(()), quote!(#path(#this))),
+        Some(a) => {
+            let ty = &a.ty;
+            let value = if a.by_ref { quote!(&value) } else { quote!(value) };
+            (quote!(#ty), quote!(value), quote!(#path(#this, #value)))
+        }
+    }
+}

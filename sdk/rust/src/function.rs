@@ -1,0 +1,148 @@
+//! Functions of required interfaces and events of provided ones.
+//!
+//! Invariant: nothing here waits without a deadline; `send` and `emit` never wait at all.
+
+use crate::call::Value;
+use crate::host::Host;
+use crate::outcome::{CallError, Outcome};
+use crate::ports::{Flow, PortKind};
+use crate::stubs;
+use core::marker::PhantomData;
+use core::time::Duration;
+use trocar_plugin_api::abi::{CallOpts, ErrBuf, EventSlot, FnSlot, MODE_CALL};
+use trocar_plugin_api::desc::TypeDesc;
+
+/// What the derive asks a function field.
+pub trait FunctionPort {
+    const ARG: Option<&'static TypeDesc>;
+    const RET: Option<&'static TypeDesc>;
+    const ANY: bool;
+}
+
+/// What the derive asks an event field.
+pub trait EventPort {
+    const PAYLOAD: Option<&'static TypeDesc>;
+}
+
+/// A function: bound to a command of whatever component is connected. Several threads may call it.
+pub struct Function<A = (), R = ()> {
+    slot: *const FnSlot,
+    kind: PhantomData<fn(A) -> R>,
+}
+
+// SAFETY: the host's slots take calls from several threads of one component.
+unsafe impl<A, R> Send for Function<A, R> {}
+// SAFETY: as above; the slot itself is immutable.
+unsafe impl<A, R> Sync for Function<A, R> {}
+
+impl<A, R> Default for Function<A, R> {
+    fn default() -> Self {
+        Function { slot: stubs::function(), kind: PhantomData }
+    }
+}
+
+impl<A: Value, R: Value> Function<A, R> {
+    /// Without waiting and without a result: the way from `step`.
+    #[inline]
+    pub fn send(&self, arg: A) -> Outcome {
+        // SAFETY: attach demands a valid slot for `A`; the argument lives through the call; no result is asked for.
+        unsafe {
+            let slot = &*self.slot;
+            let (ret, opts) = (core::ptr::null_mut(), core::ptr::null_mut());
+            Outcome::from((slot.call)(slot.ctx, arg.ptr(), ret, opts))
+        }
+    }
+
+    /// Waits for the result, at most until the connection's deadline (1 s unless set).
+    ///
+    /// # Errors
+    /// The outcome and the peer's sentence.
+    pub fn call(&self, arg: A) -> Result<R, CallError> {
+        self.call_within(arg, Duration::ZERO)
+    }
+
+    /// Waits for the result, at most for `deadline`; zero means the connection's own.
+    ///
+    /// # Errors
+    /// The outcome and the peer's sentence.
+    pub fn call_within(&self, arg: A, deadline: Duration) -> Result<R, CallError> {
+        let mut text = [0u8; 256];
+        let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+        let mut opts = CallOpts {
+            struct_size: size_of::<CallOpts>() as u32,
+            mode: MODE_CALL,
+            deadline_ns: u64::try_from(deadline.as_nanos()).unwrap_or(u64::MAX),
+            err: &mut err,
+            stamp_ns: 0,
+            may_still_run: 0,
+            reserved: 0,
+        };
+        let mut ret = R::blank();
+        // SAFETY: attach demands a valid slot for `A` and `R`; all pointers live through the call.
+        let outcome = unsafe {
+            let slot = &*self.slot;
+            Outcome::from((slot.call)(slot.ctx, arg.ptr(), ret.ptr_mut(), &mut opts))
+        };
+        if outcome == Outcome::Executed {
+            return Ok(ret);
+        }
+        let may_still_run = opts.may_still_run != 0;
+        let reason = String::from_utf8_lossy(&text[..err.len.min(text.len())]).into_owned();
+        Err(CallError { outcome, reason, may_still_run })
+    }
+}
+
+impl<A: Value, R: Value> FunctionPort for Function<A, R> {
+    const ARG: Option<&'static TypeDesc> = A::DESC;
+    const RET: Option<&'static TypeDesc> = R::DESC;
+    const ANY: bool = false;
+}
+
+// SAFETY: passes `A` and `R`, which the description names.
+unsafe impl<A: Value, R: Value> Flow for Function<A, R> {
+    type Slot = FnSlot;
+    const KIND: PortKind = PortKind::Any;
+    unsafe fn attach(&mut self, slot: *const FnSlot, _: &Host) {
+        self.slot = slot;
+    }
+}
+
+/// An event generator of a provided interface.
+pub struct Event<T = ()> {
+    slot: *const EventSlot,
+    kind: PhantomData<fn(T)>,
+}
+
+// SAFETY: the slot may be used from whichever thread enters the instance.
+unsafe impl<T> Send for Event<T> {}
+
+impl<T> Default for Event<T> {
+    fn default() -> Self {
+        Event { slot: stubs::event(), kind: PhantomData }
+    }
+}
+
+impl<T: Value> Event<T> {
+    /// Broadcasts; `QueueFull` when at least one observer missed it (counted there).
+    #[inline]
+    pub fn emit(&self, payload: T) -> Outcome {
+        // SAFETY: attach demands a valid slot for `T`; the payload lives through the call.
+        unsafe {
+            let slot = &*self.slot;
+            Outcome::from((slot.emit)(slot.ctx, payload.ptr()))
+        }
+    }
+}
+
+impl<T: Value> EventPort for Event<T> {
+    const PAYLOAD: Option<&'static TypeDesc> = T::DESC;
+}
+
+// SAFETY: passes `T`, which the description names.
+unsafe impl<T: Value> Flow for Event<T> {
+    type Slot = EventSlot;
+    const KIND: PortKind = PortKind::Any;
+    unsafe fn attach(&mut self, slot: *const EventSlot, _: &Host) {
+        self.slot = slot;
+    }
+}

@@ -1,0 +1,113 @@
+//! The host as an instance sees it: clock, services, callbacks.
+//!
+//! Invariant: the host's table is valid until `destroy` returns, so threads of the author's end in `Drop` at the latest.
+
+use crate::outcome::Outcome;
+use crate::values::Stamp;
+use core::ffi::c_void;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use trocar_plugin_api::abi::{Bytes, HostTable};
+
+/// A handle to the host: a `#[host]` field of a component. Any thread may use it while the component lives.
+#[derive(Clone)]
+pub struct Host {
+    env: Arc<Env>,
+}
+
+struct Env {
+    table: *const HostTable,
+    name: String,
+    /// Begin of the step that runs, ns; 0 outside of `step`.
+    step_ns: AtomicU64,
+}
+
+// SAFETY: the host's functions take calls from any thread, and the table outlives the instance.
+unsafe impl Send for Env {}
+// SAFETY: as above; `step_ns` is atomic.
+unsafe impl Sync for Env {}
+
+impl Host {
+    /// # Safety
+    /// `table` is valid until the instance is destroyed.
+    pub(crate) unsafe fn new(table: *const HostTable, name: &str) -> Host {
+        Host { env: Arc::new(Env { table, name: name.to_string(), step_ns: AtomicU64::new(0) }) }
+    }
+
+    fn table(&self) -> &HostTable {
+        // SAFETY: `new` demands a table that outlives the instance; create refuses a null one.
+        unsafe { &*self.env.table }
+    }
+
+    /// The name of this instance.
+    pub fn instance_name(&self) -> &str {
+        &self.env.name
+    }
+
+    /// The host's monotonic clock. About 25 ns; in `step`, prefer `tick.now()`.
+    pub fn now(&self) -> Stamp {
+        let table = self.table();
+        // SAFETY: the clock may be read from any thread.
+        Stamp::from_ns(unsafe { (table.now_ns)(table.ctx) })
+    }
+
+    /// Begin of the running step, or now.
+    #[inline]
+    pub(crate) fn stamp(&self) -> u64 {
+        match self.env.step_ns.load(Ordering::Relaxed) {
+            0 => self.now().ns(),
+            ns => ns,
+        }
+    }
+
+    #[inline]
+    pub(crate) fn step_begins(&self, now_ns: u64) {
+        self.env.step_ns.store(now_ns, Ordering::Relaxed);
+    }
+
+    #[inline]
+    pub(crate) fn step_ended(&self) {
+        self.env.step_ns.store(0, Ordering::Relaxed);
+    }
+
+    /// Asks for a dynamic component service, `{"verb":"Create",…}` as in the gRPC request. The reply arrives in
+    /// [`crate::Component::service_reply`] with the same token. From `step` the answer is `WouldBlock`.
+    pub fn service(&self, token: u64, request: &str) -> Outcome {
+        let table = self.table();
+        // SAFETY: the text lives through the call.
+        Outcome::from(unsafe { (table.service)(table.ctx, token, bytes(request)) })
+    }
+
+    /// Runs `f` bracketed as a callback: for threads of a device library in an `on_callback` class.
+    ///
+    /// # Errors
+    /// The host's outcome when the component may not be entered now (busy, stopped); `f` has not run.
+    pub fn callback<R>(&self, f: impl FnOnce() -> R) -> Result<R, Outcome> {
+        let table = self.table();
+        // SAFETY: enter and leave may come from any thread of the author's.
+        let entered = Outcome::from(unsafe { (table.callback_enter)(table.ctx) });
+        if !entered.is_ok() {
+            return Err(entered);
+        }
+        struct Leave<'a>(&'a HostTable);
+        impl Drop for Leave<'_> {
+            fn drop(&mut self) {
+                // SAFETY: pairs with the enter above, on the same thread.
+                unsafe { (self.0.callback_leave)(self.0.ctx) }
+            }
+        }
+        let _leave = Leave(table);
+        Ok(f())
+    }
+
+    /// The table of a host extension such as "trocar.parallel/1"; null when the host has none of that name.
+    pub fn extension(&self, id: &str) -> *const c_void {
+        let table = self.table();
+        // SAFETY: the text lives through the call.
+        unsafe { (table.extension)(table.ctx, bytes(id)) }
+    }
+}
+
+pub(crate) fn bytes(text: &str) -> Bytes {
+    Bytes { ptr: text.as_ptr(), len: text.len() }
+}

@@ -1,0 +1,93 @@
+//! What authors of trocar components use: derives, ports, payloads, and a bench to test a component without a host.
+//!
+//! Invariant: all `unsafe` that a plugin needs is in this crate; a plugin crate can say `#![forbid(unsafe_code)]`.
+//! The whole way from an idea to a running component is `docs/PLUGIN_GUIDE.md`.
+
+// So that the derives' `::trocar_sdk` means this crate here, too.
+extern crate self as trocar_sdk;
+
+mod any;
+mod call;
+mod component;
+mod config;
+pub mod data;
+mod export;
+mod forward;
+mod frames;
+mod function;
+mod guard;
+mod host;
+mod outcome;
+mod payload;
+mod ports;
+mod shims;
+mod stubs;
+pub mod testing;
+mod values;
+
+pub use any::{AnyFunction, AnyIn, AnyOut, AnyView};
+pub use call::{Answer, Value};
+pub use component::{Class, Component, Error, Result, Tick};
+pub use config::{Config, ConfigField};
+pub use frames::{Frame, FrameLoan, FrameView};
+pub use function::{Event, Function};
+pub use host::Host;
+pub use log;
+pub use outcome::{CallError, NoFrame, Outcome};
+pub use payload::{Payload, as_bytes, from_bytes};
+pub use ports::{In, Out, Sample};
+pub use serde_json;
+pub use trocar_sdk_derive::{Component, Config, Payload, handles, provides};
+pub use values::{Flag, List, Stamp, Text};
+
+/// Everything a plugin's source usually names.
+pub mod prelude {
+    pub use crate::{
+        AnyFunction, AnyIn, AnyOut, Class, Component, Config, Event, Flag, Frame, FrameView, Function, Host,
+        In, List, NoFrame, Out, Outcome, Payload, Result, Sample, Stamp, Text, Tick, handles, named_values,
+        log, provides, trocar_plugin,
+    };
+}
+
+/// What generated code refers to. Not for authors; changes without notice.
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::call::{
+        Answer, Call, DeclaresProvided, DeclaresRequired, HandlesPart, ProvidedPart, kind_of,
+    };
+    pub use crate::config::{
+        JsonObject, field as config_field, known as config_known, unset as config_unset,
+    };
+    pub use crate::export::{BUILT_WITH, plugin_name};
+    pub use crate::function::{EventPort, FunctionPort};
+    pub use crate::ports::{Binder, port_type};
+    pub use crate::shims::{Export, init, text};
+    pub use crate::stubs::Shared;
+    pub use trocar_plugin_api::abi::{ClassTable, PluginTable, Status};
+    pub use trocar_plugin_api::desc::*;
+    #[cfg(feature = "layout")]
+    pub use trocar_plugin_api::export_layout;
+    pub use trocar_plugin_api::note::Note;
+    pub use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR, render};
+
+    /// The primitive of an integer, for named values.
+    pub const fn prim_of<T: crate::Payload>() -> Prim {
+        match &T::DESC.kind {
+            TypeKind::Prim(p) => *p,
+            _ => panic!("named values stand on an integer"),
+        }
+    }
+
+    /// `a`, or `b` when it is empty.
+    pub const fn first_text(a: &'static str, b: &'static str) -> &'static str {
+        if a.is_empty() { b } else { a }
+    }
+
+    pub const fn align_up(at: usize, align: usize) -> usize {
+        at.next_multiple_of(align)
+    }
+
+    pub const fn max(a: usize, b: usize) -> usize {
+        if a > b { a } else { b }
+    }
+}

@@ -1,0 +1,262 @@
+//! Inputs and outputs of plain samples, and how all ports are tied to their slots.
+//!
+//! Invariant: a port always points to a slot, the unbound stub until `bind`, so that using it needs no check.
+
+use crate::host::Host;
+use crate::outcome::Outcome;
+use crate::payload::Payload;
+use crate::stubs;
+use crate::values::Stamp;
+use core::marker::PhantomData;
+use trocar_plugin_api::abi::{
+    EventSlot, FnSlot, IN_SAMPLE, InSlot, OutSlot, Ports, SAMPLE_FRESH, SAMPLE_STALE, SampleView,
+};
+use trocar_plugin_api::desc::{PortType, TypeDesc};
+
+/// What a port carries, before field settings are added.
+pub enum PortKind {
+    Plain(&'static TypeDesc),
+    Frame { header: &'static TypeDesc, format: &'static str },
+    Any,
+}
+
+/// Something that is tied to a slot of the host.
+///
+/// # Safety
+/// `KIND` describes what the port reads from or writes to the slot.
+pub unsafe trait Flow {
+    type Slot;
+    const KIND: PortKind;
+    /// # Safety
+    /// `slot` is valid until the next `attach` or the end of the instance, and carries what `KIND` says.
+    unsafe fn attach(&mut self, slot: *const Self::Slot, host: &Host);
+}
+
+/// The manifest's port type of a field; the field's own `format` wins over the header's.
+pub const fn port_type<P: Flow>(format: &'static str, max_bytes: usize) -> PortType {
+    match P::KIND {
+        PortKind::Plain(ty) => PortType::Plain(ty),
+        PortKind::Frame { header, format: own } => {
+            PortType::Frame { header, format: if format.is_empty() { own } else { format }, max_bytes }
+        }
+        PortKind::Any => PortType::Any,
+    }
+}
+
+/// The slot tables during `bind`. Made by the shims after the counts were compared with the description.
+pub struct Binder<'a> {
+    ports: &'a Ports,
+    host: &'a Host,
+}
+
+impl<'a> Binder<'a> {
+    /// # Safety
+    /// The tables hold as many slots as the class describes, of the described types, valid until the next `bind` or
+    /// the end of the instance.
+    pub(crate) unsafe fn new(ports: &'a Ports, host: &'a Host) -> Binder<'a> {
+        Binder { ports, host }
+    }
+
+    pub fn input<P: Flow<Slot = InSlot>>(&self, at: usize, port: &mut P) {
+        assert!(at < self.ports.input_count as usize, "input slot {at} does not exist");
+        // SAFETY: inside the table; `new` vouches for slot and type.
+        unsafe { port.attach(*self.ports.inputs.add(at), self.host) }
+    }
+
+    pub fn output<P: Flow<Slot = OutSlot>>(&self, at: usize, port: &mut P) {
+        assert!(at < self.ports.output_count as usize, "output slot {at} does not exist");
+        // SAFETY: inside the table; `new` vouches for slot and type.
+        unsafe { port.attach(*self.ports.outputs.add(at), self.host) }
+    }
+
+    pub fn function<P: Flow<Slot = FnSlot>>(&self, at: usize, port: &mut P) {
+        assert!(at < self.ports.function_count as usize, "function slot {at} does not exist");
+        // SAFETY: inside the table; `new` vouches for slot and type.
+        unsafe { port.attach(*self.ports.functions.add(at), self.host) }
+    }
+
+    pub fn event<P: Flow<Slot = EventSlot>>(&self, at: usize, port: &mut P) {
+        assert!(at < self.ports.event_count as usize, "event slot {at} does not exist");
+        // SAFETY: inside the table; `new` vouches for slot and type.
+        unsafe { port.attach(*self.ports.events.add(at), self.host) }
+    }
+}
+
+/// An input: of plain samples (`In<Force>`) or of frames (`In<Frame<ImageHeader>>`).
+pub struct In<T> {
+    pub(crate) slot: *const InSlot,
+    kind: PhantomData<fn() -> T>,
+}
+
+// SAFETY: the slot may be used from whichever thread enters the instance.
+unsafe impl<T> Send for In<T> {}
+
+impl<T> Default for In<T> {
+    fn default() -> Self {
+        In { slot: stubs::input(), kind: PhantomData }
+    }
+}
+
+/// One plain sample with what the host knows about it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample<T> {
+    pub value: T,
+    pub stamp: Stamp,
+    /// Counts the writes of the output, from 1; a gap is exactly what was dropped on the way.
+    pub seq: u64,
+    /// Not seen by this input before.
+    pub fresh: bool,
+    /// Older than the connection's `max_age`.
+    pub stale: bool,
+}
+
+impl<T> In<T> {
+    /// The newest sample again and again (`next` false), or each once, in order.
+    #[inline]
+    pub(crate) fn view(&mut self, next: bool) -> Option<SampleView> {
+        // SAFETY: attach demands a valid slot, and the stub is static.
+        let slot = unsafe { &*self.slot };
+        let mut view = empty_view();
+        let ask = if next { slot.next } else { slot.latest };
+        // SAFETY: the context is the slot's own; the view is writable and says its size.
+        let there = unsafe { ask(slot.ctx, &mut view) };
+        (there == IN_SAMPLE && !view.header.is_null()).then_some(view)
+    }
+
+    /// Hands the held sample back early; the next `latest` or `next` does so anyway.
+    pub fn release(&mut self) {
+        // SAFETY: as in `view`; views borrow the input mutably, so none is alive.
+        unsafe { ((*self.slot).release)((*self.slot).ctx) }
+    }
+}
+
+impl<T: Payload> In<T> {
+    /// The newest sample, whether seen before or not; none while nothing was ever written or nobody is connected.
+    #[inline]
+    pub fn latest(&mut self) -> Option<T> {
+        self.view(false).map(|v| value(&v))
+    }
+
+    /// The newest sample when it was not seen before.
+    #[inline]
+    pub fn fresh(&mut self) -> Option<T> {
+        self.view(false).filter(|v| v.flags & SAMPLE_FRESH != 0).map(|v| value(&v))
+    }
+
+    /// Each sample once, in order (an input with `fifo`); `latest` shows only the newest.
+    #[allow(clippy::should_implement_trait)] // An input is no iterator: it may have more later.
+    #[inline]
+    pub fn next(&mut self) -> Option<T> {
+        self.view(true).map(|v| value(&v))
+    }
+
+    /// The newest sample with stamp, sequence number, freshness and staleness.
+    pub fn sample(&mut self) -> Option<Sample<T>> {
+        self.view(false).map(|v| sample(&v))
+    }
+
+    /// Like `next`, with stamp, sequence number and staleness.
+    pub fn next_sample(&mut self) -> Option<Sample<T>> {
+        self.view(true).map(|v| sample(&v))
+    }
+}
+
+// SAFETY: reads values of `T` from the view's header, which the description names.
+unsafe impl<T: Payload> Flow for In<T> {
+    type Slot = InSlot;
+    const KIND: PortKind = PortKind::Plain(T::DESC);
+    unsafe fn attach(&mut self, slot: *const InSlot, _: &Host) {
+        self.slot = slot;
+    }
+}
+
+pub(crate) fn empty_view() -> SampleView {
+    SampleView {
+        struct_size: size_of::<SampleView>() as u32,
+        flags: 0,
+        header: core::ptr::null(),
+        bytes: core::ptr::null(),
+        len: 0,
+        stamp_ns: 0,
+        seq: 0,
+        token: 0,
+    }
+}
+
+#[inline]
+fn value<T: Payload>(view: &SampleView) -> T {
+    // SAFETY: `view` is fresh from the slot, which gives a value of the described type until it is asked again.
+    unsafe { view.header.cast::<T>().read_unaligned() }
+}
+
+fn sample<T: Payload>(view: &SampleView) -> Sample<T> {
+    Sample {
+        value: value(view),
+        stamp: Stamp::from_ns(view.stamp_ns),
+        seq: view.seq,
+        fresh: view.flags & SAMPLE_FRESH != 0,
+        stale: view.flags & SAMPLE_STALE != 0,
+    }
+}
+
+/// An output: of plain samples (`Out<Force>`) or of frames (`Out<Frame<ImageHeader>>`).
+pub struct Out<T> {
+    pub(crate) slot: *const OutSlot,
+    pub(crate) host: Option<Host>,
+    /// The pool asked for so far: bytes of the largest frame, slots. Repeated at each `bind`.
+    pub(crate) pool: Option<(u64, u32)>,
+    kind: PhantomData<fn(T)>,
+}
+
+// SAFETY: the slot may be used from whichever thread enters the instance.
+unsafe impl<T> Send for Out<T> {}
+
+impl<T> Default for Out<T> {
+    fn default() -> Self {
+        Out { slot: stubs::output(), host: None, pool: None, kind: PhantomData }
+    }
+}
+
+impl<T> Out<T> {
+    pub(crate) fn tie(&mut self, slot: *const OutSlot, host: &Host) {
+        self.slot = slot;
+        self.host = Some(host.clone());
+    }
+
+    /// `own`, or the begin of the running step, or now; ns.
+    #[inline]
+    pub(crate) fn stamp_or(&self, own: u64) -> u64 {
+        match (&self.host, own) {
+            (Some(host), 0) => host.stamp(),
+            _ => own,
+        }
+    }
+}
+
+impl<T: Payload> Out<T> {
+    /// Publishes a copy. The sample's stamp is the payload's own `stamp` field when set, else the begin of this step.
+    /// Never waits for a reader; nobody connected is no error.
+    #[inline]
+    pub fn write(&self, value: &T) {
+        self.write_at(value, Stamp::from_ns(value.stamp_ns()));
+    }
+
+    /// Like `write`, with the stamp given apart, and tells what became of it.
+    #[inline]
+    pub fn write_at(&self, value: &T, stamp: Stamp) -> Outcome {
+        // SAFETY: attach demands a valid slot for `T`, and the stub is static; the value lives through the call.
+        unsafe {
+            let slot = &*self.slot;
+            Outcome::from((slot.write)(slot.ctx, (value as *const T).cast(), self.stamp_or(stamp.ns())))
+        }
+    }
+}
+
+// SAFETY: writes values of `T`, which the description names.
+unsafe impl<T: Payload> Flow for Out<T> {
+    type Slot = OutSlot;
+    const KIND: PortKind = PortKind::Plain(T::DESC);
+    unsafe fn attach(&mut self, slot: *const OutSlot, host: &Host) {
+        self.tie(slot, host);
+    }
+}

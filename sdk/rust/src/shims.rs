@@ -1,0 +1,283 @@
+//! The C table of a class: every entry guarded, every pointer turned into a typed reference in one place.
+//!
+//! Invariant: `this` is always a `Box<Instance<C>>` made by `create`; the LCM serialises the calls on it.
+
+use crate::call::Call;
+use crate::component::{Class, Tick};
+use crate::config::JsonObject;
+use crate::guard::{guard, refuse, settle};
+use crate::host::Host;
+use crate::payload::Payload;
+use crate::ports::Binder;
+use core::ffi::c_void;
+use core::marker::PhantomData;
+use serde_json::Value as Json;
+use trocar_plugin_api::abi::{
+    self, Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_INVALID, STATUS_OK, Sink, Status,
+};
+
+struct Instance<C> {
+    component: C,
+    host: Host,
+}
+
+/// Holds the table of `C`.
+pub struct Export<C>(PhantomData<C>);
+
+impl<C: Class> Export<C> {
+    pub const TABLE: &'static ClassTable = &ClassTable {
+        struct_size: size_of::<ClassTable>() as u32,
+        flags: 0,
+        name: Bytes { ptr: C::DESC.name.as_ptr(), len: C::DESC.name.len() },
+        create: Some(create::<C>),
+        destroy: Some(destroy::<C>),
+        configure: Some(configure::<C>),
+        describe: None,
+        bind: Some(bind::<C>),
+        start: Some(start::<C>),
+        stop: Some(stop::<C>),
+        resume: Some(resume::<C>),
+        make_safe: Some(make_safe::<C>),
+        step: Some(step::<C>),
+        command: Some(command::<C>),
+        read: Some(read::<C>),
+        on_event: Some(on_event::<C>),
+        on_service: Some(on_service::<C>),
+        state_copy: if C::DESC.state.is_some() { Some(state_copy::<C>) } else { None },
+        snapshot: Some(snapshot::<C>),
+        restore: Some(restore::<C>),
+        extension: None,
+    };
+}
+
+/// # Safety
+/// `bytes` is readable for `'a`.
+unsafe fn slice<'a>(bytes: Bytes) -> &'a [u8] {
+    if bytes.ptr.is_null() {
+        return &[];
+    }
+    // SAFETY: non-null bytes are readable, by the caller's promise.
+    unsafe { core::slice::from_raw_parts(bytes.ptr, bytes.len) }
+}
+
+/// # Safety
+/// `this` comes from `create::<C>` and nobody else uses it during `'a`.
+#[inline]
+unsafe fn instance<'a, C>(this: *mut c_void) -> &'a mut Instance<C> {
+    // SAFETY: by the caller's promise a live, exclusively used `Instance<C>`.
+    unsafe { &mut *this.cast::<Instance<C>>() }
+}
+
+unsafe extern "C" fn create<C: Class>(
+    host: *const HostTable,
+    instance_name: Bytes,
+    err: *mut ErrBuf,
+) -> *mut c_void {
+    let mut made = core::ptr::null_mut();
+    guard(err, || {
+        if host.is_null() {
+            return refuse(err, STATUS_INVALID, &"create was called without a host table");
+        }
+        // SAFETY: the name is readable during the call, the table until destroy.
+        let host = unsafe { Host::new(host, &String::from_utf8_lossy(slice(instance_name))) };
+        let component = C::create(host.clone());
+        made = Box::into_raw(Box::new(Instance { component, host })).cast();
+        STATUS_OK
+    });
+    made
+}
+
+unsafe extern "C" fn destroy<C: Class>(this: *mut c_void) {
+    guard(core::ptr::null_mut(), || {
+        if !this.is_null() {
+            // SAFETY: `this` was made by `create::<C>` and this is its last use.
+            drop(unsafe { Box::from_raw(this.cast::<Instance<C>>()) });
+        }
+        STATUS_OK
+    });
+}
+
+unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status {
+    guard(err, || {
+        // SAFETY: the table's contract: serialised calls on a live instance, readable bytes.
+        let (instance, json) = unsafe { (instance::<C>(this), slice(json)) };
+        let parsed: Result<JsonObject, _> = match json {
+            [] => Ok(JsonObject::new()),
+            json => serde_json::from_slice::<Json>(json).and_then(serde_json::from_value),
+        };
+        match parsed {
+            Err(e) => refuse(err, STATUS_INVALID, &format_args!("the configuration is no JSON object: {e}")),
+            Ok(object) => match instance.component.apply(&object) {
+                Ok(()) => STATUS_OK,
+                Err(e) => refuse(err, STATUS_INVALID, &e),
+            },
+        }
+    })
+}
+
+unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status {
+    guard(err, || {
+        // SAFETY: a live instance; the slot tables are valid until the next bind or destroy.
+        let (instance, ports) = unsafe { (instance::<C>(this), &*ports) };
+        let given = [ports.input_count, ports.output_count, ports.function_count, ports.event_count];
+        let wanted = slot_counts::<C>();
+        if given != wanted {
+            return refuse(
+                err,
+                STATUS_INVALID,
+                &format_args!(
+                    "the host binds {given:?} inputs, outputs, functions and events, class {} has {wanted:?}",
+                    C::DESC.name
+                ),
+            );
+        }
+        // SAFETY: counts agree; the host made the slots from this class's manifest.
+        instance.component.bind(&unsafe { Binder::new(ports, &instance.host) });
+        STATUS_OK
+    })
+}
+
+/// Inputs, outputs, functions, events.
+fn slot_counts<C: Class>() -> [u32; 4] {
+    let functions: usize = C::DESC.required.iter().map(|r| r.functions.len()).sum();
+    let events: usize = C::DESC.provided.iter().map(|p| p.events.len()).sum();
+    [C::DESC.inputs.len(), C::DESC.outputs.len(), functions, events].map(|n| n as u32)
+}
+
+macro_rules! plain_entries {
+    ($($name:ident),*) => {$(
+        unsafe extern "C" fn $name<C: Class>(this: *mut c_void, err: *mut ErrBuf) -> Status {
+            // SAFETY: the table's contract: serialised calls on a live instance.
+            guard(err, || settle(err, unsafe { instance::<C>(this) }.component.$name()))
+        }
+    )*};
+}
+plain_entries!(start, stop, resume, make_safe);
+
+unsafe extern "C" fn step<C: Class>(this: *mut c_void, tick: *const abi::Tick, err: *mut ErrBuf) -> Status {
+    // SAFETY: the table's contract; `Tick` is transparent over `abi::Tick`.
+    let (instance, tick) = unsafe { (instance::<C>(this), &*tick.cast::<Tick>()) };
+    instance.host.step_begins(tick.0.now_ns);
+    let component = &mut instance.component;
+    let status = guard(err, || settle(err, component.step(tick)));
+    instance.host.step_ended();
+    status
+}
+
+unsafe extern "C" fn command<C: Class>(
+    this: *mut c_void,
+    id: u32,
+    arg: *const c_void,
+    ret: *mut c_void,
+    err: *mut ErrBuf,
+) -> Status {
+    // SAFETY: the table's contract: a live instance, pointers to the described types.
+    guard(err, || unsafe { instance::<C>(this).component.command(id, &mut Call::new(arg, ret, err)) })
+}
+
+unsafe extern "C" fn read<C: Class>(
+    state_row: *const c_void,
+    id: u32,
+    arg: *const c_void,
+    ret: *mut c_void,
+    err: *mut ErrBuf,
+) -> Status {
+    guard(err, || {
+        let row = state_row.cast::<C::State>();
+        // SAFETY: pointers to the described types, by the table's contract.
+        let mut call = unsafe { Call::new(arg, ret, err) };
+        if size_of::<C::State>() == 0 || row.is_null() {
+            return C::read(&C::State::zeroed(), id, &mut call);
+        }
+        if row.is_aligned() {
+            // SAFETY: a readable row that nobody writes during the call.
+            C::read(unsafe { &*row }, id, &mut call)
+        } else {
+            // SAFETY: as above, without the alignment.
+            C::read(&unsafe { row.read_unaligned() }, id, &mut call)
+        }
+    })
+}
+
+unsafe extern "C" fn on_event<C: Class>(
+    this: *mut c_void,
+    id: u32,
+    payload: *const c_void,
+    err: *mut ErrBuf,
+) -> Status {
+    guard(err, || {
+        // SAFETY: the table's contract: a live instance, a payload of the described type.
+        unsafe {
+            let mut call = Call::new(payload, core::ptr::null_mut(), err);
+            instance::<C>(this).component.on_event(id, &mut call)
+        }
+    })
+}
+
+unsafe extern "C" fn on_service<C: Class>(this: *mut c_void, token: u64, reply: Bytes) -> Status {
+    let no_buffer = core::ptr::null_mut();
+    guard(no_buffer, || {
+        // SAFETY: a live instance and readable bytes.
+        let (instance, reply) = unsafe { (instance::<C>(this), slice(reply)) };
+        settle(no_buffer, instance.component.service_reply(token, &String::from_utf8_lossy(reply)))
+    })
+}
+
+unsafe extern "C" fn state_copy<C: Class>(this: *mut c_void, dst: *mut c_void, len: usize) {
+    // SAFETY: a live instance; only fields are copied here, so nothing can panic.
+    let row = unsafe { instance::<C>(this) }.component.state();
+    if len >= size_of::<C::State>() {
+        // SAFETY: the host gives `len` writable bytes.
+        unsafe { dst.cast::<C::State>().write_unaligned(row) };
+    }
+}
+
+unsafe extern "C" fn snapshot<C: Class>(this: *mut c_void, sink: *const Sink) -> Status {
+    guard(core::ptr::null_mut(), || {
+        // SAFETY: a live instance and a sink that is valid for the call.
+        let (instance, sink) = unsafe { (instance::<C>(this), &*sink) };
+        let taken = instance.component.snapshot();
+        if !taken.is_empty() {
+            // SAFETY: the sink's own context; the bytes live through the call.
+            unsafe { (sink.write)(sink.ctx, Bytes { ptr: taken.as_ptr(), len: taken.len() }) };
+        }
+        STATUS_OK
+    })
+}
+
+unsafe extern "C" fn restore<C: Class>(
+    this: *mut c_void,
+    state: Bytes,
+    snapshot: Bytes,
+    err: *mut ErrBuf,
+) -> Status {
+    guard(err, || {
+        // SAFETY: a live instance and readable bytes.
+        let (instance, state, taken) = unsafe { (instance::<C>(this), slice(state), slice(snapshot)) };
+        if !state.is_empty() {
+            let Some(row) = crate::payload::from_bytes::<C::State>(state) else {
+                let want = size_of::<C::State>();
+                let why = format_args!("the state block has {} bytes, this class's has {want}", state.len());
+                return refuse(err, STATUS_INVALID, &why);
+            };
+            instance.component.set_state(&row);
+        }
+        settle(err, if taken.is_empty() { Ok(()) } else { instance.component.restore(taken) })
+    })
+}
+
+/// The plugin's `init`: log forwarding and panic hook.
+///
+/// # Safety
+/// `host` is null or valid as long as the library is loaded.
+pub unsafe extern "C" fn init(host: *const HostTable) -> Status {
+    guard(core::ptr::null_mut(), || {
+        crate::forward::install(host);
+        STATUS_OK
+    })
+}
+
+/// Static text for a table.
+pub const fn text(text: &'static str) -> Bytes {
+    Bytes { ptr: text.as_ptr(), len: text.len() }
+}

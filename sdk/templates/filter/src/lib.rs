@@ -1,0 +1,88 @@
+//! A first-order low-pass for a signal: change it into what you need.
+#![forbid(unsafe_code)]
+
+use std::f64::consts::TAU;
+use trocar_sdk::data::Scalar;
+use trocar_sdk::prelude::*;
+
+/// What a user sets; the host shows it as a form and checks it before the component sees it.
+#[derive(Config)]
+struct Settings {
+    /// -3 dB corner of the filter
+    #[config(live, min = 0.1, max = 400.0, unit = "Hz", default = 10.0)]
+    cutoff_hz: f64,
+}
+
+/// Smooths a signal.
+#[derive(Component)]
+#[component(name = "{{crate}}", rate_hz = 1000, provides("control"))]
+struct {{Name}} {
+    #[input]
+    raw: In<Scalar>,
+    #[output]
+    filtered: Out<Scalar>,
+    /// The latest output; published after each step.
+    #[state]
+    latest: Scalar,
+    #[config]
+    settings: Settings,
+}
+
+/// What others may ask of the filter.
+#[provides("control")]
+impl {{Name}} {
+    /// Forgets the past.
+    #[command]
+    fn clear(&mut self) {
+        self.latest = Scalar::default();
+    }
+
+    /// The latest output.
+    #[read]
+    fn value(s: &{{Name}}State) -> f64 {
+        s.latest.value
+    }
+}
+
+impl Component for {{Name}} {
+    fn start(&mut self) -> Result {
+        self.latest = Scalar::default();
+        Ok(())
+    }
+
+    fn step(&mut self, tick: &Tick) -> Result {
+        let Some(raw) = self.raw.fresh() else {
+            return Ok(());
+        };
+        let a = 1.0 - (-TAU * self.settings.cutoff_hz * tick.period_s()).exp();
+        self.latest.stamp = raw.stamp;
+        self.latest.value += a * (raw.value - self.latest.value);
+        self.filtered.write(&self.latest);
+        Ok(())
+    }
+}
+
+trocar_plugin!({{Name}});
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_sdk::testing::Bench;
+
+    #[test]
+    fn a_constant_signal_is_reached_in_the_end() {
+        let mut bench = Bench::<{{Name}}>::new(r#"{"cutoff_hz": 20}"#);
+        let constant = Scalar {
+            stamp: Stamp::INVALID,
+            value: 3.0,
+        };
+        for _ in 0..1000 {
+            bench.push("raw", constant);
+            bench.step(1);
+        }
+        let out = bench.outputs::<Scalar>("filtered");
+        let (first, last) = (out[0].value, out[999].value);
+        assert!(first < 1.0, "the first value jumps to {first}");
+        assert!((last - 3.0).abs() < 1e-6, "after 1 s it is at {last}");
+    }
+}

@@ -1,0 +1,280 @@
+//! The command line as scripts and people meet it.
+//!
+//! Promise: every mistake gets one clear sentence with the remedy and the right exit code, and leaves nothing half made.
+
+use std::fs;
+use std::net::TcpListener;
+use std::process::Command;
+
+use serde_json::json;
+use trocar_tests::{Built, HostProcess, Trocar, World, skip};
+
+const OK: i32 = 0;
+const REFUSED: i32 = 1;
+const USAGE: i32 = 2;
+const NO_GCM: i32 = 3;
+
+/// A port nobody listens on: bound by this test, then let go.
+fn free_port() -> u16 {
+    let socket = TcpListener::bind("127.0.0.1:0").unwrap();
+    socket.local_addr().unwrap().port()
+}
+
+#[test]
+fn a_wrong_flag_is_a_usage_error() {
+    let world = World::new();
+    Trocar::new(&world).run(&["ls", "--nonsense"]).ends_with(USAGE).says("--nonsense");
+    Trocar::new(&world).run(&["lss"]).ends_with(USAGE).says("ls");
+    Trocar::new(&world).run::<&str>(&[]).ends_with(USAGE);
+}
+
+#[test]
+fn without_a_gcm_every_question_says_so() {
+    let world = World::new();
+    let nobody = format!("127.0.0.1:{}", free_port());
+    for question in
+        [vec!["ls"], vec!["start", "host/robot"], vec!["describe", "host/robot"], vec!["plugin", "ls"]]
+    {
+        Trocar::at(&world, &nobody).run(&question).ends_with(NO_GCM).says(&nobody).says("help:");
+    }
+    let as_json = Trocar::at(&world, &nobody).run(&["ls", "--json"]).ends_with(NO_GCM).json();
+    assert!(as_json["message"].is_string() && as_json["help"].is_string(), "{as_json}");
+}
+
+#[test]
+fn the_whole_life_of_a_component_goes_by_the_command_line() {
+    let world = World::with_plugins(&["example"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "Server");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/server", "Server"]).ends_with(OK);
+    trocar.run(&["create", "host/client", "Client"]).ends_with(OK);
+    trocar.run(&["connect", "host/client/Required", "host/server/Provided"]).ends_with(OK);
+    trocar.run(&["start", "host/server"]).ends_with(OK);
+    trocar.run(&["call", "host/server/Provided/Write", "30"]).ends_with(OK);
+    trocar.run(&["call", "host/server/Provided/Read"]).ends_with(OK).says("30").says("mm");
+    trocar.run(&["ls"]).ends_with(OK).says("host/server").says("ACTIVE");
+    trocar.run(&["describe", "host/server"]).ends_with(OK).says("Write").says("mm");
+    trocar.run(&["graph", "--mermaid"]).ends_with(OK).says("server");
+    trocar.run(&["graph", "--dot"]).ends_with(OK).says("digraph");
+    assert!(trocar.run(&["graph", "--json"]).ends_with(OK).json().is_object());
+    trocar.run(&["plugin", "ls"]).ends_with(OK).says("example");
+    trocar.run(&["disconnect", "host/client/Required", "host/server/Provided"]).ends_with(OK);
+    trocar.run(&["stop", "host/server"]).ends_with(OK);
+    trocar.run(&["resume", "host/server"]).ends_with(OK);
+    trocar.run(&["stop", "--all"]).ends_with(OK);
+    trocar.run(&["reset", "host/server"]).ends_with(OK);
+    trocar.run(&["rm", "host/client"]).ends_with(OK);
+    trocar.run(&["rm", "host/server"]).ends_with(OK);
+}
+
+#[test]
+fn a_refusal_has_exit_code_1_its_reason_and_a_remedy() {
+    let world = World::with_plugins(&["example"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "Server");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/server", "Sever"]).ends_with(REFUSED).says("Server").says("help:");
+    let refusal = trocar.run(&["start", "host/nobody", "--json"]).ends_with(REFUSED).json();
+    assert_eq!(refusal["reason"], "COMPONENT_NOT_FOUND", "{refusal}");
+    trocar.run(&["create", "host/server", "Server", "--config", "{"]).ends_with(USAGE).says("JSON");
+    trocar.run(&["create", "server", "Server"]).ends_with(REFUSED).says("process/component");
+}
+
+#[test]
+fn a_taken_port_names_the_way_out() {
+    let world = World::new();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    for serving in ["host", "gcm"] {
+        let mut args = vec![serving, "--listen", &address, "--state"];
+        let state = world.path(serving).display().to_string();
+        args.push(&state);
+        let plugins = world.plugins().display().to_string();
+        if serving == "host" {
+            args.extend(["--plugins", &plugins]);
+        }
+        Trocar::new(&world).run(&args).ends_with(REFUSED).says(&address).says("--gcm");
+    }
+}
+
+#[test]
+fn listening_beyond_loopback_is_refused_as_long_as_there_is_no_tls() {
+    let world = World::new();
+    let plugins = world.plugins().display().to_string();
+    Trocar::new(&world)
+        .run(&["host", "--listen", "0.0.0.0:0", "--plugins", &plugins])
+        .ends_with(REFUSED)
+        .says("loopback");
+}
+
+#[test]
+fn a_missing_plugin_directory_is_named() {
+    let world = World::new();
+    let missing = world.path("nowhere").display().to_string();
+    let state = world.state().display().to_string();
+    Trocar::new(&world)
+        .run(&["host", "--listen", "127.0.0.1:0", "--plugins", &missing, "--state", &state])
+        .ends_with(REFUSED)
+        .says(&missing);
+    assert!(!world.path("nowhere").exists(), "nothing is half made");
+}
+
+#[test]
+fn a_state_directory_that_cannot_be_written_is_named() {
+    let world = World::new();
+    // A path below a plain file: refused for root too, whom permissions do not stop.
+    world.write("file", "not a directory");
+    let state = world.path("file/state").display().to_string();
+    let plugins = world.plugins().display().to_string();
+    Trocar::new(&world)
+        .run(&["host", "--listen", "127.0.0.1:0", "--plugins", &plugins, "--state", &state])
+        .ends_with(REFUSED)
+        .says(&state);
+}
+
+#[test]
+fn a_state_directory_in_use_names_the_process_that_has_it() {
+    let world = World::new();
+    let host = HostProcess::start(&world);
+    let state = world.state().join("host").display().to_string();
+    let plugins = world.plugins().display().to_string();
+    Trocar::new(&world)
+        .run(&["host", "--listen", "127.0.0.1:0", "--plugins", &plugins, "--state", &state])
+        .ends_with(REFUSED)
+        .says(&host.pid().to_string());
+}
+
+/// The cache of plugin files lies in the state directory: there a noexec mount is met.
+#[test]
+fn a_state_directory_mounted_noexec_is_named_as_the_reason() {
+    let world = World::with_plugins(&["sine"]);
+    let mount = world.path("noexec");
+    fs::create_dir(&mount).unwrap();
+    // A mount namespace of its own, so that nothing is left on the machine.
+    let mounted = format!("mount -t tmpfs -o noexec,size=64m tmpfs '{}'", mount.display());
+    let probe = Command::new("unshare").args(["--mount", "sh", "-c", &mounted]).output();
+    if !probe.as_ref().is_ok_and(|o| o.status.success()) {
+        skip("a noexec mount needs unshare(1) and the right to mount");
+        return;
+    }
+    let system = json!({
+        "version": 1,
+        "processes": { "host": { "plugins": [world.plugins()] } },
+        "components": { "host/s": { "class": "sine" } }
+    });
+    let file = world.write("system.json", system.to_string());
+    let script = format!(
+        "{mounted} && exec '{}' run '{}' --listen 127.0.0.1:0 --seconds 1",
+        Built::trocar().display(),
+        file.display()
+    );
+    let output = Command::new("unshare")
+        .args(["--mount", "sh", "-c", &script])
+        .env("TMPDIR", &mount)
+        .env_remove("TROCAR_GCM")
+        .output()
+        .unwrap();
+    let text =
+        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(REFUSED), "{text}");
+    assert!(text.contains("noexec"), "{text}");
+}
+
+#[test]
+fn a_malformed_system_file_is_refused_with_the_place_and_the_fix() {
+    let world = World::with_plugins(&["sine"]);
+    let cases = [
+        ("{ \"version\": 1,", "1:", "a file that ends early"),
+        ("{ \"version\": 2, \"components\": {} }", "/version", "a version of the future"),
+        ("{ \"version\": 1,\n  \"conections\": [] }", "connections", "a misspelt key"),
+        (
+            "{ \"version\": 1, \"components\": { \"host/s\": { \"class\": \"sine\" }, \"host/s\": { \"class\": \"sine\" } } }",
+            "host/s",
+            "a key twice",
+        ),
+        (
+            "{ \"version\": 1, \"components\": { \"robot\": { \"class\": \"sine\" } } }",
+            "process/component",
+            "a name without process",
+        ),
+        ("[]", "object", "no object"),
+    ];
+    for (text, says, what) in cases {
+        let file = world.write("system.json", text).display().to_string();
+        let output = Trocar::new(&world).run(&["run", &file, "--seconds", "1"]);
+        assert!(output.code == REFUSED || output.code == USAGE, "{what}: {output:#?}");
+        output.says("system.json").says(says);
+    }
+    let missing = world.path("missing.json").display().to_string();
+    Trocar::new(&world).run(&["run", &missing]).says("missing.json");
+    let folder = world.plugins().display().to_string();
+    let output = Trocar::new(&world).run(&["run", &folder]);
+    assert_ne!(output.code, OK, "a directory is no system file: {output:#?}");
+}
+
+#[test]
+fn a_system_file_with_a_bad_value_starts_nothing() {
+    let world = World::with_plugins(&["filters"]);
+    let file = world.write(
+        "system.json",
+        json!({
+            "version": 1,
+            "processes": { "host": { "plugins": [world.plugins()] } },
+            "components": { "host/f": { "class": "low_pass", "config": { "cutoff_hz": 1000 } } }
+        })
+        .to_string(),
+    );
+    Trocar::new(&world)
+        .run(&["run", &file.display().to_string(), "--listen", "127.0.0.1:0", "--seconds", "1"])
+        .ends_with(REFUSED)
+        .says("cutoff_hz")
+        .says("400 Hz");
+}
+
+#[test]
+fn a_system_file_of_several_processes_is_for_up() {
+    let world = World::new();
+    let file = world.write(
+        "system.json",
+        "{ \"version\": 1, \"processes\": { \"a\": {}, \"b\": {} }, \"components\": {} }",
+    );
+    let output = Trocar::new(&world).run(&["run", &file.display().to_string()]);
+    assert_ne!(output.code, OK);
+    output.says("up");
+}
+
+#[test]
+fn a_system_file_runs_for_as_long_as_it_is_told() {
+    let world = World::with_plugins(&["sine"]);
+    let file = world.write(
+        "system.json",
+        json!({
+            "version": 1,
+            "//": "one oscillator",
+            "processes": { "host": { "plugins": [world.plugins()] } },
+            "components": { "host/s": { "class": "sine" } }
+        })
+        .to_string(),
+    );
+    Trocar::new(&world)
+        .run(&["run", &file.display().to_string(), "--listen", "127.0.0.1:0", "--seconds", "1"])
+        .ends_with(OK);
+}
+
+#[test]
+fn the_schema_of_the_system_file_and_the_completions_are_printed() {
+    let world = World::new();
+    let schema = Trocar::new(&world).run(&["schema", "system"]).ends_with(OK).json();
+    assert!(schema["properties"]["components"].is_object(), "{schema}");
+    Trocar::new(&world).run(&["completions", "bash"]).ends_with(OK).says("trocar");
+}
+
+#[test]
+fn inspect_shows_a_plugin_without_running_it() {
+    let world = World::new();
+    let file = Built::plugin("example").display().to_string();
+    Trocar::new(&world).run(&["plugin", "inspect", &file]).ends_with(OK).says("Server").says("Provided");
+    let text = world.write("plain.so", "this is no library").display().to_string();
+    Trocar::new(&world).run(&["plugin", "inspect", &text]).ends_with(REFUSED).says("plain.so");
+}

@@ -1,0 +1,96 @@
+//! `docs/PLUGIN_GUIDE.md`, followed literally from an empty directory.
+//!
+//! Promise: a newcomer who copies the guide's commands ends with a plugin of their own running in a host.
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use serde_json::json;
+use trocar_tests::{Built, HostProcess, Trocar, World, repository};
+
+#[test]
+fn the_guide_names_the_commands_this_test_follows() {
+    let guide = fs::read_to_string(repository().join("docs/PLUGIN_GUIDE.md")).unwrap();
+    for command in [
+        "trocar plugin new my-filter",
+        "cargo build --release",
+        "cp target/release/libmy_filter.so",
+        "trocar host",
+        "trocar create host/",
+        "trocar start host/",
+    ] {
+        assert!(
+            guide.contains(command),
+            "the guide does not name `{command}`: this test follows it literally"
+        );
+    }
+}
+
+#[test]
+fn a_plugin_made_by_the_guide_runs_in_a_host() {
+    let world = World::new();
+    Trocar::new(&world).run(&["plugin", "new", "my-filter"]).ends_with(0);
+    let project = world.path("my-filter");
+    assert!(project.join("src/lib.rs").exists(), "plugin new makes a cargo project");
+
+    let built = cargo(&project, &["build", "--release"]);
+    cargo(&project, &["test"]);
+    fs::copy(built.join("release/libmy_filter.so"), world.plugins().join("libmy_filter.so")).unwrap();
+
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    let class = grpc.await_class("host", "my_filter");
+    assert_eq!(class, "my-filter/my_filter");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/f", &class]).ends_with(0);
+    connect_what_it_requires(&world, &host);
+    trocar.run(&["start", "host/f"]).ends_with(0);
+    trocar.run(&["ls"]).ends_with(0).says("host/f").says("ACTIVE");
+    assert_eq!(grpc.state("host/f"), "ACTIVE");
+}
+
+/// A required input of the template is fed, as the guide tells.
+fn connect_what_it_requires(world: &World, host: &HostProcess) {
+    let grpc = host.grpcurl();
+    let ports = grpc.ok("GcmService/Describe", json!({ "path": "host/f" }))["ports"].clone();
+    let inputs = ports["inputs"].as_array().cloned().unwrap_or_default();
+    if inputs.iter().all(|input| input["optional"] == true) {
+        return;
+    }
+    world.drop_in(&Built::plugin("sine"));
+    grpc.await_class("host", "sine");
+    grpc.create("host/source", "sine", json!({}));
+    for input in inputs {
+        let name = input["name"].as_str().unwrap_or_default();
+        grpc.connect(&format!("host/f/{name}"), "host/source/value");
+    }
+}
+
+#[test]
+fn plugin_new_overwrites_nothing_and_checks_the_name() {
+    let world = World::new();
+    fs::create_dir(world.path("taken")).unwrap();
+    world.write("taken/precious", "mine");
+    Trocar::new(&world).run(&["plugin", "new", "taken"]).ends_with(1).says("taken");
+    assert_eq!(fs::read_to_string(world.path("taken/precious")).unwrap(), "mine");
+    let bad = Trocar::new(&world).run(&["plugin", "new", "9 lives"]);
+    assert_ne!(bad.code, 0, "{bad:#?}");
+    assert!(!world.path("9 lives").exists(), "nothing is half made");
+}
+
+/// Runs cargo in the new project and answers its target directory: our own, to spare building the sdk again.
+fn cargo(project: &Path, args: &[&str]) -> PathBuf {
+    let target = Built::dir().parent().map(Path::to_path_buf).unwrap_or_default().join("outer/guide-target");
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let output = Command::new(cargo)
+        .args(args)
+        .current_dir(project)
+        .env("CARGO_TARGET_DIR", &target)
+        .stdin(Stdio::null())
+        .output()
+        .unwrap_or_else(|e| panic!("cannot start cargo: {e}"));
+    assert!(output.status.success(), "cargo {args:?}:\n{}", String::from_utf8_lossy(&output.stderr));
+    target
+}

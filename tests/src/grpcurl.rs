@@ -1,0 +1,239 @@
+//! Real grpcurl against a served address, with no proto file: it learns everything from reflection.
+//!
+//! Invariant: an error is read from what grpcurl prints and from its exit code (64 + the gRPC code), as a script would.
+
+use std::fmt;
+use std::io::BufReader;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread;
+use std::time::Duration;
+
+use serde_json::{Deserializer, Value};
+
+use crate::Built;
+
+/// Generous: a watchdog, not a measurement. The server caps unary calls at 60 s.
+const WATCHDOG_S: u32 = 90;
+
+/// grpcurl, aimed at one address.
+#[derive(Clone)]
+pub struct Grpcurl {
+    address: String,
+}
+
+/// What grpcurl printed about an error.
+#[derive(Clone, Debug)]
+pub struct Failure {
+    /// The gRPC status code by name, `NOT_FOUND`.
+    pub code: &'static str,
+    /// `ErrorInfo.reason`, empty without details.
+    pub reason: String,
+    pub domain: String,
+    pub message: String,
+    /// Every detail, as JSON with its `@type`.
+    pub details: Vec<Value>,
+    pub exit_code: i32,
+}
+
+impl Grpcurl {
+    #[must_use]
+    pub fn new(address: &str) -> Self {
+        Self { address: address.to_owned() }
+    }
+
+    /// One unary call, e.g. `("GcmService/Create", json!({…}))`; the package name is put before it.
+    ///
+    /// # Errors
+    /// The status the server answered.
+    pub fn call(&self, method: &str, body: Value) -> Result<Value, Failure> {
+        let output = self.run(&["-format-error", "-emit-defaults"], Some(&body), &[&full_name(method)]);
+        if output.status.success() {
+            let text = String::from_utf8_lossy(&output.stdout);
+            return Ok(serde_json::from_str(&text)
+                .unwrap_or_else(|e| panic!("{method} answered what is not one JSON value ({e}):\n{text}")));
+        }
+        Err(Failure::read(method, &body, &output))
+    }
+
+    /// A call that must succeed.
+    ///
+    /// # Panics
+    /// With the whole refusal otherwise.
+    pub fn ok(&self, method: &str, body: Value) -> Value {
+        let shown = body.to_string();
+        self.call(method, body).unwrap_or_else(|refused| panic!("{method} {shown} was refused: {refused}"))
+    }
+
+    /// A call that must be refused.
+    ///
+    /// # Panics
+    /// With the answer otherwise.
+    pub fn refused(&self, method: &str, body: Value) -> Failure {
+        let shown = body.to_string();
+        match self.call(method, body) {
+            Err(failure) => failure,
+            Ok(answer) => panic!("{method} {shown} was not refused but answered {answer}"),
+        }
+    }
+
+    /// What a person sees on the terminal: standard output and error of the plain command.
+    #[must_use]
+    pub fn printed(&self, method: &str, body: &Value) -> String {
+        let output = self.run(&[], Some(body), &[&full_name(method)]);
+        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+    }
+
+    /// `grpcurl ADDR list [SYMBOL]` or `describe SYMBOL`.
+    #[must_use]
+    pub fn ask_reflection(&self, verb: &[&str]) -> String {
+        let output = self.run(&[], None, verb);
+        assert!(output.status.success(), "grpcurl {verb:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+
+    /// Starts a server stream.
+    #[must_use]
+    pub fn stream(&self, method: &str, body: &Value) -> Stream {
+        let mut child = Command::new(Built::grpcurl())
+            .args([
+                "-plaintext",
+                "-emit-defaults",
+                "-d",
+                &body.to_string(),
+                &self.address,
+                &full_name(method),
+            ])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .spawn()
+            .unwrap_or_else(|e| panic!("cannot start grpcurl: {e}"));
+        let (to, items) = channel();
+        let Some(out) = child.stdout.take() else { panic!("grpcurl has no standard output") };
+        thread::spawn(move || {
+            for value in Deserializer::from_reader(BufReader::new(out)).into_iter::<Value>() {
+                let Ok(value) = value else { return };
+                if to.send(value).is_err() {
+                    return;
+                }
+            }
+        });
+        Stream { child, items, method: method.to_owned(), seen: Vec::new() }
+    }
+
+    fn run(&self, options: &[&str], body: Option<&Value>, verb: &[&str]) -> std::process::Output {
+        let mut command = Command::new(Built::grpcurl());
+        command.args(["-plaintext", "-max-time", &WATCHDOG_S.to_string()]).args(options);
+        if let Some(body) = body {
+            command.args(["-d", &body.to_string()]);
+        }
+        command.arg(&self.address).args(verb).stdin(Stdio::null());
+        command.output().unwrap_or_else(|e| panic!("cannot start grpcurl: {e}"))
+    }
+}
+
+impl Failure {
+    fn read(method: &str, body: &Value, output: &std::process::Output) -> Self {
+        let text = String::from_utf8_lossy(&output.stderr);
+        let status: Value = serde_json::from_str(&text).unwrap_or_else(|_| {
+            panic!("grpcurl {method} {body} ended with {} and no gRPC status:\n{text}", output.status)
+        });
+        let exit_code = output.status.code().unwrap_or(-1);
+        let number = status["code"].as_i64().unwrap_or(-1);
+        assert_eq!(i64::from(exit_code), 64 + number, "grpcurl's exit code is 64 + the gRPC code: {text}");
+        let details = status["details"].as_array().cloned().unwrap_or_default();
+        let info =
+            details.iter().find(|d| d["@type"].as_str().is_some_and(|t| t.ends_with("google.rpc.ErrorInfo")));
+        let field = |name: &str| info.and_then(|i| i[name].as_str()).unwrap_or_default().to_owned();
+        Self {
+            code: code_name(number),
+            reason: field("reason"),
+            domain: field("domain"),
+            message: status["message"].as_str().unwrap_or_default().to_owned(),
+            exit_code,
+            details,
+        }
+    }
+
+    /// The field paths of `google.rpc.BadRequest`.
+    #[must_use]
+    pub fn violated_fields(&self) -> Vec<String> {
+        let violations = self.details.iter().filter_map(|d| d["fieldViolations"].as_array()).flatten();
+        violations.filter_map(|v| v["field"].as_str().map(str::to_owned)).collect()
+    }
+
+    /// A value of `ErrorInfo.metadata`.
+    #[must_use]
+    pub fn metadata(&self, key: &str) -> Option<&str> {
+        self.details.iter().find_map(|d| d["metadata"][key].as_str())
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} [{}] {}", self.code, self.reason, self.message)
+    }
+}
+
+/// A running server stream; ended when dropped.
+pub struct Stream {
+    child: Child,
+    items: Receiver<Value>,
+    method: String,
+    seen: Vec<Value>,
+}
+
+impl Stream {
+    /// Waits for an item `wanted` says yes to, and passes over the others.
+    ///
+    /// # Panics
+    /// After a minute without one, with the last items seen.
+    pub fn until(&mut self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+        loop {
+            match self.items.recv_timeout(Duration::from_secs(60)) {
+                Ok(item) if wanted(&item) => return item,
+                Ok(item) => self.seen.push(item),
+                Err(end) => {
+                    let why = if end == RecvTimeoutError::Timeout { "is silent" } else { "has ended" };
+                    let last = &self.seen[self.seen.len().saturating_sub(5)..];
+                    panic!("{} {why} while waiting for: {what}\nlast items: {last:#?}", self.method);
+                }
+            }
+        }
+    }
+}
+
+impl Drop for Stream {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn full_name(method: &str) -> String {
+    if method.contains('.') { method.to_owned() } else { format!("trocar.v1.{method}") }
+}
+
+fn code_name(number: i64) -> &'static str {
+    const NAMES: [&str; 17] = [
+        "OK",
+        "CANCELLED",
+        "UNKNOWN",
+        "INVALID_ARGUMENT",
+        "DEADLINE_EXCEEDED",
+        "NOT_FOUND",
+        "ALREADY_EXISTS",
+        "PERMISSION_DENIED",
+        "RESOURCE_EXHAUSTED",
+        "FAILED_PRECONDITION",
+        "ABORTED",
+        "OUT_OF_RANGE",
+        "UNIMPLEMENTED",
+        "INTERNAL",
+        "UNAVAILABLE",
+        "DATA_LOSS",
+        "UNAUTHENTICATED",
+    ];
+    usize::try_from(number).ok().and_then(|n| NAMES.get(n)).copied().unwrap_or("NO_CODE")
+}

@@ -1,0 +1,24 @@
+//! The harness of the outer tests: built hosts as child processes, real grpcurl, a world of its own for each test.
+//!
+//! Invariant: a test owns all it touches (port 0, temporary directories, children killed by their handle) and waits only
+//! through [`eventually`].
+
+mod built;
+mod cli;
+mod damage;
+mod eventually;
+mod grpcurl;
+mod host;
+mod skip;
+mod system;
+mod world;
+
+pub use built::{Built, repository};
+pub use cli::{Output, Trocar};
+pub use damage::{flip_bit, replace_in};
+pub use eventually::eventually;
+pub use grpcurl::{Failure, Grpcurl, Stream};
+pub use host::HostProcess;
+pub use skip::skip;
+pub use system::number;
+pub use world::World;
