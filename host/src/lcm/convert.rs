@@ -19,7 +19,7 @@ pub const MAX_PAYLOAD: usize = 64 * 1024;
 /// # Errors
 /// A sentence naming the first description that contradicts itself.
 pub fn classes(manifest: &wire::Manifest, hash: &str) -> Result<Vec<Arc<model::ClassInfo>>, String> {
-    let mut types = Types { manifest, done: BTreeMap::new(), open: Vec::new() };
+    let mut types = Types { manifest, done: BTreeMap::new(), open: Vec::new(), holes: false };
     manifest
         .classes
         .iter()
@@ -125,7 +125,7 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
         ports.provided.push(self::provided(provided, types)?);
     }
     if let Some(state) = &class.state {
-        ports.state = Some(types.resolve(state).map_err(|e| format!("state: {e}"))?);
+        ports.state = Some(types.state(state).map_err(|e| format!("state: {e}"))?);
     }
     ports.provided.push(system::interface());
     Ok(ports)
@@ -245,6 +245,8 @@ struct Types<'a> {
     manifest: &'a wire::Manifest,
     done: BTreeMap<String, model::Type>,
     open: Vec<String>,
+    /// The next struct may have holes: a state row, which never leaves as it lies in memory.
+    holes: bool,
 }
 
 impl Types<'_> {
@@ -263,6 +265,14 @@ impl Types<'_> {
 
     fn optional(&mut self, ty: &Option<wire::Type>) -> Result<Option<model::Type>, String> {
         ty.as_ref().map(|t| self.resolve(t)).transpose()
+    }
+
+    /// A state row: its holes are zero (the SDK writes field by field), and it is sent field by field.
+    fn state(&mut self, ty: &wire::Type) -> Result<model::Type, String> {
+        self.holes = true;
+        let resolved = self.resolve(ty);
+        self.holes = false;
+        resolved
     }
 
     fn resolve(&mut self, ty: &wire::Type) -> Result<model::Type, String> {
@@ -321,17 +331,19 @@ impl Types<'_> {
 
     /// Fields must follow each other without holes: padding would carry undefined bytes across processes.
     fn structure(&mut self, named: &wire::NamedType) -> Result<model::Type, String> {
+        let allowed = std::mem::take(&mut self.holes);
         let mut at = 0usize;
         let mut fields = Vec::with_capacity(named.fields.len());
         for field in &named.fields {
             let ty = self.resolve(&field.ty).map_err(|e| format!("{}.{}: {e}", named.name, field.name))?;
-            if field.at != at || !at.is_multiple_of(ty.align().max(1)) {
+            let fits = if allowed { field.at >= at } else { field.at == at };
+            if !fits || !field.at.is_multiple_of(ty.align().max(1)) {
                 return Err(format!(
                     "field {}.{} lies at {} where {at} was expected: payloads have no padding",
                     named.name, field.name, field.at
                 ));
             }
-            at = at.checked_add(ty.size()).filter(|n| *n <= MAX_PAYLOAD).ok_or("type too large")?;
+            at = field.at.checked_add(ty.size()).filter(|n| *n <= MAX_PAYLOAD).ok_or("type too large")?;
             fields.push(model::Field {
                 name: field.name.clone(),
                 at: field.at,
@@ -341,7 +353,8 @@ impl Types<'_> {
                 frame: field.frame.clone(),
             });
         }
-        if at != named.size || !named.align.is_power_of_two() || named.align > 16 {
+        let full = if allowed { at <= named.size && named.size <= MAX_PAYLOAD } else { at == named.size };
+        if !full || !named.align.is_power_of_two() || named.align > 16 {
             return Err(format!("type {} says size {}, its fields fill {at}", named.name, named.size));
         }
         Ok(model::Type::Struct(Arc::new(model::StructType {

@@ -1262,6 +1262,9 @@ pub struct StopResponse {
     /// What did not go as asked without being refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Components that could not be stopped, with the reason; the others are.
+    #[prost(message, repeated, tag = "6")]
+    pub failed: ::prost::alloc::vec::Vec<SkippedComponent>,
 }
 /// Asks for Resume.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4031,7 +4034,7 @@ pub mod attach_request {
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct AttachResponse {
     /// What it says.
-    #[prost(oneof = "attach_response::Message", tags = "1, 2, 3")]
+    #[prost(oneof = "attach_response::Message", tags = "1, 2, 3, 4")]
     pub message: ::core::option::Option<attach_response::Message>,
 }
 /// Nested message and enum types in `AttachResponse`.
@@ -4048,6 +4051,9 @@ pub mod attach_response {
         /// Still here.
         #[prost(message, tag = "3")]
         Heartbeat(super::Heartbeat),
+        /// The process is not accepted; the stream ends.
+        #[prost(message, tag = "4")]
+        Refused(super::RefusalInfo),
     }
 }
 /// Who attaches.
@@ -4362,20 +4368,17 @@ pub struct Plugins {
 /// A refusal by its values, so that the caller gets the same sentence as in one process.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct RefusalInfo {
-    /// Which refusal, e.g. "component_fault".
+    /// Which refusal, e.g. "ComponentFault".
     #[prost(string, tag = "1")]
     pub kind: ::prost::alloc::string::String,
-    /// Its values by name.
+    /// Its values by name, each one as JSON.
     #[prost(map = "string, string", tag = "2")]
     pub values: ::std::collections::HashMap<
         ::prost::alloc::string::String,
         ::prost::alloc::string::String,
     >,
-    /// Its list of names, if it has one.
-    #[prost(string, repeated, tag = "3")]
-    pub names: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// The sentence, for a reader that does not know the kind.
-    #[prost(string, tag = "4")]
+    #[prost(string, tag = "3")]
     pub text: ::prost::alloc::string::String,
 }
 /// Something changed by itself.
