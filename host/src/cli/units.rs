@@ -60,7 +60,7 @@ pub(super) fn parse_time(text: &str) -> Result<u64, String> {
     };
     let number: f64 = number.parse().map_err(|_| format!("{text:?} does not begin with a number"))?;
     let ns = (number * factor).round();
-    if ns >= 1.0 && ns < 9e18 {
+    if (1.0..9e18).contains(&ns) {
         Ok(ns as u64)
     } else {
         Err("it must be above 0 and below 292 years".to_owned())

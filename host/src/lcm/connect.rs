@@ -6,7 +6,8 @@
 use std::sync::Arc;
 
 use trocar_model::{
-    Binding, Command, CommandKind, Connection, Input, Link, Output, PortType, Ports, Queue, Refusal, Type, bindings,
+    Binding, Command, CommandKind, Connection, Input, Link, Output, PortType, Ports, Queue, Refusal, Type,
+    bindings,
 };
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::mailbox::{Mailbox, Overflow};
@@ -15,7 +16,8 @@ use trocar_rt::stream::{self, DropPolicy, Payload, StreamCounters, stream_link};
 
 use super::api::LinkDetail;
 use super::boundary::{
-    CommandTarget, DEFAULT_DEADLINE_NS, ERR_BYTES, EventSink, FnBinding, InLink, OutLink, RangeCheck, ReadTarget,
+    CommandTarget, DEFAULT_DEADLINE_NS, ERR_BYTES, EventSink, FnBinding, InLink, OutLink, RangeCheck,
+    ReadTarget,
 };
 use super::instance::{Inbox, Instance};
 
@@ -50,8 +52,13 @@ impl Wired {
         server: &Arc<Instance>,
     ) -> Result<Wired, Refusal> {
         let (client_ports, server_ports) = (client.ports(), server.ports());
-        let link =
-            bindings(&client_ports, &connection.client, &server_ports, &connection.server, &connection.options)?;
+        let link = bindings(
+            &client_ports,
+            &connection.client,
+            &server_ports,
+            &connection.server,
+            &connection.options,
+        )?;
         let wired = |ends, required| Wired {
             id: connection.id.0,
             client: client.clone(),
@@ -190,7 +197,8 @@ fn interfaces(
     });
     server.edit_inboxes(|all| all.push(commands_in.clone()));
     let handlers: Vec<_> = client_ports.required.iter().flat_map(|r| &r.handlers).collect();
-    let max_payload = binding.handlers.iter().map(|(h, _)| size(handlers[*h].payload.as_ref())).max().unwrap_or(0);
+    let max_payload =
+        binding.handlers.iter().map(|(h, _)| size(handlers[*h].payload.as_ref())).max().unwrap_or(0);
     let events_in = Arc::new(Inbox {
         mailbox: Mailbox::new(depth, max_payload, 0),
         replies: ReplyPool::new(1, 0, 0),
@@ -204,7 +212,8 @@ fn interfaces(
         client.slots.bind_function(*function, target(server, command, *id, &commands_in, index, deadline_ns));
     }
     for (index, (_, event)) in binding.handlers.iter().enumerate() {
-        let sink = EventSink::Handler { observer: client.clone(), inbox: events_in.clone(), index: index as u32 };
+        let sink =
+            EventSink::Handler { observer: client.clone(), inbox: events_in.clone(), index: index as u32 };
         server.slots.event(*event).edit(|sinks| sinks.push(Arc::new(sink)));
     }
     Ends::Interface {

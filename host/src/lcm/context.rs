@@ -17,7 +17,7 @@ thread_local! {
     static EXECUTOR: Cell<ExecutorId> = const { Cell::new(0) };
     static STEPPING: Cell<bool> = const { Cell::new(false) };
     static COMPONENT: Cell<*const HostContext> = const { Cell::new(ptr::null()) };
-    static WAKES: RefCell<WakeList> = RefCell::new(WakeList::new());
+    static WAKES: RefCell<WakeList> = const { RefCell::new(WakeList::new()) };
 }
 
 pub(super) fn executor() -> ExecutorId {

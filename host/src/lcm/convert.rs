@@ -235,7 +235,9 @@ fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command,
             "latest_wins" => model::Overflow::LatestWins,
             "drop_oldest" => model::Overflow::DropOldest,
             "reject" | "" => model::Overflow::Reject,
-            other => return Err(format!("overflow \"{other}\" is not one of reject, latest_wins, drop_oldest")),
+            other => {
+                return Err(format!("overflow \"{other}\" is not one of reject, latest_wins, drop_oldest"));
+            }
         },
     })
 }

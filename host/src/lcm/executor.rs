@@ -108,7 +108,9 @@ impl Executor {
         os::set_thread_name(name);
         let mut warnings = Vec::new();
         if let Err(e) = os::set_timer_slack_ns(1) {
-            warnings.push(format!("timer slack stays at the system's default ({e}): cycles begin up to 50 µs later"));
+            warnings.push(format!(
+                "timer slack stays at the system's default ({e}): cycles begin up to 50 µs later"
+            ));
         }
         if let Some(priority) = execution.priority {
             match os::set_fifo(priority) {

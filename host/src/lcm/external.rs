@@ -9,11 +9,12 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tokio::sync::{broadcast, mpsc};
 use trocar_model::{
-    Arg, Command, ComponentId, MemberId, PortId, PortType, Refusal, Type, ValueError, check_range, decode, encode,
+    Arg, Command, ComponentId, MemberId, PortId, PortType, Refusal, Type, ValueError, check_range, decode,
+    encode,
 };
 use trocar_plugin_api::abi::{
-    DEADLINE, DISABLED, EXECUTED, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, QUEUED, UNBOUND,
-    WOULD_BLOCK,
+    DEADLINE, DISABLED, EXECUTED, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, QUEUED,
+    UNBOUND, WOULD_BLOCK,
 };
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::os;
@@ -77,7 +78,13 @@ fn undecodable(what: &dyn std::fmt::Display, e: &ValueError) -> Refusal {
     Refusal::Internal { text: format!("{what} gave a value that does not fit its type: {e}") }
 }
 
-fn refusal(instance: &Instance, member: MemberId, outcome: Outcome, answer: Answer, deadline_ns: u64) -> Refusal {
+fn refusal(
+    instance: &Instance,
+    member: MemberId,
+    outcome: Outcome,
+    answer: Answer,
+    deadline_ns: u64,
+) -> Refusal {
     match outcome {
         UNBOUND => Refusal::Unbound { member },
         DISABLED => Refusal::Disabled { member },
@@ -157,7 +164,10 @@ pub(super) async fn read(lcm: &LocalLcm, path: &str, deadline: Instant) -> Resul
             return Ok(sample);
         }
         if Instant::now() >= deadline {
-            return Err(Refusal::LcmTimeout { process: port.component.process, what: format!("a sample of {path}") });
+            return Err(Refusal::LcmTimeout {
+                process: port.component.process,
+                what: format!("a sample of {path}"),
+            });
         }
         tokio::time::sleep(Duration::from_millis(1)).await;
     }

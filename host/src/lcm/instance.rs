@@ -18,10 +18,12 @@ use trocar_rt::state::{StateReader, StateWriter, state_table};
 use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
 
-use super::boundary::{ERR_BYTES, EntryError, HostContext, Object, SharedTable, Slots, as_bytes, outcome_of, sentence};
+use super::boundary::{
+    ERR_BYTES, EntryError, HostContext, Object, SharedTable, Slots, as_bytes, outcome_of, sentence,
+};
+use super::classes::LoadedClass;
 use super::context::{self, ExecutorId};
 use super::hub::Hub;
-use super::classes::LoadedClass;
 use super::{News, Report, system};
 
 /// Kinds of mailbox entries.
@@ -33,7 +35,6 @@ const STATE_ROWS: usize = 256;
 
 /// A queue into one component: commands of one client, or events of one connection.
 pub(super) struct Inbox {
-
     pub(super) mailbox: Mailbox,
     pub(super) replies: Arc<ReplyPool>,
     /// What an entry's index means: command id or handler id of the class.
@@ -145,7 +146,6 @@ impl Instance {
         let system_commands = (commands().count() - system.map_or(0, |s| s.commands.len())) as u32;
         let events = ports.provided.iter().map(|p| p.events.len()).sum::<usize>();
         let external = Arc::new(Inbox {
-
             mailbox: Mailbox::new(64, max_arg, system_commands as usize),
             replies: ReplyPool::new(16, max_ret, ERR_BYTES),
             targets: (0..system_commands).collect(),

@@ -15,7 +15,8 @@ use trocar_plugin_api::abi::NOT_ACTIVE;
 use trocar_rt::os;
 
 use super::api::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection, Spread,
+    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
+    Spread,
 };
 use super::boundary::EntryError;
 use super::classes::Classes;
@@ -25,6 +26,9 @@ use super::external;
 use super::hub::Hub;
 use super::instance::{self, Entered, Instance};
 use super::{order, system};
+
+/// Longest wait for a component that is being removed, before its thread is left behind.
+const HUNG: Duration = Duration::from_secs(1);
 
 /// What an LCM is made from.
 pub struct LcmConfig {
@@ -165,7 +169,8 @@ impl LocalLcm {
         let (tell, told) = oneshot::channel();
         let instance = slot.instance.clone();
         let until_ns = os::now_ns().saturating_add(
-            u64::try_from(deadline.saturating_duration_since(Instant::now()).as_nanos()).unwrap_or(u64::MAX / 2),
+            u64::try_from(deadline.saturating_duration_since(Instant::now()).as_nanos())
+                .unwrap_or(u64::MAX / 2),
         );
         slot.executor.submit(move |_| {
             // The caller has given up: what was asked is not done any more.
@@ -200,7 +205,10 @@ impl LocalLcm {
         }
         let Some(classes) = self.classes.clone() else {
             return Err(Refusal::NotImplemented {
-                what: format!("creating {} in a process without plugin directories", component.class.full_name()),
+                what: format!(
+                    "creating {} in a process without plugin directories",
+                    component.class.full_name()
+                ),
                 hint: "start the host with --plugins DIR".into(),
             });
         };
@@ -209,7 +217,9 @@ impl LocalLcm {
         let class = match tokio::time::timeout_at(deadline.into(), loading).await {
             Ok(Ok(loaded)) => loaded?,
             Ok(Err(e)) => return Err(Refusal::Internal { text: format!("loading panicked: {e}") }),
-            Err(_) => return Err(Refusal::LcmTimeout { process, what: format!("loading the class of {id}") }),
+            Err(_) => {
+                return Err(Refusal::LcmTimeout { process, what: format!("loading the class of {id}") });
+            }
         };
         let execution = component.execution.clone();
         let executor = self.executor_for(&id, &execution)?;
@@ -223,10 +233,12 @@ impl LocalLcm {
         let made = Instance::new(number, id.clone(), class_info, class, self.hub.clone(), passive, period_ns);
         made.attach(executor.0.id, executor.0.waker.clone());
         let follows = execution.stream_of.is_some();
-        made.set_on_grid(follows || execution.inside.is_some() || matches!(Pace::of(&execution), Pace::Grid { .. }));
+        made.set_on_grid(
+            follows || execution.inside.is_some() || matches!(Pace::of(&execution), Pace::Grid { .. }),
+        );
         self.hub.logs.name(number, Some(&id));
         let slot = Slot { instance: made, executor: executor.0, execution, config: None };
-        let done = self.inside(&slot, "create", deadline, |instance, entered| make(instance, entered)).await;
+        let done = self.inside(&slot, "create", deadline, make).await;
         match done {
             Ok(Ok(())) => {
                 let member = slot.member();
@@ -256,7 +268,11 @@ impl LocalLcm {
     }
 
     /// The thread a component will run on, and whether it is its own.
-    fn executor_for(&self, id: &ComponentId, execution: &Execution) -> Result<(Arc<Executor>, bool), Refusal> {
+    fn executor_for(
+        &self,
+        id: &ComponentId,
+        execution: &Execution,
+    ) -> Result<(Arc<Executor>, bool), Refusal> {
         if let Some(other) = execution.stream_of.as_ref().or(execution.inside.as_ref()) {
             let slot = self.slot(&ComponentId::parse(other)?)?;
             return Ok((slot.executor, false));
@@ -333,12 +349,13 @@ impl LocalLcm {
         if slot.instance.is_active() {
             slot.instance.stopped(StopReason::Requested);
         }
-        let done = self.inside(slot, "stop", deadline, |instance, entered| stop(instance, entered)).await;
+        let done = self.inside(slot, "stop", deadline, stop).await;
         match done {
             Ok(Ok(())) => Ok(slot.instance.report(false)),
             Ok(Err((entry, e))) => Err(component_error(&slot.instance.id, entry, e)),
             Err(refusal) => {
-                slot.instance.set_state(State::Fault, "stop: it did not come back; its thread is inside its own code");
+                slot.instance
+                    .set_state(State::Fault, "stop: it did not come back; its thread is inside its own code");
                 Err(refusal)
             }
         }
@@ -346,9 +363,10 @@ impl LocalLcm {
 
     async fn destroy(&self, id: &ComponentId, deadline: Instant) -> Result<Report, Refusal> {
         let slot = self.slot(id)?;
-        let report = slot.instance.report(false);
+        let mut report = slot.instance.report(false);
+        let patience = deadline.min(Instant::now() + HUNG);
         let done = self
-            .inside(&slot, "remove", deadline, |instance, entered| {
+            .inside(&slot, "remove", patience, |instance, entered| {
                 if instance.is_active() {
                     instance.stopped(StopReason::Requested);
                     // It goes away either way; the reason was logged.
@@ -366,7 +384,13 @@ impl LocalLcm {
         if !held.components.values().any(|s| s.executor.id == slot.executor.id) {
             slot.executor.close();
         }
-        done.map(|()| report)
+        if done.is_err() {
+            slot.instance.close();
+            report.warnings.push(format!(
+                "{id} did not come back out of its own code: it is removed, its thread stays until the process ends"
+            ));
+        }
+        Ok(report)
     }
 
     fn wire(&self, connection: &Connection) -> Result<Report, Refusal> {
@@ -402,7 +426,8 @@ impl LocalLcm {
     /// Sorts the members of a shared thread along their streams.
     fn reorder(&self, slot: &Slot) {
         let held = self.held();
-        let shared: Vec<&Slot> = held.components.values().filter(|s| s.executor.id == slot.executor.id).collect();
+        let shared: Vec<&Slot> =
+            held.components.values().filter(|s| s.executor.id == slot.executor.id).collect();
         if shared.len() < 2 {
             return;
         }

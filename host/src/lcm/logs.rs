@@ -87,7 +87,9 @@ impl LogRing {
             self.mailbox.drain(print, |_| ());
             let lost = self.lost.swap(0, Ordering::Relaxed);
             if lost > 0 {
-                log::warn!("{lost} log lines of components were lost: they came faster than they could be written");
+                log::warn!(
+                    "{lost} log lines of components were lost: they came faster than they could be written"
+                );
             }
             if self.stop.load(Ordering::Acquire) {
                 return;

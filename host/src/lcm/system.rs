@@ -46,7 +46,11 @@ pub(super) fn interface() -> Provided {
         tag: String::new(),
         commands: vec![
             read("GetState", "State and health of the component.", status_type()),
-            read("period_statistics", "Period, compute time, lateness and overruns since Start.", statistics_type()),
+            read(
+                "period_statistics",
+                "Period, compute time, lateness and overruns since Start.",
+                statistics_type(),
+            ),
         ],
         events: vec![
             event("status", "Something worth knowing.", message_type()),
@@ -88,7 +92,10 @@ fn status_type() -> Type {
 fn message_type() -> Type {
     structure(
         "SystemMessage",
-        vec![("stamp", Type::Prim(Prim::Stamp), "", "when"), ("text", Type::Text { n: TEXT }, "", "one sentence")],
+        vec![
+            ("stamp", Type::Prim(Prim::Stamp), "", "when"),
+            ("text", Type::Text { n: TEXT }, "", "one sentence"),
+        ],
     )
 }
 

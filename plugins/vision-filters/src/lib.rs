@@ -1,8 +1,14 @@
-//! Image filters: `gray`, `resize`, `pip` (picture in picture).
+//! Image filters on stereo frames: `gray`, `resize`, `pip` (picture in picture), and the sink `display`.
 //!
 //! Invariant: pixels are touched only through `view`, which has checked that every row lies inside its bytes.
+#![forbid(unsafe_code)]
 
+mod components;
 pub mod gray;
 pub mod pip;
 pub mod resize;
 pub mod view;
+
+pub use components::{Display, Gray, Pip, Resize, Tally};
+
+trocar_sdk::trocar_plugin!(Gray, Resize, Pip, Display);

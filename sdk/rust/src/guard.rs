@@ -57,7 +57,7 @@ fn panicked(err: *mut ErrBuf, payload: Box<dyn std::any::Any + Send>) -> Status 
 }
 
 /// An error with its causes.
-struct Chain<'a>(&'a (dyn std::error::Error + 'static));
+pub(crate) struct Chain<'a>(pub(crate) &'a (dyn std::error::Error + 'static));
 
 impl Display for Chain<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

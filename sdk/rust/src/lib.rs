@@ -15,6 +15,8 @@ mod export;
 mod forward;
 mod frames;
 mod function;
+#[cfg(feature = "nalgebra")]
+mod geometry;
 mod guard;
 mod host;
 mod outcome;
@@ -25,7 +27,7 @@ mod stubs;
 pub mod testing;
 mod values;
 
-pub use any::{AnyFunction, AnyIn, AnyOut, AnyView};
+pub use any::{Any, AnyFunction, AnyIn, AnyOut, AnyView};
 pub use call::{Answer, Value};
 pub use component::{Class, Component, Error, Result, Tick};
 pub use config::{Config, ConfigField};
@@ -44,8 +46,8 @@ pub use values::{Flag, List, Stamp, Text};
 pub mod prelude {
     pub use crate::{
         AnyFunction, AnyIn, AnyOut, Class, Component, Config, Event, Flag, Frame, FrameView, Function, Host,
-        In, List, NoFrame, Out, Outcome, Payload, Result, Sample, Stamp, Text, Tick, handles, named_values,
-        log, provides, trocar_plugin,
+        In, List, NoFrame, Out, Outcome, Payload, Result, Sample, Stamp, Text, Tick, handles, log,
+        named_values, provides, trocar_plugin,
     };
 }
 

@@ -5,7 +5,7 @@
 use crate::call::Call;
 use crate::component::{Class, Tick};
 use crate::config::JsonObject;
-use crate::guard::{guard, refuse, settle};
+use crate::guard::{Chain, guard, refuse, settle};
 use crate::host::Host;
 use crate::payload::Payload;
 use crate::ports::Binder;
@@ -109,7 +109,7 @@ unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *m
             Err(e) => refuse(err, STATUS_INVALID, &format_args!("the configuration is no JSON object: {e}")),
             Ok(object) => match instance.component.apply(&object) {
                 Ok(()) => STATUS_OK,
-                Err(e) => refuse(err, STATUS_INVALID, &e),
+                Err(e) => refuse(err, STATUS_INVALID, &Chain(&*e)),
             },
         }
     })

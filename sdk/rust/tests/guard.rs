@@ -24,12 +24,12 @@ impl Fragile {
     }
     #[command]
     fn burst(&mut self) {
-        let none: Option<u32> = None;
-        none.expect("nothing there");
+        let found = [1, 2].into_iter().find(|n| *n > 2);
+        self.steps = found.expect("nothing there");
     }
     #[read]
     fn bad(s: &FragileState) -> u32 {
-        1 / s.steps.min(0)
+        1 / s.steps
     }
 }
 

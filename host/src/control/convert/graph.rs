@@ -7,7 +7,7 @@ use trocar_proto::v1;
 
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
-use crate::lcm::{Detail, LinkDetail, PluginInfo, Report, Spread};
+use crate::lcm::{Detail, LinkDetail, Report, Spread};
 
 pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
     let state = match p.state {
@@ -119,23 +119,5 @@ pub(crate) fn report(r: &Report) -> v1::ComponentReport {
         fault: r.fault.clone(),
         warnings: r.warnings.clone(),
         ports: r.ports.as_deref().map(ports),
-    }
-}
-
-pub(crate) fn plugin(p: PluginInfo) -> v1::Plugin {
-    v1::Plugin {
-        process: p.process,
-        file: p.file,
-        name: p.name,
-        version: p.version,
-        hash: p.hash,
-        abi: p.abi,
-        built_with: p.built_with,
-        doc: p.doc,
-        classes: p.classes,
-        loaded: p.loaded,
-        warnings: p.warnings,
-        refused_reason: p.refused_reason,
-        refused: p.refused,
     }
 }

@@ -14,7 +14,7 @@ use trocar_proto::v1::interact_service_server::InteractService;
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
 use crate::control::deadline::deadline;
-use crate::lcm::{Invoke, Item, ItemKind, LogLine, News, Payload, Selection};
+use crate::lcm::{Invoke, News, Selection};
 
 type Items = Pin<Box<dyn Stream<Item = Result<v1::SubscribeResponse, Status>> + Send>>;
 type Lines = Pin<Box<dyn Stream<Item = Result<v1::LogsResponse, Status>> + Send>>;
@@ -45,11 +45,7 @@ impl InteractService for Edge {
             })
         });
         let deadline_ns = asked.transpose()?.unwrap_or(1_000_000_000).clamp(1, left.max(1));
-        let arg = match r.json {
-            Some(value) => Payload::Json(convert::from_value(value)),
-            None if r.encoded.is_empty() => Payload::None,
-            None => Payload::Encoded(r.encoded),
-        };
+        let arg = convert::payload(r.json, r.encoded);
         let lcm = self.lcm(&member.port.component.process).map_err(refuse)?;
         let call = Invoke { member: member.clone(), arg, send: r.send, deadline_ns };
         // The LCM keeps the deadline itself; this is for one that does not answer at all.
@@ -58,14 +54,7 @@ impl InteractService for Edge {
             .await
             .map_err(|_| refuse(Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: true }))?
             .map_err(refuse)?;
-        Ok(Response::new(v1::InvokeResponse {
-            executed: reply.executed,
-            json: reply.value.as_ref().map(convert::to_value),
-            encoded: reply.encoded,
-            unit: reply.unit,
-            stamp_ns: reply.stamp_ns,
-            age_ns: reply.age_ns,
-        }))
+        Ok(Response::new(convert::reply(reply)))
     }
 
     async fn read(&self, request: Request<v1::ReadRequest>) -> Result<Response<v1::ReadResponse>, Status> {
@@ -73,14 +62,7 @@ impl InteractService for Edge {
         let path = request.into_inner().path;
         let lcm = self.lcm(&process_of(&path).map_err(refuse)?).map_err(refuse)?;
         let sample = lcm.read(path, until).await.map_err(refuse)?;
-        Ok(Response::new(v1::ReadResponse {
-            json: Some(convert::to_value(&sample.value)),
-            encoded: sample.encoded,
-            stamp_ns: sample.stamp_ns,
-            age_ns: sample.age_ns,
-            seq: sample.seq,
-            frame_bytes: sample.frame_bytes,
-        }))
+        Ok(Response::new(convert::sample(sample)))
     }
 
     async fn emit(&self, _: Request<v1::EmitRequest>) -> Result<Response<v1::EmitResponse>, Status> {
@@ -116,7 +98,7 @@ impl InteractService for Edge {
                     };
                     // A slow caller fills this channel; the LCM then drops and counts.
                     let Some(item) = item else { return };
-                    if tell.send(Ok(convert_item(item))).await.is_err() {
+                    if tell.send(Ok(convert::item(item))).await.is_err() {
                         return;
                     }
                 }
@@ -129,7 +111,7 @@ impl InteractService for Edge {
 
     async fn logs(&self, request: Request<v1::LogsRequest>) -> Result<Response<Lines>, Status> {
         let r = request.into_inner();
-        let level = level_number(&r.level).ok_or_else(|| {
+        let level = convert::level(&r.level).ok_or_else(|| {
             refuse(Refusal::ArgumentInvalid {
                 what: format!("level \"{}\"", r.level),
                 why: "it is not one of error, warn, info, debug, trace".into(),
@@ -160,7 +142,7 @@ async fn forward_logs(
         };
         match heard {
             Ok(News::Log(line)) if line.level <= level && line.path.starts_with(&wanted) => {
-                let response = v1::LogsResponse { line: Some(convert_line(line)), skipped };
+                let response = v1::LogsResponse { line: Some(convert::line(line)), skipped };
                 skipped = 0;
                 if tell.send(response).await.is_err() {
                     return;
@@ -170,41 +152,5 @@ async fn forward_logs(
             Err(broadcast::error::RecvError::Lagged(n)) => skipped += n,
             Err(broadcast::error::RecvError::Closed) => return,
         }
-    }
-}
-
-const LEVELS: [&str; 5] = ["error", "warn", "info", "debug", "trace"];
-
-/// 1 error … 5 trace; nothing said is info.
-fn level_number(text: &str) -> Option<u32> {
-    if text.is_empty() {
-        return Some(3);
-    }
-    LEVELS.iter().position(|l| text.eq_ignore_ascii_case(l)).map(|i| i as u32 + 1)
-}
-
-pub(crate) fn convert_line(line: LogLine) -> v1::LogLine {
-    v1::LogLine {
-        wall_ns: line.wall_ns,
-        level: LEVELS[(line.level.clamp(1, 5) - 1) as usize].into(),
-        path: line.path,
-        target: line.target,
-        message: line.message,
-    }
-}
-
-pub(crate) fn convert_item(item: Item) -> v1::SubscribeResponse {
-    let kind = match item.kind {
-        ItemKind::State => v1::ItemKind::State,
-        ItemKind::Event => v1::ItemKind::Event,
-        ItemKind::Stream => v1::ItemKind::Stream,
-    };
-    v1::SubscribeResponse {
-        path: item.path,
-        kind: kind as i32,
-        json: Some(convert::to_value(&item.value)),
-        stamp_ns: item.stamp_ns,
-        seq: item.seq,
-        skipped: item.skipped,
     }
 }

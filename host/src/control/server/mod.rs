@@ -69,7 +69,10 @@ impl Edge {
             let Ok(lcm) = self.lcm(process) else { continue };
             let asked = async {
                 for id in by_process.get(process).into_iter().flatten() {
-                    figures.details.insert((*id).clone(), lcm.detail((*id).clone()).await?);
+                    match lcm.detail((*id).clone()).await {
+                        Ok(detail) => _ = figures.details.insert((*id).clone(), detail),
+                        Err(refusal) => figures.warnings.push(refusal.to_string()),
+                    }
                 }
                 for link in lcm.links().await? {
                     figures.links.insert(link.connection, link);

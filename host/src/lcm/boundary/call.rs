@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use trocar_model::{Arg, Prim, Type};
 use trocar_plugin_api::abi::{
-    CallOpts, DEADLINE, ErrBuf, EXECUTED, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL,
-    QUEUED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status, UNBOUND, WOULD_BLOCK,
+    CallOpts, DEADLINE, EXECUTED, ErrBuf, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, NOT_ACTIVE,
+    Outcome, PEER_LOST, QUEUE_FULL, QUEUED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status, UNBOUND,
+    WOULD_BLOCK,
 };
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::{EntryHead, Overflow, Push};
@@ -140,7 +141,7 @@ pub(in crate::lcm) fn outcome_of(status: Status) -> Outcome {
 
 impl CommandTarget {
     /// One call, in the mode `opts` asks for. Real-time unless it waits, which `step` may not.
-    pub(in crate::lcm) fn call(&self, arg: *const u8, ret: *mut u8, mut opts: Option<&mut CallOpts>) -> Outcome {
+    pub(in crate::lcm) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
         if let Some(range) = &self.range
             && !range.holds(arg)
         {
@@ -167,7 +168,7 @@ impl CommandTarget {
             server.counters.would_block();
             return WOULD_BLOCK;
         }
-        self.queue(arg, ret, mode, deadline_ns, opts.as_deref_mut())
+        self.queue(arg, ret, mode, deadline_ns, opts)
     }
 
     /// The server is passive and busy: waits for it, unless this thread is the one inside.
@@ -379,7 +380,13 @@ fn answer(
 
 impl CommandTarget {
     /// A call from outside; `arg` has the command's argument type. Blocks until the deadline unless `send`.
-    pub(in crate::lcm) fn answer(&self, arg: &[u8], ret_bytes: usize, send: bool, deadline_ns: u64) -> Answer {
+    pub(in crate::lcm) fn answer(
+        &self,
+        arg: &[u8],
+        ret_bytes: usize,
+        send: bool,
+        deadline_ns: u64,
+    ) -> Answer {
         let mode = if send { MODE_SEND } else { MODE_CALL };
         answer(arg, ret_bytes, mode, deadline_ns, |arg, ret, opts| self.call(arg, ret, Some(opts)))
     }

@@ -134,7 +134,14 @@ impl<T: Send> Object<T> {
     }
 
     /// A read command as a pure function of `row`; any thread, no instance.
-    pub(in crate::lcm) fn read(&self, row: &[u64], id: u32, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> Status {
+    pub(in crate::lcm) fn read(
+        &self,
+        row: &[u64],
+        id: u32,
+        arg: *const u8,
+        ret: *mut u8,
+        err: *mut ErrBuf,
+    ) -> Status {
         match entry!(self.table, read) {
             // SAFETY: row, arg and ret have the sizes and alignment of the manifest's types, checked when bound; the
             // entry takes no instance, so no lock is needed.
@@ -173,7 +180,10 @@ impl<T> Entered<'_, T> {
     /// Makes the instance.
     pub(in crate::lcm) fn create(&mut self, host: *const HostTable, name: &str) -> Result<(), EntryError> {
         let Some(create) = entry!(self.object.table, create) else {
-            return Err(EntryError { status: STATUS_UNSUPPORTED, text: "the class has no create entry".into() });
+            return Err(EntryError {
+                status: STATUS_UNSUPPORTED,
+                text: "the class has no create entry".into(),
+            });
         };
         let mut made = ptr::null_mut();
         guarded(|err| {
@@ -253,7 +263,13 @@ impl<T> Entered<'_, T> {
     }
 
     /// Runs a command; the sentence of a failure goes to `err`. Real-time.
-    pub(in crate::lcm) fn command(&mut self, id: u32, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> Status {
+    pub(in crate::lcm) fn command(
+        &mut self,
+        id: u32,
+        arg: *const u8,
+        ret: *mut u8,
+        err: *mut ErrBuf,
+    ) -> Status {
         match entry!(self.object.table, command) {
             // SAFETY: a live instance; arg and ret have the size and alignment of the manifest's types, checked when bound.
             Some(command) => unsafe { command(self.this(), id, arg.cast(), ret.cast(), err) },

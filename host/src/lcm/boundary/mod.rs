@@ -10,7 +10,9 @@ mod host_table;
 mod ports;
 mod stream;
 
-pub(super) use call::{Answer, CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, RangeCheck, ReadTarget, outcome_of};
+pub(super) use call::{
+    Answer, CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, RangeCheck, ReadTarget, outcome_of,
+};
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
 pub(super) use event::{EventSink, Tap};
 pub use host_table::plugin_log;

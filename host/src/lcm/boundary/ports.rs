@@ -14,6 +14,8 @@ use super::stream::{self, InCell, OutCell};
 /// Frames in the pool of an output whose manifest names a size but no count.
 const DEFAULT_POOL: usize = 8;
 
+/// Plugins and slots point to cells and slots by address, so each has a box of its own.
+#[expect(clippy::vec_box, reason = "the addresses are handed out")]
 pub(in crate::lcm) struct Slots {
     outputs: Vec<Box<OutCell>>,
     inputs: Vec<Box<InCell>>,
@@ -21,8 +23,23 @@ pub(in crate::lcm) struct Slots {
     /// The class's own events, then those of the system interface.
     events: Vec<Box<EventCell>>,
     table: Box<Ports>,
-    _slots: (Vec<Box<OutSlot>>, Vec<Box<InSlot>>, Vec<Box<FnSlot>>, Vec<Box<EventSlot>>),
-    _pointers: (Vec<*const OutSlot>, Vec<*const InSlot>, Vec<*const FnSlot>, Vec<*const EventSlot>),
+    _slots: Boxes,
+    _pointers: Pointers,
+}
+
+#[expect(clippy::vec_box, reason = "the addresses are handed out")]
+struct Boxes {
+    _outputs: Vec<Box<OutSlot>>,
+    _inputs: Vec<Box<InSlot>>,
+    _functions: Vec<Box<FnSlot>>,
+    _events: Vec<Box<EventSlot>>,
+}
+
+struct Pointers {
+    _outputs: Vec<*const OutSlot>,
+    _inputs: Vec<*const InSlot>,
+    _functions: Vec<*const FnSlot>,
+    _events: Vec<*const EventSlot>,
 }
 
 // SAFETY: the raw pointers point into the boxes of the same struct, which are Sync (cells) or immutable (slots).
@@ -77,6 +94,7 @@ impl Slots {
         Self::with_cells(ports, outputs, inputs, functions, events)
     }
 
+    #[expect(clippy::vec_box, reason = "the addresses are handed out")]
     fn with_cells(
         ports: &Described,
         outputs: Vec<Box<OutCell>>,
@@ -144,7 +162,8 @@ impl Slots {
         let out_ptrs: Vec<*const OutSlot> = out_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
         let in_ptrs: Vec<*const InSlot> = in_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
         let fn_ptrs: Vec<*const FnSlot> = fn_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
-        let event_ptrs: Vec<*const EventSlot> = event_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
+        let event_ptrs: Vec<*const EventSlot> =
+            event_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
         let table = Box::new(Ports {
             struct_size: size_of_slot::<Ports>(),
             output_count: out_ptrs.len() as u32,
@@ -163,8 +182,18 @@ impl Slots {
             functions,
             events,
             table,
-            _slots: (out_slots, in_slots, fn_slots, event_slots),
-            _pointers: (out_ptrs, in_ptrs, fn_ptrs, event_ptrs),
+            _slots: Boxes {
+                _outputs: out_slots,
+                _inputs: in_slots,
+                _functions: fn_slots,
+                _events: event_slots,
+            },
+            _pointers: Pointers {
+                _outputs: out_ptrs,
+                _inputs: in_ptrs,
+                _functions: fn_ptrs,
+                _events: event_ptrs,
+            },
         }
     }
 

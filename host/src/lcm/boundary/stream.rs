@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::{
-    EXECUTED, EXHAUSTED, FAILED, IN_EMPTY, IN_SAMPLE, IN_UNBOUND, INVALID_ARGUMENT, Loan, Outcome, SAMPLE_FRESH,
-    SAMPLE_STALE, STATUS_UNSUPPORTED, SampleView, Sink, Status, UNBOUND, WOULD_BLOCK,
+    EXECUTED, EXHAUSTED, FAILED, IN_EMPTY, IN_SAMPLE, IN_UNBOUND, INVALID_ARGUMENT, Loan, Outcome,
+    SAMPLE_FRESH, SAMPLE_STALE, STATUS_UNSUPPORTED, SampleView, Sink, Status, UNBOUND, WOULD_BLOCK,
 };
 use trocar_rt::cell::BindingCell;
 use trocar_rt::os;
@@ -30,7 +30,11 @@ pub(in crate::lcm) struct OutLink {
 }
 
 impl OutLink {
-    pub(in crate::lcm) fn new(connection: u64, writer: StreamWriter, consumer: Option<Arc<Instance>>) -> Self {
+    pub(in crate::lcm) fn new(
+        connection: u64,
+        writer: StreamWriter,
+        consumer: Option<Arc<Instance>>,
+    ) -> Self {
         OutLink { connection, writer, consumer }
     }
 }
@@ -149,7 +153,12 @@ pub(super) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outco
     EXECUTED
 }
 
-pub(super) unsafe extern "C" fn commit(ctx: *mut c_void, loan: *mut Loan, len: u64, stamp_ns: u64) -> Outcome {
+pub(super) unsafe extern "C" fn commit(
+    ctx: *mut c_void,
+    loan: *mut Loan,
+    len: u64,
+    stamp_ns: u64,
+) -> Outcome {
     // SAFETY: the caller hands back the Loan it got from `loan`.
     let loan = unsafe { &mut *loan };
     if loan.token == 0 {
@@ -253,7 +262,9 @@ impl InCell {
                     *held = None;
                     return IN_UNBOUND;
                 }
-                Some(link) if !held.as_ref().is_some_and(|h| Arc::ptr_eq(h, link)) => *held = Some(link.clone()),
+                Some(link) if !held.as_ref().is_some_and(|h| Arc::ptr_eq(h, link)) => {
+                    *held = Some(link.clone())
+                }
                 Some(_) => {}
             }
         }

@@ -283,10 +283,12 @@ impl<C: Class> Bench<C> {
     fn push_bytes<T: Payload>(&mut self, input: &str, header: &T, bytes: &[u8], frame: bool) {
         let at = input_at::<C>(input);
         let ty = C::DESC.inputs[at].ty;
-        assert!(
-            frame != matches!(ty, PortType::Plain(_)),
-            "input `{input}`: plain samples go in with `push`, frames with `push_frame`"
-        );
+        let fits = match ty {
+            PortType::Plain(_) => !frame,
+            PortType::Frame { .. } => frame,
+            PortType::Any => true,
+        };
+        assert!(fits, "input `{input}`: plain samples go in with `push`, frames with `push_frame`");
         if let Some(have) = lookup::header(ty) {
             lookup::expect_type("input", input, Some(have), Some(T::DESC));
         }

@@ -1,0 +1,177 @@
+//! Changes, slices and inventories, both ways: what crosses an Attach stream about components and connections.
+//!
+//! Invariant: what is encoded here decodes to an equal value; configurations cross as exact JSON text.
+
+use std::sync::Arc;
+
+use serde_json::Value;
+use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, PortId, Refusal, State, Verb};
+use trocar_proto::v1;
+
+use super::back::{self, unreadable};
+use super::requests::options;
+use super::types::{class, execution_out, health, options_out, ports, state};
+use crate::gcm::Slice;
+use crate::lcm::{Inventory, Report};
+
+fn state_out(s: State) -> v1::State {
+    let (state, stop_reason) = state(s);
+    v1::State { state: state as i32, stop_reason: stop_reason as i32 }
+}
+
+fn state_in(s: Option<v1::State>) -> Result<State, Refusal> {
+    let s = s.ok_or_else(|| unreadable("state"))?;
+    back::state(s.state, s.stop_reason)
+}
+
+fn json(text: &str, what: &str) -> Result<Value, Refusal> {
+    serde_json::from_str(text).map_err(|_| unreadable(what))
+}
+
+fn component_out(id: &ComponentId, c: &Component) -> v1::DesiredComponent {
+    v1::DesiredComponent {
+        path: id.to_string(),
+        class: Some(class(&c.class)),
+        config_json: c.config.to_string(),
+        execution: Some(execution_out(&c.execution)),
+        ports: (*c.ports != c.class.ports).then(|| ports(&c.ports)),
+        state: Some(state_out(c.state)),
+        health: health(c.health) as i32,
+        fault: c.fault.clone(),
+    }
+}
+
+fn component_in(c: v1::DesiredComponent) -> Result<(ComponentId, Component), Refusal> {
+    let class = back::class(c.class.ok_or_else(|| unreadable("class"))?)?;
+    let ports = match c.ports {
+        Some(ports) => back::ports(ports)?,
+        None => class.ports.clone(),
+    };
+    let component = Component {
+        class: Arc::new(class),
+        config: json(&c.config_json, "config_json")?,
+        execution: super::requests::execution(c.execution.ok_or_else(|| unreadable("execution"))?)?,
+        ports: Arc::new(ports),
+        state: state_in(c.state)?,
+        health: back::health(c.health)?,
+        fault: c.fault,
+    };
+    Ok((ComponentId::parse(&c.path)?, component))
+}
+
+fn connection_out(c: &Connection) -> v1::DesiredConnection {
+    v1::DesiredConnection {
+        id: c.id.0,
+        client: c.client.to_string(),
+        server: c.server.to_string(),
+        options: Some(options_out(&c.options)),
+    }
+}
+
+fn connection_in(c: v1::DesiredConnection) -> Result<Connection, Refusal> {
+    Ok(Connection {
+        id: ConnectionId(c.id),
+        client: PortId::parse(&c.client)?,
+        server: PortId::parse(&c.server)?,
+        options: options(c.options.unwrap_or_default())?,
+    })
+}
+
+const VERBS: [(Verb, v1::Verb); 6] = [
+    (Verb::Configure, v1::Verb::Configure),
+    (Verb::Start, v1::Verb::Start),
+    (Verb::Stop, v1::Verb::Stop),
+    (Verb::Resume, v1::Verb::Resume),
+    (Verb::Reset, v1::Verb::Reset),
+    (Verb::Remove, v1::Verb::Remove),
+];
+
+pub(crate) fn change_out(change: &Change) -> v1::Change {
+    use v1::change::Change as C;
+    let change = match change {
+        Change::Create { id, component } => C::Create(component_out(id, component)),
+        Change::Destroy { id, component } => C::Destroy(component_out(id, component)),
+        Change::Configure { id, from, to, from_state, to_state } => C::Configure(v1::ConfigureChange {
+            path: id.to_string(),
+            from_json: from.to_string(),
+            to_json: to.to_string(),
+            from: Some(state_out(*from_state)),
+            to: Some(state_out(*to_state)),
+        }),
+        Change::Run { id, verb, from, to } => C::Run(v1::RunChange {
+            path: id.to_string(),
+            verb: VERBS.iter().find(|(v, _)| v == verb).map_or(0, |(_, w)| *w as i32),
+            from: Some(state_out(*from)),
+            to: Some(state_out(*to)),
+        }),
+        Change::Connect { connection } => C::Connect(connection_out(connection)),
+        Change::Disconnect { connection } => C::Disconnect(connection_out(connection)),
+    };
+    v1::Change { change: Some(change) }
+}
+
+pub(crate) fn change_in(change: v1::Change) -> Result<Change, Refusal> {
+    use v1::change::Change as C;
+    Ok(match change.change.ok_or_else(|| unreadable("change"))? {
+        C::Create(c) => component_in(c).map(|(id, c)| Change::Create { id, component: Box::new(c) })?,
+        C::Destroy(c) => component_in(c).map(|(id, c)| Change::Destroy { id, component: Box::new(c) })?,
+        C::Configure(c) => Change::Configure {
+            id: ComponentId::parse(&c.path)?,
+            from: json(&c.from_json, "from_json")?,
+            to: json(&c.to_json, "to_json")?,
+            from_state: state_in(c.from)?,
+            to_state: state_in(c.to)?,
+        },
+        C::Run(r) => Change::Run {
+            id: ComponentId::parse(&r.path)?,
+            verb: VERBS.iter().find(|(_, w)| *w as i32 == r.verb).ok_or_else(|| unreadable("verb"))?.0,
+            from: state_in(r.from)?,
+            to: state_in(r.to)?,
+        },
+        C::Connect(c) => Change::Connect { connection: connection_in(c)? },
+        C::Disconnect(c) => Change::Disconnect { connection: connection_in(c)? },
+    })
+}
+
+pub(crate) fn slice_out(slice: &Slice) -> v1::Slice {
+    v1::Slice {
+        components: slice.components.iter().map(|(id, c)| component_out(id, c)).collect(),
+        connections: slice.connections.iter().map(connection_out).collect(),
+    }
+}
+
+pub(crate) fn slice_in(slice: v1::Slice) -> Result<Slice, Refusal> {
+    Ok(Slice {
+        components: slice.components.into_iter().map(component_in).collect::<Result<_, _>>()?,
+        connections: slice.connections.into_iter().map(connection_in).collect::<Result<_, _>>()?,
+    })
+}
+
+pub(crate) fn report_in(r: v1::ComponentReport) -> Result<Report, Refusal> {
+    Ok(Report {
+        id: ComponentId::parse(&r.path)?,
+        state: back::state(r.state, r.stop_reason)?,
+        health: back::health(r.health)?,
+        fault: r.fault,
+        ports: r.ports.map(back::ports).transpose()?.map(Arc::new),
+        warnings: r.warnings,
+    })
+}
+
+pub(crate) fn inventory_out(inventory: &Inventory) -> v1::Inventory {
+    v1::Inventory {
+        components: inventory.components.iter().map(super::report).collect(),
+        classes: inventory.classes.iter().map(|c| class(c)).collect(),
+    }
+}
+
+pub(crate) fn inventory_in(inventory: v1::Inventory) -> Result<Inventory, Refusal> {
+    Ok(Inventory {
+        components: inventory.components.into_iter().map(report_in).collect::<Result<_, _>>()?,
+        classes: classes_in(inventory.classes)?,
+    })
+}
+
+pub(crate) fn classes_in(classes: Vec<v1::ClassInfo>) -> Result<Vec<Arc<trocar_model::ClassInfo>>, Refusal> {
+    classes.into_iter().map(|c| back::class(c).map(Arc::new)).collect()
+}

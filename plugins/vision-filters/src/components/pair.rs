@@ -1,0 +1,110 @@
+//! Stereo frames as views: both images of a received frame, both images of a frame to be filled, and the count of both.
+//!
+//! Invariant: header fields come from a peer and are believed only after `View` has checked them against the bytes.
+
+use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::prelude::*;
+use trocar_sdk::{FrameLoan, FrameView};
+
+use crate::view::{Format, Shape, View, ViewMut};
+
+/// Why a frame was left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unfit {
+    /// A pixel format that the filters do not know.
+    Format,
+    /// The header promises more bytes than there are.
+    Short,
+    /// The result is larger than the output's frames.
+    Large,
+    /// No frame to fill.
+    NoRoom,
+}
+
+impl Unfit {
+    fn sentence(self) -> &'static str {
+        match self {
+            Unfit::Format => "pixel format is not GRAY8 or RGB8: convert it at the source",
+            Unfit::Short => "size, stride or right_offset do not fit the bytes: repair the source",
+            Unfit::Large => "larger than max_width x max_height: configure larger ones",
+            Unfit::NoRoom => "all frames of the output are held by readers: let fewer or faster ones read",
+        }
+    }
+}
+
+impl From<NoFrame> for Unfit {
+    fn from(_: NoFrame) -> Unfit {
+        Unfit::NoRoom
+    }
+}
+
+/// What became of the frames of a filter.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct Tally {
+    /// Frames handled.
+    pub frames: u64,
+    /// Frames left out.
+    pub rejected: u64,
+    /// Why the last one was left out; empty when none was.
+    pub problem: Text<96>,
+}
+
+impl Tally {
+    pub(super) fn count(&mut self, done: Result<(), Unfit>) {
+        match done {
+            Ok(()) => self.frames += 1,
+            Err(why) => {
+                self.rejected += 1;
+                self.problem = Text::new(why.sentence());
+            }
+        }
+    }
+}
+
+/// The pool that holds frames of two packed images of `shape`, made once per size.
+pub(super) fn reserve(out: &mut Out<Frame<StereoHeader>>, made: &mut usize, shape: Shape) -> Result {
+    let bytes = 2 * shape.packed_bytes();
+    if *made != bytes {
+        out.reserve(bytes, super::SLOTS)?;
+        *made = bytes;
+    }
+    Ok(())
+}
+
+/// Both images of a received frame, left first.
+pub(super) fn images<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[View<'a>; 2], Unfit> {
+    let header = frame.header();
+    let format = match header.format {
+        PixelFormat::GRAY8 => Format::Gray8,
+        PixelFormat::RGB8 => Format::Rgb8,
+        _ => return Err(Unfit::Format),
+    };
+    let shape = Shape { width: header.width as usize, height: header.height as usize, format };
+    let bytes = frame.bytes();
+    let right = usize::try_from(header.right_offset).ok().and_then(|at| bytes.get(at..));
+    let view = |bytes| View::new(shape, header.stride as usize, bytes).map_err(|_| Unfit::Short);
+    Ok([view(bytes)?, view(right.ok_or(Unfit::Short)?)?])
+}
+
+/// Two packed images of `shape` to be filled; the rest of the header is that of `from`.
+pub(super) fn blank<'a>(
+    loan: &'a mut FrameLoan<'_, StereoHeader>,
+    from: &StereoHeader,
+    shape: Shape,
+) -> Result<[ViewMut<'a>; 2], Unfit> {
+    *loan.header_mut() = StereoHeader {
+        width: shape.width as u32,
+        height: shape.height as u32,
+        stride: shape.row_bytes() as u32,
+        format: match shape.format {
+            Format::Gray8 => PixelFormat::GRAY8,
+            Format::Rgb8 => PixelFormat::RGB8,
+        },
+        right_offset: shape.packed_bytes() as u64,
+        ..*from
+    };
+    let (left, right) = loan.bytes_mut().split_at_mut_checked(shape.packed_bytes()).ok_or(Unfit::Large)?;
+    let view = |bytes| ViewMut::packed(shape, bytes).map_err(|_| Unfit::Large);
+    Ok([view(left)?, view(right)?])
+}

@@ -1,0 +1,174 @@
+//! The filters on the bench, on frames of a few pixels.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use trocar_sdk::Class;
+use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::testing::Bench;
+
+/// Two images of one row of `width` pixels each.
+fn header(index: u64, width: u32, format: PixelFormat) -> StereoHeader {
+    let stride = width * format.bytes_per_pixel() as u32;
+    StereoHeader {
+        index,
+        width,
+        height: 1,
+        stride,
+        format,
+        right_offset: u64::from(stride),
+        ..Default::default()
+    }
+}
+
+/// What the class's only output gave.
+fn out<C: Class>(bench: &mut Bench<C>) -> Vec<(StereoHeader, Vec<u8>)> {
+    bench
+        .frames::<StereoHeader>(C::DESC.outputs[0].name)
+        .into_iter()
+        .map(|(h, bytes, _)| (h, bytes))
+        .collect()
+}
+
+#[test]
+fn gray_makes_both_images_grey_and_keeps_index_and_stamp() {
+    let mut bench = Bench::<Gray>::new("{}");
+    bench.push_frame("image", header(7, 1, PixelFormat::RGB8), &[255, 0, 0, 0, 255, 0]);
+    let pushed = bench.now();
+    bench.step(2);
+    assert_eq!(
+        bench.frames::<StereoHeader>("gray"),
+        [(header(7, 1, PixelFormat::GRAY8), vec![77, 149], pushed)]
+    );
+    assert_eq!(bench.state().tally.frames, 1);
+}
+
+#[test]
+fn gray_lets_grey_frames_pass() {
+    let mut bench = Bench::<Gray>::new("{}");
+    let grey = header(1, 2, PixelFormat::GRAY8);
+    bench.push_frame("image", grey, &[1, 2, 3, 4]);
+    bench.step(1);
+    assert_eq!(out(&mut bench), [(grey, vec![1, 2, 3, 4])]);
+}
+
+#[test]
+fn a_frame_that_lies_about_its_size_is_counted_and_the_next_one_is_taken() {
+    let mut bench = Bench::<Gray>::new("{}");
+    let lying = [
+        StereoHeader { right_offset: 4, ..header(1, 1, PixelFormat::RGB8) },
+        StereoHeader { right_offset: u64::MAX, ..header(1, 1, PixelFormat::RGB8) },
+        StereoHeader { width: u32::MAX, ..header(1, 1, PixelFormat::RGB8) },
+        StereoHeader { stride: 1, ..header(1, 1, PixelFormat::RGB8) },
+        header(1, 0, PixelFormat::RGB8),
+    ];
+    for (n, header) in (1..).zip(lying) {
+        bench.push_frame("image", header, &[0; 6]);
+        bench.step(1);
+        assert_eq!(bench.state().tally.rejected, n, "{header:?}");
+    }
+    assert!(bench.state().tally.problem.contains("right_offset"), "{}", bench.state().tally.problem);
+    bench.push_frame("image", header(2, 1, PixelFormat::RGB8), &[0; 6]);
+    bench.step(1);
+    assert_eq!(bench.state().tally.frames, 1);
+}
+
+#[test]
+fn unknown_formats_too_large_frames_and_a_full_pool_each_say_what_to_do() {
+    let mut bench = Bench::<Gray>::new(r#"{"max_width": 1, "max_height": 1}"#);
+    bench.push_frame("image", header(1, 1, PixelFormat::RGBA8), &[0; 8]);
+    bench.step(1);
+    assert!(bench.state().tally.problem.contains("GRAY8 or RGB8"));
+    bench.push_frame("image", header(1, 2, PixelFormat::RGB8), &[0; 12]);
+    bench.step(1);
+    assert!(bench.state().tally.problem.contains("max_width"));
+    bench.exhaust("gray", true);
+    bench.push_frame("image", header(1, 1, PixelFormat::RGB8), &[0; 6]);
+    bench.step(1);
+    assert!(bench.state().tally.problem.contains("held by readers"));
+    assert_eq!((bench.state().tally.frames, bench.state().tally.rejected), (0, 3));
+    assert!(out(&mut bench).is_empty());
+}
+
+#[test]
+fn resize_brings_both_images_of_any_size_and_format_to_one_size() {
+    let mut bench = Bench::<Resize>::new(r#"{"width": 1, "height": 1, "from_width": 2, "from_height": 1}"#);
+    bench.push_frame("image", header(1, 2, PixelFormat::GRAY8), &[0, 10, 100, 200]);
+    bench.step(1);
+    bench.push_frame("image", header(2, 4, PixelFormat::GRAY8), &[0, 0, 4, 4, 8, 8, 8, 8]);
+    bench.step(1);
+    bench.push_frame("image", header(3, 1, PixelFormat::RGB8), &[1, 2, 3, 4, 5, 6]);
+    bench.step(1);
+    assert_eq!(
+        out(&mut bench),
+        [
+            (header(1, 1, PixelFormat::GRAY8), vec![5, 150]),
+            (header(2, 1, PixelFormat::GRAY8), vec![2, 8]),
+            (header(3, 1, PixelFormat::RGB8), vec![1, 2, 3, 4, 5, 6]),
+        ]
+    );
+}
+
+#[test]
+fn resize_refuses_a_method_that_does_not_exist() {
+    let refused = Bench::<Resize>::created().configure(r#"{"method": "cubic"}"#).unwrap_err();
+    assert_eq!(refused.reason, r#"method: "cubic" is not one of "area", "bilinear""#);
+}
+
+#[test]
+fn pip_lays_the_newest_inset_into_both_images_where_it_is_told_while_running() {
+    let mut bench = Bench::<Pip>::new(r#"{"x": 0, "y": 0}"#);
+    bench.push_frame("inset", header(1, 1, PixelFormat::GRAY8), &[8, 9]);
+    let big = header(1, 3, PixelFormat::GRAY8);
+    bench.push_frame("image", big, &[0; 6]);
+    bench.step(1);
+    assert_eq!(out(&mut bench), [(big, vec![8, 0, 0, 9, 0, 0])]);
+    bench.configure(r#"{"x": 2, "y": 0}"#).unwrap();
+    bench.push_frame("image", big, &[0; 6]);
+    bench.step(1);
+    assert_eq!(out(&mut bench), [(big, vec![0, 0, 8, 0, 0, 9])]);
+    assert!(bench.state().inset_shown.get());
+}
+
+#[test]
+fn pip_hides_an_inset_that_is_switched_off_missing_or_stale() {
+    let mut bench = Bench::<Pip>::new(r#"{"x": 0, "y": 0}"#);
+    let big = header(1, 2, PixelFormat::GRAY8);
+    let shown = |bench: &mut Bench<Pip>| {
+        bench.push_frame("image", big, &[0; 4]);
+        bench.step(1);
+        out(bench) != [(big, vec![0; 4])]
+    };
+    assert!(!shown(&mut bench), "nothing was ever put in");
+    bench.push_frame("inset", header(1, 1, PixelFormat::GRAY8), &[8, 9]);
+    assert!(shown(&mut bench));
+    bench.make_stale("inset");
+    assert!(!shown(&mut bench), "the inset is stale");
+    bench.push_frame("inset", header(2, 1, PixelFormat::GRAY8), &[8, 9]);
+    bench.configure(r#"{"visible": false}"#).unwrap();
+    assert!(!shown(&mut bench), "the inset is switched off");
+}
+
+#[test]
+fn display_counts_frames_and_knows_their_age() {
+    let mut bench = Bench::<Display>::new("{}");
+    bench.push_frame("image", header(1, 2, PixelFormat::GRAY8), &[0; 4]);
+    bench.advance(4_000_000);
+    bench.step(1);
+    let s = bench.state();
+    assert_eq!((s.frames, s.gaps, s.width, s.height), (1, 0, 2, 1));
+    // 4 ms, and the bench's step of 1 ms.
+    assert!((s.latency_ms - 5.0).abs() < 1e-9, "{} ms", s.latency_ms);
+    assert_eq!(bench.read::<(), u64>("frames", ()).unwrap(), 1);
+}
+
+#[test]
+fn display_counts_what_was_overwritten_before_it_was_shown() {
+    let mut bench = Bench::<Display>::new("{}");
+    for index in 0..4 {
+        bench.push_frame("image", header(index, 1, PixelFormat::GRAY8), &[0; 2]);
+        if index != 1 && index != 2 {
+            bench.step(1);
+        }
+    }
+    assert_eq!((bench.state().frames, bench.state().gaps), (2, 2));
+}
