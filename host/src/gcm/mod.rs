@@ -2,9 +2,24 @@
 //!
 //! Invariant: only [`Gcm`] changes the graph; no lock that Stop needs is held while an LCM is asked.
 
+mod execute;
 mod ids;
+mod lines;
 mod manager;
 mod requests;
+mod sessions;
+mod stop;
+mod text;
 
+#[cfg(test)]
+pub(crate) mod fake;
+#[cfg(test)]
+mod tests;
+
+pub use execute::{ExecuteOptions, Executed};
 pub use ids::IdsError;
-pub use manager::{ExecuteOptions, Executed, Gcm, GcmConfig, Registered, Registration};
+pub use lines::Lines;
+pub use manager::{Gcm, GcmConfig};
+pub(crate) use sessions::observe;
+pub use sessions::{Registered, Registration, Slice};
+pub(crate) use text::lines as plan_lines;

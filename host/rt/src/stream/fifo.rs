@@ -18,8 +18,21 @@ pub(super) struct Fifo {
     head: Padded<AtomicU64>,
     tail: Padded<AtomicU64>,
     returned: Box<[AtomicU32]>,
-    returned_head: AtomicU64,
     returned_tail: Padded<AtomicU64>,
+}
+
+/// What only the writer knows: its free places and its positions in both rings. Kept here rather than loaded
+/// back from the shared words, also because loom would take such a load for the last conflicting access.
+pub(super) struct Writing {
+    free: Vec<u32>,
+    tail: u64,
+    returned_head: u64,
+}
+
+/// What only the reader knows: its position in the ring of returned places.
+#[derive(Default)]
+pub(super) struct Reading {
+    returned_tail: u64,
 }
 
 fn ring(at_least: usize) -> Box<[AtomicU32]> {
@@ -39,7 +52,6 @@ impl Fifo {
             head: Padded(AtomicU64::new(0)),
             tail: Padded(AtomicU64::new(0)),
             returned: ring(depth + SPARE),
-            returned_head: AtomicU64::new(0),
             returned_tail: Padded(AtomicU64::new(0)),
         }
     }
@@ -48,37 +60,45 @@ impl Fifo {
         self.depth + SPARE
     }
 
+    /// The writer's side at the beginning, with all places free.
+    pub(super) fn writing(&self) -> Writing {
+        Writing { free: (0..self.slots() as u32).collect(), tail: 0, returned_head: 0 }
+    }
+
     /// Writer: whether a push must drop something. Once false, it stays false until the writer pushes.
-    pub(super) fn is_full(&self) -> bool {
-        self.tail.0.load(Ordering::Relaxed) - self.head.0.load(Ordering::Acquire) >= self.depth as u64
+    pub(super) fn is_full(&self, writing: &Writing) -> bool {
+        writing.tail - self.head.0.load(Ordering::Acquire) >= self.depth as u64
     }
 
-    /// Writer: the oldest place, unless the reader made room meanwhile.
-    pub(super) fn drop_oldest(&self) -> Option<usize> {
-        let head = self.head.0.load(Ordering::Acquire);
-        if self.tail.0.load(Ordering::Relaxed) - head < self.depth as u64 {
-            return None;
+    /// Writer: a free place to fill. Of depth + 3 places at most depth are queued and two at the reader, so
+    /// there always is one.
+    pub(super) fn free_place(&self, writing: &mut Writing) -> Option<usize> {
+        if let Some(place) = writing.free.pop() {
+            return Some(place as usize);
         }
-        // A failure means that the reader took exactly this one, and so made room.
-        self.take(head)
-    }
-
-    /// Writer: queues a place. Not when full.
-    pub(super) fn push(&self, place: usize) {
-        let tail = self.tail.0.load(Ordering::Relaxed);
-        at(&self.ring, tail).store(place as u32, Ordering::Relaxed);
-        self.tail.0.store(tail + 1, Ordering::Release);
-    }
-
-    /// Writer: a place the reader gave back.
-    pub(super) fn reuse(&self) -> Option<usize> {
-        let head = self.returned_head.load(Ordering::Relaxed);
+        let head = writing.returned_head;
         if self.returned_tail.0.load(Ordering::Acquire) == head {
             return None;
         }
-        let place = at(&self.returned, head).load(Ordering::Relaxed);
-        self.returned_head.store(head + 1, Ordering::Relaxed);
-        Some(place as usize)
+        writing.returned_head = head + 1;
+        Some(at(&self.returned, head).load(Ordering::Relaxed) as usize)
+    }
+
+    /// Writer: queues a filled place; where the queue is full, `emptied` gets the oldest place, which is free
+    /// afterwards. Whether that was so.
+    pub(super) fn push(&self, writing: &mut Writing, place: usize, emptied: impl FnOnce(usize)) -> bool {
+        let head = self.head.0.load(Ordering::Acquire);
+        let full = writing.tail - head >= self.depth as u64;
+        // A failure to take it means that the reader took exactly this one, and so made room.
+        let oldest = if full { self.take(head) } else { None };
+        if let Some(oldest) = oldest {
+            emptied(oldest);
+            writing.free.push(oldest as u32);
+        }
+        at(&self.ring, writing.tail).store(place as u32, Ordering::Relaxed);
+        writing.tail += 1;
+        self.tail.0.store(writing.tail, Ordering::Release);
+        oldest.is_some()
     }
 
     /// Reader: how far the queue reaches now.
@@ -101,10 +121,10 @@ impl Fifo {
     }
 
     /// Reader: gives an emptied place back to the writer. There is room for all places.
-    pub(super) fn give_back(&self, place: usize) {
-        let tail = self.returned_tail.0.load(Ordering::Relaxed);
-        at(&self.returned, tail).store(place as u32, Ordering::Relaxed);
-        self.returned_tail.0.store(tail + 1, Ordering::Release);
+    pub(super) fn give_back(&self, reading: &mut Reading, place: usize) {
+        at(&self.returned, reading.returned_tail).store(place as u32, Ordering::Relaxed);
+        reading.returned_tail += 1;
+        self.returned_tail.0.store(reading.returned_tail, Ordering::Release);
     }
 
     fn take(&self, head: u64) -> Option<usize> {

@@ -107,7 +107,7 @@ pub fn stream_link(payload: Payload, queue: Queue) -> (StreamWriter, StreamReade
     });
     let writing = match &link.order {
         Order::Latest(_) => writer::End::Latest { back: latest::WRITERS },
-        Order::Fifo(fifo) => writer::End::Fifo { free: (0..fifo.slots() as u32).collect() },
+        Order::Fifo(fifo) => writer::End::Fifo(fifo.writing()),
     };
     (StreamWriter { link: Arc::clone(&link), end: TryCell::new(writing) }, StreamReader::new(link))
 }

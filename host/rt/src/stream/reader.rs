@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{Link, Meta, Order, StreamCounters, StreamStats, count, latest};
+use super::{Link, Meta, Order, StreamCounters, StreamStats, count, fifo, latest};
 use crate::pool::Frame;
 use crate::sync::Ordering;
 
@@ -28,12 +28,13 @@ pub struct StreamReader {
     place: Option<usize>,
     /// Whether there is a sample in it.
     holds: bool,
+    reading: fifo::Reading,
 }
 
 impl StreamReader {
     pub(super) fn new(link: Arc<Link>) -> Self {
         let place = matches!(link.order, Order::Latest(_)).then_some(latest::READERS);
-        Self { link, place, holds: false }
+        Self { link, place, holds: false, reading: fifo::Reading::default() }
     }
 
     /// The newest sample, fresh or as seen before; older unseen ones are skipped and counted. `None` before
@@ -112,10 +113,11 @@ impl StreamReader {
             Order::Fifo(fifo) => {
                 let end = fifo.end();
                 let Some(mut place) = fifo.pop(end) else { return false };
-                let give_back = |place| {
+                let reading = &mut self.reading;
+                let mut give_back = |place| {
                     // SAFETY: the reader owns the place, and `&mut self` ends every look at it.
                     unsafe { slots.empty(place) };
-                    fifo.give_back(place);
+                    fifo.give_back(reading, place);
                 };
                 while newest && let Some(newer) = fifo.pop(end) {
                     give_back(place);

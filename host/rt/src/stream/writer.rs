@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count};
+use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo};
 use crate::exclusive::TryCell;
 use crate::pool::Frame;
 use crate::sync::Ordering;
@@ -26,7 +26,7 @@ pub enum Pushed {
 /// The places the writer owns.
 pub(super) enum End {
     Latest { back: usize },
-    Fifo { free: Vec<u32> },
+    Fifo(fifo::Writing),
 }
 
 /// The writing end: for one producer thread, reachable through `&self`.
@@ -96,23 +96,15 @@ impl StreamWriter {
                 unsafe { self.link.slots.empty(got) };
                 if unseen { Pushed::DroppedOldest } else { Pushed::Queued }
             }
-            (Order::Fifo(fifo), End::Fifo { free }) => {
-                if fifo.drop == DropPolicy::DropNewest && fifo.is_full() {
+            (Order::Fifo(fifo), End::Fifo(writing)) => {
+                if fifo.drop == DropPolicy::DropNewest && fifo.is_full(writing) {
                     return Pushed::DroppedNewest;
                 }
-                // Of depth + 3 places at most depth are queued and two at the reader: one is always free.
-                let Some(place) = free.pop().map(|p| p as usize).or_else(|| fifo.reuse()) else {
-                    return Pushed::DroppedNewest;
-                };
+                let Some(place) = fifo.free_place(writing) else { return Pushed::DroppedNewest };
                 fill(place);
-                let dropped = fifo.drop_oldest();
-                if let Some(oldest) = dropped {
-                    // SAFETY: the place was just taken over by the writer.
-                    unsafe { self.link.slots.empty(oldest) };
-                    free.push(oldest as u32);
-                }
-                fifo.push(place);
-                if dropped.is_some() { Pushed::DroppedOldest } else { Pushed::Queued }
+                // SAFETY: the oldest place was just taken over by the writer.
+                let dropped = fifo.push(writing, place, |oldest| unsafe { self.link.slots.empty(oldest) });
+                if dropped { Pushed::DroppedOldest } else { Pushed::Queued }
             }
             _ => unreachable!("both are made together in `stream_link`"),
         }

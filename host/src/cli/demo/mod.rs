@@ -24,7 +24,7 @@ const SOURCE: &str = "host/source";
 /// The component whose configuration takes the image directory.
 const IMAGE_KEY: &str = "host/source.directory";
 /// The last connection of the video chain: what arrives here went all the way.
-const CHAIN_END: &str = "host/pip/inset";
+const CHAIN_END: &str = "host/display/image";
 const TRY: &str = "host/robot/arm/measured_js";
 /// Threads, caches and the robot's first motion settle before figures are taken.
 const SETTLE: Duration = Duration::from_millis(500);
@@ -133,10 +133,10 @@ fn report(watched: &Watched, a: &Reading, b: &Reading, window: Duration) -> Repo
         let at = watched.components.iter().position(|id| id.to_string() == name);
         at.map(|i| Steps::between(a, b, i, late)).unwrap_or_default()
     };
-    let chain =
-        |name: &str| name.contains(SOURCE) || name.contains("host/gray") || name.contains("host/resize");
+    // The robot's connection carries commands, the others frames.
+    let video = |name: &str| !name.starts_with(ROBOT);
     let lost = |r: &Reading| -> u64 {
-        watched.wires.iter().zip(&r.links).filter(|(w, _)| chain(&w.name)).map(|(_, l)| l.dropped).sum()
+        watched.wires.iter().zip(&r.links).filter(|(w, _)| video(&w.name)).map(|(_, l)| l.dropped).sum()
     };
     let end = watched.wires.iter().position(|w| w.name.ends_with(CHAIN_END));
     let passed = |r: &Reading| end.map_or(0, |i| r.links[i].passed);

@@ -11,7 +11,7 @@ use crate::gray::convert;
 use crate::view::{Format, Shape};
 
 #[derive(Config)]
-pub struct GrayConfig {
+struct GrayConfig {
     /// Widest image that will come; sets the size of the output's frames
     #[config(min = 1, max = 16384, unit = "px", default = 1920)]
     max_width: u32,

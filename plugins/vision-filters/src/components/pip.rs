@@ -12,7 +12,7 @@ use crate::pip::lay;
 use crate::view::{Format, Shape};
 
 #[derive(Config)]
-pub struct PipConfig {
+struct PipConfig {
     /// Column of the inset's left edge; moved so that the inset fits
     #[config(live, min = 0, max = 16384, unit = "px", default = 16)]
     x: i64,

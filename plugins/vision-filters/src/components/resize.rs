@@ -11,7 +11,7 @@ use crate::resize::{Method, Resizer};
 use crate::view::{Format, Shape};
 
 #[derive(Config)]
-pub struct ResizeConfig {
+struct ResizeConfig {
     /// Width of the result
     #[config(min = 1, max = 16384, unit = "px", default = 160)]
     width: u32,

@@ -1,0 +1,224 @@
+//! Requests carried out: planned as one change set, done by the LCMs, undone when one of them refuses.
+//!
+//! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM did it.
+
+use std::time::{Duration, Instant};
+
+use tokio::sync::MutexGuard;
+use trocar_model::{Change, ComponentId, Name, Plan, Refusal, Request, Skipped, inverse, plan_all};
+
+use super::Gcm;
+use super::manager::lock;
+use super::requests::{Answer, Known};
+use super::sessions::observe;
+use super::stop::Carrying;
+use super::text;
+use crate::lcm::Report;
+
+/// Time a request gets when it names no deadline.
+const WITHIN: Duration = Duration::from_secs(5);
+/// Time a rollback gets for each change, beyond the request's own deadline.
+pub(super) const UNDO: Duration = Duration::from_secs(2);
+/// An LCM keeps deadlines itself and says what hung; this much later it is not waited for.
+const GRACE: Duration = Duration::from_millis(50);
+
+/// How a request is to be executed.
+#[derive(Clone, Debug, Default)]
+pub struct ExecuteOptions {
+    pub validate_only: bool,
+    /// Same id, same answer; empty = none.
+    pub request_id: String,
+    pub expected_revision: Option<u64>,
+    /// For the whole request; then what was done is undone. Unset: 5 s from now.
+    pub deadline: Option<Instant>,
+    /// Who asks, for the audit line.
+    pub identity: String,
+}
+
+/// What an accepted request did.
+#[derive(Clone, Debug, Default)]
+pub struct Executed {
+    pub revision: u64,
+    pub plan: Plan,
+    pub reports: Vec<Report>,
+    /// Of a Stop: what could not be stopped; the others are.
+    pub failed: Vec<(ComponentId, Refusal)>,
+}
+
+impl Executed {
+    pub fn skipped(&self) -> &[Skipped] {
+        &self.plan.skipped
+    }
+}
+
+impl Gcm {
+    /// Plans the requests as one change set and does it: all, or nothing.
+    ///
+    /// # Errors
+    /// Whatever the plan or a component refuses; then what was done is undone. A Stop goes on over failures.
+    pub async fn execute(&self, requests: Vec<Request>, options: ExecuteOptions) -> Answer {
+        let deadline = options.deadline.unwrap_or_else(|| Instant::now() + WITHIN);
+        if options.validate_only || options.request_id.is_empty() {
+            return self.audited(&requests, &options, deadline).await;
+        }
+        let known = lock(&self.inner.answers).ask(&options.request_id, &requests, Instant::now());
+        match known {
+            Known::New(tell) => {
+                let answer = self.audited(&requests, &options, deadline).await;
+                tell.send_replace(Some(answer.clone()));
+                answer
+            }
+            Known::Same(mut answer) => {
+                let given = tokio::time::timeout_at(deadline.into(), answer.wait_for(Option::is_some)).await;
+                match given {
+                    Ok(Ok(answer)) => answer.clone().unwrap_or_else(|| Err(given_up())),
+                    Ok(Err(_)) => Err(given_up()),
+                    Err(_) => Err(self.busy(&requests)),
+                }
+            }
+            Known::Other => Err(Refusal::ArgumentInvalid {
+                what: format!("request_id \"{}\"", options.request_id),
+                why: "it was used for another request within the last 10 minutes: use a new one".into(),
+                field: "request_id".into(),
+            }),
+        }
+    }
+
+    async fn audited(&self, requests: &[Request], options: &ExecuteOptions, deadline: Instant) -> Answer {
+        let stop_only = !requests.is_empty() && requests.iter().all(|r| matches!(r, Request::Stop { .. }));
+        let answer = if stop_only {
+            self.stop(requests, options.validate_only, deadline).await
+        } else {
+            self.change(requests, options, deadline).await
+        };
+        if !options.validate_only {
+            let outcome = match &answer {
+                Ok(done) => format!("revision {}", done.revision),
+                Err(refusal) => format!("refused: {} {refusal}", refusal.reason()),
+            };
+            log::info!(target: "audit", "{} asked {requests:?}: {outcome}", options.identity);
+        }
+        answer
+    }
+
+    async fn change(&self, requests: &[Request], options: &ExecuteOptions, deadline: Instant) -> Answer {
+        let _writer = self.writer(requests, deadline).await?;
+        let graph = self.graph();
+        if let Some(expected) = options.expected_revision
+            && expected != graph.revision
+        {
+            return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
+        }
+        let plan = plan_all(&graph, requests)?;
+        let mut done = Executed { revision: graph.revision, plan, ..Executed::default() };
+        if options.validate_only || done.plan.changes.is_empty() {
+            return Ok(done);
+        }
+        self.all_or_nothing(&mut done, deadline).await?;
+        done.revision = self.accepted();
+        Ok(done)
+    }
+
+    /// The turn to change the graph.
+    pub(super) async fn writer(
+        &self,
+        requests: &[Request],
+        deadline: Instant,
+    ) -> Result<MutexGuard<'_, ()>, Refusal> {
+        let waited = tokio::time::timeout_at(deadline.into(), self.inner.writer.lock()).await;
+        waited.map_err(|_| self.busy(requests))
+    }
+
+    /// Another request took all the time this one had.
+    fn busy(&self, requests: &[Request]) -> Refusal {
+        let what = "its turn: another request is still being carried out".to_owned();
+        let named = requests.iter().find_map(process_of);
+        match named.or_else(|| self.graph().processes.keys().next().cloned()) {
+            Some(process) => Refusal::LcmTimeout { process, what },
+            None => Refusal::Internal { text: what },
+        }
+    }
+
+    /// One more accepted request.
+    pub(super) fn accepted(&self) -> u64 {
+        let mut revision = 0;
+        self.edit(|graph| {
+            graph.revision += 1;
+            revision = graph.revision;
+        });
+        revision
+    }
+
+    async fn all_or_nothing(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
+        let carrying = Carrying::begin(self, &done.plan);
+        for (i, change) in done.plan.changes.iter().enumerate() {
+            match carrying.one(change, deadline).await {
+                Ok(report) => done.reports.push(report),
+                Err(refusal) => {
+                    let undo = inverse(&Plan { changes: done.plan.changes[..i].to_vec(), skipped: Vec::new() });
+                    for change in undo.changes {
+                        if let Err(refusal) = carrying.one(&change, Instant::now() + UNDO).await {
+                            log::error!("undoing it ({}): {refusal}", text::line(&change));
+                        }
+                    }
+                    return Err(refusal);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// One change: done by the LCM, then entered in the graph.
+    pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
+        let process = &id_of(change).process;
+        let lcm = self.lcm_of(process)?;
+        let asked = tokio::time::timeout_at((deadline + GRACE).into(), lcm.apply(change.clone(), deadline)).await;
+        let report = asked.map_err(|_| Refusal::LcmTimeout {
+            process: process.clone(),
+            what: text::asked(change),
+        })??;
+        self.edit(|graph| {
+            let revision = graph.revision;
+            graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
+            graph.revision = revision;
+            observe(graph, &report);
+        });
+        Ok(report)
+    }
+}
+
+fn given_up() -> Refusal {
+    Refusal::Internal { text: "the request with this request_id was given up without an answer".into() }
+}
+
+/// A process the request names, for the sentence.
+fn process_of(request: &Request) -> Option<Name> {
+    use trocar_model::{Target, Which};
+    match request {
+        Request::Create { id, .. } | Request::Remove { id, .. } | Request::Configure { id, .. } => {
+            Some(id.process.clone())
+        }
+        Request::Start { targets }
+        | Request::Stop { targets }
+        | Request::Resume { targets }
+        | Request::Reset { targets } => targets.iter().find_map(|t| match t {
+            Target::One(id) => Some(id.process.clone()),
+            Target::Glob(_) => None,
+        }),
+        Request::Connect { client, .. } | Request::Disconnect { which: Which::Pair { client, .. } } => {
+            Some(client.component.process.clone())
+        }
+        Request::Disconnect { which: Which::Id(_) } => None,
+    }
+}
+
+/// The component whose LCM carries the change out.
+pub(super) fn id_of(change: &Change) -> &ComponentId {
+    match change {
+        Change::Create { id, .. }
+        | Change::Destroy { id, .. }
+        | Change::Configure { id, .. }
+        | Change::Run { id, .. } => id,
+        Change::Connect { connection } | Change::Disconnect { connection } => &connection.client.component,
+    }
+}

@@ -1,0 +1,45 @@
+//! The newest log lines, for those who ask later, and those that come, for those who follow.
+//!
+//! Invariant: nobody sees a line twice or misses one between what was kept and what comes.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+
+use tokio::sync::broadcast;
+
+use crate::lcm::LogLine;
+
+/// Lines kept.
+const KEPT: usize = 1000;
+
+/// Log lines of every component this port speaks for.
+#[derive(Debug)]
+pub struct Lines {
+    kept: Mutex<VecDeque<LogLine>>,
+    live: broadcast::Sender<LogLine>,
+}
+
+impl Default for Lines {
+    fn default() -> Self {
+        Lines { kept: Mutex::default(), live: broadcast::Sender::new(KEPT) }
+    }
+}
+
+impl Lines {
+    /// Adds the newest line.
+    pub fn keep(&self, line: LogLine) {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.len() == KEPT {
+            kept.pop_front();
+        }
+        kept.push_back(line.clone());
+        // Nobody following is not an error.
+        let _ = self.live.send(line);
+    }
+
+    /// The lines kept, oldest first, and what comes after them.
+    pub fn tail(&self) -> (Vec<LogLine>, broadcast::Receiver<LogLine>) {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        (kept.iter().cloned().collect(), self.live.subscribe())
+    }
+}
