@@ -1,21 +1,23 @@
 //! Figures of a running process over a window of time, and their live table.
 //!
-//! Invariant: counters are read with the clock on both sides of the reading, so a window's length is known to a fraction
-//! of a millisecond whatever the machine does.
+//! Invariant: a window begins and ends right after a step of the leading component, when its counters agree with its time
+//! grid; in between it may be late, and the machine may be busy, without a count being off.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use tokio::runtime::Handle;
 use trocar_model::ComponentId;
 
 use super::table::Table;
 use super::units;
 use crate::lcm::{Detail, Lcm, LinkDetail};
 
-/// A reading is repeated until it took no longer than this.
-const SHARP: Duration = Duration::from_micros(200);
-const TRIES: usize = 50;
+/// Between two looks for a step.
+const LOOK: Duration = Duration::from_micros(50);
+/// A component that makes no step for this long is read as it is.
+const PATIENCE: Duration = Duration::from_millis(200);
 
 /// One connection to look at.
 #[derive(Clone, Debug)]
@@ -29,8 +31,16 @@ pub(super) struct Wire {
 #[derive(Clone)]
 pub(super) struct Watched {
     pub(super) lcm: Arc<dyn Lcm>,
-    pub(super) components: Vec<ComponentId>,
+    pub(super) components: Vec<Stepper>,
     pub(super) wires: Vec<Wire>,
+}
+
+/// One component to look at.
+#[derive(Clone, Debug)]
+pub(super) struct Stepper {
+    pub(super) id: ComponentId,
+    /// Of its grid, ns; 0 = it has none.
+    pub(super) period_ns: u64,
 }
 
 /// All counters at one moment.
@@ -44,27 +54,29 @@ pub(super) struct Reading {
 impl Watched {
     /// Reads everything. What is gone reads as zero.
     pub(super) async fn read(&self) -> Reading {
-        let mut last = self.read_once().await;
-        for _ in 1..TRIES {
-            if last.1 <= SHARP {
-                break;
-            }
-            last = self.read_once().await;
-        }
-        last.0
-    }
-
-    async fn read_once(&self) -> (Reading, Duration) {
         let at = Instant::now();
         let mut components = Vec::with_capacity(self.components.len());
-        for id in &self.components {
-            components.push(self.lcm.detail(id.clone()).await.unwrap_or_default());
+        for stepper in &self.components {
+            components.push(self.lcm.detail(stepper.id.clone()).await.unwrap_or_default());
         }
-        let took = at.elapsed();
         let all = self.lcm.links().await.unwrap_or_default();
         let links =
             self.wires.iter().map(|w| all.iter().find(|l| l.connection == w.id).cloned().unwrap_or_default());
-        (Reading { at, components, links: links.collect() }, took)
+        Reading { at, components, links: links.collect() }
+    }
+
+    /// Reads everything right after a step of component `i`; blocks the calling thread.
+    pub(super) fn read_after_step(&self, i: usize, runtime: &Handle) -> Reading {
+        let cycles = |r: &Reading| r.components.get(i).map(|d| d.executed + d.skipped);
+        let first = runtime.block_on(self.read());
+        loop {
+            let now = runtime.block_on(self.read());
+            std::thread::sleep(LOOK);
+            if cycles(&now) != cycles(&first) || now.at - first.at > PATIENCE {
+                // The step's own counters are all written by now; the next step is far.
+                return Reading { at: now.at, ..runtime.block_on(self.read()) };
+            }
+        }
     }
 }
 
@@ -81,17 +93,15 @@ pub(super) struct Steps {
 }
 
 impl Steps {
-    /// Between two readings of component `i`. `late` is how much later than wanted the second one was taken: periods
-    /// that began in it are not of the window.
-    pub(super) fn between(a: &Reading, b: &Reading, i: usize, late: Duration) -> Self {
+    /// Of component `i` between two readings. `late` is how much later than wanted the second one was taken: periods that
+    /// began in it are not of the window.
+    pub(super) fn between(a: &Reading, b: &Reading, i: usize, period_ns: u64, late: Duration) -> Self {
         let (from, to) = (&a.components[i], &b.components[i]);
         let seconds = (b.at - a.at).as_secs_f64();
         let executed = to.executed.saturating_sub(from.executed);
         let skipped = to.skipped.saturating_sub(from.skipped);
-        let beyond = match to.period.avg_ns {
-            period if period > 0.0 => (late.as_nanos() as f64 / period).round() as u64,
-            _ => 0,
-        };
+        let beyond =
+            if period_ns > 0 { (late.as_nanos() as f64 / period_ns as f64).round() as u64 } else { 0 };
         Self {
             executed: executed.saturating_sub(beyond),
             skipped,
@@ -107,11 +117,11 @@ impl Steps {
 /// The table of one second.
 pub(super) fn table(watched: &Watched, a: &Reading, b: &Reading, colour: bool) -> String {
     let mut steps = Table::new(&["COMPONENT", "RATE", "LATE p50", "p99", "SKIPPED", "OVERRUNS", "LOAD"]);
-    for (i, id) in watched.components.iter().enumerate() {
-        let s = Steps::between(a, b, i, Duration::ZERO);
+    for (i, stepper) in watched.components.iter().enumerate() {
+        let s = Steps::between(a, b, i, stepper.period_ns, Duration::ZERO);
         let d = &b.components[i];
         steps.row([
-            id.to_string(),
+            stepper.id.to_string(),
             units::rate(s.rate_hz),
             units::time(s.lateness_p50_ns),
             units::time(s.lateness_p99_ns),
@@ -138,24 +148,18 @@ pub(super) fn table(watched: &Watched, a: &Reading, b: &Reading, colour: bool) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lcm::Spread;
 
     #[test]
     fn periods_that_began_after_the_window_are_not_counted() {
         let at = Instant::now();
         let reading = |at, executed, skipped| Reading {
             at,
-            components: vec![Detail {
-                executed,
-                skipped,
-                period: Spread { avg_ns: 1e6, ..Spread::default() },
-                ..Detail::default()
-            }],
+            components: vec![Detail { executed, skipped, ..Detail::default() }],
             links: Vec::new(),
         };
         let a = reading(at, 100, 1);
         let b = reading(at + Duration::from_millis(1003), 1101, 3);
-        let steps = Steps::between(&a, &b, 0, Duration::from_millis(3));
+        let steps = Steps::between(&a, &b, 0, 1_000_000, Duration::from_millis(3));
         assert_eq!((steps.executed, steps.skipped), (998, 2), "{steps:?}");
     }
 }

@@ -11,4 +11,4 @@ mod status;
 mod uplink;
 
 pub use serve::{ServeConfig, ServeError, Server};
-pub use uplink::Uplink;
+pub use uplink::{Uplink, UplinkError};

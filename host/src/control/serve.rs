@@ -9,7 +9,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio::sync::oneshot;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 use tonic::transport::server::TcpIncoming;
 use trocar_model::Name;
@@ -19,10 +20,10 @@ use trocar_proto::v1::gcm_service_server::GcmServiceServer;
 use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
-use super::attach::AttachEdge;
+use super::attach::{AttachEdge, MAX_MESSAGE};
 use super::server::Edge;
-use crate::gcm::Gcm;
-use crate::lcm::Lcm;
+use crate::gcm::{Gcm, Lines};
+use crate::lcm::{Lcm, News};
 
 /// Streams one connection may have open at once.
 const MAX_STREAMS: u32 = 256;
@@ -60,7 +61,11 @@ impl std::error::Error for ServeError {}
 pub struct Server {
     addr: SocketAddr,
     stop: oneshot::Sender<()>,
+    /// Streams that would never end by themselves end with it.
+    open: watch::Sender<()>,
     task: JoinHandle<()>,
+    /// Keeps log lines where no GCM does.
+    logging: Option<JoinHandle<()>>,
 }
 
 impl Server {
@@ -71,8 +76,10 @@ impl Server {
     pub async fn start(config: ServeConfig) -> Result<Server, ServeError> {
         let listener = bind(&config.listen).await?;
         let addr = listener.local_addr().map_err(|e| unusable(&config.listen, &e))?;
-        let edge = Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by };
-        let router = routes(edge, config.gcm).await.map_err(|because| ServeError {
+        let (lines, logging) = lines(config.gcm.as_ref(), config.local.as_ref());
+        let edge = Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by, lines };
+        let (open, closing) = watch::channel(());
+        let router = routes(edge, config.gcm, closing).await.map_err(|because| ServeError {
             because,
             help: "rebuild trocar: its service descriptions are damaged".into(),
         })?;
@@ -87,7 +94,7 @@ impl Server {
                 log::error!("the gRPC port ended: {e}");
             }
         });
-        Ok(Server { addr, stop, task })
+        Ok(Server { addr, stop, open, task, logging })
     }
 
     /// Where it listens.
@@ -99,6 +106,10 @@ impl Server {
     pub async fn shutdown(self) {
         // A server that ended by itself has nobody listening.
         let _ = self.stop.send(());
+        drop(self.open);
+        if let Some(logging) = self.logging {
+            logging.abort();
+        }
         let mut task = self.task;
         if tokio::time::timeout(GRACE, &mut task).await.is_err() {
             task.abort();
@@ -141,12 +152,39 @@ fn unusable(listen: &str, e: &std::io::Error) -> ServeError {
     }
 }
 
-async fn routes(edge: Edge, gcm: Option<Gcm>) -> Result<tonic::transport::server::Router, String> {
+/// The log lines this port shows, and who keeps them.
+fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>, Option<JoinHandle<()>>) {
+    if let Some(gcm) = gcm {
+        return (gcm.lines().clone(), None);
+    }
+    let lines = Arc::<Lines>::default();
+    let keeper = local.map(|(_, lcm)| {
+        let (mut news, lines) = (lcm.news(), lines.clone());
+        tokio::spawn(async move {
+            loop {
+                match news.recv().await {
+                    Ok(News::Log(line)) => lines.keep(line),
+                    Ok(_) | Err(RecvError::Lagged(_)) => {}
+                    Err(RecvError::Closed) => return,
+                }
+            }
+        })
+    });
+    (lines, keeper)
+}
+
+async fn routes(
+    edge: Edge,
+    gcm: Option<Gcm>,
+    closing: watch::Receiver<()>,
+) -> Result<tonic::transport::server::Router, String> {
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<GcmServiceServer<Edge>>().await;
     reporter.set_serving::<InteractServiceServer<Edge>>().await;
     reporter.set_serving::<PluginServiceServer<Edge>>().await;
-    reporter.set_serving::<AttachServiceServer<AttachEdge>>().await;
+    if gcm.is_some() {
+        reporter.set_serving::<AttachServiceServer<AttachEdge>>().await;
+    }
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
@@ -161,7 +199,11 @@ async fn routes(edge: Edge, gcm: Option<Gcm>) -> Result<tonic::transport::server
         .add_service(GcmServiceServer::new(edge.clone()))
         .add_service(InteractServiceServer::new(edge.clone()))
         .add_service(PluginServiceServer::new(edge))
-        .add_optional_service(gcm.map(|gcm| AttachServiceServer::new(AttachEdge::new(gcm))))
+        .add_optional_service(gcm.map(|gcm| {
+            AttachServiceServer::new(AttachEdge::new(gcm, closing))
+                .max_decoding_message_size(MAX_MESSAGE)
+                .max_encoding_message_size(MAX_MESSAGE)
+        }))
         .add_service(health)
         .add_service(reflection().build_v1().map_err(|e| e.to_string())?)
         .add_service(reflection().build_v1alpha().map_err(|e| e.to_string())?))

@@ -115,6 +115,11 @@ impl Gcm {
         }
     }
 
+    /// `f` answers whether anything is different; without that nobody is woken.
+    pub(super) fn edit_if(&self, f: impl FnOnce(&mut Arc<SystemGraph>) -> bool) {
+        self.inner.graph.send_if_modified(f);
+    }
+
     pub(super) fn edit(&self, f: impl FnOnce(&mut SystemGraph)) {
         self.inner.graph.send_modify(|graph| f(Arc::make_mut(graph)));
     }

@@ -22,4 +22,4 @@ pub use lines::Lines;
 pub use manager::{Gcm, GcmConfig};
 pub(crate) use sessions::observe;
 pub use sessions::{Registered, Registration, Slice};
-pub(crate) use text::lines as plan_lines;
+pub(crate) use text::{asked, lines as plan_lines};

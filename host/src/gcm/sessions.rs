@@ -227,15 +227,25 @@ async fn follow(
         if !gcm.current(&process, epoch) {
             return;
         }
+        let mut lagged = false;
         match heard {
-            Ok(News::State(report)) => gcm.edit(|graph| observe(graph, &report)),
-            Ok(News::Catalog(classes)) => gcm.edit(|graph| {
-                if let Some(p) = graph.processes.get_mut(&process) {
-                    p.classes = classes;
+            Ok(first) => gcm.edit_if(|graph| {
+                // An LCM tells its news before it answers. So all that is queued now is entered before any later answer
+                // is, and no state that was passed long ago comes back.
+                let mut changed = enter(&gcm, graph, &process, first);
+                for _ in 0..news.len() {
+                    match news.try_recv() {
+                        Ok(next) => changed |= enter(&gcm, graph, &process, next),
+                        Err(e) => lagged |= matches!(e, broadcast::error::TryRecvError::Lagged(_)),
+                    }
                 }
+                changed
             }),
-            Ok(News::Log(line)) => gcm.lines().keep(line),
-            Err(broadcast::error::RecvError::Lagged(_)) => match lcm.inventory().await {
+            Err(broadcast::error::RecvError::Lagged(_)) => lagged = true,
+            Err(broadcast::error::RecvError::Closed) => return gcm.lost(&process, epoch),
+        }
+        if lagged {
+            match lcm.inventory().await {
                 Ok(Inventory { components, classes }) => gcm.edit(|graph| {
                     components.iter().for_each(|report| observe(graph, report));
                     if let Some(p) = graph.processes.get_mut(&process) {
@@ -243,8 +253,24 @@ async fn follow(
                     }
                 }),
                 Err(refusal) => log::warn!("the inventory of {process} cannot be had: {refusal}"),
-            },
-            Err(broadcast::error::RecvError::Closed) => return gcm.lost(&process, epoch),
+            }
         }
     }
+}
+
+/// True: the graph is different.
+fn enter(gcm: &Gcm, graph: &mut Arc<SystemGraph>, process: &Name, news: News) -> bool {
+    match news {
+        News::State(report) => observe(Arc::make_mut(graph), &report),
+        News::Catalog(classes) => {
+            if let Some(p) = Arc::make_mut(graph).processes.get_mut(process) {
+                p.classes = classes;
+            }
+        }
+        News::Log(line) => {
+            gcm.lines().keep(line);
+            return false;
+        }
+    }
+    true
 }

@@ -35,7 +35,7 @@ pub(super) fn line(change: &Change) -> String {
 }
 
 /// What is waited for when a change takes too long: "Start host/robot".
-pub(super) fn asked(change: &Change) -> String {
+pub(crate) fn asked(change: &Change) -> String {
     match change {
         Change::Create { id, .. } => format!("Create {id}"),
         Change::Destroy { id, .. } => format!("Remove {id}"),

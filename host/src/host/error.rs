@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use trocar_model::Refusal;
 
-use crate::control::ServeError;
+use crate::control::{ServeError, UplinkError};
 use crate::loader::StoreError;
 
 /// Why a host does not start, or has to end.
@@ -123,6 +123,15 @@ impl From<StoreError> for HostError {
 impl From<ServeError> for HostError {
     fn from(e: ServeError) -> Self {
         HostError::Listen { because: e.because, help: e.help }
+    }
+}
+
+impl From<UplinkError> for HostError {
+    fn from(e: UplinkError) -> Self {
+        match e {
+            UplinkError::NoGcm { addr, because } => HostError::NoGcm { addr, because },
+            UplinkError::Refused(refusal) => HostError::Refused(refusal),
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use std::fmt;
 use nalgebra::{Isometry3, Vector6};
 
 use crate::crtk::{Command, Operating, Refused, State};
-use crate::drive::{Drive, Lost, Measured};
+use crate::drive::{Drive, Lost, Measured, SimulatedDrive, Simulation};
 use crate::joints::{Joints, Limits, NAMES, Refusal, per_kind};
 use crate::kinematics::{Kinematics, Unreachable};
 use crate::trajectory::Trajectory;
@@ -64,6 +64,14 @@ pub struct Arm<D> {
     motion: Motion,
     measured: Measured,
     setpoint: Measured,
+}
+
+impl Default for Arm<SimulatedDrive> {
+    /// The simulated arm at home, in DISABLED.
+    fn default() -> Self {
+        let home = Joints::zeros();
+        Arm::new(Settings::default(), SimulatedDrive::new(Simulation::default(), home), home)
+    }
 }
 
 impl<D: Drive> Arm<D> {

@@ -15,7 +15,6 @@ const SLOTS: u32 = 6;
 #[derive(Config)]
 pub(crate) struct ImageSourceConfig {
     /// Folder with left*/right* PNG or JPEG files, read when configured; relative to the directory the host runs in
-    #[config()]
     directory: String,
     /// `as_stored` is GRAY8 when every file is grey, else RGB8
     #[config(one_of = ["as_stored", "rgb8"], default = "as_stored")]

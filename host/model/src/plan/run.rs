@@ -148,14 +148,21 @@ fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Ve
     open.map(|(name, _)| name.to_owned()).collect()
 }
 
-/// Servers before clients, and whoever lends its thread before those who run in it; circles are cut at the first path.
+/// Servers before clients; but whoever lends its thread comes after those who run in it: the head of a stream sets the rest
+/// in motion, and its first sample must find them there. Circles are cut at the first path.
 fn servers_first(graph: &SystemGraph, targets: Vec<(ComponentId, bool)>) -> Vec<(ComponentId, bool)> {
     let mut servers: BTreeMap<&ComponentId, BTreeSet<ComponentId>> = BTreeMap::new();
-    for (id, component) in &graph.components {
-        servers.entry(id).or_default().extend(host_of(&component.execution));
+    let host = |id: &ComponentId| graph.components.get(id).and_then(|c| host_of(&c.execution));
+    for id in graph.components.keys() {
+        if let Some((lender, _)) = host(id).and_then(|h| graph.components.get_key_value(&h)) {
+            servers.entry(lender).or_default().insert(id.clone());
+        }
     }
     for connection in graph.connections.values() {
-        servers.entry(&connection.client.component).or_default().insert(connection.server.component.clone());
+        let (client, server) = (&connection.client.component, &connection.server.component);
+        if host(client).as_ref() != Some(server) {
+            servers.entry(client).or_default().insert(server.clone());
+        }
     }
     let mut wanted: BTreeMap<ComponentId, bool> = targets.into_iter().collect();
     let mut seen = BTreeSet::new();

@@ -40,7 +40,7 @@ fn servers_start_before_clients_and_stop_after_them() {
 }
 
 #[test]
-fn the_head_of_a_stream_starts_before_what_runs_in_it_even_unconnected() {
+fn the_head_of_a_stream_starts_after_what_runs_in_it_even_unconnected() {
     let mut graph = empty();
     done(
         &mut graph,
@@ -52,7 +52,7 @@ fn the_head_of_a_stream_starts_before_what_runs_in_it_even_unconnected() {
         ],
     );
     let plan = plan(&graph, &start(&["host/a", "host/zsource", "host/other"])).unwrap();
-    assert_eq!(runs(&plan).last().unwrap(), "host/a ACTIVE");
+    assert_eq!(runs(&plan).last().unwrap(), "host/zsource ACTIVE");
 }
 
 #[test]

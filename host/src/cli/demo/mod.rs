@@ -9,7 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::failure::{Done, Exit, Failure};
-use super::figures::{Reading, Steps, Watched, Wire, table};
+use super::figures::{Reading, Stepper, Steps, Watched, Wire, table};
 use super::session::Session;
 use super::{logging, out, run, session, style};
 use crate::host::{Host, signals};
@@ -89,6 +89,9 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
 
 async fn show(host: &mut Host, seconds: Option<u64>, session: &Session) -> Done {
     let Some(watched) = watched(host) else { return Ok(Exit::Ok) };
+    if session.json() && seconds.is_none() {
+        out::line(&serde_json::json!({ "listening": host.addr().to_string() }).to_string());
+    }
     if !session.json() {
         out::line(&format!("trocar demo is running; listening on {}", host.addr()));
         out::text(&run::hints(host.addr(), Some(TRY)));
@@ -119,9 +122,10 @@ async fn measure(watched: Watched, seconds: Option<u64>) -> Option<Report> {
     tokio::time::sleep(SETTLE).await;
     let runtime = tokio::runtime::Handle::current();
     let measuring = tokio::task::spawn_blocking(move || {
-        let a = runtime.block_on(watched.read());
+        let robot = watched.components.iter().position(|c| c.id.to_string() == ROBOT).unwrap_or_default();
+        let a = watched.read_after_step(robot, &runtime);
         std::thread::sleep((a.at + window).saturating_duration_since(Instant::now()));
-        let b = runtime.block_on(watched.read());
+        let b = watched.read_after_step(robot, &runtime);
         report(&watched, &a, &b, window)
     });
     measuring.await.ok()
@@ -130,8 +134,8 @@ async fn measure(watched: Watched, seconds: Option<u64>) -> Option<Report> {
 fn report(watched: &Watched, a: &Reading, b: &Reading, window: Duration) -> Report {
     let late = (b.at - a.at).saturating_sub(window);
     let steps = |name: &str| {
-        let at = watched.components.iter().position(|id| id.to_string() == name);
-        at.map(|i| Steps::between(a, b, i, late)).unwrap_or_default()
+        let at = watched.components.iter().position(|c| c.id.to_string() == name);
+        at.map(|i| Steps::between(a, b, i, watched.components[i].period_ns, late)).unwrap_or_default()
     };
     // The robot's connection carries commands, the others frames.
     let video = |name: &str| !name.starts_with(ROBOT);
@@ -177,7 +181,11 @@ fn watched(host: &Host) -> Option<Watched> {
     let graph = host.gcm()?.graph();
     Some(Watched {
         lcm: host.lcm()?.clone(),
-        components: graph.components.keys().cloned().collect(),
+        components: graph
+            .components
+            .iter()
+            .map(|(id, c)| Stepper { id: id.clone(), period_ns: c.execution.period_ns.unwrap_or(0) })
+            .collect(),
         wires: graph
             .connections
             .values()

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tonic::{Request, Response, Status};
-use trocar_model::{Change, ComponentId, Name, Plan, Refusal, Request as Asked, State, StopReason, Target};
+use trocar_model::{Change, ComponentId, Name, Refusal, Request as Asked, State, StopReason, Target};
 use trocar_proto::v1::gcm_service_server::GcmService;
 use trocar_proto::v1::{self, ComponentState};
 
@@ -11,7 +11,7 @@ use super::watch::{WatchStream, watch};
 use super::{Edge, not_built, refuse};
 use crate::control::convert::{self, Common, Figures};
 use crate::control::deadline::deadline;
-use crate::gcm::{ExecuteOptions, Executed};
+use crate::gcm::{ExecuteOptions, Executed, plan_lines};
 
 /// Executes and answers; the response types differ in name only.
 macro_rules! mutate {
@@ -29,7 +29,7 @@ macro_rules! mutate {
         (
             v1::$response {
                 revision: done.revision,
-                plan: lines(&done.plan),
+                plan: plan_lines(&done.plan),
                 components: done.reports.iter().map(convert::report).collect(),
                 skipped: skipped(&done),
                 warnings: warnings(&done),
@@ -52,22 +52,6 @@ fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
 fn warnings(done: &Executed) -> Vec<String> {
     let failed = done.failed.iter().map(|(id, refusal)| format!("{id}: {refusal}"));
     done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed).collect()
-}
-
-/// The plan in words: "+ create …", "~ configure …", "- stop …".
-fn lines(plan: &Plan) -> Vec<String> {
-    plan.changes.iter().map(line).collect()
-}
-
-fn line(change: &Change) -> String {
-    match change {
-        Change::Create { id, component } => format!("+ create {id} ({})", component.class.full_name()),
-        Change::Destroy { id, .. } => format!("- remove {id}"),
-        Change::Configure { id, to, .. } => format!("~ configure {id} {to}"),
-        Change::Run { id, verb, .. } => format!("~ {} {id}", verb.to_string().to_lowercase()),
-        Change::Connect { connection: c } => format!("+ connect {} to {}", c.client, c.server),
-        Change::Disconnect { connection: c } => format!("- disconnect {} from {}", c.client, c.server),
-    }
 }
 
 impl Edge {
@@ -145,12 +129,14 @@ impl GcmService for Edge {
     }
 
     async fn stop(&self, request: Request<v1::StopRequest>) -> Result<Response<v1::StopResponse>, Status> {
-        Ok(Response::new(
-            mutate!(self, request, StopResponse, |r: v1::StopRequest| Ok(vec![Asked::Stop {
-                targets: convert::targets("Stop", r.paths, r.path)?
-            }]))
-            .0,
-        ))
+        let (mut answer, done) = mutate!(self, request, StopResponse, |r: v1::StopRequest| Ok(vec![Asked::Stop {
+            targets: convert::targets("Stop", r.paths, r.path)?
+        }]));
+        let failed = done.failed.iter();
+        answer.failed = failed
+            .map(|(id, refusal)| v1::SkippedComponent { path: id.to_string(), why: refusal.to_string() })
+            .collect();
+        Ok(Response::new(answer))
     }
 
     async fn resume(&self, request: Request<v1::ResumeRequest>) -> Result<Response<v1::ResumeResponse>, Status> {
@@ -296,13 +282,9 @@ impl GcmService for Edge {
         if let Some(ns) = r.deadline.as_ref().and_then(convert::duration_ns) {
             until = until.min(std::time::Instant::now() + Duration::from_nanos(ns));
         }
-        let states: Vec<State> = r.states().flat_map(states).collect();
+        let mut states: Vec<State> = r.states().flat_map(states).collect();
         if states.is_empty() {
-            return Err(refuse(Refusal::ArgumentInvalid {
-                what: "WaitFor".into(),
-                why: "no state is named: give states such as [\"COMPONENT_STATE_ACTIVE\"]".into(),
-                field: "states".into(),
-            }));
+            states.push(State::Active);
         }
         self.gcm()?.wait_for(&id, &states, until).await.map_err(refuse)?;
         let (revision, component) = self.one_component(&id, deadline_from(until)).await?;

@@ -3,18 +3,19 @@
 use std::pin::Pin;
 use std::time::{Duration, Instant};
 
-use tokio::sync::{broadcast, mpsc};
+use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tokio_stream::{Stream, StreamExt};
+use tokio_stream::Stream;
 use tonic::{Request, Response, Status};
 use trocar_model::{MemberId, Name, Refusal};
 use trocar_proto::v1;
 use trocar_proto::v1::interact_service_server::InteractService;
 
+use super::logs::{self, Wanted};
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
 use crate::control::deadline::deadline;
-use crate::lcm::{Invoke, News, Selection};
+use crate::lcm::{Invoke, Selection};
 
 type Items = Pin<Box<dyn Stream<Item = Result<v1::SubscribeResponse, Status>> + Send>>;
 type Lines = Pin<Box<dyn Stream<Item = Result<v1::LogsResponse, Status>> + Send>>;
@@ -111,46 +112,7 @@ impl InteractService for Edge {
 
     async fn logs(&self, request: Request<v1::LogsRequest>) -> Result<Response<Lines>, Status> {
         let r = request.into_inner();
-        let level = convert::level(&r.level).ok_or_else(|| {
-            refuse(Refusal::ArgumentInvalid {
-                what: format!("level \"{}\"", r.level),
-                why: "it is not one of error, warn, info, debug, trace".into(),
-                field: "level".into(),
-            })
-        })?;
-        let (tell, told) = mpsc::channel(WAITING);
-        let wanted = r.path.trim_end_matches("**").trim_end_matches('/').to_owned();
-        for process in self.processes() {
-            let Ok(lcm) = self.lcm(&process) else { continue };
-            tokio::spawn(forward_logs(lcm.news(), wanted.clone(), level, tell.clone()));
-        }
-        Ok(Response::new(Box::pin(ReceiverStream::new(told).map(Ok))))
-    }
-}
-
-async fn forward_logs(
-    mut news: broadcast::Receiver<News>,
-    wanted: String,
-    level: u32,
-    tell: mpsc::Sender<v1::LogsResponse>,
-) {
-    let mut skipped = 0;
-    loop {
-        let heard = tokio::select! {
-            () = tell.closed() => return,
-            heard = news.recv() => heard,
-        };
-        match heard {
-            Ok(News::Log(line)) if line.level <= level && line.path.starts_with(&wanted) => {
-                let response = v1::LogsResponse { line: Some(convert::line(line)), skipped };
-                skipped = 0;
-                if tell.send(response).await.is_err() {
-                    return;
-                }
-            }
-            Ok(_) => {}
-            Err(broadcast::error::RecvError::Lagged(n)) => skipped += n,
-            Err(broadcast::error::RecvError::Closed) => return,
-        }
+        let wanted = Wanted::parse(&r.path, &r.level).map_err(refuse)?;
+        Ok(Response::new(Box::pin(logs::stream(&self.lines, wanted, r.follow))))
     }
 }

@@ -2,6 +2,7 @@
 
 mod gcm;
 mod interact;
+mod logs;
 mod plugin;
 mod watch;
 
@@ -14,7 +15,7 @@ use trocar_model::{ComponentId, Name, Refusal, SystemGraph};
 
 use super::convert::Figures;
 use super::status::status;
-use crate::gcm::Gcm;
+use crate::gcm::{Gcm, Lines};
 use crate::lcm::Lcm;
 
 /// Whom this port speaks for.
@@ -24,6 +25,8 @@ pub(super) struct Edge {
     pub(super) local: Option<(Name, Arc<dyn Lcm>)>,
     /// Address of the GCM that manages this process.
     pub(super) managed_by: Option<String>,
+    /// What was logged here: by every process of a GCM, by this one otherwise.
+    pub(super) lines: Arc<Lines>,
 }
 
 impl Edge {

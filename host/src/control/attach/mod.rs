@@ -1,0 +1,149 @@
+//! AttachService, the GCM's half: takes a process in, keeps its lease, and is its LCM for everybody here.
+//!
+//! Invariant: a process is heard exactly as long as its stream; when the stream ends, all who wait are answered.
+
+mod remote;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::{mpsc, watch};
+use tokio::time::MissedTickBehavior;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+use trocar_model::{Name, Refusal};
+use trocar_proto::v1;
+use trocar_proto::v1::attach_service_server::AttachService;
+use trocar_proto::v1::{attach_request, attach_response};
+
+use self::remote::RemoteLcm;
+use super::convert;
+use super::status::status;
+use crate::gcm::{Gcm, Registered, Registration};
+
+/// Both sides say this often that they are there.
+pub(super) const BEAT: Duration = Duration::from_millis(100);
+/// After this silence the other side is lost.
+pub(super) const LEASE: Duration = Duration::from_millis(500);
+/// Largest message of an Attach stream, bytes: a Hello describes every class of a process.
+pub(super) const MAX_MESSAGE: usize = 32 << 20;
+/// Time for the Hello.
+const HELLO: Duration = Duration::from_secs(2);
+/// Messages that may wait to be sent.
+const QUEUE: usize = 256;
+
+type Outgoing = mpsc::Sender<Result<v1::AttachResponse, Status>>;
+
+pub(super) struct AttachEdge {
+    gcm: Gcm,
+    /// Ends when the port closes.
+    open: watch::Receiver<()>,
+}
+
+impl AttachEdge {
+    pub(super) fn new(gcm: Gcm, open: watch::Receiver<()>) -> Self {
+        AttachEdge { gcm, open }
+    }
+
+    async fn take_in(&self, hello: v1::Hello, out: &Outgoing) -> Result<Attached, Refusal> {
+        let process = Name::parse(&hello.process)?;
+        let inventory = convert::inventory_in(hello.inventory.unwrap_or_default())?;
+        let instance: [u8; 16] =
+            hello.instance.as_slice().try_into().map_err(|_| convert::unreadable("instance (16 bytes)"))?;
+        let who = Registration {
+            process: process.clone(),
+            endpoint: hello.endpoint,
+            pid: hello.pid,
+            instance: u128::from_be_bytes(instance),
+            slice: convert::slice_in(hello.slice.unwrap_or_default())?,
+        };
+        let lcm = RemoteLcm::new(process.clone(), out.clone());
+        let registered = self.gcm.register(who, lcm.clone(), inventory).await?;
+        Ok(Attached { gcm: self.gcm.clone(), process, lcm, registered })
+    }
+}
+
+#[tonic::async_trait]
+impl AttachService for AttachEdge {
+    type AttachStream = ReceiverStream<Result<v1::AttachResponse, Status>>;
+
+    async fn attach(
+        &self,
+        request: Request<Streaming<v1::AttachRequest>>,
+    ) -> Result<Response<Self::AttachStream>, Status> {
+        let mut inbound = request.into_inner();
+        let first = tokio::time::timeout(HELLO, inbound.message()).await;
+        let Ok(Ok(Some(v1::AttachRequest { message: Some(attach_request::Message::Hello(hello)) }))) = first else {
+            return Err(status(&Refusal::ArgumentInvalid {
+                what: "Attach".into(),
+                why: "the first message must be hello, within 2 s".into(),
+                field: "hello".into(),
+            }));
+        };
+        let (out, orders) = mpsc::channel(QUEUE);
+        let first = match self.take_in(hello, &out).await {
+            Ok(attached) => {
+                let Registered { epoch, term, revision } = attached.registered;
+                tokio::spawn(attached.keep(inbound, out.clone(), self.open.clone()));
+                attach_response::Message::Registered(v1::Registered { epoch, term, revision })
+            }
+            Err(refusal) => attach_response::Message::Refused(convert::refusal_info(&refusal)),
+        };
+        // Nobody is there any more: the stream's end says the same.
+        let _ = out.send(Ok(message(first))).await;
+        Ok(Response::new(ReceiverStream::new(orders)))
+    }
+}
+
+fn message(message: attach_response::Message) -> v1::AttachResponse {
+    v1::AttachResponse { message: Some(message) }
+}
+
+/// A process that was taken in.
+struct Attached {
+    gcm: Gcm,
+    process: Name,
+    lcm: Arc<RemoteLcm>,
+    registered: Registered,
+}
+
+impl Attached {
+    /// Hears the process until it is silent or gone.
+    async fn keep(
+        self,
+        mut inbound: Streaming<v1::AttachRequest>,
+        out: Outgoing,
+        mut open: watch::Receiver<()>,
+    ) {
+        let mut beat = tokio::time::interval(BEAT);
+        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut heard, mut sequence) = (Instant::now(), 0);
+        let why = loop {
+            tokio::select! {
+                // What has arrived counts before the silence does, also when this machine was busy.
+                biased;
+                arrived = inbound.message() => match arrived {
+                    Ok(Some(said)) => {
+                        heard = Instant::now();
+                        self.lcm.hear(said);
+                    }
+                    Ok(None) => break "it closed the stream".to_owned(),
+                    Err(e) => break e.message().to_owned(),
+                },
+                _ = open.changed() => break "this port is closing".to_owned(),
+                _ = beat.tick() => {
+                    if heard.elapsed() > LEASE {
+                        break format!("silent for {} ms", heard.elapsed().as_millis());
+                    }
+                    sequence += 1;
+                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence });
+                    // A full queue means it does not read: then its own lease ends.
+                    let _ = out.try_send(Ok(message(beat)));
+                }
+            }
+        };
+        log::info!("the stream of process {} ended: {why}", self.process);
+        self.lcm.close();
+        self.gcm.lost(&self.process, self.registered.epoch);
+    }
+}

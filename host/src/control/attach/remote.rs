@@ -1,0 +1,300 @@
+//! The LCM of an attached process: each call is an order with a number, and waits for the answer with that number.
+//!
+//! Invariant: no call outlives its deadline or the stream; an order that nobody waits for any more is forgotten.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use async_trait::async_trait;
+use tokio::sync::{broadcast, mpsc, oneshot};
+use trocar_model::{Change, ComponentId, Name, Refusal};
+use trocar_proto::v1::answer::Answer as A;
+use trocar_proto::v1::order::Order as O;
+use trocar_proto::v1::{self, attach_request, attach_response, news};
+
+use super::{Outgoing, message};
+use crate::control::convert;
+use crate::lcm::{
+    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
+};
+
+/// Time for questions that name no deadline.
+const WITHIN: Duration = Duration::from_secs(2);
+/// The way back: the other side gets that much less time.
+const WAY: Duration = Duration::from_millis(20);
+/// Items that may wait for who follows them.
+const ITEMS: usize = 256;
+/// News that may wait for the GCM.
+const NEWS: usize = 1024;
+
+pub(super) struct RemoteLcm {
+    process: Name,
+    next: AtomicU64,
+    /// `None` once the stream is gone.
+    link: Mutex<Option<Link>>,
+}
+
+struct Link {
+    out: Outgoing,
+    news: broadcast::Sender<News>,
+    waiting: HashMap<u64, Waiting>,
+}
+
+enum Waiting {
+    /// With what an order to follow something will fill.
+    Answer(oneshot::Sender<A>, Option<Feed>),
+    Feed(Feed),
+}
+
+/// A subscription.
+struct Feed {
+    tell: mpsc::Sender<Item>,
+    /// Items lost since the last one that was taken.
+    lost: u64,
+    /// Dropped with the feed.
+    _over: oneshot::Sender<()>,
+}
+
+/// Forgets an order when nobody waits any more.
+struct Forget<'a>(&'a RemoteLcm, u64);
+
+impl Drop for Forget<'_> {
+    fn drop(&mut self) {
+        if let Some(link) = self.0.link().as_mut()
+            && matches!(link.waiting.get(&self.1), Some(Waiting::Answer(..)))
+        {
+            link.waiting.remove(&self.1);
+        }
+    }
+}
+
+impl RemoteLcm {
+    pub(super) fn new(process: Name, out: Outgoing) -> Arc<RemoteLcm> {
+        let link = Link { out, news: broadcast::Sender::new(NEWS), waiting: HashMap::new() };
+        Arc::new(RemoteLcm { process, next: AtomicU64::new(1), link: Mutex::new(Some(link)) })
+    }
+
+    /// Something arrived on the stream.
+    pub(super) fn hear(&self, said: v1::AttachRequest) {
+        match said.message {
+            Some(attach_request::Message::Answer(answer)) => self.answered(answer),
+            Some(attach_request::Message::News(news)) => match news_in(news) {
+                Ok(news) => {
+                    if let Some(link) = self.link().as_ref() {
+                        // The GCM that listens may just be letting go.
+                        let _ = link.news.send(news);
+                    }
+                }
+                Err(refusal) => log::warn!("news of process {} cannot be read: {refusal}", self.process),
+            },
+            Some(attach_request::Message::Heartbeat(_)) => {}
+            Some(attach_request::Message::Hello(_)) | None => {
+                log::warn!("process {} said something this version does not know", self.process);
+            }
+        }
+    }
+
+    /// Everybody who waits is told that the process is lost.
+    pub(super) fn close(&self) {
+        self.link().take();
+    }
+
+    fn link(&self) -> MutexGuard<'_, Option<Link>> {
+        self.link.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn lost(&self) -> Refusal {
+        Refusal::ProcessLost { process: self.process.clone() }
+    }
+
+    fn answered(&self, answer: v1::Answer) {
+        let mut guard = self.link();
+        let Some(link) = guard.as_mut() else { return };
+        let Some(what) = answer.answer else { return };
+        match (what, link.waiting.remove(&answer.id)) {
+            (A::Item(item), Some(Waiting::Feed(mut feed))) => {
+                feed.give(item);
+                link.waiting.insert(answer.id, Waiting::Feed(feed));
+            }
+            (what, Some(Waiting::Answer(tell, feed))) => {
+                // The items behind this answer must find their feed.
+                if let (A::Subscribed(_), Some(feed)) = (&what, feed) {
+                    link.waiting.insert(answer.id, Waiting::Feed(feed));
+                }
+                // Whoever asked may have given up this moment.
+                let _ = tell.send(what);
+            }
+            // The end of a feed, or what nobody waits for any more.
+            (_, _) => {}
+        }
+    }
+
+    async fn ask(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
+        self.ask_for(self.number(), order, deadline, what, None).await
+    }
+
+    async fn ask_for(
+        &self,
+        id: u64,
+        order: O,
+        deadline: Instant,
+        what: &str,
+        feed: Option<Feed>,
+    ) -> Result<A, Refusal> {
+        let (tell, told) = oneshot::channel();
+        let out = {
+            let mut guard = self.link();
+            let link = guard.as_mut().ok_or_else(|| self.lost())?;
+            link.waiting.insert(id, Waiting::Answer(tell, feed));
+            link.out.clone()
+        };
+        let _forget = Forget(self, id);
+        let left = deadline.saturating_duration_since(Instant::now()).saturating_sub(WAY);
+        let deadline_ns = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
+        let order = attach_response::Message::Order(v1::Order { id, deadline_ns, order: Some(order) });
+        let exchange = async {
+            out.send(Ok(message(order))).await.map_err(|_| self.lost())?;
+            told.await.map_err(|_| self.lost())
+        };
+        match tokio::time::timeout_at(deadline.into(), exchange).await {
+            Ok(Ok(A::Refused(info))) => Err(convert::refusal(&info)),
+            Ok(answer) => answer,
+            Err(_) => Err(Refusal::LcmTimeout { process: self.process.clone(), what: what.to_owned() }),
+        }
+    }
+
+    fn number(&self) -> u64 {
+        self.next.fetch_add(1, Ordering::Relaxed)
+    }
+
+    async fn question(&self, order: O, what: &str) -> Result<A, Refusal> {
+        self.ask(order, Instant::now() + WITHIN, what).await
+    }
+}
+
+impl Feed {
+    /// What does not fit is counted in the next item that does.
+    fn give(&mut self, item: v1::SubscribeResponse) {
+        let Ok(mut item) = convert::item_in(item) else {
+            self.lost += 1;
+            return;
+        };
+        let lost = item.skipped + self.lost;
+        item.skipped = lost;
+        match self.tell.try_send(item) {
+            Ok(()) => self.lost = 0,
+            Err(_) => self.lost = lost + 1,
+        }
+    }
+}
+
+fn news_in(news: v1::News) -> Result<News, Refusal> {
+    Ok(match news.news.ok_or_else(|| convert::unreadable("news"))? {
+        news::News::State(report) => News::State(convert::report_in(report)?),
+        news::News::Catalog(catalog) => News::Catalog(convert::classes_in(catalog.classes)?),
+        news::News::Log(line) => News::Log(convert::line_in(line)),
+    })
+}
+
+fn wrong<T>() -> Result<T, Refusal> {
+    Err(convert::unreadable("answer"))
+}
+
+#[async_trait]
+impl Lcm for RemoteLcm {
+    async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal> {
+        let what = crate::gcm::asked(&change);
+        match self.ask(O::Apply(convert::change_out(&change)), deadline, &what).await? {
+            A::Report(report) => convert::report_in(report),
+            _ => wrong(),
+        }
+    }
+
+    async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
+        let (member, after_ns) = (call.member.clone(), call.deadline_ns);
+        // The LCM keeps the deadline of the call; this is for the way there and back.
+        let deadline = Instant::now() + Duration::from_nanos(after_ns) + 5 * WAY;
+        match self.ask(O::Invoke(convert::invoke_out(call)), deadline, "").await {
+            Ok(A::Reply(reply)) => Ok(convert::reply_in(reply)),
+            Ok(_) => wrong(),
+            Err(Refusal::LcmTimeout { .. }) => Err(Refusal::Deadline { member, after_ns, may_still_run: true }),
+            Err(Refusal::ProcessLost { .. }) => Err(Refusal::PeerLost { member }),
+            Err(refusal) => Err(refusal),
+        }
+    }
+
+    async fn read(&self, path: String, deadline: Instant) -> Result<Sample, Refusal> {
+        let what = format!("reading {path}");
+        match self.ask(O::Read(v1::ReadRequest { path }), deadline, &what).await? {
+            A::Sample(sample) => Ok(convert::sample_in(sample)),
+            _ => wrong(),
+        }
+    }
+
+    async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
+        let selections = selections
+            .into_iter()
+            .map(|s| v1::Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: 0 })
+            .collect();
+        let (tell, told) = mpsc::channel(ITEMS);
+        let (over, ended) = oneshot::channel();
+        let id = self.number();
+        let feed = Feed { tell: tell.clone(), lost: 0, _over: over };
+        let order = O::Subscribe(v1::SubscribeRequest { selections });
+        match self.ask_for(id, order, Instant::now() + WITHIN, "a subscription", Some(feed)).await? {
+            A::Subscribed(_) => {}
+            _ => return wrong(),
+        }
+        let out = self.link().as_ref().map(|link| link.out.clone()).ok_or_else(|| self.lost())?;
+        // This task's own sender must not outlive the feed, or its receiver would never end.
+        tokio::spawn(async move {
+            tokio::select! {
+                () = tell.closed() => {
+                    let order = v1::Order { id: 0, deadline_ns: 0, order: Some(O::Unsubscribe(id)) };
+                    // Without a stream there is nothing to unsubscribe from.
+                    let _ = out.send(Ok(message(attach_response::Message::Order(order)))).await;
+                }
+                _ = ended => {}
+            }
+        });
+        Ok(told)
+    }
+
+    async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal> {
+        match self.question(O::Detail(id.to_string()), "its figures").await? {
+            A::Detail(stats) => Ok(convert::detail_in(stats)),
+            _ => wrong(),
+        }
+    }
+
+    async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
+        match self.question(O::Links(v1::LinksOrder {}), "the figures of its connections").await? {
+            A::Links(links) => Ok(links.links.into_iter().map(convert::link_in).collect()),
+            _ => wrong(),
+        }
+    }
+
+    async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal> {
+        match self.question(O::Plugins(v1::PluginsOrder {}), "its list of plugins").await? {
+            A::Plugins(plugins) => Ok(plugins.plugins.into_iter().map(convert::plugin_in).collect()),
+            _ => wrong(),
+        }
+    }
+
+    async fn inventory(&self) -> Result<Inventory, Refusal> {
+        match self.question(O::Inventory(v1::InventoryOrder {}), "its inventory").await? {
+            A::Inventory(inventory) => convert::inventory_in(inventory),
+            _ => wrong(),
+        }
+    }
+
+    fn news(&self) -> broadcast::Receiver<News> {
+        match self.link().as_ref() {
+            Some(link) => link.news.subscribe(),
+            // A channel that has ended.
+            None => broadcast::channel(1).1,
+        }
+    }
+}

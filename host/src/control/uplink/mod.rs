@@ -1,0 +1,172 @@
+//! The process's half of Attach: dials the GCM, does what it orders, tells it the news, dials again when it is lost.
+//!
+//! Invariant: components run on without the GCM; an order that was begun is finished and remembered before the process
+//! says Hello again.
+
+mod orders;
+mod session;
+
+use std::error::Error;
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::{RwLock, oneshot};
+use tokio::task::JoinHandle;
+use tonic::transport::Endpoint;
+use trocar_model::{Refusal, SystemGraph};
+use trocar_proto::v1::attach_service_client::AttachServiceClient;
+
+use self::session::Session;
+use super::attach::MAX_MESSAGE;
+use crate::gcm::{Registration, Slice};
+use crate::lcm::Lcm;
+
+/// Time for one attempt, from dialing to Registered.
+const ATTEMPT: Duration = Duration::from_secs(3);
+/// Pauses between attempts.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(1));
+
+/// Why a process is not attached.
+#[derive(Clone, Debug, PartialEq)]
+pub enum UplinkError {
+    /// Nobody answers at the address, or not a GCM.
+    NoGcm { addr: String, because: String },
+    /// The GCM does not take this process.
+    Refused(Refusal),
+}
+
+impl fmt::Display for UplinkError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            UplinkError::NoGcm { addr, because } => write!(f, "no GCM answers at {addr}: {because}"),
+            UplinkError::Refused(refusal) => write!(f, "{refusal}"),
+        }
+    }
+}
+
+impl Error for UplinkError {}
+
+/// A process's tie to its GCM.
+pub struct Uplink {
+    task: JoinHandle<()>,
+    refused: oneshot::Receiver<Refusal>,
+}
+
+impl Uplink {
+    /// Attaches, and stays attached in the background.
+    ///
+    /// # Errors
+    /// Nobody answers at `addr` (`HOST:PORT`); the GCM refuses this process. Later losses only mean dialing again.
+    pub async fn start(
+        addr: String,
+        registration: Registration,
+        lcm: Arc<dyn Lcm>,
+    ) -> Result<Uplink, UplinkError> {
+        let tie = Tie { addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
+        let session = tie.attempt().await?;
+        let (tell, refused) = oneshot::channel();
+        Ok(Uplink { task: tokio::spawn(tie.stay(session, tell)), refused })
+    }
+
+    /// Waits until the GCM sends this process away for good, as when its name was given to another one meanwhile.
+    pub async fn refused(&mut self) -> Refusal {
+        match (&mut self.refused).await {
+            Ok(refusal) => refusal,
+            // The task ended without: nothing more will come.
+            Err(_) => std::future::pending().await,
+        }
+    }
+
+    /// Leaves the GCM, which then lists the process as lost.
+    pub async fn shutdown(self) {
+        self.task.abort();
+        // Aborted is what it is meant to be.
+        let _ = self.task.await;
+    }
+}
+
+/// What this process was told to have, as far as it was done.
+type Told = Arc<Mutex<SystemGraph>>;
+
+struct Tie {
+    addr: String,
+    registration: Registration,
+    lcm: Arc<dyn Lcm>,
+    told: Told,
+    /// Held for reading while a change is carried out.
+    quiet: Arc<RwLock<()>>,
+}
+
+impl Tie {
+    async fn stay(self, mut session: Session, tell: oneshot::Sender<Refusal>) {
+        loop {
+            let why = session.serve().await;
+            log::warn!("the GCM at {} is lost ({why}); dialing again", self.addr);
+            let mut pause = PAUSE.0;
+            session = loop {
+                tokio::time::sleep(pause).await;
+                pause = (pause * 2).min(PAUSE.1);
+                match self.attempt().await {
+                    Ok(session) => break session,
+                    Err(UplinkError::Refused(refusal)) => {
+                        log::error!("the GCM at {} does not take this process back: {refusal}", self.addr);
+                        // Whoever would listen may be gone.
+                        let _ = tell.send(refusal);
+                        return;
+                    }
+                    Err(e) => log::debug!("{e}"),
+                }
+            };
+            log::info!("attached to the GCM at {} again", self.addr);
+        }
+    }
+
+    async fn attempt(&self) -> Result<Session, UplinkError> {
+        let no_gcm = |because| UplinkError::NoGcm { addr: self.addr.clone(), because };
+        match tokio::time::timeout(ATTEMPT, self.dial()).await {
+            Ok(Ok(session)) => Ok(session),
+            Ok(Err(Refused::ByGcm(refusal))) => Err(UplinkError::Refused(refusal)),
+            Ok(Err(Refused::Unheard(because))) => Err(no_gcm(because)),
+            Err(_) => Err(no_gcm(format!("it did not answer within {} s", ATTEMPT.as_secs()))),
+        }
+    }
+
+    async fn dial(&self) -> Result<Session, Refused> {
+        let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
+        let endpoint = Endpoint::from_shared(uri).map_err(|e| Refused::Unheard(because(&e)))?;
+        let channel = endpoint.tcp_nodelay(true).connect().await.map_err(|e| Refused::Unheard(because(&e)))?;
+        let client = AttachServiceClient::new(channel)
+            .max_decoding_message_size(MAX_MESSAGE)
+            .max_encoding_message_size(MAX_MESSAGE);
+        // What was begun for the last session is finished first, so that the slice has it.
+        let _quiet = self.quiet.write().await;
+        let registration = Registration { slice: self.slice(), ..self.registration.clone() };
+        Session::open(client, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await
+    }
+
+    fn slice(&self) -> Slice {
+        let told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        Slice {
+            components: told.components.iter().map(|(id, c)| (id.clone(), c.clone())).collect(),
+            connections: told.connections.values().cloned().collect(),
+        }
+    }
+}
+
+/// Why an attempt ended.
+enum Refused {
+    /// By a GCM that was asked.
+    ByGcm(Refusal),
+    /// Nobody was asked, or the answer is not a GCM's.
+    Unheard(String),
+}
+
+/// The innermost cause: the outer ones say "transport error".
+fn because(e: &(dyn Error + 'static)) -> String {
+    let mut inner = e;
+    while let Some(source) = inner.source() {
+        inner = source;
+    }
+    inner.to_string()
+}

@@ -1,0 +1,188 @@
+//! One stream to the GCM, from Hello until one side is silent or gone.
+//!
+//! Invariant: news that came before an answer are sent before it, so the GCM never sees an older state after a newer one.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use tokio::sync::{RwLock, broadcast, mpsc};
+use tokio::task::JoinSet;
+use tokio::time::MissedTickBehavior;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Streaming;
+use tonic::transport::Channel;
+use trocar_proto::v1::attach_service_client::AttachServiceClient;
+use trocar_proto::v1::{self, attach_request, attach_response, news};
+
+use super::orders::Orders;
+use super::{Refused, Told};
+use crate::control::attach::{BEAT, LEASE};
+use crate::control::convert;
+use crate::gcm::Registration;
+use crate::lcm::{Lcm, News};
+
+/// Messages that may wait to be sent.
+const QUEUE: usize = 256;
+
+type Outgoing = mpsc::Sender<v1::AttachRequest>;
+
+pub(super) struct Session {
+    inbound: Streaming<v1::AttachResponse>,
+    out: Outgoing,
+    orders: Orders,
+    /// Orders that came before Registered.
+    early: Vec<v1::Order>,
+    tasks: JoinSet<()>,
+}
+
+impl Session {
+    pub(super) async fn open(
+        mut client: AttachServiceClient<Channel>,
+        who: Registration,
+        lcm: Arc<dyn Lcm>,
+        told: Told,
+        quiet: Arc<RwLock<()>>,
+    ) -> Result<Session, Refused> {
+        // Before the inventory is taken, so that nothing falls between.
+        let news = lcm.news();
+        let inventory = lcm.inventory().await.map_err(Refused::ByGcm)?;
+        let hello = v1::Hello {
+            process: who.process.to_string(),
+            instance: who.instance.to_be_bytes().to_vec(),
+            endpoint: who.endpoint.clone(),
+            pid: who.pid,
+            inventory: Some(convert::inventory_out(&inventory)),
+            slice: Some(convert::slice_out(&who.slice)),
+        };
+        let (out, outgoing) = mpsc::channel(QUEUE);
+        let unheard = |why: &str| Refused::Unheard(why.to_owned());
+        let first = message(attach_request::Message::Hello(hello));
+        out.send(first).await.map_err(|_| unheard("the stream closed at once"))?;
+        let stream = client.attach(ReceiverStream::new(outgoing)).await;
+        let mut inbound = stream.map_err(|e| unheard(e.message()))?.into_inner();
+        let mut early = Vec::new();
+        loop {
+            let said = inbound.message().await.map_err(|e| unheard(e.message()))?;
+            match said.and_then(|said| said.message) {
+                Some(attach_response::Message::Registered(_)) => break,
+                Some(attach_response::Message::Refused(info)) => return Err(Refused::ByGcm(convert::refusal(&info))),
+                Some(attach_response::Message::Order(order)) => early.push(order),
+                Some(attach_response::Message::Heartbeat(_)) => {}
+                None => return Err(unheard("the stream ended before the process was registered")),
+            }
+        }
+        let (answer, answers) = mpsc::channel(QUEUE);
+        let mut tasks = JoinSet::new();
+        tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
+        Ok(Session { inbound, out, orders: Orders::new(lcm, told, quiet, answer), early, tasks })
+    }
+
+    /// Does what the GCM orders until it is lost; answers why.
+    pub(super) async fn serve(mut self) -> String {
+        for order in std::mem::take(&mut self.early) {
+            self.orders.carry_out(order).await;
+        }
+        let mut beat = tokio::time::interval(BEAT);
+        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut heard, mut sequence) = (Instant::now(), 0);
+        loop {
+            tokio::select! {
+                // What has arrived counts before the silence does, also when this machine was busy.
+                biased;
+                arrived = self.inbound.message() => {
+                    let said = match arrived {
+                        Ok(Some(said)) => said,
+                        Ok(None) => return "it closed the stream".into(),
+                        Err(e) => return e.message().to_owned(),
+                    };
+                    heard = Instant::now();
+                    match said.message {
+                        Some(attach_response::Message::Order(order)) => self.orders.carry_out(order).await,
+                        Some(attach_response::Message::Refused(info)) => return info.text,
+                        Some(attach_response::Message::Registered(_) | attach_response::Message::Heartbeat(_))
+                        | None => {}
+                    }
+                }
+                _ = beat.tick() => {
+                    if heard.elapsed() > LEASE {
+                        return format!("silent for {} ms", heard.elapsed().as_millis());
+                    }
+                    sequence += 1;
+                    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence });
+                    // A full queue means the GCM does not read: then its own lease ends.
+                    let _ = self.out.try_send(message(beat));
+                }
+                Some(_) = self.tasks.join_next() => return "the stream does not take any more".into(),
+            }
+        }
+    }
+}
+
+fn message(message: attach_request::Message) -> v1::AttachRequest {
+    v1::AttachRequest { message: Some(message) }
+}
+
+/// Sends news and answers until nobody takes them.
+async fn pump(
+    lcm: Arc<dyn Lcm>,
+    mut news: broadcast::Receiver<News>,
+    mut answers: mpsc::Receiver<v1::Answer>,
+    out: Outgoing,
+) {
+    loop {
+        let mut messages = Vec::new();
+        tokio::select! {
+            answer = answers.recv() => {
+                let Some(answer) = answer else { return };
+                while let Some(next) = waiting(&lcm, &mut news).await {
+                    messages.extend(next);
+                }
+                messages.push(message(attach_request::Message::Answer(answer)));
+            }
+            next = news.recv() => match next {
+                Ok(next) => messages.push(news_out(next)),
+                Err(broadcast::error::RecvError::Lagged(_)) => messages = everything(&lcm).await,
+                Err(broadcast::error::RecvError::Closed) => return,
+            },
+        }
+        for message in messages {
+            if out.send(message).await.is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// News that are there already; `None` when there are none.
+async fn waiting(lcm: &Arc<dyn Lcm>, news: &mut broadcast::Receiver<News>) -> Option<Vec<v1::AttachRequest>> {
+    match news.try_recv() {
+        Ok(next) => Some(vec![news_out(next)]),
+        Err(broadcast::error::TryRecvError::Lagged(_)) => Some(everything(lcm).await),
+        Err(_) => None,
+    }
+}
+
+fn news_out(next: News) -> v1::AttachRequest {
+    let next = match next {
+        News::State(report) => news::News::State(convert::report(&report)),
+        News::Catalog(classes) => {
+            news::News::Catalog(v1::Catalog { classes: classes.iter().map(|c| convert::class(c)).collect() })
+        }
+        News::Log(line) => news::News::Log(convert::line(line)),
+    };
+    message(attach_request::Message::News(v1::News { news: Some(next) }))
+}
+
+/// After a gap in the news: how everything stands.
+async fn everything(lcm: &Arc<dyn Lcm>) -> Vec<v1::AttachRequest> {
+    match lcm.inventory().await {
+        Ok(inventory) => {
+            let states = inventory.components.into_iter().map(News::State);
+            states.chain([News::Catalog(inventory.classes)]).map(news_out).collect()
+        }
+        Err(refusal) => {
+            log::warn!("the inventory cannot be had: {refusal}");
+            Vec::new()
+        }
+    }
+}

@@ -1,0 +1,282 @@
+//! An LCM without components: it does what it is told, notes it, and refuses or hangs where a test says so.
+#![allow(clippy::unwrap_used)]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use async_trait::async_trait;
+use serde_json::json;
+use tokio::sync::{broadcast, mpsc, watch};
+use trocar_model::{
+    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Execution, ExecutionModel, Health, Input, Name,
+    Output, Overflow, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Type,
+};
+
+use super::text;
+use crate::lcm::{
+    Detail, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report, Sample,
+    Selection,
+};
+
+pub(crate) struct FakeLcm {
+    process: Name,
+    states: Mutex<BTreeMap<ComponentId, State>>,
+    /// Every change that was asked, as "Start host/a".
+    done: Mutex<Vec<String>>,
+    refuse: Mutex<BTreeSet<String>>,
+    /// Changes that wait for [`FakeLcm::release`].
+    held: Mutex<BTreeSet<String>>,
+    released: watch::Sender<u64>,
+    waiting: watch::Sender<BTreeSet<String>>,
+    feeds: Mutex<Vec<mpsc::Sender<Item>>>,
+    pub(crate) news: broadcast::Sender<News>,
+}
+
+pub(crate) fn name(text: &str) -> Name {
+    Name::parse(text).unwrap()
+}
+
+pub(crate) fn id(text: &str) -> ComponentId {
+    ComponentId::parse(text).unwrap()
+}
+
+/// A class with a setting, a command, an input, an output and a required interface that all are optional.
+pub(crate) fn class() -> Arc<ClassInfo> {
+    let number = Type::Prim(Prim::F64);
+    let arg = Arg {
+        name: "value".into(),
+        doc: "set point".into(),
+        ty: number.clone(),
+        unit: "mm".into(),
+        min: Some(0.0),
+        max: Some(100.0),
+    };
+    let command = Command {
+        name: "write".into(),
+        doc: "moves".into(),
+        kind: CommandKind::Write,
+        arg: Some(arg),
+        ret: None,
+        ret_unit: String::new(),
+        overflow: Overflow::Reject,
+    };
+    let provided =
+        Provided { name: "arm".into(), doc: "the arm".into(), tag: String::new(), commands: vec![command], events: vec![] };
+    let required = Required {
+        name: "robot".into(),
+        doc: "whom it moves".into(),
+        optional: true,
+        functions: vec![],
+        handlers: vec![],
+    };
+    let input = Input {
+        name: "input".into(),
+        doc: "a number".into(),
+        ty: PortType::Plain(number.clone()),
+        optional: true,
+        fifo: 0,
+    };
+    let output = Output { name: "value".into(), doc: "a number".into(), ty: PortType::Plain(number.clone()) };
+    Arc::new(ClassInfo {
+        plugin: "toy".into(),
+        version: "1.0.0".into(),
+        hash: "00".into(),
+        name: "arm".into(),
+        doc: "A toy.".into(),
+        safety: Safety::Actuator,
+        hardware: false,
+        safe_from_any_thread: true,
+        execution: Execution {
+            model: Some(ExecutionModel::Periodic),
+            period_ns: Some(1_000_000),
+            ..Execution::default()
+        },
+        config_schema: json!({
+            "type": "object",
+            "properties": { "gain": { "type": "number", "minimum": 0, "default": 1.5, "live": true } },
+        }),
+        ports: Ports {
+            inputs: vec![input],
+            outputs: vec![output],
+            required: vec![required],
+            provided: vec![provided],
+            state: Some(number),
+        },
+    })
+}
+
+impl FakeLcm {
+    pub(crate) fn new(process: &str) -> Arc<FakeLcm> {
+        Arc::new(FakeLcm {
+            process: name(process),
+            states: Mutex::default(),
+            done: Mutex::default(),
+            refuse: Mutex::default(),
+            held: Mutex::default(),
+            released: watch::Sender::new(0),
+            waiting: watch::Sender::default(),
+            feeds: Mutex::default(),
+            news: broadcast::Sender::new(64),
+        })
+    }
+
+    /// "Start host/a" is refused from now on.
+    pub(crate) fn refuse(&self, change: &str) {
+        self.refuse.lock().unwrap().insert(change.into());
+    }
+
+    /// "Start host/a" hangs until [`FakeLcm::release`].
+    pub(crate) fn hold(&self, change: &str) {
+        self.held.lock().unwrap().insert(change.into());
+    }
+
+    pub(crate) fn release(&self, change: &str) {
+        self.held.lock().unwrap().remove(change);
+        self.released.send_modify(|n| *n += 1);
+    }
+
+    /// Until that change has arrived and hangs.
+    pub(crate) async fn hangs(&self, change: &str) {
+        self.waiting.subscribe().wait_for(|w| w.contains(change)).await.unwrap();
+    }
+
+    pub(crate) fn done(&self) -> Vec<String> {
+        self.done.lock().unwrap().clone()
+    }
+
+    pub(crate) fn state(&self, component: &str) -> Option<State> {
+        self.states.lock().unwrap().get(&id(component)).copied()
+    }
+
+    /// A component goes into another state by itself.
+    pub(crate) fn become_state(&self, component: &str, state: State, fault: &str) {
+        self.states.lock().unwrap().insert(id(component), state);
+        let report = Report { fault: fault.into(), ..report(&id(component), state) };
+        // Nobody listening is fine.
+        let _ = self.news.send(News::State(report));
+    }
+
+    pub(crate) fn log(&self, path: &str, level: u32, message: &str) {
+        let line = LogLine {
+            wall_ns: 1,
+            level,
+            path: path.into(),
+            target: "toy".into(),
+            message: message.into(),
+        };
+        let _ = self.news.send(News::Log(line));
+    }
+
+    /// Gives an item to everybody who follows something.
+    pub(crate) async fn emit(&self, path: &str, n: u64) {
+        let feeds = self.feeds.lock().unwrap().clone();
+        for feed in feeds {
+            let item = Item {
+                path: path.into(),
+                kind: ItemKind::Event,
+                value: json!({ "n": n }),
+                stamp_ns: n,
+                seq: n,
+                skipped: 0,
+            };
+            let _ = feed.send(item).await;
+        }
+    }
+
+    /// Until nobody follows anything.
+    pub(crate) async fn unfollowed(&self) {
+        let feeds = self.feeds.lock().unwrap().clone();
+        for feed in feeds {
+            feed.closed().await;
+        }
+    }
+}
+
+fn report(id: &ComponentId, state: State) -> Report {
+    Report { id: id.clone(), state, health: Health::Ok, fault: String::new(), ports: None, warnings: Vec::new() }
+}
+
+#[async_trait]
+impl Lcm for FakeLcm {
+    async fn apply(&self, change: Change, _: Instant) -> Result<Report, Refusal> {
+        let asked = text::asked(&change);
+        let mut released = self.released.subscribe();
+        while self.held.lock().unwrap().contains(&asked) {
+            self.waiting.send_modify(|w| {
+                w.insert(asked.clone());
+            });
+            released.changed().await.unwrap();
+        }
+        self.done.lock().unwrap().push(asked.clone());
+        let id = super::execute::id_of(&change).clone();
+        if self.refuse.lock().unwrap().contains(&asked) {
+            return Err(Refusal::ComponentRefused { id, entry: "start", text: "the cable is out".into() });
+        }
+        let mut states = self.states.lock().unwrap();
+        match change {
+            Change::Create { component, .. } => states.insert(id.clone(), component.state),
+            Change::Destroy { .. } => states.remove(&id),
+            Change::Configure { to_state, .. } => states.insert(id.clone(), to_state),
+            Change::Run { to, .. } => states.insert(id.clone(), to),
+            Change::Connect { .. } | Change::Disconnect { .. } => None,
+        };
+        let now = states.get(&id).copied().unwrap_or(State::Created);
+        Ok(report(&id, now))
+    }
+
+    async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
+        if call.member.to_string() != format!("{}/a/arm/write", self.process) {
+            return Err(Refusal::MemberNotFound { member: call.member, known: vec!["write".into()] });
+        }
+        let value = match call.arg {
+            crate::lcm::Payload::Json(value) => value,
+            other => json!(format!("{other:?}")),
+        };
+        Ok(Reply {
+            executed: !call.send,
+            value: Some(value),
+            encoded: vec![1, 2],
+            stamp_ns: 5,
+            age_ns: 6,
+            unit: "mm".into(),
+        })
+    }
+
+    async fn read(&self, path: String, _: Instant) -> Result<Sample, Refusal> {
+        Ok(Sample { value: json!(path), encoded: vec![9], stamp_ns: 1, age_ns: 2, seq: 3, frame_bytes: 0 })
+    }
+
+    async fn subscribe(&self, _: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
+        let (tell, told) = mpsc::channel(16);
+        self.feeds.lock().unwrap().push(tell);
+        Ok(told)
+    }
+
+    async fn detail(&self, _: ComponentId) -> Result<Detail, Refusal> {
+        Ok(Detail { executed: 42, thread: "own thread".into(), ..Detail::default() })
+    }
+
+    async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
+        Ok(vec![LinkDetail { connection: 1, carrier: "inline".into(), passed: 7, ..LinkDetail::default() }])
+    }
+
+    async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal> {
+        Ok(vec![PluginInfo {
+            process: self.process.to_string(),
+            name: "toy".into(),
+            file: "libtoy.so".into(),
+            classes: vec!["arm".into()],
+            ..PluginInfo::default()
+        }])
+    }
+
+    async fn inventory(&self) -> Result<Inventory, Refusal> {
+        let states = self.states.lock().unwrap();
+        Ok(Inventory { components: states.iter().map(|(id, s)| report(id, *s)).collect(), classes: vec![class()] })
+    }
+
+    fn news(&self) -> broadcast::Receiver<News> {
+        self.news.subscribe()
+    }
+}
