@@ -5,9 +5,10 @@
 pub(crate) mod announce;
 mod error;
 mod process;
-pub(crate) mod signals;
+mod signals;
 mod state_dir;
 
 pub use error::HostError;
 pub use process::{Host, HostConfig};
+pub use signals::StopRequest;
 pub use state_dir::{StateChoice, StateDir, state_home};

@@ -154,15 +154,19 @@ fn violations(schema: &Value, error: &ValidationError<'_>) -> Vec<Violation> {
     let one = |message: String| vec![Violation { pointer: pointer.to_owned(), message }];
     match error.kind() {
         ValidationErrorKind::Maximum { limit } => {
+            let limit = brief(limit);
             one(format!("{name}: {value}{unit} is above {limit}{unit}"))
         }
         ValidationErrorKind::Minimum { limit } => {
+            let limit = brief(limit);
             one(format!("{name}: {value}{unit} is below {limit}{unit}"))
         }
         ValidationErrorKind::ExclusiveMaximum { limit } => {
+            let limit = brief(limit);
             one(format!("{name}: {value}{unit} is not below {limit}{unit}"))
         }
         ValidationErrorKind::ExclusiveMinimum { limit } => {
+            let limit = brief(limit);
             one(format!("{name}: {value}{unit} is not above {limit}{unit}"))
         }
         ValidationErrorKind::Type { kind } => one(format!("{name}: {value} is not {}{unit}", kinds(kind))),
@@ -230,6 +234,8 @@ fn brief(value: &Value) -> String {
     match value {
         Value::Array(items) => format!("a list of {}", items.len()),
         Value::Object(_) => "an object".to_owned(),
+        // A whole number is shown without ".0", whichever way it was written.
+        Value::Number(n) => n.as_f64().filter(|_| n.is_f64()).map_or_else(|| n.to_string(), |f| f.to_string()),
         other => other.to_string(),
     }
 }

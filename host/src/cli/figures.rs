@@ -16,8 +16,10 @@ use crate::lcm::{Detail, Lcm, LinkDetail};
 
 /// Between two looks for a step.
 const LOOK: Duration = Duration::from_micros(50);
+/// Two looks and the time between them must not have taken longer to place a step.
+const SHARP: Duration = Duration::from_micros(400);
 /// A component that makes no step for this long is read as it is.
-const PATIENCE: Duration = Duration::from_millis(200);
+const PATIENCE: Duration = Duration::from_millis(500);
 
 /// One connection to look at.
 #[derive(Clone, Debug)]
@@ -65,17 +67,27 @@ impl Watched {
         Reading { at, components, links: links.collect() }
     }
 
-    /// Reads everything right after a step of component `i`; blocks the calling thread.
+    /// Reads everything, component `i` right after one of its steps; blocks the calling thread. A look that was itself
+    /// held up says nothing about the time it was taken: the next step is waited for.
     pub(super) fn read_after_step(&self, i: usize, runtime: &Handle) -> Reading {
-        let cycles = |r: &Reading| r.components.get(i).map(|d| d.executed + d.skipped);
-        let first = runtime.block_on(self.read());
+        let look = || {
+            let at = Instant::now();
+            let id = self.components[i].id.clone();
+            (at, runtime.block_on(self.lcm.detail(id)).unwrap_or_default())
+        };
+        let begin = Instant::now();
+        let mut last = look();
         loop {
-            let now = runtime.block_on(self.read());
             std::thread::sleep(LOOK);
-            if cycles(&now) != cycles(&first) || now.at - first.at > PATIENCE {
-                // The step's own counters are all written by now; the next step is far.
-                return Reading { at: now.at, ..runtime.block_on(self.read()) };
+            let now = look();
+            let sharp = last.0.elapsed() < SHARP;
+            let stepped = now.1.executed + now.1.skipped != last.1.executed + last.1.skipped;
+            if (sharp && stepped) || begin.elapsed() > PATIENCE {
+                let mut reading = runtime.block_on(self.read());
+                (reading.at, reading.components[i]) = now;
+                return reading;
             }
+            last = now;
         }
     }
 }
@@ -123,8 +135,8 @@ pub(super) fn table(watched: &Watched, a: &Reading, b: &Reading, colour: bool) -
         steps.row([
             stepper.id.to_string(),
             units::rate(s.rate_hz),
-            units::time(s.lateness_p50_ns),
-            units::time(s.lateness_p99_ns),
+            units::measured(s.lateness_p50_ns),
+            units::measured(s.lateness_p99_ns),
             d.skipped.to_string(),
             d.overruns.to_string(),
             units::percent(d.load),
@@ -137,8 +149,8 @@ pub(super) fn table(watched: &Watched, a: &Reading, b: &Reading, colour: bool) -
         wires.row([
             wire.name.clone(),
             units::rate(to.passed.saturating_sub(from.passed) as f64 / seconds),
-            units::time(to.latency_p50_ns),
-            units::time(to.latency_p99_ns),
+            units::measured(to.latency_p50_ns),
+            units::measured(to.latency_p99_ns),
             to.dropped.to_string(),
         ]);
     }

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::failure::{Done, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
-use crate::host::{Host, StateChoice, state_home};
+use crate::host::{Host, StateChoice, StopRequest, state_home};
 
 /// Runs a GCM that hosts attach to: `trocar host --gcm ADDR`.
 #[derive(Args, Debug)]
@@ -35,6 +35,7 @@ pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
     }
     logging::install(log::LevelFilter::Info);
     let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
+    let stop = StopRequest::listen();
     let host = Host::start_gcm(&args.listen, &state, args.fresh).await?;
     logging::to_file(host.state().path());
     if session.json() {
@@ -51,5 +52,5 @@ pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
             host.addr()
         ));
     }
-    hosting::until_stopped(host).await
+    hosting::until_stopped(host, stop).await
 }

@@ -11,7 +11,7 @@ use trocar_model::Name;
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{logging, out, session};
-use crate::host::{Host, HostConfig, HostError, StateChoice, state_home};
+use crate::host::{Host, HostConfig, HostError, StateChoice, StopRequest, state_home};
 use crate::loader::Trust;
 
 /// Runs a host: an LCM with plugin directories, and a GCM of its own unless --gcm names one.
@@ -49,10 +49,11 @@ pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
         gcm: session.explicit_gcm().map(str::to_owned),
         trust: trust(&args.trust)?,
     };
+    let stop = StopRequest::listen();
     let host = Host::start(config.clone()).await?;
     logging::to_file(host.state().path());
     say_listening(&config, &host, session);
-    until_stopped(host).await
+    until_stopped(host, stop).await
 }
 
 /// clap's parser of a process name.
@@ -79,8 +80,8 @@ pub(super) fn plugin_dirs(named: Vec<PathBuf>) -> Vec<PathBuf> {
 }
 
 /// Waits for the end and ends in order.
-pub(super) async fn until_stopped(mut host: Host) -> Done {
-    let ended = host.until_asked_to_stop().await;
+pub(super) async fn until_stopped(mut host: Host, mut stop: StopRequest) -> Done {
+    let ended = host.until_asked_to_stop(&mut stop).await;
     host.shutdown().await;
     ended?;
     Ok(Exit::Ok)

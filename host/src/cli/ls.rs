@@ -82,7 +82,7 @@ fn components(view: &SystemView) -> Table {
             plain(s.executed.to_string()),
             plain(s.skipped.to_string()),
             plain(s.overruns.to_string()),
-            plain(if s.lateness_max_ns == 0 { "-".to_owned() } else { units::time(s.lateness_p99_ns) }),
+            plain(units::measured(s.lateness_p99_ns)),
             plain(units::percent(s.load)),
         ]);
     }
@@ -100,8 +100,8 @@ fn connections(view: &SystemView) -> Table {
             c.carrier.clone(),
             c.passed.to_string(),
             c.dropped.to_string(),
-            units::time(c.latency_p50_ns),
-            units::time(c.latency_p99_ns),
+            units::measured(c.latency_p50_ns),
+            units::measured(c.latency_p99_ns),
         ]);
     }
     table

@@ -13,7 +13,7 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
 use crate::gcm::ExecuteOptions;
-use crate::host::{Host, HostConfig, StateChoice};
+use crate::host::{Host, HostConfig, StateChoice, StopRequest};
 use crate::loader::{AllowList, Trust};
 use crate::system_file::{BadSet, SystemFile, TrustSpec};
 
@@ -52,20 +52,29 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
         file.set(assignment)?;
     }
     let base = args.file.parent().unwrap_or(Path::new("")).to_owned();
-    let mut host = Host::start(config(&file, &base, args.plugins, args.listen)?).await?;
-    if let Err(failure) = bring_up(&host, &file).await {
-        host.shutdown().await;
-        return Err(failure);
-    }
-    say_running(&host, &file, session);
-    match args.seconds {
-        Some(seconds) => tokio::select! {
-            ended = host.until_asked_to_stop() => ended?,
-            () = tokio::time::sleep(Duration::from_secs(seconds)) => {}
-        },
-        None => host.until_asked_to_stop().await?,
-    }
+    let config = config(&file, &base, args.plugins, args.listen)?;
+    let mut stop = StopRequest::listen();
+    let mut host = Host::start(config).await?;
+    let done = live(&mut host, &file, args.seconds, session, &mut stop).await;
     host.shutdown().await;
+    done
+}
+
+async fn live(
+    host: &mut Host,
+    file: &SystemFile,
+    seconds: Option<u64>,
+    session: &Session,
+    stop: &mut StopRequest,
+) -> Done {
+    if !bring_up(host, file, stop).await? {
+        return Ok(Exit::Interrupted);
+    }
+    say_running(host, file, session);
+    let end = seconds.map_or(Duration::MAX, Duration::from_secs);
+    if let Ok(ended) = tokio::time::timeout(end, host.until_asked_to_stop(stop)).await {
+        ended?;
+    }
     Ok(Exit::Ok)
 }
 
@@ -100,18 +109,26 @@ pub(super) fn config(
     })
 }
 
-/// Applies the whole file; a refusal is led back to its place in the file.
-pub(super) async fn bring_up(host: &Host, file: &SystemFile) -> Result<(), Failure> {
-    let Some(gcm) = host.gcm() else { return Ok(()) };
+/// Applies the whole file; a refusal is led back to its place in the file. False: asked to end meanwhile.
+pub(super) async fn bring_up(
+    host: &Host,
+    file: &SystemFile,
+    stop: &mut StopRequest,
+) -> Result<bool, Failure> {
+    let Some(gcm) = host.gcm() else { return Ok(false) };
     let identity = std::env::var("USER").unwrap_or_default();
-    let options = ExecuteOptions { deadline: Some(Instant::now() + BRING_UP), identity, ..ExecuteOptions::default() };
-    let executed = gcm.execute(file.requests(), options).await.map_err(|refusal| placed(file, &refusal))?;
+    let options =
+        ExecuteOptions { deadline: Some(Instant::now() + BRING_UP), identity, ..ExecuteOptions::default() };
+    let executed = tokio::select! {
+        executed = gcm.execute(file.requests(), options) => executed.map_err(|refusal| placed(file, &refusal))?,
+        () = stop.asked() => return Ok(false),
+    };
     for report in &executed.reports {
         for warning in &report.warnings {
             eprintln!("warning: {}: {warning}", report.id);
         }
     }
-    Ok(())
+    Ok(true)
 }
 
 fn placed(file: &SystemFile, refusal: &Refusal) -> Failure {

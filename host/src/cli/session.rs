@@ -311,7 +311,8 @@ fn timed<T>(ask: T, m: &MutationArgs) -> tonic::Request<T> {
 
 /// A Stop goes on over failures: what was planned and has no report did not stop, a warning says why.
 fn with_failures(mut outcome: Outcome, dry_run: bool) -> Outcome {
-    let planned = outcome.plan.iter().filter_map(|line| line.rsplit(' ').next()).filter(|_| !dry_run);
+    // "- stop host/robot (ACTIVE → STOPPED{requested})"
+    let planned = outcome.plan.iter().filter_map(|line| line.split(' ').nth(2)).filter(|_| !dry_run);
     for path in planned.filter(|path| outcome.components.iter().all(|c| c.path != **path)) {
         let prefix = format!("{path}: ");
         let why = outcome.warnings.iter().find_map(|w| w.strip_prefix(&prefix)).unwrap_or("no answer").to_owned();
@@ -370,7 +371,7 @@ mod tests {
     #[test]
     fn a_stop_that_left_one_running_is_partial() {
         let reports = vec![report("h/a", v1::ComponentState::Stopped)];
-        let plan = vec!["~ stop h/a".to_owned(), "~ stop h/b".to_owned()];
+        let plan = ["a", "b"].map(|name| format!("- stop h/{name} (ACTIVE → STOPPED{{requested}})")).to_vec();
         let done = outcome(1, plan, reports, Vec::new(), vec!["h/b: it hangs".to_owned()]);
         let done = with_failures(done, false);
         assert_eq!(done.failed, [Left { path: "h/b".into(), why: "it hangs".into() }]);

@@ -13,6 +13,11 @@ pub(super) fn time(ns: u64) -> String {
     }
 }
 
+/// A figure that only exists once something was measured: 0 is shown as "-".
+pub(super) fn measured(ns: u64) -> String {
+    if ns == 0 { "-".to_owned() } else { time(ns) }
+}
+
 /// A rate.
 pub(super) fn rate(hz: f64) -> String {
     format!("{} Hz", three(hz))

@@ -15,6 +15,12 @@ pub(super) fn deadline<T>(request: &Request<T>) -> Instant {
     Instant::now() + asked.unwrap_or(DEFAULT).min(CAP)
 }
 
+/// What is kept of a caller's time, so that the answer arrives before the caller gives up.
+pub(super) fn room(until: Instant) -> Duration {
+    let left = until.saturating_duration_since(Instant::now());
+    (left / 5).clamp(Duration::from_millis(60), Duration::from_millis(500)).min(left)
+}
+
 /// The gRPC spelling: up to eight digits and a unit.
 fn parse(text: &str) -> Option<Duration> {
     let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;

@@ -10,5 +10,8 @@ mod server;
 mod status;
 mod uplink;
 
+#[cfg(test)]
+mod tests;
+
 pub use serve::{ServeConfig, ServeError, Server};
 pub use uplink::{Uplink, UplinkError};

@@ -77,7 +77,8 @@ impl Server {
         let listener = bind(&config.listen).await?;
         let addr = listener.local_addr().map_err(|e| unusable(&config.listen, &e))?;
         let (lines, logging) = lines(config.gcm.as_ref(), config.local.as_ref());
-        let edge = Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by, lines };
+        let edge =
+            Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by, lines };
         let (open, closing) = watch::channel(());
         let router = routes(edge, config.gcm, closing).await.map_err(|because| ServeError {
             because,
@@ -125,7 +126,9 @@ async fn bind(listen: &str) -> Result<TcpListener, ServeError> {
     let addrs: Vec<SocketAddr> = addrs.collect();
     if let Some(open) = addrs.iter().find(|a| !is_loopback(a.ip())) {
         return Err(ServeError {
-            because: format!("{open} can be reached from other machines, and calls are not authenticated yet"),
+            because: format!(
+                "{open} can be reached from other machines, and calls are not authenticated yet"
+            ),
             help: "listen on 127.0.0.1 or [::1]; reach it from elsewhere through an SSH tunnel".into(),
         });
     }
@@ -190,6 +193,10 @@ async fn routes(
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            // Both versions tell of both, so a list of services is the same by either.
+            .register_encoded_file_descriptor_set(tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET)
+            .include_reflection_service(false)
     };
     let mut server = tonic::transport::Server::builder()
         .max_concurrent_streams(MAX_STREAMS)

@@ -155,7 +155,8 @@ impl Gcm {
             match carrying.one(change, deadline).await {
                 Ok(report) => done.reports.push(report),
                 Err(refusal) => {
-                    let undo = inverse(&Plan { changes: done.plan.changes[..i].to_vec(), skipped: Vec::new() });
+                    let undo =
+                        inverse(&Plan { changes: done.plan.changes[..i].to_vec(), skipped: Vec::new() });
                     for change in undo.changes {
                         if let Err(refusal) = carrying.one(&change, Instant::now() + UNDO).await {
                             log::error!("undoing it ({}): {refusal}", text::line(&change));
@@ -172,11 +173,10 @@ impl Gcm {
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
         let process = &id_of(change).process;
         let lcm = self.lcm_of(process)?;
-        let asked = tokio::time::timeout_at((deadline + GRACE).into(), lcm.apply(change.clone(), deadline)).await;
-        let report = asked.map_err(|_| Refusal::LcmTimeout {
-            process: process.clone(),
-            what: text::asked(change),
-        })??;
+        let asked =
+            tokio::time::timeout_at((deadline + GRACE).into(), lcm.apply(change.clone(), deadline)).await;
+        let report = asked
+            .map_err(|_| Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) })??;
         self.edit(|graph| {
             let revision = graph.revision;
             graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });

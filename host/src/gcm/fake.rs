@@ -9,14 +9,14 @@ use async_trait::async_trait;
 use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
 use trocar_model::{
-    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Execution, ExecutionModel, Health, Input, Name,
-    Output, Overflow, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Type,
+    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Execution, ExecutionModel, Health, Input,
+    Name, Output, Overflow, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Type,
 };
 
 use super::text;
 use crate::lcm::{
-    Detail, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report, Sample,
-    Selection,
+    Detail, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report,
+    Sample, Selection,
 };
 
 pub(crate) struct FakeLcm {
@@ -61,8 +61,13 @@ pub(crate) fn class() -> Arc<ClassInfo> {
         ret_unit: String::new(),
         overflow: Overflow::Reject,
     };
-    let provided =
-        Provided { name: "arm".into(), doc: "the arm".into(), tag: String::new(), commands: vec![command], events: vec![] };
+    let provided = Provided {
+        name: "arm".into(),
+        doc: "the arm".into(),
+        tag: String::new(),
+        commands: vec![command],
+        events: vec![],
+    };
     let required = Required {
         name: "robot".into(),
         doc: "whom it moves".into(),
@@ -158,13 +163,8 @@ impl FakeLcm {
     }
 
     pub(crate) fn log(&self, path: &str, level: u32, message: &str) {
-        let line = LogLine {
-            wall_ns: 1,
-            level,
-            path: path.into(),
-            target: "toy".into(),
-            message: message.into(),
-        };
+        let line =
+            LogLine { wall_ns: 1, level, path: path.into(), target: "toy".into(), message: message.into() };
         let _ = self.news.send(News::Log(line));
     }
 
@@ -194,7 +194,14 @@ impl FakeLcm {
 }
 
 fn report(id: &ComponentId, state: State) -> Report {
-    Report { id: id.clone(), state, health: Health::Ok, fault: String::new(), ports: None, warnings: Vec::new() }
+    Report {
+        id: id.clone(),
+        state,
+        health: Health::Ok,
+        fault: String::new(),
+        ports: None,
+        warnings: Vec::new(),
+    }
 }
 
 #[async_trait]
@@ -273,7 +280,10 @@ impl Lcm for FakeLcm {
 
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         let states = self.states.lock().unwrap();
-        Ok(Inventory { components: states.iter().map(|(id, s)| report(id, *s)).collect(), classes: vec![class()] })
+        Ok(Inventory {
+            components: states.iter().map(|(id, s)| report(id, *s)).collect(),
+            classes: vec![class()],
+        })
     }
 
     fn news(&self) -> broadcast::Receiver<News> {

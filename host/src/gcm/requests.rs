@@ -79,9 +79,14 @@ mod tests {
     #[test]
     fn an_answer_is_forgotten_after_ten_minutes() {
         let (mut answers, now) = (Answers::default(), Instant::now());
-        let Known::New(tell) = answers.ask("a", &stop("host/robot"), now) else { panic!("nobody asked before") };
+        let Known::New(tell) = answers.ask("a", &stop("host/robot"), now) else {
+            panic!("nobody asked before")
+        };
         tell.send_replace(Some(Ok(Executed::default())));
-        assert!(matches!(answers.ask("a", &stop("host/robot"), now + AGE), Known::Same(_)), "forgotten too early");
+        assert!(
+            matches!(answers.ask("a", &stop("host/robot"), now + AGE), Known::Same(_)),
+            "forgotten too early"
+        );
         let later = now + AGE + Duration::from_secs(1);
         assert!(matches!(answers.ask("a", &stop("host/robot"), later), Known::New(_)), "kept too long");
     }
@@ -89,7 +94,9 @@ mod tests {
     #[test]
     fn an_id_used_for_something_else_is_told_apart() {
         let (mut answers, now) = (Answers::default(), Instant::now());
-        let Known::New(_tell) = answers.ask("a", &stop("host/robot"), now) else { panic!("nobody asked before") };
+        let Known::New(_tell) = answers.ask("a", &stop("host/robot"), now) else {
+            panic!("nobody asked before")
+        };
         assert!(matches!(answers.ask("a", &stop("host/other"), now), Known::Other));
     }
 

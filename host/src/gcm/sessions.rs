@@ -215,13 +215,7 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) {
     }
 }
 
-async fn follow(
-    gcm: Gcm,
-    process: Name,
-    epoch: u64,
-    lcm: Arc<dyn Lcm>,
-    mut news: broadcast::Receiver<News>,
-) {
+async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news: broadcast::Receiver<News>) {
     loop {
         let heard = news.recv().await;
         if !gcm.current(&process, epoch) {

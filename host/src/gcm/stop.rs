@@ -6,7 +6,9 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
-use trocar_model::{Change, ComponentId, Plan, Refusal, Request, State, StopReason, Target, Verb, allowed, plan_all};
+use trocar_model::{
+    Change, ComponentId, Plan, Refusal, Request, State, StopReason, Target, Verb, allowed, plan_all,
+};
 
 use super::Gcm;
 use super::execute::{Executed, UNDO, id_of};

@@ -27,7 +27,9 @@ pub(super) fn line(change: &Change) -> String {
             };
             format!("{sign} {word} {id} ({from} → {to})")
         }
-        Change::Connect { connection: c } => format!("+ connect {} → {} (connection {})", c.server, c.client, c.id.0),
+        Change::Connect { connection: c } => {
+            format!("+ connect {} → {} (connection {})", c.server, c.client, c.id.0)
+        }
         Change::Disconnect { connection: c } => {
             format!("- disconnect {} → {} (connection {})", c.server, c.client, c.id.0)
         }

@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 use trocar_model::{Change, Name, Request, State, StopReason, Target, Verb};
 
 use super::announce::Announcement;
-use super::{HostError, StateChoice, StateDir};
+use super::{HostError, StateChoice, StateDir, StopRequest};
 use crate::control::{ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm, StoreClasses};
@@ -179,15 +179,15 @@ impl Host {
         &self.state
     }
 
-    /// Ends when the process is asked to end (Ctrl-C, SIGTERM), or when the GCM it attached to sends it away for good.
+    /// Ends when the process is asked to end, or when the GCM it attached to sends it away for good.
     ///
     /// # Errors
     /// Why the GCM sent it away.
-    pub async fn until_asked_to_stop(&mut self) -> Result<(), HostError> {
+    pub async fn until_asked_to_stop(&mut self, stop: &mut StopRequest) -> Result<(), HostError> {
         match &mut self.parts.uplink {
-            None => super::signals::asked_to_stop().await,
+            None => stop.asked().await,
             Some(uplink) => tokio::select! {
-                () = super::signals::asked_to_stop() => {}
+                () = stop.asked() => {}
                 refusal = uplink.refused() => return Err(refusal.into()),
             },
         }
@@ -245,7 +245,11 @@ async fn stop_all(gcm: Option<Gcm>, lcm: Arc<LocalLcm>) -> Result<String, String
     if let Some(gcm) = gcm
         && let Ok(target) = Target::parse("**")
     {
-        let options = ExecuteOptions { deadline: Some(deadline), identity: "stop --all".into(), ..ExecuteOptions::default() };
+        let options = ExecuteOptions {
+            deadline: Some(deadline),
+            identity: "stop --all".into(),
+            ..ExecuteOptions::default()
+        };
         if let Err(refusal) = gcm.execute(vec![Request::Stop { targets: vec![target] }], options).await {
             log::warn!("the GCM refused to stop everything, stopping past it: {refusal}");
         }

@@ -20,7 +20,7 @@ use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::os;
 use trocar_rt::stream::{Payload as StreamPayload, Queue, StreamReader, stream_link};
 
-use super::api::{Invoke, Item, ItemKind, News, Payload, Reply, Sample, Selection};
+use super::api::{Invoke, Item, ItemKind, News, Payload, Reply, Report, Sample, Selection};
 use super::boundary::{Answer, EventSink, FnBinding, OutLink, Tap};
 use super::connect;
 use super::instance::Instance;
@@ -323,7 +323,7 @@ impl Drop for EventFeed {
 
 /// What one selection follows.
 enum Feed {
-    State { id: ComponentId, news: broadcast::Receiver<News> },
+    State { instance: Arc<Instance>, news: broadcast::Receiver<News> },
     Event(EventFeed),
     Output(Box<Output>, Duration),
 }
@@ -345,10 +345,8 @@ fn open(lcm: &LocalLcm, selection: &Selection) -> Result<Feed, Refusal> {
     let path = selection.path.as_str();
     match path.split('/').count() {
         2 => {
-            let id = ComponentId::parse(path)?;
             let news = lcm.news_receiver();
-            lcm.instance(&id)?;
-            Ok(Feed::State { id, news })
+            Ok(Feed::State { instance: lcm.instance(&ComponentId::parse(path)?)?, news })
         }
         3 => {
             let port = PortId::parse(path)?;
@@ -381,30 +379,23 @@ impl Teller {
 
 async fn follow(path: String, feed: Feed, teller: Teller) {
     match feed {
-        Feed::State { id, mut news } => loop {
-            tokio::select! {
-                () = teller.tell.closed() => return,
-                received = news.recv() => match received {
-                    Ok(News::State(report)) if report.id == id => teller.give(Item {
-                        path: path.clone(),
-                        kind: ItemKind::State,
-                        value: json!({
-                            "state": report.state.to_string(),
-                            "health": report.health.to_string(),
-                            "fault": report.fault,
-                        }),
-                        stamp_ns: os::now_ns(),
-                        seq: 0,
-                        skipped: 0,
-                    }),
-                    Ok(_) => {}
-                    Err(broadcast::error::RecvError::Lagged(n)) => {
-                        teller.lost.fetch_add(n, Ordering::Relaxed);
-                    }
-                    Err(broadcast::error::RecvError::Closed) => return,
-                },
+        Feed::State { instance, mut news } => {
+            // The present state first: whoever has it knows that nothing after it is missed.
+            teller.give(standing(&path, &instance.report(false)));
+            loop {
+                tokio::select! {
+                    () = teller.tell.closed() => return,
+                    received = news.recv() => match received {
+                        Ok(News::State(report)) if report.id == instance.id => teller.give(standing(&path, &report)),
+                        Ok(_) => {}
+                        Err(broadcast::error::RecvError::Lagged(n)) => {
+                            teller.lost.fetch_add(n, Ordering::Relaxed);
+                        }
+                        Err(broadcast::error::RecvError::Closed) => return,
+                    },
+                }
             }
-        },
+        }
         Feed::Event(mut feed) => {
             while !rest(&teller, LOOK).await {
                 feed.drain(&path, |item| teller.give(item));
@@ -434,6 +425,22 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
                 }
             }
         }
+    }
+}
+
+/// A component's state as an item.
+fn standing(path: &str, report: &Report) -> Item {
+    Item {
+        path: path.to_owned(),
+        kind: ItemKind::State,
+        value: json!({
+            "state": report.state.to_string(),
+            "health": report.health.to_string(),
+            "fault": report.fault,
+        }),
+        stamp_ns: os::now_ns(),
+        seq: 0,
+        skipped: 0,
     }
 }
 

@@ -30,6 +30,9 @@ use super::{News, Report, system};
 pub(super) const ENTRY_COMMAND: u32 = 0;
 pub(super) const ENTRY_EVENT: u32 = 1;
 
+/// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are longer.
+const PATIENCE_NS: u64 = 50_000_000;
+
 /// Rows of a state table.
 const STATE_ROWS: usize = 256;
 
@@ -108,7 +111,13 @@ pub(super) struct Instance {
     inboxes: BindingCell<Vec<Arc<Inbox>>>,
     gate: AtomicU32,
     fault: Mutex<String>,
-    health: AtomicU32,
+    overrun: AtomicBool,
+    /// When the entry that runs now began, ns; 0 between entries.
+    busy_since_ns: AtomicU64,
+    /// Nominal period, ns; 0 without one.
+    period_ns: u64,
+    /// The health that was last told.
+    told: Mutex<Health>,
     signalled: AtomicBool,
     /// Its executor steps it on a grid, so nobody needs to wake it.
     on_grid: AtomicBool,
@@ -166,7 +175,10 @@ impl Instance {
             external,
             gate: AtomicU32::new(pack(State::Created)),
             fault: Mutex::new(String::new()),
-            health: AtomicU32::new(0),
+            overrun: AtomicBool::new(false),
+            busy_since_ns: AtomicU64::new(0),
+            period_ns,
+            told: Mutex::new(Health::Ok),
             signalled: AtomicBool::new(false),
             on_grid: AtomicBool::new(false),
             passive,
@@ -282,15 +294,34 @@ impl Instance {
     }
 
     pub(super) fn health(&self) -> Health {
-        match self.health.load(Ordering::Relaxed) {
-            1 => Health::Overrun,
-            _ => Health::Ok,
+        let since = self.busy_since_ns.load(Ordering::Relaxed);
+        if since != 0 && os::now_ns().saturating_sub(since) > PATIENCE_NS.max(5 * self.period_ns) {
+            return Health::Unresponsive;
         }
+        if self.overrun.load(Ordering::Relaxed) { Health::Overrun } else { Health::Ok }
+    }
+
+    /// Tells the world when the health is another than it last heard; the watchdog's question.
+    pub(super) fn tell_health(&self) {
+        let now = self.health();
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if *told == now {
+            return;
+        }
+        *told = now;
+        drop(told);
+        if now == Health::Unresponsive {
+            let text = "does not come back out of its own code";
+            log::warn!("{} {text}", self.id);
+            self.message(system::WARNING, text);
+        }
+        // Nobody listening is fine: the inventory has it.
+        let _ = self.hub.news.send(News::State(self.report(false)));
     }
 
     /// Real-time: a flag, told by whoever asks.
     pub(super) fn set_overrun(&self, overrun: bool) {
-        self.health.store(u32::from(overrun), Ordering::Relaxed);
+        self.overrun.store(overrun, Ordering::Relaxed);
     }
 
     /// An entry failed in a way that ends trust in the instance: safe state, FAULT, said everywhere.
@@ -525,6 +556,7 @@ impl Instance {
 
     /// One step with its timing. Real-time.
     pub(super) fn step(&self, entered: &mut Entered<'_>, tick: &Tick) {
+        self.busy_since_ns.store(tick.now_ns, Ordering::Relaxed);
         let before = context::swap_component(Arc::as_ptr(&self.host));
         self.drain(entered);
         if self.is_active() {
@@ -534,6 +566,7 @@ impl Instance {
             }
         }
         context::swap_component(before);
+        self.busy_since_ns.store(0, Ordering::Relaxed);
     }
 
     /// Publishes a row of the state table. Real-time.

@@ -13,6 +13,7 @@ use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_model::{Change, ComponentId, Connection, Execution, Name, Refusal, State, StopReason, Verb};
 use trocar_plugin_api::abi::NOT_ACTIVE;
 use trocar_rt::os;
+use trocar_rt::wake::Waker;
 
 use super::api::{
     Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
@@ -26,6 +27,9 @@ use super::external;
 use super::hub::Hub;
 use super::instance::{self, Entered, Instance};
 use super::{order, system};
+
+/// How often the watchdog looks, ns.
+const WATCH_NS: u64 = 10_000_000;
 
 /// Longest wait for a component that is being removed, before its thread is left behind.
 const HUNG: Duration = Duration::from_secs(1);
@@ -43,6 +47,8 @@ pub struct LocalLcm {
     held: Mutex<Held>,
     next_number: AtomicU32,
     log_thread: Mutex<Option<thread::JoinHandle<()>>>,
+    watchdog: Mutex<Option<thread::JoinHandle<()>>>,
+    closing: Arc<Waker>,
 }
 
 #[derive(Default)]
@@ -82,6 +88,8 @@ impl LocalLcm {
             held: Mutex::new(Held::default()),
             next_number: AtomicU32::new(1),
             log_thread: Mutex::new(None),
+            watchdog: Mutex::new(None),
+            closing: Arc::new(Waker::new()),
         });
         let (hub, weak) = (lcm.hub.clone(), Arc::downgrade(&lcm));
         let thread = thread::Builder::new().name("trocar-log".into()).spawn(move || {
@@ -99,6 +107,15 @@ impl LocalLcm {
             });
         })?;
         *lcm.log_thread.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        let (closing, weak) = (lcm.closing.clone(), Arc::downgrade(&lcm));
+        let thread = thread::Builder::new().name("trocar-watchdog".into()).spawn(move || {
+            while !closing.wait(Some(os::now_ns() + WATCH_NS)) {
+                let Some(lcm) = weak.upgrade() else { return };
+                let instances: Vec<_> = lcm.held().components.values().map(|s| s.instance.clone()).collect();
+                instances.iter().for_each(|instance| instance.tell_health());
+            }
+        })?;
+        *lcm.watchdog.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
         Ok(lcm)
     }
 
@@ -128,6 +145,13 @@ impl LocalLcm {
             if let Err(refusal) = self.destroy(id, deadline).await {
                 log::error!("{id} could not be removed at shutdown: {refusal}");
             }
+        }
+        self.closing.notify();
+        let thread = self.watchdog.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(thread) = thread
+            && thread.join().is_err()
+        {
+            log::error!("the watchdog panicked");
         }
         self.hub.logs.close();
         let thread = self.log_thread.lock().unwrap_or_else(PoisonError::into_inner).take();

@@ -12,7 +12,7 @@ use super::failure::{Done, Exit, Failure};
 use super::figures::{Reading, Stepper, Steps, Watched, Wire, table};
 use super::session::Session;
 use super::{logging, out, run, session, style};
-use crate::host::{Host, signals};
+use crate::host::{Host, StopRequest};
 use crate::system_file::SystemFile;
 
 /// The shipped system file.
@@ -77,35 +77,33 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     let mut file = SystemFile::parse("demo.json", SYSTEM.to_owned())?;
     file.set(&format!("{IMAGE_KEY}={}", serde_json::Value::from(images.to_string_lossy())))?;
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
-    let mut host = Host::start(run::config(&file, Path::new(""), plugins, args.listen)?).await?;
-    if let Err(failure) = run::bring_up(&host, &file).await {
-        host.shutdown().await;
-        return Err(built(failure));
-    }
-    let done = show(&mut host, args.seconds, session).await;
+    let config = run::config(&file, Path::new(""), plugins, args.listen)?;
+    let mut stop = StopRequest::listen();
+    let host = Host::start(config).await?;
+    let done = match run::bring_up(&host, &file, &mut stop).await {
+        Ok(true) => show(&host, args.seconds, session, &mut stop).await,
+        Ok(false) => Ok(Exit::Interrupted),
+        Err(failure) => Err(built(failure)),
+    };
     host.shutdown().await;
     done
 }
 
-async fn show(host: &mut Host, seconds: Option<u64>, session: &Session) -> Done {
+async fn show(host: &Host, seconds: Option<u64>, session: &Session, stop: &mut StopRequest) -> Done {
     let Some(watched) = watched(host) else { return Ok(Exit::Ok) };
-    if session.json() && seconds.is_none() {
-        out::line(&serde_json::json!({ "listening": host.addr().to_string() }).to_string());
-    }
     if !session.json() {
         out::line(&format!("trocar demo is running; listening on {}", host.addr()));
         out::text(&run::hints(host.addr(), Some(TRY)));
         out::line("");
+    } else if seconds.is_none() {
+        out::line(&serde_json::json!({ "listening": host.addr().to_string() }).to_string());
     }
-    let asked_to_stop = signals::asked_to_stop();
-    tokio::pin!(asked_to_stop);
     let measured = measure(watched.clone(), seconds);
     let mut screen = Screen::new(watched, session);
     tokio::select! {
-        () = &mut asked_to_stop => return Ok(Exit::Ok),
+        () = stop.asked() => {}
         never = screen.keep() => match never {},
-        report = measured => {
-            let Some(report) = report else { return Ok(Exit::Ok) };
+        Some(report) = measured => {
             if session.json() {
                 return session.print_json(&report);
             }

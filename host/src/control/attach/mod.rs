@@ -5,7 +5,7 @@
 mod remote;
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 use tokio::time::MissedTickBehavior;
@@ -23,8 +23,9 @@ use crate::gcm::{Gcm, Registered, Registration};
 
 /// Both sides say this often that they are there.
 pub(super) const BEAT: Duration = Duration::from_millis(100);
-/// After this silence the other side is lost.
-pub(super) const LEASE: Duration = Duration::from_millis(500);
+/// After this many beats of silence the other side is lost. Counted, not measured: a machine that stood still must not
+/// take its own pause for the other's silence.
+pub(super) const LEASE: u32 = 5;
 /// Largest message of an Attach stream, bytes: a Hello describes every class of a process.
 pub(super) const MAX_MESSAGE: usize = 32 << 20;
 /// Time for the Hello.
@@ -73,7 +74,8 @@ impl AttachService for AttachEdge {
     ) -> Result<Response<Self::AttachStream>, Status> {
         let mut inbound = request.into_inner();
         let first = tokio::time::timeout(HELLO, inbound.message()).await;
-        let Ok(Ok(Some(v1::AttachRequest { message: Some(attach_request::Message::Hello(hello)) }))) = first else {
+        let Ok(Ok(Some(v1::AttachRequest { message: Some(attach_request::Message::Hello(hello)) }))) = first
+        else {
             return Err(status(&Refusal::ArgumentInvalid {
                 what: "Attach".into(),
                 why: "the first message must be hello, within 2 s".into(),
@@ -117,14 +119,14 @@ impl Attached {
     ) {
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut heard, mut sequence) = (Instant::now(), 0);
+        let (mut silent, mut sequence) = (0, 0);
         let why = loop {
             tokio::select! {
-                // What has arrived counts before the silence does, also when this machine was busy.
+                // What has arrived counts before the silence does.
                 biased;
                 arrived = inbound.message() => match arrived {
                     Ok(Some(said)) => {
-                        heard = Instant::now();
+                        silent = 0;
                         self.lcm.hear(said);
                     }
                     Ok(None) => break "it closed the stream".to_owned(),
@@ -132,9 +134,10 @@ impl Attached {
                 },
                 _ = open.changed() => break "this port is closing".to_owned(),
                 _ = beat.tick() => {
-                    if heard.elapsed() > LEASE {
-                        break format!("silent for {} ms", heard.elapsed().as_millis());
+                    if silent == LEASE {
+                        break format!("silent for {} ms", (BEAT * LEASE).as_millis());
                     }
+                    silent += 1;
                     sequence += 1;
                     let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence });
                     // A full queue means it does not read: then its own lease ends.

@@ -219,7 +219,9 @@ impl Lcm for RemoteLcm {
         match self.ask(O::Invoke(convert::invoke_out(call)), deadline, "").await {
             Ok(A::Reply(reply)) => Ok(convert::reply_in(reply)),
             Ok(_) => wrong(),
-            Err(Refusal::LcmTimeout { .. }) => Err(Refusal::Deadline { member, after_ns, may_still_run: true }),
+            Err(Refusal::LcmTimeout { .. }) => {
+                Err(Refusal::Deadline { member, after_ns, may_still_run: true })
+            }
             Err(Refusal::ProcessLost { .. }) => Err(Refusal::PeerLost { member }),
             Err(refusal) => Err(refusal),
         }

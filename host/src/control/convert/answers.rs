@@ -7,7 +7,9 @@ use trocar_proto::v1;
 
 use super::back::unreadable;
 use super::json::{from_value, to_value};
-use crate::lcm::{Detail, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample, Spread};
+use crate::lcm::{
+    Detail, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample, Spread,
+};
 
 /// Level names; 1 is the first.
 const LEVELS: [&str; 5] = ["error", "warn", "info", "debug", "trace"];

@@ -236,13 +236,15 @@ pub(crate) fn state(state: i32, reason: i32) -> Result<model::State, Refusal> {
         v1::ComponentState::Ready => S::Ready,
         v1::ComponentState::Active => S::Active,
         v1::ComponentState::Fault => S::Fault,
-        v1::ComponentState::Stopped => S::Stopped(match v1::StopReason::try_from(reason).unwrap_or_default() {
-            v1::StopReason::Unspecified => return Err(unreadable("stop_reason")),
-            v1::StopReason::Requested => R::Requested,
-            v1::StopReason::Restarted => R::Restarted,
-            v1::StopReason::Interlock => R::Interlock,
-            v1::StopReason::PeerLost => R::PeerLost,
-        }),
+        v1::ComponentState::Stopped => {
+            S::Stopped(match v1::StopReason::try_from(reason).unwrap_or_default() {
+                v1::StopReason::Unspecified => return Err(unreadable("stop_reason")),
+                v1::StopReason::Requested => R::Requested,
+                v1::StopReason::Restarted => R::Restarted,
+                v1::StopReason::Interlock => R::Interlock,
+                v1::StopReason::PeerLost => R::PeerLost,
+            })
+        }
     })
 }
 

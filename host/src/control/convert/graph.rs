@@ -99,11 +99,7 @@ pub(crate) fn list(graph: &SystemGraph, term: u64, figures: &Figures) -> v1::Lis
             .iter()
             .map(|(id, c)| component(id, c, figures.details.get(id)))
             .collect(),
-        connections: graph
-            .connections
-            .values()
-            .map(|c| connection(c, figures.links.get(&c.id.0)))
-            .collect(),
+        connections: graph.connections.values().map(|c| connection(c, figures.links.get(&c.id.0))).collect(),
         classes: Vec::new(),
         warnings: figures.warnings.clone(),
     }

@@ -10,8 +10,8 @@ mod requests;
 mod types;
 
 pub(super) use answers::{
-    detail_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload, plugin, plugin_in, reply,
-    reply_in, sample, sample_in,
+    detail_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload, plugin, plugin_in,
+    reply, reply_in, sample, sample_in,
 };
 pub(super) use back::unreadable;
 pub(super) use change::{

@@ -226,7 +226,11 @@ mod tests {
 
     #[test]
     fn a_refusal_of_a_newer_build_keeps_its_sentence() {
-        let info = v1::RefusalInfo { kind: "Later".into(), text: "the moon is not full".into(), ..Default::default() };
+        let info = v1::RefusalInfo {
+            kind: "Later".into(),
+            text: "the moon is not full".into(),
+            ..Default::default()
+        };
         assert!(refusal(&info).to_string().contains("the moon is not full"));
         assert_eq!(refusal(&refusal_info(&refusal(&info))), refusal(&info));
     }

@@ -2,8 +2,8 @@
 
 use prost_types::Duration;
 use trocar_model::{
-    ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, PortId, Queue, Refusal, Request,
-    Target, Which,
+    ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, PortId, Queue, Refusal,
+    Request, Target, Which,
 };
 use trocar_proto::v1;
 
@@ -50,7 +50,11 @@ pub(crate) fn configure(r: v1::ConfigureRequest) -> Result<Request, Refusal> {
 pub(crate) fn targets(verb: &str, paths: Vec<String>, path: String) -> Result<Vec<Target>, Refusal> {
     let all: Vec<String> = paths.into_iter().chain((!path.is_empty()).then_some(path)).collect();
     if all.is_empty() {
-        return Err(invalid(verb, "no path is named: give paths such as [\"host/robot\"] or [\"host/**\"]", "paths"));
+        return Err(invalid(
+            verb,
+            "no path is named: give paths such as [\"host/robot\"] or [\"host/**\"]",
+            "paths",
+        ));
     }
     all.iter().map(|p| Target::parse(p)).collect()
 }
@@ -122,7 +126,10 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
     let period = e.period.as_ref().map(|d| ns(d, "execution.period")).transpose()?;
     let priority = e
         .priority
-        .map(|p| u8::try_from(p).map_err(|_| invalid("execution.priority", "it must be 1 to 99", "execution.priority")))
+        .map(|p| {
+            u8::try_from(p)
+                .map_err(|_| invalid("execution.priority", "it must be 1 to 99", "execution.priority"))
+        })
         .transpose()?;
     Ok(Execution {
         model,
@@ -154,7 +161,9 @@ pub(crate) fn options(o: v1::ConnectOptions) -> Result<ConnectOptions, Refusal> 
         }
     };
     let mailbox = match o.mailbox {
-        Some(0) => return Err(invalid("options.mailbox", "a mailbox needs room for 1 or more", "options.mailbox")),
+        Some(0) => {
+            return Err(invalid("options.mailbox", "a mailbox needs room for 1 or more", "options.mailbox"));
+        }
         other => other.map(|n| depth(n, "options.mailbox")).transpose()?,
     };
     Ok(ConnectOptions {

@@ -1,21 +1,24 @@
 //! GcmService: one thin method per RPC.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tonic::{Request, Response, Status};
-use trocar_model::{Change, ComponentId, Name, Refusal, Request as Asked, State, StopReason, Target};
+use trocar_model::{
+    Change, ComponentId, MemberId, Name, PortId, Ports, Refusal, Request as Asked, State, StopReason, Target,
+};
 use trocar_proto::v1::gcm_service_server::GcmService;
 use trocar_proto::v1::{self, ComponentState};
 
 use super::watch::{WatchStream, watch};
 use super::{Edge, not_built, refuse};
 use crate::control::convert::{self, Common, Figures};
-use crate::control::deadline::deadline;
+use crate::control::deadline::{deadline, room};
 use crate::gcm::{ExecuteOptions, Executed, plan_lines};
+use crate::lcm::PluginInfo;
 
-/// Executes and answers; the response types differ in name only.
+/// Executes and answers; the response types differ in name, and in the fields that are filled by the caller.
 macro_rules! mutate {
-    ($self:ident, $request:ident, $response:ident, $convert:expr) => {{
+    ($self:ident, $request:ident, $response:ident $({ $($extra:ident),* })?, $convert:expr) => {{
         let until = deadline(&$request);
         let identity = identity(&$request);
         let r = $request.into_inner();
@@ -33,7 +36,7 @@ macro_rules! mutate {
                 components: done.reports.iter().map(convert::report).collect(),
                 skipped: skipped(&done),
                 warnings: warnings(&done),
-                ..Default::default()
+                $($($extra: Default::default(),)*)?
             },
             done,
         )
@@ -59,27 +62,50 @@ impl Edge {
         &self,
         requests: Vec<Asked>,
         common: Common,
-        until: std::time::Instant,
+        until: Instant,
         identity: String,
     ) -> Result<Executed, Status> {
         let options = ExecuteOptions {
             validate_only: common.validate_only,
             request_id: common.request_id,
             expected_revision: common.expected_revision,
-            // Room for the rollback inside the caller's own deadline.
-            deadline: Some(until - Duration::from_millis(100)),
+            deadline: Some(until - room(until)),
             identity,
         };
         let gcm = self.gcm()?.clone();
         // A caller that goes away must not leave a change half made.
         let running = tokio::spawn(async move { gcm.execute(requests, options).await });
         match running.await {
-            Ok(done) => done.map_err(refuse),
+            Ok(Ok(done)) => Ok(done),
+            Ok(Err(refusal)) => Err(refuse(self.refused_file(refusal, until).await)),
             Err(e) => Err(refuse(Refusal::Internal { text: format!("the request panicked: {e}") })),
         }
     }
 
-    async fn one_component(&self, id: &ComponentId, until: std::time::Instant) -> Result<(u64, v1::Component), Status> {
+    /// When a class is unknown because its file was refused, that file's own reason says more.
+    async fn refused_file(&self, refusal: Refusal, until: Instant) -> Refusal {
+        let Refusal::ClassNotFound { process, class, .. } = &refusal else { return refusal };
+        let Ok(lcm) = self.lcm(process) else { return refusal };
+        let Ok(Ok(plugins)) = tokio::time::timeout_at(until.into(), lcm.plugins()).await else {
+            return refusal;
+        };
+        let plugin = class.split('/').next().unwrap_or(class);
+        let library = format!("libtrocar_{}.so", plugin.replace('-', "_"));
+        let bare = format!("lib{}.so", plugin.replace('-', "_"));
+        let is_it = |p: &&PluginInfo| {
+            let file = p.file.rsplit('/').next().unwrap_or_default();
+            !p.refused.is_empty() && (p.name == plugin || file == library || file == bare)
+        };
+        let Some(found) = plugins.iter().find(is_it) else { return refusal };
+        let (file, text) = (found.file.clone(), found.refused.clone());
+        match found.refused_reason.as_str() {
+            "PLUGIN_ABI" => Refusal::PluginAbi { file, text },
+            "PLUGIN_UNTRUSTED" => Refusal::PluginUntrusted { file, text },
+            _ => Refusal::PluginBadFile { file, text },
+        }
+    }
+
+    async fn one_component(&self, id: &ComponentId, until: Instant) -> Result<(u64, v1::Component), Status> {
         let graph = self.gcm()?.graph();
         let component = graph.components.get(id).ok_or_else(|| {
             refuse(match graph.processes.contains_key(&id.process) {
@@ -100,15 +126,22 @@ impl Edge {
 
 #[tonic::async_trait]
 impl GcmService for Edge {
-    async fn create(&self, request: Request<v1::CreateRequest>) -> Result<Response<v1::CreateResponse>, Status> {
-        let (mut answer, done) = mutate!(self, request, CreateResponse, |r| Ok(vec![convert::create(r)?]));
+    async fn create(
+        &self,
+        request: Request<v1::CreateRequest>,
+    ) -> Result<Response<v1::CreateResponse>, Status> {
+        let (mut answer, done) =
+            mutate!(self, request, CreateResponse { path }, |r| Ok(vec![convert::create(r)?]));
         if let Some(Change::Create { id, .. }) = done.plan.changes.first() {
             answer.path = id.to_string();
         }
         Ok(Response::new(answer))
     }
 
-    async fn remove(&self, request: Request<v1::RemoveRequest>) -> Result<Response<v1::RemoveResponse>, Status> {
+    async fn remove(
+        &self,
+        request: Request<v1::RemoveRequest>,
+    ) -> Result<Response<v1::RemoveResponse>, Status> {
         Ok(Response::new(mutate!(self, request, RemoveResponse, |r| Ok(vec![convert::remove(r)?])).0))
     }
 
@@ -129,9 +162,10 @@ impl GcmService for Edge {
     }
 
     async fn stop(&self, request: Request<v1::StopRequest>) -> Result<Response<v1::StopResponse>, Status> {
-        let (mut answer, done) = mutate!(self, request, StopResponse, |r: v1::StopRequest| Ok(vec![Asked::Stop {
-            targets: convert::targets("Stop", r.paths, r.path)?
-        }]));
+        let (mut answer, done) =
+            mutate!(self, request, StopResponse { failed }, |r: v1::StopRequest| Ok(vec![Asked::Stop {
+                targets: convert::targets("Stop", r.paths, r.path)?
+            }]));
         let failed = done.failed.iter();
         answer.failed = failed
             .map(|(id, refusal)| v1::SkippedComponent { path: id.to_string(), why: refusal.to_string() })
@@ -139,7 +173,10 @@ impl GcmService for Edge {
         Ok(Response::new(answer))
     }
 
-    async fn resume(&self, request: Request<v1::ResumeRequest>) -> Result<Response<v1::ResumeResponse>, Status> {
+    async fn resume(
+        &self,
+        request: Request<v1::ResumeRequest>,
+    ) -> Result<Response<v1::ResumeResponse>, Status> {
         Ok(Response::new(
             mutate!(self, request, ResumeResponse, |r: v1::ResumeRequest| Ok(vec![Asked::Resume {
                 targets: convert::targets("Resume", r.paths, r.path)?
@@ -157,8 +194,12 @@ impl GcmService for Edge {
         ))
     }
 
-    async fn connect(&self, request: Request<v1::ConnectRequest>) -> Result<Response<v1::ConnectResponse>, Status> {
-        let (mut answer, done) = mutate!(self, request, ConnectResponse, |r| Ok(vec![convert::connect(r)?]));
+    async fn connect(
+        &self,
+        request: Request<v1::ConnectRequest>,
+    ) -> Result<Response<v1::ConnectResponse>, Status> {
+        let (mut answer, done) =
+            mutate!(self, request, ConnectResponse { id }, |r| Ok(vec![convert::connect(r)?]));
         for change in &done.plan.changes {
             if let Change::Connect { connection } = change {
                 answer.id = connection.id.0;
@@ -255,11 +296,12 @@ impl GcmService for Edge {
             answer.classes = process.classes.iter().map(|c| convert::class(c)).collect();
             return Ok(Response::new(answer));
         }
-        let id = ComponentId::parse(&r.path).map_err(refuse)?;
+        let (id, port, member) = split(&r.path).map_err(refuse)?;
         let (_, component) = self.one_component(&id, until).await?;
         answer.component = Some(component);
         if let Some(component) = graph.components.get(&id) {
-            answer.ports = Some(convert::ports(&component.ports));
+            let ports = narrow(&component.ports, &id, port.as_ref(), member.as_ref()).map_err(refuse)?;
+            answer.ports = Some(convert::ports(&ports));
             answer.class = Some(convert::class(&component.class));
         }
         let figures = self.figures(&graph, &[], until).await;
@@ -280,7 +322,7 @@ impl GcmService for Edge {
         let r = request.into_inner();
         let id = ComponentId::parse(&r.path).map_err(refuse)?;
         if let Some(ns) = r.deadline.as_ref().and_then(convert::duration_ns) {
-            until = until.min(std::time::Instant::now() + Duration::from_nanos(ns));
+            until = until.min(Instant::now() + Duration::from_nanos(ns));
         }
         let mut states: Vec<State> = r.states().flat_map(states).collect();
         if states.is_empty() {
@@ -307,9 +349,63 @@ impl GcmService for Edge {
     }
 }
 
+/// `process/component[/port[/member]]` taken apart.
+fn split(path: &str) -> Result<(ComponentId, Option<Name>, Option<Name>), Refusal> {
+    match path.split('/').count() {
+        4 => {
+            let m = MemberId::parse(path)?;
+            Ok((m.port.component, Some(m.port.port), Some(m.member)))
+        }
+        3 => {
+            let p = PortId::parse(path)?;
+            Ok((p.component, Some(p.port), None))
+        }
+        _ => Ok((ComponentId::parse(path)?, None, None)),
+    }
+}
+
+/// Only the named port, and of an interface only the named member.
+fn narrow(
+    ports: &Ports,
+    id: &ComponentId,
+    port: Option<&Name>,
+    member: Option<&Name>,
+) -> Result<Ports, Refusal> {
+    let Some(port) = port else { return Ok(ports.clone()) };
+    let mut kept = ports.clone();
+    kept.state = None;
+    kept.inputs.retain(|p| p.name == port.as_str());
+    kept.outputs.retain(|p| p.name == port.as_str());
+    kept.required.retain(|p| p.name == port.as_str());
+    kept.provided.retain(|p| p.name == port.as_str());
+    if kept.names().next().is_none() {
+        let known = ports.names().map(str::to_owned).collect();
+        return Err(Refusal::InterfaceNotFound { port: id.port(port.clone()), known });
+    }
+    let Some(member) = member else { return Ok(kept) };
+    let mut known: Vec<String> = Vec::new();
+    let mut is = |name: &String| {
+        known.push(name.clone());
+        name == member.as_str()
+    };
+    for p in &mut kept.provided {
+        p.commands.retain(|c| is(&c.name));
+        p.events.retain(|e| is(&e.name));
+    }
+    for r in &mut kept.required {
+        r.functions.retain(|f| is(&f.name));
+        r.handlers.retain(|h| is(&h.name));
+    }
+    if known.iter().any(|name| name == member.as_str()) {
+        Ok(kept)
+    } else {
+        Err(Refusal::MemberNotFound { member: id.port(port.clone()).member(member.clone()), known })
+    }
+}
+
 /// At least a moment for the last question.
-fn deadline_from(until: std::time::Instant) -> std::time::Instant {
-    until.max(std::time::Instant::now() + Duration::from_millis(100))
+fn deadline_from(until: Instant) -> Instant {
+    until.max(Instant::now() + Duration::from_millis(100))
 }
 
 fn states(state: ComponentState) -> Vec<State> {

@@ -4,8 +4,8 @@ use std::pin::Pin;
 use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
-use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 use trocar_model::{MemberId, Name, Refusal};
 use trocar_proto::v1;
@@ -14,7 +14,7 @@ use trocar_proto::v1::interact_service_server::InteractService;
 use super::logs::{self, Wanted};
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
-use crate::control::deadline::deadline;
+use crate::control::deadline::{deadline, room};
 use crate::lcm::{Invoke, Selection};
 
 type Items = Pin<Box<dyn Stream<Item = Result<v1::SubscribeResponse, Status>> + Send>>;
@@ -31,11 +31,16 @@ fn process_of(path: &str) -> Result<Name, Refusal> {
 
 #[tonic::async_trait]
 impl InteractService for Edge {
-    async fn invoke(&self, request: Request<v1::InvokeRequest>) -> Result<Response<v1::InvokeResponse>, Status> {
+    async fn invoke(
+        &self,
+        request: Request<v1::InvokeRequest>,
+    ) -> Result<Response<v1::InvokeResponse>, Status> {
         let until = deadline(&request);
         let r = request.into_inner();
         let member = MemberId::parse(&r.path).map_err(refuse)?;
-        let left = u64::try_from(until.saturating_duration_since(Instant::now()).as_nanos()).unwrap_or(u64::MAX);
+        let room = room(until);
+        let left = until.saturating_duration_since(Instant::now()).saturating_sub(room);
+        let left = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
         let asked = r.deadline.as_ref().map(|d| {
             convert::duration_ns(d).ok_or_else(|| {
                 refuse(Refusal::ArgumentInvalid {
@@ -50,7 +55,7 @@ impl InteractService for Edge {
         let lcm = self.lcm(&member.port.component.process).map_err(refuse)?;
         let call = Invoke { member: member.clone(), arg, send: r.send, deadline_ns };
         // The LCM keeps the deadline itself; this is for one that does not answer at all.
-        let patience = Duration::from_nanos(deadline_ns) + Duration::from_millis(500);
+        let patience = Duration::from_nanos(deadline_ns) + room * 3 / 4;
         let reply = tokio::time::timeout(patience, lcm.invoke(call))
             .await
             .map_err(|_| refuse(Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: true }))?

@@ -54,9 +54,10 @@ impl Wanted {
     fn wants(&self, line: &LogLine) -> bool {
         let here = match &self.place {
             Place::Everywhere => true,
-            Place::At(place) => {
-                line.path.strip_prefix(place.as_str()).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
-            }
+            Place::At(place) => line
+                .path
+                .strip_prefix(place.as_str())
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with('/')),
             Place::Glob { pattern, process } => {
                 line.path == *process || ComponentId::parse(&line.path).is_ok_and(|id| pattern.matches(&id))
             }
@@ -80,7 +81,10 @@ pub(super) fn stream(
                 return;
             }
         }
-        while follow {
+        if !follow {
+            return;
+        }
+        loop {
             let heard = tokio::select! {
                 () = tell.closed() => return,
                 heard = live.recv() => heard,

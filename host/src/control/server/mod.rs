@@ -6,17 +6,20 @@ mod logs;
 mod plugin;
 mod watch;
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use tokio::task::JoinSet;
 use tonic::Status;
 use trocar_model::{ComponentId, Name, Refusal, SystemGraph};
 
 use super::convert::Figures;
 use super::status::status;
 use crate::gcm::{Gcm, Lines};
-use crate::lcm::Lcm;
+use crate::lcm::{Detail, Lcm, LinkDetail};
+
+/// Time for live figures; a list is not held up longer.
+const FIGURES: Duration = Duration::from_secs(1);
 
 /// Whom this port speaks for.
 #[derive(Clone)]
@@ -61,35 +64,45 @@ impl Edge {
         }
     }
 
-    /// Live figures of `ids` and of all connections; what cannot be had in time is a warning, not a failure.
+    /// Live figures of `ids` and of all connections; what cannot be had in time is a warning, not a failure. The
+    /// processes are asked side by side, so that a silent one costs the others nothing.
     async fn figures(&self, graph: &SystemGraph, ids: &[ComponentId], deadline: Instant) -> Figures {
-        let mut figures = Figures::default();
-        let mut by_process: BTreeMap<&Name, Vec<&ComponentId>> = BTreeMap::new();
-        for id in ids {
-            by_process.entry(&id.process).or_default().push(id);
-        }
+        let deadline = deadline.min(Instant::now() + FIGURES);
+        let mut asking = JoinSet::new();
         for process in graph.processes.keys() {
             let Ok(lcm) = self.lcm(process) else { continue };
-            let asked = async {
-                for id in by_process.get(process).into_iter().flatten() {
-                    match lcm.detail((*id).clone()).await {
-                        Ok(detail) => _ = figures.details.insert((*id).clone(), detail),
-                        Err(refusal) => figures.warnings.push(refusal.to_string()),
-                    }
+            let ids: Vec<ComponentId> = ids.iter().filter(|id| id.process == *process).cloned().collect();
+            let process = process.clone();
+            asking.spawn(async move {
+                let asked = tokio::time::timeout_at(deadline.into(), figures_of(lcm, ids)).await;
+                asked.unwrap_or_else(|_| Err(format!("process {process} did not give its figures in time")))
+            });
+        }
+        let mut figures = Figures::default();
+        while let Some(asked) = asking.join_next().await {
+            match asked {
+                Ok(Ok((details, links))) => {
+                    figures.details.extend(details);
+                    figures.links.extend(links.into_iter().map(|link| (link.connection, link)));
                 }
-                for link in lcm.links().await? {
-                    figures.links.insert(link.connection, link);
-                }
-                Ok::<(), Refusal>(())
-            };
-            match tokio::time::timeout_at(deadline.into(), asked).await {
-                Ok(Ok(())) => {}
-                Ok(Err(refusal)) => figures.warnings.push(refusal.to_string()),
-                Err(_) => figures.warnings.push(format!("process {process} did not give its figures in time")),
+                Ok(Err(warning)) => figures.warnings.push(warning),
+                Err(e) => figures.warnings.push(format!("asking for figures panicked: {e}")),
             }
         }
+        figures.warnings.sort();
         figures
     }
+}
+
+type Asked = (Vec<(ComponentId, Detail)>, Vec<LinkDetail>);
+
+async fn figures_of(lcm: Arc<dyn Lcm>, ids: Vec<ComponentId>) -> Result<Asked, String> {
+    let mut details = Vec::with_capacity(ids.len());
+    for id in ids {
+        let detail = lcm.detail(id.clone()).await.map_err(|refusal| refusal.to_string())?;
+        details.push((id, detail));
+    }
+    Ok((details, lcm.links().await.map_err(|refusal| refusal.to_string())?))
 }
 
 /// Refusals leave as statuses.

@@ -7,7 +7,7 @@ use trocar_proto::v1::plugin_service_server::PluginService;
 
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
-use crate::control::deadline::deadline;
+use crate::control::deadline::{deadline, room};
 use crate::lcm::PluginInfo;
 
 impl Edge {
@@ -19,6 +19,7 @@ impl Edge {
     ) -> Result<(Vec<PluginInfo>, Vec<String>), Status> {
         let processes =
             if process.is_empty() { self.processes() } else { vec![Name::parse(process).map_err(refuse)?] };
+        let until = until - room(until);
         let (mut plugins, mut warnings) = (Vec::new(), Vec::new());
         for name in processes {
             let asked = async { self.lcm(&name)?.plugins().await };

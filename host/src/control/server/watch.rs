@@ -31,7 +31,10 @@ pub(super) fn watch(mut graphs: watch::Receiver<Arc<SystemGraph>>, term: u64, fr
                 changed = graphs.changed() => if changed.is_err() { return },
             }
             let now = graphs.borrow_and_update().clone();
-            if let Some(delta) = delta(&seen, &now) {
+            // An accepted change is told by its revision even when the news of it came before.
+            let changed = delta(&seen, &now);
+            if changed.is_some() || now.revision != seen.revision {
+                let delta = changed.unwrap_or_default();
                 let news = Some(v1::watch_response::News::Delta(delta));
                 if tell.send(Ok(v1::WatchResponse { revision: now.revision, term, news })).await.is_err() {
                     return;

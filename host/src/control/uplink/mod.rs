@@ -109,12 +109,13 @@ impl Tie {
                 pause = (pause * 2).min(PAUSE.1);
                 match self.attempt().await {
                     Ok(session) => break session,
-                    Err(UplinkError::Refused(refusal)) => {
+                    Err(UplinkError::Refused(refusal @ Refusal::ProcessExists { .. })) => {
                         log::error!("the GCM at {} does not take this process back: {refusal}", self.addr);
                         // Whoever would listen may be gone.
                         let _ = tell.send(refusal);
                         return;
                     }
+                    // Whatever else it has against this process may pass.
                     Err(e) => log::debug!("{e}"),
                 }
             };
@@ -135,7 +136,8 @@ impl Tie {
     async fn dial(&self) -> Result<Session, Refused> {
         let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
         let endpoint = Endpoint::from_shared(uri).map_err(|e| Refused::Unheard(because(&e)))?;
-        let channel = endpoint.tcp_nodelay(true).connect().await.map_err(|e| Refused::Unheard(because(&e)))?;
+        let channel =
+            endpoint.tcp_nodelay(true).connect().await.map_err(|e| Refused::Unheard(because(&e)))?;
         let client = AttachServiceClient::new(channel)
             .max_decoding_message_size(MAX_MESSAGE)
             .max_encoding_message_size(MAX_MESSAGE);

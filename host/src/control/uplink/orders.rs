@@ -123,15 +123,20 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
         O::Links(_) => {
             A::Links(v1::Links { links: lcm.links().await?.into_iter().map(convert::link).collect() })
         }
-        O::Plugins(_) => {
-            A::Plugins(v1::Plugins { plugins: lcm.plugins().await?.into_iter().map(convert::plugin).collect() })
-        }
+        O::Plugins(_) => A::Plugins(v1::Plugins {
+            plugins: lcm.plugins().await?.into_iter().map(convert::plugin).collect(),
+        }),
         O::Inventory(_) => A::Inventory(convert::inventory_out(&lcm.inventory().await?)),
         O::Apply(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
     })
 }
 
-async fn follow(lcm: Arc<dyn Lcm>, id: u64, request: v1::SubscribeRequest, answers: mpsc::Sender<v1::Answer>) {
+async fn follow(
+    lcm: Arc<dyn Lcm>,
+    id: u64,
+    request: v1::SubscribeRequest,
+    answers: mpsc::Sender<v1::Answer>,
+) {
     let selections = request.selections.into_iter();
     let selections = selections.map(|s| Selection { path: s.path, max_rate_hz: s.max_rate_hz }).collect();
     let mut items = match lcm.subscribe(selections).await {

@@ -3,7 +3,6 @@
 //! Invariant: news that came before an answer are sent before it, so the GCM never sees an older state after a newer one.
 
 use std::sync::Arc;
-use std::time::Instant;
 
 use tokio::sync::{RwLock, broadcast, mpsc};
 use tokio::task::JoinSet;
@@ -45,7 +44,7 @@ impl Session {
     ) -> Result<Session, Refused> {
         // Before the inventory is taken, so that nothing falls between.
         let news = lcm.news();
-        let inventory = lcm.inventory().await.map_err(Refused::ByGcm)?;
+        let inventory = lcm.inventory().await.map_err(|refusal| Refused::Unheard(refusal.to_string()))?;
         let hello = v1::Hello {
             process: who.process.to_string(),
             instance: who.instance.to_be_bytes().to_vec(),
@@ -65,7 +64,9 @@ impl Session {
             let said = inbound.message().await.map_err(|e| unheard(e.message()))?;
             match said.and_then(|said| said.message) {
                 Some(attach_response::Message::Registered(_)) => break,
-                Some(attach_response::Message::Refused(info)) => return Err(Refused::ByGcm(convert::refusal(&info))),
+                Some(attach_response::Message::Refused(info)) => {
+                    return Err(Refused::ByGcm(convert::refusal(&info)));
+                }
                 Some(attach_response::Message::Order(order)) => early.push(order),
                 Some(attach_response::Message::Heartbeat(_)) => {}
                 None => return Err(unheard("the stream ended before the process was registered")),
@@ -84,10 +85,10 @@ impl Session {
         }
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut heard, mut sequence) = (Instant::now(), 0);
+        let (mut silent, mut sequence) = (0, 0);
         loop {
             tokio::select! {
-                // What has arrived counts before the silence does, also when this machine was busy.
+                // What has arrived counts before the silence does.
                 biased;
                 arrived = self.inbound.message() => {
                     let said = match arrived {
@@ -95,7 +96,7 @@ impl Session {
                         Ok(None) => return "it closed the stream".into(),
                         Err(e) => return e.message().to_owned(),
                     };
-                    heard = Instant::now();
+                    silent = 0;
                     match said.message {
                         Some(attach_response::Message::Order(order)) => self.orders.carry_out(order).await,
                         Some(attach_response::Message::Refused(info)) => return info.text,
@@ -104,9 +105,10 @@ impl Session {
                     }
                 }
                 _ = beat.tick() => {
-                    if heard.elapsed() > LEASE {
-                        return format!("silent for {} ms", heard.elapsed().as_millis());
+                    if silent == LEASE {
+                        return format!("silent for {} ms", (BEAT * LEASE).as_millis());
                     }
+                    silent += 1;
                     sequence += 1;
                     let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence });
                     // A full queue means the GCM does not read: then its own lease ends.

@@ -1,0 +1,130 @@
+//! What the port serves besides the methods: reflection, health, streams, logs, and where it may listen.
+
+use tokio_stream::StreamExt;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_client::HealthClient;
+use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
+use trocar_proto::v1;
+
+use super::super::{ServeConfig, Server};
+use super::{System, connect, create, serve, start, stop};
+
+/// Symbols a tool asks for: our services and the error details.
+const SYMBOLS: [&str; 3] = ["trocar.v1.GcmService", "trocar.v1.InteractService", "google.rpc.ErrorInfo"];
+
+#[tokio::test]
+async fn reflection_v1_knows_services_and_error_details() {
+    use reflection::server_reflection_request::MessageRequest as Ask;
+    use reflection::server_reflection_response::MessageResponse as Answer;
+    let s = System::start().await;
+    let mut client = reflection::server_reflection_client::ServerReflectionClient::new(s.channel.clone());
+    for symbol in SYMBOLS {
+        let ask = Ask::FileContainingSymbol(symbol.into());
+        let request = reflection::ServerReflectionRequest { host: String::new(), message_request: Some(ask) };
+        let mut answers =
+            client.server_reflection_info(tokio_stream::once(request)).await.unwrap().into_inner();
+        let answer = answers.message().await.unwrap().unwrap().message_response.unwrap();
+        assert!(matches!(answer, Answer::FileDescriptorResponse(_)), "{symbol}: {answer:?}");
+    }
+}
+
+#[tokio::test]
+async fn reflection_v1alpha_knows_services_and_error_details() {
+    use older::server_reflection_request::MessageRequest as Ask;
+    use older::server_reflection_response::MessageResponse as Answer;
+    let s = System::start().await;
+    let mut client = older::server_reflection_client::ServerReflectionClient::new(s.channel.clone());
+    for symbol in SYMBOLS {
+        let ask = Ask::FileContainingSymbol(symbol.into());
+        let request = older::ServerReflectionRequest { host: String::new(), message_request: Some(ask) };
+        let mut answers =
+            client.server_reflection_info(tokio_stream::once(request)).await.unwrap().into_inner();
+        let answer = answers.message().await.unwrap().unwrap().message_response.unwrap();
+        assert!(matches!(answer, Answer::FileDescriptorResponse(_)), "{symbol}: {answer:?}");
+    }
+}
+
+#[tokio::test]
+async fn every_service_is_healthy() {
+    let s = System::start().await;
+    let mut client = HealthClient::new(s.channel.clone());
+    for service in ["", "trocar.v1.GcmService", "trocar.v1.AttachService", "trocar.v1.PluginService"] {
+        let answer = client.check(HealthCheckRequest { service: service.into() }).await.unwrap();
+        assert_eq!(answer.into_inner().status, 1, "{service:?} must be SERVING");
+    }
+}
+
+#[tokio::test]
+async fn a_whole_life_of_a_component_through_the_port() {
+    let s = System::start().await;
+    let mut gcm = s.gcm();
+    let made = gcm.create(create("host/a")).await.unwrap().into_inner();
+    assert_eq!((made.path.as_str(), made.revision), ("host/a", 1));
+    assert!(made.plan[0].starts_with("+ create host/a"), "{:?}", made.plan);
+    let dry =
+        gcm.start(v1::StartRequest { validate_only: true, ..start("host/a") }).await.unwrap().into_inner();
+    assert!(dry.plan[0].starts_with("+ start host/a") && dry.components.is_empty(), "{dry:?}");
+    gcm.start(start("host/a")).await.unwrap();
+    let list = gcm.list(v1::ListRequest::default()).await.unwrap().into_inner();
+    let a = &list.components[0];
+    assert_eq!((a.path.as_str(), a.state()), ("host/a", v1::ComponentState::Active));
+    assert_eq!(a.stats.as_ref().unwrap().executed, 42, "live figures are part of the list");
+    let path = v1::DescribeRequest { path: "host/a".into(), ..Default::default() };
+    let described = gcm.describe(path).await.unwrap().into_inner();
+    let command = &described.ports.unwrap().provided[0].commands[0];
+    let arg = command.arg.as_ref().unwrap();
+    assert_eq!((command.kind(), arg.unit.as_str(), arg.max), (v1::CommandKind::Write, "mm", Some(100.0)));
+    s.lcm.refuse("Stop host/a");
+    gcm.create(create("host/b")).await.unwrap();
+    gcm.start(start("host/b")).await.unwrap();
+    let stopped = gcm.stop(stop("host/**")).await.unwrap().into_inner();
+    assert_eq!(stopped.failed.len(), 1);
+    assert!(stopped.failed[0].path == "host/a" && stopped.failed[0].why.contains("cable"), "{stopped:?}");
+    assert_eq!(stopped.components.len(), 1);
+}
+
+#[tokio::test]
+async fn a_watcher_gets_a_snapshot_and_then_what_changes() {
+    let s = System::start().await;
+    let mut gcm = s.gcm();
+    gcm.create(create("host/a")).await.unwrap();
+    let mut watch = gcm.watch(v1::WatchRequest::default()).await.unwrap().into_inner();
+    let Some(v1::watch_response::News::Snapshot(first)) = watch.message().await.unwrap().unwrap().news else {
+        panic!("a watcher that knows nothing needs a snapshot");
+    };
+    assert_eq!(first.components[0].path, "host/a");
+    let remove = v1::RemoveRequest { path: "host/a".into(), ..Default::default() };
+    gcm.remove(remove).await.unwrap();
+    let Some(v1::watch_response::News::Delta(delta)) = watch.message().await.unwrap().unwrap().news else {
+        panic!("then only what changed");
+    };
+    assert_eq!(delta.removed_components, ["host/a"]);
+}
+
+#[tokio::test]
+async fn logs_are_kept_for_who_asks_later_and_end_unless_followed() {
+    let s = System::start().await;
+    let path = "host/a";
+    s.lcm.log(path, 3, "one");
+    s.lcm.log("host/ab", 3, "another's");
+    s.lcm.log(path, 5, "too detailed");
+    s.lcm.log(path, 1, "two");
+    let request = v1::LogsRequest { path: path.into(), follow: true, ..Default::default() };
+    let followed = s.interact().logs(request.clone()).await.unwrap().into_inner();
+    let lines: Vec<_> = followed.take(2).map(|line| line.unwrap().line.unwrap().message).collect().await;
+    assert_eq!(lines, ["one", "two"]);
+    let kept = s.interact().logs(v1::LogsRequest { follow: false, ..request }).await.unwrap().into_inner();
+    let lines: Vec<_> = kept.map(|line| line.unwrap().line.unwrap().message).collect().await;
+    assert_eq!(lines, ["one", "two"], "without follow it must end");
+}
+
+#[tokio::test]
+async fn a_taken_port_and_an_open_address_are_refused_with_what_to_do() {
+    let first = serve("127.0.0.1:0", None, None).await;
+    let config = |listen: String| ServeConfig { listen, gcm: None, local: None, managed_by: None };
+    let taken = Server::start(config(first.addr().to_string())).await.err().unwrap();
+    assert!(taken.because.contains("taken") && taken.help.contains("--gcm"), "{taken:?}");
+    let open = Server::start(config("0.0.0.0:0".into())).await.err().unwrap();
+    assert!(open.because.contains("not authenticated"), "{open:?}");
+    connect(&first).await;
+}
