@@ -174,6 +174,8 @@ fn loading(table: &mut Table) {
     table.row("read, hashed, judged, listed", inspect, "reading the file", read);
     let world = World::new();
     world.drop_in(&file);
+    // A file counts as finished when it has not changed for 200 ms; that wait is not the loader's.
+    thread::sleep(Duration::from_millis(300));
     let first = |state: &Path| {
         let dirs = vec![world.plugins()];
         let began = Instant::now();

@@ -105,7 +105,8 @@ fn listening_beyond_loopback_is_refused_as_long_as_there_is_no_tls() {
     Trocar::new(&world)
         .run(&["host", "--listen", "0.0.0.0:0", "--plugins", &plugins])
         .ends_with(REFUSED)
-        .says("loopback");
+        .says("127.0.0.1")
+        .says("SSH tunnel");
 }
 
 #[test]
@@ -158,27 +159,21 @@ fn a_state_directory_mounted_noexec_is_named_as_the_reason() {
         skip("a noexec mount needs unshare(1) and the right to mount");
         return;
     }
-    let system = json!({
-        "version": 1,
-        "processes": { "host": { "plugins": [world.plugins()] } },
-        "components": { "host/s": { "class": "sine" } }
-    });
-    let file = world.write("system.json", system.to_string());
     let script = format!(
-        "{mounted} && exec '{}' run '{}' --listen 127.0.0.1:0 --seconds 1",
+        "{mounted} && exec timeout 30 '{}' host --listen 127.0.0.1:0 --plugins '{}' --state '{}'",
         Built::trocar().display(),
-        file.display()
+        world.plugins().display(),
+        mount.join("state").display(),
     );
     let output = Command::new("unshare")
         .args(["--mount", "sh", "-c", &script])
-        .env("TMPDIR", &mount)
         .env_remove("TROCAR_GCM")
         .output()
         .unwrap();
     let text =
         format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert_eq!(output.status.code(), Some(REFUSED), "{text}");
-    assert!(text.contains("noexec"), "{text}");
+    assert!(text.contains("noexec") && text.contains("--state"), "the reason and the way out: {text}");
 }
 
 #[test]

@@ -223,7 +223,7 @@ fn a_refusal_on_the_terminal_reads_as_one_sentence_with_what_exists() {
     let (_world, _host, grpc) = host_with(&["sine"]);
     grpc.await_class("host", "sine");
     let text = grpc.printed("GcmService/Create", &json!({ "path": "host/s", "class": "sin" }));
-    assert!(text.contains("sine/sine"), "it names what exists:\n{text}");
+    assert!(text.contains("did you mean `sine`? There is sine"), "it names what exists:\n{text}");
     assert!(text.contains("CLASS_NOT_FOUND"), "grpcurl resolves the details by reflection:\n{text}");
 }
 

@@ -46,7 +46,7 @@ fn several_hosts_are_listed_and_controlled_through_one_gcm() {
         cluster.grpc.create(&path, "Server", json!({}));
         cluster.grpc.start(&path);
         cluster.grpc.invoke(&format!("{path}/Provided/Write"), json!(30));
-        assert_eq!(cluster.grpc.invoke(&format!("{path}/Provided/Read"), json!(null)), json!(30.0), "{path}");
+        assert_eq!(cluster.grpc.invoke(&format!("{path}/Provided/Read"), json!(null)), json!(30), "{path}");
     }
     let plugins = cluster.grpc.plugins();
     for process in ["left", "right"] {
@@ -139,7 +139,11 @@ fn a_managed_host_says_where_its_manager_is() {
     let cluster = Cluster::new(&["sine"]);
     let left = cluster.host("left");
     let refused = left.grpcurl().refused("GcmService/Create", json!({ "path": "left/s", "class": "sine" }));
-    assert_eq!(refused.code, "FAILED_PRECONDITION", "{refused}");
+    assert_eq!(
+        (refused.code, refused.reason.as_str()),
+        ("FAILED_PRECONDITION", "MANAGED_ELSEWHERE"),
+        "{refused}"
+    );
     assert!(refused.message.contains(cluster.gcm.address()), "it names the GCM's address: {refused}");
     let health: Value = left.grpcurl().ok("grpc.health.v1.Health/Check", json!({}));
     assert_eq!(health["status"], "SERVING");

@@ -5,6 +5,7 @@
 
 mod built;
 mod cli;
+mod cycles;
 mod damage;
 mod eventually;
 mod grpcurl;
@@ -15,6 +16,7 @@ mod world;
 
 pub use built::{Built, repository};
 pub use cli::{Output, Trocar};
+pub use cycles::Bystander;
 pub use damage::{flip_bit, replace_in};
 pub use eventually::eventually;
 pub use grpcurl::{Failure, Grpcurl, Stream};

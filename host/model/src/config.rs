@@ -235,7 +235,10 @@ fn brief(value: &Value) -> String {
         Value::Array(items) => format!("a list of {}", items.len()),
         Value::Object(_) => "an object".to_owned(),
         // A whole number is shown without ".0", whichever way it was written.
-        Value::Number(n) => n.as_f64().filter(|_| n.is_f64()).map_or_else(|| n.to_string(), |f| f.to_string()),
+        Value::Number(n) => match n.as_f64() {
+            Some(whole) if n.is_f64() && whole.fract() == 0.0 && whole.abs() < 1e15 => whole.to_string(),
+            _ => n.to_string(),
+        },
         other => other.to_string(),
     }
 }

@@ -9,6 +9,9 @@ use super::failure::{Done, Exit};
 use super::session::Session;
 use super::{out, units};
 
+/// Longest answer shown on one line, characters.
+const ONE_LINE: usize = 100;
+
 /// Calls a command: `trocar call host/robot/arm/measured_cp`.
 #[derive(Args, Debug)]
 pub(super) struct CallArgs {
@@ -33,7 +36,11 @@ pub(super) async fn run(args: CallArgs, session: &Session) -> Done {
     }
     let unit = if reply.unit.is_empty() { String::new() } else { format!(" {}", reply.unit) };
     match (&reply.value, reply.executed) {
-        (Some(value), _) => out::line(&format!("{value:#}{unit}")),
+        (Some(value), _) => {
+            let short = value.to_string();
+            let text = if short.len() > ONE_LINE { format!("{value:#}") } else { short };
+            out::line(&format!("{text}{unit}"));
+        }
         (None, true) => out::line("executed"),
         (None, false) => out::line("queued"),
     }

@@ -40,6 +40,8 @@ fn render(view: &DescribeView, colour: bool) -> String {
         page.line(1, &format!("pid {}, epoch {}, endpoint {}", process.pid, process.epoch, process.endpoint));
     }
     match (&view.component, &view.class) {
+        // A path into the component asks about that part only.
+        (Some(component), _) if view.path != component.path => page.title(&component.path, &component.state),
         (Some(component), class) => page.component(component, class.as_ref()),
         (None, Some(class)) => page.class(class),
         _ => {}
@@ -88,7 +90,7 @@ impl Page {
 
     /// A name with its documentation dimmed behind it.
     fn entry(&mut self, indent: usize, what: &str, doc: &str) {
-        let doc = style::paint(doc.trim(), style::DIM, self.colour);
+        let doc = style::paint(&one_line(doc), style::DIM, self.colour);
         self.line(indent, format!("{what}  {doc}").trim_end());
     }
 
@@ -206,7 +208,7 @@ impl Page {
 
     fn members<'m>(&mut self, doc: &str, members: impl Iterator<Item = &'m MemberView>) {
         if !doc.is_empty() {
-            let doc = style::paint(doc.trim(), style::DIM, self.colour);
+            let doc = style::paint(&one_line(doc), style::DIM, self.colour);
             self.line(1, &doc);
         }
         for m in members {
@@ -236,6 +238,11 @@ impl Page {
             self.line(indent, &ty.values.join(" | "));
         }
     }
+}
+
+/// Documentation comes with the line breaks of its source.
+fn one_line(doc: &str) -> String {
+    doc.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// `name: type [unit] range`.

@@ -315,7 +315,8 @@ fn with_failures(mut outcome: Outcome, dry_run: bool) -> Outcome {
     let planned = outcome.plan.iter().filter_map(|line| line.split(' ').nth(2)).filter(|_| !dry_run);
     for path in planned.filter(|path| outcome.components.iter().all(|c| c.path != **path)) {
         let prefix = format!("{path}: ");
-        let why = outcome.warnings.iter().find_map(|w| w.strip_prefix(&prefix)).unwrap_or("no answer").to_owned();
+        let why =
+            outcome.warnings.iter().find_map(|w| w.strip_prefix(&prefix)).unwrap_or("no answer").to_owned();
         outcome.failed.push(Left { path: path.to_owned(), why });
     }
     outcome.warnings.retain(|w| outcome.failed.iter().all(|f| *w != format!("{}: {}", f.path, f.why)));
@@ -362,7 +363,8 @@ mod tests {
 
     #[test]
     fn a_component_touched_twice_is_shown_once_as_it_ended() {
-        let reports = vec![report("h/a", v1::ComponentState::Created), report("h/a", v1::ComponentState::Ready)];
+        let reports =
+            vec![report("h/a", v1::ComponentState::Created), report("h/a", v1::ComponentState::Ready)];
         let shown = outcome(1, Vec::new(), reports, Vec::new(), Vec::new());
         let states: Vec<&str> = shown.components.iter().map(|c| c.state.as_str()).collect();
         assert_eq!(states, ["READY"]);

@@ -52,10 +52,20 @@ impl<'a> Carrying<'a> {
             return self.gcm.one(change, deadline).await;
         };
         self.not_stopped(id, *verb)?;
-        let report = self.gcm.one(change, deadline).await?;
+        let to = State::Stopped(StopReason::Requested);
+        let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to };
+        let report = match self.gcm.one(change, deadline).await {
+            Ok(report) => report,
+            Err(refusal @ Refusal::LcmTimeout { .. }) => {
+                // It may still be done, late; nobody may be told that it failed and see it move. Not waited for: the
+                // caller's time is over.
+                let gcm = self.gcm.clone();
+                tokio::spawn(async move { gcm.one(&stop, Instant::now() + UNDO).await });
+                return Err(refusal);
+            }
+            Err(refusal) => return Err(refusal),
+        };
         if let Err(refusal) = self.not_stopped(id, *verb) {
-            let to = State::Stopped(StopReason::Requested);
-            let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to };
             self.gcm.one(&stop, Instant::now() + UNDO).await?;
             return Err(refusal);
         }

@@ -215,6 +215,17 @@ async fn an_lcm_that_hangs_costs_a_caller_no_more_than_its_deadline() {
 }
 
 #[tokio::test]
+async fn a_start_that_took_too_long_is_stopped_behind_the_callers_back() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a")]).await.unwrap();
+    lcm.hold("Start host/a");
+    lcm.hold("Stop host/a");
+    let late = gcm.execute(vec![start("host/a")], within(10)).await.unwrap_err();
+    assert_eq!(late.reason(), "LCM_TIMEOUT");
+    tokio::time::timeout(Duration::from_secs(60), lcm.hangs("Stop host/a")).await.expect("nobody stops it");
+}
+
+#[tokio::test]
 async fn a_name_is_taken_once_even_by_two_at_the_same_time() {
     let gcm = Gcm::start(GcmConfig::default()).await.unwrap();
     let (a, b) = (FakeLcm::new("host"), FakeLcm::new("host"));

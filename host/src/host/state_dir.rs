@@ -7,10 +7,15 @@ use std::fs::{self, DirBuilder, File};
 use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::HostError;
 
 const LOCK: &str = "lock";
+/// A process has locked its directory this long after making it.
+const STARTING: Duration = Duration::from_secs(60);
+/// Beginning of the names of ephemeral directories.
+const EPHEMERAL: &str = "trocar-run-";
 
 /// What `--state` says.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,7 +50,12 @@ impl StateDir {
                 }
                 Ok(dir)
             }
-            StateChoice::Ephemeral => Self::lock(&ephemeral_path(), true),
+            StateChoice::Ephemeral => {
+                let base = ephemeral_base();
+                sweep(&base);
+                let nanos = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.subsec_nanos());
+                Self::lock(&base.join(format!("{EPHEMERAL}{}-{nanos:08x}", std::process::id())), true)
+            }
         }
     }
 
@@ -129,13 +139,28 @@ pub fn state_home() -> PathBuf {
         .join("trocar")
 }
 
-/// Under the temporary directory, unless programs may not be run there: plugins are opened from the state directory.
-fn ephemeral_path() -> PathBuf {
+/// The temporary directory, unless programs may not be run there: plugins are opened from the state directory.
+fn ephemeral_base() -> PathBuf {
     let temp = std::env::temp_dir();
-    let base = if forbids_execution(&temp) { state_home() } else { temp };
-    let unique =
-        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.subsec_nanos());
-    base.join(format!("trocar-{}-{unique:08x}", std::process::id()))
+    if forbids_execution(&temp) { state_home() } else { temp }
+}
+
+/// Removes the ephemeral directories of processes that were killed: nobody holds their lock any more.
+fn sweep(base: &Path) {
+    for entry in fs::read_dir(base).into_iter().flatten().flatten() {
+        let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(EPHEMERAL));
+        if ours && File::open(entry.path().join(LOCK)).is_ok_and(|lock| is_abandoned(&lock)) {
+            // Another user's directory stays, as it must.
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
+/// A fresh lock file may belong to a process that is about to lock it.
+fn is_abandoned(lock: &File) -> bool {
+    let made = lock.metadata().and_then(|m| m.modified());
+    let old = made.is_ok_and(|made| made.elapsed().is_ok_and(|age| age > STARTING));
+    old && lock.try_lock().is_ok()
 }
 
 /// True when `path` lies on a mount with `noexec`.
@@ -194,6 +219,24 @@ mod tests {
         assert!(path.is_dir());
         drop(dir);
         assert!(!path.exists(), "{} is still there", path.display());
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_swept_away_and_a_living_ones_directory_stays() {
+        let temp = tempfile::tempdir().unwrap();
+        let (dead, alive) = (temp.path().join("trocar-run-1-0"), temp.path().join("trocar-run-2-0"));
+        drop(StateDir::lock(&dead, false).unwrap());
+        let held = StateDir::lock(&alive, true).unwrap();
+        sweep(temp.path());
+        assert!(dead.exists(), "a directory this young may be somebody's who is just starting");
+        for dir in [&dead, &alive] {
+            let lock = File::options().write(true).open(dir.join(LOCK)).unwrap();
+            lock.set_modified(SystemTime::now() - 2 * STARTING).unwrap();
+        }
+        sweep(temp.path());
+        assert!(!dead.exists(), "the dead one is still there");
+        assert!(alive.exists(), "the living one is gone");
+        drop(held);
     }
 
     #[test]

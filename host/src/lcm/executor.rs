@@ -56,6 +56,7 @@ type Job = Box<dyn FnOnce(&mut Vec<Member>) + Send>;
 
 pub(super) struct Executor {
     pub(super) id: ExecutorId,
+    pub(super) pace: Pace,
     pub(super) waker: Arc<Waker>,
     jobs: Mutex<VecDeque<Job>>,
     has_jobs: AtomicBool,
@@ -74,6 +75,7 @@ impl Executor {
     pub(super) fn spawn(name: &str, pace: Pace, execution: &Execution) -> std::io::Result<Arc<Executor>> {
         let executor = Arc::new(Executor {
             id: NEXT.fetch_add(1, Ordering::Relaxed),
+            pace,
             waker: Arc::new(Waker::new()),
             jobs: Mutex::new(VecDeque::new()),
             has_jobs: AtomicBool::new(false),
@@ -85,7 +87,7 @@ impl Executor {
         thread::Builder::new().name(name.clone()).stack_size(1 << 20).spawn(move || {
             context::set_executor(mine.id);
             mine.settle(&name, &execution);
-            mine.run(pace);
+            mine.run();
         })?;
         Ok(executor)
     }
@@ -129,7 +131,7 @@ impl Executor {
         *self.warnings.lock().unwrap_or_else(PoisonError::into_inner) = warnings;
     }
 
-    fn run(&self, pace: Pace) {
+    fn run(&self) {
         let mut members: Vec<Member> = Vec::new();
         let mut grid: Option<Grid> = None;
         loop {
@@ -138,7 +140,7 @@ impl Executor {
                 return;
             }
             let active = members.iter().any(|m| m.instance.is_active());
-            match pace {
+            match self.pace {
                 _ if !active => {
                     grid = None;
                     self.waker.wait(None);

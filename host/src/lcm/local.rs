@@ -256,10 +256,7 @@ impl LocalLcm {
         let class_info = component.class.clone();
         let made = Instance::new(number, id.clone(), class_info, class, self.hub.clone(), passive, period_ns);
         made.attach(executor.0.id, executor.0.waker.clone());
-        let follows = execution.stream_of.is_some();
-        made.set_on_grid(
-            follows || execution.inside.is_some() || matches!(Pace::of(&execution), Pace::Grid { .. }),
-        );
+        made.set_on_grid(matches!(executor.0.pace, Pace::Grid { .. }));
         self.hub.logs.name(number, Some(&id));
         let slot = Slot { instance: made, executor: executor.0, execution, config: None };
         let done = self.inside(&slot, "create", deadline, make).await;

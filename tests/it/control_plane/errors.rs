@@ -8,7 +8,7 @@ use std::fs;
 use serde_json::{Value, json};
 use trocar_tests::{Built, Failure, Grpcurl, HostProcess, World, eventually, replace_in, repository};
 
-/// Reasons that no call can be answered with in this version.
+/// Reasons that no single call to one host can be answered with in this version.
 const NOT_YET: &[(&str, &str)] = &[
     ("FORBIDDEN", "there are no roles before TLS"),
     ("DISABLED", "no component can switch a command off yet"),
@@ -17,6 +17,8 @@ const NOT_YET: &[(&str, &str)] = &[
     ("INTERNAL", "it reports a mistake of trocar itself"),
     ("PROCESS_EXISTS", "a host meets it when it attaches: deployment.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
+    ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),
+    ("PEER_LOST", "it needs a caller who is waiting: a_caller_whose_component_is_taken_away_gets_an_answer"),
 ];
 
 /// A host with the plugins that the rows need.
@@ -98,7 +100,7 @@ rows! {
     a_process_that_is_not_there "NOT_FOUND" "PROCESS_NOT_FOUND" ["nowhere", "host"]
         Stage::new(&["sine"]).refuses("GcmService/Create", json!({ "path": "nowhere/s", "class": "sine" }));
 
-    a_misspelt_class "NOT_FOUND" "CLASS_NOT_FOUND" ["sin", "sine/sine"]
+    a_misspelt_class "NOT_FOUND" "CLASS_NOT_FOUND" ["`sin`", "did you mean `sine`", "There is sine"]
         Stage::new(&["sine"]).refuses("GcmService/Create", json!({ "path": "host/s", "class": "sin" }));
 
     a_name_that_is_taken "ALREADY_EXISTS" "COMPONENT_EXISTS" ["host/s"]
@@ -150,8 +152,8 @@ rows! {
         Stage::new(&["filters", "sine"]).with(&[("s", "sine"), ("f", "low_pass")])
             .refuses_connect("f/raw", "s/value");
 
-    another_format_names_both "FAILED_PRECONDITION" "FORMAT_MISMATCH" ["bayer12"]
-        Stage::new(&["vision_filters", "fixture_misfit"]).with(&[("i", "other_format"), ("g", "resize")])
+    another_format_names_both "FAILED_PRECONDITION" "FORMAT_MISMATCH" ["bayer12", "gray8"]
+        Stage::new(&["fixture_misfit"]).with(&[("i", "other_format"), ("g", "one_format")])
             .refuses_connect("g/image", "i/image");
 
     a_circle_of_direct_connections "FAILED_PRECONDITION" "SYNC_CYCLE" ["host/a", "host/b"]
@@ -203,6 +205,9 @@ rows! {
         let good = fs::read(Built::plugin("sine")).unwrap();
         create_of_refused_file(&good[..good.len() / 3], 0o755)
     };
+
+    a_plugin_that_is_not_there "NOT_FOUND" "PLUGIN_NOT_FOUND" ["sin", "sine"]
+        Stage::new(&["sine"]).refuses("PluginService/DescribePlugin", json!({ "name": "sin" }));
 
     a_graph_that_moved_on "ABORTED" "REVISION_CONFLICT" ["1000000"]
         Stage::new(&["sine"]).refuses("GcmService/Create",

@@ -319,6 +319,7 @@ impl GcmService for Edge {
         request: Request<v1::WaitForRequest>,
     ) -> Result<Response<v1::WaitForResponse>, Status> {
         let mut until = deadline(&request);
+        until -= room(until);
         let r = request.into_inner();
         let id = ComponentId::parse(&r.path).map_err(refuse)?;
         if let Some(ns) = r.deadline.as_ref().and_then(convert::duration_ns) {

@@ -1,8 +1,10 @@
 //! One stream to the GCM, from Hello until one side is silent or gone.
 //!
-//! Invariant: news that came before an answer are sent before it, so the GCM never sees an older state after a newer one.
+//! Invariant: news that came before an answer are sent before it, so the GCM never sees an older state after a newer one;
+//! no order is begun after the GCM has given this session up.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use tokio::sync::{RwLock, broadcast, mpsc};
 use tokio::task::JoinSet;
@@ -85,7 +87,13 @@ impl Session {
         }
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut silent, mut sequence) = (0, 0);
+        let (mut silent, mut sequence, mut awake) = (0, 0, Instant::now());
+        // A process that stood still longer than its lease is lost for the GCM, and what was ordered is too late: a Start
+        // that was given up must not be done now.
+        let late = |awake: Instant| {
+            let asleep = awake.elapsed();
+            (asleep > BEAT * LEASE).then(|| format!("this process stood still for {} ms", asleep.as_millis()))
+        };
         loop {
             tokio::select! {
                 // What has arrived counts before the silence does.
@@ -96,6 +104,9 @@ impl Session {
                         Ok(None) => return "it closed the stream".into(),
                         Err(e) => return e.message().to_owned(),
                     };
+                    if let Some(why) = late(awake) {
+                        return why;
+                    }
                     silent = 0;
                     match said.message {
                         Some(attach_response::Message::Order(order)) => self.orders.carry_out(order).await,
@@ -105,6 +116,9 @@ impl Session {
                     }
                 }
                 _ = beat.tick() => {
+                    if let Some(why) = late(awake) {
+                        return why;
+                    }
                     if silent == LEASE {
                         return format!("silent for {} ms", (BEAT * LEASE).as_millis());
                     }
@@ -116,6 +130,7 @@ impl Session {
                 }
                 Some(_) = self.tasks.join_next() => return "the stream does not take any more".into(),
             }
+            awake = Instant::now();
         }
     }
 }
