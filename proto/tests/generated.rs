@@ -40,7 +40,8 @@ fn the_committed_code_is_generated_from_the_proto_files() {
         std::fs::write(dir.join("trocar.v1.rs"), &code).unwrap();
         std::fs::write(dir.join("trocar.v1.bin"), &descriptors).unwrap();
     }
-    let help = "the .proto files changed: run `TROCAR_BLESS=1 cargo test -p trocar-proto` and commit proto/src/gen";
+    let help =
+        "the .proto files changed: run `TROCAR_BLESS=1 cargo test -p trocar-proto` and commit proto/src/gen";
     assert!(std::fs::read_to_string(dir.join("trocar.v1.rs")).unwrap() == code, "{help}");
     assert!(std::fs::read(dir.join("trocar.v1.bin")).unwrap() == descriptors, "{help}");
 }
@@ -52,12 +53,17 @@ fn every_message_field_rpc_and_value_has_a_comment() {
         let text = std::fs::read_to_string(root().join(format!("trocar/v1/{file}.proto"))).unwrap();
         let lines: Vec<&str> = text.lines().map(str::trim).collect();
         for (at, line) in lines.iter().enumerate().skip(1) {
-            let declares = ["message ", "enum ", "service ", "rpc ", "oneof "].iter().any(|word| line.starts_with(word))
-                || (line.ends_with(';') && line.contains(" = ") && !line.starts_with("syntax"));
+            let declares =
+                ["message ", "enum ", "service ", "rpc ", "oneof "].iter().any(|word| line.starts_with(word))
+                    || (line.ends_with(';') && line.contains(" = ") && !line.starts_with("syntax"));
             if declares && !line.starts_with("//") && !lines[at - 1].starts_with("//") {
                 missing.push(format!("{file}.proto:{}: {line}", at + 1));
             }
         }
     }
-    assert!(missing.is_empty(), "comments are the help text of every tool; missing on:\n{}", missing.join("\n"));
+    assert!(
+        missing.is_empty(),
+        "comments are the help text of every tool; missing on:\n{}",
+        missing.join("\n")
+    );
 }

@@ -94,7 +94,12 @@ fn calls(table: &mut Table) {
     row("inline command, called (write-return)", "call");
     row("read of the peer's published state", "read");
     let trip = gauge(&grpcurl, "caller", "call", TRIPS);
-    table.row("queued round trip to a sleeping component", trip, "bare ring + futex, there and back", ping_pong());
+    table.row(
+        "queued round trip to a sleeping component",
+        trip,
+        "bare ring + futex, there and back",
+        ping_pong(),
+    );
 }
 
 /// Median over the runs of a measuring command, ns per call.

@@ -47,7 +47,13 @@ use session::Session;
 ///
 /// First steps: `trocar demo`, then `trocar ls` in another terminal.
 #[derive(Parser, Debug)]
-#[command(name = "trocar", version, propagate_version = false, disable_help_subcommand = true, max_term_width = 110)]
+#[command(
+    name = "trocar",
+    version,
+    propagate_version = false,
+    disable_help_subcommand = true,
+    max_term_width = 110
+)]
 struct Cli {
     #[command(flatten)]
     global: Global,
@@ -164,7 +170,11 @@ fn process(main: impl Future<Output = Done>) -> Done {
 fn block_on(mut builder: tokio::runtime::Builder, main: impl Future<Output = Done>) -> Done {
     let runtime = builder.enable_all().thread_name("trocar-io").build();
     let runtime = runtime.map_err(|e| {
-        Failure::local("IO", format!("cannot start threads: {e}"), "raise the limit on processes and files (ulimit -u, -n)")
+        Failure::local(
+            "IO",
+            format!("cannot start threads: {e}"),
+            "raise the limit on processes and files (ulimit -u, -n)",
+        )
     })?;
     let done = runtime.block_on(main);
     // A plugin's blocking call may never return; the process ends all the same.

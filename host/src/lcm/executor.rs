@@ -218,7 +218,7 @@ fn signalled(members: &[Member], now_ns: u64) {
 fn step(instance: &Instance, begin_ns: u64, deadline_ns: u64, period_ns: u64, skipped: u64) {
     // Somebody inside means a control entry still runs; this cycle is left out and counted.
     let Some(mut entered) = instance.object.try_enter() else {
-        instance.stats.record_skipped(1);
+        instance.stats.record_skipped(1 + skipped);
         return;
     };
     let inner = entered.inner();
