@@ -5,7 +5,7 @@
 use std::time::{Duration, Instant};
 
 use tokio::sync::MutexGuard;
-use trocar_model::{Change, ComponentId, Name, Plan, Refusal, Request, Skipped, inverse, plan_all};
+use trocar_model::{Change, ComponentId, Name, Plan, Refusal, Request, Skipped, Verb, inverse, plan_all};
 
 use super::Gcm;
 use super::manager::lock;
@@ -19,6 +19,8 @@ use crate::lcm::Report;
 const WITHIN: Duration = Duration::from_secs(5);
 /// Time a rollback gets for each change, beyond the request's own deadline.
 pub(super) const UNDO: Duration = Duration::from_secs(2);
+/// Time a component gets to stop before it is removed.
+const HUNG: Duration = Duration::from_secs(1);
 /// An LCM keeps deadlines itself and says what hung; this much later it is not waited for.
 const GRACE: Duration = Duration::from_millis(50);
 
@@ -152,8 +154,12 @@ impl Gcm {
     async fn all_or_nothing(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
         let carrying = Carrying::begin(self, &done.plan);
         for (i, change) in done.plan.changes.iter().enumerate() {
-            match carrying.one(change, deadline).await {
+            let doomed = is_doomed(change, &done.plan.changes[i + 1..]);
+            let until = if doomed { deadline.min(Instant::now() + HUNG) } else { deadline };
+            match carrying.one(change, until).await {
                 Ok(report) => done.reports.push(report),
+                // It goes away all the same: a component that hangs must not keep itself.
+                Err(refusal) if doomed => log::warn!("{} before its removal: {refusal}", text::line(change)),
                 Err(refusal) => {
                     let undo =
                         inverse(&Plan { changes: done.plan.changes[..i].to_vec(), skipped: Vec::new() });
@@ -221,4 +227,10 @@ pub(super) fn id_of(change: &Change) -> &ComponentId {
         | Change::Run { id, .. } => id,
         Change::Connect { connection } | Change::Disconnect { connection } => &connection.client.component,
     }
+}
+
+/// A Stop of a component that the same plan removes.
+fn is_doomed(change: &Change, later: &[Change]) -> bool {
+    let Change::Run { id, verb: Verb::Stop, .. } = change else { return false };
+    later.iter().any(|c| matches!(c, Change::Destroy { id: gone, .. } if gone == id))
 }
