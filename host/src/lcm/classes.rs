@@ -1,14 +1,13 @@
 //! Where component classes come from: plugin files, or classes linked into the executable.
 //!
-//! Invariant: a loaded class's table and code live as long as the `LoadedClass` that is kept beside each instance.
+//! Invariant: what is loaded is what was listed, by the hash of its file.
 
-use std::any::Any;
 use std::sync::Arc;
 
 use trocar_model::{ClassInfo, Refusal};
-use trocar_plugin_api::abi::ClassTable;
 
 use super::api::PluginInfo;
+use super::boundary::LoadedClass;
 
 /// A source of classes.
 pub trait Classes: Send + Sync {
@@ -23,28 +22,4 @@ pub trait Classes: Send + Sync {
 
     /// The files behind the classes, refused ones too.
     fn plugins(&self) -> Vec<PluginInfo>;
-}
-
-/// A class whose code is mapped.
-#[derive(Clone)]
-pub struct LoadedClass {
-    table: *const ClassTable,
-    _keep: Arc<dyn Any + Send + Sync>,
-}
-
-// SAFETY: the table is immutable data of a mapped library (or a static), kept mapped by `_keep`.
-unsafe impl Send for LoadedClass {}
-// SAFETY: as above.
-unsafe impl Sync for LoadedClass {}
-
-impl LoadedClass {
-    /// # Safety
-    /// `table` is a class table of this ABI major, valid and immutable as long as `keep` lives.
-    pub unsafe fn new(table: *const ClassTable, keep: Arc<dyn Any + Send + Sync>) -> Self {
-        LoadedClass { table, _keep: keep }
-    }
-
-    pub(super) fn table(&self) -> *const ClassTable {
-        self.table
-    }
 }

@@ -18,10 +18,10 @@ use trocar_rt::state::{StateReader, StateWriter, state_table};
 use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
 
+use super::boundary::LoadedClass;
 use super::boundary::{
     ERR_BYTES, EntryError, HostContext, Object, SharedTable, Slots, as_bytes, outcome_of, sentence,
 };
-use super::classes::LoadedClass;
 use super::context::{self, ExecutorId};
 use super::hub::Hub;
 use super::{News, Report, system};

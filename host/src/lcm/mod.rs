@@ -19,7 +19,7 @@ mod store;
 mod system;
 
 pub use api::*;
-pub use boundary::plugin_log;
-pub use classes::{Classes, LoadedClass};
+pub use boundary::{LoadedClass, plugin_log};
+pub use classes::Classes;
 pub use local::{LcmConfig, LocalLcm};
 pub use store::StoreClasses;

@@ -9,7 +9,8 @@ use trocar_model::{ClassInfo, Name, Refusal};
 
 use super::api::PluginInfo;
 use super::boundary;
-use super::classes::{Classes, LoadedClass};
+use super::boundary::LoadedClass;
+use super::classes::Classes;
 use super::convert;
 use crate::loader::{Hash, ListedPlugin, PluginEntry, PluginError, PluginStore};
 

@@ -4,6 +4,7 @@
 //! used; nothing here waits, allocates or locks on the step path.
 
 mod call;
+mod class;
 mod entry;
 mod event;
 mod host_table;
@@ -13,6 +14,7 @@ mod stream;
 pub(super) use call::{
     Answer, CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, RangeCheck, ReadTarget, outcome_of,
 };
+pub use class::LoadedClass;
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
 pub(super) use event::{EventSink, Tap};
 pub use host_table::plugin_log;
@@ -39,8 +41,8 @@ pub(super) fn sentence(err: *mut ErrBuf) -> String {
 }
 
 /// A class of the loader as the LCM keeps it.
-pub(super) fn loaded_class(class: crate::loader::LoadedClass) -> super::classes::LoadedClass {
+pub(super) fn loaded_class(class: crate::loader::LoadedClass) -> LoadedClass {
     let table = std::ptr::from_ref(class.table);
     // SAFETY: the loader checked the table; the plugin, kept beside it, stays mapped for the life of the process.
-    unsafe { super::classes::LoadedClass::new(table, class.plugin) }
+    unsafe { LoadedClass::new(table, class.plugin) }
 }
