@@ -103,11 +103,24 @@ fn reset_leads_from_fault_to_a_working_component() {
 #[test]
 fn a_component_that_hangs_in_step_blocks_neither_others_nor_the_control_plane() {
     let scene = Scene::new();
+    let mut round = 0;
     scene.bystander.undisturbed_by("a hanging step", || {
-        scene.grpc.create("host/c", "chaos", json!({ "hang_in": "step" }));
-        let _ = scene.grpc.call("GcmService/Start", json!({ "path": "host/c" }));
-        scene.remove();
+        round += 1;
+        let path = format!("host/hanging-{round}");
+        scene.grpc.create(&path, "chaos", json!({ "hang_in": "step" }));
+        let _ = scene.grpc.call("GcmService/Start", json!({ "path": path }));
     });
+}
+
+#[test]
+fn a_component_that_hangs_in_step_can_be_removed_by_force() {
+    let scene = Scene::new();
+    scene.grpc.create("host/c", "chaos", json!({ "hang_in": "step" }));
+    let _ = scene.grpc.call("GcmService/Start", json!({ "path": "host/c" }));
+    let removed = scene.grpc.ok("GcmService/Remove", json!({ "path": "host/c", "force": true }));
+    assert!(removed["warnings"].to_string().contains("thread"), "it says that the thread stays: {removed}");
+    let left = scene.grpc.refused("GcmService/GetState", json!({ "path": "host/c" }));
+    assert_eq!(left.reason, "COMPONENT_NOT_FOUND");
 }
 
 #[test]
