@@ -194,6 +194,31 @@ fn loading(table: &mut Table) {
     table.row("the whole way the first time, with the vetting child", vetted, "reading the file", read);
     let again = first(&world.path("state-a"));
     table.row("the whole way, vetted before", again, "reading the file", read);
+    table.row(
+        "dropped into the directory of a running host → class available",
+        appears(&file),
+        "the wait for a quiet file",
+        QUIET_NS,
+    );
+}
+
+/// Debounce of a watched directory, ns: the least a dropped file can take.
+const QUIET_NS: f64 = 100e6;
+
+/// From the copy into the directory to the class in the host's answer, ns.
+fn appears(file: &Path) -> f64 {
+    let once = || {
+        let world = World::new();
+        let host = HostProcess::start(&world);
+        let grpcurl = host.grpcurl();
+        let began = Instant::now();
+        world.drop_in(file);
+        while grpcurl.classes("host").is_empty() {
+            thread::sleep(Duration::from_millis(2));
+        }
+        began.elapsed().as_nanos() as f64
+    };
+    median((0..RUNS).map(|_| once()).collect())
 }
 
 fn timed(mut f: impl FnMut()) -> f64 {

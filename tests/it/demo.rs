@@ -16,8 +16,10 @@ fn ten_seconds_of_demo_account_for_every_period_and_drop_no_frame() {
     let world = World::new();
     // The control run says how many periods this machine loses to others anyway.
     let control = skipped_by_a_lone_robot();
-    let output =
-        Trocar::new(&world).in_dir(&repository()).run(&["demo", "--seconds", "10", "--json"]).ends_with(0);
+    let output = Trocar::new(&world)
+        .in_dir(&repository())
+        .run(&["demo", "--listen", "127.0.0.1:0", "--seconds", "10", "--json"])
+        .ends_with(0);
     let figures = output.json();
     let (robot, video) = (&figures["robot"], &figures["video"]);
 
