@@ -66,13 +66,16 @@ pub(super) fn trust(text: &str) -> Result<Trust, Failure> {
     text.parse().map_err(|e| Failure::from(HostError::Store(e)))
 }
 
-/// The directories named, else `./plugins`, else the program's own directory (where cargo puts built plugins).
+/// The directories named, else `./plugins`, else the program's own directory (where cargo puts built plugins). A `./plugins`
+/// that holds other things and no library, such as sources, is not meant.
 pub(super) fn plugin_dirs(named: Vec<PathBuf>) -> Vec<PathBuf> {
     if !named.is_empty() {
         return named;
     }
     let here = Path::new("plugins");
-    if here.is_dir() {
+    let mut held = std::fs::read_dir(here).into_iter().flatten().flatten().peekable();
+    let is_library = |e: std::fs::DirEntry| e.path().extension().is_some_and(|x| x == "so");
+    if here.is_dir() && (held.peek().is_none() || held.any(is_library)) {
         return vec![here.to_owned()];
     }
     let own = std::env::current_exe().ok().and_then(|exe| exe.parent().map(Path::to_owned));

@@ -19,7 +19,8 @@ use super::boundary::{
     CommandTarget, DEFAULT_DEADLINE_NS, ERR_BYTES, EventSink, FnBinding, InLink, OutLink, RangeCheck,
     ReadTarget,
 };
-use super::instance::{Inbox, Instance};
+use super::inbox::Inbox;
+use super::instance::Instance;
 
 /// Commands or events one connection may have waiting.
 const MAILBOX_DEPTH: usize = 64;

@@ -23,43 +23,16 @@ use super::boundary::{
     ERR_BYTES, EntryError, HostContext, Object, SharedTable, Slots, as_bytes, outcome_of, sentence,
 };
 use super::context::{self, ExecutorId};
+use super::gate::{ACTIVE, pack, unpack};
 use super::hub::Hub;
+use super::inbox::{ENTRY_EVENT, Inbox};
 use super::{News, Report, system};
-
-/// Kinds of mailbox entries.
-pub(super) const ENTRY_COMMAND: u32 = 0;
-pub(super) const ENTRY_EVENT: u32 = 1;
 
 /// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are longer.
 const PATIENCE_NS: u64 = 50_000_000;
 
 /// Rows of a state table.
 const STATE_ROWS: usize = 256;
-
-/// A queue into one component: commands of one client, or events of one connection.
-pub(super) struct Inbox {
-    pub(super) mailbox: Mailbox,
-    pub(super) replies: Arc<ReplyPool>,
-    /// What an entry's index means: command id or handler id of the class.
-    pub(super) targets: Vec<u32>,
-}
-
-impl Inbox {
-    /// Takes nothing more; answers everything still queued with `outcome`, unexecuted.
-    pub(super) fn close(&self, outcome: Outcome) {
-        self.mailbox.close(|head| {
-            self.replies.fail(head.reply, outcome);
-        });
-    }
-
-    /// Answers everything still queued with `outcome`, unexecuted.
-    pub(super) fn refuse_all(&self, outcome: Outcome) {
-        let refuse = |head: EntryHead| {
-            self.replies.fail(head.reply, outcome);
-        };
-        self.mailbox.drain(|head, _| refuse(head), refuse);
-    }
-}
 
 /// Counted misuse and loss, visible in GetState and Describe.
 #[derive(Default)]
@@ -594,32 +567,4 @@ impl Instance {
 /// Models whose threads do not look by themselves.
 pub(super) fn is_passive(model: Option<ExecutionModel>) -> bool {
     model == Some(ExecutionModel::None)
-}
-
-const ACTIVE: u32 = 2;
-
-fn pack(state: State) -> u32 {
-    match state {
-        State::Created => 0,
-        State::Ready => 1,
-        State::Active => ACTIVE,
-        State::Fault => 3,
-        State::Stopped(StopReason::Requested) => 4,
-        State::Stopped(StopReason::Restarted) => 5,
-        State::Stopped(StopReason::Interlock) => 6,
-        State::Stopped(StopReason::PeerLost) => 7,
-    }
-}
-
-fn unpack(word: u32) -> State {
-    match word {
-        0 => State::Created,
-        1 => State::Ready,
-        ACTIVE => State::Active,
-        4 => State::Stopped(StopReason::Requested),
-        5 => State::Stopped(StopReason::Restarted),
-        6 => State::Stopped(StopReason::Interlock),
-        7 => State::Stopped(StopReason::PeerLost),
-        _ => State::Fault,
-    }
 }

@@ -19,13 +19,13 @@ use super::api::{
     Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
     Spread,
 };
-use super::boundary::EntryError;
 use super::classes::Classes;
 use super::connect::Wired;
 use super::executor::{Executor, Member, Pace};
 use super::external;
 use super::hub::Hub;
 use super::instance::{self, Entered, Instance};
+use super::lifecycle::{component_error, make, reset, resume, start, stop};
 use super::{order, system};
 
 /// How often the watchdog looks, ns.
@@ -72,9 +72,6 @@ impl Slot {
         Member { instance: self.instance.clone(), on_input: self.execution.stream_of.is_some() }
     }
 }
-
-/// What an entry on the component's own thread came to.
-type Entry = Result<(), (&'static str, EntryError)>;
 
 impl LocalLcm {
     /// An LCM without components.
@@ -464,90 +461,6 @@ impl LocalLcm {
             .filter_map(|n| shared.iter().find(|s| s.instance.number == n).map(|s| s.member()))
             .collect();
         slot.executor.submit(move |members| *members = sorted);
-    }
-}
-
-fn component_error(id: &ComponentId, entry: &'static str, e: EntryError) -> Refusal {
-    if e.refused() {
-        Refusal::ComponentRefused { id: id.clone(), entry, text: e.text }
-    } else {
-        Refusal::ComponentFault { id: id.clone(), text: format!("{entry}: {}", e.text) }
-    }
-}
-
-fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
-    let bound = entered.bind(instance.slots.table()).map_err(|e| ("bind", e));
-    if bound.is_err() {
-        entered.destroy();
-        return bound;
-    }
-    instance.publish_state(entered);
-    Ok(())
-}
-
-fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    instance.refuse_queued(NOT_ACTIVE);
-    instance.stats.pause();
-    entered.inner().cycle = 0;
-    run(instance, entered, "start", |e| e.start())
-}
-
-fn resume(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    run(instance, entered, "resume", |e| e.resume())
-}
-
-fn run(
-    instance: &Instance,
-    entered: &mut Entered<'_>,
-    entry: &'static str,
-    f: fn(&mut Entered<'_>) -> Result<(), EntryError>,
-) -> Entry {
-    entered.inner().last_begin_ns = 0;
-    if let Err(e) = f(entered) {
-        instance.fail(entered, entry, &e);
-        return Err((entry, e));
-    }
-    instance.publish_state(entered);
-    instance.set_state(State::Active, "");
-    Ok(())
-}
-
-fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    instance.refuse_queued(NOT_ACTIVE);
-    let done = entered.stop();
-    if let Err(e) = done {
-        instance.fail(entered, "stop", &e);
-        return Err(("stop", e));
-    }
-    instance.make_safe(entered);
-    instance.publish_state(entered);
-    if instance.is_active() {
-        instance.stopped(StopReason::Requested);
-    }
-    Ok(())
-}
-
-/// Destroy, create, configure: an instance that failed is not trusted.
-fn reset(instance: &Instance, entered: &mut Entered<'_>, config: Option<&str>) -> Entry {
-    if instance.is_active() {
-        stop(instance, entered)?;
-    }
-    entered.destroy();
-    let again = make(instance, entered).and_then(|()| match config {
-        Some(json) => entered.configure(json).map_err(|e| ("configure", e)),
-        None => Ok(()),
-    });
-    match again {
-        Ok(()) => {
-            instance.publish_state(entered);
-            instance.set_state(if config.is_some() { State::Ready } else { State::Created }, "");
-            Ok(())
-        }
-        Err((entry, e)) => {
-            instance.fail(entered, entry, &e);
-            Err((entry, e))
-        }
     }
 }
 

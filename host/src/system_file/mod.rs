@@ -12,6 +12,7 @@ mod schema;
 #[cfg(test)]
 mod tests;
 
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
@@ -22,6 +23,9 @@ pub use problem::Problem;
 pub use schema::system_schema;
 
 use cursor::{COMMENT, Document};
+
+/// Largest system file, bytes.
+const MAX_BYTES: u64 = 16 << 20;
 
 /// A whole system, as written.
 #[derive(Clone, Debug)]
@@ -84,9 +88,18 @@ impl SystemFile {
             what,
             help: help.to_owned(),
         };
-        let bytes = std::fs::read(path).map_err(|e| {
+        let mut bytes = Vec::new();
+        let read =
+            std::fs::File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+        read.map_err(|e| {
             whole(format!("the system file cannot be read: {e}"), "check the path and its permissions")
         })?;
+        if bytes.len() as u64 > MAX_BYTES {
+            return Err(whole(
+                format!("a system file has at most {} MiB", MAX_BYTES >> 20),
+                "check that the path names the system file",
+            ));
+        }
         let text = String::from_utf8(bytes).map_err(|e| {
             let upto = e.utf8_error().valid_up_to();
             whole(format!("not UTF-8 text: byte {upto} is not valid"), "save the file as UTF-8")
@@ -149,7 +162,7 @@ impl SystemFile {
                     node.at,
                     "/processes",
                     format!("the file has {} processes ({}), `run` takes one", all.len(), names.join(", ")),
-                    "a system of several processes is for `trocar up`; or name one process and move its components there"
+                    "a system of several processes is for `trocar up`, which this version does not have yet; name one process and move its components there"
                         .to_owned(),
                 ))
             }

@@ -27,6 +27,11 @@ impl Planner {
         };
         let merged = merge(&component.config, patch);
         let to = if merged.is_object() { complete(schema, merged) } else { merged };
+        // First what is wrong in any state: nobody should stop a running device over a misspelt name.
+        let violations = validate(schema, &to);
+        if !violations.is_empty() {
+            return Err(Refusal::ConfigInvalid { id: id.clone(), violations });
+        }
         if state == State::Active
             && let Err(fixed) = live_only(schema, &component.config, &to)
         {
@@ -36,10 +41,6 @@ impl Planner {
                 "{} cannot change while it runs (live settings: {live})",
                 fixed.join(", ")
             )));
-        }
-        let violations = validate(schema, &to);
-        if !violations.is_empty() {
-            return Err(Refusal::ConfigInvalid { id: id.clone(), violations });
         }
         if to == component.config && to_state == state {
             return Ok(());

@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use tonic::{Request, Response, Status};
 use trocar_model::{
-    Change, ComponentId, MemberId, Name, PortId, Ports, Refusal, Request as Asked, State, StopReason, Target,
+    Change, ComponentId, MemberId, Name, PortId, Ports, Refusal, Request as Asked, State, StopReason,
+    SystemGraph, Target,
 };
 use trocar_proto::v1::gcm_service_server::GcmService;
 use trocar_proto::v1::{self, ComponentState};
@@ -242,10 +243,7 @@ impl GcmService for Edge {
         let gcm = self.gcm()?;
         let mut graph = gcm.graph().as_ref().clone();
         if !r.path.is_empty() {
-            match Target::parse(&r.path).map_err(refuse)? {
-                Target::One(one) => graph.components.retain(|id, _| *id == one),
-                Target::Glob(pattern) => graph.components.retain(|id, _| pattern.matches(id)),
-            }
+            keep_only(&mut graph, &r.path).map_err(refuse)?;
             let kept: Vec<ComponentId> = graph.components.keys().cloned().collect();
             let holds = |id: &ComponentId| kept.contains(id);
             graph.connections.retain(|_, c| holds(&c.client.component) || holds(&c.server.component));
@@ -348,6 +346,29 @@ impl GcmService for Edge {
         let gcm = self.gcm()?;
         Ok(Response::new(watch(gcm.watch(), gcm.term(), request.into_inner().from_revision)))
     }
+}
+
+/// Leaves only the named process, component, or what a glob matches.
+fn keep_only(graph: &mut SystemGraph, path: &str) -> Result<(), Refusal> {
+    if !path.contains(['/', '*']) {
+        let name = Name::parse(path)?;
+        if !graph.processes.contains_key(&name) {
+            let known = graph.processes.keys().cloned().collect();
+            return Err(Refusal::ProcessNotFound { process: name, known });
+        }
+        graph.processes.retain(|p, _| *p == name);
+        graph.components.retain(|id, _| id.process == name);
+        return Ok(());
+    }
+    match Target::parse(path)? {
+        Target::One(id) if !graph.components.contains_key(&id) => {
+            let known = graph.components.keys().cloned().collect();
+            return Err(Refusal::ComponentNotFound { id, known });
+        }
+        Target::One(one) => graph.components.retain(|id, _| *id == one),
+        Target::Glob(pattern) => graph.components.retain(|id, _| pattern.matches(id)),
+    }
+    Ok(())
 }
 
 /// `process/component[/port[/member]]` taken apart.

@@ -18,7 +18,8 @@ use trocar_rt::os;
 use trocar_rt::reply::Reply;
 
 use super::super::context;
-use super::super::instance::{ENTRY_COMMAND, Inbox, Instance};
+use super::super::inbox::{ENTRY_COMMAND, Inbox};
+use super::super::instance::Instance;
 
 /// Deadline of a blocking call that names none, ns.
 pub(in crate::lcm) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;

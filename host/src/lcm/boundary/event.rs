@@ -10,7 +10,8 @@ use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::os;
 
-use super::super::instance::{ENTRY_EVENT, Inbox, Instance};
+use super::super::inbox::{ENTRY_EVENT, Inbox};
+use super::super::instance::Instance;
 
 /// One observer of one event.
 pub(in crate::lcm) enum EventSink {
