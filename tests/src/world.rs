@@ -3,6 +3,7 @@
 //! Invariant: no test reads or writes outside its world and the built, read-only things.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
@@ -59,10 +60,12 @@ impl World {
         to
     }
 
-    /// Writes a file of the world.
+    /// Writes a file of the world, by its owner alone writable whatever the umask.
     pub fn write(&self, relative: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
         let to = self.path(relative);
-        fs::write(&to, bytes).unwrap_or_else(|e| panic!("cannot write {}: {e}", to.display()));
+        let written =
+            fs::write(&to, bytes).and_then(|()| fs::set_permissions(&to, fs::Permissions::from_mode(0o644)));
+        written.unwrap_or_else(|e| panic!("cannot write {}: {e}", to.display()));
         to
     }
 }

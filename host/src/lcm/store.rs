@@ -23,6 +23,8 @@ pub struct StoreClasses {
     store: Arc<PluginStore>,
     converted: Mutex<HashMap<Hash, Arc<Converted>>>,
     loaded: Mutex<Vec<Hash>>,
+    /// Files whose code was tried and refused (reason code, sentence): the vetting child did not survive them, or so.
+    failed: Mutex<HashMap<Hash, (String, String)>>,
 }
 
 impl StoreClasses {
@@ -32,6 +34,7 @@ impl StoreClasses {
             store,
             converted: Mutex::new(HashMap::new()),
             loaded: Mutex::new(Vec::new()),
+            failed: Mutex::new(HashMap::new()),
         })
     }
 
@@ -66,6 +69,10 @@ impl StoreClasses {
                 info.warnings = plugin.warnings.clone();
                 info.loaded =
                     self.loaded.lock().unwrap_or_else(PoisonError::into_inner).contains(&plugin.hash);
+                let failed = self.failed.lock().unwrap_or_else(PoisonError::into_inner);
+                if let Some((reason, text)) = failed.get(&plugin.hash) {
+                    (info.refused_reason, info.refused) = (reason.clone(), text.clone());
+                }
                 if let Err(contradiction) = &*self.converted(plugin) {
                     info.refused_reason = "PLUGIN_BAD_FILE".into();
                     info.refused = format!("{}: its manifest contradicts itself: {contradiction}", info.file);
@@ -92,7 +99,15 @@ impl Classes for StoreClasses {
                 text: format!("{full_name} changed on disk while it was being created: ask again"),
             });
         }
-        let loaded = self.store.load(&found).map_err(refusal)?;
+        let loaded = match self.store.load(&found) {
+            Ok(loaded) => loaded,
+            Err(error) => {
+                let told = (error.reason().to_owned(), error.to_string());
+                self.failed.lock().unwrap_or_else(PoisonError::into_inner).insert(found.plugin.hash, told);
+                return Err(refusal(error));
+            }
+        };
+        self.failed.lock().unwrap_or_else(PoisonError::into_inner).remove(&found.plugin.hash);
         let mut hashes = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
         if !hashes.contains(&found.plugin.hash) {
             hashes.push(found.plugin.hash);

@@ -420,7 +420,7 @@ impl fmt::Display for StoreError {
             ),
             StoreError::AllowList { file, because } => write!(
                 f,
-                "allow list {} cannot be used: {because}: it is a file of your own with {{\"sha256\": [\"…\"]}}",
+                "allow list {} cannot be used: {because}: it is a file of your own with {{\"sha256\":[\"…\"]}}",
                 file.display()
             ),
         }
