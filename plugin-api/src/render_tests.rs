@@ -1,0 +1,65 @@
+//! A manifest rendered at compile time reads back as what was described.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::desc::*;
+use crate::manifest::{Manifest, PortType as MPort, Type};
+
+static F64: TypeDesc = TypeDesc::prim(Prim::F64);
+static FORCE3: TypeDesc = TypeDesc { size: 24, align: 8, kind: TypeKind::Array { item: &F64, n: 3 } };
+static FORCE: TypeDesc = TypeDesc {
+    size: 24,
+    align: 8,
+    kind: TypeKind::Struct {
+        name: "Force",
+        doc: "A \"quoted\"\nforce",
+        fields: &[FieldDesc { name: "f", at: 0, ty: &FORCE3, unit: "N", doc: "", frame: "" }],
+    },
+};
+static CLASS: ClassDesc = ClassDesc {
+    name: "low_pass",
+    doc: "µ",
+    safety: Safety::Sensor,
+    hardware: false,
+    safe_from_any_thread: false,
+    model: "periodic",
+    period_ns: 1_000_000,
+    config: &[ConfigFieldDesc {
+        name: "cutoff_hz",
+        doc: "corner",
+        schema: "\"type\":\"number\"",
+        unit: "Hz",
+        min: "0.1",
+        max: "400.0",
+        default: "50.0",
+        live: true,
+    }],
+    inputs: &[InputDesc { name: "raw", doc: "", ty: PortType::Plain(&FORCE), optional: false, fifo: 0 }],
+    outputs: &[OutputDesc { name: "out", doc: "", ty: PortType::Plain(&FORCE) }],
+    required: &[],
+    provided: &[],
+    state: Some(&FORCE),
+};
+static PLUGIN: PluginDesc = PluginDesc {
+    name: "filters",
+    version: "0.1.0",
+    vendor: "",
+    license: "",
+    doc: "",
+    built_with: "",
+    unload: false,
+    classes: &[&CLASS],
+};
+const LEN: usize = crate::render::<0>(&PLUGIN).1;
+static TEXT: [u8; LEN] = crate::render::<LEN>(&PLUGIN).0;
+
+#[test]
+fn a_manifest_rendered_at_compile_time_parses_back_with_each_type_once() {
+    let m = Manifest::parse(&TEXT).unwrap();
+    assert_eq!(m.types.len(), 1);
+    assert_eq!(m.types[0].doc, "A \"quoted\"\nforce");
+    assert_eq!(m.classes[0].doc, "µ");
+    assert_eq!(m.classes[0].inputs[0].ty, MPort::Plain { plain: Type::Ref { name: "Force".into() } });
+    assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["maximum"], 400.0);
+    assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["unit"], "Hz");
+}
