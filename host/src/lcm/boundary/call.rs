@@ -18,6 +18,7 @@ use trocar_rt::os;
 use trocar_rt::reply::Reply;
 
 use super::super::context;
+use super::super::convert::MAX_PAYLOAD;
 use super::super::inbox::{ENTRY_COMMAND, Inbox};
 use super::super::instance::Instance;
 
@@ -97,8 +98,10 @@ impl ReadTarget {
     }
 }
 
-/// Rows up to this many words are copied to the stack, larger ones to the heap.
-const STACK_WORDS: usize = 128;
+/// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step.
+const SMALL_ROW: usize = 128;
+const MIDDLE_ROW: usize = 1024;
+const LARGEST_ROW: usize = MAX_PAYLOAD / 8;
 
 /// Answers a read from the server's last published row; any thread, never waits.
 pub(in crate::lcm) fn read_row(
@@ -114,16 +117,26 @@ pub(in crate::lcm) fn read_row(
         let out = unsafe { std::slice::from_raw_parts_mut(ret, ret_bytes) };
         return (EXECUTED, server.system_read(which, out));
     }
-    let words = server.state_bytes.div_ceil(8);
-    let mut stack = [0u64; STACK_WORDS];
-    let mut heap = Vec::new();
-    let row: &mut [u64] = if words <= STACK_WORDS {
-        &mut stack[..words]
-    } else {
-        heap.resize(words, 0);
-        &mut heap
+    let read = match server.state_bytes.div_ceil(8) {
+        words if words <= SMALL_ROW => read_copy::<SMALL_ROW>,
+        words if words <= MIDDLE_ROW => read_copy::<MIDDLE_ROW>,
+        _ => read_copy::<LARGEST_ROW>,
     };
-    // SAFETY: a u64 slice viewed as its bytes.
+    read(server, command, arg, ret, err)
+}
+
+/// The read on a copy of the newest row in `N` words of the stack; the row fits, by `convert`'s limit.
+#[inline(never)]
+fn read_copy<const N: usize>(
+    server: &Instance,
+    command: u32,
+    arg: *const u8,
+    ret: *mut u8,
+    err: *mut ErrBuf,
+) -> (Outcome, u64) {
+    let mut copy = [0u64; N];
+    let row = &mut copy[..server.state_bytes.div_ceil(8)];
+    // SAFETY: a u64 slice viewed as its first `state_bytes` bytes.
     let bytes = unsafe { std::slice::from_raw_parts_mut(row.as_mut_ptr().cast::<u8>(), server.state_bytes) };
     let Some(info) = server.rows.latest(bytes) else {
         return (NOT_ACTIVE, 0);
