@@ -8,7 +8,7 @@ use core::ffi::c_void;
 /// Version of this contract. A host loads plugins of the same major and of any minor.
 pub const ABI_MAJOR: u32 = 1;
 /// Grows when entries are appended. Older and newer minors load each other.
-pub const ABI_MINOR: u32 = 0;
+pub const ABI_MINOR: u32 = 1;
 /// The one symbol a plugin exports.
 pub const ENTRY_SYMBOL: &str = "trocar_plugin_v1";
 /// Signature of [`ENTRY_SYMBOL`]: returns a table that lives as long as the library.
@@ -357,4 +357,39 @@ pub struct HostTable {
     pub callback_leave: unsafe extern "C" fn(ctx: *mut c_void),
     /// Growth without touching this table: "trocar.parallel/1"; null when unknown.
     pub extension: unsafe extern "C" fn(ctx: *mut c_void, id: Bytes) -> *const c_void,
+    /// Since 1.1. Asks for `describe` and `bind` between two steps: the ports are to be others. Any thread; QUEUED.
+    pub ports_changed: unsafe extern "C" fn(ctx: *mut c_void) -> Outcome,
+}
+
+/// Id of the host extension [`Parallel`].
+pub const PARALLEL: &str = "trocar.parallel/1";
+
+/// The threads of the stream a component runs in, for filters that can work on slices of a frame at once.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Parallel {
+    pub struct_size: u32,
+    pub flags: u32,
+    pub ctx: *mut c_void,
+    /// Threads that work together now, the caller's included; 1 without a pool.
+    pub threads: unsafe extern "C" fn(ctx: *mut c_void) -> u32,
+    /// Runs `body` once for each slice number below `slices`, on any of the threads, and returns when all are done: the
+    /// first negative status, or STATUS_OK. Only from `step`, commands and handlers of the component; not from a body.
+    pub run: unsafe extern "C" fn(ctx: *mut c_void, slices: u32, body: *const SliceBody) -> Status,
+}
+
+/// The work on one slice; called from several threads at once, so `data` is shared. Nothing may unwind out of `run`.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct SliceBody {
+    pub data: *mut c_void,
+    pub run: unsafe extern "C" fn(data: *mut c_void, slice: u32) -> Status,
+}
+
+/// A plugin linked into the executable: its manifest, which a file carries as a note, and its entry.
+#[derive(Clone, Copy, Debug)]
+pub struct StaticPlugin {
+    /// JSON, as in `.note.trocar`.
+    pub manifest: &'static str,
+    pub entry: EntryFn,
 }

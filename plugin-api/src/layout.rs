@@ -20,7 +20,7 @@ use crate::abi::{ABI_MINOR, PluginTable};
 pub const LAYOUT_SYMBOL: &str = "trocar_layout_v1";
 
 /// Layouts that were released, by ABI minor.
-const FROZEN: [&str; 1] = [include_str!("../layouts/1.0.txt")];
+const FROZEN: [&str; 2] = [include_str!("../layouts/1.0.txt"), include_str!("../layouts/1.1.txt")];
 
 /// abi_stable's root module: every struct of the contract is reached from the entry's type.
 #[repr(C)]
@@ -222,17 +222,17 @@ mod tests {
     #[test]
     fn a_changed_field_is_named() {
         let theirs = ours().replace("cycle: u64", "cycle: u32");
-        let said = compare(0, &theirs).expect_err("a changed type is accepted");
+        let said = compare(ABI_MINOR, &theirs).expect_err("a changed type is accepted");
         assert!(said.contains("`Tick.cycle`"), "{said}");
     }
 
     #[test]
     fn a_missing_or_additional_field_of_the_same_minor_is_named() {
         let missing = ours().replace("  elapsed_ns: u64\n", "");
-        let said = compare(0, &missing).expect_err("a missing field is accepted");
+        let said = compare(ABI_MINOR, &missing).expect_err("a missing field is accepted");
         assert!(said.contains("`Tick.elapsed_ns`"), "{said}");
         let additional = ours().replace("  elapsed_ns: u64\n", "  elapsed_ns: u64\n  phase: u64\n");
-        let said = compare(0, &additional).expect_err("an additional field is accepted");
+        let said = compare(ABI_MINOR, &additional).expect_err("an additional field is accepted");
         assert!(said.contains("phase"), "{said}");
     }
 

@@ -145,12 +145,23 @@ pub struct Class {
     pub state: Option<Type>,
 }
 
+/// What `describe` writes: the class as it is with the present configuration, and the types its ports name.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    #[serde(default)]
+    pub types: Vec<NamedType>,
+    pub class: Class,
+}
+
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Execution {
     #[serde(default)]
     pub model: String,
     #[serde(default)]
     pub period_ns: u64,
+    /// Longest stay inside its own code before a component without a period counts as unresponsive; 0 = 50 ms.
+    #[serde(default)]
+    pub max_step_ns: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -272,6 +283,9 @@ pub struct Handler {
     pub payload: Option<Type>,
     #[serde(default)]
     pub optional: bool,
+    /// Runs inside `emit` when both ends share an executor.
+    #[serde(default)]
+    pub direct: bool,
 }
 
 fn none() -> String {

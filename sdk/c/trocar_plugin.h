@@ -29,7 +29,7 @@ extern "C" {
 
 /* Version of this contract. A host loads plugins of the same major and of any minor. */
 #define TROCAR_ABI_MAJOR 1u
-#define TROCAR_ABI_MINOR 0u
+#define TROCAR_ABI_MINOR 1u
 
 /* True when the field lies inside what the table says it has. */
 #define TROCAR_HAS(type, table, field) \
@@ -256,7 +256,27 @@ typedef struct trocar_host {
     void (*callback_leave)(void *ctx);
     /* Growth without touching this table: "trocar.parallel/1"; null when unknown. */
     const void *(*extension)(void *ctx, trocar_bytes id);
+    /* Since 1.1. Asks for describe and bind between two steps: the ports are to be others. Any thread; QUEUED. */
+    trocar_outcome (*ports_changed)(void *ctx);
 } trocar_host;
+
+/* The work on one slice; called from several threads at once, so data is shared. */
+typedef struct trocar_slice_body {
+    void *data;
+    trocar_status (*run)(void *data, uint32_t slice);
+} trocar_slice_body;
+
+/* Host extension "trocar.parallel/1": the threads of the stream a component runs in. */
+typedef struct trocar_parallel {
+    uint32_t struct_size;
+    uint32_t flags;
+    void *ctx;
+    /* Threads that work together now, the caller's included; 1 without a pool. */
+    uint32_t (*threads)(void *ctx);
+    /* Runs body once for each slice number below slices and returns when all are done: the first negative status, or
+     * TROCAR_STATUS_OK. Only from step, commands and handlers of the component; not from a body. */
+    trocar_status (*run)(void *ctx, uint32_t slices, const trocar_slice_body *body);
+} trocar_parallel;
 
 /* One component class. A null entry is not implemented. */
 typedef struct trocar_class {
@@ -330,7 +350,7 @@ TROCAR_ASSERT(sizeof(trocar_call_opts) == 40, "trocar_call_opts");
 TROCAR_ASSERT(sizeof(trocar_fn) == 32, "trocar_fn");
 TROCAR_ASSERT(sizeof(trocar_event) == 24, "trocar_event");
 TROCAR_ASSERT(sizeof(trocar_ports) == 56, "trocar_ports");
-TROCAR_ASSERT(sizeof(trocar_host) == 72, "trocar_host");
+TROCAR_ASSERT(sizeof(trocar_host) == 80, "trocar_host");
 TROCAR_ASSERT(sizeof(trocar_class) == 168, "trocar_class");
 TROCAR_ASSERT(sizeof(trocar_plugin) == 72, "trocar_plugin");
 

@@ -48,6 +48,10 @@ pub enum ExecutionModel {
     Continuous,
     OnSignal,
     OnCallback,
+    /// Runs inside another component's step, before it.
+    ExecIn,
+    /// Runs inside another component's step, after it.
+    ExecOut,
     /// Head of a stream chain; with `rate_hz` it steps on a grid.
     Stream,
     /// Passive: runs in its callers' threads.
@@ -68,6 +72,24 @@ pub struct Execution {
     /// SCHED_FIFO priority 1–99; unset = normal scheduling.
     pub priority: Option<u8>,
     pub cpus: Vec<usize>,
+    /// Late periods of a grid that are made up for without pause, at most; 0 or unset = skipped and counted.
+    pub catch_up: Option<u32>,
+    /// Threads that share the work of a stream, its own included; unset = 1.
+    pub threads: Option<u32>,
+    /// Longest stay inside its own code before a component without a period counts as unresponsive, ns; unset = 50 ms.
+    pub max_step_ns: Option<u64>,
+    /// What a filter of a stream does when its step fails.
+    pub on_failure: Option<OnFailure>,
+}
+
+/// What happens to the frames of a stream behind a filter whose step failed. The filter is in FAULT either way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnFailure {
+    /// The branch behind it gets nothing more.
+    #[default]
+    StopBranch,
+    /// Frames pass it unchanged, from its first input to its first output of the same type.
+    Bypass,
 }
 
 /// Everything that can be connected.
@@ -194,4 +216,6 @@ pub struct Handler {
     pub doc: String,
     pub payload: Option<Type>,
     pub optional: bool,
+    /// Runs inside `emit` when both ends share an executor; otherwise, and by default, it is queued.
+    pub direct: bool,
 }

@@ -22,8 +22,8 @@ mod value;
 
 pub use change::{Change, Plan, Skipped, inverse};
 pub use class::{
-    Arg, ClassInfo, Command, CommandKind, Event, Execution, ExecutionModel, Function, Handler, Input, Output,
-    Overflow, PortType, Ports, Provided, Required, Safety,
+    Arg, ClassInfo, Command, CommandKind, Event, Execution, ExecutionModel, Function, Handler, Input,
+    OnFailure, Output, Overflow, PortType, Ports, Provided, Required, Safety,
 };
 pub use config::{Violation, complete, defaults, live_only, live_settings, merge, validate};
 pub use connect::{Binding, Link, Port, bindings};

@@ -41,6 +41,7 @@ fn class_info(
     let execution = model::Execution {
         model: Some(execution_model(&class.execution.model)?),
         period_ns: (class.execution.period_ns > 0).then_some(class.execution.period_ns),
+        max_step_ns: (class.execution.max_step_ns > 0).then_some(class.execution.max_step_ns),
         ..Default::default()
     };
     Ok(model::ClassInfo {
@@ -70,11 +71,13 @@ fn execution_model(text: &str) -> Result<model::ExecutionModel, String> {
         "continuous" => M::Continuous,
         "on_signal" | "" => M::OnSignal,
         "on_callback" => M::OnCallback,
+        "exec_in" => M::ExecIn,
+        "exec_out" => M::ExecOut,
         "stream" => M::Stream,
         "none" => M::None,
         other => {
             return Err(format!(
-                "execution model \"{other}\" is not one of periodic, continuous, on_signal, on_callback, stream, none"
+                "execution model \"{other}\" is not one of periodic, continuous, on_signal, on_callback, exec_in, exec_out, stream, none"
             ));
         }
     })
@@ -158,6 +161,7 @@ fn required(required: &wire::Required, types: &mut Types) -> Result<model::Requi
                 doc: h.doc.clone(),
                 payload: types.optional(&h.payload)?,
                 optional: h.optional,
+                direct: h.direct,
             })
         })
         .collect::<Result<_, String>>()?;

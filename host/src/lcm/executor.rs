@@ -38,7 +38,7 @@ impl Pace {
         match execution.model {
             Some(ExecutionModel::Periodic | ExecutionModel::Stream) => grid.unwrap_or(Pace::Signal),
             Some(ExecutionModel::Continuous) => Pace::Free,
-            Some(ExecutionModel::OnSignal | ExecutionModel::OnCallback) | None => Pace::Signal,
+            Some(ExecutionModel::OnSignal | ExecutionModel::OnCallback | ExecutionModel::ExecIn | ExecutionModel::ExecOut) | None => Pace::Signal,
             Some(ExecutionModel::None) => Pace::Never,
         }
     }

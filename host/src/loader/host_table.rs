@@ -42,6 +42,7 @@ pub(crate) fn for_plugin(plugin: &str, log: LogFn) -> *const HostTable {
         callback_enter,
         callback_leave,
         extension,
+        ports_changed,
     }))
 }
 
@@ -72,6 +73,10 @@ unsafe fn lossy(bytes: &Bytes) -> std::borrow::Cow<'_, str> {
 
 /// A plugin without an instance has no identity to ask for services with.
 unsafe extern "C" fn service(_ctx: *mut c_void, _token: u64, _request: Bytes) -> Outcome {
+    NOT_ACTIVE
+}
+
+unsafe extern "C" fn ports_changed(_ctx: *mut c_void) -> Outcome {
     NOT_ACTIVE
 }
 

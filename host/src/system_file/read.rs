@@ -25,6 +25,8 @@ pub(super) const MODELS: &[(&str, ExecutionModel)] = &[
     ("continuous", ExecutionModel::Continuous),
     ("on_signal", ExecutionModel::OnSignal),
     ("on_callback", ExecutionModel::OnCallback),
+    ("exec_in", ExecutionModel::ExecIn),
+    ("exec_out", ExecutionModel::ExecOut),
     ("stream", ExecutionModel::Stream),
     ("none", ExecutionModel::None),
 ];
@@ -208,6 +210,7 @@ fn execution(value: &Cursor<'_>) -> Result<Execution, Problem> {
             .transpose()?
             .map(|p| p as u8),
         cpus,
+        ..Execution::default()
     })
 }
 

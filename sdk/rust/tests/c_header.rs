@@ -52,8 +52,10 @@ fn structs() -> Vec<Both> {
         }
         trocar_host = HostTable {
             struct_size, flags, abi_major, abi_minor, ctx, now_ns, log, service, callback_enter, callback_leave,
-            extension,
+            extension, ports_changed,
         }
+        trocar_slice_body = SliceBody { data, run }
+        trocar_parallel = Parallel { struct_size, flags, ctx, threads, run }
         trocar_class = ClassTable {
             struct_size, flags, name, create, destroy, configure, describe, bind, start, stop, resume, make_safe,
             step, command, read, on_event, on_service, state_copy, snapshot, restore, extension,

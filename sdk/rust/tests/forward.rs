@@ -64,6 +64,7 @@ fn warnings_and_panics_are_forwarded_and_long_lines_cut() {
         callback_enter: enter,
         callback_leave: leave,
         extension,
+        ports_changed: enter,
     }));
     // SAFETY: the table is leaked, so it lives as long as the process.
     unsafe { trocar_sdk::__private::init(host) };

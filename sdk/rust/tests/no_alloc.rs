@@ -96,6 +96,7 @@ fn the_happy_path_allocates_nothing() {
         callback_enter: host::enter,
         callback_leave: host::leave,
         extension: host::extension,
+        ports_changed: host::enter,
     };
     let mut text = [0u8; 64];
     let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };

@@ -18,6 +18,8 @@ impl ExecutionModel {
             ExecutionModel::Continuous => "continuous",
             ExecutionModel::OnSignal => "on_signal",
             ExecutionModel::OnCallback => "on_callback",
+            ExecutionModel::ExecIn => "exec_in",
+            ExecutionModel::ExecOut => "exec_out",
             ExecutionModel::Stream => "stream",
             ExecutionModel::None => "none",
         }
@@ -44,6 +46,10 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
             inside,
             priority: asked.priority,
             cpus: asked.cpus.clone(),
+            catch_up: asked.catch_up,
+            threads: asked.threads,
+            max_step_ns: asked.max_step_ns.or(class.max_step_ns),
+            on_failure: asked.on_failure.or(class.on_failure),
         };
     }
     let model = asked.model.or(class.model);
@@ -57,6 +63,10 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
         inside: named(&class.inside).filter(|_| !own_thread),
         priority: asked.priority.or(class.priority),
         cpus: if asked.cpus.is_empty() { class.cpus.clone() } else { asked.cpus.clone() },
+        catch_up: asked.catch_up.or(class.catch_up),
+        threads: asked.threads.or(class.threads),
+        max_step_ns: asked.max_step_ns.or(class.max_step_ns),
+        on_failure: asked.on_failure.or(class.on_failure),
     }
 }
 

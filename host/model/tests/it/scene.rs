@@ -103,7 +103,7 @@ pub(crate) fn required(name: &str, functions: Vec<Function>, handlers: Vec<Handl
 }
 
 pub(crate) fn handler(name: &str, payload: Option<Type>) -> Handler {
-    Handler { name: name.into(), doc: String::new(), payload, optional: false }
+    Handler { name: name.into(), doc: String::new(), payload, optional: false, direct: false }
 }
 
 pub(crate) fn provided(name: &str, commands: Vec<Command>, events: Vec<Event>) -> Provided {

@@ -106,6 +106,8 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
         "continuous" => Some(M::Continuous),
         "on_signal" => Some(M::OnSignal),
         "on_callback" => Some(M::OnCallback),
+        "exec_in" => Some(M::ExecIn),
+        "exec_out" => Some(M::ExecOut),
         "stream" => Some(M::Stream),
         "none" => Some(M::None),
         other => {
@@ -139,6 +141,7 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
         inside: (!e.inside.is_empty()).then_some(e.inside),
         priority,
         cpus: e.cpus.into_iter().map(|c| c as usize).collect(),
+        ..Execution::default()
     })
 }
 

@@ -223,6 +223,8 @@ pub(crate) fn execution_out(e: &model::Execution) -> v1::Execution {
         Some(M::Continuous) => "continuous",
         Some(M::OnSignal) => "on_signal",
         Some(M::OnCallback) => "on_callback",
+        Some(M::ExecIn) => "exec_in",
+        Some(M::ExecOut) => "exec_out",
         Some(M::Stream) => "stream",
         Some(M::None) => "none",
     };

@@ -37,6 +37,7 @@ impl HostContext {
             callback_enter,
             callback_leave,
             extension,
+            ports_changed,
         })
     }
 }
@@ -115,6 +116,11 @@ unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
     if let Some(instance) = context_of(ctx).instance.get().and_then(Weak::upgrade) {
         instance.after_callback();
     }
+}
+
+/// Ports that change while a component lives come with `describe`.
+unsafe extern "C" fn ports_changed(_ctx: *mut c_void) -> Outcome {
+    DISABLED
 }
 
 unsafe extern "C" fn extension(_ctx: *mut c_void, _id: Bytes) -> *const c_void {

@@ -39,6 +39,7 @@ impl FakeHost {
             callback_enter,
             callback_leave,
             extension,
+            ports_changed,
         })
     }
 }
@@ -73,6 +74,10 @@ unsafe extern "C" fn callback_enter(_: *mut c_void) -> Outcome {
 }
 
 unsafe extern "C" fn callback_leave(_: *mut c_void) {}
+
+unsafe extern "C" fn ports_changed(_: *mut c_void) -> Outcome {
+    abi::QUEUED
+}
 
 unsafe extern "C" fn extension(_: *mut c_void, _: Bytes) -> *const c_void {
     core::ptr::null()
