@@ -18,9 +18,10 @@ bench:
     cargo build --release
     cargo run --release -p trocar-tests --bin bench
 
-# Writes golden files anew: CLI surface, errors.md, generated protocol code.
+# Writes golden files anew: CLI surface, errors.md, INTERFACES.md, generated protocol code.
 bless:
     TROCAR_BLESS=1 cargo test -p trocar-proto -p trocar-model
+    TROCAR_BLESS=1 cargo test -p trocar-plugin-api --features manifest
     TROCAR_BLESS=1 cargo test -p trocar
 
 # Interleavings of the real-time core.

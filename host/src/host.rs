@@ -3,12 +3,16 @@
 //! Invariant: what starts last stops first, except that devices are made safe before anything else ends.
 
 pub(crate) mod announce;
+mod client;
+mod config;
 mod error;
 mod process;
 mod signals;
+mod sources;
 mod state_dir;
 
+pub use config::{HostBuilder, HostConfig};
 pub use error::HostError;
-pub use process::{Host, HostConfig};
+pub use process::Host;
 pub use signals::StopRequest;
 pub use state_dir::{StateChoice, StateDir, state_home};

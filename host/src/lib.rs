@@ -4,8 +4,15 @@
 
 pub mod cli;
 pub mod control;
+pub mod doctor;
 pub mod gcm;
 pub mod host;
 pub mod lcm;
 pub mod loader;
 pub mod system_file;
+
+/// Names, states, requests and refusals: what the methods of [`Host`] take and answer.
+pub use trocar_model as model;
+pub use trocar_plugin_api::abi::StaticPlugin;
+
+pub use host::{Host, HostBuilder};

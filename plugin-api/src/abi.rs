@@ -40,6 +40,7 @@ pub const UNBOUND: Outcome = -1;
 pub const QUEUE_FULL: Outcome = -2;
 /// Waiting is not allowed on this thread (a `call` from `step` to another executor).
 pub const WOULD_BLOCK: Outcome = -3;
+/// The command is not among its component's ports any more, or the host takes no more requests for services.
 pub const DISABLED: Outcome = -4;
 pub const INVALID_ARGUMENT: Outcome = -5;
 /// The command ran and failed; the reason is in `CallOpts::err`.
@@ -230,6 +231,9 @@ pub struct OutSlot {
     pub reserve: unsafe extern "C" fn(ctx: *mut c_void, max_bytes: u64, slots: u32) -> Outcome,
     /// The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
+    /// Since 1.1. As `write`, for an untyped output: INVALID_ARGUMENT unless `value` has the size of the type now behind
+    /// it, so a change of connections between `type_of` and the write is no danger.
+    pub write_bytes: unsafe extern "C" fn(ctx: *mut c_void, value: Bytes, stamp_ns: u64) -> Outcome,
 }
 
 /// Set in [`SampleView::flags`] when the sample had not been seen by this input before.
@@ -277,6 +281,8 @@ pub struct InSlot {
     pub writable: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> *mut u8,
     /// The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
+    /// Since 1.1. Bytes of the plain value, or of the header of the frame, in the sample shown last; 0 without one.
+    pub header_len: unsafe extern "C" fn(ctx: *mut c_void) -> u64,
 }
 
 /// Returns at once: EXECUTED when it ran inline, QUEUED, or the reason why not.
@@ -316,6 +322,15 @@ pub struct FnSlot {
     ) -> Outcome,
     /// The command's description now behind an untyped function, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
+    /// Since 1.1. As `call`, for an untyped function: INVALID_ARGUMENT unless `arg` and `ret_len` have the sizes of the
+    /// command now behind it. `arg` is aligned to 8; a command that is only sent may leave `ret` out (null and 0).
+    pub call_bytes: unsafe extern "C" fn(
+        ctx: *mut c_void,
+        arg: Bytes,
+        ret: *mut c_void,
+        ret_len: u64,
+        opts: *mut CallOpts,
+    ) -> Outcome,
 }
 
 /// An event generator of a provided interface.
@@ -335,6 +350,10 @@ pub const LOG_WARN: u32 = 2;
 pub const LOG_INFO: u32 = 3;
 pub const LOG_DEBUG: u32 = 4;
 pub const LOG_TRACE: u32 = 5;
+
+/// Set in [`HostTable::flags`] at `init` when the plugin is linked into the host's own program: they share their statics,
+/// so a logger that forwards to the host would forward to itself.
+pub const HOST_LINKED: u32 = 1;
 
 /// What a host offers to one instance (`create`) or to a whole plugin (`init`).
 #[repr(C)]

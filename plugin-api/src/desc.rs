@@ -208,6 +208,8 @@ pub struct HandlerDesc {
     pub doc: &'static str,
     pub payload: Option<&'static TypeDesc>,
     pub optional: bool,
+    /// Runs inside `emit` when both ends share an executor.
+    pub direct: bool,
 }
 
 pub struct RequiredDesc {
@@ -260,12 +262,36 @@ pub struct ClassDesc {
     pub model: &'static str,
     /// Default period of a periodic or stream class, ns; 0 = none.
     pub period_ns: u64,
+    /// Longest stay inside its own code, ns; 0 = the host's default.
+    pub max_step_ns: u64,
     pub config: &'static [ConfigFieldDesc],
     pub inputs: &'static [InputDesc],
     pub outputs: &'static [OutputDesc],
     pub required: &'static [RequiredDesc],
     pub provided: &'static [ProvidedDesc],
     pub state: Option<&'static TypeDesc>,
+    pub many: ManyDesc,
+}
+
+/// Ports and interfaces that exist once for each name of a list which the component sets while it lives. In their
+/// names, `{}` stands for that name.
+pub struct ManyDesc {
+    pub inputs: &'static [InputDesc],
+    pub outputs: &'static [OutputDesc],
+    pub required: &'static [RequiredDesc],
+    pub provided: &'static [ProvidedDesc],
+}
+
+impl ManyDesc {
+    /// A class whose ports are all fixed.
+    pub const NONE: ManyDesc = ManyDesc { inputs: &[], outputs: &[], required: &[], provided: &[] };
+
+    pub const fn is_empty(&self) -> bool {
+        self.inputs.is_empty()
+            && self.outputs.is_empty()
+            && self.required.is_empty()
+            && self.provided.is_empty()
+    }
 }
 
 pub struct PluginDesc {

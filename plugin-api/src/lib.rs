@@ -5,6 +5,8 @@
 #![forbid(unsafe_code)]
 
 pub mod abi;
+#[cfg(feature = "manifest")]
+pub mod contracts;
 pub mod desc;
 #[cfg(feature = "layout")]
 pub mod layout;
@@ -12,9 +14,11 @@ pub mod layout;
 pub mod manifest;
 pub mod note;
 mod render;
+mod types;
+pub mod units;
 
 pub use abi::{ABI_MAJOR, ABI_MINOR, ENTRY_SYMBOL, EntryFn, has_entry};
-pub use render::render;
+pub use render::{render, render_description};
 
 #[cfg(not(all(
     target_os = "linux",

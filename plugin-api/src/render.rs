@@ -4,12 +4,10 @@
 
 use crate::abi::{ABI_MAJOR, ABI_MINOR};
 use crate::desc::{
-    ArgDesc, ClassDesc, CommandDesc, ConfigFieldDesc, PluginDesc, PortType, ProvidedDesc, RequiredDesc,
-    TypeDesc, TypeKind,
+    ArgDesc, ClassDesc, CommandDesc, ConfigFieldDesc, InputDesc, OutputDesc, PluginDesc, PortType,
+    ProvidedDesc, RequiredDesc, TypeDesc, TypeKind,
 };
-
-/// Most distinct structs and enums one plugin may name.
-const MAX_TYPES: usize = 256;
+use crate::types::Types;
 
 /// The manifest and its length. Call with `N = 0` for the length, then with that `N`; the text is padded with spaces
 /// to a multiple of 4 bytes.
@@ -21,138 +19,18 @@ pub const fn render<const N: usize>(plugin: &PluginDesc) -> ([u8; N], usize) {
     (out.buf, padded)
 }
 
+/// What a class with changing ports writes from `describe`, before its lists of names are filled in: the fixed part of
+/// the class, the types of both parts, and under `many` the ports and interfaces to repeat. `N` as in [`render`].
+pub const fn render_description<const N: usize>(class: &ClassDesc) -> ([u8; N], usize) {
+    let mut out = Out { buf: [b' '; N], len: 0 };
+    out.description(class);
+    assert!(N == 0 || N == out.len, "call render_description::<0> first and use its length");
+    (out.buf, out.len)
+}
+
 struct Out<const N: usize> {
     buf: [u8; N],
     len: usize,
-}
-
-struct Types {
-    seen: [Option<&'static TypeDesc>; MAX_TYPES],
-    len: usize,
-}
-
-const fn same_text(a: &str, b: &str) -> bool {
-    let (a, b) = (a.as_bytes(), b.as_bytes());
-    if a.len() != b.len() {
-        return false;
-    }
-    let mut i = 0;
-    while i < a.len() {
-        if a[i] != b[i] {
-            return false;
-        }
-        i += 1;
-    }
-    true
-}
-
-const fn named(ty: &TypeDesc) -> Option<&'static str> {
-    match &ty.kind {
-        TypeKind::Enum { name, .. } | TypeKind::Struct { name, .. } => Some(name),
-        _ => None,
-    }
-}
-
-const fn field_count(ty: &TypeDesc) -> usize {
-    match &ty.kind {
-        TypeKind::Struct { fields, .. } => fields.len(),
-        TypeKind::Enum { values, .. } => values.len(),
-        _ => 0,
-    }
-}
-
-impl Types {
-    const fn add(&mut self, ty: &'static TypeDesc) {
-        match &ty.kind {
-            TypeKind::Array { item, .. } | TypeKind::List { item, .. } => self.add(item),
-            TypeKind::Prim(_) | TypeKind::Text { .. } => {}
-            TypeKind::Enum { name, .. } | TypeKind::Struct { name, .. } => {
-                let mut i = 0;
-                while i < self.len {
-                    if let Some(other) = self.seen[i]
-                        && let Some(other_name) = named(other)
-                        && same_text(other_name, name)
-                    {
-                        assert!(
-                            other.size == ty.size && field_count(other) == field_count(ty),
-                            "two different payload types of this plugin have the same name"
-                        );
-                        return;
-                    }
-                    i += 1;
-                }
-                if let TypeKind::Struct { fields, .. } = &ty.kind {
-                    let mut f = 0;
-                    while f < fields.len() {
-                        self.add(fields[f].ty);
-                        f += 1;
-                    }
-                }
-                assert!(self.len < MAX_TYPES, "a plugin may name at most 256 payload types");
-                self.seen[self.len] = Some(ty);
-                self.len += 1;
-            }
-        }
-    }
-
-    const fn add_opt(&mut self, ty: Option<&'static TypeDesc>) {
-        if let Some(ty) = ty {
-            self.add(ty);
-        }
-    }
-
-    const fn add_port(&mut self, ty: PortType) {
-        match ty {
-            PortType::Plain(t) | PortType::Frame { header: t, .. } => self.add(t),
-            PortType::Any => {}
-        }
-    }
-
-    const fn add_class(&mut self, class: &ClassDesc) {
-        let mut i = 0;
-        while i < class.inputs.len() {
-            self.add_port(class.inputs[i].ty);
-            i += 1;
-        }
-        i = 0;
-        while i < class.outputs.len() {
-            self.add_port(class.outputs[i].ty);
-            i += 1;
-        }
-        i = 0;
-        while i < class.required.len() {
-            let mut j = 0;
-            while j < class.required[i].functions.len() {
-                self.add_opt(class.required[i].functions[j].arg);
-                self.add_opt(class.required[i].functions[j].ret);
-                j += 1;
-            }
-            j = 0;
-            while j < class.required[i].handlers.len() {
-                self.add_opt(class.required[i].handlers[j].payload);
-                j += 1;
-            }
-            i += 1;
-        }
-        i = 0;
-        while i < class.provided.len() {
-            let mut j = 0;
-            while j < class.provided[i].commands.len() {
-                if let Some(arg) = &class.provided[i].commands[j].arg {
-                    self.add(arg.ty);
-                }
-                self.add_opt(class.provided[i].commands[j].ret);
-                j += 1;
-            }
-            j = 0;
-            while j < class.provided[i].events.len() {
-                self.add_opt(class.provided[i].events[j].payload);
-                j += 1;
-            }
-            i += 1;
-        }
-        self.add_opt(class.state);
-    }
 }
 
 impl<const N: usize> Out<N> {
@@ -265,22 +143,15 @@ impl<const N: usize> Out<N> {
         self.pair("built_with", p.built_with, false);
         self.pair("panic", "unwind", false);
         self.flag("unload", p.unload);
-        let mut types = Types { seen: [None; MAX_TYPES], len: 0 };
+        let mut types = Types::NONE;
         let mut i = 0;
         while i < p.classes.len() {
             types.add_class(p.classes[i]);
             i += 1;
         }
-        self.raw(",\"types\":[");
-        i = 0;
-        while i < types.len {
-            self.comma(i);
-            if let Some(ty) = types.seen[i] {
-                self.named_type(ty);
-            }
-            i += 1;
-        }
-        self.raw("],\"classes\":[");
+        self.byte(b',');
+        self.types(&types);
+        self.raw(",\"classes\":[");
         i = 0;
         while i < p.classes.len() {
             self.comma(i);
@@ -288,6 +159,31 @@ impl<const N: usize> Out<N> {
             i += 1;
         }
         self.raw("]}");
+    }
+
+    const fn types(&mut self, types: &Types) {
+        self.raw("\"types\":[");
+        let mut i = 0;
+        while i < types.len {
+            self.comma(i);
+            if let Some(ty) = types.seen[i] {
+                self.named_type(ty);
+            }
+            i += 1;
+        }
+        self.byte(b']');
+    }
+
+    const fn description(&mut self, class: &ClassDesc) {
+        let mut types = Types::NONE;
+        types.add_class(class);
+        self.byte(b'{');
+        self.types(&types);
+        self.raw(",\"class\":");
+        self.class(class);
+        self.raw(",\"many\":{");
+        self.ports(class.many.inputs, class.many.outputs, class.many.required, class.many.provided);
+        self.raw("}}");
     }
 
     const fn named_type(&mut self, ty: &TypeDesc) {
@@ -408,52 +304,67 @@ impl<const N: usize> Out<N> {
         self.pair("model", c.model, true);
         self.key("period_ns", false);
         self.number(c.period_ns);
+        if c.max_step_ns > 0 {
+            self.key("max_step_ns", false);
+            self.number(c.max_step_ns);
+        }
         self.byte(b'}');
         self.config(c.config);
-        self.raw(",\"inputs\":[");
+        self.byte(b',');
+        self.ports(c.inputs, c.outputs, c.required, c.provided);
+        self.type_opt("state", c.state);
+        self.byte(b'}');
+    }
+
+    const fn ports(
+        &mut self,
+        inputs: &[InputDesc],
+        outputs: &[OutputDesc],
+        required: &[RequiredDesc],
+        provided: &[ProvidedDesc],
+    ) {
+        self.raw("\"inputs\":[");
         let mut i = 0;
-        while i < c.inputs.len() {
+        while i < inputs.len() {
             self.comma(i);
             self.byte(b'{');
-            self.pair("name", c.inputs[i].name, true);
-            self.pair_opt("doc", c.inputs[i].doc);
+            self.pair("name", inputs[i].name, true);
+            self.pair_opt("doc", inputs[i].doc);
             self.key("type", false);
-            self.port(c.inputs[i].ty);
-            self.flag("optional", c.inputs[i].optional);
+            self.port(inputs[i].ty);
+            self.flag("optional", inputs[i].optional);
             self.key("fifo", false);
-            self.number(c.inputs[i].fifo as u64);
+            self.number(inputs[i].fifo as u64);
             self.byte(b'}');
             i += 1;
         }
         self.raw("],\"outputs\":[");
         i = 0;
-        while i < c.outputs.len() {
+        while i < outputs.len() {
             self.comma(i);
             self.byte(b'{');
-            self.pair("name", c.outputs[i].name, true);
-            self.pair_opt("doc", c.outputs[i].doc);
+            self.pair("name", outputs[i].name, true);
+            self.pair_opt("doc", outputs[i].doc);
             self.key("type", false);
-            self.port(c.outputs[i].ty);
+            self.port(outputs[i].ty);
             self.byte(b'}');
             i += 1;
         }
         self.raw("],\"required\":[");
         i = 0;
-        while i < c.required.len() {
+        while i < required.len() {
             self.comma(i);
-            self.required(&c.required[i]);
+            self.required(&required[i]);
             i += 1;
         }
         self.raw("],\"provided\":[");
         i = 0;
-        while i < c.provided.len() {
+        while i < provided.len() {
             self.comma(i);
-            self.provided(&c.provided[i]);
+            self.provided(&provided[i]);
             i += 1;
         }
         self.byte(b']');
-        self.type_opt("state", c.state);
-        self.byte(b'}');
     }
 
     const fn config(&mut self, fields: &[ConfigFieldDesc]) {
@@ -518,6 +429,7 @@ impl<const N: usize> Out<N> {
             self.pair_opt("doc", h.doc);
             self.type_opt("payload", h.payload);
             self.flag("optional", h.optional);
+            self.flag("direct", h.direct);
             self.byte(b'}');
             i += 1;
         }

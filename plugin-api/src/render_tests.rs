@@ -24,6 +24,7 @@ static CLASS: ClassDesc = ClassDesc {
     safe_from_any_thread: false,
     model: "periodic",
     period_ns: 1_000_000,
+    max_step_ns: 20_000_000,
     config: &[ConfigFieldDesc {
         name: "cutoff_hz",
         doc: "corner",
@@ -36,9 +37,19 @@ static CLASS: ClassDesc = ClassDesc {
     }],
     inputs: &[InputDesc { name: "raw", doc: "", ty: PortType::Plain(&FORCE), optional: false, fifo: 0 }],
     outputs: &[OutputDesc { name: "out", doc: "", ty: PortType::Plain(&FORCE) }],
-    required: &[],
+    required: &[RequiredDesc {
+        name: "alarm",
+        doc: "",
+        optional: false,
+        functions: &[],
+        handlers: &[HandlerDesc { name: "rang", doc: "", payload: None, optional: false, direct: true }],
+    }],
     provided: &[],
     state: Some(&FORCE),
+    many: ManyDesc {
+        inputs: &[InputDesc { name: "{}_f", doc: "", ty: PortType::Plain(&FORCE), optional: true, fifo: 4 }],
+        ..ManyDesc::NONE
+    },
 };
 static PLUGIN: PluginDesc = PluginDesc {
     name: "filters",
@@ -59,7 +70,20 @@ fn a_manifest_rendered_at_compile_time_parses_back_with_each_type_once() {
     assert_eq!(m.types.len(), 1);
     assert_eq!(m.types[0].doc, "A \"quoted\"\nforce");
     assert_eq!(m.classes[0].doc, "µ");
+    assert_eq!(m.classes[0].execution.max_step_ns, 20_000_000);
+    assert!(m.classes[0].required[0].handlers[0].direct);
     assert_eq!(m.classes[0].inputs[0].ty, MPort::Plain { plain: Type::Ref { name: "Force".into() } });
     assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["maximum"], 400.0);
     assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["unit"], "Hz");
+}
+
+#[test]
+fn the_description_of_a_class_has_its_fixed_part_and_what_is_to_be_repeated() {
+    const LEN: usize = crate::render_description::<0>(&CLASS).1;
+    static DESCRIPTION: [u8; LEN] = crate::render_description::<LEN>(&CLASS).0;
+    let value: serde_json::Value = serde_json::from_slice(&DESCRIPTION).unwrap();
+    assert_eq!(value["many"]["inputs"][0]["name"], "{}_f");
+    let description: crate::manifest::Description = serde_json::from_value(value).unwrap();
+    assert_eq!(description.class, Manifest::parse(&TEXT).unwrap().classes[0]);
+    assert_eq!(description.types.len(), 1);
 }

@@ -59,6 +59,7 @@ enum {
     TROCAR_QUEUE_FULL = -2,
     /* Waiting is not allowed on this thread. */
     TROCAR_WOULD_BLOCK = -3,
+    /* The command is not among its component's ports any more, or the host takes no more requests for services. */
     TROCAR_DISABLED = -4,
     TROCAR_INVALID_ARGUMENT = -5,
     /* The command ran and failed; the reason is in trocar_call_opts.err. */
@@ -157,6 +158,8 @@ typedef struct trocar_out {
     trocar_outcome (*reserve)(void *ctx, uint64_t max_bytes, uint32_t slots);
     /* The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected. */
     trocar_status (*type_of)(void *ctx, const trocar_sink *sink);
+    /* Since 1.1. As write, for an untyped output: INVALID_ARGUMENT unless value has the size of the type now behind it. */
+    trocar_outcome (*write_bytes)(void *ctx, trocar_bytes value, uint64_t stamp_ns);
 } trocar_out;
 
 /* Answers of latest and next. */
@@ -174,6 +177,8 @@ typedef struct trocar_in {
     /* Writable bytes of the held frame when this input is its only owner, else null. */
     uint8_t *(*writable)(void *ctx, trocar_sample *view);
     trocar_status (*type_of)(void *ctx, const trocar_sink *sink);
+    /* Since 1.1. Bytes of the plain value, or of the header of the frame, in the sample shown last; 0 without one. */
+    uint64_t (*header_len)(void *ctx);
 } trocar_in;
 
 /* Returns at once: EXECUTED when it ran inline, QUEUED, or the reason why not. */
@@ -203,6 +208,9 @@ typedef struct trocar_fn {
     void *ctx;
     trocar_outcome (*call)(void *ctx, const void *arg, void *ret, trocar_call_opts *opts);
     trocar_status (*type_of)(void *ctx, const trocar_sink *sink);
+    /* Since 1.1. As call, for an untyped function: INVALID_ARGUMENT unless arg and ret_len have the sizes of the command
+     * now behind it. arg is aligned to 8; a command that is only sent may leave ret out (null and 0). */
+    trocar_outcome (*call_bytes)(void *ctx, trocar_bytes arg, void *ret, uint64_t ret_len, trocar_call_opts *opts);
 } trocar_fn;
 
 /* An event generator of a provided interface. */
@@ -344,10 +352,10 @@ TROCAR_ASSERT(sizeof(void *) == 8, "trocar plugins are 64-bit");
 TROCAR_ASSERT(sizeof(trocar_tick) == 48, "trocar_tick");
 TROCAR_ASSERT(sizeof(trocar_loan) == 40, "trocar_loan");
 TROCAR_ASSERT(sizeof(trocar_sample) == 56, "trocar_sample");
-TROCAR_ASSERT(sizeof(trocar_out) == 72, "trocar_out");
-TROCAR_ASSERT(sizeof(trocar_in) == 56, "trocar_in");
+TROCAR_ASSERT(sizeof(trocar_out) == 80, "trocar_out");
+TROCAR_ASSERT(sizeof(trocar_in) == 64, "trocar_in");
 TROCAR_ASSERT(sizeof(trocar_call_opts) == 40, "trocar_call_opts");
-TROCAR_ASSERT(sizeof(trocar_fn) == 32, "trocar_fn");
+TROCAR_ASSERT(sizeof(trocar_fn) == 40, "trocar_fn");
 TROCAR_ASSERT(sizeof(trocar_event) == 24, "trocar_event");
 TROCAR_ASSERT(sizeof(trocar_ports) == 56, "trocar_ports");
 TROCAR_ASSERT(sizeof(trocar_host) == 80, "trocar_host");

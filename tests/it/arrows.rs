@@ -7,19 +7,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 use trocar_tests::repository;
 
-/// What each crate may depend on, apart from plugins and fixtures, which may use the sdk (and `phantom`) only.
+/// What each crate may depend on, apart from plugins and fixtures, which may use the sdk (and plain libraries of ours) only.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-model", &[]),
     ("trocar-proto", &[]),
     ("trocar-plugin-api", &[]),
-    ("trocar-sdk-derive", &[]),
+    ("trocar-sdk-derive", &["trocar-plugin-api"]),
     ("trocar-sdk", &["trocar-sdk-derive", "trocar-plugin-api"]),
     ("trocar-rt", &["trocar-plugin-api"]),
     ("trocar", &["trocar-model", "trocar-rt", "trocar-proto", "trocar-plugin-api"]),
-    ("trocar-tests", &["trocar", "trocar-sdk", "trocar-proto"]),
+    ("trocar-conform-classes", &["trocar-sdk"]),
+    ("trocar-tests", &["trocar", "trocar-sdk", "trocar-proto", "trocar-conform-classes"]),
 ];
 
-const PLUGINS_MAY: &[&str] = &["trocar-sdk", "trocar-phantom"];
+const PLUGINS_MAY: &[&str] = &["trocar-sdk", "trocar-phantom", "trocar-conform-classes"];
 
 /// What must never reach a plugin author's build.
 const BANNED_IN_SDK: &[&str] = &["tokio", "tonic", "trocar"];

@@ -7,12 +7,13 @@ use std::net::TcpListener;
 use std::process::Command;
 
 use serde_json::json;
-use trocar_tests::{Built, HostProcess, Trocar, World, skip};
+use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number, skip};
 
 const OK: i32 = 0;
 const REFUSED: i32 = 1;
 const USAGE: i32 = 2;
 const NO_GCM: i32 = 3;
+const TIMED_OUT: i32 = 4;
 
 /// A port nobody listens on: bound by this test, then let go.
 fn free_port() -> u16 {
@@ -262,7 +263,168 @@ fn the_schema_of_the_system_file_and_the_completions_are_printed() {
     let world = World::new();
     let schema = Trocar::new(&world).run(&["schema", "system"]).ends_with(OK).json();
     assert!(schema["properties"]["components"].is_object(), "{schema}");
-    Trocar::new(&world).run(&["completions", "bash"]).ends_with(OK).says("trocar");
+    let script = Trocar::new(&world).run(&["completions", "bash"]).ends_with(OK).says("trocar");
+    assert!(!script.stdout.contains("__vet"), "what is hidden is not offered");
+}
+
+#[test]
+fn a_usage_error_points_to_the_help_of_its_subcommand() {
+    let world = World::new();
+    let trocar = Trocar::new(&world);
+    trocar.run(&["ls", "--nonsense"]).ends_with(USAGE).says("trocar ls --help");
+    trocar.run(&["plugin", "inspect"]).ends_with(USAGE).says("trocar plugin inspect --help");
+    trocar.run(&["create", "host/a", "b", "--rate-hz", "-5"]).ends_with(USAGE).says("above 0");
+    trocar.run(&["configure", "host/a"]).ends_with(USAGE).says("--rate-hz").says("JSON");
+    trocar.run(&["configure", "host/a", "--on-failure", "panic"]).ends_with(USAGE).says("bypass");
+    let huge = "x".repeat(100_000);
+    let output = trocar.run(&["call", "host/a/b/c", &huge]).ends_with(USAGE).says("more characters");
+    assert!(output.stderr.len() < 1000, "a huge argument is not repeated whole");
+    let output = trocar.run(&["create", "host/a", "b", "--config", &huge]).ends_with(USAGE).says("left out");
+    assert!(output.stderr.len() < 1000, "a huge argument is not repeated whole");
+}
+
+#[test]
+fn a_key_that_stands_twice_is_refused_before_anybody_is_asked() {
+    let world = World::new();
+    let trocar = Trocar::new(&world);
+    let twice = r#"{"seed": 1, "seed": 2}"#;
+    trocar.run(&["create", "host/a", "b", "--config", twice]).ends_with(USAGE).says("duplicate key");
+    trocar.run(&["configure", "host/a", twice]).ends_with(USAGE).says("duplicate key");
+    trocar.run(&["call", "host/a/b/c", twice]).ends_with(USAGE).says("duplicate key");
+}
+
+#[test]
+fn execution_settings_are_given_changed_and_shown() {
+    let world = World::with_plugins(&["fixture_echo"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "echo");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/e", "echo", "--model", "periodic", "--rate-hz", "200"]).ends_with(OK);
+    trocar
+        .run(&["configure", "host/e", "--rate-hz", "500", "--catch-up", "3", "--max-step", "20ms"])
+        .ends_with(OK);
+    trocar.run(&["describe", "host/e"]).says("500 Hz").says("catch-up 3").says("max step 20 ms");
+    trocar.run(&["configure", "host/e", "--on-failure", "stop-branch"]).ends_with(REFUSED).says("on_failure");
+    trocar.run(&["create", "host/after", "echo", "--model", "exec_out", "--inside", "host/e"]).ends_with(OK);
+    trocar.run(&["ls"]).ends_with(OK).says("after host/e");
+    trocar.run(&["start", "host/e"]).ends_with(OK);
+    trocar.run(&["configure", "host/e", "--rate-hz", "100"]).ends_with(REFUSED).says("trocar stop host/e");
+}
+
+#[test]
+fn states_and_events_are_waited_for() {
+    let world = World::with_plugins(&["fixture_echo"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "echo");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/e", "echo"]).ends_with(OK);
+    trocar.run(&["wait", "host/e", "--deadline", "100ms"]).ends_with(TIMED_OUT).says("READY").says("100 ms");
+    trocar.run(&["wait", "host/e", "--state", "ready", "--state", "active"]).ends_with(OK).says("READY");
+    let event = "host/e/ctl/echoed";
+    trocar.run(&["wait", event, "--deadline", "100ms"]).ends_with(TIMED_OUT).says(event).says("start host/e");
+    trocar.run(&["start", "host/e"]).ends_with(OK);
+    let call = ["wait", event, "--call", "host/e/ctl/write", "--arg", "2.5"];
+    trocar.run(&call).ends_with(OK).says(event).says("2.5");
+    let seen = trocar.run(&["wait", "host/e/ctl/void_called", "--call", "host/e/ctl/void", "--json"]);
+    let seen = seen.ends_with(OK).json();
+    assert!(seen["value"].is_null() && seen["stamp_ns"].as_u64().is_some_and(|ns| ns > 0), "{seen}");
+    trocar.run(&["wait", "host/e/ctl/ecoed"]).ends_with(REFUSED).says("did you mean `echoed`");
+    trocar.run(&["wait", "host/e", "--call", "host/e/ctl/void"]).ends_with(USAGE).says("event");
+    trocar.run(&["wait", "host/e", "--deadline", "2min"]).ends_with(USAGE).says("60s");
+}
+
+#[test]
+fn rows_of_a_state_table_are_shown_by_age_tick_and_time() {
+    let world = World::with_plugins(&["fixture_echo"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "echo");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/e", "echo", "--model", "periodic", "--rate-hz", "100"]).ends_with(OK);
+    trocar.run(&["start", "host/e"]).ends_with(OK);
+    trocar.run(&["call", "host/e/ctl/write_return", "7"]).ends_with(OK);
+    eventually("ten rows are there", || {
+        let newest = trocar.run(&["echo", "host/e", "--delayed", "0", "--json"]).ends_with(OK).json();
+        if number(&newest["tick"]) > 10 { Ok(()) } else { Err(newest.to_string()) }
+    });
+    let older = trocar.run(&["echo", "host/e", "--delayed", "3", "--json"]).ends_with(OK).json();
+    let tick = older["tick"].to_string();
+    let same = trocar.run(&["echo", "host/e", "--tick", &tick, "--json"]).ends_with(OK).json();
+    assert_eq!((&same["stamp_ns"], &same["value"]), (&older["stamp_ns"], &older["value"]));
+    let then = format!("{}ns", older["stamp_ns"]);
+    let nearest = trocar.run(&["echo", "host/e", "--nearest", &then, "--json"]).ends_with(OK).json();
+    assert_eq!(nearest["tick"], older["tick"]);
+    trocar.run(&["echo", "host/e", "--at", &then]).ends_with(OK).says("value");
+    trocar.run(&["echo", "host/e", "--at", "1ns"]).ends_with(REFUSED).says("no such row");
+    trocar.run(&["echo", "host/e/sample_out", "--delayed", "1"]).ends_with(REFUSED).says("keeps no rows");
+    trocar.run(&["echo", "host/e", "--at", "1s", "--tick", "1"]).ends_with(USAGE).says("--tick");
+}
+
+#[test]
+fn one_end_of_a_connection_is_enough_to_cut_it_and_unknown_ends_list_what_exists() {
+    let world = World::with_plugins(&["example"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "Server");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/server", "Server"]).ends_with(OK);
+    trocar.run(&["create", "host/client", "Client"]).ends_with(OK);
+    trocar.run(&["connect", "host/client/Required", "host/server/Provided"]).ends_with(OK);
+    let again = trocar.run(&["connect", "host/client/Required", "host/server/Provided"]);
+    again.ends_with(REFUSED).says("--replace");
+    trocar.run(&["disconnect", "host/client/Reqired"]).ends_with(REFUSED).says("host/client/Required");
+    trocar.run(&["disconnect", "host/client/Required"]).ends_with(OK).says("host/client");
+    trocar.run(&["disconnect", "host/client/Required"]).ends_with(REFUSED).says("no connections");
+    trocar
+        .run(&["describe", "host/server/Provided/Write/x"])
+        .ends_with(REFUSED)
+        .says("too many parts (5, not 4)");
+    trocar.run(&["logs", "host/nobody"]).ends_with(REFUSED).says("host/client");
+    trocar.run(&["logs", "nobody"]).ends_with(REFUSED).says("no process `nobody`");
+}
+
+#[test]
+fn a_file_name_cannot_command_the_terminal() {
+    let world = World::with_plugins(&["sine"]);
+    fs::write(world.plugins().join("lib\u{1b}[31mred.so"), "").unwrap();
+    let host = HostProcess::start_with(&world, "host", &["--lock-memory"]);
+    host.grpcurl().await_class("host", "sine");
+    let trocar = Trocar::at(&world, host.address());
+    let output = eventually("the bad file is listed", || {
+        let output = trocar.run(&["plugin", "ls"]);
+        if output.stdout.contains("refused") { Ok(output) } else { Err(output.stdout) }
+    });
+    assert!(!output.stdout.contains('\u{1b}') && output.stdout.contains("red.so"), "{output:#?}");
+}
+
+#[test]
+fn a_class_is_checked_against_the_contract_of_a_standard_device() {
+    let world = World::new();
+    let trocar = Trocar::new(&world);
+    let robot = Built::plugin("eyerobot").display().to_string();
+    let check = |contract: &str| trocar.run(&["plugin", "check", &robot, "--as", contract]);
+    check("arm").ends_with(OK).says("eyerobot/eyerobot");
+    check("camera").ends_with(REFUSED).says("does not fulfil").says("`image` is missing");
+    let as_json = trocar.run(&["plugin", "check", &robot, "--as", "camera", "--class", "eyerobot", "--json"]);
+    let as_json = as_json.ends_with(REFUSED).json();
+    assert_eq!(as_json["reason"], "CONTRACT_NOT_FULFILLED", "{as_json}");
+    assert!(as_json["classes"][0]["violations"].as_array().is_some_and(|v| !v.is_empty()), "{as_json}");
+    check("leg").ends_with(USAGE).says("force_sensor");
+    trocar
+        .run(&["plugin", "check", &robot, "--as", "arm", "--class", "leg"])
+        .ends_with(REFUSED)
+        .says("eyerobot");
+    trocar.run(&["plugin", "check", "nowhere.so", "--as", "arm"]).ends_with(REFUSED).says("nowhere.so");
+}
+
+#[test]
+fn a_live_table_into_a_pipe_is_plain_text() {
+    let world = World::new();
+    let output = Trocar::new(&world)
+        .in_dir(&trocar_tests::repository())
+        .run(&["demo", "--listen", "127.0.0.1:0", "--seconds", "3"])
+        .ends_with(OK)
+        .says("COMPONENT")
+        .says("host/robot");
+    assert!(!output.stdout.contains('\u{1b}'), "{}", output.stdout);
 }
 
 #[test]

@@ -5,6 +5,8 @@
 
 #[path = "control_plane/errors.rs"]
 mod errors;
+#[path = "control_plane/waiting.rs"]
+mod waiting;
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, World, number};

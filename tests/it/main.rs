@@ -4,12 +4,20 @@
 #![allow(clippy::unwrap_used)]
 
 mod arrows;
+mod changing_ports;
 mod cli;
+mod conformance;
+mod conformance_random;
 mod control_plane;
 mod cpp_plugin;
 mod demo;
 mod deployment;
+mod embedding;
+mod embedding_client;
 mod faults;
 mod fig4;
 mod plugin_guide;
 mod plugin_loading;
+mod purity;
+mod sdk_helpers;
+mod services;

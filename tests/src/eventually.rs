@@ -8,7 +8,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 const WATCHDOG: Duration = Duration::from_secs(60);
-const POLL: Duration = Duration::from_millis(10);
+/// Pauses between two looks: the first, and the longest.
+const POLL: (Duration, Duration) = (Duration::from_micros(200), Duration::from_millis(10));
 
 /// Asks `probe` until it answers `Ok`.
 ///
@@ -16,14 +17,16 @@ const POLL: Duration = Duration::from_millis(10);
 /// After a minute, with what was awaited and the last reason `probe` gave.
 pub fn eventually<T, E: Display>(what: &str, mut probe: impl FnMut() -> Result<T, E>) -> T {
     let began = Instant::now();
+    let mut pause = POLL.0;
     loop {
         match probe() {
             Ok(value) => return value,
             Err(last) if began.elapsed() > WATCHDOG => {
                 panic!("waited {WATCHDOG:?} in vain for: {what}\nlast seen: {last}")
             }
-            Err(_) => thread::sleep(POLL),
+            Err(_) => thread::sleep(pause),
         }
+        pause = (pause * 2).min(POLL.1);
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod built;
 mod cli;
+pub mod conformance;
 mod cycles;
 mod damage;
 mod eventually;

@@ -78,6 +78,8 @@ pub struct Execution {
     pub threads: Option<u32>,
     /// Longest stay inside its own code before a component without a period counts as unresponsive, ns; unset = 50 ms.
     pub max_step_ns: Option<u64>,
+    /// Rows its state table keeps, 3 to 65 536; unset = 256.
+    pub history: Option<u32>,
     /// What a filter of a stream does when its step fails.
     pub on_failure: Option<OnFailure>,
 }
@@ -90,6 +92,43 @@ pub enum OnFailure {
     StopBranch,
     /// Frames pass it unchanged, from its first input to its first output of the same type.
     Bypass,
+}
+
+impl ExecutionModel {
+    pub const ALL: [ExecutionModel; 8] = [
+        ExecutionModel::Periodic,
+        ExecutionModel::Continuous,
+        ExecutionModel::OnSignal,
+        ExecutionModel::OnCallback,
+        ExecutionModel::ExecIn,
+        ExecutionModel::ExecOut,
+        ExecutionModel::Stream,
+        ExecutionModel::None,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            ExecutionModel::Periodic => "periodic",
+            ExecutionModel::Continuous => "continuous",
+            ExecutionModel::OnSignal => "on_signal",
+            ExecutionModel::OnCallback => "on_callback",
+            ExecutionModel::ExecIn => "exec_in",
+            ExecutionModel::ExecOut => "exec_out",
+            ExecutionModel::Stream => "stream",
+            ExecutionModel::None => "none",
+        }
+    }
+}
+
+impl OnFailure {
+    pub const ALL: [OnFailure; 2] = [OnFailure::StopBranch, OnFailure::Bypass];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            OnFailure::StopBranch => "stop_branch",
+            OnFailure::Bypass => "bypass",
+        }
+    }
 }
 
 /// Everything that can be connected.

@@ -10,6 +10,7 @@ use jsonschema::error::{TypeKind, ValidationErrorKind};
 use serde_json::{Map, Value};
 
 use crate::nearest;
+use crate::refusal::brief as cut;
 
 /// One thing that is wrong with a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -149,6 +150,7 @@ fn dotted(pointer: &str) -> String {
 fn violations(schema: &Value, error: &ValidationError<'_>) -> Vec<Violation> {
     let pointer = error.instance_path().as_str();
     let here = schema_at(schema, pointer);
+    let pointer = &*cut(pointer);
     let unit = here.map(unit_of).unwrap_or_default();
     let (name, value) = (dotted(pointer), brief(error.instance()));
     let one = |message: String| vec![Violation { pointer: pointer.to_owned(), message }];
@@ -182,12 +184,12 @@ fn violations(schema: &Value, error: &ValidationError<'_>) -> Vec<Violation> {
         ValidationErrorKind::AdditionalProperties { unexpected } => {
             unexpected.iter().map(|key| unknown(pointer, here, key)).collect()
         }
-        _ => one(format!("{name}: {error}")),
+        _ => one(format!("{name}: {}", cut(&error.to_string()))),
     }
 }
 
 fn below(pointer: &str, key: &str) -> String {
-    format!("{pointer}/{}", key.replace('~', "~0").replace('/', "~1"))
+    format!("{pointer}/{}", cut(key).replace('~', "~0").replace('/', "~1"))
 }
 
 fn missing(pointer: &str, parent: Option<&Value>, key: &str) -> Vec<Violation> {
@@ -205,7 +207,7 @@ fn missing(pointer: &str, parent: Option<&Value>, key: &str) -> Vec<Violation> {
 fn unknown(pointer: &str, parent: Option<&Value>, key: &str) -> Violation {
     let pointer = below(pointer, key);
     let names = || parent.and_then(properties).into_iter().flat_map(Map::keys).map(String::as_str);
-    let hint = match nearest(key, names()) {
+    let hint = match nearest(&cut(key), names()) {
         Some(name) => format!("did you mean {name}?"),
         None if names().next().is_none() => "it takes no settings".to_owned(),
         None => format!("there are {}", names().collect::<Vec<_>>().join(", ")),
@@ -239,6 +241,6 @@ fn brief(value: &Value) -> String {
             Some(whole) if n.is_f64() && whole.fract() == 0.0 && whole.abs() < 1e15 => whole.to_string(),
             _ => n.to_string(),
         },
-        other => other.to_string(),
+        other => cut(&other.to_string()).into_owned(),
     }
 }

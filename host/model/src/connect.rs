@@ -5,7 +5,7 @@
 
 use crate::{
     Command, CommandKind, ConnectOptions, Function, Handler, Input, Output, PortId, PortType, Ports,
-    Provided, Refusal, Required, Type,
+    Provided, Refusal, Required, Type, Unit,
 };
 
 /// How two ports go together.
@@ -75,6 +75,15 @@ impl Ports {
         let outputs = self.outputs.iter().map(|p| p.name.as_str());
         let required = self.required.iter().map(|p| p.name.as_str());
         inputs.chain(outputs).chain(required).chain(self.provided.iter().map(|p| p.name.as_str()))
+    }
+
+    /// Whether the component cannot do without that input or required interface.
+    pub fn requires(&self, name: &str) -> bool {
+        match self.find(name) {
+            Some(Port::Input(_, input)) => !input.optional,
+            Some(Port::Required(_, required)) => !required.optional,
+            _ => false,
+        }
     }
 
     /// ABI id of the first command of provided interface `index`.
@@ -197,7 +206,7 @@ impl Ends<'_> {
         match (client, server) {
             (PortType::Any, _) | (_, PortType::Any) => Ok(false),
             (PortType::Plain(a), PortType::Plain(b)) => {
-                if a.same(b) {
+                if a.accepts(b) {
                     Ok(false)
                 } else if adapt && a.can_adapt(b) {
                     Ok(true)
@@ -285,7 +294,7 @@ impl Ends<'_> {
             kind_mismatch()
         })?;
         match &command.arg {
-            Some(arg) if !function.unit.is_empty() && function.unit != arg.unit => {
+            Some(arg) if !function.unit.is_empty() && !Unit::same(&function.unit, &arg.unit) => {
                 let has =
                     if arg.unit.is_empty() { "no unit".to_owned() } else { format!("unit {}", arg.unit) };
                 let difference = format!("it has unit {} here and {has} there", function.unit);
@@ -323,6 +332,16 @@ impl Ends<'_> {
             known: known.cloned().collect(),
         })
     }
+}
+
+/// Whether an input takes what an untyped output has become.
+pub(crate) fn same_payload(
+    client: &PortId,
+    server: &PortId,
+    wanted: &PortType,
+    has: &PortType,
+) -> Result<(), Refusal> {
+    Ends { client, server }.stream(wanted, has, false).map(|_| ())
 }
 
 /// The kinds of command a function can call: without a result only those whose caller need not wait.

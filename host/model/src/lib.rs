@@ -11,6 +11,7 @@ mod class;
 mod config;
 mod connect;
 mod graph;
+mod loose;
 mod name;
 mod nearest;
 mod plan;
@@ -18,6 +19,7 @@ mod refusal;
 mod request;
 mod state;
 mod types;
+mod unit;
 mod value;
 
 pub use change::{Change, Plan, Skipped, inverse};
@@ -33,8 +35,9 @@ pub use graph::{
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
 pub use plan::{plan, plan_all};
-pub use refusal::{Code, Refusal, errors_markdown};
+pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};
 pub use types::{CopyRun, EnumType, Field, Prim, StructType, Type};
-pub use value::{ValueError, check_range, decode, encode};
+pub use unit::{Unit, UnitError};
+pub use value::{ValueError, check_range, decode, encode, interpolate};

@@ -8,6 +8,7 @@ mod examples;
 mod text;
 
 pub use examples::errors_markdown;
+pub use text::brief;
 pub(crate) use text::duration;
 
 use crate::{ComponentId, MemberId, Name, PortId, State, Verb, Violation};
@@ -189,6 +190,12 @@ pub enum Refusal {
         id: ComponentId,
         state: State,
         wanted: Vec<State>,
+        after_ns: u64,
+    },
+    /// WaitFor: the event did not come in time. `state` is that of the component then.
+    EventNotSeen {
+        member: MemberId,
+        state: State,
         after_ns: u64,
     },
     LcmTimeout {

@@ -18,10 +18,13 @@ pub enum Request {
         id: ComponentId,
         force: bool,
     },
-    /// JSON merge patch (RFC 7396) on the present configuration.
+    /// JSON merge patch (RFC 7396) on the present configuration, and where its thread comes from. A change of the latter
+    /// makes the component anew on its new thread.
     Configure {
         id: ComponentId,
         patch: Value,
+        /// Unset fields keep what they are.
+        execution: Option<Execution>,
     },
     Start {
         targets: Vec<Target>,

@@ -5,6 +5,8 @@
 use std::fmt::Write as _;
 use std::sync::Arc;
 
+use crate::Unit;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prim {
     Bool,
@@ -208,10 +210,28 @@ impl Type {
         self == other || self.canonical() == other.canonical()
     }
 
-    /// The first thing in which `server`'s type is not this one, in words; `None` when they are the same.
+    /// A client of this type can read `server`'s values as they lie: the same fields in the same places, in units that
+    /// mean the same, and in the same coordinate frames where both ends name one.
+    pub fn accepts(&self, server: &Type) -> bool {
+        match (self, server) {
+            (Type::Array { item: a, n }, Type::Array { item: b, n: m })
+            | (Type::List { item: a, n }, Type::List { item: b, n: m }) => n == m && a.accepts(b),
+            (Type::Struct(a), Type::Struct(b)) => {
+                let fits = |(f, g): (&Field, &Field)| {
+                    f.name == g.name && f.at == g.at && agree(f, g) && f.ty.accepts(&g.ty)
+                };
+                a.size == b.size
+                    && a.fields.len() == b.fields.len()
+                    && a.fields.iter().zip(&b.fields).all(fits)
+            }
+            _ => self.same(server),
+        }
+    }
+
+    /// The first thing for which this type does not accept `server`'s, in words; `None` when it does.
     /// Kinds and units come before offsets, since a moved field is only a consequence.
     pub fn first_difference(&self, server: &Type) -> Option<String> {
-        if self.same(server) {
+        if self.accepts(server) {
             return None;
         }
         let found = difference(self, server, "", false).or_else(|| difference(self, server, "", true));
@@ -224,7 +244,7 @@ impl Type {
     }
 
     /// How to fill a value of this type from one of `server`'s by name: every field exists there with the same kind,
-    /// unit and frame, only elsewhere. Neighbouring runs are joined. `None` = impossible.
+    /// unit and frame (as in [`Type::accepts`]), only elsewhere. Neighbouring runs are joined. `None` = impossible.
     pub fn copy_plan(&self, server: &Type) -> Option<Vec<CopyRun>> {
         let mut plan = Vec::new();
         copies(self, server, 0, 0, &mut plan)?;
@@ -244,6 +264,11 @@ impl Type {
     }
 }
 
+/// Units that mean the same, and frames that do not contradict each other.
+fn agree(a: &Field, b: &Field) -> bool {
+    Unit::same(&a.unit, &b.unit) && (a.frame == b.frame || a.frame.is_empty() || b.frame.is_empty())
+}
+
 fn round_up(size: usize, align: usize) -> usize {
     size.div_ceil(align).saturating_mul(align)
 }
@@ -253,7 +278,7 @@ const MAX_COPIES: usize = 1024;
 
 fn copies(client: &Type, server: &Type, to: usize, from: usize, plan: &mut Vec<CopyRun>) -> Option<()> {
     match (client, server) {
-        _ if client.same(server) => {
+        _ if client.accepts(server) => {
             let len = client.size();
             match plan.last_mut() {
                 Some(last) if last.from + last.len == from && last.to + last.len == to => last.len += len,
@@ -276,8 +301,7 @@ fn copies(client: &Type, server: &Type, to: usize, from: usize, plan: &mut Vec<C
         }
         (Type::Struct(a), Type::Struct(b)) => {
             for f in &a.fields {
-                let g =
-                    b.fields.iter().find(|g| g.name == f.name && g.unit == f.unit && g.frame == f.frame)?;
+                let g = b.fields.iter().find(|g| g.name == f.name && agree(f, g))?;
                 copies(&f.ty, &g.ty, to.checked_add(f.at)?, from.checked_add(g.at)?, plan)?;
             }
             Some(())
@@ -310,7 +334,7 @@ fn difference(client: &Type, server: &Type, path: &str, layout: bool) -> Option<
             }
         }
         (Type::Struct(a), Type::Struct(b)) => struct_difference(a, b, path, layout),
-        _ if client.same(server) => None,
+        _ if client.accepts(server) => None,
         _ => Some(format!("{} is {} here and {} there", subject(), client.title(), server.title())),
     }
 }
@@ -331,10 +355,10 @@ fn struct_difference(a: &StructType, b: &StructType, path: &str, layout: bool) -
         if let Some(found) = difference(&f.ty, &g.ty, bare, layout) {
             return Some(found);
         }
-        if f.unit != g.unit {
+        if !Unit::same(&f.unit, &g.unit) {
             return Some(format!("field `{indexed}` has {} here and {} there", unit(&f.unit), unit(&g.unit)));
         }
-        if f.frame != g.frame {
+        if !agree(f, g) {
             return Some(format!(
                 "field `{indexed}` is in {} here and {} there",
                 frame(&f.frame),

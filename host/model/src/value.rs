@@ -4,9 +4,11 @@
 //! writes, `decode` reads back. Little endian, offsets from the description.
 
 mod get;
+mod interpolate;
 mod put;
 mod range;
 
+pub use interpolate::interpolate;
 pub use range::check_range;
 
 use std::fmt;

@@ -2,12 +2,13 @@
 //!
 //! One word holds the address of the current value and how many callers entered through it, so entering is one
 //! atomic addition. A replaced value is dropped by a manager, never by a caller, and only when every caller
-//! that entered it has left.
+//! that entered it has left, and every turn (see [`crate::turn`]) that was under way then has ended.
 
 use std::ops::Deref;
 use std::ptr::NonNull;
 
 use crate::sync::{AtomicU64, Mutex, Ordering};
+use crate::turn::{self, Watched};
 
 /// Low bits of the word: callers inside. High bits: the node's address, which Linux keeps below 2^48 on both
 /// machines unless a mapping asks for more.
@@ -21,8 +22,8 @@ struct Node<T> {
     value: T,
 }
 
-/// A retired node; it is owned by the list it stands in.
-struct Retired<T>(NonNull<Node<T>>);
+/// A retired node, owned by the list it stands in, and the turns that may still look at it.
+struct Retired<T>(NonNull<Node<T>>, Watched);
 
 // SAFETY: a retired node is an owned `Node<T>`; it moves between managers like a `Box<Node<T>>` would.
 unsafe impl<T: Send> Send for Retired<T> {}
@@ -73,18 +74,51 @@ impl<T> BindingCell<T> {
         Guard { cell: self, node: unpack(word) }
     }
 
+    /// Shows the current value to `f`; it stays valid until `f` returns, also when replaced meanwhile. Any thread. In a
+    /// turn of this thread that is one plain load; elsewhere as [`BindingCell::enter`].
+    #[inline(always)]
+    pub fn look<R>(&self, f: impl FnOnce(&T) -> R) -> R {
+        if !turn::is_inside() {
+            return self.look_counted(f);
+        }
+        // SAFETY: the turn lasts until after `f`: it ends only in the `turn::run` that is further up this very stack.
+        unsafe { self.look_in_turn(f) }
+    }
+
+    /// Apart, so that what is looked at in turns stays small.
+    #[inline(never)]
+    fn look_counted<R>(&self, f: impl FnOnce(&T) -> R) -> R {
+        f(&self.enter())
+    }
+
+    /// # Safety
+    /// A turn that began before this call and is known to whoever swaps lasts until it returns.
+    #[inline(always)]
+    pub(crate) unsafe fn look_in_turn<R>(&self, f: impl FnOnce(&T) -> R) -> R {
+        // Acquire: sees the value as the swap that released its address left it.
+        let node = unpack::<T>(self.word.load(Ordering::Acquire));
+        // SAFETY: a swap that takes this node out comes after the turn's begin, so it finds the turn and keeps the node
+        // until its end; one that came before would have been seen by the load.
+        f(&unsafe { node.as_ref() }.value)
+    }
+
     /// Replaces the value for all callers that enter from now on, and drops what nobody is inside of any more;
     /// how many replaced values are still entered. Managers only: takes a mutex, allocates, never waits for a
     /// caller.
-    #[expect(clippy::boxed_local, reason = "a binding is made by the manager, ready to be taken over")]
     pub fn swap(&self, value: Box<T>) -> usize {
+        self.swap_after(value, turn::under_way)
+    }
+
+    /// `under_way` finds the turns that may still look at the old value; it is asked after the replacing.
+    #[expect(clippy::boxed_local, reason = "a binding is made by the manager, ready to be taken over")]
+    pub(crate) fn swap_after(&self, value: Box<T>, under_way: impl FnOnce() -> Watched) -> usize {
         let new = pack(*value);
         let mut retired = self.retired.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let old = self.word.swap(new, Ordering::AcqRel);
         let node = unpack::<T>(old);
         // SAFETY: the node is freed only by `reclaim`, which cannot run before the mutex is given back.
         unsafe { node.as_ref() }.balance.fetch_add(old & COUNT_MASK, Ordering::AcqRel);
-        retired.push(Retired(node));
+        retired.push(Retired(node, under_way()));
         Self::free_left(&mut retired)
     }
 
@@ -95,13 +129,13 @@ impl<T> BindingCell<T> {
 
     fn free_left(retired: &mut Vec<Retired<T>>) -> usize {
         let mut at = 0;
-        while let Some(Retired(node)) = retired.get(at) {
+        while let Some(Retired(node, turns)) = retired.get(at) {
             // SAFETY: nodes in the list are alive; Acquire sees everything the callers that left have done.
-            if unsafe { node.as_ref() }.balance.load(Ordering::Acquire) != 0 {
+            if unsafe { node.as_ref() }.balance.load(Ordering::Acquire) != 0 || !turns.are_over() {
                 at += 1;
                 continue;
             }
-            let Retired(node) = retired.swap_remove(at);
+            let Retired(node, _) = retired.swap_remove(at);
             // SAFETY: made by `Box::into_raw`, no longer in `word` nor in the list, and nobody is inside.
             drop(unsafe { Box::from_raw(node.as_ptr()) });
         }
@@ -111,8 +145,12 @@ impl<T> BindingCell<T> {
 
 impl<T> Drop for BindingCell<T> {
     fn drop(&mut self) {
-        let left = self.reclaim();
-        debug_assert_eq!(left, 0, "a guard borrows the cell, so none is alive here");
+        let retired = self.retired.get_mut();
+        for Retired(node, _) in retired.unwrap_or_else(|poisoned| poisoned.into_inner()).drain(..) {
+            // SAFETY: made by `Box::into_raw` and in no other list; guards and looks borrow the cell, so none is alive,
+            // whatever turns still are.
+            drop(unsafe { Box::from_raw(node.as_ptr()) });
+        }
         // SAFETY: made by `Box::into_raw` and freed nowhere else; guards borrow the cell, so none is alive.
         drop(unsafe { Box::from_raw(unpack::<T>(self.word.load(Ordering::Acquire)).as_ptr()) });
     }

@@ -14,15 +14,21 @@ use crate::pool::FramePool;
 use crate::reply::{Reply, ReplyPool};
 use crate::state::state_table;
 use crate::stream::{DropPolicy, Meta, Payload, Queue, StreamReader, stream_link};
+use crate::team::Team;
 use crate::wake::Waker;
 
 /// Runs the model, and fails when loom found nothing to interleave: such a model shows nothing. (loom compares
 /// an access with the last one of the same atomic only, so a thread's own load can hide a conflict from it.)
 fn model(f: impl Fn() + Sync + Send + 'static) {
+    model_within(3, f);
+}
+
+/// As [`model`], with at most this many switches away from a thread that could go on.
+pub(crate) fn model_within(preemptions: usize, f: impl Fn() + Sync + Send + 'static) {
     let runs = Arc::new(AtomicUsize::new(0));
     let counted = Arc::clone(&runs);
     let mut builder = loom::model::Builder::new();
-    builder.preemption_bound = Some(3);
+    builder.preemption_bound = Some(preemptions);
     builder.check(move || {
         counted.fetch_add(1, Ordering::Relaxed);
         f();
@@ -321,6 +327,52 @@ fn loom_a_slot_is_lent_to_one_and_comes_back_after_its_last_frame() {
     });
 }
 
+/// What a holder wrote beside its slot is seen by the next one, and every loan is a slot or counted as refused.
+#[test]
+fn loom_a_slot_goes_from_holder_to_holder_and_refusals_are_counted() {
+    model(|| {
+        let shared = Arc::new((FramePool::new(1, 8, 0).unwrap(), Plain::new()));
+        let borrow = |(pool, content): &(Arc<FramePool>, Plain)| {
+            if let Some(frame) = pool.loan() {
+                content.set(content.get() + 1);
+                drop(frame);
+            }
+        };
+        let theirs = Arc::clone(&shared);
+        let thread = thread::spawn(move || borrow(&theirs));
+        borrow(&shared);
+        thread.join().unwrap();
+        let stats = shared.0.stats();
+        assert_eq!(shared.1.get() + stats.exhausted, 2, "{stats:?}");
+        assert_eq!((stats.free, stats.high_water), (1, 1), "{stats:?}");
+    });
+}
+
+/// The last of several readers gives the slot back: whoever writes it next comes after all of them.
+#[test]
+fn loom_a_slot_is_written_again_after_its_last_reader() {
+    model(|| {
+        let shared = Arc::new((FramePool::new(1, 8, 0).unwrap(), Plain::new()));
+        let (pool, content) = &*shared;
+        let frame = pool.loan().unwrap().freeze(0);
+        let (other, theirs) = (frame.clone(), Arc::clone(&shared));
+        let thread = thread::spawn(move || {
+            assert_eq!(theirs.1.get(), 0, "written under a reader");
+            drop(other);
+        });
+        assert_eq!(content.get(), 0, "written under a reader");
+        // In place when the other reader has gone already, else whenever the slot is free again.
+        if let Ok(_mine) = frame.try_unique() {
+            content.set(1);
+        }
+        if let Some(_again) = pool.loan() {
+            content.set(1);
+        }
+        thread.join().unwrap();
+        assert_eq!(pool.stats().free, 1);
+    });
+}
+
 /// Three samples against a reader that looks twice: order, wholeness and the counts.
 fn samples_come_in_order_and_all_are_counted(queue: Queue) {
     model(move || {
@@ -362,4 +414,75 @@ fn loom_a_dropping_queue_counts_every_sample() {
 #[test]
 fn loom_a_keeping_queue_counts_every_sample() {
     samples_come_in_order_and_all_are_counted(Queue::Fifo { depth: 1, drop: DropPolicy::DropNewest });
+}
+
+/// A value whose accesses loom checks: each must be ordered after those that conflict with it.
+pub(crate) struct Plain(loom::cell::UnsafeCell<u64>);
+
+// SAFETY: loom checks the order of all accesses, which is what the models are about.
+unsafe impl Sync for Plain {}
+
+impl Plain {
+    pub(crate) fn new() -> Self {
+        Self(loom::cell::UnsafeCell::new(0))
+    }
+
+    pub(crate) fn get(&self) -> u64 {
+        // SAFETY: as for the `Sync` above.
+        self.0.with(|value| unsafe { *value })
+    }
+
+    pub(crate) fn set(&self, n: u64) {
+        // SAFETY: as for the `Sync` above.
+        self.0.with_mut(|value| unsafe { *value = n });
+    }
+}
+
+/// Jobs after each other whose data live on the owner's stack: a helper that comes late must not touch the next
+/// job with the last one's, and the owner must see what every slice wrote.
+fn a_team_is_done_when_it_says_so(preemptions: usize, threads: usize, jobs: u64) {
+    model_within(preemptions, move || {
+        let team = Team::new(threads, |_| {}).unwrap();
+        for job in 1..=jobs {
+            let slices = [Plain::new(), Plain::new()];
+            let status = team.run(2, &|slice| {
+                let mine = &slices[slice as usize];
+                mine.set(mine.get() + job);
+                if slice == 1 { -3 } else { 0 }
+            });
+            assert_eq!(status, -3);
+            assert!(slices.iter().all(|s| s.get() == job), "each slice runs once");
+        }
+    });
+}
+
+#[test]
+fn loom_a_team_of_two_is_done_when_it_says_so() {
+    a_team_is_done_when_it_says_so(3, 2, 2);
+}
+
+#[test]
+fn loom_a_team_of_three_is_done_when_it_says_so() {
+    a_team_is_done_when_it_says_so(1, 3, 1);
+}
+
+/// Whoever comes while a job is at work runs alone; whoever comes after it finds the desk as if it were new.
+#[test]
+fn loom_two_callers_of_a_team_keep_out_of_each_others_way() {
+    model_within(1, || {
+        let team = Arc::new(Team::new(2, |_| {}).unwrap());
+        let run = |team: &Team| {
+            let slices = [Plain::new(), Plain::new()];
+            let status = team.run(2, &|slice| {
+                slices[slice as usize].set(slices[slice as usize].get() + 1);
+                0
+            });
+            assert_eq!(status, 0);
+            assert!(slices.iter().all(|s| s.get() == 1), "each slice runs once");
+        };
+        let other = Arc::clone(&team);
+        let thread = thread::spawn(move || run(&other));
+        run(&team);
+        thread.join().unwrap();
+    });
 }

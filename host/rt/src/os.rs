@@ -2,8 +2,12 @@
 //!
 //! Time is ns of CLOCK_MONOTONIC everywhere; a deadline is absolute on that clock.
 
+mod manners;
+
 use std::fmt;
 use std::sync::atomic::AtomicU32;
+
+pub use manners::{Hygiene, reset_rounding, rounding, set_sigmask, thread_hygiene};
 
 /// Ns of CLOCK_MONOTONIC. Any thread, about 25 ns, no system call.
 pub fn now_ns() -> u64 {

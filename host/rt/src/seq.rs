@@ -21,29 +21,75 @@ pub(crate) fn words(n: usize) -> Box<[AtomicU64]> {
     (0..n).map(|_| AtomicU64::new(0)).collect()
 }
 
-/// Writes publication `n` into the row, word by word from `data`. One writer only.
-pub(crate) fn write(row: &[AtomicU64], n: u64, data: impl Iterator<Item = u64>) {
-    row[0].store(2 * n + 1, Ordering::Relaxed);
-    for (word, value) in row[OVERHEAD..].iter().zip(data) {
+/// Writes publication `n` into the row: the words of `head`, then `data`, which is whole words. One writer only.
+#[inline]
+pub(crate) fn write<const H: usize>(row: &[AtomicU64], n: u64, head: [u64; H], data: &[u8]) {
+    let (sequence, words) = row.split_at(OVERHEAD);
+    let (first, rest) = words.split_at(H);
+    sequence[0].store(2 * n + 1, Ordering::Relaxed);
+    for (word, value) in first.iter().zip(head) {
         word.store(value, Ordering::Release);
     }
-    row[0].store(2 * n + 2, Ordering::Release);
+    let (data, _) = data.as_chunks::<8>();
+    for (word, value) in rest.iter().zip(data) {
+        word.store(u64::from_ne_bytes(*value), Ordering::Release);
+    }
+    sequence[0].store(2 * n + 2, Ordering::Release);
 }
 
-/// Reads publication `n`, giving each word with its position to `take`; what was taken counts only with `Ok`.
-pub(crate) fn read(
+/// Reads publication `n`: its first words, then as many of its bytes as `data` takes; they count only with `Ok`.
+#[inline]
+pub(crate) fn read<const H: usize>(
     row: &[AtomicU64],
     n: u64,
-    limit: usize,
-    mut take: impl FnMut(usize, u64),
+    head: &mut [u64; H],
+    data: &mut [u8],
 ) -> Result<(), Stale> {
     let whole = 2 * n + 2;
-    let before = row[0].load(Ordering::Acquire);
+    let (sequence, words) = row.split_at(OVERHEAD);
+    let (first, rest) = words.split_at(H);
+    let before = sequence[0].load(Ordering::Acquire);
     if before != whole {
         return Err(if before > whole { Stale::Later } else { Stale::Earlier });
     }
-    for (at, word) in row[OVERHEAD..].iter().take(limit).enumerate() {
-        take(at, word.load(Ordering::Acquire));
+    for (value, word) in head.iter_mut().zip(first) {
+        *value = word.load(Ordering::Acquire);
     }
-    if row[0].load(Ordering::Relaxed) == whole { Ok(()) } else { Err(Stale::Later) }
+    let (data, last) = data.as_chunks_mut::<8>();
+    for (value, word) in data.iter_mut().zip(rest) {
+        *value = word.load(Ordering::Acquire).to_ne_bytes();
+    }
+    if !last.is_empty()
+        && let Some(word) = rest.get(data.len())
+    {
+        last.copy_from_slice(&word.load(Ordering::Acquire).to_ne_bytes()[..last.len()]);
+    }
+    if sequence[0].load(Ordering::Relaxed) == whole { Ok(()) } else { Err(Stale::Later) }
+}
+
+#[cfg(all(test, loom))]
+mod models {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::loom_models::model_within;
+
+    /// The sequence alone makes a row whole, whatever else tells a reader that there is one.
+    #[test]
+    fn loom_a_row_read_by_its_sequence_alone_is_whole_or_refused() {
+        model_within(3, || {
+            let row: Arc<Box<[AtomicU64]>> = Arc::new(words(OVERHEAD + 2));
+            let theirs = Arc::clone(&row);
+            let writer = loom::thread::spawn(move || {
+                for n in 0..3 {
+                    write(&theirs, n, [n + 1], &(10 * n + 1).to_ne_bytes());
+                }
+            });
+            let (mut head, mut data) = ([0; 1], [0; 8]);
+            if read(&row, 1, &mut head, &mut data).is_ok() {
+                assert_eq!((head, u64::from_ne_bytes(data)), ([2], 11), "torn row");
+            }
+            writer.join().expect("the writer does not fail");
+        });
+    }
 }

@@ -9,9 +9,8 @@ use crate::buf::AlignedBuf;
 use crate::seq::{self, Stale};
 use crate::sync::{AtomicU64, Ordering, Padded};
 
-const STAMP: usize = 0;
-const TICK: usize = 1;
-const DATA: usize = 2;
+/// Words of stamp and tick.
+const HEAD: usize = 2;
 
 /// Attempts of `latest` before it gives up: each lost one means that the writer went round the whole ring.
 const ATTEMPTS: usize = 1000;
@@ -40,18 +39,35 @@ pub enum Miss {
     Missing,
 }
 
+/// Two whole rows around a time, to interpolate between: `before + fraction * (after - before)`, field by field
+/// as the field's type allows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Around {
+    /// The last row at or before the time.
+    pub before: RowInfo,
+    /// The first row at or after the time; the same one when a row has exactly this stamp.
+    pub after: RowInfo,
+    /// Where the time lies between the two stamps, from 0 (before) to less than 1.
+    pub fraction: f64,
+}
+
 struct Table {
     words: Box<[AtomicU64]>,
     published: Padded<AtomicU64>,
     row_bytes: usize,
     rows: u64,
+    /// Of the publication's number, where the rows are a power of two; else 0.
+    mask: u64,
     stride: usize,
 }
 
 impl Table {
+    #[inline]
     fn row(&self, n: u64) -> &[AtomicU64] {
-        let start = (n % self.rows) as usize * self.stride;
-        &self.words[start..start + seq::OVERHEAD + DATA + self.row_bytes.div_ceil(8)]
+        // A division costs more than the rest of a small row.
+        let at = if self.mask != 0 { n & self.mask } else { n % self.rows };
+        let start = at as usize * self.stride;
+        &self.words[start..start + self.stride]
     }
 }
 
@@ -61,12 +77,13 @@ impl Table {
 /// With fewer than 3 rows: a reader of the newest row could then be lapped by a single publication.
 pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) {
     assert!(rows >= 3, "a state table has at least 3 rows, {rows} were asked for");
-    let stride = (seq::OVERHEAD + DATA + row_bytes.div_ceil(8)).next_multiple_of(8);
+    let stride = (seq::OVERHEAD + HEAD + row_bytes.div_ceil(8)).next_multiple_of(8);
     let table = Arc::new(Table {
         words: seq::words(stride * rows),
         published: Padded(AtomicU64::new(0)),
         row_bytes,
         rows: rows as u64,
+        mask: if rows.is_power_of_two() { rows as u64 - 1 } else { 0 },
         stride,
     });
     let scratch = AlignedBuf::new(row_bytes.next_multiple_of(8));
@@ -83,13 +100,12 @@ pub struct StateWriter {
 impl StateWriter {
     /// Publishes one row: `fill` writes it into the writer's own 64-byte aligned block (which still holds the
     /// row before), then it is copied into the ring. The step's thread; cost is two copies of the row.
+    #[inline]
     pub fn publish(&mut self, stamp_ns: u64, tick: u64, fill: impl FnOnce(&mut [u8])) -> RowInfo {
         let row_bytes = self.table.row_bytes;
         fill(&mut self.scratch.as_mut_slice()[..row_bytes]);
         let n = self.next;
-        let (data, _) = self.scratch.as_mut_slice().as_chunks::<8>();
-        let data = data.iter().map(|&b| u64::from_ne_bytes(b));
-        seq::write(self.table.row(n), n, [stamp_ns, tick].into_iter().chain(data));
+        seq::write(self.table.row(n), n, [stamp_ns, tick], self.scratch.as_mut_slice());
         self.next = n + 1;
         self.table.published.0.store(self.next, Ordering::Release);
         RowInfo { stamp_ns, tick, row: n }
@@ -119,12 +135,14 @@ impl StateReader {
     }
 
     /// How many rows were ever published.
+    #[inline]
     pub fn published(&self) -> u64 {
         self.table.published.0.load(Ordering::Acquire)
     }
 
     /// The newest row. `None` when nothing was published yet, or when the writer went round the whole ring
     /// during each of 1000 attempts.
+    #[inline]
     pub fn latest(&self, out: &mut [u8]) -> Option<RowInfo> {
         for _ in 0..ATTEMPTS {
             let newest = self.published().checked_sub(1)?;
@@ -189,6 +207,29 @@ impl StateReader {
         self.read(if nearer_before { after - 1 } else { after }, out)
     }
 
+    /// The rows before and after a time, for a value in between: compare [`StateReader::at_time`]. Stamps must not
+    /// decrease from row to row. A time after the newest row is `NotYet`; one before all kept rows is `Lapped`
+    /// once rows have been overwritten, else `Missing`.
+    pub fn around(&self, stamp_ns: u64, before: &mut [u8], after: &mut [u8]) -> Result<Around, Miss> {
+        let published = self.published();
+        if published == 0 {
+            return Err(Miss::Empty);
+        }
+        let n = self.first(published, |info| info.stamp_ns >= stamp_ns);
+        if n == published {
+            let newest = self.info(published - 1)?;
+            return Err(if newest.stamp_ns < stamp_ns { Miss::NotYet } else { Miss::Lapped });
+        }
+        let next = self.read(n, after)?;
+        if next.stamp_ns == stamp_ns {
+            return Ok(Around { before: self.read(n, before)?, after: next, fraction: 0.0 });
+        }
+        let last = self.read(n.checked_sub(1).ok_or(Miss::Missing)?, before)?;
+        let into = stamp_ns.checked_sub(last.stamp_ns).ok_or(Miss::Missing)?;
+        let fraction = into as f64 / (next.stamp_ns - last.stamp_ns) as f64;
+        Ok(Around { before: last, after: next, fraction })
+    }
+
     /// Gives every row from `cursor` on to `sink`, in order, through `scratch`, and moves the cursor on; how
     /// many rows were overwritten before they could be read. Start with a cursor of 0 (all kept rows; those
     /// already gone count as lost) or of `published()` (from now on). Ends at the row that was newest at entry.
@@ -249,21 +290,12 @@ impl StateReader {
         self.read(n, &mut [])
     }
 
+    #[inline]
     fn read(&self, n: u64, out: &mut [u8]) -> Result<RowInfo, Miss> {
         let wanted = out.len().min(self.table.row_bytes);
-        let out = &mut out[..wanted];
-        let mut info = RowInfo { row: n, ..RowInfo::default() };
-        let done = seq::read(self.table.row(n), n, DATA + wanted.div_ceil(8), |at, word| match at {
-            STAMP => info.stamp_ns = word,
-            TICK => info.tick = word,
-            _ => {
-                let start = (at - DATA) * 8;
-                let end = wanted.min(start + 8);
-                out[start..end].copy_from_slice(&word.to_ne_bytes()[..end - start]);
-            }
-        });
-        match done {
-            Ok(()) => Ok(info),
+        let mut head = [0; HEAD];
+        match seq::read(self.table.row(n), n, &mut head, &mut out[..wanted]) {
+            Ok(()) => Ok(RowInfo { stamp_ns: head[0], tick: head[1], row: n }),
             Err(Stale::Later) => Err(Miss::Lapped),
             Err(Stale::Earlier) => Err(Miss::NotYet),
         }

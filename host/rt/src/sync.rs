@@ -8,15 +8,39 @@ pub(crate) use loom::{
     hint::spin_loop,
     sync::Mutex,
     sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
-    thread::yield_now,
+    thread::{JoinHandle, yield_now},
 };
 #[cfg(not(loom))]
 pub(crate) use std::{
     hint::spin_loop,
     sync::Mutex,
     sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
-    thread::yield_now,
+    thread::{JoinHandle, yield_now},
 };
+
+/// Starts a thread with a stack of 1 MiB.
+#[cfg(not(loom))]
+pub(crate) fn spawn(run: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
+    std::thread::Builder::new().stack_size(1 << 20).spawn(run)
+}
+
+#[cfg(loom)]
+pub(crate) fn spawn(run: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
+    Ok(loom::thread::spawn(run))
+}
+
+/// Spins while `busy`, for `ns` at most: for what is nearly always over before a sleep would have begun.
+#[cfg(not(loom))]
+pub(crate) fn pause_while(ns: u64, busy: impl Fn() -> bool) {
+    let end = crate::os::now_ns() + ns;
+    while busy() && crate::os::now_ns() < end {
+        spin_loop();
+    }
+}
+
+/// Spinning ends early for loom, which looks at the sleep behind it.
+#[cfg(loom)]
+pub(crate) fn pause_while(_ns: u64, _busy: impl Fn() -> bool) {}
 
 /// Keeps two words that different threads write from sharing a cache line.
 #[repr(align(64))]

@@ -189,3 +189,17 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_number_is_known_by_the_pool_whose_slot_it_names_and_by_no_other() {
+    let (pool, other) = (FramePool::new(3, 8, 64).unwrap(), FramePool::new(3, 8, 64).unwrap());
+    let raw = pool.loan().unwrap().into_raw();
+    assert!(pool.is_descriptor(raw) && !other.is_descriptor(raw));
+    // SAFETY: the number of a living pool.
+    drop(unsafe { FrameMut::from_raw(raw) });
+    assert!(pool.is_descriptor(raw), "whatever has become of the frame");
+    let address = raw << 16 >> 16;
+    for number in [0, 1, 63, u64::MAX, address + 2, address + 32, address - 64, address + 3 * 64] {
+        assert!(!pool.is_descriptor(number), "{number:#x} begins no slot of it");
+    }
+}

@@ -170,6 +170,35 @@ fn closing_hands_every_queued_head_back_and_refuses_what_comes_later() {
     assert_eq!((stats.pushed, stats.dropped, stats.rejected, stats.queued), (3, 3, 1, 0));
 }
 
+#[test]
+fn one_client_and_one_server_in_two_threads_lose_nothing_and_keep_the_order() {
+    const ENTRIES: u64 = 200_000;
+    let mail = Mailbox::new(16, 8, 1);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut rejected = 0;
+            for n in 1..=ENTRIES {
+                while push(&mail, 0, n, Overflow::Reject) != Push::Queued {
+                    rejected += 1;
+                    thread::yield_now();
+                }
+            }
+            assert_eq!(mail.stats().rejected, rejected);
+        });
+        let mut last = 0;
+        while last < ENTRIES {
+            let (run, skipped) = drain(&mail);
+            assert!(skipped.is_empty());
+            for reply in run {
+                assert_eq!(reply, last + 1, "out of order, or lost");
+                last = reply;
+            }
+        }
+    });
+    let stats = mail.stats();
+    assert_eq!((stats.pushed, stats.dropped, stats.queued), (ENTRIES, 0, 0));
+}
+
 /// Many clients against one server: every head turns up exactly once, in order for each client.
 fn every_head_turns_up_exactly_once(overflow: Overflow, depth: usize) {
     const CLIENTS: u64 = 3;
@@ -258,6 +287,7 @@ proptest! {
     fn one_thread_sees_what_a_simple_queue_would_do(depth in 1..6usize, acts in prop::collection::vec(act(), 0..80)) {
         let mail = Mailbox::new(depth, 8, 3);
         let mut model: VecDeque<(u32, u64)> = VecDeque::new();
+        let mut high_water = 0;
         for (n, act) in (1..).zip(acts) {
             match act {
                 Act::Push(index, overflow) => {
@@ -291,7 +321,8 @@ proptest! {
                 }
             }
             let stats = mail.stats();
-            prop_assert_eq!(stats.queued, model.len() as u64);
+            high_water = high_water.max(model.len() as u64);
+            prop_assert_eq!((stats.queued, stats.high_water), (model.len() as u64, high_water));
         }
     }
 }

@@ -6,16 +6,21 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use trocar_rt::cell::BindingCell;
+use trocar_rt::exclusive::TryCell;
+use trocar_rt::executor::{Pace, Pacer};
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::pool::FramePool;
 use trocar_rt::reply::ReplyPool;
 use trocar_rt::state::state_table;
 use trocar_rt::stream::{DropPolicy, Meta, Payload, Queue, stream_link};
-use trocar_rt::timing::{CycleStats, Grid};
+use trocar_rt::team::Team;
+use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::{WakeList, Waker};
 
 thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };
+    /// `CALLS` when this thread ended its last slice of a team's work.
+    static AT_LAST_SLICE: Cell<Option<u64>> = const { Cell::new(None) };
 }
 
 struct Counting;
@@ -61,10 +66,16 @@ fn the_counter_counts() {
 fn a_step_over_all_primitives_never_calls_the_allocator() {
     let (mut state, states) = state_table(100, 4);
     let mut row = [0; 100];
+    let mut other = [0; 100];
+    let mut cursor = 0;
     allocates_nothing("state table", || {
         state.publish(1, 1, |row| row.fill(1));
         states.latest(&mut row).unwrap();
+        states.delayed(0, &mut row).unwrap();
+        states.at_tick(1, &mut row).unwrap();
         states.at_time(1, &mut row).unwrap();
+        states.around(1, &mut row, &mut other).unwrap();
+        states.read_batch(&mut cursor, &mut row, |_, _| {});
     });
 
     let mail = Mailbox::new(4, 64, 2);
@@ -110,14 +121,60 @@ fn a_step_over_all_primitives_never_calls_the_allocator() {
         });
     }
 
-    let (stats, mut grid) = (CycleStats::new(1_000), Grid::new(0, 1_000, 0));
-    let (waker, mut wakes) = (Arc::new(Waker::new()), WakeList::new());
-    allocates_nothing("timing and wakes", || {
-        stats.record(grid.deadline(), grid.deadline() + 10, 5);
-        stats.record_skipped(grid.advance(0));
-        stats.snapshot();
+    let waker = Arc::new(Waker::new());
+    let mut wakes = WakeList::new();
+    allocates_nothing("wakes", || {
         wakes.add(&waker);
         wakes.flush();
-        waker.wait(Some(0));
+        assert!(waker.wait(Some(0)));
+        waker.notify();
+        assert!(waker.take());
     });
+
+    let stats = CycleStats::new(1_000);
+    allocates_nothing("timing", || {
+        stats.record(10, 20, 5);
+        stats.record_skipped(1);
+        stats.snapshot();
+        stats.pause();
+        stats.reset(1_000);
+    });
+
+    let exclusive = TryCell::new(1);
+    allocates_nothing("exclusive cell", || {
+        let inside = exclusive.try_enter();
+        assert!(inside.is_some() && exclusive.try_enter().is_none());
+    });
+}
+
+#[test]
+fn ten_thousand_cycles_of_every_pace_never_call_the_allocator() {
+    let waker = Waker::new();
+    let grid = |catch_up| Pace::Grid { period_ns: 10_000, phase_ns: 5_000, catch_up };
+    for pace in [grid(0), grid(3), Pace::Free, Pace::Signal] {
+        let mut pacer = Pacer::new(pace);
+        let stats = CycleStats::new(10_000);
+        let before = CALLS.get();
+        for _ in 0..10_000 {
+            let cycle = pacer.next(&waker, || true).unwrap();
+            stats.record(cycle.begin_ns, cycle.begin_ns + 100, cycle.begin_ns - cycle.deadline_ns);
+            stats.record_skipped(cycle.skipped);
+        }
+        waker.notify();
+        pacer.rest(&waker);
+        assert_eq!(CALLS.get() - before, 0, "{pace:?}: calls of the allocator");
+        assert_eq!(stats.snapshot().executed, 10_000);
+    }
+}
+
+/// The helpers' calls are counted too: each slice looks at the counter of its own thread before and after.
+#[test]
+fn the_slices_of_a_team_never_call_the_allocator() {
+    let team = Team::new(3, |_| {}).unwrap();
+    // From its first slice on, neither a helper's work nor its sleeping and waking may reach the allocator.
+    let body = |_: u32| match AT_LAST_SLICE.replace(Some(CALLS.get())) {
+        Some(calls) if calls != CALLS.get() => -1,
+        _ => 0,
+    };
+    allocates_nothing("team", || assert_eq!(team.run(7, &body), 0, "a helper called the allocator"));
 }

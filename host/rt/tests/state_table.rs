@@ -82,6 +82,25 @@ fn the_row_nearest_in_time_is_found() {
 }
 
 #[test]
+fn the_rows_around_a_time_are_found_with_the_share_between_them() {
+    let (_writer, reader) = filled(4, 10);
+    let (mut before, mut after) = ([0; 5], [0; 5]);
+    let found = reader.around(7250, &mut before, &mut after).unwrap();
+    assert_eq!((found.before.row, found.after.row, found.fraction), (7, 8, 0.25));
+    assert_eq!((before, after), ([7; 5], [8; 5]));
+    let exact = reader.around(8000, &mut before, &mut after).unwrap();
+    assert_eq!((exact.before, exact.after, exact.fraction), (exact.after, exact.before, 0.0));
+    assert_eq!((before, after), ([8; 5], [8; 5]));
+    assert_eq!(reader.around(6000, &mut before, &mut after).map(|a| a.before.row), Ok(6), "the oldest kept");
+    assert_eq!(reader.around(5999, &mut before, &mut after), Err(Miss::Lapped));
+    assert_eq!(reader.around(9001, &mut before, &mut after), Err(Miss::NotYet));
+    let (mut young, reader) = state_table(5, 4);
+    assert_eq!(reader.around(0, &mut before, &mut after), Err(Miss::Empty));
+    young.publish(50, 0, |row| row.fill(1));
+    assert_eq!(reader.around(49, &mut before, &mut after), Err(Miss::Missing), "before the first row ever");
+}
+
+#[test]
 fn delayed_counts_back_from_the_newest() {
     let (_writer, reader) = filled(4, 10);
     let mut out = [0; 5];
@@ -122,7 +141,7 @@ fn readers_beside_a_running_writer_never_see_a_torn_row() {
             let reader = reader.clone();
             scope.spawn(|| {
                 let reader = reader;
-                let mut row = vec![0; WORDS * 8];
+                let (mut row, mut other) = (vec![0; WORDS * 8], vec![0; WORDS * 8]);
                 let mut cursor = 0;
                 let (mut seen, mut lost) = (0, 0);
                 while !stop.load(Ordering::Relaxed) {
@@ -131,6 +150,14 @@ fn readers_beside_a_running_writer_never_see_a_torn_row() {
                     }
                     if let Ok(info) = reader.delayed(1, &mut row) {
                         check(info, &row);
+                    }
+                    if let Ok(found) =
+                        reader.around((reader.published() * 3).saturating_sub(4), &mut row, &mut other)
+                    {
+                        check(found.before, &row);
+                        check(found.after, &other);
+                        assert!((0.0..1.0).contains(&found.fraction), "{found:?}");
+                        assert!(found.after.row - found.before.row <= 1, "{found:?}");
                     }
                     lost += reader.read_batch(&mut cursor, &mut row, |info, row| {
                         check(info, row);

@@ -196,7 +196,7 @@ fn a_link_with_both_ends_gone_gives_its_frames_back() {
 
 /// A writer and a reader at full speed: order, wholeness, and drops that equal the gaps exactly.
 fn every_sample_is_seen_or_counted(queue: Queue, newest: bool) {
-    const SAMPLES: u64 = 100_000;
+    const SAMPLES: u64 = 30_000;
     const BYTES: usize = 72;
     let (writer, mut reader) = stream_link(Payload::Plain { bytes: BYTES }, queue);
     let done = AtomicBool::new(false);

@@ -5,62 +5,53 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use proptest::prelude::*;
-use trocar_rt::timing::{CycleStats, Grid, Histogram};
+use trocar_rt::timing::{CycleStats, Due, Grid, Histogram};
+
+fn due(cycle: u64, deadline_ns: u64, skipped: u64) -> Option<Due> {
+    Some(Due { cycle, deadline_ns, skipped })
+}
 
 #[test]
 fn deadlines_lie_on_the_grid_of_start_phase_and_period() {
     let mut grid = Grid::new(1_000, 100, 30);
-    assert_eq!(grid.deadline(), 1_030);
-    assert_eq!(grid.advance(1_035), 0);
+    assert_eq!(grid.begin(1_029, 0), None, "not due yet");
+    assert_eq!(grid.begin(1_035, 0), due(0, 1_030, 0));
     assert_eq!((grid.deadline(), grid.cycle()), (1_130, 1));
 }
 
 #[test]
 fn a_cycle_that_is_late_but_not_over_is_executed() {
     let mut grid = Grid::new(0, 100, 0);
-    assert_eq!(grid.advance(199), 0);
-    assert_eq!(grid.deadline(), 100);
+    assert_eq!(grid.begin(99, 0), due(0, 0, 0));
+    assert_eq!(grid.begin(199, 0), due(1, 100, 0));
 }
 
 #[test]
 fn cycles_that_are_wholly_over_are_skipped() {
     let mut grid = Grid::new(0, 100, 0);
-    assert_eq!(grid.advance(350), 2);
-    assert_eq!(grid.deadline(), 300);
+    assert_eq!(grid.begin(0, 0), due(0, 0, 0));
+    assert_eq!(grid.begin(350, 0), due(3, 300, 2));
+    assert_eq!(grid.deadline(), 400);
 }
 
 #[test]
 fn catching_up_executes_some_of_the_missed_cycles() {
     let mut grid = Grid::new(0, 100, 0);
-    assert_eq!(grid.advance_catching_up(1_050, 3), 6);
-    assert_eq!(grid.deadline(), 700);
-    assert_eq!(grid.advance_catching_up(1_051, 3), 0);
-    assert_eq!(grid.deadline(), 800);
+    assert_eq!(grid.begin(1_050, 3), due(7, 700, 7));
+    assert_eq!(grid.begin(1_051, 3), due(8, 800, 0));
+    assert_eq!(grid.deadline(), 900);
+}
+
+#[test]
+fn a_grid_on_the_clock_begins_at_the_next_multiple_plus_phase() {
+    for (now, phase, first) in
+        [(0, 0, 0), (1, 0, 100), (100, 0, 100), (101, 230, 130), (5, 30, 30), (31, 30, 130)]
+    {
+        assert_eq!(Grid::on_clock(now, 100, phase).deadline(), first, "from {now} with phase {phase}");
+    }
 }
 
 proptest! {
-    #[test]
-    fn executed_and_skipped_cycles_add_up_to_the_elapsed_periods(
-        start in 0..1u64 << 60,
-        period in 1..10_000_000u64,
-        phase in 0..10_000_000u64,
-        catch_up in 0..4u64,
-        steps in prop::collection::vec(0..40_000_000u64, 1..50),
-    ) {
-        let mut grid = Grid::new(start, period, phase);
-        let mut now = start;
-        let (mut executed, mut skipped) = (0, 0);
-        for step in steps {
-            now = now.max(grid.deadline()) + step;
-            executed += 1;
-            skipped += grid.advance_catching_up(now, catch_up);
-            prop_assert_eq!(grid.cycle(), executed + skipped);
-            prop_assert_eq!(grid.deadline(), start + phase + (executed + skipped) * period, "drift");
-            let behind = now.saturating_sub(grid.deadline()) / period;
-            prop_assert!(behind <= catch_up, "{} periods behind", behind);
-        }
-    }
-
     #[test]
     fn a_percentile_is_right_within_one_bucket(mut values in prop::collection::vec(0..1u64 << 41, 1..200), q in 0.0..1.0f64) {
         let histogram = Histogram::new();
@@ -136,4 +127,42 @@ fn a_snapshot_beside_a_running_executor_is_of_one_moment() {
         stop.store(true, Ordering::Relaxed);
     });
     assert_eq!(stats.snapshot().executed, 100_000);
+}
+
+#[test]
+fn a_reset_leaves_only_what_comes_after_it() {
+    let stats = CycleStats::new(1_000);
+    for start in [0, 5_000, 90_000] {
+        stats.record(start, start + 3_000, 700);
+    }
+    stats.record_skipped(9);
+    stats.reset(50);
+    assert_eq!(stats.snapshot(), CycleStats::new(0).snapshot(), "as if new");
+    stats.record(200_000, 200_040, 0);
+    stats.record(200_050, 200_110, 2);
+    let s = stats.snapshot();
+    assert_eq!((s.executed, s.skipped, s.overruns, s.lateness_max_ns), (2, 0, 1, 2));
+    assert_eq!((s.period.min_ns, s.period.max_ns), (50, 50), "the time before the reset is no period");
+}
+
+#[test]
+fn resets_beside_a_reader_never_show_a_mixture_of_sums() {
+    let stats = CycleStats::new(10);
+    let stop = AtomicBool::new(false);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            while !stop.load(Ordering::Relaxed) {
+                let s = stats.snapshot();
+                assert_eq!(s.executed, s.overruns, "{s:?}");
+                assert!(s.executed <= 100, "{s:?}");
+            }
+        });
+        for n in 0..50_000u64 {
+            if n % 100 == 0 {
+                stats.reset(10);
+            }
+            stats.record(n * 20, n * 20 + 15, 0);
+        }
+        stop.store(true, Ordering::Relaxed);
+    });
 }

@@ -4,9 +4,9 @@
 
 use clap::Args;
 
-use super::create::json_value;
 use super::failure::{Done, Exit};
 use super::session::Session;
+use super::typed::json_value;
 use super::{out, units};
 
 /// Longest answer shown on one line, characters.

@@ -8,6 +8,7 @@ use super::failure::{Done, Failure};
 use super::mutation::{MutationArgs, show};
 use super::session::Session;
 use super::units;
+use super::view::ConnectionView;
 
 /// Connects a client end to a server end: `trocar connect host/mover/robot host/robot/arm`.
 #[derive(Args, Debug)]
@@ -47,11 +48,11 @@ pub(super) struct ConnectArgs {
     pub(super) mutation: MutationArgs,
 }
 
-/// Cuts a connection: `trocar disconnect 4`, or its two ends.
+/// Cuts a connection: `trocar disconnect 4`, or one of its ends where that is enough, or both.
 #[derive(Args, Debug)]
 pub(super) struct DisconnectArgs {
-    /// The connection's id (`trocar ls`), or its client end.
-    #[arg(value_name = "ID|CLIENT")]
+    /// The connection's id (`trocar ls`), or its client end; or its server end where that has no other.
+    #[arg(value_name = "ID|PORT")]
     pub(super) which: String,
     /// Its server end, when the first is the client end.
     pub(super) server: Option<String>,
@@ -74,7 +75,7 @@ pub(super) async fn connect(args: ConnectArgs, session: &Session) -> Done {
 }
 
 pub(super) async fn disconnect(args: DisconnectArgs, session: &Session) -> Done {
-    let cut = cut(&args)?;
+    let cut = cut(&args, session).await?;
     let outcome = session.disconnect(&cut, &args.mutation).await?;
     let done = match &cut {
         Cut::Id(id) => format!("disconnected {id}"),
@@ -83,14 +84,60 @@ pub(super) async fn disconnect(args: DisconnectArgs, session: &Session) -> Done 
     show(session, &outcome, args.mutation.dry_run, &done)
 }
 
-fn cut(args: &DisconnectArgs) -> Result<Cut, Failure> {
+async fn cut(args: &DisconnectArgs, session: &Session) -> Result<Cut, Failure> {
     match (args.which.parse::<u64>(), &args.server) {
         (Ok(id), None) => Ok(Cut::Id(id)),
         (Err(_), Some(server)) => Ok(Cut::Pair { client: args.which.clone(), server: server.clone() }),
         (Ok(_), Some(_)) => Err(Failure::usage("a connection id stands alone", "trocar disconnect ID")),
-        (Err(_), None) => Err(Failure::usage(
-            format!("{:?} is not a connection id and there is no server end", args.which),
-            "trocar disconnect ID, or trocar disconnect CLIENT SERVER; `trocar ls` lists both",
+        (Err(_), None) => only_one(&args.which, &session.list().await?.connections),
+    }
+}
+
+/// The one connection that ends at `port`.
+fn only_one(port: &str, connections: &[ConnectionView]) -> Result<Cut, Failure> {
+    let here: Vec<_> = connections.iter().filter(|c| c.client == port || c.server == port).collect();
+    let listed = |of: &[&ConnectionView]| {
+        let lines: Vec<_> = of.iter().map(|c| format!("{}: {} → {}", c.id, c.server, c.client)).collect();
+        lines.join(", ")
+    };
+    match here.as_slice() {
+        [one] => Ok(Cut::Id(one.id)),
+        [] => {
+            let all: Vec<&ConnectionView> = connections.iter().take(8).collect();
+            let help = if all.is_empty() {
+                "there are no connections".to_owned()
+            } else {
+                format!("there are {}; `trocar ls` lists all", listed(&all))
+            };
+            Err(Failure::refused("CONNECTION_NOT_FOUND", format!("nothing is connected to {port}"), help))
+        }
+        several => Err(Failure::refused(
+            "CONNECTION_NOT_FOUND",
+            format!("{port} has {} connections", several.len()),
+            format!("say which one by its number: {}", listed(several)),
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn one_end_is_enough_where_it_has_one_connection() {
+        let link = |id, client: &str, server: &str| ConnectionView {
+            id,
+            client: client.into(),
+            server: server.into(),
+            ..ConnectionView::default()
+        };
+        let there = [link(1, "h/a/x", "h/s/out"), link(2, "h/b/x", "h/s/out")];
+        assert_eq!(only_one("h/b/x", &there).unwrap(), Cut::Id(2));
+        let several = only_one("h/s/out", &there).unwrap_err();
+        assert!(several.help.contains("2: h/s/out → h/b/x"), "{several:?}");
+        let nobody = only_one("h/c/x", &there).unwrap_err();
+        assert!(nobody.message.contains("h/c/x") && nobody.help.contains("1: "), "{nobody:?}");
+        assert!(only_one("h/c/x", &[]).unwrap_err().help.contains("no connections"));
     }
 }

@@ -1,59 +1,22 @@
-//! Wire messages → what the program shows, and JSON ↔ `google.protobuf.Value`.
+//! Wire messages → what the program shows, and what was typed → wire.
 //!
-//! Invariant: only this file and `session.rs` of the command line know wire types; it decides nothing.
+//! Invariant: only these files and `session` of the command line know wire types; they decide nothing.
 
-use prost_types::{ListValue, Struct, Value as Wire, value::Kind};
-use serde_json::{Map, Number, Value};
+mod describe;
+mod json;
+
+use serde_json::Value;
 use trocar_proto::v1;
 
+pub(super) use self::describe::description;
+pub(super) use self::json::{from_struct, from_wire, to_struct, to_wire};
+
+use super::execution::ExecutionArgs;
 use super::view::{
-    ArgView, ChangeView, ClassView, ComponentView, ConnectionView, DescribeView, ExecutionView, FieldView,
-    ItemView, LogView, MemberView, PluginView, PortsView, ProcessView, ProvidedView, RequiredView, StatsView,
-    StreamView, SystemView, TypeView,
+    ChangeView, ComponentView, ConnectionView, ExecutionView, ItemView, LogView, OptionsView, PluginView,
+    ProcessView, RowView, StatsView, SystemView, WaitView,
 };
-
-/// Largest whole number a double holds exactly.
-const EXACT: f64 = 9_007_199_254_740_992.0;
-
-pub(super) fn from_wire(value: &Wire) -> Value {
-    match &value.kind {
-        None | Some(Kind::NullValue(_)) => Value::Null,
-        Some(Kind::BoolValue(b)) => Value::Bool(*b),
-        Some(Kind::NumberValue(n)) if n.fract() == 0.0 && n.abs() < EXACT => Value::from(*n as i64),
-        Some(Kind::NumberValue(n)) => {
-            Number::from_f64(*n).map_or_else(|| Value::String(n.to_string()), Value::Number)
-        }
-        Some(Kind::StringValue(s)) => Value::String(s.clone()),
-        Some(Kind::StructValue(s)) => from_struct(s),
-        Some(Kind::ListValue(l)) => Value::Array(l.values.iter().map(from_wire).collect()),
-    }
-}
-
-pub(super) fn from_struct(fields: &Struct) -> Value {
-    Value::Object(fields.fields.iter().map(|(k, v)| (k.clone(), from_wire(v))).collect::<Map<_, _>>())
-}
-
-/// Whole numbers a double cannot hold travel as strings, as the API says.
-pub(super) fn to_wire(value: &Value) -> Wire {
-    let kind = match value {
-        Value::Null => Kind::NullValue(0),
-        Value::Bool(b) => Kind::BoolValue(*b),
-        Value::Number(n) => match n.as_f64() {
-            Some(f) if f.abs() < EXACT || n.is_f64() => Kind::NumberValue(f),
-            _ => Kind::StringValue(n.to_string()),
-        },
-        Value::String(s) => Kind::StringValue(s.clone()),
-        Value::Array(items) => Kind::ListValue(ListValue { values: items.iter().map(to_wire).collect() }),
-        Value::Object(_) => Kind::StructValue(to_struct(value)),
-    };
-    Wire { kind: Some(kind) }
-}
-
-/// The fields of an object; anything else has none.
-pub(super) fn to_struct(value: &Value) -> Struct {
-    let fields = value.as_object().into_iter().flatten().map(|(k, v)| (k.clone(), to_wire(v)));
-    Struct { fields: fields.collect() }
-}
+use super::wait::Awaited;
 
 pub(super) fn duration(ns: u64) -> prost_types::Duration {
     prost_types::Duration { seconds: (ns / 1_000_000_000) as i64, nanos: (ns % 1_000_000_000) as i32 }
@@ -136,6 +99,7 @@ fn stats(s: &v1::ComponentStats) -> StatsView {
         compute_avg_ns: compute.avg_ns.max(0.0) as u64,
         compute_max_ns: compute.max_ns,
         load: s.load,
+        realtime: s.realtime,
         commands: s.commands,
         commands_rejected: s.commands_rejected,
         events_dropped: s.events_dropped,
@@ -155,7 +119,42 @@ fn execution(e: &v1::Execution) -> ExecutionView {
         inside: e.inside.clone(),
         priority: e.priority.unwrap_or(0),
         cpus: e.cpus.clone(),
+        catch_up: e.catch_up.unwrap_or(0),
+        threads: e.threads.unwrap_or(0),
+        max_step_ns: ns(e.max_step.as_ref()),
+        history: e.history.unwrap_or(0),
+        on_failure: e.on_failure.clone(),
         thread: String::new(),
+    }
+}
+
+/// Only what was typed.
+pub(super) fn typed_execution(e: &ExecutionArgs) -> v1::Execution {
+    v1::Execution {
+        model: e.model.map(|m| m.wire_name().to_owned()).unwrap_or_default(),
+        rate_hz: e.rate_hz.unwrap_or(0.0),
+        period: None,
+        phase: e.phase.map(duration),
+        stream_of: e.stream_of.clone().unwrap_or_default(),
+        inside: e.inside.clone().unwrap_or_default(),
+        priority: e.priority.map(u32::from),
+        cpus: e.cpus.clone(),
+        catch_up: e.catch_up,
+        threads: e.threads,
+        max_step: e.max_step.map(duration),
+        history: e.history,
+        on_failure: e.on_failure.map(|f| f.wire_name().to_owned()).unwrap_or_default(),
+    }
+}
+
+fn options(o: &v1::ConnectOptions) -> OptionsView {
+    OptionsView {
+        fifo: o.queue.as_ref().map(|q| q.fifo),
+        drop_oldest: o.queue.as_ref().is_some_and(|q| q.drop_oldest),
+        max_age_ns: o.max_age.as_ref().map(|d| ns(Some(d))),
+        deadline_ns: o.deadline.as_ref().map(|d| ns(Some(d))),
+        mailbox: o.mailbox,
+        adapt: o.adapt,
     }
 }
 
@@ -165,11 +164,17 @@ pub(super) fn connection(c: &v1::Connection) -> ConnectionView {
         client: c.client.clone(),
         server: c.server.clone(),
         carrier: c.carrier.clone(),
+        options: c.options.as_ref().map(options).unwrap_or_default(),
         passed: c.passed,
         dropped: c.dropped,
         bytes: c.bytes,
         latency_p50_ns: c.latency_p50_ns,
         latency_p99_ns: c.latency_p99_ns,
+        rejected: c.rejected,
+        depth: c.depth,
+        high_water: c.high_water,
+        failed: c.failed,
+        unexecuted: c.unexecuted,
     }
 }
 
@@ -199,6 +204,39 @@ pub(super) fn item(i: &v1::SubscribeResponse) -> ItemView {
         stamp_ns: i.stamp_ns,
         seq: i.seq,
         skipped: i.skipped,
+    }
+}
+
+pub(super) fn row(path: &str, r: &v1::ReadResponse) -> RowView {
+    RowView {
+        path: path.to_owned(),
+        value: r.json.as_ref().map_or(Value::Null, from_wire),
+        stamp_ns: r.stamp_ns,
+        age_ns: r.age_ns,
+        tick: r.seq,
+        frame_bytes: r.frame_bytes,
+    }
+}
+
+pub(super) fn states(states: &[Awaited]) -> Vec<i32> {
+    let wire = |state: &Awaited| match state {
+        Awaited::Created => v1::ComponentState::Created,
+        Awaited::Ready => v1::ComponentState::Ready,
+        Awaited::Active => v1::ComponentState::Active,
+        Awaited::Stopped => v1::ComponentState::Stopped,
+        Awaited::Fault => v1::ComponentState::Fault,
+    };
+    states.iter().map(|s| wire(s).into()).collect()
+}
+
+pub(super) fn waited(path: &str, w: &v1::WaitForResponse) -> WaitView {
+    let component = w.component.as_ref().map(component).unwrap_or_default();
+    WaitView {
+        path: path.to_owned(),
+        state: component.state,
+        health: component.health,
+        value: w.json.as_ref().map(from_wire),
+        stamp_ns: w.stamp_ns,
     }
 }
 
@@ -236,164 +274,9 @@ pub(super) fn log_line(l: &v1::LogsResponse) -> LogView {
     }
 }
 
-pub(super) fn description(path: &str, d: &v1::DescribeResponse) -> DescribeView {
-    DescribeView {
-        path: path.to_owned(),
-        process: d.process.as_ref().map(process),
-        component: d.component.as_ref().map(component),
-        class: d.class.as_ref().map(class),
-        ports: d.ports.as_ref().map(ports),
-        connections: d.connections.iter().map(connection).collect(),
-        classes: d.classes.iter().map(class).collect(),
-    }
-}
-
-pub(super) fn class(c: &v1::ClassInfo) -> ClassView {
-    ClassView {
-        name: format!("{}/{}", c.plugin, c.name),
-        version: c.version.clone(),
-        hash: c.hash.clone(),
-        doc: c.doc.clone(),
-        safety: word(c.safety().as_str_name(), "SAFETY_").to_lowercase(),
-        hardware: c.hardware,
-        execution: c.execution.as_ref().map(execution).unwrap_or_default(),
-        config_schema: c.config_schema.as_ref().map_or(Value::Null, from_struct),
-        ports: c.ports.as_ref().map(ports).unwrap_or_default(),
-    }
-}
-
-fn ports(p: &v1::Ports) -> PortsView {
-    let input = |i: &v1::Input| StreamView {
-        optional: i.optional,
-        fifo: i.fifo,
-        ..stream(&i.name, &i.doc, i.r#type.as_ref())
-    };
-    let output = |o: &v1::Output| stream(&o.name, &o.doc, o.r#type.as_ref());
-    PortsView {
-        inputs: p.inputs.iter().map(input).collect(),
-        outputs: p.outputs.iter().map(output).collect(),
-        required: p.required.iter().map(required).collect(),
-        provided: p.provided.iter().map(provided).collect(),
-        state: p.state.as_ref().map(type_view),
-    }
-}
-
-fn stream(name: &str, doc: &str, ty: Option<&v1::PortType>) -> StreamView {
-    use v1::port_type::Kind;
-    let (ty, format) = match ty.and_then(|t| t.kind.as_ref()) {
-        Some(Kind::Plain(t)) => (type_view(t), String::new()),
-        Some(Kind::Frame(f)) => (f.header.as_ref().map(type_view).unwrap_or_default(), f.format.clone()),
-        _ => (TypeView { name: "any".to_owned(), ..TypeView::default() }, String::new()),
-    };
-    StreamView { name: name.to_owned(), doc: doc.to_owned(), ty, format, optional: false, fifo: 0 }
-}
-
-fn provided(p: &v1::ProvidedInterface) -> ProvidedView {
-    let event = |e: &v1::Event| MemberView {
-        name: e.name.clone(),
-        kind: "event".to_owned(),
-        doc: e.doc.clone(),
-        arg: e.payload.as_ref().map(|t| bare(t, &e.unit)),
-        ..MemberView::default()
-    };
-    ProvidedView {
-        name: p.name.clone(),
-        doc: p.doc.clone(),
-        tag: p.tag.clone(),
-        commands: p.commands.iter().map(command).collect(),
-        events: p.events.iter().map(event).collect(),
-    }
-}
-
-fn command(c: &v1::Command) -> MemberView {
-    let kind = match c.kind() {
-        v1::CommandKind::VoidReturn => "void-return".to_owned(),
-        v1::CommandKind::WriteReturn => "write-return".to_owned(),
-        other => word(other.as_str_name(), "COMMAND_KIND_").to_lowercase().replace('_', " "),
-    };
-    let arg = c.arg.as_ref().map(|a| ArgView {
-        name: a.name.clone(),
-        doc: a.doc.clone(),
-        ty: a.r#type.as_ref().map(type_view).unwrap_or_default(),
-        unit: a.unit.clone(),
-        min: a.min,
-        max: a.max,
-    });
-    let returns = c.ret.as_ref().map(|t| bare(t, &c.ret_unit));
-    MemberView { name: c.name.clone(), kind, doc: c.doc.clone(), arg, returns, optional: false }
-}
-
-fn required(r: &v1::RequiredInterface) -> RequiredView {
-    let function = |f: &v1::Function| MemberView {
-        name: f.name.clone(),
-        kind: "function".to_owned(),
-        doc: f.doc.clone(),
-        arg: f.arg.as_ref().map(|t| bare(t, &f.unit)),
-        returns: f.ret.as_ref().map(|t| bare(t, "")),
-        optional: f.optional,
-    };
-    let handler = |h: &v1::Handler| MemberView {
-        name: h.name.clone(),
-        kind: "handler".to_owned(),
-        doc: h.doc.clone(),
-        arg: h.payload.as_ref().map(|t| bare(t, "")),
-        returns: None,
-        optional: h.optional,
-    };
-    RequiredView {
-        name: r.name.clone(),
-        doc: r.doc.clone(),
-        optional: r.optional,
-        functions: r.functions.iter().map(function).collect(),
-        handlers: r.handlers.iter().map(handler).collect(),
-    }
-}
-
-fn bare(ty: &v1::TypeInfo, unit: &str) -> ArgView {
-    ArgView { ty: type_view(ty), unit: unit.to_owned(), ..ArgView::default() }
-}
-
-fn type_view(t: &v1::TypeInfo) -> TypeView {
-    use v1::type_info::Shape;
-    let mut view =
-        TypeView { name: t.name.clone(), hash: t.hash.clone(), bytes: t.size, ..TypeView::default() };
-    match &t.shape {
-        Some(Shape::Structure(s)) => {
-            view.doc.clone_from(&s.doc);
-            view.fields = s.fields.iter().map(field).collect();
-        }
-        Some(Shape::Enumeration(e)) => view.values = e.values.iter().map(|v| v.name.clone()).collect(),
-        _ => {}
-    }
-    view
-}
-
-fn field(f: &v1::FieldInfo) -> FieldView {
-    FieldView {
-        name: f.name.clone(),
-        ty: f.r#type.as_ref().map(|t| t.name.clone()).unwrap_or_default(),
-        unit: f.unit.clone(),
-        doc: f.doc.clone(),
-        frame: f.frame.clone(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
-
-    #[test]
-    fn json_survives_the_wire() {
-        let value = json!({"a": [1, 2.5, -3], "b": {"c": null, "d": true}, "e": "text"});
-        assert_eq!(from_wire(&to_wire(&value)), value);
-    }
-
-    #[test]
-    fn whole_numbers_a_double_cannot_hold_go_as_text() {
-        assert_eq!(from_wire(&to_wire(&json!(9_007_199_254_740_993_u64))), json!("9007199254740993"));
-    }
 
     #[test]
     fn a_stopped_component_says_why() {

@@ -10,9 +10,13 @@ use serde_json::Value;
 use super::failure::{Done, Exit};
 use super::session::Session;
 use super::view::{
-    ArgView, ClassView, ComponentView, DescribeView, MemberView, PortsView, StreamView, TypeView,
+    ArgView, ClassView, ComponentView, DescribeView, ExecutionView, MemberView, OptionsView, PortsView,
+    StreamView, TypeView,
 };
 use super::{out, style, units};
+
+/// Longest value of a setting shown, characters; `--json` shows all of it.
+const VALUE: usize = 200;
 
 /// Describes a process, component, interface, command or class.
 #[derive(Args, Debug)]
@@ -54,7 +58,9 @@ fn render(view: &DescribeView, colour: bool) -> String {
     if !view.connections.is_empty() {
         page.heading("connections");
         for c in &view.connections {
-            page.line(1, &format!("{}  {} → {}  {}", c.id, c.server, c.client, c.carrier));
+            let line = format!("{}  {} → {}  {}{}", c.id, c.server, c.client, c.carrier, options(&c.options));
+            page.line(1, line.trim_end());
+            page.line(2, &c.figures());
         }
     }
     if !view.classes.is_empty() {
@@ -103,6 +109,7 @@ impl Page {
         let thread =
             if c.execution.thread.is_empty() { String::new() } else { format!(", {}", c.execution.thread) };
         self.line(1, &format!("health {}, runs {}{thread}", c.health, c.rate()));
+        self.execution(&c.execution, c.stats.realtime);
         let s = &c.stats;
         self.line(
             1,
@@ -122,7 +129,7 @@ impl Page {
         self.line(
             1,
             &format!(
-                "commands {} ({} refused), events dropped {}",
+                "commands {} ({} lost in full queues), events lost {}",
                 s.commands, s.commands_rejected, s.events_dropped
             ),
         );
@@ -138,7 +145,45 @@ impl Page {
         let device = if c.hardware { ", opens a device" } else { "" };
         let execution = ComponentView { execution: c.execution.clone(), ..ComponentView::default() };
         self.line(1, &format!("safety {}{device}, runs {}", c.safety, execution.rate()));
+        self.execution(&c.execution, false);
         self.config(&Value::Null, &c.config_schema);
+    }
+
+    /// Execution settings that are set. `realtime`: SCHED_FIFO was granted.
+    fn execution(&mut self, e: &ExecutionView, realtime: bool) {
+        let mut set = Vec::new();
+        let mut add = |what: &str, value: String| set.push(format!("{what} {value}"));
+        if !e.model.is_empty() {
+            add("model", e.model.clone());
+        }
+        if e.phase_ns > 0 {
+            add("phase", units::time(e.phase_ns));
+        }
+        if e.priority > 0 {
+            let granted = if realtime { " (granted)" } else { "" };
+            add("priority", format!("{}{granted}", e.priority));
+        }
+        if !e.cpus.is_empty() {
+            add("cpus", e.cpus.iter().map(u32::to_string).collect::<Vec<_>>().join(","));
+        }
+        if e.catch_up > 0 {
+            add("catch-up", format!("{} periods", e.catch_up));
+        }
+        if e.threads > 0 {
+            add("threads", e.threads.to_string());
+        }
+        if e.history > 0 {
+            add("history", format!("{} rows", e.history));
+        }
+        if e.max_step_ns > 0 {
+            add("max step", units::time(e.max_step_ns));
+        }
+        if !e.on_failure.is_empty() {
+            add("on failure", e.on_failure.clone());
+        }
+        if !set.is_empty() {
+            self.line(1, &format!("execution: {}", set.join(", ")));
+        }
     }
 
     /// Each setting: value (or default), unit, range, whether it may change while running, doc.
@@ -147,7 +192,7 @@ impl Page {
         else {
             if config.as_object().is_some_and(|c| !c.is_empty()) {
                 self.heading("config");
-                self.line(1, &config.to_string());
+                self.line(1, &units::cut(&config.to_string(), VALUE));
             }
             return;
         };
@@ -155,8 +200,8 @@ impl Page {
         for (name, rules) in properties {
             let text = |key: &str| rules.get(key).and_then(Value::as_str).unwrap_or_default();
             let value = config.get(name).or_else(|| rules.get("default"));
-            let mut line =
-                format!("{name} = {}", value.map_or_else(|| "(required)".to_owned(), Value::to_string));
+            let shown = value.map_or_else(|| "(required)".to_owned(), |v| units::cut(&v.to_string(), VALUE));
+            let mut line = format!("{name} = {shown}");
             push(&mut line, " ", text("unit"));
             if let Some(range) = range(rules.get("minimum"), rules.get("maximum")) {
                 push(&mut line, "  ", &range);
@@ -221,6 +266,9 @@ impl Page {
             if m.optional {
                 line.push_str(", optional");
             }
+            if m.direct {
+                line.push_str(", direct");
+            }
             self.entry(1, &line, &m.doc);
             for arg in [&m.arg, &m.returns].into_iter().flatten() {
                 self.fields(2, &arg.ty);
@@ -232,12 +280,38 @@ impl Page {
         for f in &ty.fields {
             let mut line = format!(".{}: {}", f.name, f.ty);
             push(&mut line, " ", &bracketed(&f.unit));
+            push(&mut line, " in frame ", &f.frame);
             self.entry(indent, &line, &f.doc);
         }
         if !ty.values.is_empty() {
             self.line(indent, &ty.values.join(" | "));
         }
     }
+}
+
+/// What a connection was made with, as far as it says something.
+fn options(o: &OptionsView) -> String {
+    let mut said = String::new();
+    match o.fifo {
+        Some(0) => said.push_str(", latest"),
+        Some(depth) => {
+            let _ = write!(said, ", fifo {depth}{}", if o.drop_oldest { " (oldest dropped)" } else { "" });
+        }
+        None => {}
+    }
+    if let Some(ns) = o.max_age_ns {
+        let _ = write!(said, ", max age {}", units::time(ns));
+    }
+    if let Some(ns) = o.deadline_ns {
+        let _ = write!(said, ", deadline {}", units::time(ns));
+    }
+    if let Some(depth) = o.mailbox {
+        let _ = write!(said, ", mailbox {depth}");
+    }
+    if o.adapt {
+        said.push_str(", adapted");
+    }
+    said
 }
 
 /// Documentation comes with the line breaks of its source.
@@ -280,7 +354,7 @@ fn push(line: &mut String, before: &str, text: &str) {
 mod tests {
     use serde_json::json;
 
-    use super::super::view::ProvidedView;
+    use super::super::view::{FieldView, ProvidedView};
     use super::*;
 
     #[test]
@@ -311,6 +385,45 @@ mod tests {
             render(&view, false),
             "provided interface Provided\n  Write(value: i32 [mm] 0…100)  write  Sets the set point.\n"
         );
+    }
+
+    #[test]
+    fn execution_settings_options_direct_handlers_and_frames_are_shown() {
+        let mut page = Page { text: String::new(), colour: false };
+        let execution = ExecutionView {
+            model: "stream".into(),
+            catch_up: 3,
+            threads: 4,
+            max_step_ns: 20_000_000,
+            on_failure: "bypass".into(),
+            priority: 80,
+            ..ExecutionView::default()
+        };
+        page.execution(&execution, true);
+        let want = "model stream, priority 80 (granted), catch-up 3 periods, threads 4, max step 20 ms, on failure bypass";
+        assert_eq!(page.text, format!("  execution: {want}\n"));
+        let set = OptionsView { fifo: Some(8), max_age_ns: Some(3_000_000), ..OptionsView::default() };
+        assert_eq!(options(&set), ", fifo 8, max age 3 ms");
+        let field = FieldView {
+            name: "pose".into(),
+            ty: "Pose".into(),
+            frame: "retina".into(),
+            ..FieldView::default()
+        };
+        let arg = ArgView {
+            ty: TypeView { name: "Target".into(), fields: vec![field], ..TypeView::default() },
+            ..ArgView::default()
+        };
+        let handler = MemberView {
+            name: "moved".into(),
+            kind: "handler".into(),
+            direct: true,
+            arg: Some(arg),
+            ..MemberView::default()
+        };
+        let mut page = Page { text: String::new(), colour: false };
+        page.members("", std::iter::once(&handler));
+        assert_eq!(page.text, "  moved(Target)  handler, direct\n    .pose: Pose in frame retina\n");
     }
 
     #[test]

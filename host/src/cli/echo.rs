@@ -1,4 +1,4 @@
-//! `trocar echo PATH…`: follows outputs, events and component states.
+//! `trocar echo PATH…`: follows outputs, events and component states, or shows one row of a state table.
 //!
 //! Invariant: what could not be shown in time is counted and said, never silently left out.
 
@@ -15,28 +15,88 @@ pub(super) struct EchoArgs {
     #[arg(value_name = "PATH", required = true)]
     paths: Vec<String>,
     /// Most items per second of an output, Hz.
-    #[arg(long, default_value = "10", value_name = "HZ", value_parser = units::parse_rate)]
+    #[arg(long, default_value = "10", value_name = "HZ", value_parser = units::parse_rate, allow_negative_numbers = true)]
     rate_hz: f64,
     /// End after this many items.
     #[arg(long, short = 'n', value_name = "N")]
     count: Option<u64>,
+    #[command(flatten)]
+    row: RowArgs,
+}
+
+/// Which row of a component's state table to show, once, instead of following it.
+#[derive(Args, Clone, Copy, Debug)]
+#[command(next_help_heading = "One row of a component's state table")]
+#[group(multiple = false)]
+struct RowArgs {
+    /// The values at this time of the host's monotonic clock, interpolated between two rows, e.g. 12.5s.
+    #[arg(long, value_name = "TIME", value_parser = units::parse_time, conflicts_with = "count")]
+    at: Option<u64>,
+    /// The row nearest to this time of the host's monotonic clock.
+    #[arg(long, value_name = "TIME", value_parser = units::parse_time, conflicts_with = "count")]
+    nearest: Option<u64>,
+    /// The row of this tick.
+    #[arg(long, value_name = "N", conflicts_with = "count")]
+    tick: Option<u64>,
+    /// The row this many rows before the newest; 0 is the newest.
+    #[arg(long, value_name = "N", conflicts_with = "count")]
+    delayed: Option<u64>,
+}
+
+/// A row of a state table.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Row {
+    /// Ns of the host's monotonic clock.
+    At(u64),
+    /// Ns of the host's monotonic clock.
+    Nearest(u64),
+    Tick(u64),
+    /// Rows before the newest.
+    Delayed(u64),
+}
+
+impl RowArgs {
+    fn asked(&self) -> Option<Row> {
+        let at = self.at.map(Row::At).or(self.nearest.map(Row::Nearest));
+        at.or(self.tick.map(Row::Tick)).or(self.delayed.map(Row::Delayed))
+    }
 }
 
 pub(super) async fn run(args: EchoArgs, session: &Session) -> Done {
+    if let Some(row) = args.row.asked() {
+        return one_row(&args.paths, row, session).await;
+    }
     let mut items = session.subscribe(&args.paths, args.rate_hz).await?;
     let mut left = args.count.unwrap_or(u64::MAX);
-    while left > 0
-        && let Some(item) = items.next().await?
-    {
+    while left > 0 {
+        let Some(item) = items.next().await? else {
+            eprintln!("warning: nothing more comes: what was followed is gone or made anew");
+            break;
+        };
         if session.json() {
             session.print_json(&item)?;
         } else {
             let skipped =
                 if item.skipped > 0 { format!("  ({} skipped)", item.skipped) } else { String::new() };
             let seconds = item.stamp_ns as f64 / 1e9;
-            out::line(&format!("{seconds:.6} s  {}  {}{skipped}", item.path, item.value));
+            let value = units::cut(&item.value.to_string(), out::LONG);
+            out::line(&format!("{seconds:.6} s  {}  {value}{skipped}", item.path));
         }
         left -= 1;
+    }
+    Ok(Exit::Ok)
+}
+
+async fn one_row(paths: &[String], row: Row, session: &Session) -> Done {
+    for path in paths {
+        let row = session.read(path, Some(row)).await?;
+        if session.json() {
+            session.print_json(&row)?;
+            continue;
+        }
+        let seconds = row.stamp_ns as f64 / 1e9;
+        let value = units::cut(&row.value.to_string(), out::LONG);
+        out::line(&format!("{seconds:.6} s  {path}  tick {}  {value}", row.tick));
     }
     Ok(Exit::Ok)
 }

@@ -66,6 +66,11 @@ impl Failure {
         Self::new(Exit::Refused, "FAILED_PRECONDITION", reason, message, help)
     }
 
+    /// Something that is not there, found out without asking.
+    pub(super) fn refused(reason: &str, message: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::new(Exit::Refused, "NOT_FOUND", reason, message, help)
+    }
+
     /// No GCM answers at `addr`.
     pub(super) fn no_gcm(addr: &str, why: &str) -> Self {
         Self::new(

@@ -37,19 +37,19 @@ pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
     let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
     let stop = StopRequest::listen();
     let host = Host::start_gcm(&args.listen, &state, args.fresh).await?;
-    logging::to_file(host.state().path());
+    logging::to_file(host.state_dir().path());
     if session.json() {
         let line = json!({
-            "listening": host.addr().to_string(),
+            "listening": hosting::address(&host),
             "pid": std::process::id(),
-            "state": host.state().path(),
+            "state": host.state_dir().path(),
         });
         out::line(&line.to_string());
     } else {
-        out::line(&format!("gcm listening on {}", host.addr()));
+        out::line(&format!("gcm listening on {}", hosting::address(&host)));
         out::line(&format!(
             "  attach hosts: trocar host --gcm {} --listen 127.0.0.1:0 --name NAME",
-            host.addr()
+            hosting::address(&host)
         ));
     }
     hosting::until_stopped(host, stop).await

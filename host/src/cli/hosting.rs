@@ -35,23 +35,28 @@ pub(super) struct HostArgs {
     /// Which plugin files are taken: dev (your own and root's) or allowlist:FILE (sha256 listed).
     #[arg(long, default_value = "dev", value_name = "MODE")]
     trust: String,
+    /// Keep all memory of this process from being swapped out; where that is not allowed it is said and it runs without.
+    #[arg(long)]
+    lock_memory: bool,
 }
 
 pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
     logging::install(log::LevelFilter::Info);
     let state = args.state.unwrap_or_else(|| state_home().join(args.name.as_str()));
     let config = HostConfig {
-        name: args.name,
         plugins: plugin_dirs(args.plugins),
-        listen: args.listen,
+        listen: Some(args.listen),
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),
         trust: trust(&args.trust)?,
+        lock_memory: args.lock_memory,
+        vet_with: std::env::current_exe().ok(),
+        ..HostConfig::new(args.name)
     };
     let stop = StopRequest::listen();
-    let host = Host::start(config.clone()).await?;
-    logging::to_file(host.state().path());
+    let host = config.clone().start().await?;
+    logging::to_file(host.state_dir().path());
     say_listening(&config, &host, session);
     until_stopped(host, stop).await
 }
@@ -90,14 +95,19 @@ pub(super) async fn until_stopped(mut host: Host, mut stop: StopRequest) -> Done
     Ok(Exit::Ok)
 }
 
+/// Where it listens, for people and scripts.
+pub(super) fn address(host: &Host) -> String {
+    host.addr().map_or_else(|| "nowhere".to_owned(), |addr| addr.to_string())
+}
+
 fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
     let dirs: Vec<String> = config.plugins.iter().map(|d| d.display().to_string()).collect();
     if session.json() {
         let line = json!({
-            "listening": host.addr().to_string(),
+            "listening": address(host),
             "process": config.name.as_str(),
             "pid": std::process::id(),
-            "state": host.state().path(),
+            "state": host.state_dir().path(),
             "plugins": dirs,
             "gcm": config.gcm,
         });
@@ -105,8 +115,8 @@ fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
         return;
     }
     let gcm = config.gcm.as_ref().map_or_else(|| "its own GCM".to_owned(), |addr| format!("GCM {addr}"));
-    out::line(&format!("host {} listening on {}", config.name, host.addr()));
-    out::line(&format!("  {gcm}, plugins {}, state {}", dirs.join(" "), host.state().path().display()));
+    out::line(&format!("host {} listening on {}", config.name, address(host)));
+    out::line(&format!("  {gcm}, plugins {}, state {}", dirs.join(" "), host.state_dir().path().display()));
     out::line("  Ctrl-C stops it, devices safe first");
 }
 

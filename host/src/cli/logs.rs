@@ -47,7 +47,7 @@ pub(super) async fn run(args: LogsArgs, session: &Session) -> Done {
             clock(line.wall_ns),
             line.level.to_uppercase(),
             line.path,
-            line.message
+            out::harmless(&line.message)
         ));
     }
     Ok(Exit::Ok)

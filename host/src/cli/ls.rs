@@ -90,8 +90,17 @@ fn components(view: &SystemView) -> Table {
 }
 
 fn connections(view: &SystemView) -> Table {
-    let mut table =
-        Table::new(&["ID", "SERVER", "CLIENT", "CARRIER", "PASSED", "DROPPED", "LATENCY p50", "p99"]);
+    let mut table = Table::new(&[
+        "ID",
+        "SERVER",
+        "CLIENT",
+        "CARRIER",
+        "PASSED",
+        "DROPPED",
+        "FAILED",
+        "LATENCY p50",
+        "p99",
+    ]);
     for c in &view.connections {
         table.row([
             c.id.to_string(),
@@ -100,6 +109,7 @@ fn connections(view: &SystemView) -> Table {
             c.carrier.clone(),
             c.passed.to_string(),
             c.dropped.to_string(),
+            c.failed.to_string(),
             units::measured(c.latency_p50_ns),
             units::measured(c.latency_p99_ns),
         ]);

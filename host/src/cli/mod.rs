@@ -12,7 +12,9 @@ mod convert;
 mod create;
 mod demo;
 mod describe;
+mod doctor;
 mod echo;
+mod execution;
 mod failure;
 mod figures;
 mod gcm;
@@ -24,6 +26,7 @@ mod ls;
 mod mutation;
 mod out;
 mod plugin;
+mod plugin_check;
 mod plugin_new;
 mod run;
 mod schema;
@@ -31,9 +34,11 @@ mod session;
 mod states;
 mod style;
 mod table;
+mod typed;
 mod units;
 mod vet;
 mod view;
+mod wait;
 mod watch;
 
 use std::process::ExitCode;
@@ -93,9 +98,11 @@ enum Command {
     Rm(states::RmArgs),
     Call(call::CallArgs),
     Echo(echo::EchoArgs),
+    Wait(wait::WaitArgs),
     Watch(watch::WatchArgs),
     Logs(logs::LogsArgs),
     Plugin(plugin::PluginArgs),
+    Doctor(doctor::DoctorArgs),
     Completions(completions::CompletionsArgs),
     Schema(schema::SchemaArgs),
     #[command(name = "__vet", hide = true)]
@@ -143,9 +150,11 @@ fn dispatch(cli: Cli) -> Done {
         Command::Rm(args) => ask(states::remove(args, &session)),
         Command::Call(args) => ask(call::run(args, &session)),
         Command::Echo(args) => ask(echo::run(args, &session)),
+        Command::Wait(args) => ask(wait::run(args, &session)),
         Command::Watch(args) => ask(watch::run(args, &session)),
         Command::Logs(args) => ask(logs::run(args, &session)),
         Command::Plugin(args) => ask(plugin::run(args, &session)),
+        Command::Doctor(args) => doctor::run(&args, &session),
         Command::Completions(args) => Ok(completions::run(&args)),
         Command::Schema(args) => Ok(schema::run(&args)),
         Command::Vet(_) => Ok(Exit::Ok),
@@ -199,10 +208,38 @@ fn refused_by_clap(e: &clap::Error) -> ExitCode {
     let sentence = sentence.join(" ");
     let line = |start: &str| text.lines().find_map(|l| l.trim().strip_prefix(start)).map(str::to_owned);
     let usage = line("Usage: ").map(|u| format!("usage: {u}"));
-    let help: Vec<String> = [line("tip: "), usage].into_iter().flatten().collect();
-    let help = if help.is_empty() { "see `trocar --help`".to_owned() } else { help.join("; ") };
-    Failure::usage(sentence.trim_start_matches("error: "), help).print(json);
+    let more = format!("see `{} --help`", asked_for(std::env::args().skip(1)));
+    // Clap's advice for whoever means a flag as a value helps nobody here.
+    let tip = line("tip: ").filter(|tip| !tip.starts_with("to pass "));
+    let help: Vec<String> = [tip, usage, Some(more)].into_iter().flatten().collect();
+    Failure::usage(middle_cut(sentence.trim_start_matches("error: ")), help.join("; ")).print(json);
     ExitCode::from(Exit::Usage as u8)
+}
+
+/// The subcommand that was typed, as far as there is one.
+fn asked_for(typed: impl Iterator<Item = String>) -> String {
+    let mut at = command();
+    let mut name = "trocar".to_owned();
+    for word in typed {
+        if let Some(sub) = at.find_subcommand(&word).cloned() {
+            name = format!("{name} {word}");
+            at = sub;
+        }
+    }
+    name
+}
+
+/// A sentence that repeats a huge argument, without its middle.
+fn middle_cut(sentence: &str) -> String {
+    const HEAD: usize = 200;
+    const TAIL: usize = 240;
+    let all = sentence.chars().count();
+    if all <= HEAD + TAIL + 40 {
+        return sentence.to_owned();
+    }
+    let head: String = sentence.chars().take(HEAD).collect();
+    let tail: String = sentence.chars().skip(all - TAIL).collect();
+    format!("{head}… ({} characters left out) …{tail}", all - HEAD - TAIL)
 }
 
 /// The tree, for completions and for the test of the surface.
@@ -212,7 +249,22 @@ pub fn command() -> clap::Command {
 
 #[cfg(test)]
 mod tests {
-    use super::command;
+    use super::{asked_for, command, middle_cut};
+
+    #[test]
+    fn a_usage_error_points_to_the_subcommand() {
+        let named = |line: &str| asked_for(line.split(' ').map(str::to_owned));
+        assert_eq!(named("--json plugin inspect --nonsense"), "trocar plugin inspect");
+        assert_eq!(named("create host/a --rate-hz"), "trocar create");
+        assert_eq!(named("lss"), "trocar");
+    }
+
+    #[test]
+    fn a_huge_argument_is_not_repeated_whole() {
+        let sentence = format!("invalid value '{}' for '--config <JSON>': not JSON", "x".repeat(100_000));
+        let cut = middle_cut(&sentence);
+        assert!(cut.len() < 600 && cut.ends_with("for '--config <JSON>': not JSON"), "{cut}");
+    }
 
     #[test]
     fn the_tree_has_no_contradictions() {

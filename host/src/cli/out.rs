@@ -6,6 +6,9 @@ use std::io::{ErrorKind, Write};
 
 use super::failure::Exit;
 
+/// Longest value shown on one line, characters; `--json` shows all of it.
+pub(super) const LONG: usize = 2000;
+
 /// Writes `text` as it is, at once.
 pub(super) fn text(text: &str) {
     let mut stdout = std::io::stdout().lock();
@@ -21,4 +24,23 @@ pub(super) fn text(text: &str) {
 /// Writes one line.
 pub(super) fn line(line: &str) {
     text(&format!("{line}\n"));
+}
+
+/// Text from elsewhere, such as a file name or a log line, without what a terminal would obey.
+pub(super) fn harmless(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        if c.is_control() { shown.extend(c.escape_default()) } else { shown.push(c) }
+    }
+    shown
+}
+
+#[cfg(test)]
+mod tests {
+    use super::harmless;
+
+    #[test]
+    fn a_terminal_obeys_nothing_of_a_file_name() {
+        assert_eq!(harmless("a\x1b[2Jb\nµ.so"), "a\\u{1b}[2Jb\\nµ.so");
+    }
 }

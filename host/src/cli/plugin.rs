@@ -1,8 +1,8 @@
-//! `trocar plugin ls|inspect|new`.
+//! `trocar plugin ls|inspect|check|new`.
 //!
 //! Invariant: `inspect` runs no byte of the file it looks at.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -11,10 +11,10 @@ use trocar_plugin_api::manifest::{Class, Manifest};
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::table::Table;
-use super::{out, plugin_new, style};
-use crate::loader;
+use super::{out, plugin_check, plugin_new, style};
+use crate::loader::{self, Inspection};
 
-/// Lists, inspects and begins plugins.
+/// Lists, inspects, checks and begins plugins.
 #[derive(Args, Debug)]
 pub(super) struct PluginArgs {
     #[command(subcommand)]
@@ -34,6 +34,7 @@ enum What {
         /// The .so file.
         file: PathBuf,
     },
+    Check(plugin_check::CheckArgs),
     New(plugin_new::NewArgs),
 }
 
@@ -41,6 +42,7 @@ pub(super) async fn run(args: PluginArgs, session: &Session) -> Done {
     match args.what {
         What::Ls { process } => ls(&process, session).await,
         What::Inspect { file } => inspect(&file, session),
+        What::Check(args) => plugin_check::run(&args, session),
         What::New(args) => plugin_new::run(&args, session),
     }
 }
@@ -60,13 +62,17 @@ async fn ls(process: &str, session: &Session) -> Done {
     out::text(&if table.is_empty() { "no plugin is listed\n".to_owned() } else { table.render(0, colour) });
     for p in &plugins {
         for warning in &p.warnings {
-            out::line(&format!("{}: {warning}", style::paint("warning", style::WARN, colour)));
+            out::line(&format!(
+                "{}: {}",
+                style::paint("warning", style::WARN, colour),
+                out::harmless(warning)
+            ));
         }
         if !p.refused.is_empty() {
             out::line(&format!(
                 "{}: {} [{}]",
                 style::paint("refused", style::BAD, colour),
-                p.refused,
+                out::harmless(&p.refused),
                 p.refused_reason
             ));
         }
@@ -74,13 +80,26 @@ async fn ls(process: &str, session: &Session) -> Done {
     Ok(Exit::Ok)
 }
 
-fn inspect(file: &std::path::Path, session: &Session) -> Done {
-    let seen = loader::inspect_file(file).map_err(|e| {
+/// What a file offers, none of it run.
+pub(super) fn looked_at(file: &Path) -> Result<Inspection, Failure> {
+    if !file.exists() {
+        let text = format!("there is no file {}", file.display());
+        return Err(Failure::refused(
+            "IO",
+            text,
+            "name a built plugin, e.g. target/release/libtrocar_NAME.so",
+        ));
+    }
+    loader::inspect_file(file).map_err(|e| {
         // The loader's sentences end with the remedy behind the last colon.
         let text = e.to_string();
         let (what, remedy) = text.rsplit_once(": ").unwrap_or((&text, ""));
         Failure::local(e.reason(), what, remedy)
-    })?;
+    })
+}
+
+fn inspect(file: &Path, session: &Session) -> Done {
+    let seen = looked_at(file)?;
     if session.json() {
         return session.print_json(&json!({
             "file": seen.file,
@@ -92,7 +111,12 @@ fn inspect(file: &std::path::Path, session: &Session) -> Done {
             "manifest": seen.manifest,
         }));
     }
-    out::line(&format!("{}  {} KiB  {}", seen.file.display(), seen.size.div_ceil(1024), seen.machine));
+    out::line(&format!(
+        "{}  {} KiB  {}",
+        out::harmless(&seen.file.display().to_string()),
+        seen.size.div_ceil(1024),
+        seen.machine
+    ));
     out::line(&format!("sha256 {}", seen.hash));
     out::text(&describe(&seen.manifest));
     if !seen.needed.is_empty() {

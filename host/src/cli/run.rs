@@ -13,7 +13,7 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
 use crate::gcm::ExecuteOptions;
-use crate::host::{Host, HostConfig, StateChoice, StopRequest};
+use crate::host::{Host, HostConfig, StopRequest};
 use crate::loader::{AllowList, Trust};
 use crate::system_file::{BadSet, SystemFile, TrustSpec};
 
@@ -54,7 +54,7 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     let base = args.file.parent().unwrap_or(Path::new("")).to_owned();
     let config = config(&file, &base, args.plugins, args.listen)?;
     let mut stop = StopRequest::listen();
-    let mut host = Host::start(config).await?;
+    let mut host = config.start().await?;
     let done = live(&mut host, &file, args.seconds, session, &mut stop).await;
     host.shutdown().await;
     done
@@ -99,13 +99,11 @@ pub(super) fn config(
         }
     };
     Ok(HostConfig {
-        name: process.name.clone(),
         plugins,
-        listen,
-        state: StateChoice::Ephemeral,
-        fresh: false,
-        gcm: None,
+        listen: Some(listen),
         trust,
+        vet_with: std::env::current_exe().ok(),
+        ..HostConfig::new(process.name.clone())
     })
 }
 
@@ -147,21 +145,21 @@ fn say_running(host: &Host, file: &SystemFile, session: &Session) {
     let (components, connections) = (file.components.len(), file.connections.len());
     if session.json() {
         let line = json!({
-            "listening": host.addr().to_string(),
+            "listening": hosting::address(host),
             "components": components,
             "connections": connections,
         });
         out::line(&line.to_string());
         return;
     }
-    let addr = host.addr();
+    let addr = hosting::address(host);
     out::line(&format!("{components} components, {connections} connections; listening on {addr}"));
-    out::text(&hints(addr, None));
+    out::text(&hints(&addr, None));
 }
 
 /// Lines to paste. `command` is a read command to call, if one is known.
-pub(super) fn hints(addr: std::net::SocketAddr, command: Option<&str>) -> String {
-    let gcm = if addr.to_string() == session::DEFAULT_GCM { String::new() } else { format!(" --gcm {addr}") };
+pub(super) fn hints(addr: &str, command: Option<&str>) -> String {
+    let gcm = if addr == session::DEFAULT_GCM { String::new() } else { format!(" --gcm {addr}") };
     let mut text = format!("  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n");
     if let Some(command) = command {
         text.push_str(&format!(

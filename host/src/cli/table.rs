@@ -1,10 +1,11 @@
 //! Aligned columns for people.
 //!
-//! Invariant: colour never changes the alignment; widths count characters, not bytes.
+//! Invariant: colour never changes the alignment; widths count characters, not bytes; a cell never holds what a terminal
+//! would obey.
 
 use anstyle::Style;
 
-use super::style;
+use super::{out, style};
 
 /// Rows of cells under one heading.
 pub(super) struct Table {
@@ -22,7 +23,7 @@ impl Table {
     }
 
     pub(super) fn styled<const N: usize>(&mut self, cells: [(String, Style); N]) {
-        self.rows.push(cells.into());
+        self.rows.push(cells.map(|(cell, style)| (out::harmless(&cell), style)).into());
     }
 
     pub(super) fn is_empty(&self) -> bool {

@@ -51,25 +51,45 @@ fn three(n: f64) -> String {
 /// # Errors
 /// No number, no unit, or not above 0.
 pub(super) fn parse_time(text: &str) -> Result<u64, String> {
+    match parse_time_or_zero(text) {
+        Ok(0) => Err("it must be above 0 and below 292 years".to_owned()),
+        read => read,
+    }
+}
+
+/// The same, and 0 as "0s" or "0".
+///
+/// # Errors
+/// No number, no unit, or negative.
+pub(super) fn parse_time_or_zero(text: &str) -> Result<u64, String> {
     let text = text.trim();
+    if text == "0" {
+        return Ok(0);
+    }
     let unit_at =
         text.find(|c: char| !(c.is_ascii_digit() || c == '.')).ok_or("a unit is missing: 1s, 20ms, 250us")?;
     let (number, unit) = text.split_at(unit_at);
     let factor = match unit.trim() {
-        "ns" => 1.0,
-        "us" | "µs" => 1e3,
-        "ms" => 1e6,
-        "s" => 1e9,
-        "min" => 60e9,
-        other => return Err(format!("{other:?} is not a unit of time; write ns, us, ms, s or min")),
+        "ns" => 1,
+        "us" | "µs" => 1_000,
+        "ms" => 1_000_000,
+        "s" => 1_000_000_000,
+        "min" => 60_000_000_000,
+        other => {
+            return Err(format!("{:?} is not a unit of time; write ns, us, ms, s or min", cut(other, 20)));
+        }
     };
-    let number: f64 = number.parse().map_err(|_| format!("{text:?} does not begin with a number"))?;
-    let ns = (number * factor).round();
-    if (1.0..9e18).contains(&ns) {
-        Ok(ns as u64)
-    } else {
-        Err("it must be above 0 and below 292 years".to_owned())
-    }
+    let begins = || format!("{:?} does not begin with a number", cut(text, 20));
+    let beyond = || "it must be above 0 and below 292 years".to_owned();
+    // Whole numbers exactly: a stamp has more digits than a double.
+    let ns = match number.parse::<u64>() {
+        Ok(whole) => whole.checked_mul(factor).ok_or_else(beyond)?,
+        Err(_) => {
+            let part: f64 = number.parse().map_err(|_| begins())?;
+            (part * factor as f64).round() as u64
+        }
+    };
+    if ns < 9_000_000_000_000_000_000 { Ok(ns) } else { Err(beyond()) }
 }
 
 /// Reads a rate above 0 in Hz.
@@ -79,8 +99,21 @@ pub(super) fn parse_time(text: &str) -> Result<u64, String> {
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     match text.trim_end_matches("Hz").trim().parse::<f64>() {
         Ok(hz) if hz > 0.0 && hz.is_finite() => Ok(hz),
-        _ => Err("a rate is a number above 0, in Hz".to_owned()),
+        Ok(_) => {
+            Err("a rate is a number above 0, in Hz; --model none or on_signal is without one".to_owned())
+        }
+        Err(_) => Err("a rate is a number above 0, in Hz, e.g. 1000".to_owned()),
     }
+}
+
+/// At most `most` characters, with what was left out counted.
+pub(super) fn cut(text: &str, most: usize) -> String {
+    let all = text.chars().count();
+    if all <= most {
+        return text.to_owned();
+    }
+    let head: String = text.chars().take(most).collect();
+    format!("{head}… ({} more characters)", all - most)
 }
 
 #[cfg(test)]
@@ -108,5 +141,18 @@ mod tests {
         assert!(parse_time("5 parsec").unwrap_err().contains("not a unit"));
         assert!(parse_time("0s").unwrap_err().contains("above 0"));
         assert!(parse_time("s").unwrap_err().contains("begin with a number"));
+        assert!(parse_time("-5ms").is_err() && parse_time("99999999999min").is_err());
+        assert_eq!(parse_time_or_zero("0"), Ok(0));
+    }
+
+    #[test]
+    fn a_stamp_is_read_to_the_ns() {
+        assert_eq!(parse_time("9007199254740993ns"), Ok(9_007_199_254_740_993));
+    }
+
+    #[test]
+    fn what_is_too_long_is_cut_and_says_so() {
+        assert_eq!(cut("short", 5), "short");
+        assert_eq!(cut("µµµµ", 2), "µµ… (2 more characters)");
     }
 }

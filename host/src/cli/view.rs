@@ -52,6 +52,16 @@ pub(super) struct ExecutionView {
     pub(super) inside: String,
     pub(super) priority: u32,
     pub(super) cpus: Vec<u32>,
+    /// Late periods made up for, at most.
+    pub(super) catch_up: u32,
+    /// Threads of its stream, its own included; 0 = not set.
+    pub(super) threads: u32,
+    /// 0 = not set.
+    pub(super) max_step_ns: u64,
+    /// Rows of the state table; 0 = the default.
+    pub(super) history: u32,
+    /// stop_branch or bypass; "" = not set.
+    pub(super) on_failure: String,
     /// Where it runs, in words.
     pub(super) thread: String,
 }
@@ -69,6 +79,8 @@ pub(super) struct StatsView {
     pub(super) compute_max_ns: u64,
     /// Compute time over period, 0–1.
     pub(super) load: f64,
+    /// SCHED_FIFO was granted.
+    pub(super) realtime: bool,
     pub(super) commands: u64,
     pub(super) commands_rejected: u64,
     pub(super) events_dropped: u64,
@@ -80,11 +92,36 @@ pub(super) struct ConnectionView {
     pub(super) client: String,
     pub(super) server: String,
     pub(super) carrier: String,
+    pub(super) options: OptionsView,
     pub(super) passed: u64,
     pub(super) dropped: u64,
     pub(super) bytes: u64,
     pub(super) latency_p50_ns: u64,
     pub(super) latency_p99_ns: u64,
+    /// Commands and events that a full queue did not take; `dropped` counts them too.
+    pub(super) rejected: u64,
+    /// Samples, or commands and as many events, that may wait.
+    pub(super) depth: u64,
+    /// The most commands or events that ever waited at once.
+    pub(super) high_water: u64,
+    /// Commands that were only sent, ran and failed.
+    pub(super) failed: u64,
+    /// Commands that were only sent, and events, that never ran.
+    pub(super) unexecuted: u64,
+}
+
+/// What a connection was made with; what is absent is the default of the ports.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct OptionsView {
+    /// Samples; 0 = latest value.
+    pub(super) fifo: Option<u32>,
+    pub(super) drop_oldest: bool,
+    /// Older samples are stale.
+    pub(super) max_age_ns: Option<u64>,
+    pub(super) deadline_ns: Option<u64>,
+    /// Commands or events.
+    pub(super) mailbox: Option<u32>,
+    pub(super) adapt: bool,
 }
 
 impl ComponentView {
@@ -95,6 +132,7 @@ impl ComponentView {
                 super::units::rate_of_period(self.execution.period_ns)
             }
             ("", "") => self.execution.model.clone(),
+            ("", owner) if self.execution.model == "exec_out" => format!("after {owner}"),
             ("", owner) => format!("inside {owner}"),
             (owner, _) => format!("stream of {owner}"),
         }
@@ -110,6 +148,22 @@ impl ConnectionView {
     /// Component of the server end.
     pub(super) fn server_component(&self) -> &str {
         component_of(&self.server)
+    }
+
+    /// What became of what was sent over it.
+    pub(super) fn figures(&self) -> String {
+        let mut text = format!("passed {}, dropped {}, queue {}", self.passed, self.dropped, self.depth);
+        for (figure, what) in [
+            (self.high_water, "at most"),
+            (self.rejected, "rejected"),
+            (self.failed, "failed"),
+            (self.unexecuted, "never ran"),
+        ] {
+            if figure > 0 {
+                text.push_str(&format!(", {what} {figure}"));
+            }
+        }
+        text
     }
 
     /// `out → in`, without the components.
@@ -212,6 +266,8 @@ pub(super) struct MemberView {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) returns: Option<ArgView>,
     pub(super) optional: bool,
+    /// A handler that runs inside the emitting call where both ends share a thread.
+    pub(super) direct: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -275,6 +331,31 @@ pub(super) struct ReplyView {
     pub(super) unit: String,
     pub(super) stamp_ns: u64,
     pub(super) age_ns: u64,
+}
+
+/// One row of a state table, or the newest sample of an output.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct RowView {
+    pub(super) path: String,
+    pub(super) value: Value,
+    pub(super) stamp_ns: u64,
+    pub(super) age_ns: u64,
+    pub(super) tick: u64,
+    pub(super) frame_bytes: u64,
+}
+
+/// What WaitFor waited for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct WaitView {
+    pub(super) path: String,
+    /// Of the component.
+    pub(super) state: String,
+    pub(super) health: String,
+    /// Payload of an event; absent when a state was waited for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) value: Option<Value>,
+    /// When the event was sent; 0 = a state was waited for.
+    pub(super) stamp_ns: u64,
 }
 
 /// One item of a subscription.

@@ -7,12 +7,17 @@ use tonic::Request;
 /// When the caller says nothing.
 const DEFAULT: Duration = Duration::from_secs(5);
 /// Whatever the caller says.
-const CAP: Duration = Duration::from_secs(60);
+pub(super) const CAP: Duration = Duration::from_secs(60);
 
 /// The moment by which this call must have its answer.
 pub(super) fn deadline<T>(request: &Request<T>) -> Instant {
+    callers(request).unwrap_or_else(|| Instant::now() + DEFAULT)
+}
+
+/// The same, when the caller says it.
+pub(super) fn callers<T>(request: &Request<T>) -> Option<Instant> {
     let asked = request.metadata().get("grpc-timeout").and_then(|v| v.to_str().ok()).and_then(parse);
-    Instant::now() + asked.unwrap_or(DEFAULT).min(CAP)
+    asked.map(|asked| Instant::now() + asked.min(CAP))
 }
 
 /// What is kept of a caller's time, so that the answer arrives before the caller gives up.

@@ -7,6 +7,7 @@ mod convert;
 mod deadline;
 mod serve;
 mod server;
+mod services;
 mod status;
 mod uplink;
 
@@ -14,4 +15,5 @@ mod uplink;
 mod tests;
 
 pub use serve::{ServeConfig, ServeError, Server};
+pub use services::GcmServices;
 pub use uplink::{Uplink, UplinkError};

@@ -11,6 +11,29 @@ use trocar_model::{Code, Refusal};
 /// Domain of every reason.
 pub(super) const DOMAIN: &str = "trocar.v1";
 
+/// The canonical spelling of a gRPC code.
+pub(super) fn code_name(code: Wire) -> &'static str {
+    match code {
+        Wire::Ok => "OK",
+        Wire::Cancelled => "CANCELLED",
+        Wire::Unknown => "UNKNOWN",
+        Wire::InvalidArgument => "INVALID_ARGUMENT",
+        Wire::DeadlineExceeded => "DEADLINE_EXCEEDED",
+        Wire::NotFound => "NOT_FOUND",
+        Wire::AlreadyExists => "ALREADY_EXISTS",
+        Wire::PermissionDenied => "PERMISSION_DENIED",
+        Wire::ResourceExhausted => "RESOURCE_EXHAUSTED",
+        Wire::FailedPrecondition => "FAILED_PRECONDITION",
+        Wire::Aborted => "ABORTED",
+        Wire::OutOfRange => "OUT_OF_RANGE",
+        Wire::Unimplemented => "UNIMPLEMENTED",
+        Wire::Internal => "INTERNAL",
+        Wire::Unavailable => "UNAVAILABLE",
+        Wire::DataLoss => "DATA_LOSS",
+        Wire::Unauthenticated => "UNAUTHENTICATED",
+    }
+}
+
 pub(super) fn status(refusal: &Refusal) -> Status {
     let mut details = ErrorDetails::new();
     let metadata: HashMap<String, String> = refusal.metadata().into_iter().collect();

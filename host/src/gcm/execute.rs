@@ -5,14 +5,15 @@
 use std::time::{Duration, Instant};
 
 use tokio::sync::MutexGuard;
-use trocar_model::{Change, ComponentId, Name, Plan, Refusal, Request, Skipped, Verb, inverse, plan_all};
+use trocar_model::{
+    Change, ComponentId, Name, Plan, Refusal, Request, Skipped, Verb, brief, inverse, plan_all,
+};
 
-use super::Gcm;
 use super::manager::lock;
+use super::observed::observe;
 use super::requests::{Answer, Known};
-use super::sessions::observe;
 use super::stop::Carrying;
-use super::text;
+use super::{Gcm, audit, text};
 use crate::lcm::Report;
 
 /// Time a request gets when it names no deadline.
@@ -79,7 +80,7 @@ impl Gcm {
                 }
             }
             Known::Other => Err(Refusal::ArgumentInvalid {
-                what: format!("request_id \"{}\"", options.request_id),
+                what: format!("request_id \"{}\"", brief(&options.request_id)),
                 why: "it was used for another request within the last 10 minutes: use a new one".into(),
                 field: "request_id".into(),
             }),
@@ -94,11 +95,7 @@ impl Gcm {
             self.change(requests, options, deadline).await
         };
         if !options.validate_only {
-            let outcome = match &answer {
-                Ok(done) => format!("revision {}", done.revision),
-                Err(refusal) => format!("refused: {} {refusal}", refusal.reason()),
-            };
-            log::info!(target: "audit", "{} asked {requests:?}: {outcome}", options.identity);
+            audit::write(&options.identity, requests, &answer);
         }
         answer
     }
@@ -183,12 +180,14 @@ impl Gcm {
             tokio::time::timeout_at((deadline + GRACE).into(), lcm.apply(change.clone(), deadline)).await;
         let report = asked
             .map_err(|_| Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) })??;
+        let mut loose = Vec::new();
         self.edit(|graph| {
             let revision = graph.revision;
             graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
             graph.revision = revision;
-            observe(graph, &report);
+            loose = observe(graph, &report);
         });
+        self.cut_off(loose);
         Ok(report)
     }
 }

@@ -16,7 +16,7 @@ use trocar_model::{
 use super::text;
 use crate::lcm::{
     Detail, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report,
-    Sample, Selection,
+    Sample, Selection, When,
 };
 
 pub(crate) struct FakeLcm {
@@ -30,6 +30,8 @@ pub(crate) struct FakeLcm {
     released: watch::Sender<u64>,
     waiting: watch::Sender<BTreeSet<String>>,
     feeds: Mutex<Vec<mpsc::Sender<Item>>>,
+    /// How many subscriptions there were.
+    followed: watch::Sender<usize>,
     pub(crate) news: broadcast::Sender<News>,
 }
 
@@ -122,6 +124,7 @@ impl FakeLcm {
             released: watch::Sender::new(0),
             waiting: watch::Sender::default(),
             feeds: Mutex::default(),
+            followed: watch::Sender::new(0),
             news: broadcast::Sender::new(64),
         })
     }
@@ -172,16 +175,18 @@ impl FakeLcm {
     pub(crate) async fn emit(&self, path: &str, n: u64) {
         let feeds = self.feeds.lock().unwrap().clone();
         for feed in feeds {
-            let item = Item {
-                path: path.into(),
-                kind: ItemKind::Event,
-                value: json!({ "n": n }),
-                stamp_ns: n,
-                seq: n,
-                skipped: 0,
-            };
-            let _ = feed.send(item).await;
+            let _ = feed.send(event(path, n)).await;
         }
+    }
+
+    /// Until somebody has followed something for the n-th time.
+    pub(crate) async fn followed(&self, times: usize) {
+        self.followed.subscribe().wait_for(|n| *n >= times).await.unwrap();
+    }
+
+    /// Ends every subscription, as when what was followed is made anew.
+    pub(crate) fn end_feeds(&self) {
+        self.feeds.lock().unwrap().clear();
     }
 
     /// Until nobody follows anything.
@@ -193,6 +198,11 @@ impl FakeLcm {
     }
 }
 
+fn event(path: &str, n: u64) -> Item {
+    let (value, path) = (json!({ "n": n }), path.into());
+    Item { path, kind: ItemKind::Event, value, stamp_ns: n, seq: n, skipped: 0 }
+}
+
 fn report(id: &ComponentId, state: State) -> Report {
     Report {
         id: id.clone(),
@@ -200,6 +210,7 @@ fn report(id: &ComponentId, state: State) -> Report {
         health: Health::Ok,
         fault: String::new(),
         ports: None,
+        lost_connections: Vec::new(),
         warnings: Vec::new(),
     }
 }
@@ -236,6 +247,10 @@ impl Lcm for FakeLcm {
         if call.member.to_string() != format!("{}/a/arm/write", self.process) {
             return Err(Refusal::MemberNotFound { member: call.member, known: vec!["write".into()] });
         }
+        // A call is followed by an event at once; whoever listens too late has missed it.
+        for feed in self.feeds.lock().unwrap().iter() {
+            let _ = feed.try_send(event(&format!("{}/a/arm/moved", self.process), 77));
+        }
         let value = match call.arg {
             crate::lcm::Payload::Json(value) => value,
             other => json!(format!("{other:?}")),
@@ -250,13 +265,18 @@ impl Lcm for FakeLcm {
         })
     }
 
-    async fn read(&self, path: String, _: Instant) -> Result<Sample, Refusal> {
-        Ok(Sample { value: json!(path), encoded: vec![9], stamp_ns: 1, age_ns: 2, seq: 3, frame_bytes: 0 })
+    async fn read(&self, path: String, when: When, _: Instant) -> Result<Sample, Refusal> {
+        let value = match when {
+            When::Newest => path,
+            other => format!("{path} {other:?}"),
+        };
+        Ok(Sample { value: json!(value), encoded: vec![9], stamp_ns: 1, age_ns: 2, seq: 3, frame_bytes: 0 })
     }
 
     async fn subscribe(&self, _: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
         let (tell, told) = mpsc::channel(16);
         self.feeds.lock().unwrap().push(tell);
+        self.followed.send_modify(|n| *n += 1);
         Ok(told)
     }
 

@@ -109,7 +109,7 @@ impl Gcm {
             }
             let state = component.state;
             if !matches!(tokio::time::timeout_at(deadline.into(), graphs.changed()).await, Ok(Ok(()))) {
-                let after_ns = u64::try_from(began.elapsed().as_nanos()).unwrap_or(u64::MAX);
+                let after_ns = given_ns(began, deadline);
                 return Err(Refusal::NotReached { id: id.clone(), state, wanted: states.to_vec(), after_ns });
             }
         }
@@ -123,6 +123,13 @@ impl Gcm {
     pub(super) fn edit(&self, f: impl FnOnce(&mut SystemGraph)) {
         self.inner.graph.send_modify(|graph| f(Arc::make_mut(graph)));
     }
+}
+
+/// How long somebody was to wait, as it is told: whole ms, where there are any.
+pub(crate) fn given_ns(began: Instant, deadline: Instant) -> u64 {
+    let given = deadline.saturating_duration_since(began);
+    let ms = (given.as_secs_f64() * 1e3).round() as u64;
+    if ms > 0 { ms * 1_000_000 } else { given.subsec_nanos().into() }
 }
 
 /// Nothing here leaves a lock's content half changed, so a panic elsewhere is no reason to end.

@@ -2,10 +2,13 @@
 //!
 //! Invariant: only [`Gcm`] changes the graph; no lock that Stop needs is held while an LCM is asked.
 
+mod audit;
+mod awaiting;
 mod execute;
 mod ids;
 mod lines;
 mod manager;
+mod observed;
 mod requests;
 mod sessions;
 mod stop;
@@ -16,10 +19,12 @@ pub(crate) mod fake;
 #[cfg(test)]
 mod tests;
 
+pub use awaiting::Listening;
 pub use execute::{ExecuteOptions, Executed};
 pub use ids::IdsError;
 pub use lines::Lines;
+pub(crate) use manager::given_ns;
 pub use manager::{Gcm, GcmConfig};
-pub(crate) use sessions::observe;
+pub(crate) use observed::observe;
 pub use sessions::{Registered, Registration, Slice};
 pub(crate) use text::{asked, lines as plan_lines};

@@ -13,6 +13,7 @@ use trocar_model::{
 
 use super::Gcm;
 use super::manager::lock;
+use super::observed::{loosen, observe};
 use crate::lcm::{Inventory, Lcm, News, Report};
 
 /// What a process says of itself when it registers.
@@ -78,8 +79,9 @@ impl Gcm {
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
         let (epoch, back) = self.claim(&who, lcm.clone())?;
+        let mut loose = Vec::new();
         self.edit(|graph| {
-            adopt(graph, &who, back, &inventory);
+            loose = adopt(graph, &who, back, &inventory);
             graph.processes.insert(
                 who.process.clone(),
                 Process {
@@ -93,6 +95,7 @@ impl Gcm {
         });
         let word = if back { "is back" } else { "registered" };
         log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
+        self.cut_off(loose);
         tokio::spawn(follow(self.clone(), who.process, epoch, lcm, news));
         Ok(Registered { epoch, term: self.term(), revision: self.graph().revision })
     }
@@ -160,8 +163,9 @@ impl Gcm {
     }
 }
 
-/// Enters what a process has: what it was told to have, as far as it still has it.
-fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) {
+/// Enters what a process has: what it was told to have, as far as it still has it. Answers the connections it was told to
+/// have which do not fit the ports of now.
+fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) -> Vec<Connection> {
     let Slice { mut components, mut connections } = who.slice.clone();
     if back && components.is_empty() {
         let mine = graph.components.iter().filter(|(id, _)| id.process == who.process);
@@ -197,22 +201,11 @@ fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &In
         }
         graph.connections.insert(connection.id, connection);
     }
+    inventory.components.iter().flat_map(|report| loosen(graph, &report.id)).collect()
 }
 
 fn ends_in(connection: &Connection, process: &Name) -> bool {
     connection.client.component.process == *process || connection.server.component.process == *process
-}
-
-/// Enters what an LCM reported; components the graph does not have are not invented.
-pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) {
-    if let Some(component) = graph.components.get_mut(&report.id) {
-        component.state = report.state;
-        component.health = report.health;
-        component.fault.clone_from(&report.fault);
-        if let Some(ports) = &report.ports {
-            component.ports = ports.clone();
-        }
-    }
 }
 
 async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news: broadcast::Receiver<News>) {
@@ -221,15 +214,15 @@ async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news
         if !gcm.current(&process, epoch) {
             return;
         }
-        let mut lagged = false;
+        let (mut lagged, mut loose) = (false, Vec::new());
         match heard {
             Ok(first) => gcm.edit_if(|graph| {
                 // An LCM tells its news before it answers. So all that is queued now is entered before any later answer
                 // is, and no state that was passed long ago comes back.
-                let mut changed = enter(&gcm, graph, &process, first);
+                let mut changed = enter(&gcm, graph, &process, first, &mut loose);
                 for _ in 0..news.len() {
                     match news.try_recv() {
-                        Ok(next) => changed |= enter(&gcm, graph, &process, next),
+                        Ok(next) => changed |= enter(&gcm, graph, &process, next, &mut loose),
                         Err(e) => lagged |= matches!(e, broadcast::error::TryRecvError::Lagged(_)),
                     }
                 }
@@ -241,7 +234,7 @@ async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news
         if lagged {
             match lcm.inventory().await {
                 Ok(Inventory { components, classes }) => gcm.edit(|graph| {
-                    components.iter().for_each(|report| observe(graph, report));
+                    loose.extend(components.iter().flat_map(|report| observe(graph, report)));
                     if let Some(p) = graph.processes.get_mut(&process) {
                         p.classes = classes;
                     }
@@ -249,13 +242,20 @@ async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news
                 Err(refusal) => log::warn!("the inventory of {process} cannot be had: {refusal}"),
             }
         }
+        gcm.cut_off(loose);
     }
 }
 
 /// True: the graph is different.
-fn enter(gcm: &Gcm, graph: &mut Arc<SystemGraph>, process: &Name, news: News) -> bool {
+fn enter(
+    gcm: &Gcm,
+    graph: &mut Arc<SystemGraph>,
+    process: &Name,
+    news: News,
+    loose: &mut Vec<Connection>,
+) -> bool {
     match news {
-        News::State(report) => observe(Arc::make_mut(graph), &report),
+        News::State(report) => loose.extend(observe(Arc::make_mut(graph), &report)),
         News::Catalog(classes) => {
             if let Some(p) = Arc::make_mut(graph).processes.get_mut(process) {
                 p.classes = classes;

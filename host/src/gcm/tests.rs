@@ -1,6 +1,8 @@
 //! What a GCM promises, against an LCM that does as it is told.
 #![allow(clippy::unwrap_used)]
 
+mod ports;
+
 use std::future::{Future, ready};
 use std::pin::Pin;
 use std::sync::Arc;

@@ -2,10 +2,26 @@
 //!
 //! Invariant: one line per change, in order; `+` adds or sets going, `~` alters, `-` takes away or stops.
 
-use trocar_model::{Change, Plan, Verb};
+use serde_json::Value;
+use trocar_model::{Change, Execution, Plan, Verb};
 
 pub(crate) fn lines(plan: &Plan) -> Vec<String> {
-    plan.changes.iter().map(line).collect()
+    let one = |(at, change): (usize, &Change)| match anew(change, &plan.changes[..at]) {
+        Some(from) => line(change) + &from,
+        None => line(change),
+    };
+    plan.changes.iter().enumerate().map(one).collect()
+}
+
+/// What of its execution differs, when a component is made anew.
+fn anew(change: &Change, before: &[Change]) -> Option<String> {
+    let Change::Create { id, component } = change else { return None };
+    before.iter().rev().find_map(|earlier| match earlier {
+        Change::Destroy { id: gone, component: was } if gone == id => {
+            Some(executions(&was.execution, &component.execution))
+        }
+        _ => None,
+    })
 }
 
 /// What a change is called in a plan or a log line.
@@ -59,4 +75,40 @@ fn settings(from: &serde_json::Value, to: &serde_json::Value) -> String {
         })
         .collect();
     if list.is_empty() { String::new() } else { format!(" {{{}}}", list.join(", ")) }
+}
+
+/// " {key: old → new, …}" of the execution settings that change.
+fn executions(from: &Execution, to: &Execution) -> String {
+    let old = spelled(from);
+    let changed = spelled(to).into_iter().zip(old).filter(|((_, new), (_, old))| new != old);
+    let shown = |value: Option<Value>| match value {
+        None => "unset".to_owned(),
+        // 2000, not 2000.0.
+        Some(Value::Number(n)) => n.as_f64().map_or_else(|| n.to_string(), |n| n.to_string()),
+        Some(Value::String(text)) => text,
+        Some(other) => other.to_string(),
+    };
+    let list: Vec<String> =
+        changed.map(|((key, new), (_, old))| format!("{key}: {} → {}", shown(old), shown(new))).collect();
+    if list.is_empty() { String::new() } else { format!(" {{{}}}", list.join(", ")) }
+}
+
+/// Every setting by the name it has in a system file.
+pub(super) fn spelled(e: &Execution) -> [(&'static str, Option<Value>); 12] {
+    let scaled = |ns: Option<u64>, unit: f64| ns.map(|ns| Value::from(ns as f64 / unit));
+    let text = |text: &Option<String>| text.clone().map(Value::from);
+    [
+        ("model", e.model.map(|m| m.name().into())),
+        ("period_us", scaled(e.period_ns, 1e3)),
+        ("phase_us", scaled(e.phase_ns, 1e3)),
+        ("stream_of", text(&e.stream_of)),
+        ("inside", text(&e.inside)),
+        ("priority", e.priority.map(Value::from)),
+        ("cpus", (!e.cpus.is_empty()).then(|| e.cpus.clone().into())),
+        ("catch_up", e.catch_up.map(Value::from)),
+        ("threads", e.threads.map(Value::from)),
+        ("max_step_ms", scaled(e.max_step_ns, 1e6)),
+        ("history", e.history.map(Value::from)),
+        ("on_failure", e.on_failure.map(|f| f.name().into())),
+    ]
 }

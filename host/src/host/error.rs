@@ -17,6 +17,10 @@ pub enum HostError {
         dir: PathBuf,
         pid: String,
     },
+    /// Its files were removed, and the process that uses it runs on.
+    StateHeld {
+        dir: PathBuf,
+    },
     StateUnwritable {
         dir: PathBuf,
         because: String,
@@ -25,6 +29,14 @@ pub enum HostError {
         because: String,
     },
     Store(StoreError),
+    /// A plugin linked into the program cannot be used.
+    Linked {
+        because: String,
+    },
+    /// Plugin files are to be taken, and no program is there to try them out.
+    NoVetting {
+        tried: Vec<PathBuf>,
+    },
     /// The address cannot be listened on; `help` says what to do.
     Listen {
         because: String,
@@ -43,7 +55,7 @@ impl HostError {
     /// Reason code for scripts.
     pub fn reason(&self) -> &'static str {
         match self {
-            HostError::StateInUse { .. } => "STATE_IN_USE",
+            HostError::StateInUse { .. } | HostError::StateHeld { .. } => "STATE_IN_USE",
             HostError::StateUnwritable { .. } => "STATE_UNWRITABLE",
             HostError::Threads { .. } => "NO_RESOURCES",
             HostError::Store(e) => match e {
@@ -57,6 +69,8 @@ impl HostError {
                     "TRUST"
                 }
             },
+            HostError::Linked { .. } => "PLUGIN_LINKED",
+            HostError::NoVetting { .. } => "NO_VETTING",
             HostError::Listen { .. } => "LISTEN",
             HostError::NoGcm { .. } => "NO_GCM",
             HostError::Refused(refusal) => refusal.reason(),
@@ -66,7 +80,7 @@ impl HostError {
     /// What to do.
     pub fn help(&self) -> String {
         match self {
-            HostError::StateInUse { .. } => {
+            HostError::StateInUse { .. } | HostError::StateHeld { .. } => {
                 "stop that process, or give this one its own directory: --state DIR".into()
             }
             HostError::StateUnwritable { .. } => {
@@ -76,6 +90,13 @@ impl HostError {
                 "raise the limit on processes (ulimit -u), or end other programs".into()
             }
             HostError::Store(e) => split(e).1,
+            HostError::Linked { .. } => {
+                "build the plugin with the trocar-sdk of this program's own version, and name it once".into()
+            }
+            HostError::NoVetting { .. } => {
+                "name the trocar program with HostBuilder::vet_with, or put it beside this one or in PATH"
+                    .into()
+            }
             HostError::Listen { help, .. } => help.clone(),
             HostError::NoGcm { .. } => {
                 "start it first: `trocar gcm`, or leave --gcm out: this host embeds one".into()
@@ -91,11 +112,27 @@ impl fmt::Display for HostError {
             HostError::StateInUse { dir, pid } => {
                 write!(f, "the state directory {} is in use by process {pid}", dir.display())
             }
+            HostError::StateHeld { dir } => {
+                write!(
+                    f,
+                    "the state directory {} is in use by a process that runs on although its files were removed",
+                    dir.display()
+                )
+            }
             HostError::StateUnwritable { dir, because } => {
                 write!(f, "the state directory {} cannot be used: {because}", dir.display())
             }
             HostError::Threads { because } => write!(f, "the system gives no more threads: {because}"),
             HostError::Store(e) => f.write_str(&split(e).0),
+            HostError::Linked { because } => f.write_str(because),
+            HostError::NoVetting { tried } => {
+                let tried: Vec<String> = tried.iter().map(|p| p.display().to_string()).collect();
+                write!(
+                    f,
+                    "plugin files are tried out by the program trocar, which is none of {}",
+                    tried.join(", ")
+                )
+            }
             HostError::Listen { because, .. } => f.write_str(because),
             HostError::NoGcm { addr, because } => write!(f, "no GCM answers at {addr}: {because}"),
             HostError::Refused(refusal) => write!(f, "{refusal}"),

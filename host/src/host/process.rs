@@ -4,38 +4,22 @@
 //! can see it happen.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinHandle;
-use trocar_model::{Change, Name, Request, State, StopReason, Target, Verb};
+use trocar_model::{Change, Request, State, StopReason, Target, Verb};
 
 use super::announce::Announcement;
-use super::{HostError, StateChoice, StateDir, StopRequest};
-use crate::control::{ServeConfig, Server, Uplink};
+use super::sources::{self, Sources};
+use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
+use crate::control::{GcmServices, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
-use crate::lcm::{Lcm, LcmConfig, LocalLcm, StoreClasses};
-use crate::loader::{PluginStore, PluginStoreConfig, Trust, WatchHandle};
+use crate::lcm::{Lcm, LcmConfig, LocalLcm};
+use crate::loader::WatchHandle;
 
 /// How long components may take to stand still at the end.
 const SHUTDOWN: Duration = Duration::from_secs(5);
-
-/// What a host is made from.
-#[derive(Clone, Debug)]
-pub struct HostConfig {
-    pub name: Name,
-    /// Watched plugin directories; empty: none.
-    pub plugins: Vec<PathBuf>,
-    /// Address to listen on; port 0 takes a free one.
-    pub listen: String,
-    pub state: StateChoice,
-    /// Forget what an earlier process left in the state directory.
-    pub fresh: bool,
-    /// The GCM to attach to; `None`: this host embeds one.
-    pub gcm: Option<String>,
-    pub trust: Trust,
-}
 
 /// A running process of a system.
 pub struct Host {
@@ -49,7 +33,10 @@ struct Parts {
     lcm: Option<Arc<LocalLcm>>,
     gcm: Option<Gcm>,
     uplink: Option<Uplink>,
-    server: Server,
+    /// Where the GCM is when it is another process's.
+    managed_by: Option<String>,
+    /// A host inside a program may listen nowhere.
+    server: Option<Server>,
     watch: Option<WatchHandle>,
     announced: Option<JoinHandle<()>>,
 }
@@ -61,11 +48,8 @@ impl Parts {
 }
 
 impl Host {
-    /// Starts a process with an LCM, and a GCM of its own unless it attaches to another.
-    ///
-    /// # Errors
-    /// Everything that can be wrong with its directories, its port and its name.
-    pub async fn start(config: HostConfig) -> Result<Self, HostError> {
+    /// Starts what the configuration says; [`HostConfig::start`] is the way in.
+    pub(super) async fn from_config(config: HostConfig) -> Result<Self, HostError> {
         let state = StateDir::open(&config.state, config.fresh)?;
         match Self::start_in(&config, &state).await {
             Ok(parts) => Ok(parts.into_host(state)),
@@ -77,20 +61,27 @@ impl Host {
     }
 
     async fn start_in(config: &HostConfig, state: &StateDir) -> Result<Parts, HostError> {
-        let store = open_store(config, state)?;
-        let classes = StoreClasses::new(config.name.clone(), store.clone());
-        let lcm = LocalLcm::new(LcmConfig { process: config.name.clone(), classes: Some(classes) })
-            .map_err(|e| HostError::Threads { because: e.to_string() })?;
+        let Sources { classes, store } = sources::open(config, state)?;
+        let lcm = LocalLcm::new(LcmConfig {
+            process: config.name.clone(),
+            classes,
+            lock_memory: config.lock_memory,
+        })
+        .map_err(|e| HostError::Threads { because: e.to_string() })?;
         let changed = Arc::downgrade(&lcm);
-        let watch = store.watch(move |_| {
-            if let Some(lcm) = changed.upgrade() {
-                lcm.catalog_changed();
-            }
+        let watch = store.map(|store| {
+            store.watch(move |_| {
+                if let Some(lcm) = changed.upgrade() {
+                    lcm.catalog_changed();
+                }
+            })
         });
-        match Self::serve(config, state, lcm.clone()).await {
+        let served = Self::serve(config, state, lcm.clone()).await;
+        match served.and_then(|parts| offer_services(config, &lcm, parts.0.as_ref()).map(|()| parts)) {
             Ok((gcm, uplink, server)) => {
                 let announced = announce(config.name.as_str(), gcm.clone(), lcm.clone());
-                Ok(Parts { lcm: Some(lcm), gcm, uplink, server, watch: Some(watch), announced })
+                let managed_by = config.gcm.clone();
+                Ok(Parts { lcm: Some(lcm), gcm, uplink, managed_by, server, watch, announced })
             }
             Err(e) => {
                 lcm.shutdown(SHUTDOWN).await;
@@ -103,33 +94,36 @@ impl Host {
         config: &HostConfig,
         state: &StateDir,
         lcm: Arc<LocalLcm>,
-    ) -> Result<(Option<Gcm>, Option<Uplink>, Server), HostError> {
+    ) -> Result<(Option<Gcm>, Option<Uplink>, Option<Server>), HostError> {
         let local: Arc<dyn Lcm> = lcm;
         let gcm = match config.gcm {
             Some(_) => None,
             None => Some(start_gcm(state).await?),
         };
-        let server = Server::start(ServeConfig {
-            listen: config.listen.clone(),
-            gcm: gcm.clone(),
-            local: Some((config.name.clone(), local.clone())),
-            managed_by: config.gcm.clone(),
-        })
-        .await?;
-        let endpoint = server.addr().to_string();
+        let server = match &config.listen {
+            None => None,
+            Some(listen) => {
+                let serving = Server::start(ServeConfig {
+                    listen: listen.clone(),
+                    gcm: gcm.clone(),
+                    local: Some((config.name.clone(), local.clone())),
+                    managed_by: config.gcm.clone(),
+                });
+                Some(serving.await?)
+            }
+        };
+        let endpoint = server.as_ref().map(|s| s.addr().to_string()).unwrap_or_default();
         let registration = Registration::new(config.name.clone(), endpoint);
-        match (&gcm, &config.gcm) {
+        let uplink = match (&gcm, &config.gcm) {
             (Some(gcm), _) => {
                 let inventory = local.inventory().await?;
                 gcm.register(registration, local, inventory).await?;
-                Ok((Some(gcm.clone()), None, server))
+                None
             }
-            (None, Some(addr)) => {
-                let uplink = Uplink::start(addr.clone(), registration, local).await?;
-                Ok((None, Some(uplink), server))
-            }
-            (None, None) => Ok((None, None, server)),
-        }
+            (None, Some(addr)) => Some(Uplink::start(addr.clone(), registration, local).await?),
+            (None, None) => None,
+        };
+        Ok((gcm, uplink, server))
     }
 
     /// Starts a GCM without components: `trocar gcm`.
@@ -156,12 +150,25 @@ impl Host {
             managed_by: None,
         })
         .await?;
-        Ok(Parts { lcm: None, gcm: Some(gcm), uplink: None, server, watch: None, announced: None })
+        Ok(Parts {
+            lcm: None,
+            gcm: Some(gcm),
+            uplink: None,
+            managed_by: None,
+            server: Some(server),
+            watch: None,
+            announced: None,
+        })
     }
 
-    /// Where it listens.
-    pub fn addr(&self) -> SocketAddr {
-        self.parts.server.addr()
+    /// Where it listens; `None` for a host without a port.
+    pub fn addr(&self) -> Option<SocketAddr> {
+        self.parts.server.as_ref().map(Server::addr)
+    }
+
+    /// Address of the GCM that manages this host when it is another process's.
+    pub fn managed_by(&self) -> Option<&str> {
+        self.parts.managed_by.as_deref()
     }
 
     /// Its own GCM, unless it is attached to another.
@@ -175,7 +182,7 @@ impl Host {
     }
 
     /// Its state directory.
-    pub fn state(&self) -> &StateDir {
+    pub fn state_dir(&self) -> &StateDir {
         &self.state
     }
 
@@ -206,7 +213,9 @@ impl Host {
         if let Some(uplink) = parts.uplink {
             uplink.shutdown().await;
         }
-        parts.server.shutdown().await;
+        if let Some(server) = parts.server {
+            server.shutdown().await;
+        }
         // Dropping it joins the watching thread, which must not hold up a thread of the runtime.
         let watch = parts.watch;
         let _ = tokio::task::spawn_blocking(move || drop(watch)).await;
@@ -214,12 +223,16 @@ impl Host {
     }
 }
 
-fn open_store(config: &HostConfig, state: &StateDir) -> Result<Arc<PluginStore>, HostError> {
-    let host_exe = std::env::current_exe().map_err(|e| HostError::Threads { because: e.to_string() })?;
-    let mut store = PluginStoreConfig::new(config.plugins.clone(), state.path().to_owned(), host_exe);
-    store.trust = config.trust.clone();
-    store.log = crate::lcm::plugin_log;
-    Ok(PluginStore::open(store)?)
+/// Lets components ask the GCM of their system for dynamic component services.
+fn offer_services(config: &HostConfig, lcm: &Arc<LocalLcm>, gcm: Option<&Gcm>) -> Result<(), HostError> {
+    let services = match (gcm, &config.gcm) {
+        (Some(gcm), _) => GcmServices::here(gcm.clone()),
+        (None, Some(addr)) => {
+            GcmServices::at(addr).map_err(|because| HostError::NoGcm { addr: addr.clone(), because })?
+        }
+        (None, None) => return Ok(()),
+    };
+    lcm.offer_services(Arc::new(services)).map_err(|e| HostError::Threads { because: e.to_string() })
 }
 
 async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {

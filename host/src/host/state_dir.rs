@@ -1,15 +1,18 @@
 //! Where a process keeps its state, and the lock that keeps a second process out of it.
 //!
 //! Invariant: a directory has one user at a time (an OS lock, released by the kernel when the process ends however it
-//! ends); an ephemeral directory is gone after its process.
+//! ends), also when its files were removed under that user; an ephemeral directory is gone after its process.
 
 use std::fs::{self, DirBuilder, File};
 use std::io::{ErrorKind, Read, Seek, Write};
+use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::HostError;
+use crate::loader::Hash;
 
 const LOCK: &str = "lock";
 /// A process has locked its directory this long after making it.
@@ -34,6 +37,7 @@ pub struct StateDir {
     /// It was not there before.
     made: bool,
     _lock: File,
+    _claim: Option<UnixDatagram>,
 }
 
 impl StateDir {
@@ -90,9 +94,10 @@ impl StateDir {
             }
             Err(fs::TryLockError::Error(e)) => return Err(unwritable(e)),
         }
+        let claim = if ephemeral { None } else { claim(path)? };
         file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
         writeln!(file, "{}", std::process::id()).map_err(unwritable)?;
-        Ok(Self { path: path.to_owned(), ephemeral, made, _lock: file })
+        Ok(Self { path: path.to_owned(), ephemeral, made, _lock: file, _claim: claim })
     }
 
     /// Takes back what `open` made, for a process that does not come up after all.
@@ -126,6 +131,20 @@ impl Drop for StateDir {
             // Best effort: the system cleans its temporary files.
             let _ = fs::remove_dir_all(&self.path);
         }
+    }
+}
+
+/// Takes the directory's name, as an abstract socket: `rm -rf` of a directory in use takes its lock file along, not this.
+/// `None` where the system gives no such socket; then the lock file is all there is.
+fn claim(path: &Path) -> Result<Option<UnixDatagram>, HostError> {
+    let unwritable =
+        |e: std::io::Error| HostError::StateUnwritable { dir: path.to_owned(), because: e.to_string() };
+    let whole = path.canonicalize().map_err(unwritable)?;
+    let name = format!("trocar-state-{}", Hash::of(whole.as_os_str().as_encoded_bytes()));
+    match SocketAddr::from_abstract_name(name).and_then(|name| UnixDatagram::bind_addr(&name)) {
+        Ok(claim) => Ok(Some(claim)),
+        Err(e) if e.kind() == ErrorKind::AddrInUse => Err(HostError::StateHeld { dir: path.to_owned() }),
+        Err(_) => Ok(None),
     }
 }
 
@@ -195,6 +214,19 @@ mod tests {
         let first = StateDir::open(&choice, false).unwrap();
         let refused = StateDir::open(&choice, false).unwrap_err();
         assert!(refused.to_string().contains(&format!("process {}", std::process::id())), "{refused}");
+        drop(first);
+        StateDir::open(&choice, false).unwrap();
+    }
+
+    #[test]
+    fn a_directory_removed_under_its_user_is_still_in_use() {
+        let temp = tempfile::tempdir().unwrap();
+        let choice = StateChoice::Durable(temp.path().join("state"));
+        let first = StateDir::open(&choice, false).unwrap();
+        fs::remove_dir_all(first.path()).unwrap();
+        let refused = StateDir::open(&choice, false).unwrap_err();
+        assert_eq!(refused.reason(), "STATE_IN_USE", "{refused}");
+        assert!(refused.to_string().contains("removed"), "{refused}");
         drop(first);
         StateDir::open(&choice, false).unwrap();
     }

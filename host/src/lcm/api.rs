@@ -22,8 +22,8 @@ pub trait Lcm: Send + Sync {
     /// Calls a command. Reads are answered from the published state row.
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal>;
 
-    /// Reads without a command: the state row of a component, or the newest sample of an output.
-    async fn read(&self, path: String, deadline: Instant) -> Result<Sample, Refusal>;
+    /// Reads without a command: a state row of a component, or the newest sample of an output.
+    async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal>;
 
     /// Follows events, component states and outputs until the receiver is dropped. Slow receivers lose items, counted
     /// in the next item's `skipped`.
@@ -55,6 +55,8 @@ pub struct Report {
     pub fault: String,
     /// Present when the ports may have changed.
     pub ports: Option<Arc<Ports>>,
+    /// Connections the LCM cut because a port they ended in went, by number.
+    pub lost_connections: Vec<u64>,
     /// Sentences for the caller, e.g. a real-time setting the machine refused.
     pub warnings: Vec<String>,
 }
@@ -118,6 +120,20 @@ pub struct Reply {
     pub unit: String,
 }
 
+/// Which row of a state table.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum When {
+    #[default]
+    Newest,
+    /// The values at a stamp, ns; between two rows they are interpolated.
+    Time(u64),
+    /// The row nearest to a stamp, ns.
+    Nearest(u64),
+    Tick(u64),
+    /// That many rows before the newest.
+    Delayed(u64),
+}
+
 #[derive(Clone, Debug)]
 pub struct Sample {
     pub value: Value,
@@ -178,7 +194,9 @@ pub struct Detail {
     /// Compute time over period, 0–1.
     pub load: f64,
     pub commands: u64,
+    /// Commands lost in full queues: not taken, or given up for newer ones.
     pub commands_rejected: u64,
+    /// Events lost in its handlers' full queues.
     pub events_dropped: u64,
     /// Where it runs: "own thread", "stream of host/source", "callers' threads".
     pub thread: String,
@@ -193,7 +211,18 @@ pub struct LinkDetail {
     /// "inline", "heap".
     pub carrier: String,
     pub passed: u64,
+    /// Lost in a full queue or for lack of frames; those in `rejected` too.
     pub dropped: u64,
+    /// Commands and events a full queue did not take.
+    pub rejected: u64,
+    /// Samples, or commands and as many events, that may wait.
+    pub depth: u64,
+    /// The most commands or events that ever waited at once.
+    pub high_water: u64,
+    /// Commands that were only sent, ran and failed.
+    pub failed: u64,
+    /// Commands that were only sent, and events, that were taken and never ran: Stop, Disconnect, Remove.
+    pub unexecuted: u64,
     pub bytes: u64,
     /// Age of a sample when the client took it.
     pub latency_p50_ns: u64,

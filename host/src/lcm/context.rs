@@ -6,6 +6,8 @@ use std::cell::{Cell, RefCell};
 use std::ptr;
 use std::sync::Arc;
 
+use trocar_rt::os;
+use trocar_rt::team::Team;
 use trocar_rt::wake::{WakeList, Waker};
 
 use super::boundary::HostContext;
@@ -16,21 +18,63 @@ pub(super) type ExecutorId = u64;
 thread_local! {
     static EXECUTOR: Cell<ExecutorId> = const { Cell::new(0) };
     static STEPPING: Cell<bool> = const { Cell::new(false) };
+    static IN_STEP: Cell<bool> = const { Cell::new(false) };
+    static STEP_BEGAN_NS: Cell<u64> = const { Cell::new(0) };
     static COMPONENT: Cell<*const HostContext> = const { Cell::new(ptr::null()) };
     static WAKES: RefCell<WakeList> = const { RefCell::new(WakeList::new()) };
+    static DEFERRED: Cell<bool> = const { Cell::new(false) };
+    static ROUNDING: Cell<u32> = const { Cell::new(0) };
+    static TEAM: RefCell<Option<Arc<Team>>> = const { RefCell::new(None) };
 }
 
+#[inline]
 pub(super) fn executor() -> ExecutorId {
     EXECUTOR.get()
 }
 
 pub(super) fn set_executor(id: ExecutorId) {
     EXECUTOR.set(id);
-    // Makes the list's thread-local exist before the first step.
+    // Makes the thread-locals exist before the first step.
     WAKES.with_borrow(|_| ());
+    TEAM.with_borrow(|_| ());
+    ROUNDING.set(os::rounding());
+}
+
+/// Puts the rounding mode of this executor's thread back to what it was before any component ran; false when it had to.
+pub(super) fn keep_rounding() -> bool {
+    if os::rounding() == ROUNDING.get() {
+        return true;
+    }
+    os::reset_rounding(ROUNDING.get());
+    false
+}
+
+/// Gives this thread of the LCM the team of its stream; `None` takes it away.
+pub(super) fn set_team(team: Option<Arc<Team>>) {
+    TEAM.set(team);
+}
+
+/// The team of the stream whose thread this is; `None` elsewhere and without a pool. Allocates nothing.
+pub(super) fn team() -> Option<Arc<Team>> {
+    TEAM.with_borrow(Option::clone)
+}
+
+/// Runs `f` so that what it tells passive components is handled on their own threads, never here.
+pub(super) fn deferred<R>(f: impl FnOnce() -> R) -> R {
+    let before = DEFERRED.replace(true);
+    let result = f();
+    DEFERRED.set(before);
+    result
+}
+
+/// True inside [`deferred`].
+#[inline]
+pub(super) fn is_deferred() -> bool {
+    DEFERRED.get()
 }
 
 /// True inside `step`, commands and handlers run by an executor: waiting is not allowed there.
+#[inline]
 pub(super) fn stepping() -> bool {
     STEPPING.get()
 }
@@ -39,12 +83,44 @@ pub(super) fn set_stepping(on: bool) {
     STEPPING.set(on);
 }
 
+/// True inside a `step` entry itself, whoever it calls from there.
+#[inline]
+pub(super) fn in_step() -> bool {
+    IN_STEP.get()
+}
+
+/// Says when the step that runs on this thread began, ns; 0 ends it.
+#[inline]
+pub(super) fn set_step_began(ns: u64) {
+    STEP_BEGAN_NS.set(ns);
+}
+
+/// When the step that runs on this thread began, ns; without one the time now. For figures, where a step's length more or
+/// less does not matter and a look at the clock would.
+#[inline]
+pub(super) fn about_now_ns() -> u64 {
+    match STEP_BEGAN_NS.get() {
+        0 => os::now_ns(),
+        began => began,
+    }
+}
+
+/// Runs a `step` entry.
+#[inline]
+pub(super) fn as_step<R>(f: impl FnOnce() -> R) -> R {
+    let before = IN_STEP.replace(true);
+    let result = f();
+    IN_STEP.set(before);
+    result
+}
+
 /// The component whose code runs on this thread; null = none.
 pub(super) fn component() -> *const HostContext {
     COMPONENT.get()
 }
 
 /// Sets the running component and returns the previous one, to be put back.
+#[inline]
 pub(super) fn swap_component(host: *const HostContext) -> *const HostContext {
     COMPONENT.replace(host)
 }

@@ -3,7 +3,11 @@
 //! Invariant: order is kept (ids are positions), offsets and sizes are checked here so that nobody behind this file has to
 //! distrust a description; the system interface is appended to every class, last, so it moves no id.
 
-use std::collections::BTreeMap;
+pub mod back;
+#[cfg(test)]
+mod units;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use trocar_model as model;
@@ -14,21 +18,58 @@ use super::system;
 /// Largest payload that may pass through a mailbox or a state table, bytes.
 pub const MAX_PAYLOAD: usize = 64 * 1024;
 
+/// Longest text a `describe` may write, bytes.
+pub const MAX_DESCRIPTION: usize = 1024 * 1024;
+/// Most inputs, outputs, functions, commands, handlers and events of one class together.
+const MAX_MEMBERS: usize = 10_000;
+/// Longest queue an input may ask for, samples.
+const MAX_FIFO: usize = 65_536;
+/// Deepest nesting of structs.
+const MAX_DEPTH: usize = 64;
+/// Largest frame of an output, bytes.
+const MAX_FRAME: usize = 1 << 30;
+
 /// All classes of a manifest.
 ///
 /// # Errors
 /// A sentence naming the first description that contradicts itself.
 pub fn classes(manifest: &wire::Manifest, hash: &str) -> Result<Vec<Arc<model::ClassInfo>>, String> {
-    let mut types = Types { manifest, done: BTreeMap::new(), open: Vec::new(), holes: false };
+    let mut types = Types::new(&manifest.types);
     manifest
         .classes
         .iter()
         .map(|class| {
             class_info(manifest, hash, class, &mut types)
-                .map(Arc::new)
+                .and_then(|info| info.check_units().map(|()| Arc::new(info)))
                 .map_err(|e| format!("class {}: {e}", class.name))
         })
         .collect()
+}
+
+/// The ports `describe` wrote for an instance of `class`.
+///
+/// # Errors
+/// A sentence that says where the text contradicts itself, or what a description may not change.
+pub fn description(text: &[u8], class: &model::ClassInfo) -> Result<model::Ports, String> {
+    if text.len() > MAX_DESCRIPTION {
+        return Err(format!("{} bytes are more than a description may have, {MAX_DESCRIPTION}", text.len()));
+    }
+    let wire::Description { types, class: described } =
+        serde_json::from_slice(text).map_err(|e| format!("it is not a class description: {e}"))?;
+    if described.name != class.name {
+        return Err(format!("it describes class {}, this is {}", described.name, class.name));
+    }
+    let ports = ports(&described, &mut Types::new(&types))?;
+    ports.check_units()?;
+    let same_state = match (&ports.state, &class.ports.state) {
+        (Some(a), Some(b)) => a.same(b),
+        (None, None) => true,
+        _ => false,
+    };
+    if !same_state {
+        return Err("the state type is another than the class's: state may not change".into());
+    }
+    Ok(ports)
 }
 
 fn class_info(
@@ -83,12 +124,38 @@ fn execution_model(text: &str) -> Result<model::ExecutionModel, String> {
     })
 }
 
+/// Refuses a second member of the same name.
+fn once<'a>(names: impl IntoIterator<Item = &'a String>) -> Result<(), String> {
+    let mut seen = BTreeSet::new();
+    match names.into_iter().find(|n| !seen.insert(n.as_str())) {
+        Some(twice) => Err(format!("{twice} stands there twice")),
+        None => Ok(()),
+    }
+}
+
+fn depth(fifo: usize) -> Result<usize, String> {
+    if fifo <= MAX_FIFO {
+        Ok(fifo)
+    } else {
+        Err(format!("a queue of {fifo} samples is longer than {MAX_FIFO}"))
+    }
+}
+
+fn members(class: &wire::Class) -> usize {
+    let required = class.required.iter().map(|r| r.functions.len() + r.handlers.len());
+    let provided = class.provided.iter().map(|p| p.commands.len() + p.events.len());
+    class.inputs.len() + class.outputs.len() + required.chain(provided).sum::<usize>()
+}
+
 fn name(text: &str) -> Result<(), String> {
     text.parse::<model::Name>().map(|_| ()).map_err(|_| format!("\"{text}\" is not a valid name"))
 }
 
 fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String> {
-    let mut seen = std::collections::BTreeSet::new();
+    if members(class) > MAX_MEMBERS {
+        return Err(format!("{} ports and members are more than {MAX_MEMBERS}", members(class)));
+    }
+    let mut seen = BTreeSet::new();
     let mut unique = |kind: &str, n: &str| {
         name(n)?;
         if n == system::INTERFACE {
@@ -108,7 +175,7 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
             doc: input.doc.clone(),
             ty: types.port(&input.ty).map_err(|e| format!("input {}: {e}", input.name))?,
             optional: input.optional,
-            fifo: input.fifo,
+            fifo: depth(input.fifo).map_err(|e| format!("input {}: {e}", input.name))?,
         });
     }
     for output in &class.outputs {
@@ -135,6 +202,9 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
 }
 
 fn required(required: &wire::Required, types: &mut Types) -> Result<model::Required, String> {
+    once(required.functions.iter().map(|f| &f.name))
+        .and_then(|()| once(required.handlers.iter().map(|h| &h.name)))
+        .map_err(|e| format!("required interface {}: {e}", required.name))?;
     let functions = required
         .functions
         .iter()
@@ -175,6 +245,9 @@ fn required(required: &wire::Required, types: &mut Types) -> Result<model::Requi
 }
 
 fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provided, String> {
+    once(provided.commands.iter().map(|c| &c.name))
+        .and_then(|()| once(provided.events.iter().map(|e| &e.name)))
+        .map_err(|e| format!("provided interface {}: {e}", provided.name))?;
     let commands = provided
         .commands
         .iter()
@@ -248,17 +321,24 @@ fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command,
 
 /// Resolves references; a type that contains itself or names a missing one is an error.
 struct Types<'a> {
-    manifest: &'a wire::Manifest,
+    described: &'a [wire::NamedType],
     done: BTreeMap<String, model::Type>,
     open: Vec<String>,
     /// The next struct may have holes: a state row, which never leaves as it lies in memory.
     holes: bool,
 }
 
-impl Types<'_> {
+impl<'a> Types<'a> {
+    fn new(described: &'a [wire::NamedType]) -> Self {
+        Types { described, done: BTreeMap::new(), open: Vec::new(), holes: false }
+    }
+
     fn port(&mut self, ty: &wire::PortType) -> Result<model::PortType, String> {
         Ok(match ty {
             wire::PortType::Plain { plain } => model::PortType::Plain(self.resolve(plain)?),
+            wire::PortType::Frame { max_bytes, .. } if *max_bytes > MAX_FRAME => {
+                return Err(format!("frames of {max_bytes} bytes are larger than {MAX_FRAME}"));
+            }
             wire::PortType::Frame { frame, format, max_bytes } => model::PortType::Frame {
                 header: self.resolve(frame)?,
                 format: format.clone(),
@@ -309,8 +389,14 @@ impl Types<'_> {
         if self.open.iter().any(|n| n == name) {
             return Err(format!("type {name} contains itself"));
         }
-        let manifest = self.manifest;
-        let named = manifest.named(name).ok_or_else(|| format!("type {name} is not described"))?;
+        if self.open.len() >= MAX_DEPTH {
+            return Err(format!("type {name} is nested deeper than {MAX_DEPTH}"));
+        }
+        let described = self.described;
+        let named = described
+            .iter()
+            .find(|t| t.name == name)
+            .ok_or_else(|| format!("type {name} is not described"))?;
         self.open.push(name.to_owned());
         let ty = if let Some(repr) = &named.repr {
             model::Type::Enum(Arc::new(model::EnumType {

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tokio::sync::{broadcast, mpsc};
 use trocar_model::{
-    Arg, Command, ComponentId, MemberId, PortId, PortType, Refusal, Type, ValueError, check_range, decode,
-    encode,
+    Arg, Command, ComponentId, MemberId, PortId, PortType, Ports, Refusal, Type, ValueError, check_range,
+    decode, encode,
 };
 use trocar_plugin_api::abi::{
     DEADLINE, DISABLED, EXECUTED, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, QUEUED,
@@ -20,12 +20,18 @@ use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::os;
 use trocar_rt::stream::{Payload as StreamPayload, Queue, StreamReader, stream_link};
 
-use super::api::{Invoke, Item, ItemKind, News, Payload, Reply, Report, Sample, Selection};
-use super::boundary::{Answer, EventSink, FnBinding, OutLink, Tap};
+use super::api::{Invoke, Item, ItemKind, News, Payload, Reply, Report, Sample, Selection, When};
+use super::boundary::{
+    Answer, DEFAULT_DEADLINE_NS, EventCell, EventSink, FnBinding, OUTSIDE, OutCell, OutLink, Tap,
+};
 use super::connect;
+use super::convert::back;
 use super::instance::Instance;
 use super::local::LocalLcm;
+use super::rows;
 
+/// So long after its deadline a call from outside that still runs is left alone.
+const GRACE: Duration = Duration::from_millis(50);
 /// Items a slow receiver may have waiting.
 const ITEMS: usize = 256;
 /// Events one follower may have waiting between two looks.
@@ -37,22 +43,33 @@ const DEFAULT_RATE_HZ: f64 = 30.0;
 
 /// Carries out one call; reads are answered from the published row.
 pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Reply, Refusal> {
-    let (id, command) = find_command(&instance, &call.member)?;
+    let set = instance.described.now();
+    let (id, command) = find_command(&set.ports, &call.member)?;
     let arg = argument(&call.member, &command, &call.arg)?;
     let ret = command.ret.clone();
     let (send, deadline_ns, member) = (call.send, call.deadline_ns, call.member.clone());
     let unit = command.ret_unit.clone();
-    let target = connect::target(&instance, &command, id, &instance.external.clone(), id, deadline_ns);
+    let target = connect::target(&instance, &set, id, &set.external, id, deadline_ns);
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match &target {
         // Never waits: answered here.
         FnBinding::Read(read) => read.answer(&arg, ret_bytes),
-        _ => tokio::task::spawn_blocking(move || match &target {
-            FnBinding::Command(command) => command.answer(&arg, ret_bytes, send, deadline_ns),
-            FnBinding::Read(_) | FnBinding::Unbound => Answer::unbound(),
-        })
-        .await
-        .map_err(|e| Refusal::Internal { text: format!("calling {member} panicked: {e}") })?,
+        _ => {
+            let calling = tokio::task::spawn_blocking(move || match &target {
+                FnBinding::Command(command) => command.answer(&arg, ret_bytes, send, deadline_ns),
+                FnBinding::Read(_) | FnBinding::Unbound => Answer::unbound(),
+            });
+            let allowed_ns = if deadline_ns == 0 { DEFAULT_DEADLINE_NS } else { deadline_ns };
+            // What is queued ends by itself. What runs in this call's own thread may not.
+            match tokio::time::timeout(Duration::from_nanos(allowed_ns).saturating_add(GRACE), calling).await
+            {
+                Ok(answer) => answer
+                    .map_err(|e| Refusal::Internal { text: format!("calling {member} panicked: {e}") })?,
+                Err(_) => {
+                    return Err(Refusal::Deadline { member, after_ns: allowed_ns, may_still_run: true });
+                }
+            }
+        }
     };
     match answer.outcome {
         EXECUTED | QUEUED => {}
@@ -90,7 +107,10 @@ fn refusal(
         DISABLED => Refusal::Disabled { member },
         NOT_ACTIVE => Refusal::NotActive { member, state: instance.state() },
         WOULD_BLOCK => Refusal::WouldBlock { member },
-        QUEUE_FULL => Refusal::QueueFull { member, depth: instance.external.mailbox.stats().depth as usize },
+        QUEUE_FULL => Refusal::QueueFull {
+            member,
+            depth: instance.described.now().external.mailbox.stats().depth as usize,
+        },
         DEADLINE => Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: answer.may_still_run },
         PEER_LOST => Refusal::PeerLost { member },
         INVALID_ARGUMENT => {
@@ -101,8 +121,7 @@ fn refusal(
 }
 
 /// The command a member names, with its id.
-fn find_command(instance: &Instance, member: &MemberId) -> Result<(usize, Command), Refusal> {
-    let ports = instance.ports();
+fn find_command(ports: &Ports, member: &MemberId) -> Result<(usize, Command), Refusal> {
     let port = member.port.port.as_str();
     let Some(interface) = ports.provided.iter().position(|p| p.name == port) else {
         return Err(Refusal::InterfaceNotFound {
@@ -152,12 +171,24 @@ fn missing(command: &Command, arg: &Arg) -> String {
 }
 
 /// The state row of `process/component`, or the next sample of `process/component/output`.
-pub(super) async fn read(lcm: &LocalLcm, path: &str, deadline: Instant) -> Result<Sample, Refusal> {
+pub(super) async fn read(
+    lcm: &LocalLcm,
+    path: &str,
+    when: When,
+    deadline: Instant,
+) -> Result<Sample, Refusal> {
     if path.split('/').count() == 2 {
         let instance = lcm.instance(&ComponentId::parse(path)?)?;
-        return state_row(&instance);
+        return state_row(&instance, when);
     }
     let port = PortId::parse(path)?;
+    if when != When::Newest {
+        return Err(Refusal::ArgumentInvalid {
+            what: format!("Read {path}"),
+            why: format!("an output keeps no rows, only the state of `{}` does", port.component),
+            field: "path".into(),
+        });
+    }
     let mut output = Output::open(lcm.instance(&port.component)?, &port)?;
     loop {
         if let Some((sample, _)) = output.newest()? {
@@ -173,19 +204,18 @@ pub(super) async fn read(lcm: &LocalLcm, path: &str, deadline: Instant) -> Resul
     }
 }
 
-fn state_row(instance: &Instance) -> Result<Sample, Refusal> {
+fn state_row(instance: &Instance, when: When) -> Result<Sample, Refusal> {
     let ports = instance.ports();
     let mut sample =
         Sample { value: json!({}), encoded: Vec::new(), stamp_ns: 0, age_ns: 0, seq: 0, frame_bytes: 0 };
-    if let Some(ty) = &ports.state {
-        let mut row = vec![0; ty.size()];
-        if let Some(info) = instance.rows.latest(&mut row) {
-            sample.value = decode(ty, &row).map_err(|e| undecodable(&instance.id, &e))?;
-            sample.stamp_ns = info.stamp_ns;
-            sample.age_ns = os::now_ns().saturating_sub(info.stamp_ns);
-            sample.seq = info.tick;
-            sample.encoded = row;
-        }
+    if let Some(ty) = &ports.state
+        && let Some(row) = rows::read(&instance.rows, ty, &instance.id, when)?
+    {
+        sample.value = decode(ty, &row.bytes).map_err(|e| undecodable(&instance.id, &e))?;
+        sample.stamp_ns = row.stamp_ns;
+        sample.age_ns = os::now_ns().saturating_sub(row.stamp_ns);
+        sample.seq = row.tick;
+        sample.encoded = row.bytes;
     }
     Ok(sample)
 }
@@ -193,7 +223,7 @@ fn state_row(instance: &Instance) -> Result<Sample, Refusal> {
 /// A reader from outside on one output; the link goes with it.
 struct Output {
     instance: Arc<Instance>,
-    index: usize,
+    cell: Arc<OutCell>,
     ty: Type,
     reader: StreamReader,
     link: Arc<OutLink>,
@@ -202,28 +232,30 @@ struct Output {
 
 impl Output {
     fn open(instance: Arc<Instance>, port: &PortId) -> Result<Output, Refusal> {
-        let ports = instance.ports();
+        let set = instance.described.now();
+        let ports = &set.ports;
         let Some(index) = ports.outputs.iter().position(|o| o.name == port.port.as_str()) else {
             return Err(Refusal::InterfaceNotFound {
                 port: port.clone(),
                 known: ports.outputs.iter().map(|o| o.name.clone()).collect(),
             });
         };
-        let (ty, payload) = match &ports.outputs[index].ty {
-            PortType::Plain(ty) => (ty.clone(), StreamPayload::Plain { bytes: ty.size() }),
+        let cell = set.slots.output(index).clone();
+        let Some(passing) = cell.passing() else {
+            return Err(Refusal::NotImplemented {
+                what: format!("reading the untyped output {port} while nothing is connected to it"),
+                hint: "connect it to a typed input first: it takes that type".into(),
+            });
+        };
+        let (ty, payload) = match &passing {
             PortType::Frame { header, .. } => (header.clone(), StreamPayload::Frame),
-            PortType::Any => {
-                return Err(Refusal::NotImplemented {
-                    what: format!("reading the untyped output {port}"),
-                    hint: "read what it is connected to".into(),
-                });
-            }
+            PortType::Plain(ty) => (ty.clone(), StreamPayload::Plain { bytes: ty.size() }),
+            PortType::Any => return Err(Refusal::Internal { text: format!("{port} passes no type") }),
         };
         let (writer, reader) = stream_link(payload, Queue::Latest);
-        let link = Arc::new(OutLink::new(0, writer, None));
-        let added = link.clone();
-        instance.slots.output(index).edit(|links| links.push(added));
-        Ok(Output { instance, index, ty, reader, link, last_seq: 0 })
+        let link = Arc::new(OutLink::new(OUTSIDE, writer, None, None));
+        cell.add(link.clone(), &passing, &back::port(&passing).into());
+        Ok(Output { instance, cell, ty, reader, link, last_seq: 0 })
     }
 
     /// The newest sample not shown yet, and how many were left out before it.
@@ -247,8 +279,7 @@ impl Output {
 
 impl Drop for Output {
     fn drop(&mut self) {
-        let link = self.link.clone();
-        self.instance.slots.output(self.index).edit(|links| links.retain(|l| !Arc::ptr_eq(l, &link)));
+        self.cell.remove(|l| Arc::ptr_eq(l, &self.link));
         self.instance.reclaim();
     }
 }
@@ -256,7 +287,8 @@ impl Drop for Output {
 /// A reader from outside on one event; the tap goes with it.
 struct EventFeed {
     instance: Arc<Instance>,
-    index: usize,
+    member: MemberId,
+    cell: Arc<EventCell>,
     ty: Option<Type>,
     tap: Arc<Tap>,
     sink: Arc<EventSink>,
@@ -266,28 +298,17 @@ struct EventFeed {
 
 impl EventFeed {
     fn open(instance: Arc<Instance>, member: &MemberId) -> Result<EventFeed, Refusal> {
-        let ports = instance.ports();
-        let port = member.port.port.as_str();
-        let Some(interface) = ports.provided.iter().position(|p| p.name == port) else {
-            return Err(Refusal::InterfaceNotFound {
-                port: member.port.clone(),
-                known: ports.provided.iter().map(|p| p.name.clone()).collect(),
-            });
-        };
-        let events = &ports.provided[interface].events;
-        let Some(i) = events.iter().position(|e| e.name == member.member.as_str()) else {
-            return Err(Refusal::MemberNotFound {
-                member: member.clone(),
-                known: events.iter().map(|e| e.name.clone()).collect(),
-            });
-        };
-        let ty = events[i].payload.clone();
+        let (cell, ty) = event_of(&instance, member)?;
         let tap = Arc::new(Tap { mailbox: Mailbox::new(TAP_DEPTH, ty.as_ref().map_or(0, Type::size), 0) });
         let sink = Arc::new(EventSink::Tap(tap.clone()));
-        let index = ports.first_event(interface) + i;
-        let added = sink.clone();
-        instance.slots.event(index).edit(|sinks| sinks.push(added));
-        Ok(EventFeed { instance, index, ty, tap, sink, seq: 0, dropped: 0 })
+        cell.edit(|sinks| sinks.push(sink.clone()));
+        Ok(EventFeed { instance, member: member.clone(), cell, ty, tap, sink, seq: 0, dropped: 0 })
+    }
+
+    /// Nothing more can come: the component is gone or made anew, or described itself without this event.
+    fn is_over(&self) -> bool {
+        self.instance.is_closed()
+            || !event_of(&self.instance, &self.member).is_ok_and(|(cell, _)| Arc::ptr_eq(&cell, &self.cell))
     }
 
     fn drain(&mut self, path: &str, mut give: impl FnMut(Item)) {
@@ -313,10 +334,30 @@ impl EventFeed {
     }
 }
 
+/// Where an event is sent from now, and the type of its payload.
+fn event_of(instance: &Instance, member: &MemberId) -> Result<(Arc<EventCell>, Option<Type>), Refusal> {
+    let set = instance.described.now();
+    let ports = &set.ports;
+    let port = member.port.port.as_str();
+    let Some(interface) = ports.provided.iter().position(|p| p.name == port) else {
+        return Err(Refusal::InterfaceNotFound {
+            port: member.port.clone(),
+            known: ports.provided.iter().map(|p| p.name.clone()).collect(),
+        });
+    };
+    let events = &ports.provided[interface].events;
+    let Some(i) = events.iter().position(|e| e.name == member.member.as_str()) else {
+        return Err(Refusal::MemberNotFound {
+            member: member.clone(),
+            known: events.iter().map(|e| e.name.clone()).collect(),
+        });
+    };
+    Ok((set.slots.event(ports.first_event(interface) + i).clone(), events[i].payload.clone()))
+}
+
 impl Drop for EventFeed {
     fn drop(&mut self) {
-        let sink = self.sink.clone();
-        self.instance.slots.event(self.index).edit(|sinks| sinks.retain(|s| !Arc::ptr_eq(s, &sink)));
+        self.cell.edit(|sinks| sinks.retain(|s| !Arc::ptr_eq(s, &self.sink)));
         self.instance.reclaim();
     }
 }
@@ -398,11 +439,19 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
         }
         Feed::Event(mut feed) => {
             while !rest(&teller, LOOK).await {
+                // Asked first: what it sent before its end is still given.
+                let over = feed.is_over();
                 feed.drain(&path, |item| teller.give(item));
+                if over {
+                    return;
+                }
             }
         }
         Feed::Output(mut output, pause) => {
             while !rest(&teller, pause).await {
+                if output.instance.is_closed() {
+                    return;
+                }
                 match output.newest() {
                     Ok(Some((sample, skipped))) => {
                         let mut value = sample.value;

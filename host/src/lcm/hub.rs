@@ -1,12 +1,15 @@
-//! What all components of one LCM share: its name, its news, its log ring.
+//! What all components of one LCM share: its name, its news, its log ring, the way to wake its watchdog.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::broadcast;
 use trocar_model::Name;
+use trocar_rt::wake::Waker;
 
 use super::api::News;
+use super::instance::Instance;
 use super::logs::LogRing;
+use super::services::Desk;
 
 /// News a lagging receiver may miss before it has to ask for the inventory.
 const NEWS_DEPTH: usize = 1024;
@@ -15,10 +18,43 @@ pub(super) struct Hub {
     pub(super) process: Name,
     pub(super) news: broadcast::Sender<News>,
     pub(super) logs: Arc<LogRing>,
+    /// Where components ask for services.
+    pub(super) desk: Arc<Desk>,
+    /// Makes the watchdog look now.
+    pub(super) watch: Arc<Waker>,
+    /// Makes the follower of changing ports look now.
+    pub(super) ports: Arc<Waker>,
+    /// Removed components whose code may still use what the host gave them: kept until the process ends.
+    graveyard: Mutex<Vec<Arc<Instance>>>,
 }
 
 impl Hub {
     pub(super) fn new(process: Name) -> Arc<Hub> {
-        Arc::new(Hub { process, news: broadcast::channel(NEWS_DEPTH).0, logs: LogRing::new() })
+        Arc::new(Hub {
+            process,
+            news: broadcast::channel(NEWS_DEPTH).0,
+            logs: LogRing::new(),
+            desk: Desk::new(),
+            watch: Arc::new(Waker::new()),
+            ports: Arc::new(Waker::new()),
+            graveyard: Mutex::new(Vec::new()),
+        })
+    }
+
+    /// Keeps a component for ever, on purpose, and says so.
+    pub(super) fn bury(&self, instance: Arc<Instance>, why: &str) {
+        let mut graveyard = self.graveyard.lock().unwrap_or_else(PoisonError::into_inner);
+        if graveyard.iter().any(|i| i.number == instance.number) {
+            return;
+        }
+        let n = graveyard.len() + 1;
+        log::warn!("{}: {why}: it is kept until the process ends, as {n} removed so far", instance.id);
+        graveyard.push(instance);
+    }
+
+    /// How many components are kept for ever.
+    #[cfg(test)]
+    pub(super) fn buried(&self) -> usize {
+        self.graveyard.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
 }

@@ -1,38 +1,264 @@
 //! Queues into one component, and what their entries mean.
 //!
-//! Invariant: every entry that carries a reply is answered, executed or not.
+//! Invariant: every entry that carries a reply is answered, executed or not; every event a full queue could not take is
+//! counted and told.
 
-use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, Weak};
 
 use trocar_plugin_api::abi::Outcome;
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::reply::ReplyPool;
 
+use super::instance::Instance;
+
 /// Kinds of mailbox entries.
 pub(super) const ENTRY_COMMAND: u32 = 0;
 pub(super) const ENTRY_EVENT: u32 = 1;
+
+/// How often one connection's losses are told at most, ns.
+const TELL_NS: u64 = 1_000_000_000;
+
+/// Where a command or handler stands in its class's present description: its ABI id, which moves when ports in front of it
+/// come or go.
+#[derive(Debug)]
+pub(super) struct Position(AtomicU32);
+
+/// No description has that many members.
+const WITHDRAWN: u32 = u32::MAX;
+
+impl Position {
+    pub(super) fn new(id: usize) -> Arc<Position> {
+        Arc::new(Position(AtomicU32::new(id as u32)))
+    }
+
+    /// `None` when the description does not hold it any more. Whoever is about to enter the instance asks inside.
+    pub(super) fn get(&self) -> Option<u32> {
+        Some(self.0.load(Ordering::Acquire)).filter(|id| *id != WITHDRAWN)
+    }
+
+    pub(super) fn put(&self, id: Option<usize>) {
+        self.0.store(id.map_or(WITHDRAWN, |id| id as u32), Ordering::Release);
+    }
+}
 
 /// A queue into one component: commands of one client, or events of one connection.
 pub(super) struct Inbox {
     pub(super) mailbox: Mailbox,
     pub(super) replies: Arc<ReplyPool>,
-    /// What an entry's index means: command id or handler id of the class.
-    pub(super) targets: Vec<u32>,
+    /// What an entry's index means: command or handler of the class.
+    pub(super) targets: Vec<Arc<Position>>,
+    /// Events of one connection; else commands of one client.
+    pub(super) events: bool,
+    /// Who fills it; nobody for what comes from outside.
+    pub(super) from: Weak<Instance>,
+    losses: Losses,
+    toll: Toll,
+}
+
+/// Entries that nobody waits for and that came to nothing after they had been taken.
+#[derive(Default)]
+struct Toll {
+    /// Commands that ran and failed.
+    failed: AtomicU64,
+    /// Commands and events that never ran: Stop, Disconnect, Remove, another description.
+    unexecuted: AtomicU64,
+    /// What the last failure said.
+    last: Mutex<Sentence>,
+    told: [AtomicU64; 2],
+}
+
+/// Bytes of a failure's sentence that are kept.
+const SENTENCE_BYTES: usize = 160;
+
+struct Sentence {
+    len: usize,
+    bytes: [u8; SENTENCE_BYTES],
+}
+
+impl Default for Sentence {
+    fn default() -> Self {
+        Sentence { len: 0, bytes: [0; SENTENCE_BYTES] }
+    }
+}
+
+/// What of a queue's losses was told already.
+#[derive(Default)]
+struct Losses {
+    told: AtomicU64,
+    told_ns: AtomicU64,
 }
 
 impl Inbox {
+    /// Commands of one client.
+    pub(super) fn commands(
+        mailbox: Mailbox,
+        replies: Arc<ReplyPool>,
+        targets: Vec<Arc<Position>>,
+        from: Weak<Instance>,
+    ) -> Arc<Inbox> {
+        Arc::new(Inbox {
+            mailbox,
+            replies,
+            targets,
+            events: false,
+            from,
+            losses: Losses::default(),
+            toll: Toll::default(),
+        })
+    }
+
+    /// Events of one connection.
+    pub(super) fn events(mailbox: Mailbox, targets: Vec<Arc<Position>>, from: Weak<Instance>) -> Arc<Inbox> {
+        let replies = ReplyPool::new(1, 0, 0);
+        Arc::new(Inbox {
+            mailbox,
+            replies,
+            targets,
+            events: true,
+            from,
+            losses: Losses::default(),
+            toll: Toll::default(),
+        })
+    }
+
     /// Takes nothing more; answers everything still queued with `outcome`, unexecuted.
     pub(super) fn close(&self, outcome: Outcome) {
-        self.mailbox.close(|head| {
-            self.replies.fail(head.reply, outcome);
-        });
+        self.mailbox.close(|head| self.refuse(head, outcome));
     }
 
     /// Answers everything still queued with `outcome`, unexecuted.
     pub(super) fn refuse_all(&self, outcome: Outcome) {
-        let refuse = |head: EntryHead| {
+        let superseded = |head: EntryHead| {
             self.replies.fail(head.reply, outcome);
         };
-        self.mailbox.drain(|head, _| refuse(head), refuse);
+        self.mailbox.drain(|head, _| self.refuse(head, outcome), superseded);
+    }
+
+    /// Answers one entry, unexecuted; where nobody waits for an answer it is counted. Real-time.
+    pub(super) fn refuse(&self, head: EntryHead, outcome: Outcome) {
+        if head.reply == 0 {
+            self.toll.unexecuted.fetch_add(1, Ordering::Relaxed);
+        } else {
+            self.replies.fail(head.reply, outcome);
+        }
+    }
+
+    /// A command ran and failed, and nobody waits to hear of it. Real-time.
+    pub(super) fn note_failure(&self, text: &[u8]) {
+        self.toll.failed.fetch_add(1, Ordering::Relaxed);
+        // Somebody reads the one before just now: that one is told.
+        if let Ok(mut last) = self.toll.last.try_lock() {
+            last.len = text.len().min(SENTENCE_BYTES);
+            let len = last.len;
+            last.bytes[..len].copy_from_slice(&text[..len]);
+        }
+    }
+
+    /// Commands nobody waited for that ran and failed.
+    pub(super) fn failed(&self) -> u64 {
+        self.toll.failed.load(Ordering::Relaxed)
+    }
+
+    /// Commands nobody waited for, and events, that were taken and never ran.
+    pub(super) fn unexecuted(&self) -> u64 {
+        self.toll.unexecuted.load(Ordering::Relaxed)
+    }
+
+    /// Tells both ends of commands that were only sent and came to nothing since the last telling. Managers only.
+    pub(super) fn tell_toll(&self, to: &Instance) {
+        let now = [self.failed(), self.unexecuted()];
+        let fresh = [0, 1].map(|i| self.toll.told[i].swap(now[i], Ordering::Relaxed) != now[i]);
+        // Whoever is not ACTIVE handles no events: that is no news every second.
+        if self.events {
+            return;
+        }
+        let from = self.from.upgrade();
+        let sender = from.as_ref().map_or_else(|| "outside".to_owned(), |from| from.id.to_string());
+        let say = |what: &str, how: &str| {
+            to.warn_about(&format!("commands sent by {sender} {what}"), how);
+            if let Some(from) = &from {
+                from.warn_about(&format!("commands it sent to {} {what}", to.id), how);
+            }
+        };
+        if fresh[0] {
+            // The step's side only tries the lock, so it never waits for this.
+            let text = self.toll.last.try_lock().map_or_else(
+                |_| String::new(),
+                |last| String::from_utf8_lossy(&last.bytes[..last.len]).into_owned(),
+            );
+            let last = if text.is_empty() { "without a reason" } else { &text };
+            say("failed", &format!(": {} so far, the last one: {last}", now[0]));
+        }
+        if fresh[1] {
+            say(
+                "never ran",
+                &format!(": {} so far were still queued when it stopped or was cut off", now[1]),
+            );
+        }
+    }
+
+    /// Entries lost to a full queue so far. Commands that gave way to newer ones did so by their policy.
+    pub(super) fn losses(&self) -> u64 {
+        let stats = self.mailbox.stats();
+        stats.rejected + if self.events { stats.dropped } else { 0 }
+    }
+
+    /// How many entries were lost to a full queue since it was last told; 0 while the last telling is less than a second
+    /// ago. Managers only.
+    pub(super) fn untold_losses(&self, now_ns: u64) -> u64 {
+        let lost = self.losses();
+        let told = self.losses.told.load(Ordering::Relaxed);
+        let told_ns = self.losses.told_ns.load(Ordering::Relaxed);
+        if lost == told || (told_ns != 0 && now_ns < told_ns + TELL_NS) {
+            return 0;
+        }
+        self.losses.told.store(lost, Ordering::Relaxed);
+        self.losses.told_ns.store(now_ns, Ordering::Relaxed);
+        lost - told
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_plugin_api::abi::PEER_LOST;
+    use trocar_rt::mailbox::{Overflow, Push};
+
+    use super::*;
+
+    #[test]
+    fn what_is_thrown_out_is_counted_unless_somebody_waits_for_its_answer() {
+        let inbox = Inbox::events(Mailbox::new(4, 0, 0), Vec::new(), Weak::new());
+        let waited_for = EntryHead { reply: 1 << 40, ..EntryHead::default() };
+        for head in [EntryHead::default(), waited_for, EntryHead::default()] {
+            assert_eq!(inbox.mailbox.push(head, &[], Overflow::Reject), Push::Queued);
+        }
+        inbox.refuse_all(PEER_LOST);
+        assert_eq!(inbox.unexecuted(), 2);
+        assert_eq!(inbox.mailbox.push(EntryHead::default(), &[], Overflow::Reject), Push::Queued);
+        inbox.close(PEER_LOST);
+        assert_eq!((inbox.unexecuted(), inbox.failed()), (3, 0));
+    }
+
+    #[test]
+    fn a_failure_is_counted_and_its_sentence_cut_to_its_room() {
+        let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), Weak::new());
+        inbox.note_failure(&[b'x'; 2 * SENTENCE_BYTES]);
+        inbox.note_failure(b"no paper");
+        let last = inbox.toll.last.try_lock().unwrap();
+        assert_eq!((inbox.failed(), &last.bytes[..last.len]), (2, &b"no paper"[..]));
+    }
+
+    #[test]
+    fn losses_are_told_once_and_at_most_once_a_second() {
+        let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), Weak::new());
+        let push = || inbox.mailbox.push(EntryHead::default(), &[], Overflow::Reject);
+        assert_eq!(inbox.untold_losses(5), 0, "nothing was lost yet");
+        assert_eq!(push(), Push::Queued);
+        assert_eq!((push(), push()), (Push::Full, Push::Full));
+        assert_eq!(inbox.untold_losses(5), 2);
+        assert_eq!(push(), Push::Full);
+        assert_eq!(inbox.untold_losses(6), 0, "told less than a second ago");
+        assert_eq!(inbox.untold_losses(5 + TELL_NS), 1);
     }
 }

@@ -3,9 +3,10 @@
 //! Invariant: an entry that fails leaves the component in FAULT, safe; one that refuses leaves it as it was.
 
 use trocar_model::{ComponentId, Refusal, State, StopReason};
-use trocar_plugin_api::abi::NOT_ACTIVE;
+use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED};
 
 use super::boundary::EntryError;
+use super::dynamic;
 use super::instance::{Entered, Instance};
 
 /// What an entry came to: the name of the one that failed, and why.
@@ -21,19 +22,56 @@ pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryErr
 
 pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
-    let bound = entered.bind(instance.slots.table()).map_err(|e| ("bind", e));
+    // What the one before it owed is not this one's.
+    instance.watch.takes_owed_safe();
+    let bound = dynamic::bind_fresh(instance, entered);
     if bound.is_err() {
-        entered.destroy();
+        instance.destroy(entered);
         return bound;
     }
+    instance.account().made_anew();
     instance.publish_state(entered);
     Ok(())
 }
 
+/// The configuration, then the ports that go with it. Refused: the component goes on as before; anything else ends trust. Who
+/// stands as it does, other than in FAULT, was asked before.
+pub(super) fn configure(
+    instance: &Instance,
+    entered: &mut Entered<'_>,
+    json: &str,
+    to_state: State,
+) -> Entry {
+    let from = instance.state();
+    match entered.configure(json) {
+        Ok(()) => {}
+        Err(e) if e.refused() => return Err(("configure", e)),
+        Err(e) => {
+            instance.fail(entered, "configure", &e);
+            return Err(("configure", e));
+        }
+    }
+    if let Err((entry, e)) = dynamic::describe(instance, entered) {
+        instance.fail(entered, entry, &e);
+        return Err((entry, e));
+    }
+    instance.publish_state(entered);
+    if from == to_state && instance.state() == from || instance.set_state_from(from, to_state, "") {
+        return Ok(());
+    }
+    // Said meanwhile by whoever waited for it: that stands.
+    Err(("configure", too_late(instance.state())))
+}
+
+fn too_late(stands: State) -> EntryError {
+    EntryError { status: STATUS_FAILED, text: format!("it took so long that it is {stands}") }
+}
+
 pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     instance.refuse_queued(NOT_ACTIVE);
-    instance.stats.pause();
-    entered.inner().cycle = 0;
+    instance.stats.reset(instance.period_ns());
+    let inner = entered.inner();
+    inner.cycle_at_start = inner.cycle;
     run(instance, entered, "start", |e| e.start())
 }
 
@@ -48,28 +86,78 @@ fn run(
     f: fn(&mut Entered<'_>) -> Result<(), EntryError>,
 ) -> Entry {
     entered.inner().last_begin_ns = 0;
+    let from = instance.state();
     if let Err(e) = f(entered) {
         instance.fail(entered, entry, &e);
         return Err((entry, e));
     }
     instance.publish_state(entered);
-    instance.set_state(State::Active, "");
-    Ok(())
+    if instance.set_state_from(from, State::Active, "") {
+        return Ok(());
+    }
+    // Somebody else has said meanwhile how it stands, because it took too long: it does not begin to run after that.
+    let stands = instance.state();
+    stop(instance, entered)?;
+    Err((entry, too_late(stands)))
+}
+
+/// Takes a start or resume back that came after its caller had given up: as it was before, and safe.
+pub(super) fn undo_start(instance: &Instance, entered: &mut Entered<'_>, before: State) {
+    if !instance.set_state_from(State::Active, before, "") {
+        // It failed, and that was told.
+        return;
+    }
+    let said = format!("its start took longer than its caller waited: it was stopped again and is {before}");
+    if stop(instance, entered).is_ok() {
+        instance.warn(&said);
+    }
+}
+
+/// Takes a configuration back that came after its caller had given up. What refuses to go back is not trusted.
+pub(super) fn undo_configure(
+    instance: &Instance,
+    entered: &mut Entered<'_>,
+    before: Option<&str>,
+    state: State,
+) {
+    match before {
+        None => _ = instance.set_state_from(State::Ready, state, ""),
+        Some(json) if instance.state() != State::Fault => {
+            if let Err((entry, e)) = configure(instance, entered, json, state)
+                && e.refused()
+            {
+                instance.fail(entered, entry, &e);
+            }
+        }
+        Some(_) => return,
+    }
+    instance.warn("its configure took longer than its caller waited: it has its former configuration again");
+    tell_ports(instance);
+}
+
+/// Has what became of its ports followed up, where nobody waits for it any more.
+pub(super) fn tell_ports(instance: &Instance) {
+    instance.described.tell_change();
+    instance.look_at_ports();
 }
 
 pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     instance.refuse_queued(NOT_ACTIVE);
     let done = entered.stop();
+    instance.watch.stopped();
     if let Err(e) = done {
         instance.fail(entered, "stop", &e);
         return Err(("stop", e));
     }
-    instance.make_safe(entered);
+    let safe = instance.make_safe(entered);
     instance.publish_state(entered);
     if instance.is_active() {
         instance.stopped(StopReason::Requested);
     }
-    Ok(())
+    match safe {
+        Err(e) if instance.state() == State::Fault => Err(("make_safe", e)),
+        _ => Ok(()),
+    }
 }
 
 /// Destroy, create, configure: an instance that failed is not trusted.
@@ -77,10 +165,14 @@ pub(super) fn reset(instance: &Instance, entered: &mut Entered<'_>, config: Opti
     if instance.is_active() {
         stop(instance, entered)?;
     }
-    entered.destroy();
+    instance.destroy(entered);
+    instance.clear_warnings();
     let again = make(instance, entered).and_then(|()| match config {
-        Some(json) => entered.configure(json).map_err(|e| ("configure", e)),
-        None => Ok(()),
+        Some(json) => {
+            entered.configure(json).map_err(|e| ("configure", e))?;
+            dynamic::describe(instance, entered)
+        }
+        None => dynamic::as_fresh(instance, entered),
     });
     match again {
         Ok(()) => {

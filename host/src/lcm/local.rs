@@ -2,43 +2,50 @@
 //!
 //! Invariant: no lock is held while component code runs or is waited for; every wait ends at the caller's deadline.
 
+mod assemble;
+mod detail;
+mod ports;
+mod wiring;
+
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
-use trocar_model::{Change, ComponentId, Connection, Execution, Name, Refusal, State, StopReason, Verb};
-use trocar_plugin_api::abi::NOT_ACTIVE;
+use trocar_model::{Change, ComponentId, Execution, ExecutionModel, Name, Refusal, Verb};
 use trocar_rt::os;
-use trocar_rt::wake::Waker;
 
+use self::ports::Follower;
 use super::api::{
     Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
-    Spread,
+    When,
 };
 use super::classes::Classes;
 use super::connect::Wired;
-use super::executor::{Executor, Member, Pace};
+use super::cycle::Follow;
+use super::executor::Executor;
 use super::external;
 use super::hub::Hub;
-use super::instance::{self, Entered, Instance};
-use super::lifecycle::{component_error, make, reset, resume, start, stop};
-use super::{order, system};
+use super::instance::{Entered, Instance};
+use super::order::Place;
+use super::realtime::Memory;
+use super::services::Services;
+use super::supervise::{Entry, Manners, Roster, Watchdog};
+use super::system;
 
-/// How often the watchdog looks, ns.
-const WATCH_NS: u64 = 10_000_000;
-
-/// Longest wait for a component that is being removed, before its thread is left behind.
-const HUNG: Duration = Duration::from_secs(1);
+/// Longest wait to get into a component again whose late work has to be taken back, ns.
+const UNDO_NS: u64 = 1_000_000_000;
 
 /// What an LCM is made from.
 pub struct LcmConfig {
     pub process: Name,
     /// Where classes come from; `None` leaves the process without any.
     pub classes: Option<Arc<dyn Classes>>,
+    /// Lock the memory of the process, where the machine allows it, else the stacks of components' threads.
+    pub lock_memory: bool,
 }
 
 pub struct LocalLcm {
@@ -47,14 +54,18 @@ pub struct LocalLcm {
     held: Mutex<Held>,
     next_number: AtomicU32,
     log_thread: Mutex<Option<thread::JoinHandle<()>>>,
-    watchdog: Mutex<Option<thread::JoinHandle<()>>>,
-    closing: Arc<Waker>,
+    roster: Arc<Roster>,
+    memory: Memory,
+    watchdog: Watchdog,
+    follower: Follower,
 }
 
 #[derive(Default)]
 struct Held {
     components: BTreeMap<ComponentId, Slot>,
     links: BTreeMap<u64, Arc<Wired>>,
+    /// Removed components in which something may still look at wires that were cut: those wires hold their peers.
+    leaving: Vec<Arc<Instance>>,
 }
 
 /// One component and where it runs.
@@ -68,8 +79,22 @@ struct Slot {
 }
 
 impl Slot {
-    fn member(&self) -> Member {
-        Member { instance: self.instance.clone(), on_input: self.execution.stream_of.is_some() }
+    /// Where it stands among those that share its thread, and when it steps.
+    fn place(&self, number_of: impl Fn(&str) -> Option<u32>) -> (Place, Follow) {
+        if self.execution.stream_of.is_some() {
+            return (Place::Alone, Follow::Input);
+        }
+        match self.execution.inside.as_deref() {
+            None => (Place::Alone, Follow::Thread),
+            // Whoever it runs inside of is gone: it waits for another, without steps.
+            Some(host) => match number_of(host) {
+                None => (Place::Alone, Follow::Member(0)),
+                Some(host) if self.execution.model == Some(ExecutionModel::ExecOut) => {
+                    (Place::After(host), Follow::Member(host))
+                }
+                Some(host) => (Place::Before(host), Follow::Member(host)),
+            },
+        }
     }
 }
 
@@ -79,14 +104,19 @@ impl LocalLcm {
     /// # Errors
     /// The machine gives no more threads.
     pub fn new(config: LcmConfig) -> std::io::Result<Arc<LocalLcm>> {
+        let hub = Hub::new(config.process);
+        let memory = if config.lock_memory { Memory::lock() } else { Memory::default() };
+        let roster = Arc::new(Roster::default());
         let lcm = Arc::new(LocalLcm {
-            hub: Hub::new(config.process),
             classes: config.classes,
             held: Mutex::new(Held::default()),
             next_number: AtomicU32::new(1),
             log_thread: Mutex::new(None),
-            watchdog: Mutex::new(None),
-            closing: Arc::new(Waker::new()),
+            watchdog: Watchdog::start(hub.clone(), roster.clone())?,
+            follower: Follower::new(hub.ports.clone()),
+            roster,
+            memory,
+            hub,
         });
         let (hub, weak) = (lcm.hub.clone(), Arc::downgrade(&lcm));
         let thread = thread::Builder::new().name("trocar-log".into()).spawn(move || {
@@ -104,16 +134,28 @@ impl LocalLcm {
             });
         })?;
         *lcm.log_thread.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
-        let (closing, weak) = (lcm.closing.clone(), Arc::downgrade(&lcm));
-        let thread = thread::Builder::new().name("trocar-watchdog".into()).spawn(move || {
-            while !closing.wait(Some(os::now_ns() + WATCH_NS)) {
-                let Some(lcm) = weak.upgrade() else { return };
-                let instances: Vec<_> = lcm.held().components.values().map(|s| s.instance.clone()).collect();
-                instances.iter().for_each(|instance| instance.tell_health());
-            }
-        })?;
-        *lcm.watchdog.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        lcm.follower.start(&lcm)?;
         Ok(lcm)
+    }
+
+    /// The process whose components it owns.
+    pub fn process(&self) -> &Name {
+        &self.hub.process
+    }
+
+    /// Lets components ask for dynamic component services, carried out by `services`, until the LCM shuts down.
+    ///
+    /// # Errors
+    /// The machine gives no more threads.
+    pub fn offer_services(self: &Arc<Self>, services: Arc<dyn Services>) -> std::io::Result<()> {
+        self.hub.desk.open(services, Arc::downgrade(self))
+    }
+
+    /// The thread a component runs on; `None` when it is gone.
+    pub(super) fn executor_of(&self, instance: &Instance) -> Option<Arc<Executor>> {
+        let held = self.held();
+        let slot = held.components.get(&instance.id)?;
+        (slot.instance.number == instance.number).then(|| slot.executor.clone())
     }
 
     /// Tells everyone that the plugin directories offer something else now.
@@ -126,6 +168,8 @@ impl LocalLcm {
 
     /// Stops everything, devices safe first, then removes it. Bounded: what does not come back in `within` is left.
     pub async fn shutdown(&self, within: Duration) {
+        // A component that is stopped here cannot have another one started.
+        self.hub.desk.close();
         let deadline = Instant::now() + within;
         let ids: Vec<ComponentId> = self.held().components.keys().cloned().collect();
         let stops = ids.iter().map(|id| self.run_verb(id, Verb::Stop, deadline));
@@ -143,13 +187,8 @@ impl LocalLcm {
                 log::error!("{id} could not be removed at shutdown: {refusal}");
             }
         }
-        self.closing.notify();
-        let thread = self.watchdog.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(thread) = thread
-            && thread.join().is_err()
-        {
-            log::error!("the watchdog panicked");
-        }
+        self.follower.stop();
+        self.watchdog.stop();
         self.hub.logs.close();
         let thread = self.log_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(thread) = thread
@@ -171,6 +210,11 @@ impl LocalLcm {
         })
     }
 
+    #[cfg(test)]
+    pub(super) fn buried(&self) -> usize {
+        self.hub.buried()
+    }
+
     pub(super) fn news_receiver(&self) -> broadcast::Receiver<News> {
         self.hub.news.subscribe()
     }
@@ -183,11 +227,27 @@ impl LocalLcm {
     async fn inside<R: Send + 'static>(
         &self,
         slot: &Slot,
-        what: &str,
+        entry: Entry,
         deadline: Instant,
         f: impl FnOnce(&Instance, &mut Entered<'_>) -> R + Send + 'static,
     ) -> Result<R, Refusal> {
-        let (tell, told) = oneshot::channel();
+        self.inside_or(slot, entry, deadline, f, |_, _, _| ()).await
+    }
+
+    /// As `inside`; when `f` comes back only after its caller has given up, `undo` takes back what it did, so that what was
+    /// answered stays true.
+    async fn inside_or<R: Send + 'static>(
+        &self,
+        slot: &Slot,
+        entry: Entry,
+        deadline: Instant,
+        f: impl FnOnce(&Instance, &mut Entered<'_>) -> R + Send + 'static,
+        undo: impl FnOnce(&Instance, &mut Entered<'_>, R) + Send + 'static,
+    ) -> Result<R, Refusal> {
+        let (tell, mut told) = oneshot::channel();
+        // Whoever comes first, the end of the work or that of the patience, decides what is true.
+        let decided = Arc::new(AtomicBool::new(false));
+        let first = decided.clone();
         let instance = slot.instance.clone();
         let until_ns = os::now_ns().saturating_add(
             u64::try_from(deadline.saturating_duration_since(Instant::now()).as_nanos())
@@ -200,267 +260,45 @@ impl LocalLcm {
             }
             // A passive component may be busy in a caller's thread.
             if let Some(mut entered) = instance.object.enter_until(until_ns) {
-                let result = instance.as_running(|| f(&instance, &mut entered));
-                drop(entered);
-                // A caller that is gone meanwhile reads the state instead.
-                let _ = tell.send(result);
+                let manners = Manners::before(&instance);
+                let result = instance.as_running(entry, || f(&instance, &mut entered));
+                manners.after(&instance, entry);
+                let mut late = Some(result);
+                if !first.swap(true, Ordering::AcqRel) {
+                    instance.leave(entered);
+                    // Given back when the caller's whole request was dropped.
+                    late = late.and_then(|result| tell.send(result).err());
+                    if late.is_none() {
+                        return;
+                    }
+                    match instance.object.enter_until(os::now_ns() + UNDO_NS) {
+                        Some(again) => entered = again,
+                        None => return,
+                    }
+                }
+                if let Some(result) = late {
+                    let late = format!("{} came back after its caller had given up", entry.name());
+                    instance.say(log::Level::Warn, &late);
+                    instance.as_running(entry, || undo(&instance, &mut entered, result));
+                }
+                instance.leave(entered);
             }
         });
-        match tokio::time::timeout_at(deadline.into(), told).await {
-            Ok(Ok(result)) => Ok(result),
-            _ => Err(Refusal::LcmTimeout {
-                process: self.hub.process.clone(),
-                what: format!("{what} of {}", slot.instance.id),
-            }),
-        }
-    }
-
-    async fn create(
-        &self,
-        id: ComponentId,
-        component: Box<trocar_model::Component>,
-        deadline: Instant,
-    ) -> Result<Report, Refusal> {
-        if self.held().components.contains_key(&id) {
-            return Err(Refusal::ComponentExists { id });
-        }
-        let Some(classes) = self.classes.clone() else {
-            return Err(Refusal::NotImplemented {
-                what: format!(
-                    "creating {} in a process without plugin directories",
-                    component.class.full_name()
-                ),
-                hint: "start the host with --plugins DIR".into(),
-            });
-        };
-        let (info, process) = (component.class.clone(), self.hub.process.clone());
-        let loading = tokio::task::spawn_blocking(move || classes.load(&info));
-        let class = match tokio::time::timeout_at(deadline.into(), loading).await {
-            Ok(Ok(loaded)) => loaded?,
-            Ok(Err(e)) => return Err(Refusal::Internal { text: format!("loading panicked: {e}") }),
-            Err(_) => {
-                return Err(Refusal::LcmTimeout { process, what: format!("loading the class of {id}") });
-            }
-        };
-        let execution = component.execution.clone();
-        let executor = self.executor_for(&id, &execution)?;
-        let passive = instance::is_passive(execution.model) && executor.1;
-        let number = self.next_number.fetch_add(1, Ordering::Relaxed);
-        let period_ns = match Pace::of(&execution) {
-            Pace::Grid { period_ns, .. } if execution.stream_of.is_none() => period_ns,
-            _ => 0,
-        };
-        let class_info = component.class.clone();
-        let made = Instance::new(number, id.clone(), class_info, class, self.hub.clone(), passive, period_ns);
-        made.attach(executor.0.id, executor.0.waker.clone());
-        made.set_on_grid(matches!(executor.0.pace, Pace::Grid { .. }));
-        self.hub.logs.name(number, Some(&id));
-        let slot = Slot { instance: made, executor: executor.0, execution, config: None };
-        let done = self.inside(&slot, "create", deadline, make).await;
-        match done {
-            Ok(Ok(())) => {
-                let member = slot.member();
-                slot.executor.submit(move |members| members.push(member));
-                let mut report = slot.instance.report(true);
-                report.warnings =
-                    slot.executor.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone();
-                self.held().components.insert(id, slot);
-                Ok(report)
-            }
-            Ok(Err((entry, e))) => {
-                self.abandon(&slot, executor.1);
-                Err(component_error(&id, entry, e))
-            }
-            Err(refusal) => {
-                self.abandon(&slot, executor.1);
-                Err(refusal)
-            }
-        }
-    }
-
-    fn abandon(&self, slot: &Slot, own: bool) {
-        self.hub.logs.name(slot.instance.number, None);
-        if own {
-            slot.executor.close();
-        }
-    }
-
-    /// The thread a component will run on, and whether it is its own.
-    fn executor_for(
-        &self,
-        id: &ComponentId,
-        execution: &Execution,
-    ) -> Result<(Arc<Executor>, bool), Refusal> {
-        if let Some(other) = execution.stream_of.as_ref().or(execution.inside.as_ref()) {
-            let slot = self.slot(&ComponentId::parse(other)?)?;
-            return Ok((slot.executor, false));
-        }
-        Executor::spawn(id.component.as_str(), Pace::of(execution), execution)
-            .map(|e| (e, true))
-            .map_err(|e| Refusal::Internal { text: format!("no thread for {id}: {e}") })
-    }
-
-    async fn configure(
-        &self,
-        id: &ComponentId,
-        to: &serde_json::Value,
-        to_state: State,
-        deadline: Instant,
-    ) -> Result<Report, Refusal> {
-        let slot = self.slot(id)?;
-        if to_state == State::Created {
-            // The undoing of a Create takes its configuration back; the instance goes next.
-            slot.instance.set_state(State::Created, "");
-            return Ok(slot.instance.report(true));
-        }
-        let json = to.to_string();
-        let given = json.clone();
-        let done = self
-            .inside(&slot, "configure", deadline, move |instance, entered| {
-                let done = entered.configure(&given);
-                match &done {
-                    Ok(()) => {
-                        instance.publish_state(entered);
-                        if instance.state() != to_state {
-                            instance.set_state(to_state, "");
-                        }
-                    }
-                    // Refused: it goes on as before. Anything else: not trusted any more.
-                    Err(e) if e.refused() => {}
-                    Err(e) => instance.fail(entered, "configure", e),
+        match tokio::time::timeout_at(deadline.into(), &mut told).await {
+            Ok(Ok(result)) => return Ok(result),
+            Ok(Err(_)) => {}
+            // It ended in this very moment: its result is on the way.
+            Err(_) if decided.swap(true, Ordering::AcqRel) => {
+                if let Ok(result) = told.await {
+                    return Ok(result);
                 }
-                done
-            })
-            .await?;
-        done.map_err(|e| component_error(id, "configure", e))?;
-        if let Some(slot) = self.held().components.get_mut(id) {
-            slot.config = Some(json);
-        }
-        Ok(slot.instance.report(true))
-    }
-
-    async fn run_verb(&self, id: &ComponentId, verb: Verb, deadline: Instant) -> Result<Report, Refusal> {
-        let slot = self.slot(id)?;
-        let (what, config) = (verb.to_string(), slot.config.clone());
-        if verb == Verb::Stop {
-            return self.stop(&slot, deadline).await;
-        }
-        let done = self
-            .inside(&slot, &what, deadline, move |instance, entered| match verb {
-                Verb::Start => start(instance, entered),
-                Verb::Resume => resume(instance, entered),
-                Verb::Reset => reset(instance, entered, config.as_deref()),
-                Verb::Stop | Verb::Configure | Verb::Remove => Ok(()),
-            })
-            .await?;
-        match done {
-            Ok(()) => {
-                slot.executor.waker.notify();
-                Ok(slot.instance.report(true))
             }
-            Err((entry, e)) => Err(component_error(id, entry, e)),
+            Err(_) => {}
         }
-    }
-
-    /// Acts first: no further step begins once this returns or times out.
-    async fn stop(&self, slot: &Slot, deadline: Instant) -> Result<Report, Refusal> {
-        if slot.instance.is_active() {
-            slot.instance.stopped(StopReason::Requested);
-        }
-        let done = self.inside(slot, "stop", deadline, stop).await;
-        match done {
-            Ok(Ok(())) => Ok(slot.instance.report(false)),
-            Ok(Err((entry, e))) => Err(component_error(&slot.instance.id, entry, e)),
-            Err(refusal) => {
-                slot.instance
-                    .set_state(State::Fault, "stop: it did not come back; its thread is inside its own code");
-                Err(refusal)
-            }
-        }
-    }
-
-    async fn destroy(&self, id: &ComponentId, deadline: Instant) -> Result<Report, Refusal> {
-        let slot = self.slot(id)?;
-        let mut report = slot.instance.report(false);
-        let patience = deadline.min(Instant::now() + HUNG);
-        let done = self
-            .inside(&slot, "remove", patience, |instance, entered| {
-                if instance.is_active() {
-                    instance.stopped(StopReason::Requested);
-                    // It goes away either way; the reason was logged.
-                    let _ = stop(instance, entered);
-                }
-                instance.close();
-                entered.destroy();
-            })
-            .await;
-        let number = slot.instance.number;
-        slot.executor.submit(move |members| members.retain(|m| m.instance.number != number));
-        self.hub.logs.name(number, None);
-        let mut held = self.held();
-        held.components.remove(id);
-        if !held.components.values().any(|s| s.executor.id == slot.executor.id) {
-            slot.executor.close();
-        }
-        if done.is_err() {
-            slot.instance.close();
-            report.warnings.push(format!(
-                "{id} did not come back out of its own code: it is removed, its thread stays until the process ends"
-            ));
-        }
-        Ok(report)
-    }
-
-    fn wire(&self, connection: &Connection) -> Result<Report, Refusal> {
-        let client = self.slot(&connection.client.component)?;
-        let server = self.slot(&connection.server.component)?;
-        let wired = Wired::connect(connection, &client.instance, &server.instance)?;
-        self.held().links.insert(connection.id.0, Arc::new(wired));
-        self.reorder(&client);
-        Ok(client.instance.report(false))
-    }
-
-    /// Cuts a connection; an actuator that loses what it requires is made safe and stopped.
-    fn cut(&self, id: u64) -> Option<Arc<Wired>> {
-        let wired = self.held().links.remove(&id)?;
-        wired.disconnect();
-        let client = self.slot(&wired.client.id).ok()?;
-        if wired.required && client.instance.info.safety == trocar_model::Safety::Actuator {
-            let instance = client.instance.clone();
-            client.executor.submit(move |_| {
-                if instance.is_active()
-                    && let Some(mut entered) = instance.object.try_enter()
-                {
-                    instance.stopped(StopReason::PeerLost);
-                    instance.make_safe(&mut entered);
-                    instance.refuse_queued(NOT_ACTIVE);
-                }
-            });
-        }
-        self.reorder(&client);
-        Some(wired)
-    }
-
-    /// Sorts the members of a shared thread along their streams.
-    fn reorder(&self, slot: &Slot) {
-        let held = self.held();
-        let shared: Vec<&Slot> =
-            held.components.values().filter(|s| s.executor.id == slot.executor.id).collect();
-        if shared.len() < 2 {
-            return;
-        }
-        let streams: Vec<(u32, u32)> = held
-            .links
-            .values()
-            .filter(|l| l.is_stream())
-            .map(|l| (l.server.number, l.client.number))
-            .collect();
-        let numbers: Vec<u32> = shared.iter().map(|s| s.instance.number).collect();
-        let sorted: Vec<Member> = order::along(&numbers, &streams)
-            .into_iter()
-            .filter_map(|n| shared.iter().find(|s| s.instance.number == n).map(|s| s.member()))
-            .collect();
-        slot.executor.submit(move |members| *members = sorted);
+        Err(Refusal::LcmTimeout {
+            process: self.hub.process.clone(),
+            what: format!("{} of {}", entry.name(), slot.instance.id),
+        })
     }
 }
 
@@ -488,10 +326,12 @@ impl Lcm for LocalLcm {
         match change {
             Change::Create { id, component } => self.create(id, component, deadline).await,
             Change::Destroy { id, .. } => self.destroy(&id, deadline).await,
-            Change::Configure { id, to, to_state, .. } => self.configure(&id, &to, to_state, deadline).await,
+            Change::Configure { id, to, from_state, to_state, .. } => {
+                self.configure(&id, &to, (from_state, to_state), deadline).await
+            }
             Change::Run { id, verb, .. } => self.run_verb(&id, verb, deadline).await,
-            Change::Connect { connection } => self.wire(&connection),
-            Change::Disconnect { connection } => match self.cut(connection.id.0) {
+            Change::Connect { connection } => self.wire(connection, deadline).await,
+            Change::Disconnect { connection } => match self.unwire(connection.id.0, deadline).await {
                 Some(wired) => Ok(wired.client.report(false)),
                 None => Err(Refusal::ConnectionNotFound {
                     asked: connection.id.0.to_string(),
@@ -506,8 +346,8 @@ impl Lcm for LocalLcm {
         external::invoke(instance, call).await
     }
 
-    async fn read(&self, path: String, deadline: Instant) -> Result<Sample, Refusal> {
-        external::read(self, &path, deadline).await
+    async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal> {
+        external::read(self, &path, when, deadline).await
     }
 
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
@@ -516,7 +356,11 @@ impl Lcm for LocalLcm {
 
     async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal> {
         let slot = self.slot(&id)?;
-        Ok(detail(&slot))
+        let around = slot.execution.inside.as_deref().is_none_or(|host| {
+            let host = ComponentId::parse(host).and_then(|host| self.slot(&host));
+            host.is_ok_and(|host| host.instance.is_active())
+        });
+        Ok(detail::detail(&slot, around))
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
@@ -534,37 +378,5 @@ impl Lcm for LocalLcm {
 
     fn news(&self) -> broadcast::Receiver<News> {
         self.news_receiver()
-    }
-}
-
-fn detail(slot: &Slot) -> Detail {
-    let s = slot.instance.stats.snapshot();
-    let spread = |m: trocar_rt::timing::Spread| Spread {
-        avg_ns: m.avg_ns,
-        std_ns: m.std_ns,
-        min_ns: m.min_ns,
-        max_ns: m.max_ns,
-    };
-    Detail {
-        period: spread(s.period),
-        compute: spread(s.compute),
-        lateness_p50_ns: s.lateness_p50_ns,
-        lateness_p99_ns: s.lateness_p99_ns,
-        lateness_max_ns: s.lateness_max_ns,
-        executed: s.executed,
-        skipped: s.skipped,
-        overruns: s.overruns,
-        load: s.load,
-        commands: slot.instance.counters.commands(),
-        commands_rejected: slot.instance.queue_losses(),
-        events_dropped: 0,
-        thread: match (&slot.execution.stream_of, &slot.execution.inside) {
-            (Some(head), _) => format!("stream of {head}"),
-            (_, Some(head)) => format!("inside {head}"),
-            _ if slot.instance.is_passive() => "callers' threads".into(),
-            _ => "own thread".into(),
-        },
-        realtime: slot.executor.realtime.load(Ordering::Relaxed),
-        warnings: slot.executor.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone(),
     }
 }

@@ -16,6 +16,8 @@ use super::api::{LogLine, News};
 
 /// Lines the ring holds.
 const DEPTH: usize = 1024;
+/// Target of the host's own lines about a component: printed only, since their event and news go out with what they tell of.
+pub(super) const HOST: &str = "trocar::lcm";
 /// Bytes of target and message together; the rest is cut.
 const LINE_BYTES: usize = 504;
 
@@ -78,6 +80,9 @@ impl LogRing {
             let print = |head: EntryHead, line: &[u8]| {
                 let line = self.line(process, &head, line);
                 log::log!(target: "component", level(line.level), "{}: {}", line.path, line.message);
+                if line.target == HOST {
+                    return;
+                }
                 if line.level <= 3 {
                     note(head.index, line.level, &line.message);
                 }

@@ -8,6 +8,8 @@ mod classes;
 mod connect;
 mod context;
 pub mod convert;
+mod cycle;
+mod dynamic;
 mod executor;
 mod external;
 mod gate;
@@ -18,11 +20,23 @@ mod lifecycle;
 mod local;
 mod logs;
 mod order;
+mod pending;
+mod realtime;
+mod rows;
+mod services;
+mod static_classes;
 mod store;
+mod supervise;
 mod system;
+#[cfg(test)]
+mod tests;
 
 pub use api::*;
 pub use boundary::{LoadedClass, plugin_log};
 pub use classes::Classes;
 pub use local::{LcmConfig, LocalLcm};
+#[cfg(test)]
+pub(crate) use services::SERVICE_VERBS;
+pub use services::{ReplyTo, Services};
+pub use static_classes::{LINKED_IN, StaticClasses};
 pub use store::StoreClasses;

@@ -28,11 +28,12 @@ struct Context {
     log: LogFn,
 }
 
-pub(crate) fn for_plugin(plugin: &str, log: LogFn) -> *const HostTable {
+/// `flags`: 0, or `HOST_LINKED`.
+pub(crate) fn for_plugin(plugin: &str, log: LogFn, flags: u32) -> *const HostTable {
     let context = Box::leak(Box::new(Context { plugin: plugin.to_string(), log }));
     Box::leak(Box::new(HostTable {
         struct_size: size_of::<HostTable>() as u32,
-        flags: 0,
+        flags,
         abi_major: ABI_MAJOR,
         abi_minor: ABI_MINOR,
         ctx: (&raw mut *context).cast(),

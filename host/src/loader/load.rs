@@ -94,19 +94,34 @@ pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> 
     let opened = open(path, manifest, false, |_| ())?;
     // From here on the code has run; unmapping it is never safe again.
     let library = ManuallyDrop::new(opened.library);
-    // SAFETY: `open` proved that the table reaches beyond `init`.
-    let init = unsafe { (&raw const (*opened.table).init).read() };
+    // SAFETY: `open` checked table and classes, which live as long as the library, and that stays.
+    let classes = unsafe { settle_in(opened.table, &opened.classes, &manifest.name, log, 0) }?;
+    Ok(LoadedPlugin { manifest: manifest.clone(), hash, file: path.into(), classes, _library: library })
+}
+
+/// Calls `init` and completes the class tables.
+///
+/// # Safety
+/// `table` and `classes` came out of [`check_table`] and live as long as the process. Once for each plugin.
+pub(super) unsafe fn settle_in(
+    table: *const PluginTable,
+    classes: &[*const ClassTable],
+    name: &str,
+    log: LogFn,
+    flags: u32,
+) -> Result<Vec<&'static ClassTable>, Fault> {
+    // SAFETY: `check_table` proved that the table reaches beyond `init`.
+    let init = unsafe { (&raw const (*table).init).read() };
     if let Some(init) = init {
-        let host = host_table::for_plugin(&manifest.name, log);
+        let host = host_table::for_plugin(name, log, flags);
         // SAFETY: `init` is the plugin's own, called once, with a host table that lives as long as the process.
         let status = unsafe { init(host) };
         if status != STATUS_OK {
             return Err(Fault::Init { status });
         }
     }
-    // SAFETY: `open` proved that each pointer is a class table.
-    let classes = opened.classes.iter().map(|table| unsafe { complete(*table) }).collect();
-    Ok(LoadedPlugin { manifest: manifest.clone(), hash, file: path.into(), classes, _library: library })
+    // SAFETY: `check_table` proved that each pointer is a class table.
+    Ok(classes.iter().map(|table| unsafe { complete(*table) }).collect())
 }
 
 /// What the vetting child does: everything but `init`, and the layout as well.
@@ -162,7 +177,7 @@ fn check_layout(library: &Library, manifest: &Manifest) -> Result<(), LoadFault>
 ///
 /// # Safety
 /// `table` is null or what a plugin's entry returned.
-unsafe fn check_table(
+pub(super) unsafe fn check_table(
     table: *const PluginTable,
     manifest: &Manifest,
 ) -> Result<Vec<*const ClassTable>, String> {

@@ -24,6 +24,13 @@ pub use schema::system_schema;
 
 use cursor::{COMMENT, Document};
 
+/// The first key that is twice in one object of a JSON text, anywhere in it; texts that are not JSON have none. Other
+/// readers take the last one silently, and a hidden setting is a wrong setting.
+pub fn duplicate_key(what: &str, text: &str) -> Option<Problem> {
+    let document = Document::parse(what, text.to_owned()).ok()?;
+    read::no_duplicates(&document.cursor()).err()
+}
+
 /// Largest system file, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 

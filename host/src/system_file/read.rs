@@ -4,7 +4,7 @@
 
 use std::path::PathBuf;
 
-use trocar_model::{ComponentId, ConnectOptions, Execution, ExecutionModel, Name, PortId, Queue};
+use trocar_model::{ComponentId, ConnectOptions, Execution, ExecutionModel, Name, OnFailure, PortId, Queue};
 
 use super::cursor::{Cursor, Document, did_you_mean};
 use super::problem::Problem;
@@ -14,8 +14,21 @@ pub(super) const SYSTEM: &[&str] =
     &["$schema", "version", "processes", "components", "connections", "scenarios"];
 pub(super) const PROCESS: &[&str] = &["plugins", "trust"];
 pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start"];
-pub(super) const EXECUTION: &[&str] =
-    &["model", "rate_hz", "period_us", "phase_us", "stream_of", "inside", "priority", "cpus"];
+pub(super) const EXECUTION: &[&str] = &[
+    "model",
+    "rate_hz",
+    "period_us",
+    "phase_us",
+    "stream_of",
+    "inside",
+    "priority",
+    "cpus",
+    "catch_up",
+    "threads",
+    "max_step_ms",
+    "history",
+    "on_failure",
+];
 pub(super) const CONNECTION: &[&str] =
     &["client", "server", "queue", "max_age_ms", "deadline_ms", "mailbox", "adapt", "carrier"];
 pub(super) const QUEUE: &[&str] = &["fifo", "drop_oldest"];
@@ -30,6 +43,9 @@ pub(super) const MODELS: &[(&str, ExecutionModel)] = &[
     ("stream", ExecutionModel::Stream),
     ("none", ExecutionModel::None),
 ];
+
+pub(super) const ON_FAILURE: &[(&str, OnFailure)] =
+    &[("stop_branch", OnFailure::StopBranch), ("bypass", OnFailure::Bypass)];
 
 const PATH_HELP: &str = "write process/component, e.g. \"host/robot\"";
 const PORT_HELP: &str = "write process/component/port, e.g. \"host/robot/arm\"";
@@ -159,7 +175,7 @@ fn config(value: &Cursor<'_>) -> Result<serde_json::Value, Problem> {
     Ok(value.node.to_value())
 }
 
-fn no_duplicates(value: &Cursor<'_>) -> Result<(), Problem> {
+pub(super) fn no_duplicates(value: &Cursor<'_>) -> Result<(), Problem> {
     match &value.node.kind {
         super::scan::Kind::Object(_) => {
             for (_, inner) in value.entries("an object")? {
@@ -188,6 +204,9 @@ fn execution(value: &Cursor<'_>) -> Result<Execution, Problem> {
         (_, Some(period)) => Some((period.positive("µs")? * 1e3).round() as u64),
         _ => None,
     };
+    let number = |key: &str, low: u64, high: u64, what: &str| -> Result<Option<u32>, Problem> {
+        Ok(fields.get(key).map(|n| n.whole(low, high, what)).transpose()?.map(|n| n as u32))
+    };
     let mut cpus = Vec::new();
     if let Some(list) = fields.get("cpus") {
         for cpu in list.list()? {
@@ -210,7 +229,15 @@ fn execution(value: &Cursor<'_>) -> Result<Execution, Problem> {
             .transpose()?
             .map(|p| p as u8),
         cpus,
-        ..Execution::default()
+        catch_up: number("catch_up", 0, 1000, "a number of late periods")?,
+        threads: number("threads", 1, 64, "a number of threads")?,
+        max_step_ns: fields
+            .get("max_step_ms")
+            .map(|t| t.positive("ms"))
+            .transpose()?
+            .map(|ms| (ms * 1e6).round() as u64),
+        history: number("history", 3, 65_536, "a number of rows")?,
+        on_failure: fields.get("on_failure").map(|f| f.one_of(ON_FAILURE)).transpose()?,
     })
 }
 
@@ -262,7 +289,7 @@ fn queue(value: &Cursor<'_>) -> Result<Queue, Problem> {
     }
     let fields = value.fields("a queue (or the text \"latest\")", QUEUE)?;
     Ok(Queue::Fifo {
-        depth: fields.need("fifo")?.whole(1, 1 << 20, "a queue depth in samples")? as usize,
+        depth: fields.need("fifo")?.whole(1, 65_536, "a queue depth in samples")? as usize,
         drop_oldest: fields.get("drop_oldest").map(Cursor::flag).transpose()?.unwrap_or(false),
     })
 }

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 /// JSON Schema (draft 2020-12) of a system file.
 pub fn system_schema() -> Value {
     let models: Vec<&str> = super::read::MODELS.iter().map(|(name, _)| *name).collect();
+    let on_failure: Vec<&str> = super::read::ON_FAILURE.iter().map(|(name, _)| *name).collect();
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "trocar system file",
@@ -76,9 +77,14 @@ pub fn system_schema() -> Value {
                     "period_us": { "type": "number", "exclusiveMinimum": 0, "description": "Time between steps, µs; instead of rate_hz." },
                     "phase_us": { "type": "number", "minimum": 0, "description": "Offset of its grid, µs." },
                     "stream_of": { "type": "string", "description": "Runs in the stream of this component (process/component)." },
-                    "inside": { "type": "string", "description": "Runs inside the step of this component (process/component)." },
+                    "inside": { "type": "string", "description": "Runs inside the step of this component (process/component): before it, or after it with model exec_out." },
                     "priority": { "type": "integer", "minimum": 1, "maximum": 99, "description": "SCHED_FIFO priority." },
-                    "cpus": { "type": "array", "items": { "type": "integer", "minimum": 0 }, "description": "CPUs it may run on." }
+                    "cpus": { "type": "array", "items": { "type": "integer", "minimum": 0 }, "description": "CPUs it may run on." },
+                    "catch_up": { "type": "integer", "minimum": 0, "maximum": 1000, "default": 0, "description": "Late periods that are made up for without pause, at most; 0: they are skipped. All are counted." },
+                    "threads": { "type": "integer", "minimum": 1, "maximum": 64, "default": 1, "description": "Threads that share the work of a stream, set where it begins." },
+                    "max_step_ms": { "type": "number", "minimum": 0.1, "default": 50, "description": "Longest stay inside its own code before a component without a period is UNRESPONSIVE, ms." },
+                    "history": { "type": "integer", "minimum": 3, "maximum": 65536, "default": 256, "description": "Rows its state table keeps." },
+                    "on_failure": { "enum": on_failure, "default": "stop_branch", "description": "What happens behind a filter of a stream that failed: nothing more comes, or frames pass it unchanged." }
                 }
             },
             "connection": {
@@ -95,7 +101,7 @@ pub fn system_schema() -> Value {
                     },
                     "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Older samples are stale, ms." },
                     "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Default deadline of waiting calls, ms." },
-                    "mailbox": { "type": "integer", "minimum": 1, "description": "Depth of the queue of commands or events." },
+                    "mailbox": { "type": "integer", "minimum": 1, "maximum": 65536, "description": "Depth of the queue of commands or events." },
                     "adapt": { "type": "boolean", "default": false, "description": "Copy by name when the layouts differ." },
                     "carrier": { "type": "string", "description": "Pins how samples travel; left out: chosen by the host." }
                 }
@@ -106,7 +112,7 @@ pub fn system_schema() -> Value {
                 "additionalProperties": false,
                 "properties": {
                     "//": { "description": "A comment." },
-                    "fifo": { "type": "integer", "minimum": 1, "description": "Depth in samples." },
+                    "fifo": { "type": "integer", "minimum": 1, "maximum": 65536, "description": "Depth in samples." },
                     "drop_oldest": { "type": "boolean", "default": false, "description": "When full: overwrite the oldest instead of dropping the newest." }
                 }
             }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use serde_json::json;
-use trocar_model::{ExecutionModel, Queue, Refusal, Request};
+use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request};
 
 use super::{Problem, SystemFile, system_schema};
 
@@ -14,8 +14,8 @@ const GOOD: &str = r#"{
   "components": {
     "host/gray":   { "class": "gray", "execution": { "stream_of": "host/source" } },
     "host/robot":  { "class": "eyerobot", "config": { "seed": 7, "//": "why 7" },
-                     "execution": { "model": "periodic", "rate_hz": 1000, "priority": 80, "cpus": [1] } },
-    "host/source": { "class": "stereo/image_source", "execution": { "model": "stream" } },
+                     "execution": { "model": "periodic", "rate_hz": 1000, "priority": 80, "cpus": [1], "catch_up": 3, "max_step_ms": 2.5 } },
+    "host/source": { "class": "stereo/image_source", "execution": { "model": "stream", "threads": 2, "on_failure": "bypass" } },
     "host/log":    { "class": "recorder", "start": false }
   },
   "connections": [
@@ -71,6 +71,9 @@ fn values_arrive_in_the_models_units() {
     assert_eq!(robot.execution.model, Some(ExecutionModel::Periodic));
     assert_eq!(robot.execution.priority, Some(80));
     assert_eq!(robot.execution.cpus, [1]);
+    assert_eq!((robot.execution.catch_up, robot.execution.max_step_ns), (Some(3), Some(2_500_000)));
+    let source = file.components.iter().find(|c| c.class == "stereo/image_source").unwrap();
+    assert_eq!((source.execution.threads, source.execution.on_failure), (Some(2), Some(OnFailure::Bypass)));
     assert_eq!(robot.config, Some(json!({"seed": 7})), "comments do not reach the component");
     let log = &file.connections[1].options;
     assert_eq!(log.queue, Some(Queue::Fifo { depth: 4096, drop_oldest: false }));
@@ -98,6 +101,17 @@ fn a_duplicate_key_is_refused_with_both_places() {
 }
 
 #[test]
+fn a_duplicate_key_of_any_json_text_is_found_at_any_depth() {
+    use super::duplicate_key;
+    assert_eq!(duplicate_key("config", r#"{"a": {"x": 1}, "b": [{"x": 1}]}"#), None);
+    let p = duplicate_key("config", r#"{"a": [{"x": 1, "x": 2}]}"#).unwrap();
+    assert_eq!((p.file.as_str(), p.pointer.as_str(), p.column), ("config", "/a/0/x", 17));
+    assert!(p.what.contains("already at line 1"), "{p}");
+    assert_eq!(duplicate_key("config", "30"), None);
+    assert_eq!(duplicate_key("config", "{"), None, "what is no JSON is for the reader to say");
+}
+
+#[test]
 fn text_that_is_not_json_is_refused_with_line_and_column() {
     let p = refused("\"version\": 1,", "\"version\": 1");
     assert_eq!((p.line, p.column), (3, 3), "{p}");
@@ -119,6 +133,10 @@ fn a_wrong_type_names_what_was_found() {
     assert_eq!(p.what, "expected a number above 0 Hz, found the text \"1 kHz\"");
     assert!(refused("\"start\": false", "\"start\": 0").what.contains("expected true or false"));
     assert!(refused("\"priority\": 80", "\"priority\": 100").what.contains("from 1 to 99"));
+    assert!(refused("\"catch_up\": 3", "\"catch_up\": 1001").what.contains("from 0 to 1000"));
+    assert!(refused("\"threads\": 2", "\"threads\": 0").what.contains("from 1 to 64"));
+    assert!(refused("\"max_step_ms\": 2.5", "\"max_step_ms\": -1").what.contains("above 0 ms"));
+    assert!(refused("\"bypass\"", "\"bypas\"").help.contains("did you mean \"bypass\"?"));
     assert!(refused("{ \"seed\": 7, \"//\": \"why 7\" }", "[]").what.contains("found a list"));
 }
 

@@ -6,8 +6,9 @@
 use std::fmt;
 
 use nalgebra::{Isometry3, Vector6};
+use trocar_sdk::crtk::{NotReady, OperatingStateMachine, Refused, StateCommand};
+use trocar_sdk::data::OperatingMode;
 
-use crate::crtk::{Command, Operating, Refused, State};
 use crate::drive::{Drive, Lost, Measured, SimulatedDrive, Simulation};
 use crate::joints::{Joints, Limits, NAMES, Refusal, per_kind};
 use crate::kinematics::{Kinematics, Unreachable};
@@ -59,7 +60,7 @@ enum Motion {
 pub struct Arm<D> {
     settings: Settings,
     drive: D,
-    operating: Operating,
+    operating: OperatingStateMachine,
     fault: Option<Fault>,
     motion: Motion,
     measured: Measured,
@@ -81,7 +82,7 @@ impl<D: Drive> Arm<D> {
         Arm {
             settings,
             drive,
-            operating: Operating::INITIAL,
+            operating: OperatingStateMachine::INITIAL,
             fault: None,
             motion: Motion::Hold,
             measured: at_rest,
@@ -91,16 +92,15 @@ impl<D: Drive> Arm<D> {
 
     /// One control period of `dt_s` seconds: new setpoint, one cycle of the drive, checks.
     pub fn step(&mut self, dt_s: f64) {
-        if self.operating.state == State::Enabled || self.operating.state == State::Paused {
+        let driven = matches!(self.operating.mode(), OperatingMode::ENABLED | OperatingMode::PAUSED);
+        if driven {
             self.advance(dt_s);
         } else {
             self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
         }
         let error = self.setpoint.position - self.measured.position;
-        let wanted = match self.operating.state {
-            State::Enabled | State::Paused => self.setpoint.velocity + error * self.settings.gain_per_s,
-            State::Disabled | State::Fault => Joints::zeros(),
-        };
+        let wanted =
+            if driven { self.setpoint.velocity + error * self.settings.gain_per_s } else { Joints::zeros() };
         match self.drive.cycle(&wanted, dt_s) {
             Ok(measured) => self.measured = measured,
             Err(lost) => self.fail(Fault::Drive(lost)),
@@ -140,8 +140,10 @@ impl<D: Drive> Arm<D> {
                 *elapsed_s += dt_s;
                 let at = trajectory.at(*elapsed_s);
                 if *elapsed_s >= trajectory.duration_s() {
-                    self.operating.is_busy = false;
-                    self.operating.is_homed |= *homing;
+                    self.operating.move_ends();
+                    if *homing {
+                        self.operating.homed();
+                    }
                     self.motion = Motion::Hold;
                 }
                 at
@@ -151,7 +153,7 @@ impl<D: Drive> Arm<D> {
     }
 
     fn out_of_bounds(&self) -> Option<Fault> {
-        if !matches!(self.operating.state, State::Enabled | State::Paused) {
+        if !matches!(self.operating.mode(), OperatingMode::ENABLED | OperatingMode::PAUSED) {
             return None;
         }
         let Settings { limits, margin, following, .. } = &self.settings;
@@ -165,19 +167,15 @@ impl<D: Drive> Arm<D> {
 
     fn fail(&mut self, fault: Fault) {
         self.drive.make_safe();
-        self.operating = self.operating.fault();
+        self.operating.fault();
         self.fault = Some(fault);
         self.stand();
     }
 
     fn stand(&mut self) {
         self.motion = Motion::Hold;
-        self.operating.is_busy = false;
+        self.operating.move_ends();
         self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
-    }
-
-    fn ready(&self) -> Result<(), ArmError> {
-        if self.operating.is_ready() { Ok(()) } else { Err(ArmError::NotReady(self.operating)) }
     }
 
     /// CRTK `servo_jp`: go to joint positions (m, rad) now, at most at the joints' speeds.
@@ -185,7 +183,7 @@ impl<D: Drive> Arm<D> {
     /// # Errors
     /// Not enabled and homed; a goal that is not finite or outside the limits.
     pub fn servo_jp(&mut self, goal: &[f64]) -> Result<(), ArmError> {
-        self.ready()?;
+        self.operating.require_ready()?;
         let goal = self.settings.limits.check_position(goal)?;
         self.pre_empt(Motion::ServoPosition { goal });
         Ok(())
@@ -196,7 +194,7 @@ impl<D: Drive> Arm<D> {
     /// # Errors
     /// Not enabled and homed; a velocity that is not finite or above the joint's speed.
     pub fn servo_jv(&mut self, goal: &[f64]) -> Result<(), ArmError> {
-        self.ready()?;
+        self.operating.require_ready()?;
         let velocity = self.settings.limits.check_velocity(goal)?;
         self.pre_empt(Motion::ServoVelocity { velocity, left_s: self.settings.servo_timeout_s });
         Ok(())
@@ -207,7 +205,7 @@ impl<D: Drive> Arm<D> {
     /// # Errors
     /// Not enabled and homed; a pose that is not finite or out of reach.
     pub fn servo_cp(&mut self, goal: &Isometry3<f64>) -> Result<(), ArmError> {
-        self.ready()?;
+        self.operating.require_ready()?;
         let axis = goal.rotation * nalgebra::Vector3::z();
         let Settings { kinematics, limits, .. } = &self.settings;
         let goal = kinematics.inverse(&goal.translation.vector, &axis, &self.setpoint.position, limits)?;
@@ -220,7 +218,7 @@ impl<D: Drive> Arm<D> {
     /// # Errors
     /// Not enabled and homed; a goal that is not finite or outside the limits.
     pub fn move_jp(&mut self, goal: &[f64]) -> Result<(), ArmError> {
-        self.ready()?;
+        self.operating.require_ready()?;
         let goal = self.settings.limits.check_position(goal)?;
         self.start_move(goal, false);
         Ok(())
@@ -233,7 +231,11 @@ impl<D: Drive> Arm<D> {
     }
 
     fn pre_empt(&mut self, motion: Motion) {
-        self.operating.is_busy = matches!(motion, Motion::Move { .. });
+        if matches!(motion, Motion::Move { .. }) {
+            self.operating.move_begins();
+        } else {
+            self.operating.move_ends();
+        }
         self.motion = motion;
     }
 
@@ -247,22 +249,22 @@ impl<D: Drive> Arm<D> {
     /// # Errors
     /// Another word; a command the CRTK table does not allow now.
     pub fn state_command(&mut self, word: &str) -> Result<(), ArmError> {
-        let command = Command::parse(word)?;
-        let before = self.operating.state;
-        self.operating = self.operating.apply(command)?;
-        match command {
-            Command::Home => self.start_move(Joints::zeros(), true),
-            Command::Unhome => self.hold(),
-            Command::Disable => {
+        let before = self.operating.mode();
+        match self.operating.command(word)? {
+            StateCommand::Home => self.start_move(Joints::zeros(), true),
+            StateCommand::Unhome => self.hold(),
+            StateCommand::Disable => {
                 self.drive.make_safe();
                 self.stand();
             }
-            Command::Enable | Command::Pause | Command::Resume if self.operating.state != before => {
+            StateCommand::Enable | StateCommand::Pause | StateCommand::Resume
+                if self.operating.mode() != before =>
+            {
                 self.hold()
             }
-            Command::Enable | Command::Pause | Command::Resume => {}
+            StateCommand::Enable | StateCommand::Pause | StateCommand::Resume => {}
         }
-        if self.operating.state != State::Fault {
+        if self.operating.mode() != OperatingMode::FAULT {
             self.fault = None;
         }
         Ok(())
@@ -272,13 +274,11 @@ impl<D: Drive> Arm<D> {
     pub fn make_safe(&mut self) {
         self.drive.make_safe();
         self.stand();
-        if let Ok(paused) = self.operating.apply(Command::Pause) {
-            self.operating = paused;
-        }
+        self.operating.made_safe();
     }
 
     /// CRTK operating state.
-    pub fn operating(&self) -> Operating {
+    pub fn operating(&self) -> OperatingStateMachine {
         self.operating
     }
 
@@ -357,7 +357,7 @@ impl fmt::Display for Fault {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ArmError {
     /// Not enabled and homed.
-    NotReady(Operating),
+    NotReady(NotReady),
     /// A joint goal outside what the joint may do.
     Joints(Refusal),
     /// A pose out of reach.
@@ -378,6 +378,12 @@ impl From<Unreachable> for ArmError {
     }
 }
 
+impl From<NotReady> for ArmError {
+    fn from(why: NotReady) -> Self {
+        ArmError::NotReady(why)
+    }
+}
+
 impl From<Refused> for ArmError {
     fn from(why: Refused) -> Self {
         ArmError::State(why)
@@ -387,13 +393,7 @@ impl From<Refused> for ArmError {
 impl fmt::Display for ArmError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            ArmError::NotReady(Operating { state: State::Enabled, .. }) => {
-                write!(f, "the arm is not homed: send state_command `home` and wait for is_homed")
-            }
-            ArmError::NotReady(now) => {
-                let word = if now.state == State::Paused { "resume" } else { "enable" };
-                write!(f, "the arm is {}: send state_command `{word}` first", now.state.name())
-            }
+            ArmError::NotReady(why) => why.fmt(f),
             ArmError::Joints(why) => why.fmt(f),
             ArmError::Pose(why) => why.fmt(f),
             ArmError::State(why) => why.fmt(f),

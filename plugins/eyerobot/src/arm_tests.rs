@@ -45,10 +45,13 @@ fn steps_until<D: Drive>(arm: &mut Arm<D>, most: usize, over: impl Fn(&Arm<D>) -
 fn motions_are_refused_until_the_arm_is_enabled_and_homed() {
     let mut arm = arm();
     let refused = arm.servo_jp(&[0.0; COUNT]).expect_err("DISABLED");
-    assert_eq!(refused.to_string(), "the arm is DISABLED: send state_command `enable` first");
+    assert_eq!(refused.to_string(), "the device is DISABLED: send state_command `enable` first");
     arm.state_command("enable").expect("allowed");
     let refused = arm.move_jp(&[0.0; COUNT]).expect_err("not homed");
-    assert_eq!(refused.to_string(), "the arm is not homed: send state_command `home` and wait for is_homed");
+    assert_eq!(
+        refused.to_string(),
+        "the device is not homed: send state_command `home` and wait for is_homed"
+    );
 }
 
 #[test]
@@ -56,8 +59,8 @@ fn move_jp_is_busy_until_the_end_and_arrives() {
     let mut arm = ready();
     let goal = [0.004, -0.003, 0.002, 0.05, -0.04];
     arm.move_jp(&goal).expect("inside the limits");
-    assert!(arm.operating().is_busy);
-    let periods = steps_until(&mut arm, 2_000, |arm| !arm.operating().is_busy);
+    assert!(arm.operating().is_busy());
+    let periods = steps_until(&mut arm, 2_000, |arm| !arm.operating().is_busy());
     assert!(periods > 400, "4 mm at 10 mm/s take at least 0.4 s, not {periods} ms");
     assert_eq!(arm.setpoint().position.as_slice(), goal);
     steps(&mut arm, 500);
@@ -74,8 +77,8 @@ fn home_moves_back_to_zero_and_sets_is_homed_on_arrival() {
     steps(&mut arm, 1_000);
     arm.state_command("unhome").expect("not busy");
     arm.state_command("home").expect("enabled");
-    assert!(!arm.operating().is_homed && arm.operating().is_busy);
-    steps_until(&mut arm, 1_000, |arm| arm.operating().is_homed);
+    assert!(!arm.operating().is_homed() && arm.operating().is_busy());
+    steps_until(&mut arm, 1_000, |arm| arm.operating().is_homed());
     assert_eq!(arm.setpoint().position, Joints::zeros());
 }
 
@@ -86,7 +89,7 @@ fn servo_jp_goes_at_most_at_the_joints_speed() {
     steps(&mut arm, 1_000);
     let q = arm.measured().position;
     assert!((q[0] - 0.010).abs() < 1e-4 && (q[3] - 7f64.to_radians()).abs() < 1e-3, "{q:?}");
-    assert_eq!(arm.operating().state, State::Enabled, "{:?}", arm.fault());
+    assert_eq!(arm.operating().mode(), OperatingMode::ENABLED, "{:?}", arm.fault());
 }
 
 #[test]
@@ -146,13 +149,13 @@ fn servo_jv_that_is_not_repeated_holds_the_arm_after_its_timeout() {
 fn servo_jv_across_a_limit_stops_and_faults_and_the_way_back_is_open() {
     let mut arm = ready();
     arm.move_jp(&[0.0495, 0.0, 0.0, 0.0, 0.0]).expect("inside");
-    steps_until(&mut arm, 10_000, |arm| !arm.operating().is_busy);
+    steps_until(&mut arm, 10_000, |arm| !arm.operating().is_busy());
     let outwards = [0.01, 0.0, 0.0, 0.0, 0.0];
     for _ in 0..200 {
         let _ = arm.servo_jv(&outwards);
         arm.step(DT);
     }
-    assert_eq!(arm.operating().state, State::Fault);
+    assert_eq!(arm.operating().mode(), OperatingMode::FAULT);
     assert!(matches!(arm.fault(), Some(Fault::Limit { joint: 0, .. })), "{:?}", arm.fault());
     let stopped = arm.measured();
     assert!(stopped.position[0] < 0.0503 && stopped.velocity == Joints::zeros(), "{stopped:?}");
@@ -161,8 +164,8 @@ fn servo_jv_across_a_limit_stops_and_faults_and_the_way_back_is_open() {
     arm.state_command("enable").expect("retry");
     assert_eq!(arm.fault(), None);
     arm.move_jp(&[0.04, 0.0, 0.0, 0.0, 0.0]).expect("inwards");
-    steps_until(&mut arm, 2_000, |arm| !arm.operating().is_busy);
-    assert_eq!((arm.operating().state, arm.setpoint().position[0]), (State::Enabled, 0.04));
+    steps_until(&mut arm, 2_000, |arm| !arm.operating().is_busy());
+    assert_eq!((arm.operating().mode(), arm.setpoint().position[0]), (OperatingMode::ENABLED, 0.04));
 }
 
 #[test]
@@ -171,7 +174,7 @@ fn hold_brakes_a_move_and_stays() {
     arm.move_jp(&[0.02, 0.0, 0.0, 0.0, 0.0]).expect("inside");
     steps(&mut arm, 500);
     arm.hold();
-    assert!(!arm.operating().is_busy);
+    assert!(!arm.operating().is_busy());
     steps(&mut arm, 100);
     let stands = arm.setpoint();
     steps(&mut arm, 500);
@@ -203,7 +206,8 @@ fn make_safe_stops_in_full_motion_and_only_resume_lets_it_move_again() {
     steps(&mut arm, 500);
     arm.make_safe();
     let stands = arm.measured().position;
-    assert_eq!(arm.operating(), Operating { state: State::Paused, is_homed: true, is_busy: false });
+    let now = arm.operating();
+    assert_eq!((now.mode(), now.is_homed(), now.is_busy()), (OperatingMode::PAUSED, true, false));
     steps(&mut arm, 1_000);
     let crept = (arm.measured().position - stands).abs();
     for i in 0..COUNT {
@@ -238,7 +242,7 @@ fn stuck(cycles_left: usize) -> Arm<Stuck> {
 fn a_joint_that_does_not_follow_is_a_fault() {
     let mut arm = stuck(usize::MAX);
     arm.servo_jp(&[0.0, 0.01, 0.0, 0.0, 0.0]).expect("inside");
-    let periods = steps_until(&mut arm, 100, |arm| arm.operating().state == State::Fault);
+    let periods = steps_until(&mut arm, 100, |arm| arm.operating().mode() == OperatingMode::FAULT);
     assert!((50..=52).contains(&periods), "0.5 mm at 10 mm/s are 50 periods, not {periods}");
     assert!(matches!(arm.fault(), Some(Fault::Following { joint: 1, .. })), "{:?}", arm.fault());
 }
@@ -247,7 +251,7 @@ fn a_joint_that_does_not_follow_is_a_fault() {
 fn a_drive_that_loses_a_joint_is_a_fault_with_its_reason() {
     let mut arm = stuck(10);
     steps(&mut arm, 20);
-    assert_eq!(arm.operating().state, State::Fault);
+    assert_eq!(arm.operating().mode(), OperatingMode::FAULT);
     assert_eq!(arm.fault().map(|f| f.to_string()).as_deref(), Some("drive of joint z: encoder silent"));
 }
 

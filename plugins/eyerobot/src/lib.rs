@@ -5,7 +5,6 @@
 #![forbid(unsafe_code)]
 
 pub mod arm;
-pub mod crtk;
 pub mod drive;
 mod joint_mover;
 pub mod joints;
@@ -15,7 +14,6 @@ mod robot;
 pub mod trajectory;
 
 pub use joint_mover::JointMover;
-pub use payloads::{ArmState, JointConfiguration, JointKind};
 pub use robot::{EyeRobot, PoseRefused};
 
 trocar_sdk::trocar_plugin!(EyeRobot, JointMover);

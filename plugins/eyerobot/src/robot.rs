@@ -5,15 +5,17 @@
 
 use std::fmt;
 
-use trocar_sdk::data::{JointState, OperatingState, Pose, Twist};
+use trocar_sdk::GeometryError;
+use trocar_sdk::data::{
+    ArmState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Twist,
+};
 use trocar_sdk::prelude::*;
 
 use crate::arm::{Arm, ArmError, Settings};
-use crate::crtk::State;
 use crate::drive::{SimulatedDrive, Simulation};
 use crate::joints::{COUNT, Joints, Limits, per_kind};
 use crate::kinematics::Kinematics;
-use crate::payloads::{self, ArmState, JointConfiguration};
+use crate::payloads;
 
 /// Length of the cycle that completes the homing of an arm that stands at home, s.
 const FIRST_CYCLE_S: f64 = 1e-3;
@@ -151,7 +153,7 @@ impl EyeRobot {
     }
 
     /// Goes to joint positions now, at most at the joints' speeds: `{"position": [0, 0, 0.01, 0, 0]}`.
-    #[command]
+    #[command(overflow = "latest_wins")]
     fn servo_jp(
         &mut self,
         #[arg(doc = "position of the five joints; the rest is not looked at")] goal: &JointState,
@@ -160,7 +162,7 @@ impl EyeRobot {
     }
 
     /// Moves at joint velocities until the next command, at most for servo_timeout_s.
-    #[command]
+    #[command(overflow = "latest_wins")]
     fn servo_jv(
         &mut self,
         #[arg(doc = "velocity of the five joints; the rest is not looked at")] goal: &JointState,
@@ -180,9 +182,9 @@ impl EyeRobot {
     }
 
     /// Brings the tip to a pose now; the turn about the tool's own axis is not followed.
-    #[command]
+    #[command(overflow = "latest_wins")]
     fn servo_cp(&mut self, goal: &Pose) -> Result<(), PoseRefused> {
-        let wanted = payloads::isometry(goal).ok_or(PoseRefused::Orientation(goal.orientation))?;
+        let wanted = goal.isometry().map_err(PoseRefused::Geometry)?;
         self.arm.servo_cp(&wanted).map_err(PoseRefused::Arm)
     }
 
@@ -211,18 +213,19 @@ impl EyeRobot {
         let drive =
             SimulatedDrive::new(Simulation { seed: self.cfg.seed, ..Simulation::default() }, position);
         self.arm = Arm::new(self.cfg.settings(), drive, position);
-        self.configuration_js = payloads::configuration(&self.arm.settings().limits);
+        self.configuration_js = payloads::configuration(self.host.now(), &self.arm.settings().limits);
     }
 
     /// Fills the state row, and tells when the operating state is another one.
     fn publish(&mut self, stamp: Stamp) {
         self.measured_js = payloads::joint_state(stamp, &self.arm.measured());
-        self.measured_cp = payloads::pose(stamp, &self.arm.measured_cp());
-        self.measured_cv = payloads::twist(stamp, &self.arm.measured_cv());
+        self.measured_cp = Pose { stamp, ..self.arm.measured_cp().into() };
+        self.measured_cv = Twist { stamp, ..self.arm.measured_cv().into() };
         self.setpoint_js = payloads::joint_state(stamp, &self.arm.setpoint());
-        self.setpoint_cp = payloads::pose(stamp, &self.arm.setpoint_cp());
+        self.setpoint_cp = Pose { stamp, ..self.arm.setpoint_cp().into() };
         let (before, fault) = (self.operating_state, self.arm.fault());
-        self.operating_state = payloads::operating_state(stamp, self.arm.operating(), fault);
+        let why = fault.as_ref().map(|fault| fault as &dyn fmt::Display);
+        self.operating_state = self.arm.operating().payload(stamp, why);
         if (OperatingState { stamp, ..before }) != self.operating_state {
             self.changed.emit(self.operating_state);
         }
@@ -240,9 +243,9 @@ impl Component for EyeRobot {
     fn start(&mut self) -> Result {
         self.arm.hold();
         if self.cfg.auto_enable {
-            let paused = self.arm.operating().state == State::Paused;
+            let paused = self.arm.operating().mode() == OperatingMode::PAUSED;
             self.arm.state_command(if paused { "resume" } else { "enable" })?;
-            if !self.arm.operating().is_homed {
+            if !self.arm.operating().is_homed() {
                 self.arm.state_command("home")?;
                 self.arm.step(FIRST_CYCLE_S);
             }
@@ -252,7 +255,7 @@ impl Component for EyeRobot {
     }
 
     fn resume(&mut self) -> Result {
-        if self.arm.operating().state == State::Paused {
+        if self.arm.operating().mode() == OperatingMode::PAUSED {
             self.arm.state_command("resume")?;
         }
         self.publish(self.host.now());
@@ -297,8 +300,8 @@ impl Component for EyeRobot {
 /// Why a pose was not taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PoseRefused {
-    /// No unit quaternion (x, y, z, w).
-    Orientation([f64; 4]),
+    /// No position and unit quaternion.
+    Geometry(GeometryError),
     /// The arm's own reason.
     Arm(ArmError),
 }
@@ -306,10 +309,7 @@ pub enum PoseRefused {
 impl fmt::Display for PoseRefused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            PoseRefused::Orientation(q) => write!(
-                f,
-                "orientation {q:?} is no unit quaternion x, y, z, w: take that of measured_cp, or [0, 0, 0, 1] for none"
-            ),
+            PoseRefused::Geometry(why) => why.fmt(f),
             PoseRefused::Arm(why) => why.fmt(f),
         }
     }

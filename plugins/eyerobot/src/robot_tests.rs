@@ -2,8 +2,10 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use trocar_sdk::data::OperatingMode;
-use trocar_sdk::testing::{Bench, Failure};
+use trocar_sdk::data::JointKind;
+use trocar_sdk::testing::{Bench, Failure, assert_implements, contracts};
+
+trocar_sdk::testing::count_allocations!();
 
 fn joints(position: &[f64]) -> JointState {
     JointState { position: List::of(position), ..Default::default() }
@@ -173,7 +175,7 @@ fn configuration_js_names_the_joints_and_the_configured_limits() {
     let bench = Bench::<EyeRobot>::new(r#"{"travel_m": 0.03}"#);
     let c: JointConfiguration = bench.read("configuration_js", ()).unwrap();
     assert_eq!(c.names.iter().map(|n| n.to_string()).collect::<Vec<_>>(), ["x", "y", "z", "roll", "tilt"]);
-    assert_eq!(c.kinds[2..4], [payloads::JointKind::PRISMATIC, payloads::JointKind::REVOLUTE]);
+    assert_eq!(c.kinds[2..4], [JointKind::PRISMATIC, JointKind::REVOLUTE]);
     assert_eq!((c.lower[0], c.upper[0], c.speed[0]), (-0.03, 0.03, 0.01));
 }
 
@@ -198,4 +200,35 @@ fn a_swapped_arm_stands_where_the_former_one_stood_and_does_not_move_by_itself()
     let (was, is) = (position(&old)[0], position(&new)[0]);
     assert!((is - was).abs() < 2e-6, "x was {was} m and is {is} m");
     assert_eq!(operating(&new).state, OperatingMode::DISABLED);
+}
+
+#[test]
+fn the_robot_fulfils_the_contract_of_arms() {
+    assert_implements::<EyeRobot>(&contracts::ARM);
+}
+
+#[test]
+fn a_step_of_the_robot_allocates_nothing_in_any_kind_of_motion() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    let velocity = JointState { velocity: List::of(&[0.001, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
+    let pose: Pose = bench.read("measured_cp", ()).unwrap();
+    bench.assert_no_alloc(|bench| {
+        bench.step(10);
+        bench.command::<_, ()>("servo_jp", joints(&[0.001, 0.0, 0.0, 0.01, 0.0])).unwrap();
+        bench.step(100);
+        bench.command::<_, ()>("servo_jv", velocity).unwrap();
+        bench.step(200);
+        bench.command::<_, ()>("servo_cp", pose).unwrap();
+        bench.step(100);
+        bench.command::<_, ()>("move_jp", joints(&[0.0; 5])).unwrap();
+        bench.step(500);
+    });
+}
+
+#[test]
+fn a_pose_with_a_number_that_is_none_is_refused_by_name() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    let nan = Pose { position: [0.0, 0.0, f64::NAN], ..Pose::default() };
+    let refused = bench.command::<_, ()>("servo_cp", nan).unwrap_err();
+    assert_eq!(refused.reason, "position[2] is NaN: give a finite number");
 }

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::data::{CameraGeometry, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use crate::pairs::{Format, Pairs, Want};
@@ -21,27 +21,16 @@ pub(crate) struct ImageSourceConfig {
     format: String,
 }
 
-/// Size and rate of a stereo camera.
-#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
-#[repr(C)]
-pub struct CameraGeometry {
-    /// Of one image.
-    #[unit("px")]
-    pub width: u32,
-    #[unit("px")]
-    pub height: u32,
-    /// Pairs per second; 0 before the first one.
-    #[unit("Hz")]
-    pub fps: f64,
-}
-
 /// Plays the stereo pairs of a folder in the order of their names, from the first again after the last.
 #[derive(Component)]
-#[component(model = "stream", rate_hz = 30, safety = "sensor", provides("source"))]
+#[component(model = "stream", rate_hz = 30, safety = "sensor")]
 pub struct ImageSource {
     /// One pair per step
     #[output]
     image: Out<Frame<StereoHeader>>,
+    /// Pairs not sent since Start.
+    #[event("camera")]
+    frame_dropped: Event<u64>,
     /// Pairs sent since Start.
     #[state]
     emitted: u64,
@@ -58,7 +47,8 @@ pub struct ImageSource {
     loaded: Option<Pairs>,
 }
 
-#[provides("source")]
+/// Size and rate of the pairs, and what became of them.
+#[provides("camera")]
 impl ImageSource {
     /// Size and rate of the pairs.
     #[read]
@@ -99,6 +89,7 @@ impl Component for ImageSource {
         }
         let Ok(mut loan) = self.image.loan() else {
             self.left_out += 1;
+            self.frame_dropped.emit(self.left_out);
             return Ok(());
         };
         let (format, pixel) = match loaded.format {

@@ -5,7 +5,9 @@ use super::*;
 use image::{GrayImage, RgbImage};
 use std::path::PathBuf;
 use tempfile::TempDir;
-use trocar_sdk::testing::Bench;
+use trocar_sdk::testing::{Bench, assert_implements, contracts};
+
+trocar_sdk::testing::count_allocations!();
 
 /// Two grey pairs of 2×1 pixels; every byte names its picture.
 fn folder() -> TempDir {
@@ -44,6 +46,7 @@ fn pairs_come_in_order_and_begin_again() {
     );
     assert_eq!(*stamp, bench.now());
     assert_eq!((bench.state().emitted, bench.state().pairs), (3, 2));
+    bench.assert_no_alloc(|bench| bench.step(10));
 }
 
 #[test]
@@ -75,16 +78,18 @@ fn a_pair_that_finds_no_frame_is_counted_and_its_index_is_missing() {
     bench.exhaust("image", false);
     bench.step(1);
     assert_eq!((bench.state().emitted, bench.state().left_out), (1, 2));
+    assert_eq!(bench.events::<u64>("camera/frame_dropped"), [1, 2]);
     assert_eq!(bench.frames::<StereoHeader>("image")[0].0.index, 2);
 }
 
 #[test]
 fn a_folder_without_pairs_is_refused_by_name_and_the_former_one_stays() {
     let (dir, empty) = (folder(), TempDir::new().unwrap());
-    let mut bench = Bench::<ImageSource>::new(config(&dir, "as_stored"));
+    let mut bench = Bench::<ImageSource>::ready(config(&dir, "as_stored"));
     let refused = bench.configure(config(&empty, "as_stored")).unwrap_err().reason;
     assert!(refused.starts_with(&format!("directory: {}", empty.path().display())), "{refused}");
     assert!(refused.contains("left1.png"), "{refused}");
+    bench.start().unwrap();
     bench.step(1);
     assert_eq!(bench.state().emitted, 1);
 }
@@ -110,4 +115,9 @@ fn the_shipped_chessboard_pairs_load() {
     let bench = Bench::<ImageSource>::ready(config);
     let s = bench.state();
     assert_eq!((s.pairs, s.geometry.width, s.geometry.height), (13, 640, 480));
+}
+
+#[test]
+fn the_source_fulfils_the_contract_of_cameras() {
+    assert_implements::<ImageSource>(&contracts::CAMERA);
 }

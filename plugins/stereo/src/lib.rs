@@ -6,6 +6,6 @@
 mod image_source;
 pub mod pairs;
 
-pub use image_source::{CameraGeometry, ImageSource};
+pub use image_source::ImageSource;
 
 trocar_sdk::trocar_plugin!(ImageSource);

@@ -323,6 +323,9 @@ pub struct Handler {
     /// True: the provider need not have it.
     #[prost(bool, tag = "4")]
     pub optional: bool,
+    /// True: runs inside the emitting call when both ends share a thread; otherwise it is queued.
+    #[prost(bool, tag = "5")]
+    pub direct: bool,
 }
 /// Everything of a component that can be connected.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -346,7 +349,8 @@ pub struct Ports {
 /// Where a component's thread comes from. Unset fields take the class's default.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Execution {
-    /// One of "periodic", "continuous", "on_signal", "on_callback", "stream", "none".
+    /// One of "periodic", "continuous", "on_signal", "on_callback", "exec_in" (inside another component's step, before it),
+    /// "exec_out" (after it), "stream", "none".
     #[prost(string, tag = "1")]
     pub model: ::prost::alloc::string::String,
     /// Steps per second, Hz; the same setting as period.
@@ -361,7 +365,7 @@ pub struct Execution {
     /// Runs in the stream of this component (process/component), after it.
     #[prost(string, tag = "5")]
     pub stream_of: ::prost::alloc::string::String,
-    /// Runs inside the step of this component (process/component).
+    /// Runs inside the step of this component (process/component): before it, or after it with model "exec_out".
     #[prost(string, tag = "6")]
     pub inside: ::prost::alloc::string::String,
     /// SCHED_FIFO priority 1–99; unset = normal scheduling.
@@ -370,6 +374,22 @@ pub struct Execution {
     /// CPUs it may run on; empty = all.
     #[prost(uint32, repeated, tag = "8")]
     pub cpus: ::prost::alloc::vec::Vec<u32>,
+    /// Late periods that are made up for without pause, at most, 0–1000; 0 = they are skipped. All are counted.
+    #[prost(uint32, optional, tag = "9")]
+    pub catch_up: ::core::option::Option<u32>,
+    /// Threads that share the work of a stream, 1–64, its own included; set where the stream begins.
+    #[prost(uint32, optional, tag = "10")]
+    pub threads: ::core::option::Option<u32>,
+    /// Longest stay inside its own code before a component without a period is UNRESPONSIVE, e.g. "0.05s".
+    #[prost(message, optional, tag = "11")]
+    pub max_step: ::core::option::Option<::prost_types::Duration>,
+    /// What happens behind a filter of a stream that failed: "stop_branch" (nothing more comes) or "bypass" (frames pass it
+    /// unchanged).
+    #[prost(string, tag = "12")]
+    pub on_failure: ::prost::alloc::string::String,
+    /// Rows its state table keeps, 3–65536; unset = 256.
+    #[prost(uint32, optional, tag = "13")]
+    pub history: ::core::option::Option<u32>,
 }
 /// A component class of a plugin.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -457,10 +477,10 @@ pub struct ComponentStats {
     /// Commands executed.
     #[prost(uint64, tag = "10")]
     pub commands: u64,
-    /// Commands refused: queue full, disabled, argument invalid.
+    /// Commands lost in full queues: not taken, or given up for newer ones. Only sums; the connections say whose.
     #[prost(uint64, tag = "11")]
     pub commands_rejected: u64,
-    /// Events lost in full queues.
+    /// Events lost in the full queues of its handlers.
     #[prost(uint64, tag = "12")]
     pub events_dropped: u64,
     /// Where it runs: "own thread", "stream of host/source", "callers' threads".
@@ -534,6 +554,9 @@ pub struct ComponentReport {
     /// Its ports, when they may have changed; only between LCM and GCM.
     #[prost(message, optional, tag = "7")]
     pub ports: ::core::option::Option<Ports>,
+    /// Connections that were cut because a port went, by number.
+    #[prost(uint64, repeated, tag = "8")]
+    pub lost_connections: ::prost::alloc::vec::Vec<u64>,
 }
 /// A component a request left alone.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -598,10 +621,10 @@ pub struct Connection {
     /// How the data travels: "inline", "heap".
     #[prost(string, tag = "5")]
     pub carrier: ::prost::alloc::string::String,
-    /// Samples, commands and events that arrived.
+    /// Samples taken; commands and events that were queued.
     #[prost(uint64, tag = "6")]
     pub passed: u64,
-    /// Samples, commands and events lost.
+    /// Samples, commands and events lost in full queues, the rejected ones included.
     #[prost(uint64, tag = "7")]
     pub dropped: u64,
     /// Bytes that arrived.
@@ -613,6 +636,21 @@ pub struct Connection {
     /// 99th percentile of that age, ns.
     #[prost(uint64, tag = "10")]
     pub latency_p99_ns: u64,
+    /// Commands and events that a full queue did not take.
+    #[prost(uint64, tag = "11")]
+    pub rejected: u64,
+    /// Samples, or commands and as many events, that may wait.
+    #[prost(uint64, tag = "12")]
+    pub depth: u64,
+    /// The most commands or events that ever waited at once; 0 for streams.
+    #[prost(uint64, tag = "13")]
+    pub high_water: u64,
+    /// Commands that were only sent, ran and failed.
+    #[prost(uint64, tag = "14")]
+    pub failed: u64,
+    /// Commands that were only sent, and events, that were queued and never ran: Stop, Disconnect, Remove.
+    #[prost(uint64, tag = "15")]
+    pub unexecuted: u64,
 }
 /// A process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -1058,6 +1096,812 @@ impl Primitive {
         }
     }
 }
+/// Asks for Invoke.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct InvokeRequest {
+    /// process/component/interface/command.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// The argument as JSON: a value, or an object by field name.
+    #[prost(message, optional, tag = "2")]
+    pub json: ::core::option::Option<::prost_types::Value>,
+    /// The argument as exact bytes of its type, instead of json.
+    #[prost(bytes = "vec", tag = "3")]
+    pub encoded: ::prost::alloc::vec::Vec<u8>,
+    /// How long to wait for the result, e.g. "0.5s"; absent = 1 s. Never more than 60 s.
+    #[prost(message, optional, tag = "4")]
+    pub deadline: ::core::option::Option<::prost_types::Duration>,
+    /// True: return as soon as it is queued.
+    #[prost(bool, tag = "5")]
+    pub send: bool,
+}
+/// Answers Invoke.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct InvokeResponse {
+    /// True: it ran. False: it is queued.
+    #[prost(bool, tag = "1")]
+    pub executed: bool,
+    /// The result as JSON; absent when there is none.
+    #[prost(message, optional, tag = "2")]
+    pub json: ::core::option::Option<::prost_types::Value>,
+    /// The result as exact bytes of its type.
+    #[prost(bytes = "vec", tag = "3")]
+    pub encoded: ::prost::alloc::vec::Vec<u8>,
+    /// Unit of the result; empty = none or inside the type.
+    #[prost(string, tag = "4")]
+    pub unit: ::prost::alloc::string::String,
+    /// Stamp of the state row a read was answered from, ns of the host's monotonic clock; 0 otherwise.
+    #[prost(uint64, tag = "5")]
+    pub stamp_ns: u64,
+    /// Age of that row, ns.
+    #[prost(uint64, tag = "6")]
+    pub age_ns: u64,
+}
+/// Asks for Read.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ReadRequest {
+    /// process/component (its state row) or process/component/output.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// Which state row; absent = the newest. Outputs keep none but the newest.
+    #[prost(oneof = "read_request::Row", tags = "2, 3, 4, 5")]
+    pub row: ::core::option::Option<read_request::Row>,
+}
+/// Nested message and enum types in `ReadRequest`.
+pub mod read_request {
+    /// Which state row; absent = the newest. Outputs keep none but the newest.
+    #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Oneof)]
+    pub enum Row {
+        /// The values at this time, ns of the host's monotonic clock; between two rows they are interpolated.
+        #[prost(uint64, tag = "2")]
+        AtNs(u64),
+        /// The row nearest to this time, ns of the host's monotonic clock.
+        #[prost(uint64, tag = "3")]
+        NearestNs(u64),
+        /// The row of this tick.
+        #[prost(uint64, tag = "4")]
+        Tick(u64),
+        /// The row this many rows before the newest.
+        #[prost(uint64, tag = "5")]
+        Delayed(u64),
+    }
+}
+/// Answers Read.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ReadResponse {
+    /// The row, sample or frame header as JSON.
+    #[prost(message, optional, tag = "1")]
+    pub json: ::core::option::Option<::prost_types::Value>,
+    /// The same as exact bytes of its type.
+    #[prost(bytes = "vec", tag = "2")]
+    pub encoded: ::prost::alloc::vec::Vec<u8>,
+    /// When it was published, ns of the host's monotonic clock.
+    #[prost(uint64, tag = "3")]
+    pub stamp_ns: u64,
+    /// Its age, ns.
+    #[prost(uint64, tag = "4")]
+    pub age_ns: u64,
+    /// Its number since Start.
+    #[prost(uint64, tag = "5")]
+    pub seq: u64,
+    /// Bytes of the frame behind the header; 0 for plain samples.
+    #[prost(uint64, tag = "6")]
+    pub frame_bytes: u64,
+}
+/// Asks for Emit.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct EmitRequest {
+    /// process/component/interface/event or process/component/output.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// The payload as JSON.
+    #[prost(message, optional, tag = "2")]
+    pub json: ::core::option::Option<::prost_types::Value>,
+    /// The payload as exact bytes of its type, instead of json.
+    #[prost(bytes = "vec", tag = "3")]
+    pub encoded: ::prost::alloc::vec::Vec<u8>,
+}
+/// Answers Emit.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct EmitResponse {
+    /// How many receivers took it.
+    #[prost(uint64, tag = "1")]
+    pub receivers: u64,
+}
+/// One thing to follow.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Selection {
+    /// process/component (its state), process/component/interface/event or process/component/output.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// Most items per second of an output, Hz; 0 = 30.
+    #[prost(double, tag = "2")]
+    pub max_rate_hz: f64,
+    /// Frames as JPEG of this width, pixels; 0 = header only. Only 0 is served yet.
+    #[prost(uint32, tag = "3")]
+    pub thumbnail_width: u32,
+}
+/// Asks for Subscribe.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct SubscribeRequest {
+    /// What to follow.
+    #[prost(message, repeated, tag = "1")]
+    pub selections: ::prost::alloc::vec::Vec<Selection>,
+}
+/// One item of Subscribe.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct SubscribeResponse {
+    /// Where it comes from.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// What it is.
+    #[prost(enumeration = "ItemKind", tag = "2")]
+    pub kind: i32,
+    /// The state, payload or sample as JSON.
+    #[prost(message, optional, tag = "3")]
+    pub json: ::core::option::Option<::prost_types::Value>,
+    /// When it was made, ns of the host's monotonic clock.
+    #[prost(uint64, tag = "4")]
+    pub stamp_ns: u64,
+    /// Its number since Start.
+    #[prost(uint64, tag = "5")]
+    pub seq: u64,
+    /// Items lost on the way to this caller since the item before.
+    #[prost(uint64, tag = "6")]
+    pub skipped: u64,
+}
+/// Asks for Logs.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct LogsRequest {
+    /// Only this process, component or glob; empty = everything.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// Most detailed level: "error", "warn", "info", "debug", "trace"; empty = "info".
+    #[prost(string, tag = "2")]
+    pub level: ::prost::alloc::string::String,
+    /// True: go on with what comes; false: end after what there is.
+    #[prost(bool, tag = "3")]
+    pub follow: bool,
+}
+/// One item of Logs.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct LogsResponse {
+    /// The line.
+    #[prost(message, optional, tag = "1")]
+    pub line: ::core::option::Option<LogLine>,
+    /// Lines lost on the way to this caller since the one before.
+    #[prost(uint64, tag = "2")]
+    pub skipped: u64,
+}
+/// What an item of Subscribe is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum ItemKind {
+    /// Not set.
+    Unspecified = 0,
+    /// How a component stands.
+    State = 1,
+    /// An event.
+    Event = 2,
+    /// A sample or frame header of an output.
+    Stream = 3,
+}
+impl ItemKind {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "ITEM_KIND_UNSPECIFIED",
+            Self::State => "ITEM_KIND_STATE",
+            Self::Event => "ITEM_KIND_EVENT",
+            Self::Stream => "ITEM_KIND_STREAM",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "ITEM_KIND_UNSPECIFIED" => Some(Self::Unspecified),
+            "ITEM_KIND_STATE" => Some(Self::State),
+            "ITEM_KIND_EVENT" => Some(Self::Event),
+            "ITEM_KIND_STREAM" => Some(Self::Stream),
+            _ => None,
+        }
+    }
+}
+/// Generated client implementations.
+pub mod interact_service_client {
+    #![allow(
+        unused_variables,
+        dead_code,
+        missing_docs,
+        clippy::wildcard_imports,
+        clippy::let_unit_value,
+    )]
+    use tonic::codegen::*;
+    use tonic::codegen::http::Uri;
+    /// Everything a component offers, for tools, scripts and people.
+    #[derive(Debug, Clone)]
+    pub struct InteractServiceClient<T> {
+        inner: tonic::client::Grpc<T>,
+    }
+    impl<T> InteractServiceClient<T>
+    where
+        T: tonic::client::GrpcService<tonic::body::Body>,
+        T::Error: Into<StdError>,
+        T::ResponseBody: Body<Data = Bytes> + std::marker::Send + 'static,
+        <T::ResponseBody as Body>::Error: Into<StdError> + std::marker::Send,
+    {
+        pub fn new(inner: T) -> Self {
+            let inner = tonic::client::Grpc::new(inner);
+            Self { inner }
+        }
+        pub fn with_origin(inner: T, origin: Uri) -> Self {
+            let inner = tonic::client::Grpc::with_origin(inner, origin);
+            Self { inner }
+        }
+        pub fn with_interceptor<F>(
+            inner: T,
+            interceptor: F,
+        ) -> InteractServiceClient<InterceptedService<T, F>>
+        where
+            F: tonic::service::Interceptor,
+            T::ResponseBody: Default,
+            T: tonic::codegen::Service<
+                http::Request<tonic::body::Body>,
+                Response = http::Response<
+                    <T as tonic::client::GrpcService<tonic::body::Body>>::ResponseBody,
+                >,
+            >,
+            <T as tonic::codegen::Service<
+                http::Request<tonic::body::Body>,
+            >>::Error: Into<StdError> + std::marker::Send + std::marker::Sync,
+        {
+            InteractServiceClient::new(InterceptedService::new(inner, interceptor))
+        }
+        /// Compress requests with the given encoding.
+        ///
+        /// This requires the server to support it otherwise it might respond with an
+        /// error.
+        #[must_use]
+        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.inner = self.inner.send_compressed(encoding);
+            self
+        }
+        /// Enable decompressing responses.
+        #[must_use]
+        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.inner = self.inner.accept_compressed(encoding);
+            self
+        }
+        /// Limits the maximum size of a decoded message.
+        ///
+        /// Default: `4MB`
+        #[must_use]
+        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
+            self.inner = self.inner.max_decoding_message_size(limit);
+            self
+        }
+        /// Limits the maximum size of an encoded message.
+        ///
+        /// Default: `usize::MAX`
+        #[must_use]
+        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
+            self.inner = self.inner.max_encoding_message_size(limit);
+            self
+        }
+        /// Calls a command of any kind.
+        pub async fn invoke(
+            &mut self,
+            request: impl tonic::IntoRequest<super::InvokeRequest>,
+        ) -> std::result::Result<tonic::Response<super::InvokeResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.InteractService/Invoke",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.InteractService", "Invoke"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Reads the state row of a component or the newest sample of an output.
+        pub async fn read(
+            &mut self,
+            request: impl tonic::IntoRequest<super::ReadRequest>,
+        ) -> std::result::Result<tonic::Response<super::ReadResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.InteractService/Read",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.InteractService", "Read"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Sends an event or sample in the name of a component.
+        pub async fn emit(
+            &mut self,
+            request: impl tonic::IntoRequest<super::EmitRequest>,
+        ) -> std::result::Result<tonic::Response<super::EmitResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.InteractService/Emit",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.InteractService", "Emit"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Follows events, states and outputs; one call for all of them.
+        pub async fn subscribe(
+            &mut self,
+            request: impl tonic::IntoRequest<super::SubscribeRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::SubscribeResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.InteractService/Subscribe",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.InteractService", "Subscribe"));
+            self.inner.server_streaming(req, path, codec).await
+        }
+        /// What components and hosts log.
+        pub async fn logs(
+            &mut self,
+            request: impl tonic::IntoRequest<super::LogsRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::LogsResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.InteractService/Logs",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.InteractService", "Logs"));
+            self.inner.server_streaming(req, path, codec).await
+        }
+    }
+}
+/// Generated server implementations.
+pub mod interact_service_server {
+    #![allow(
+        unused_variables,
+        dead_code,
+        missing_docs,
+        clippy::wildcard_imports,
+        clippy::let_unit_value,
+    )]
+    use tonic::codegen::*;
+    /// Generated trait containing gRPC methods that should be implemented for use with InteractServiceServer.
+    #[async_trait]
+    pub trait InteractService: std::marker::Send + std::marker::Sync + 'static {
+        /// Calls a command of any kind.
+        async fn invoke(
+            &self,
+            request: tonic::Request<super::InvokeRequest>,
+        ) -> std::result::Result<tonic::Response<super::InvokeResponse>, tonic::Status>;
+        /// Reads the state row of a component or the newest sample of an output.
+        async fn read(
+            &self,
+            request: tonic::Request<super::ReadRequest>,
+        ) -> std::result::Result<tonic::Response<super::ReadResponse>, tonic::Status>;
+        /// Sends an event or sample in the name of a component.
+        async fn emit(
+            &self,
+            request: tonic::Request<super::EmitRequest>,
+        ) -> std::result::Result<tonic::Response<super::EmitResponse>, tonic::Status>;
+        /// Server streaming response type for the Subscribe method.
+        type SubscribeStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::SubscribeResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Follows events, states and outputs; one call for all of them.
+        async fn subscribe(
+            &self,
+            request: tonic::Request<super::SubscribeRequest>,
+        ) -> std::result::Result<tonic::Response<Self::SubscribeStream>, tonic::Status>;
+        /// Server streaming response type for the Logs method.
+        type LogsStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::LogsResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// What components and hosts log.
+        async fn logs(
+            &self,
+            request: tonic::Request<super::LogsRequest>,
+        ) -> std::result::Result<tonic::Response<Self::LogsStream>, tonic::Status>;
+    }
+    /// Everything a component offers, for tools, scripts and people.
+    #[derive(Debug)]
+    pub struct InteractServiceServer<T> {
+        inner: Arc<T>,
+        accept_compression_encodings: EnabledCompressionEncodings,
+        send_compression_encodings: EnabledCompressionEncodings,
+        max_decoding_message_size: Option<usize>,
+        max_encoding_message_size: Option<usize>,
+    }
+    impl<T> InteractServiceServer<T> {
+        pub fn new(inner: T) -> Self {
+            Self::from_arc(Arc::new(inner))
+        }
+        pub fn from_arc(inner: Arc<T>) -> Self {
+            Self {
+                inner,
+                accept_compression_encodings: Default::default(),
+                send_compression_encodings: Default::default(),
+                max_decoding_message_size: None,
+                max_encoding_message_size: None,
+            }
+        }
+        pub fn with_interceptor<F>(
+            inner: T,
+            interceptor: F,
+        ) -> InterceptedService<Self, F>
+        where
+            F: tonic::service::Interceptor,
+        {
+            InterceptedService::new(Self::new(inner), interceptor)
+        }
+        /// Enable decompressing requests with the given encoding.
+        #[must_use]
+        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.accept_compression_encodings.enable(encoding);
+            self
+        }
+        /// Compress responses with the given encoding, if the client supports it.
+        #[must_use]
+        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.send_compression_encodings.enable(encoding);
+            self
+        }
+        /// Limits the maximum size of a decoded message.
+        ///
+        /// Default: `4MB`
+        #[must_use]
+        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
+            self.max_decoding_message_size = Some(limit);
+            self
+        }
+        /// Limits the maximum size of an encoded message.
+        ///
+        /// Default: `usize::MAX`
+        #[must_use]
+        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
+            self.max_encoding_message_size = Some(limit);
+            self
+        }
+    }
+    impl<T, B> tonic::codegen::Service<http::Request<B>> for InteractServiceServer<T>
+    where
+        T: InteractService,
+        B: Body + std::marker::Send + 'static,
+        B::Error: Into<StdError> + std::marker::Send + 'static,
+    {
+        type Response = http::Response<tonic::body::Body>;
+        type Error = std::convert::Infallible;
+        type Future = BoxFuture<Self::Response, Self::Error>;
+        fn poll_ready(
+            &mut self,
+            _cx: &mut Context<'_>,
+        ) -> Poll<std::result::Result<(), Self::Error>> {
+            Poll::Ready(Ok(()))
+        }
+        fn call(&mut self, req: http::Request<B>) -> Self::Future {
+            match req.uri().path() {
+                "/trocar.v1.InteractService/Invoke" => {
+                    #[allow(non_camel_case_types)]
+                    struct InvokeSvc<T: InteractService>(pub Arc<T>);
+                    impl<
+                        T: InteractService,
+                    > tonic::server::UnaryService<super::InvokeRequest>
+                    for InvokeSvc<T> {
+                        type Response = super::InvokeResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::InvokeRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as InteractService>::invoke(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = InvokeSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.InteractService/Read" => {
+                    #[allow(non_camel_case_types)]
+                    struct ReadSvc<T: InteractService>(pub Arc<T>);
+                    impl<
+                        T: InteractService,
+                    > tonic::server::UnaryService<super::ReadRequest> for ReadSvc<T> {
+                        type Response = super::ReadResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::ReadRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as InteractService>::read(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = ReadSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.InteractService/Emit" => {
+                    #[allow(non_camel_case_types)]
+                    struct EmitSvc<T: InteractService>(pub Arc<T>);
+                    impl<
+                        T: InteractService,
+                    > tonic::server::UnaryService<super::EmitRequest> for EmitSvc<T> {
+                        type Response = super::EmitResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::EmitRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as InteractService>::emit(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = EmitSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.InteractService/Subscribe" => {
+                    #[allow(non_camel_case_types)]
+                    struct SubscribeSvc<T: InteractService>(pub Arc<T>);
+                    impl<
+                        T: InteractService,
+                    > tonic::server::ServerStreamingService<super::SubscribeRequest>
+                    for SubscribeSvc<T> {
+                        type Response = super::SubscribeResponse;
+                        type ResponseStream = T::SubscribeStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::SubscribeRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as InteractService>::subscribe(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = SubscribeSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.InteractService/Logs" => {
+                    #[allow(non_camel_case_types)]
+                    struct LogsSvc<T: InteractService>(pub Arc<T>);
+                    impl<
+                        T: InteractService,
+                    > tonic::server::ServerStreamingService<super::LogsRequest>
+                    for LogsSvc<T> {
+                        type Response = super::LogsResponse;
+                        type ResponseStream = T::LogsStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::LogsRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as InteractService>::logs(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = LogsSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                _ => {
+                    Box::pin(async move {
+                        let mut response = http::Response::new(
+                            tonic::body::Body::default(),
+                        );
+                        let headers = response.headers_mut();
+                        headers
+                            .insert(
+                                tonic::Status::GRPC_STATUS,
+                                (tonic::Code::Unimplemented as i32).into(),
+                            );
+                        headers
+                            .insert(
+                                http::header::CONTENT_TYPE,
+                                tonic::metadata::GRPC_CONTENT_TYPE,
+                            );
+                        Ok(response)
+                    })
+                }
+            }
+        }
+    }
+    impl<T> Clone for InteractServiceServer<T> {
+        fn clone(&self) -> Self {
+            let inner = self.inner.clone();
+            Self {
+                inner,
+                accept_compression_encodings: self.accept_compression_encodings,
+                send_compression_encodings: self.send_compression_encodings,
+                max_decoding_message_size: self.max_decoding_message_size,
+                max_encoding_message_size: self.max_encoding_message_size,
+            }
+        }
+    }
+    /// Generated gRPC service name
+    pub const SERVICE_NAME: &str = "trocar.v1.InteractService";
+    impl<T> tonic::server::NamedService for InteractServiceServer<T> {
+        const NAME: &'static str = SERVICE_NAME;
+    }
+}
 /// Asks for Create.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct CreateRequest {
@@ -1158,6 +2002,10 @@ pub struct ConfigureRequest {
     /// JSON merge patch (RFC 7396) on the present configuration: null removes a key, that is, gives it its default.
     #[prost(message, optional, tag = "2")]
     pub config: ::core::option::Option<::prost_types::Struct>,
+    /// Where its thread comes from; what is unset stays as it is. Not while it runs: it is made anew on its new thread, as by
+    /// Reset, together with those who run in its thread.
+    #[prost(message, optional, tag = "3")]
+    pub execution: ::core::option::Option<Execution>,
     /// True: answer what would be done, do nothing.
     #[prost(bool, tag = "13")]
     pub validate_only: bool,
@@ -1518,17 +2366,21 @@ pub struct DescribeResponse {
     pub classes: ::prost::alloc::vec::Vec<ClassInfo>,
 }
 /// Asks for WaitFor.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct WaitForRequest {
-    /// process/component.
+    /// process/component, or process/component/interface/event.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
-    /// The states to wait for; empty = ACTIVE.
+    /// The states to wait for; empty = ACTIVE. Not with an event.
     #[prost(enumeration = "ComponentState", repeated, tag = "2")]
     pub states: ::prost::alloc::vec::Vec<i32>,
-    /// How long at most, e.g. "2s"; absent = what the call allows. Never more than 60 s.
+    /// How long at most, e.g. "2s"; absent = what the call allows, or 5 s. Never more than 60 s.
     #[prost(message, optional, tag = "3")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
+    /// Called once the event is listened for, so that what it brings about is not missed; a refused call ends the waiting.
+    /// Only with an event.
+    #[prost(message, optional, tag = "4")]
+    pub call: ::core::option::Option<InvokeRequest>,
 }
 /// Answers WaitFor.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -1536,9 +2388,15 @@ pub struct WaitForResponse {
     /// Revision of the graph.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// The component, in one of the states.
+    /// The component, in one of the states, or after its event.
     #[prost(message, optional, tag = "2")]
     pub component: ::core::option::Option<Component>,
+    /// The payload of the event as JSON; null when it has none, absent when states were waited for.
+    #[prost(message, optional, tag = "3")]
+    pub json: ::core::option::Option<::prost_types::Value>,
+    /// When the event was sent, ns of the host's monotonic clock.
+    #[prost(uint64, tag = "4")]
+    pub stamp_ns: u64,
 }
 /// One step of Apply; its own validate_only, request_id and expected_revision are not looked at.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -2118,7 +2976,7 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Describe"));
             self.inner.unary(req, path, codec).await
         }
-        /// Waits until a component is in one of several states.
+        /// Waits until a component is in one of several states, or until it sends an event.
         pub async fn wait_for(
             &mut self,
             request: impl tonic::IntoRequest<super::WaitForRequest>,
@@ -2323,7 +3181,7 @@ pub mod gcm_service_server {
             tonic::Response<super::DescribeResponse>,
             tonic::Status,
         >;
-        /// Waits until a component is in one of several states.
+        /// Waits until a component is in one of several states, or until it sends an event.
         async fn wait_for(
             &self,
             request: tonic::Request<super::WaitForRequest>,
@@ -3217,790 +4075,6 @@ pub mod gcm_service_server {
     /// Generated gRPC service name
     pub const SERVICE_NAME: &str = "trocar.v1.GcmService";
     impl<T> tonic::server::NamedService for GcmServiceServer<T> {
-        const NAME: &'static str = SERVICE_NAME;
-    }
-}
-/// Asks for Invoke.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct InvokeRequest {
-    /// process/component/interface/command.
-    #[prost(string, tag = "1")]
-    pub path: ::prost::alloc::string::String,
-    /// The argument as JSON: a value, or an object by field name.
-    #[prost(message, optional, tag = "2")]
-    pub json: ::core::option::Option<::prost_types::Value>,
-    /// The argument as exact bytes of its type, instead of json.
-    #[prost(bytes = "vec", tag = "3")]
-    pub encoded: ::prost::alloc::vec::Vec<u8>,
-    /// How long to wait for the result, e.g. "0.5s"; absent = 1 s. Never more than 60 s.
-    #[prost(message, optional, tag = "4")]
-    pub deadline: ::core::option::Option<::prost_types::Duration>,
-    /// True: return as soon as it is queued.
-    #[prost(bool, tag = "5")]
-    pub send: bool,
-}
-/// Answers Invoke.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct InvokeResponse {
-    /// True: it ran. False: it is queued.
-    #[prost(bool, tag = "1")]
-    pub executed: bool,
-    /// The result as JSON; absent when there is none.
-    #[prost(message, optional, tag = "2")]
-    pub json: ::core::option::Option<::prost_types::Value>,
-    /// The result as exact bytes of its type.
-    #[prost(bytes = "vec", tag = "3")]
-    pub encoded: ::prost::alloc::vec::Vec<u8>,
-    /// Unit of the result; empty = none or inside the type.
-    #[prost(string, tag = "4")]
-    pub unit: ::prost::alloc::string::String,
-    /// Stamp of the state row a read was answered from, ns of the host's monotonic clock; 0 otherwise.
-    #[prost(uint64, tag = "5")]
-    pub stamp_ns: u64,
-    /// Age of that row, ns.
-    #[prost(uint64, tag = "6")]
-    pub age_ns: u64,
-}
-/// Asks for Read.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct ReadRequest {
-    /// process/component (its state row) or process/component/output.
-    #[prost(string, tag = "1")]
-    pub path: ::prost::alloc::string::String,
-}
-/// Answers Read.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct ReadResponse {
-    /// The row, sample or frame header as JSON.
-    #[prost(message, optional, tag = "1")]
-    pub json: ::core::option::Option<::prost_types::Value>,
-    /// The same as exact bytes of its type.
-    #[prost(bytes = "vec", tag = "2")]
-    pub encoded: ::prost::alloc::vec::Vec<u8>,
-    /// When it was published, ns of the host's monotonic clock.
-    #[prost(uint64, tag = "3")]
-    pub stamp_ns: u64,
-    /// Its age, ns.
-    #[prost(uint64, tag = "4")]
-    pub age_ns: u64,
-    /// Its number since Start.
-    #[prost(uint64, tag = "5")]
-    pub seq: u64,
-    /// Bytes of the frame behind the header; 0 for plain samples.
-    #[prost(uint64, tag = "6")]
-    pub frame_bytes: u64,
-}
-/// Asks for Emit.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct EmitRequest {
-    /// process/component/interface/event or process/component/output.
-    #[prost(string, tag = "1")]
-    pub path: ::prost::alloc::string::String,
-    /// The payload as JSON.
-    #[prost(message, optional, tag = "2")]
-    pub json: ::core::option::Option<::prost_types::Value>,
-    /// The payload as exact bytes of its type, instead of json.
-    #[prost(bytes = "vec", tag = "3")]
-    pub encoded: ::prost::alloc::vec::Vec<u8>,
-}
-/// Answers Emit.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct EmitResponse {
-    /// How many receivers took it.
-    #[prost(uint64, tag = "1")]
-    pub receivers: u64,
-}
-/// One thing to follow.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct Selection {
-    /// process/component (its state), process/component/interface/event or process/component/output.
-    #[prost(string, tag = "1")]
-    pub path: ::prost::alloc::string::String,
-    /// Most items per second of an output, Hz; 0 = 30.
-    #[prost(double, tag = "2")]
-    pub max_rate_hz: f64,
-    /// Frames as JPEG of this width, pixels; 0 = header only. Only 0 is served yet.
-    #[prost(uint32, tag = "3")]
-    pub thumbnail_width: u32,
-}
-/// Asks for Subscribe.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct SubscribeRequest {
-    /// What to follow.
-    #[prost(message, repeated, tag = "1")]
-    pub selections: ::prost::alloc::vec::Vec<Selection>,
-}
-/// One item of Subscribe.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct SubscribeResponse {
-    /// Where it comes from.
-    #[prost(string, tag = "1")]
-    pub path: ::prost::alloc::string::String,
-    /// What it is.
-    #[prost(enumeration = "ItemKind", tag = "2")]
-    pub kind: i32,
-    /// The state, payload or sample as JSON.
-    #[prost(message, optional, tag = "3")]
-    pub json: ::core::option::Option<::prost_types::Value>,
-    /// When it was made, ns of the host's monotonic clock.
-    #[prost(uint64, tag = "4")]
-    pub stamp_ns: u64,
-    /// Its number since Start.
-    #[prost(uint64, tag = "5")]
-    pub seq: u64,
-    /// Items lost on the way to this caller since the item before.
-    #[prost(uint64, tag = "6")]
-    pub skipped: u64,
-}
-/// Asks for Logs.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LogsRequest {
-    /// Only this process, component or glob; empty = everything.
-    #[prost(string, tag = "1")]
-    pub path: ::prost::alloc::string::String,
-    /// Most detailed level: "error", "warn", "info", "debug", "trace"; empty = "info".
-    #[prost(string, tag = "2")]
-    pub level: ::prost::alloc::string::String,
-    /// True: go on with what comes; false: end after what there is.
-    #[prost(bool, tag = "3")]
-    pub follow: bool,
-}
-/// One item of Logs.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LogsResponse {
-    /// The line.
-    #[prost(message, optional, tag = "1")]
-    pub line: ::core::option::Option<LogLine>,
-    /// Lines lost on the way to this caller since the one before.
-    #[prost(uint64, tag = "2")]
-    pub skipped: u64,
-}
-/// What an item of Subscribe is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
-#[repr(i32)]
-pub enum ItemKind {
-    /// Not set.
-    Unspecified = 0,
-    /// How a component stands.
-    State = 1,
-    /// An event.
-    Event = 2,
-    /// A sample or frame header of an output.
-    Stream = 3,
-}
-impl ItemKind {
-    /// String value of the enum field names used in the ProtoBuf definition.
-    ///
-    /// The values are not transformed in any way and thus are considered stable
-    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
-    pub fn as_str_name(&self) -> &'static str {
-        match self {
-            Self::Unspecified => "ITEM_KIND_UNSPECIFIED",
-            Self::State => "ITEM_KIND_STATE",
-            Self::Event => "ITEM_KIND_EVENT",
-            Self::Stream => "ITEM_KIND_STREAM",
-        }
-    }
-    /// Creates an enum from field names used in the ProtoBuf definition.
-    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
-        match value {
-            "ITEM_KIND_UNSPECIFIED" => Some(Self::Unspecified),
-            "ITEM_KIND_STATE" => Some(Self::State),
-            "ITEM_KIND_EVENT" => Some(Self::Event),
-            "ITEM_KIND_STREAM" => Some(Self::Stream),
-            _ => None,
-        }
-    }
-}
-/// Generated client implementations.
-pub mod interact_service_client {
-    #![allow(
-        unused_variables,
-        dead_code,
-        missing_docs,
-        clippy::wildcard_imports,
-        clippy::let_unit_value,
-    )]
-    use tonic::codegen::*;
-    use tonic::codegen::http::Uri;
-    /// Everything a component offers, for tools, scripts and people.
-    #[derive(Debug, Clone)]
-    pub struct InteractServiceClient<T> {
-        inner: tonic::client::Grpc<T>,
-    }
-    impl<T> InteractServiceClient<T>
-    where
-        T: tonic::client::GrpcService<tonic::body::Body>,
-        T::Error: Into<StdError>,
-        T::ResponseBody: Body<Data = Bytes> + std::marker::Send + 'static,
-        <T::ResponseBody as Body>::Error: Into<StdError> + std::marker::Send,
-    {
-        pub fn new(inner: T) -> Self {
-            let inner = tonic::client::Grpc::new(inner);
-            Self { inner }
-        }
-        pub fn with_origin(inner: T, origin: Uri) -> Self {
-            let inner = tonic::client::Grpc::with_origin(inner, origin);
-            Self { inner }
-        }
-        pub fn with_interceptor<F>(
-            inner: T,
-            interceptor: F,
-        ) -> InteractServiceClient<InterceptedService<T, F>>
-        where
-            F: tonic::service::Interceptor,
-            T::ResponseBody: Default,
-            T: tonic::codegen::Service<
-                http::Request<tonic::body::Body>,
-                Response = http::Response<
-                    <T as tonic::client::GrpcService<tonic::body::Body>>::ResponseBody,
-                >,
-            >,
-            <T as tonic::codegen::Service<
-                http::Request<tonic::body::Body>,
-            >>::Error: Into<StdError> + std::marker::Send + std::marker::Sync,
-        {
-            InteractServiceClient::new(InterceptedService::new(inner, interceptor))
-        }
-        /// Compress requests with the given encoding.
-        ///
-        /// This requires the server to support it otherwise it might respond with an
-        /// error.
-        #[must_use]
-        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
-            self.inner = self.inner.send_compressed(encoding);
-            self
-        }
-        /// Enable decompressing responses.
-        #[must_use]
-        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
-            self.inner = self.inner.accept_compressed(encoding);
-            self
-        }
-        /// Limits the maximum size of a decoded message.
-        ///
-        /// Default: `4MB`
-        #[must_use]
-        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
-            self.inner = self.inner.max_decoding_message_size(limit);
-            self
-        }
-        /// Limits the maximum size of an encoded message.
-        ///
-        /// Default: `usize::MAX`
-        #[must_use]
-        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
-            self.inner = self.inner.max_encoding_message_size(limit);
-            self
-        }
-        /// Calls a command of any kind.
-        pub async fn invoke(
-            &mut self,
-            request: impl tonic::IntoRequest<super::InvokeRequest>,
-        ) -> std::result::Result<tonic::Response<super::InvokeResponse>, tonic::Status> {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/trocar.v1.InteractService/Invoke",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("trocar.v1.InteractService", "Invoke"));
-            self.inner.unary(req, path, codec).await
-        }
-        /// Reads the state row of a component or the newest sample of an output.
-        pub async fn read(
-            &mut self,
-            request: impl tonic::IntoRequest<super::ReadRequest>,
-        ) -> std::result::Result<tonic::Response<super::ReadResponse>, tonic::Status> {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/trocar.v1.InteractService/Read",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("trocar.v1.InteractService", "Read"));
-            self.inner.unary(req, path, codec).await
-        }
-        /// Sends an event or sample in the name of a component.
-        pub async fn emit(
-            &mut self,
-            request: impl tonic::IntoRequest<super::EmitRequest>,
-        ) -> std::result::Result<tonic::Response<super::EmitResponse>, tonic::Status> {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/trocar.v1.InteractService/Emit",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("trocar.v1.InteractService", "Emit"));
-            self.inner.unary(req, path, codec).await
-        }
-        /// Follows events, states and outputs; one call for all of them.
-        pub async fn subscribe(
-            &mut self,
-            request: impl tonic::IntoRequest<super::SubscribeRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::SubscribeResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/trocar.v1.InteractService/Subscribe",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("trocar.v1.InteractService", "Subscribe"));
-            self.inner.server_streaming(req, path, codec).await
-        }
-        /// What components and hosts log.
-        pub async fn logs(
-            &mut self,
-            request: impl tonic::IntoRequest<super::LogsRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::LogsResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/trocar.v1.InteractService/Logs",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("trocar.v1.InteractService", "Logs"));
-            self.inner.server_streaming(req, path, codec).await
-        }
-    }
-}
-/// Generated server implementations.
-pub mod interact_service_server {
-    #![allow(
-        unused_variables,
-        dead_code,
-        missing_docs,
-        clippy::wildcard_imports,
-        clippy::let_unit_value,
-    )]
-    use tonic::codegen::*;
-    /// Generated trait containing gRPC methods that should be implemented for use with InteractServiceServer.
-    #[async_trait]
-    pub trait InteractService: std::marker::Send + std::marker::Sync + 'static {
-        /// Calls a command of any kind.
-        async fn invoke(
-            &self,
-            request: tonic::Request<super::InvokeRequest>,
-        ) -> std::result::Result<tonic::Response<super::InvokeResponse>, tonic::Status>;
-        /// Reads the state row of a component or the newest sample of an output.
-        async fn read(
-            &self,
-            request: tonic::Request<super::ReadRequest>,
-        ) -> std::result::Result<tonic::Response<super::ReadResponse>, tonic::Status>;
-        /// Sends an event or sample in the name of a component.
-        async fn emit(
-            &self,
-            request: tonic::Request<super::EmitRequest>,
-        ) -> std::result::Result<tonic::Response<super::EmitResponse>, tonic::Status>;
-        /// Server streaming response type for the Subscribe method.
-        type SubscribeStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<super::SubscribeResponse, tonic::Status>,
-            >
-            + std::marker::Send
-            + 'static;
-        /// Follows events, states and outputs; one call for all of them.
-        async fn subscribe(
-            &self,
-            request: tonic::Request<super::SubscribeRequest>,
-        ) -> std::result::Result<tonic::Response<Self::SubscribeStream>, tonic::Status>;
-        /// Server streaming response type for the Logs method.
-        type LogsStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<super::LogsResponse, tonic::Status>,
-            >
-            + std::marker::Send
-            + 'static;
-        /// What components and hosts log.
-        async fn logs(
-            &self,
-            request: tonic::Request<super::LogsRequest>,
-        ) -> std::result::Result<tonic::Response<Self::LogsStream>, tonic::Status>;
-    }
-    /// Everything a component offers, for tools, scripts and people.
-    #[derive(Debug)]
-    pub struct InteractServiceServer<T> {
-        inner: Arc<T>,
-        accept_compression_encodings: EnabledCompressionEncodings,
-        send_compression_encodings: EnabledCompressionEncodings,
-        max_decoding_message_size: Option<usize>,
-        max_encoding_message_size: Option<usize>,
-    }
-    impl<T> InteractServiceServer<T> {
-        pub fn new(inner: T) -> Self {
-            Self::from_arc(Arc::new(inner))
-        }
-        pub fn from_arc(inner: Arc<T>) -> Self {
-            Self {
-                inner,
-                accept_compression_encodings: Default::default(),
-                send_compression_encodings: Default::default(),
-                max_decoding_message_size: None,
-                max_encoding_message_size: None,
-            }
-        }
-        pub fn with_interceptor<F>(
-            inner: T,
-            interceptor: F,
-        ) -> InterceptedService<Self, F>
-        where
-            F: tonic::service::Interceptor,
-        {
-            InterceptedService::new(Self::new(inner), interceptor)
-        }
-        /// Enable decompressing requests with the given encoding.
-        #[must_use]
-        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
-            self.accept_compression_encodings.enable(encoding);
-            self
-        }
-        /// Compress responses with the given encoding, if the client supports it.
-        #[must_use]
-        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
-            self.send_compression_encodings.enable(encoding);
-            self
-        }
-        /// Limits the maximum size of a decoded message.
-        ///
-        /// Default: `4MB`
-        #[must_use]
-        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
-            self.max_decoding_message_size = Some(limit);
-            self
-        }
-        /// Limits the maximum size of an encoded message.
-        ///
-        /// Default: `usize::MAX`
-        #[must_use]
-        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
-            self.max_encoding_message_size = Some(limit);
-            self
-        }
-    }
-    impl<T, B> tonic::codegen::Service<http::Request<B>> for InteractServiceServer<T>
-    where
-        T: InteractService,
-        B: Body + std::marker::Send + 'static,
-        B::Error: Into<StdError> + std::marker::Send + 'static,
-    {
-        type Response = http::Response<tonic::body::Body>;
-        type Error = std::convert::Infallible;
-        type Future = BoxFuture<Self::Response, Self::Error>;
-        fn poll_ready(
-            &mut self,
-            _cx: &mut Context<'_>,
-        ) -> Poll<std::result::Result<(), Self::Error>> {
-            Poll::Ready(Ok(()))
-        }
-        fn call(&mut self, req: http::Request<B>) -> Self::Future {
-            match req.uri().path() {
-                "/trocar.v1.InteractService/Invoke" => {
-                    #[allow(non_camel_case_types)]
-                    struct InvokeSvc<T: InteractService>(pub Arc<T>);
-                    impl<
-                        T: InteractService,
-                    > tonic::server::UnaryService<super::InvokeRequest>
-                    for InvokeSvc<T> {
-                        type Response = super::InvokeResponse;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::Response>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<super::InvokeRequest>,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as InteractService>::invoke(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = InvokeSvc(inner);
-                        let codec = tonic_prost::ProstCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.unary(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/trocar.v1.InteractService/Read" => {
-                    #[allow(non_camel_case_types)]
-                    struct ReadSvc<T: InteractService>(pub Arc<T>);
-                    impl<
-                        T: InteractService,
-                    > tonic::server::UnaryService<super::ReadRequest> for ReadSvc<T> {
-                        type Response = super::ReadResponse;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::Response>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<super::ReadRequest>,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as InteractService>::read(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = ReadSvc(inner);
-                        let codec = tonic_prost::ProstCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.unary(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/trocar.v1.InteractService/Emit" => {
-                    #[allow(non_camel_case_types)]
-                    struct EmitSvc<T: InteractService>(pub Arc<T>);
-                    impl<
-                        T: InteractService,
-                    > tonic::server::UnaryService<super::EmitRequest> for EmitSvc<T> {
-                        type Response = super::EmitResponse;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::Response>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<super::EmitRequest>,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as InteractService>::emit(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = EmitSvc(inner);
-                        let codec = tonic_prost::ProstCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.unary(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/trocar.v1.InteractService/Subscribe" => {
-                    #[allow(non_camel_case_types)]
-                    struct SubscribeSvc<T: InteractService>(pub Arc<T>);
-                    impl<
-                        T: InteractService,
-                    > tonic::server::ServerStreamingService<super::SubscribeRequest>
-                    for SubscribeSvc<T> {
-                        type Response = super::SubscribeResponse;
-                        type ResponseStream = T::SubscribeStream;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::ResponseStream>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<super::SubscribeRequest>,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as InteractService>::subscribe(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = SubscribeSvc(inner);
-                        let codec = tonic_prost::ProstCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.server_streaming(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/trocar.v1.InteractService/Logs" => {
-                    #[allow(non_camel_case_types)]
-                    struct LogsSvc<T: InteractService>(pub Arc<T>);
-                    impl<
-                        T: InteractService,
-                    > tonic::server::ServerStreamingService<super::LogsRequest>
-                    for LogsSvc<T> {
-                        type Response = super::LogsResponse;
-                        type ResponseStream = T::LogsStream;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::ResponseStream>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<super::LogsRequest>,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as InteractService>::logs(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = LogsSvc(inner);
-                        let codec = tonic_prost::ProstCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.server_streaming(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                _ => {
-                    Box::pin(async move {
-                        let mut response = http::Response::new(
-                            tonic::body::Body::default(),
-                        );
-                        let headers = response.headers_mut();
-                        headers
-                            .insert(
-                                tonic::Status::GRPC_STATUS,
-                                (tonic::Code::Unimplemented as i32).into(),
-                            );
-                        headers
-                            .insert(
-                                http::header::CONTENT_TYPE,
-                                tonic::metadata::GRPC_CONTENT_TYPE,
-                            );
-                        Ok(response)
-                    })
-                }
-            }
-        }
-    }
-    impl<T> Clone for InteractServiceServer<T> {
-        fn clone(&self) -> Self {
-            let inner = self.inner.clone();
-            Self {
-                inner,
-                accept_compression_encodings: self.accept_compression_encodings,
-                send_compression_encodings: self.send_compression_encodings,
-                max_decoding_message_size: self.max_decoding_message_size,
-                max_encoding_message_size: self.max_encoding_message_size,
-            }
-        }
-    }
-    /// Generated gRPC service name
-    pub const SERVICE_NAME: &str = "trocar.v1.InteractService";
-    impl<T> tonic::server::NamedService for InteractServiceServer<T> {
         const NAME: &'static str = SERVICE_NAME;
     }
 }

@@ -53,9 +53,35 @@ pub(crate) fn check_name(name: &str, span: Span) -> syn::Result<()> {
     Err(syn::Error::new(span, format!("`{name}` is not a name: use letters, digits, `_` and `-`")))
 }
 
+/// A unit; an unknown one is a mistake at compile time.
+pub(crate) fn unit(text: &LitStr) -> syn::Result<String> {
+    match trocar_plugin_api::units::check(&text.value()) {
+        Ok(()) => Ok(text.value()),
+        Err(why) => Err(syn::Error::new(text.span(), why)),
+    }
+}
+
+/// The unit of `#[unit("N")]`, empty when the attribute is absent.
+pub(crate) fn unit_attr(attrs: &[Attribute]) -> syn::Result<String> {
+    match attrs.iter().find(|a| a.path().is_ident("unit")) {
+        Some(attr) => unit(&attr.parse_args::<LitStr>()?),
+        None => Ok(String::new()),
+    }
+}
+
+/// A name, or one with `{}` in it: then its port or interface exists once for each name of a list.
+pub(crate) fn check_pattern(pattern: &str, span: Span) -> syn::Result<()> {
+    check_name(&pattern.replacen("{}", "x", 1), span)
+}
+
+/// True for the name of something that is repeated.
+pub(crate) fn is_many(pattern: &str) -> bool {
+    pattern.contains("{}")
+}
+
 /// The part of an identifier that stands for an interface name.
 pub(crate) fn ident_part(name: &str) -> String {
-    name.replace('-', "_")
+    name.replace('-', "_").replace("{}", "__EACH__")
 }
 
 /// The same hash as `trocar_sdk::__private::interface_key`, so that an undeclared interface is found at compile time.

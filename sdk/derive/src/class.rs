@@ -15,6 +15,7 @@ pub(crate) struct ClassAttr {
     pub(crate) doc: String,
     pub(crate) model: String,
     pub(crate) period_ns: u64,
+    pub(crate) max_step_ns: u64,
     /// Variant of `desc::Safety`.
     pub(crate) safety: &'static str,
     pub(crate) hardware: bool,
@@ -63,6 +64,17 @@ impl ClassAttr {
                 }
                 self.period_ns = (1e9 / rate).round() as u64;
             }
+            "max_step_ms" => {
+                let expr = meta.value()?.parse::<Expr>()?;
+                let ms: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
+                if !(ms > 0.0 && ms <= 3.6e6) {
+                    return Err(syn::Error::new_spanned(
+                        expr,
+                        "max_step_ms is above 0 ms and at most 3.6e6 ms",
+                    ));
+                }
+                self.max_step_ns = (1e6 * ms).ceil() as u64;
+            }
             "model" => {
                 let model = meta.value()?.parse::<LitStr>()?;
                 if !MODELS.contains(&model.value().as_str()) {
@@ -91,7 +103,7 @@ impl ClassAttr {
             "optional" => names(&meta, &mut self.optional)?,
             _ => {
                 return Err(meta.error(
-                    "unknown setting; there are name, rate_hz, model, safety, hardware, safe_from_any_thread, \
+                    "unknown setting; there are name, rate_hz, max_step_ms, model, safety, hardware, safe_from_any_thread, \
                      provides(\"…\"), requires(\"…\") and optional(\"…\")",
                 ));
             }
@@ -104,7 +116,7 @@ fn names(meta: &ParseNestedMeta<'_>, into: &mut Vec<(String, Span)>) -> syn::Res
     let inside;
     syn::parenthesized!(inside in meta.input);
     for name in inside.parse_terminated(|i| i.parse::<LitStr>(), syn::Token![,])? {
-        attrs::check_name(&name.value(), name.span())?;
+        attrs::check_pattern(&name.value(), name.span())?;
         into.push((name.value(), name.span()));
     }
     Ok(())

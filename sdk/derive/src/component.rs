@@ -5,19 +5,12 @@
 use crate::attrs;
 use crate::class::ClassAttr;
 use crate::fields::{ComponentFields, Port};
+use crate::interfaces::{self, Interface, Interfaces};
+use crate::many;
 use crate::payload;
-use proc_macro2::{Ident, Span, TokenStream};
+use proc_macro2::{Ident, TokenStream};
 use quote::{format_ident, quote};
 use syn::{DeriveInput, Visibility};
-
-/// An interface with the ports that belong to it.
-struct Interface<'a> {
-    name: String,
-    /// A lone function is its own interface and lends it its doc.
-    doc: String,
-    optional: bool,
-    ports: Vec<&'a Port>,
-}
 
 pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
     if !input.generics.params.is_empty() {
@@ -28,116 +21,33 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
     }
     let class = ClassAttr::of(&input)?;
     let fields = ComponentFields::of(&input)?;
-    let provided = provided(&class, &fields)?;
-    let required = required(&class, &fields);
-    unique_names(&fields, &provided, &required, &input.ident)?;
+    let provided = interfaces::provided(&class, &fields)?;
+    let required = interfaces::required(&class, &fields)?;
+    interfaces::unique_names(&fields, &provided, &required, &input.ident)?;
 
     let name = &input.ident;
     let state = state(&input, &fields);
     let desc = desc(&class, &fields, &provided, &required);
     let create = create(&fields);
     let methods = methods(&fields, &provided, &required);
+    let many = many::items(name, &fields, &provided, &required);
+    let checks = many::checks(name, &provided);
     let fallbacks = fallbacks(name, &provided, &required);
     let state_name = format_ident!("{name}State");
     Ok(quote! {
         #state
         const _: () = {
             #fallbacks
+            #checks
             unsafe impl ::trocar_sdk::Class for #name {
                 const DESC: &'static ::trocar_sdk::__private::ClassDesc = &#desc;
                 type State = #state_name;
                 #create
                 #methods
+                #many
             }
         };
     })
-}
-
-fn provided<'a>(class: &ClassAttr, fields: &'a ComponentFields) -> syn::Result<Vec<Interface<'a>>> {
-    let mut out: Vec<Interface<'a>> = Vec::new();
-    for (name, span) in &class.provides {
-        if out.iter().any(|i| i.name == *name) {
-            return Err(syn::Error::new(*span, format!("interface `{name}` is listed twice")));
-        }
-        out.push(Interface { name: name.clone(), doc: String::new(), optional: false, ports: Vec::new() });
-    }
-    for port in &fields.events {
-        join(&mut out, &port.set.interface, port);
-    }
-    Ok(out)
-}
-
-fn required<'a>(class: &ClassAttr, fields: &'a ComponentFields) -> Vec<Interface<'a>> {
-    let mut out: Vec<Interface<'a>> = Vec::new();
-    for port in &fields.functions {
-        let lone = port.set.interface.is_empty();
-        let at = join(&mut out, if lone { &port.set.name } else { &port.set.interface }, port);
-        if lone {
-            out[at].doc.clone_from(&port.doc);
-        }
-    }
-    for (name, _) in class.requires.iter().chain(&class.optional) {
-        if !out.iter().any(|i| i.name == *name) {
-            out.push(Interface {
-                name: name.clone(),
-                doc: String::new(),
-                optional: false,
-                ports: Vec::new(),
-            });
-        }
-    }
-    for interface in &mut out {
-        let all_optional = !interface.ports.is_empty() && interface.ports.iter().all(|p| p.set.optional);
-        interface.optional = all_optional || class.optional.iter().any(|(n, _)| *n == interface.name);
-    }
-    out
-}
-
-fn join<'a>(out: &mut Vec<Interface<'a>>, name: &str, port: &'a Port) -> usize {
-    let at = out.iter().position(|i| i.name == name).unwrap_or_else(|| {
-        out.push(Interface {
-            name: name.to_string(),
-            doc: String::new(),
-            optional: false,
-            ports: Vec::new(),
-        });
-        out.len() - 1
-    });
-    out[at].ports.push(port);
-    at
-}
-
-/// `process/component/port` must mean one thing.
-fn unique_names(
-    fields: &ComponentFields,
-    provided: &[Interface<'_>],
-    required: &[Interface<'_>],
-    class: &Ident,
-) -> syn::Result<()> {
-    let ports = fields.inputs.iter().chain(&fields.outputs).map(|p| (p.set.name.clone(), p.ident.span()));
-    let interfaces = provided.iter().chain(required).map(|i| {
-        let span = i.ports.first().and_then(|p| p.set.span).unwrap_or_else(|| class.span());
-        (i.name.clone(), span)
-    });
-    let mut seen: Vec<String> = Vec::new();
-    for (name, span) in ports.chain(interfaces) {
-        unique(&mut seen, name, span, "inputs, outputs and interfaces share one set of names")?;
-    }
-    for interface in provided.iter().chain(required) {
-        let mut seen = Vec::new();
-        for port in &interface.ports {
-            unique(&mut seen, port.set.name.clone(), port.ident.span(), "names within an interface differ")?;
-        }
-    }
-    Ok(())
-}
-
-fn unique(seen: &mut Vec<String>, name: String, span: Span, why: &str) -> syn::Result<()> {
-    if seen.contains(&name) {
-        return Err(syn::Error::new(span, format!("`{name}` is used twice: {why}")));
-    }
-    seen.push(name);
-    Ok(())
 }
 
 /// The generated `{Class}State` struct: the `#[state]` fields, with gaps filled by zero bytes.
@@ -185,10 +95,10 @@ fn state(input: &DeriveInput, fields: &ComponentFields) -> TokenStream {
 fn desc(
     class: &ClassAttr,
     fields: &ComponentFields,
-    provided: &[Interface<'_>],
-    required: &[Interface<'_>],
+    provided: &Interfaces<'_>,
+    required: &Interfaces<'_>,
 ) -> TokenStream {
-    let ClassAttr { name, doc, model, period_ns, hardware, safe_from_any_thread, .. } = class;
+    let ClassAttr { name, doc, model, period_ns, max_step_ns, hardware, safe_from_any_thread, .. } = class;
     let safety = format_ident!("{}", class.safety);
     let config = match &fields.config {
         Some((_, ty)) => quote!(<#ty as ::trocar_sdk::Config>::FIELDS),
@@ -199,20 +109,8 @@ fn desc(
     } else {
         quote!(Some(<Self::State as ::trocar_sdk::Payload>::DESC))
     };
-    let inputs = fields.inputs.iter().map(|p| {
-        let (name, doc, optional, fifo) = (&p.set.name, &p.doc, p.set.optional, p.set.fifo);
-        let ty = port_type(p);
-        quote!(::trocar_sdk::__private::InputDesc {
-            name: #name, doc: #doc, ty: #ty, optional: #optional, fifo: #fifo,
-        })
-    });
-    let outputs = fields.outputs.iter().map(|p| {
-        let (name, doc) = (&p.set.name, &p.doc);
-        let ty = port_type(p);
-        quote!(::trocar_sdk::__private::OutputDesc { name: #name, doc: #doc, ty: #ty })
-    });
-    let required = required.iter().map(required_desc);
-    let provided = provided.iter().map(provided_desc);
+    let fixed = port_lists(fields, false, &provided.fixed, &required.fixed);
+    let many = port_lists(fields, true, &provided.many, &required.many);
     quote! {
         ::trocar_sdk::__private::ClassDesc {
             name: #name,
@@ -222,13 +120,41 @@ fn desc(
             safe_from_any_thread: #safe_from_any_thread,
             model: #model,
             period_ns: #period_ns,
+            max_step_ns: #max_step_ns,
             config: #config,
-            inputs: &[#(#inputs),*],
-            outputs: &[#(#outputs),*],
-            required: &[#(#required),*],
-            provided: &[#(#provided),*],
+            #fixed
             state: #state,
+            many: ::trocar_sdk::__private::ManyDesc { #many },
         }
+    }
+}
+
+/// The fixed or the repeated ports, as the fields of a description.
+fn port_lists(
+    fields: &ComponentFields,
+    many: bool,
+    provided: &[Interface<'_>],
+    required: &[Interface<'_>],
+) -> TokenStream {
+    let inputs = fields.inputs.iter().filter(|p| p.many == many).map(|p| {
+        let (name, doc, optional, fifo) = (&p.set.name, &p.doc, p.set.optional, p.set.fifo);
+        let ty = port_type(p);
+        quote!(::trocar_sdk::__private::InputDesc {
+            name: #name, doc: #doc, ty: #ty, optional: #optional, fifo: #fifo,
+        })
+    });
+    let outputs = fields.outputs.iter().filter(|p| p.many == many).map(|p| {
+        let (name, doc) = (&p.set.name, &p.doc);
+        let ty = port_type(p);
+        quote!(::trocar_sdk::__private::OutputDesc { name: #name, doc: #doc, ty: #ty })
+    });
+    let required = required.iter().map(required_desc);
+    let provided = provided.iter().map(provided_desc);
+    quote! {
+        inputs: &[#(#inputs),*],
+        outputs: &[#(#outputs),*],
+        required: &[#(#required),*],
+        provided: &[#(#provided),*],
     }
 }
 
@@ -239,7 +165,7 @@ fn port_type(p: &Port) -> TokenStream {
 
 fn required_desc(i: &Interface<'_>) -> TokenStream {
     let (name, doc, optional) = (&i.name, &i.doc, i.optional);
-    let part = handles_part(name);
+    let part = i.handles_part();
     let functions = i.ports.iter().map(|p| {
         let (name, doc, unit, optional, ty) = (&p.set.name, &p.doc, &p.set.unit, p.set.optional, &p.ty);
         quote! {
@@ -267,7 +193,7 @@ fn required_desc(i: &Interface<'_>) -> TokenStream {
 
 fn provided_desc(i: &Interface<'_>) -> TokenStream {
     let name = &i.name;
-    let part = provides_part(name);
+    let part = i.provides_part();
     let events = i.ports.iter().map(|p| {
         let (name, doc, unit, ty) = (&p.set.name, &p.doc, &p.set.unit, &p.ty);
         quote! {
@@ -297,6 +223,7 @@ fn create(fields: &ComponentFields) -> TokenStream {
     let state = fields.state.iter().map(|f| &f.ident);
     let config = fields.config.iter().map(|(ident, _)| ident);
     let host = fields.host.iter();
+    let names = fields.names.iter().map(|(ident, _)| ident);
     quote! {
         fn create(host: ::trocar_sdk::Host) -> Self {
             let _ = host;
@@ -306,28 +233,36 @@ fn create(fields: &ComponentFields) -> TokenStream {
                 #(#state: ::trocar_sdk::Payload::zeroed(),)*
                 #(#config: ::trocar_sdk::Config::unset(),)*
                 #(#host: host,)*
+                #(#names: ::core::default::Default::default(),)*
             }
         }
     }
 }
 
-fn methods(fields: &ComponentFields, provided: &[Interface<'_>], required: &[Interface<'_>]) -> TokenStream {
-    let inputs = binds("input", fields.inputs.iter());
-    let outputs = binds("output", fields.outputs.iter());
-    let functions = binds("function", required.iter().flat_map(|i| i.ports.iter().copied()));
-    let events = binds("event", provided.iter().flat_map(|i| i.ports.iter().copied()));
+fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> TokenStream {
+    let fixed = |p: &&Port| !p.many;
+    let inputs = binds("input", fields.inputs.iter().filter(fixed));
+    let outputs = binds("output", fields.outputs.iter().filter(fixed));
+    let functions = binds("function", required.fixed.iter().flat_map(|i| i.ports.iter().copied()));
+    let events = binds("event", provided.fixed.iter().flat_map(|i| i.ports.iter().copied()));
+    let repeated = many::binds(fields, provided, required);
     let state: Vec<&Ident> = fields.state.iter().map(|f| &f.ident).collect();
-    let provided: Vec<Ident> = provided.iter().map(|i| provides_part(&i.name)).collect();
-    let required: Vec<Ident> = required.iter().map(|i| handles_part(&i.name)).collect();
+    let (many_commands, many_read) = (many::commands(provided), many::read(provided));
+    let many_handlers = many::handlers(required);
+    let check = many::check(fields, provided, required);
+    let provided: Vec<Ident> = provided.fixed.iter().map(Interface::provides_part).collect();
+    let required: Vec<Ident> = required.fixed.iter().map(Interface::handles_part).collect();
+    let configure = quote!(::trocar_sdk::Component::configure(self)#check);
     let apply = match &fields.config {
         Some((ident, ty)) => quote! {
             let new = <#ty as ::trocar_sdk::Config>::parse(object)?;
             let old = ::core::mem::replace(&mut self.#ident, new);
-            ::trocar_sdk::Component::configure(self).inspect_err(|_| self.#ident = old)
+            let done: ::trocar_sdk::Result = #configure;
+            done.inspect_err(|_| self.#ident = old)
         },
         None => quote! {
             ::trocar_sdk::__private::config_known(object, &[])?;
-            ::trocar_sdk::Component::configure(self)
+            #configure
         },
     };
     quote! {
@@ -336,7 +271,7 @@ fn methods(fields: &ComponentFields, provided: &[Interface<'_>], required: &[Int
         }
         fn bind(&mut self, binder: &::trocar_sdk::__private::Binder<'_>) {
             let _ = binder;
-            #inputs #outputs #functions #events
+            #inputs #outputs #functions #events #repeated
         }
         #[inline]
         fn state(&self) -> Self::State {
@@ -357,9 +292,10 @@ fn methods(fields: &ComponentFields, provided: &[Interface<'_>], required: &[Int
             let mut at = 0u32;
             #(
                 let next = at + Self::#provided.commands.len() as u32;
-                if id < next { return (Self::#provided.command)(self, id - at, call); }
+                if id < next { return (Self::#provided.command)(self, id - at, 0, call); }
                 at = next;
             )*
+            #many_commands
             let _ = at;
             call.unknown(id)
         }
@@ -372,9 +308,10 @@ fn methods(fields: &ComponentFields, provided: &[Interface<'_>], required: &[Int
             let mut at = 0u32;
             #(
                 let next = at + Self::#provided.commands.len() as u32;
-                if id < next { return (Self::#provided.read)(row, id - at, call); }
+                if id < next { return (Self::#provided.read)(row, id - at, 0, call); }
                 at = next;
             )*
+            #many_read
             let _ = at;
             call.unknown(id)
         }
@@ -386,9 +323,10 @@ fn methods(fields: &ComponentFields, provided: &[Interface<'_>], required: &[Int
             let mut at = 0u32;
             #(
                 let next = at + Self::#required.handlers.len() as u32;
-                if id < next { return (Self::#required.on_event)(self, id - at, call); }
+                if id < next { return (Self::#required.on_event)(self, id - at, 0, call); }
                 at = next;
             )*
+            #many_handlers
             let _ = at;
             call.unknown(id)
         }
@@ -405,11 +343,11 @@ fn binds<'a>(kind: &str, ports: impl Iterator<Item = &'a Port>) -> TokenStream {
 }
 
 /// Empty parts that an inherent constant of the same name (from `#[provides]`, `#[handles]`) takes precedence over.
-fn fallbacks(class: &Ident, provided: &[Interface<'_>], required: &[Interface<'_>]) -> TokenStream {
-    let provides = provided.iter().map(|i| provides_part(&i.name));
-    let handles = required.iter().map(|i| handles_part(&i.name));
-    let provided_keys = provided.iter().map(|i| attrs::interface_key(&i.name));
-    let required_keys = required.iter().map(|i| attrs::interface_key(&i.name));
+fn fallbacks(class: &Ident, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> TokenStream {
+    let provides = provided.all().map(Interface::provides_part);
+    let handles = required.all().map(Interface::handles_part);
+    let provided_keys = provided.all().map(|i| attrs::interface_key(&i.name));
+    let required_keys = required.all().map(|i| attrs::interface_key(&i.name));
     quote! {
         #[allow(non_upper_case_globals, dead_code)]
         trait Fallback: ::trocar_sdk::Class {
@@ -422,12 +360,4 @@ fn fallbacks(class: &Ident, provided: &[Interface<'_>], required: &[Interface<'_
         #(impl ::trocar_sdk::__private::DeclaresProvided<#provided_keys> for #class {})*
         #(impl ::trocar_sdk::__private::DeclaresRequired<#required_keys> for #class {})*
     }
-}
-
-fn provides_part(name: &str) -> Ident {
-    format_ident!("__TROCAR_PROVIDES_{}", attrs::ident_part(name))
-}
-
-fn handles_part(name: &str) -> Ident {
-    format_ident!("__TROCAR_HANDLES_{}", attrs::ident_part(name))
 }

@@ -76,7 +76,7 @@ fn settings(field: &Field) -> syn::Result<Settings> {
             } else if meta.path.is_ident("max") {
                 s.max = attrs::number(&meta.value()?.parse::<Expr>()?)?;
             } else if meta.path.is_ident("unit") {
-                s.unit = meta.value()?.parse::<syn::LitStr>()?.value();
+                s.unit = attrs::unit(&meta.value()?.parse::<syn::LitStr>()?)?;
             } else if meta.path.is_ident("default") {
                 s.default = attrs::json(&meta.value()?.parse::<Expr>()?)?;
             } else if meta.path.is_ident("one_of") {

@@ -6,11 +6,15 @@ use crate::attrs;
 use crate::payload::Described;
 use proc_macro2::{Ident, Span};
 use syn::meta::ParseNestedMeta;
-use syn::{Attribute, Data, DeriveInput, Fields, LitInt, LitStr, Meta, Type};
+use syn::punctuated::Punctuated;
+use syn::{Attribute, Data, DeriveInput, Fields, GenericArgument, LitInt, LitStr, Meta, PathArguments, Type};
 
 pub(crate) struct Port {
     pub(crate) ident: Ident,
+    /// Of a repeated port: the type of one.
     pub(crate) ty: Type,
+    /// The field is a `Many<…>`.
+    pub(crate) many: bool,
     pub(crate) doc: String,
     pub(crate) set: PortSettings,
 }
@@ -18,6 +22,8 @@ pub(crate) struct Port {
 #[derive(Default)]
 pub(crate) struct PortSettings {
     pub(crate) name: String,
+    /// The author gave the name.
+    named: bool,
     pub(crate) optional: bool,
     pub(crate) fifo: usize,
     pub(crate) format: String,
@@ -37,10 +43,12 @@ pub(crate) struct ComponentFields {
     pub(crate) state: Vec<Described>,
     pub(crate) config: Option<(Ident, Type)>,
     pub(crate) host: Option<Ident>,
+    /// Lists of names, with the repeated interfaces they are for; without any, for all.
+    pub(crate) names: Vec<(Ident, Vec<String>)>,
     pub(crate) private: Vec<Ident>,
 }
 
-const ROLES: [&str; 7] = ["input", "output", "required", "event", "state", "config", "host"];
+const ROLES: [&str; 8] = ["input", "output", "required", "event", "state", "config", "host", "names"];
 
 impl ComponentFields {
     pub(crate) fn of(input: &DeriveInput) -> syn::Result<ComponentFields> {
@@ -70,21 +78,34 @@ impl ComponentFields {
                 continue;
             };
             let key = attr.path().get_ident().map(ToString::to_string).unwrap_or_default();
+            let tag = field.attrs.iter().find(|a| a.path().is_ident("unit") || a.path().is_ident("frame"));
+            if let Some(tag) = tag.filter(|_| key != "state") {
+                return Err(syn::Error::new_spanned(
+                    tag,
+                    "units and frames of a port are those of its payload's fields: put this there",
+                ));
+            }
+            let one = inside_many(&field.ty);
             let port = |set: PortSettings| Port {
                 ident: ident.clone(),
-                ty: field.ty.clone(),
+                ty: one.unwrap_or(&field.ty).clone(),
+                many: one.is_some(),
                 doc: attrs::docs(&field.attrs),
                 set: named_by(set, ident),
             };
             match key.as_str() {
-                "input" => out
-                    .inputs
-                    .push(port(settings(attr, &["name", "optional", "fifo", "format", "max_bytes"])?)),
-                "output" => out.outputs.push(port(settings(attr, &["name", "format", "max_bytes"])?)),
+                "input" => {
+                    let allowed = ["name", "optional", "fifo", "format", "max_bytes"];
+                    out.inputs.push(repeated(port(settings(attr, &allowed)?))?);
+                }
+                "output" => {
+                    out.outputs.push(repeated(port(settings(attr, &["name", "format", "max_bytes"])?))?);
+                }
                 "required" => {
                     out.functions.push(port(settings(attr, &["name", "interface", "optional", "unit"])?))
                 }
                 "event" => out.events.push(port(event_settings(attr)?)),
+                "names" => out.names.push((ident.clone(), interfaces(attr)?)),
                 "state" => out.state.push(Described::of(field, ident)?),
                 "config" => {
                     if out.config.replace((ident.clone(), field.ty.clone())).is_some() {
@@ -110,6 +131,50 @@ fn named_by(mut set: PortSettings, ident: &Ident) -> PortSettings {
     set
 }
 
+/// `P` of `Many<P>`.
+fn inside_many(ty: &Type) -> Option<&Type> {
+    let Type::Path(path) = ty else { return None };
+    let last = path.path.segments.last().filter(|s| s.ident == "Many")?;
+    let PathArguments::AngleBracketed(arguments) = &last.arguments else { return None };
+    match arguments.args.first() {
+        Some(GenericArgument::Type(one)) => Some(one),
+        _ => None,
+    }
+}
+
+/// Repeated inputs and outputs are called as the list says, unless a pattern is given.
+fn repeated(mut port: Port) -> syn::Result<Port> {
+    if port.many && !port.set.named {
+        port.set.name = "{}".to_string();
+    }
+    if port.many == attrs::is_many(&port.set.name) {
+        return Ok(port);
+    }
+    let why = if port.many {
+        "`Many` ports need different names: put {} where the name of the list goes, such as name = \"{}_js\""
+    } else {
+        "only a `Many<…>` port has {} in its name"
+    };
+    Err(syn::Error::new_spanned(&port.ident, why))
+}
+
+/// `#[names]` or `#[names("arm_{}", "robot_{}")]`.
+fn interfaces(attr: &Attribute) -> syn::Result<Vec<String>> {
+    if matches!(attr.meta, Meta::Path(_)) {
+        return Ok(Vec::new());
+    }
+    let list = Punctuated::<LitStr, syn::Token![,]>::parse_terminated;
+    attr.parse_args_with(list)?
+        .into_iter()
+        .map(|name| {
+            if attrs::is_many(&name.value()) {
+                return Ok(name.value());
+            }
+            Err(syn::Error::new(name.span(), "a repeated interface has {} in its name, such as \"arm_{}\""))
+        })
+        .collect()
+}
+
 fn settings(attr: &Attribute, allowed: &[&str]) -> syn::Result<PortSettings> {
     let mut set = PortSettings::default();
     if !matches!(attr.meta, Meta::Path(_)) {
@@ -125,7 +190,7 @@ fn event_settings(attr: &Attribute) -> syn::Result<PortSettings> {
         let interface: LitStr = input
             .parse()
             .map_err(|_| input.error("an event belongs to a provided interface: #[event(\"interface\")]"))?;
-        attrs::check_name(&interface.value(), interface.span())?;
+        attrs::check_pattern(&interface.value(), interface.span())?;
         set.interface = interface.value();
         set.span = Some(interface.span());
         if !input.is_empty() {
@@ -146,14 +211,17 @@ fn setting(set: &mut PortSettings, meta: &ParseNestedMeta<'_>, allowed: &[&str])
     let text = |check: bool| -> syn::Result<String> {
         let text = meta.value()?.parse::<LitStr>()?;
         if check {
-            attrs::check_name(&text.value(), text.span())?;
+            attrs::check_pattern(&text.value(), text.span())?;
         }
         Ok(text.value())
     };
     match key.as_str() {
-        "name" => set.name = text(true)?,
+        "name" => {
+            set.name = text(true)?;
+            set.named = true;
+        }
         "interface" => set.interface = text(true)?,
-        "unit" => set.unit = text(false)?,
+        "unit" => set.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?,
         "format" => set.format = text(false)?,
         "optional" => set.optional = true,
         "fifo" => set.fifo = meta.value()?.parse::<LitInt>()?.base10_parse()?,

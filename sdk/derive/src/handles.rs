@@ -3,7 +3,7 @@
 //! Invariant: a handler's payload type follows from its signature; `T` and `&T` mean the same event.
 
 use crate::attrs;
-use crate::provides::{Argument, InterfaceArgs, argument, call_of, declared};
+use crate::provides::{Argument, InterfaceArgs, argument, call_of, declared, each};
 use proc_macro2::TokenStream;
 use quote::{format_ident, quote};
 use syn::{FnArg, ImplItem, ItemImpl, LitStr, Meta};
@@ -12,23 +12,26 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
     if !args.tag.is_empty() {
         return Err(syn::Error::new(args.name.span(), "a tag belongs to a provided interface"));
     }
+    let many = attrs::is_many(&args.name.value());
     let class = item.self_ty.clone();
     let (mut descs, mut calls) = (Vec::new(), Vec::new());
     for inner in &mut item.items {
         let ImplItem::Fn(f) = inner else { continue };
         let Some(at) = f.attrs.iter().position(|a| a.path().is_ident("on")) else { continue };
         let attr = f.attrs.remove(at);
-        let (mut name, mut optional) = (f.sig.ident.to_string(), false);
+        let (mut name, mut optional, mut direct) = (f.sig.ident.to_string(), false, args.direct);
         if !matches!(attr.meta, Meta::Path(_)) {
             attr.parse_nested_meta(|meta| {
                 if meta.path.is_ident("optional") {
                     optional = true;
+                } else if meta.path.is_ident("direct") {
+                    direct = true;
                 } else if meta.path.is_ident("name") {
                     let text = meta.value()?.parse::<LitStr>()?;
                     attrs::check_name(&text.value(), text.span())?;
                     name = text.value();
                 } else {
-                    return Err(meta.error("unknown setting; there are name and optional"));
+                    return Err(meta.error("unknown setting; there are name, optional and direct"));
                 }
                 Ok(())
             })?;
@@ -41,16 +44,21 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
                 "a handler is `fn name(&mut self[, payload])`",
             ));
         }
+        if many {
+            each(&mut inputs, &f.sig.ident)?;
+        }
         let arg = argument(&mut inputs)?;
         let payload = match &arg {
             None => quote!(None),
             Some(Argument { ty, .. }) => quote!(Some(<#ty as ::trocar_sdk::Payload>::DESC)),
         };
         descs.push(quote! {
-            ::trocar_sdk::__private::HandlerDesc { name: #name, doc: #doc, payload: #payload, optional: #optional }
+            ::trocar_sdk::__private::HandlerDesc {
+                name: #name, doc: #doc, payload: #payload, optional: #optional, direct: #direct,
+            }
         });
         let (id, method) = (calls.len() as u32, &f.sig.ident);
-        let (arg_ty, pattern, call) = call_of(&arg, quote!(<#class>::#method), quote!(this));
+        let (arg_ty, pattern, call) = call_of(&arg, quote!(<#class>::#method), quote!(this), many);
         calls.push(quote!(#id => unsafe { call.run::<#arg_ty, _>(|#pattern| #call) }));
     }
     let part = format_ident!("__TROCAR_HANDLES_{}", attrs::ident_part(&args.name.value()));
@@ -66,7 +74,7 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
                 ::trocar_sdk::__private::HandlesPart {
                     doc: #doc,
                     handlers: &[#(#descs),*],
-                    on_event: |this, id, call| match id { #(#calls,)* _ => call.unknown(id) },
+                    on_event: |this, id, each, call| match id { #(#calls,)* _ => call.unknown(id) },
                 };
         }
     })

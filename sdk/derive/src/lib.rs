@@ -10,6 +10,8 @@ mod component;
 mod config;
 mod fields;
 mod handles;
+mod interfaces;
+mod many;
 mod payload;
 mod provides;
 
@@ -35,13 +37,13 @@ pub fn derive_config(input: TokenStream) -> TokenStream {
 
 /// Makes a struct a component class.
 ///
-/// Struct attribute: `#[component(name = "…", rate_hz = 1000, model = "…", safety = "…", hardware,
+/// Struct attribute: `#[component(name = "…", rate_hz = 1000, max_step_ms = 50, model = "…", safety = "…", hardware,
 /// safe_from_any_thread, provides("a", "b"), requires("c"), optional("c"))]`. Field attributes: `#[input]`, `#[output]`,
-/// `#[required]`, `#[event("interface")]`, `#[state]`, `#[config]`, `#[host]`; a field without one is private run-time
+/// `#[required]`, `#[event("interface")]`, `#[state]`, `#[config]`, `#[host]`, `#[names]`; a field without one is private run-time
 /// state and needs `Default`.
 #[proc_macro_derive(
     Component,
-    attributes(component, input, output, required, event, state, config, host, unit, frame)
+    attributes(component, input, output, required, event, state, config, host, names, unit, frame)
 )]
 pub fn derive_component(input: TokenStream) -> TokenStream {
     done(component::derive(parse_macro_input!(input)))

@@ -21,7 +21,7 @@ impl Described {
         Ok(Described {
             ident: ident.clone(),
             ty: field.ty.clone(),
-            unit: attrs::text_attr(&field.attrs, "unit")?,
+            unit: attrs::unit_attr(&field.attrs)?,
             frame: attrs::text_attr(&field.attrs, "frame")?,
             doc: attrs::docs(&field.attrs),
         })

@@ -9,28 +9,35 @@ use quote::{format_ident, quote, quote_spanned};
 use syn::parse::{Parse, ParseStream};
 use syn::{Attribute, Expr, FnArg, ImplItem, ItemImpl, LitStr, Meta, Pat, ReturnType, Type};
 
-/// `"ctl"` or `"truth", tag = "truth"`.
+/// `"ctl"` or `"truth", tag = "truth"` or, for handlers, `"robot", direct`.
 pub(crate) struct InterfaceArgs {
     pub(crate) name: LitStr,
     pub(crate) tag: String,
+    pub(crate) direct: bool,
 }
 
 impl Parse for InterfaceArgs {
     fn parse(input: ParseStream<'_>) -> syn::Result<Self> {
         let name: LitStr =
             input.parse().map_err(|_| input.error("name the interface: #[provides(\"ctl\")]"))?;
-        attrs::check_name(&name.value(), name.span())?;
-        let mut tag = String::new();
-        if !input.is_empty() {
+        attrs::check_pattern(&name.value(), name.span())?;
+        let mut args = InterfaceArgs { name, tag: String::new(), direct: false };
+        while !input.is_empty() {
             input.parse::<syn::Token![,]>()?;
             let key: Ident = input.parse()?;
-            if key != "tag" {
-                return Err(syn::Error::new(key.span(), "unknown setting; there is tag = \"…\""));
+            if key == "direct" {
+                args.direct = true;
+            } else if key == "tag" {
+                input.parse::<syn::Token![=]>()?;
+                args.tag = input.parse::<LitStr>()?.value();
+            } else {
+                return Err(syn::Error::new(
+                    key.span(),
+                    "unknown setting; there are tag = \"…\" (provided) and direct (handlers)",
+                ));
             }
-            input.parse::<syn::Token![=]>()?;
-            tag = input.parse::<LitStr>()?.value();
         }
-        Ok(InterfaceArgs { name, tag })
+        Ok(args)
     }
 }
 
@@ -40,6 +47,8 @@ struct Command {
     name: String,
     doc: String,
     is_read: bool,
+    /// The method takes the position of its interface as an argument of its own.
+    many: bool,
     overflow: String,
     ret_unit: String,
     arg: Option<Argument>,
@@ -59,15 +68,22 @@ pub(crate) struct Argument {
 }
 
 pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<TokenStream> {
+    if args.direct {
+        return Err(syn::Error::new(
+            args.name.span(),
+            "`direct` is for handlers: the kind says how a command runs",
+        ));
+    }
     if let Some((_, path, _)) = &item.trait_ {
         return Err(syn::Error::new_spanned(path, "#[provides] stands on an inherent `impl` block"));
     }
+    let many = attrs::is_many(&args.name.value());
     let mut commands = Vec::new();
     for inner in &mut item.items {
         if let ImplItem::Fn(f) = inner
             && let Some((attr, is_read)) = take_attr(&mut f.attrs)
         {
-            commands.push(command(&attr, is_read, f)?);
+            commands.push(command(&attr, is_read, many, f)?);
         }
     }
     let class = &item.self_ty;
@@ -89,8 +105,8 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
                     doc: #doc,
                     tag: #tag,
                     commands: &[#(#descs),*],
-                    command: |this, id, call| match id { #(#calls,)* _ => call.unknown(id) },
-                    read: |state, id, call| match id { #(#reads,)* _ => call.unknown(id) },
+                    command: |this, id, each, call| match id { #(#calls,)* _ => call.unknown(id) },
+                    read: |state, id, each, call| match id { #(#reads,)* _ => call.unknown(id) },
                 };
         }
     })
@@ -115,12 +131,13 @@ fn take_attr(attrs: &mut Vec<Attribute>) -> Option<(Attribute, bool)> {
     Some((attr, is_read))
 }
 
-fn command(attr: &Attribute, is_read: bool, f: &mut syn::ImplItemFn) -> syn::Result<Command> {
+fn command(attr: &Attribute, is_read: bool, many: bool, f: &mut syn::ImplItemFn) -> syn::Result<Command> {
     let mut c = Command {
         method: f.sig.ident.clone(),
         name: f.sig.ident.to_string(),
         doc: attrs::docs(&f.attrs),
         is_read,
+        many,
         overflow: String::new(),
         ret_unit: String::new(),
         arg: None,
@@ -139,7 +156,7 @@ fn command(attr: &Attribute, is_read: bool, f: &mut syn::ImplItemFn) -> syn::Res
                     attrs::check_name(&name.value(), name.span())?;
                     c.name = name.value();
                 }
-                "unit" => c.ret_unit = text()?.value(),
+                "unit" => c.ret_unit = attrs::unit(&text()?)?,
                 "overflow" if !is_read => {
                     let policy = text()?;
                     c.overflow = policy.value();
@@ -173,11 +190,26 @@ fn command(attr: &Attribute, is_read: bool, f: &mut syn::ImplItemFn) -> syn::Res
         };
         return Err(syn::Error::new_spanned(&f.sig.ident, wanted));
     }
+    if many {
+        each(&mut inputs, &f.sig.ident)?;
+    }
     c.arg = argument(&mut inputs)?;
     if is_read && matches!(f.sig.output, ReturnType::Default) {
         return Err(syn::Error::new_spanned(&f.sig.ident, "a read returns a value: add `-> T`"));
     }
     Ok(c)
+}
+
+/// The `usize` that says which of the repeated interfaces is meant.
+pub(crate) fn each<'a>(inputs: &mut impl Iterator<Item = &'a mut FnArg>, method: &Ident) -> syn::Result<()> {
+    let usize = |ty: &Type| matches!(ty, Type::Path(p) if p.path.is_ident("usize"));
+    match inputs.next() {
+        Some(FnArg::Typed(typed)) if usize(&typed.ty) => Ok(()),
+        _ => Err(syn::Error::new_spanned(
+            method,
+            "this interface exists many times: the next parameter says which one, `at: usize`",
+        )),
+    }
 }
 
 /// The remaining parameter, if any, with its `#[arg(…)]` taken off.
@@ -212,7 +244,7 @@ pub(crate) fn argument<'a>(
     for attr in typed.attrs.iter().filter(|a| a.path().is_ident("arg")) {
         attr.parse_nested_meta(|meta| {
             if meta.path.is_ident("unit") {
-                arg.unit = meta.value()?.parse::<LitStr>()?.value();
+                arg.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?;
             } else if meta.path.is_ident("doc") {
                 arg.doc = meta.value()?.parse::<LitStr>()?.value();
             } else if meta.path.is_ident("min") {
@@ -260,7 +292,7 @@ impl Command {
     fn dispatch(&self, id: usize, class: &Type) -> TokenStream {
         let (id, method) = (id as u32, &self.method);
         let this = if self.is_read { quote!(state) } else { quote!(this) };
-        let (arg_ty, pattern, call) = call_of(&self.arg, quote!(<#class>::#method), this);
+        let (arg_ty, pattern, call) = call_of(&self.arg, quote!(<#class>::#method), this, self.many);
         // Why `run` may be called: the description above names the very types used here.
         quote!(#id => unsafe { call.run::<#arg_ty, _>(|#pattern| #call) })
     }
@@ -271,7 +303,9 @@ pub(crate) fn call_of(
     arg: &Option<Argument>,
     path: TokenStream,
     this: TokenStream,
+    many: bool,
 ) -> (TokenStream, TokenStream, TokenStream) {
+    let this = if many { quote!(#this, each) } else { this };
     match arg {
         None => (quote!(()), quote!(()), quote!(#path(#this))),
         Some(a) => {

@@ -1,17 +1,26 @@
 //! Ports without a type of their own: they take that of what they are connected to (recorder, player, bridges).
 //!
-//! Invariant: raw access is bounded by what the caller says it has; interpreting the bytes needs `type_json`.
+//! Invariant: the host compares sizes with what is connected at that moment, so a connection that changes between two
+//! calls is an answer, never a wrong read. No author needs `unsafe` here.
 
-use crate::call::Value;
-use crate::function::FunctionPort;
+use crate::dynamic::{AnyCommand, AnyType};
+use crate::function::{FunctionPort, waiting};
 use crate::host::Host;
-use crate::outcome::Outcome;
+use crate::outcome::{CallError, Outcome};
 use crate::ports::{Flow, In, Out, PortKind};
 use crate::stubs;
 use crate::values::Stamp;
 use core::ffi::c_void;
-use trocar_plugin_api::abi::{Bytes, FnSlot, InSlot, OutSlot, STATUS_OK, SampleView, Sink, Status};
+use core::mem::offset_of;
+use core::time::Duration;
+use serde_json::Value as Json;
+use trocar_plugin_api::abi::{
+    Bytes, CallOpts, FnSlot, InSlot, OutSlot, STATUS_OK, SampleView, Sink, Status, has_entry,
+};
 use trocar_plugin_api::desc::TypeDesc;
+
+/// Bytes of a table entry.
+const ENTRY: usize = size_of::<usize>();
 
 /// Marks an untyped port.
 pub struct Any(());
@@ -21,16 +30,23 @@ pub type AnyIn = In<Any>;
 /// An output that takes any type.
 pub type AnyOut = Out<Any>;
 
-/// A sample of unknown type.
+/// A sample of a type that is known only while running.
 pub struct AnyView<'a> {
     view: SampleView,
+    /// Bytes at the view's header; 0 when the host does not say (older than ABI 1.1).
+    len: usize,
     input: core::marker::PhantomData<&'a mut ()>,
 }
 
 impl AnyView<'_> {
-    /// The plain value or the header of a frame; its size is that of the type in `type_json`.
-    pub fn header(&self) -> *const c_void {
-        self.view.header
+    /// The bytes of the plain value, or of the header of a frame: [`AnyType::to_json`] and [`crate::Place::number`] read
+    /// them. Empty on a host older than ABI 1.1.
+    pub fn value(&self) -> &[u8] {
+        if self.len == 0 || self.view.header.is_null() {
+            return &[];
+        }
+        // SAFETY: the slot says so many readable bytes, valid while the view borrows the input.
+        unsafe { core::slice::from_raw_parts(self.view.header.cast(), self.len) }
     }
 
     /// The bytes of a frame, empty for plain samples.
@@ -46,19 +62,40 @@ impl AnyView<'_> {
         Stamp::from_ns(self.view.stamp_ns)
     }
 
+    /// Counts the writes of the output, from 1; a gap is exactly what was dropped on the way.
     pub fn seq(&self) -> u64 {
         self.view.seq
+    }
+
+    /// Stands for the connection the sample came by: when it differs from the last sample's, the type may be another.
+    pub fn source(&self) -> u64 {
+        self.view.token
     }
 }
 
 impl In<Any> {
     pub fn latest(&mut self) -> Option<AnyView<'_>> {
-        self.view(false).map(|view| AnyView { view, input: core::marker::PhantomData })
+        self.any_view(false)
     }
 
     #[allow(clippy::should_implement_trait)] // An input is no iterator: it may have more later.
     pub fn next(&mut self) -> Option<AnyView<'_>> {
-        self.view(true).map(|view| AnyView { view, input: core::marker::PhantomData })
+        self.any_view(true)
+    }
+
+    fn any_view(&mut self, next: bool) -> Option<AnyView<'_>> {
+        let view = self.view(next)?;
+        // SAFETY: attach demands a valid slot, and the stub is static.
+        let slot = unsafe { &*self.slot };
+        let told = has_entry(slot.struct_size, offset_of!(InSlot, header_len), ENTRY);
+        // SAFETY: the entry lies inside the slot; the context is its own.
+        let len = if told { unsafe { (slot.header_len)(slot.ctx) } } else { 0 };
+        Some(AnyView { view, len: len as usize, input: core::marker::PhantomData })
+    }
+
+    /// The connected type; none while unconnected. Allocates: ask once per connection, not in each `step`.
+    pub fn ty(&self) -> Option<AnyType> {
+        self.type_json().and_then(|text| AnyType::of_port(&text).ok())
     }
 
     /// The connected type as manifest JSON; none while unconnected.
@@ -69,6 +106,25 @@ impl In<Any> {
 }
 
 impl Out<Any> {
+    /// Publishes a plain value given as bytes of the connected type. The stamp may be invalid: then it is the begin of
+    /// this step. `InvalidArgument` when the size is not the type's, `Unbound` while unconnected, `Disabled` on a host
+    /// older than ABI 1.1.
+    pub fn write_bytes(&self, value: &[u8], stamp: Stamp) -> Outcome {
+        // SAFETY: attach demands a valid slot, and the stub is static.
+        let slot = unsafe { &*self.slot };
+        if !has_entry(slot.struct_size, offset_of!(OutSlot, write_bytes), ENTRY) {
+            return Outcome::Disabled;
+        }
+        let bytes = Bytes { ptr: value.as_ptr(), len: value.len() };
+        // SAFETY: the entry lies inside the slot and compares the size; the bytes live through the call.
+        Outcome::from(unsafe { (slot.write_bytes)(slot.ctx, bytes, self.stamp_or(stamp.ns())) })
+    }
+
+    /// The connected type; none while unconnected. Allocates.
+    pub fn ty(&self) -> Option<AnyType> {
+        self.type_json().and_then(|text| AnyType::of_port(&text).ok())
+    }
+
     /// Publishes a received sample without a copy.
     pub fn forward(&mut self, sample: &AnyView<'_>) -> Outcome {
         // SAFETY: the view is held by its input through this call.
@@ -92,7 +148,7 @@ unsafe impl Flow for In<Any> {
     }
 }
 
-// SAFETY: forwards host samples only; the host ties it to any type.
+// SAFETY: forwards host samples, or bytes whose size the host compares.
 unsafe impl Flow for Out<Any> {
     type Slot = OutSlot;
     const KIND: PortKind = PortKind::Any;
@@ -124,17 +180,70 @@ impl AnyFunction {
         unsafe { ask_type((*self.slot).type_of, (*self.slot).ctx) }
     }
 
-    /// Sends an argument of the connected command's type.
+    /// The connected command; none while unconnected. Allocates.
+    pub fn command(&self) -> Option<AnyCommand> {
+        self.type_json().and_then(|text| AnyCommand::of_function(&text).ok())
+    }
+
+    /// Without waiting and without a result; an empty slice for a command without argument. `InvalidArgument` when the
+    /// size is not the argument's, `Disabled` on a host older than ABI 1.1.
+    pub fn send_bytes(&self, arg: &[u8]) -> Outcome {
+        self.ask(arg, &mut [], core::ptr::null_mut())
+    }
+
+    /// Waits for the result, at most until the connection's deadline, and gives its bytes. Allocates.
     ///
-    /// # Safety
-    /// `A` has exactly the layout that [`AnyFunction::type_json`] describes now.
-    pub unsafe fn send<A: Value>(&self, arg: A) -> Outcome {
-        // SAFETY: the caller vouches for the layout; the argument lives through the call.
-        unsafe {
-            let slot = &*self.slot;
-            let (ret, opts) = (core::ptr::null_mut(), core::ptr::null_mut());
-            Outcome::from((slot.call)(slot.ctx, arg.ptr(), ret, opts))
+    /// # Errors
+    /// The outcome and the peer's sentence; `InvalidArgument` when the size is not the argument's.
+    pub fn call_bytes(&self, arg: &[u8]) -> Result<Vec<u8>, CallError> {
+        let command = self.command().ok_or_else(|| CallError::of(Outcome::Unbound))?;
+        self.call_as(&command, arg)
+    }
+
+    /// As [`AnyFunction::call_bytes`] with JSON; null stands for no argument and for no result.
+    ///
+    /// # Errors
+    /// As `call_bytes`; the reason says where the value does not fit the argument's type.
+    pub fn call_json(&self, arg: &Json) -> Result<Json, CallError> {
+        let command = self.command().ok_or_else(|| CallError::of(Outcome::Unbound))?;
+        let arg = match &command.arg {
+            Some(ty) => ty.to_bytes(arg).map_err(|e| CallError {
+                outcome: Outcome::InvalidArgument,
+                reason: e.to_string(),
+                may_still_run: false,
+            })?,
+            None => Vec::new(),
+        };
+        let ret = self.call_as(&command, &arg)?;
+        Ok(command.ret.as_ref().and_then(|ty| ty.to_json(&ret)).unwrap_or_default())
+    }
+
+    fn call_as(&self, command: &AnyCommand, arg: &[u8]) -> Result<Vec<u8>, CallError> {
+        let mut ret = vec![0u64; command.ret_size().div_ceil(8)];
+        // SAFETY: any u64 is eight valid bytes; the slice covers a part of the same memory.
+        let bytes =
+            unsafe { core::slice::from_raw_parts_mut(ret.as_mut_ptr().cast::<u8>(), command.ret_size()) };
+        waiting(Duration::ZERO, |opts| self.ask(arg, bytes, opts))?;
+        Ok(bytes.to_vec())
+    }
+
+    fn ask(&self, arg: &[u8], ret: &mut [u8], opts: *mut CallOpts) -> Outcome {
+        // SAFETY: attach demands a valid slot, and the stub is static.
+        let slot = unsafe { &*self.slot };
+        if !has_entry(slot.struct_size, offset_of!(FnSlot, call_bytes), ENTRY) {
+            return Outcome::Disabled;
         }
+        // The server reads its argument in place, so it begins where any payload may.
+        let mut words = vec![0u64; arg.len().div_ceil(8)];
+        // SAFETY: as many bytes as the words have, at least the argument's.
+        unsafe { core::ptr::copy_nonoverlapping(arg.as_ptr(), words.as_mut_ptr().cast(), arg.len()) };
+        let bytes = Bytes { ptr: words.as_ptr().cast(), len: arg.len() };
+        let (to, len) = match ret.len() {
+            0 => (core::ptr::null_mut(), 0),
+            len => (ret.as_mut_ptr().cast(), len as u64),
+        };
+        // SAFETY: the entry lies inside the slot and compares both sizes; all pointers live through the call.
+        Outcome::from(unsafe { (slot.call_bytes)(slot.ctx, bytes, to, len, opts) })
     }
 }
 
@@ -144,7 +253,7 @@ impl FunctionPort for AnyFunction {
     const ANY: bool = true;
 }
 
-// SAFETY: the host ties it to any command; sending is the caller's own proof.
+// SAFETY: the host ties it to any command and compares the sizes of each call.
 unsafe impl Flow for AnyFunction {
     type Slot = FnSlot;
     const KIND: PortKind = PortKind::Any;

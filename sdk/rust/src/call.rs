@@ -152,13 +152,26 @@ impl Call {
     }
 }
 
+/// True when a read is among the commands of an interface.
+pub const fn has_reads(commands: &[CommandDesc]) -> bool {
+    let mut i = 0;
+    while i < commands.len() {
+        if matches!(commands[i].kind, CommandKind::Read | CommandKind::QualifiedRead) {
+            return true;
+        }
+        i += 1;
+    }
+    false
+}
+
 /// What `#[provides]` says about one interface of class `C`.
 pub struct ProvidedPart<C: Class> {
     pub doc: &'static str,
     pub tag: &'static str,
     pub commands: &'static [CommandDesc],
-    pub command: fn(&mut C, u32, &mut Call) -> Status,
-    pub read: fn(&C::State, u32, &mut Call) -> Status,
+    /// Id within the interface; which of the repeated interfaces, 0 for a fixed one.
+    pub command: fn(&mut C, u32, usize, &mut Call) -> Status,
+    pub read: fn(&C::State, u32, usize, &mut Call) -> Status,
 }
 
 impl<C: Class> ProvidedPart<C> {
@@ -167,8 +180,8 @@ impl<C: Class> ProvidedPart<C> {
         doc: "",
         tag: "",
         commands: &[],
-        command: |_, id, call| call.unknown(id),
-        read: |_, id, call| call.unknown(id),
+        command: |_, id, _, call| call.unknown(id),
+        read: |_, id, _, call| call.unknown(id),
     };
 }
 
@@ -176,13 +189,13 @@ impl<C: Class> ProvidedPart<C> {
 pub struct HandlesPart<C: Class> {
     pub doc: &'static str,
     pub handlers: &'static [HandlerDesc],
-    pub on_event: fn(&mut C, u32, &mut Call) -> Status,
+    pub on_event: fn(&mut C, u32, usize, &mut Call) -> Status,
 }
 
 impl<C: Class> HandlesPart<C> {
     /// An interface with functions only.
     pub const EMPTY: HandlesPart<C> =
-        HandlesPart { doc: "", handlers: &[], on_event: |_, id, call| call.unknown(id) };
+        HandlesPart { doc: "", handlers: &[], on_event: |_, id, _, call| call.unknown(id) };
 }
 
 /// Holds for each provided interface a class declares; `KEY` is the hash of its name.

@@ -4,9 +4,11 @@
 
 use crate::call::Call;
 use crate::config::JsonObject;
+use crate::describe::Lists;
 use crate::host::Host;
 use crate::payload::Payload;
 use crate::ports::Binder;
+use crate::services::ServiceReply;
 use crate::values::Stamp;
 use trocar_plugin_api::abi::{self, Status};
 use trocar_plugin_api::desc::ClassDesc;
@@ -42,10 +44,17 @@ pub trait Component {
         let _ = tick;
         Ok(())
     }
-    /// The reply to an earlier [`Host::service`] with this token, as JSON.
-    fn service_reply(&mut self, token: u64, reply: &str) -> Result {
-        let _ = (token, reply);
+    /// Lists of names set before are in force now, in [`crate::Many`] and [`crate::Names`]: size here what belongs to
+    /// them. After `configure` or [`Host::ports_changed`], between two steps, when a list has become another.
+    fn ports_changed(&mut self) {}
+    /// The answer to a service asked for with [`Host::services`] or [`Host::service`].
+    fn answered(&mut self, reply: ServiceReply) -> Result {
+        let _ = reply;
         Ok(())
+    }
+    /// The same as raw JSON, before it is read; by itself it calls [`Component::answered`].
+    fn service_reply(&mut self, token: u64, reply: &str) -> Result {
+        self.answered(ServiceReply::parse(token, reply))
     }
     /// What must survive a swap and is not in a `#[state]` field.
     fn snapshot(&self) -> Vec<u8> {
@@ -71,6 +80,10 @@ pub unsafe trait Class: Component + Send + Sized + 'static {
     /// One row of the state table: the `#[state]` fields.
     type State: Payload;
 
+    /// The rendered description, empty for a class whose ports are all fixed.
+    #[doc(hidden)]
+    const DESCRIPTION: &'static str = "";
+
     #[doc(hidden)]
     fn create(host: Host) -> Self;
     #[doc(hidden)]
@@ -87,6 +100,19 @@ pub unsafe trait Class: Component + Send + Sized + 'static {
     fn read(row: &Self::State, id: u32, call: &mut Call) -> Status;
     #[doc(hidden)]
     fn on_event(&mut self, id: u32, call: &mut Call) -> Status;
+    /// The lists of names behind what is repeated.
+    #[doc(hidden)]
+    fn lists(&self) -> Lists<'_> {
+        Lists { inputs: Vec::new(), outputs: Vec::new(), required: Vec::new(), provided: Vec::new() }
+    }
+    /// From now on ids and slots follow the present lists.
+    #[doc(hidden)]
+    fn freeze(&mut self) {}
+    /// Slots beyond the fixed ones, as described last: inputs, outputs, functions, events.
+    #[doc(hidden)]
+    fn many_slots(&self) -> [usize; 4] {
+        [0; 4]
+    }
 }
 
 /// What a `step` is told about its cycle.

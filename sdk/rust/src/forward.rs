@@ -8,7 +8,9 @@ use std::cell::RefCell;
 use std::panic::PanicHookInfo;
 use std::sync::Once;
 use std::sync::atomic::{AtomicPtr, Ordering};
-use trocar_plugin_api::abi::{Bytes, HostTable, LOG_DEBUG, LOG_ERROR, LOG_INFO, LOG_TRACE, LOG_WARN};
+use trocar_plugin_api::abi::{
+    Bytes, HOST_LINKED, HostTable, LOG_DEBUG, LOG_ERROR, LOG_INFO, LOG_TRACE, LOG_WARN,
+};
 
 static HOST: AtomicPtr<HostTable> = AtomicPtr::new(core::ptr::null_mut());
 static HOOK: Once = Once::new();
@@ -20,10 +22,23 @@ thread_local! {
 /// Longest forwarded line, bytes; the rest is cut. Lines are formatted on the stack, so `step` may log.
 const LINE: usize = 512;
 
-/// Remembers the host and installs logger and hook, once per library.
+/// Remembers the host and installs logger and hook, once per library. In the host's own program lines go to the program's
+/// own logger, and its panic hook goes on speaking.
 pub(crate) fn install(host: *const HostTable) {
+    // SAFETY: `init` demands a table that is null or valid.
+    if unsafe { host.as_ref() }.is_some_and(|host| host.flags & HOST_LINKED != 0) {
+        return install_hook();
+    }
     HOST.store(host.cast_mut(), Ordering::Release);
     // A logger that is already there (a statically linked program's) is not ours to replace.
+    if log::set_logger(&Forwarder).is_ok() {
+        log::set_max_level(log::LevelFilter::Info);
+    }
+    install_hook();
+}
+
+/// The same for a component on a bench: no host; lines are kept for the test.
+pub(crate) fn install_for_tests() {
     if log::set_logger(&Forwarder).is_ok() {
         log::set_max_level(log::LevelFilter::Info);
     }
@@ -98,7 +113,10 @@ impl log::Log for Forwarder {
         let mut line = Line { text: [0; LINE], len: 0 };
         // A cut line is still worth sending.
         let _ = write!(line, "{}", record.args());
-        send(level, record.target(), core::str::from_utf8(&line.text[..line.len]).unwrap_or(""));
+        let text = core::str::from_utf8(&line.text[..line.len]).unwrap_or("");
+        if !send(level, record.target(), text) {
+            crate::testing::keep(record.level(), record.target(), text);
+        }
     }
 
     fn flush(&self) {}

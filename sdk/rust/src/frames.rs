@@ -206,7 +206,7 @@ unsafe impl<H: Payload> Flow for Out<Frame<H>> {
     unsafe fn attach(&mut self, slot: *const OutSlot, host: &Host) {
         self.tie(slot, host);
         let outcome = self.ask_pool();
-        if !outcome.is_ok() {
+        if !outcome.is_ok() && outcome != Outcome::Unbound {
             log::warn!("the pool asked for before the output was bound cannot be made: {outcome}");
         }
     }

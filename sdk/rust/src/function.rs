@@ -66,30 +66,41 @@ impl<A: Value, R: Value> Function<A, R> {
     /// # Errors
     /// The outcome and the peer's sentence.
     pub fn call_within(&self, arg: A, deadline: Duration) -> Result<R, CallError> {
-        let mut text = [0u8; 256];
-        let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
-        let mut opts = CallOpts {
-            struct_size: size_of::<CallOpts>() as u32,
-            mode: MODE_CALL,
-            deadline_ns: u64::try_from(deadline.as_nanos()).unwrap_or(u64::MAX),
-            err: &mut err,
-            stamp_ns: 0,
-            may_still_run: 0,
-            reserved: 0,
-        };
         let mut ret = R::blank();
-        // SAFETY: attach demands a valid slot for `A` and `R`; all pointers live through the call.
-        let outcome = unsafe {
-            let slot = &*self.slot;
-            Outcome::from((slot.call)(slot.ctx, arg.ptr(), ret.ptr_mut(), &mut opts))
-        };
-        if outcome == Outcome::Executed {
-            return Ok(ret);
-        }
-        let may_still_run = opts.may_still_run != 0;
-        let reason = String::from_utf8_lossy(&text[..err.len.min(text.len())]).into_owned();
-        Err(CallError { outcome, reason, may_still_run })
+        waiting(deadline, |opts| {
+            // SAFETY: attach demands a valid slot for `A` and `R`; all pointers live through the call.
+            unsafe {
+                let slot = &*self.slot;
+                Outcome::from((slot.call)(slot.ctx, arg.ptr(), ret.ptr_mut(), opts))
+            }
+        })?;
+        Ok(ret)
     }
+}
+
+/// One call that waits, with room for the peer's sentence.
+pub(crate) fn waiting(
+    deadline: Duration,
+    call: impl FnOnce(*mut CallOpts) -> Outcome,
+) -> Result<(), CallError> {
+    let mut text = [0u8; 256];
+    let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+    let mut opts = CallOpts {
+        struct_size: size_of::<CallOpts>() as u32,
+        mode: MODE_CALL,
+        deadline_ns: u64::try_from(deadline.as_nanos()).unwrap_or(u64::MAX),
+        err: &mut err,
+        stamp_ns: 0,
+        may_still_run: 0,
+        reserved: 0,
+    };
+    let outcome = call(&mut opts);
+    if outcome == Outcome::Executed {
+        return Ok(());
+    }
+    let may_still_run = opts.may_still_run != 0;
+    let reason = String::from_utf8_lossy(&text[..err.len.min(text.len())]).into_owned();
+    Err(CallError { outcome, reason, may_still_run })
 }
 
 impl<A: Value, R: Value> FunctionPort for Function<A, R> {

@@ -7,7 +7,10 @@ use crate::values::Stamp;
 use core::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trocar_plugin_api::abi::{Bytes, HostTable};
+use trocar_plugin_api::abi::{Bytes, HostTable, has_entry};
+
+/// First token that [`Host::services`] gives.
+const FIRST_TOKEN: u64 = 1 << 32;
 
 /// A handle to the host: a `#[host]` field of a component. Any thread may use it while the component lives.
 #[derive(Clone)]
@@ -20,6 +23,8 @@ struct Env {
     name: String,
     /// Begin of the step that runs, ns; 0 outside of `step`.
     step_ns: AtomicU64,
+    /// Of the last service asked for; above those an author counts from 0.
+    token: AtomicU64,
 }
 
 // SAFETY: the host's functions take calls from any thread, and the table outlives the instance.
@@ -31,7 +36,8 @@ impl Host {
     /// # Safety
     /// `table` is valid until the instance is destroyed.
     pub(crate) unsafe fn new(table: *const HostTable, name: &str) -> Host {
-        Host { env: Arc::new(Env { table, name: name.to_string(), step_ns: AtomicU64::new(0) }) }
+        let (step_ns, token) = (AtomicU64::new(0), AtomicU64::new(FIRST_TOKEN));
+        Host { env: Arc::new(Env { table, name: name.to_string(), step_ns, token }) }
     }
 
     fn table(&self) -> &HostTable {
@@ -70,12 +76,29 @@ impl Host {
         self.env.step_ns.store(0, Ordering::Relaxed);
     }
 
-    /// Asks for a dynamic component service, `{"verb":"Create",…}` as in the gRPC request. The reply arrives in
-    /// [`crate::Component::service_reply`] with the same token. From `step` the answer is `WouldBlock`.
+    pub(crate) fn next_token(&self) -> u64 {
+        self.env.token.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// A dynamic component service as raw JSON, `{"verb":"Create",…}` as in the gRPC request; [`Host::services`] is
+    /// the typed way. The reply arrives in [`crate::Component::service_reply`] with the same token. From `step` the answer is `WouldBlock`.
     pub fn service(&self, token: u64, request: &str) -> Outcome {
         let table = self.table();
         // SAFETY: the text lives through the call.
         Outcome::from(unsafe { (table.service)(table.ctx, token, bytes(request)) })
+    }
+
+    /// Tells the host that lists of names ([`crate::Many`], [`crate::Names`]) are others now: between two steps it asks
+    /// for them and ties the ports. After `configure` it does so by itself. Any thread; `Disabled` when the host is
+    /// older than ABI 1.1.
+    pub fn ports_changed(&self) -> Outcome {
+        let table = self.table();
+        let at = core::mem::offset_of!(HostTable, ports_changed);
+        if !has_entry(table.struct_size, at, size_of_val(&table.now_ns)) {
+            return Outcome::Disabled;
+        }
+        // SAFETY: the entry lies inside the table and takes calls from any thread.
+        Outcome::from(unsafe { (table.ports_changed)(table.ctx) })
     }
 
     /// Runs `f` bracketed as a callback: for threads of a device library in an `on_callback` class.

@@ -10,7 +10,10 @@ mod any;
 mod call;
 mod component;
 mod config;
+pub mod crtk;
 pub mod data;
+mod describe;
+mod dynamic;
 mod export;
 mod forward;
 mod frames;
@@ -19,9 +22,12 @@ mod function;
 mod geometry;
 mod guard;
 mod host;
+mod many;
 mod outcome;
+mod parallel;
 mod payload;
 mod ports;
+mod services;
 mod shims;
 mod stubs;
 pub mod testing;
@@ -31,14 +37,20 @@ pub use any::{Any, AnyFunction, AnyIn, AnyOut, AnyView};
 pub use call::{Answer, Value};
 pub use component::{Class, Component, Error, Result, Tick};
 pub use config::{Config, ConfigField};
+pub use dynamic::{AnyCommand, AnyType, Place};
 pub use frames::{Frame, FrameLoan, FrameView};
 pub use function::{Event, Function};
+#[cfg(feature = "nalgebra")]
+pub use geometry::{GeometryError, UNIT_TOLERANCE};
 pub use host::Host;
 pub use log;
+pub use many::{Many, Names};
 pub use outcome::{CallError, NoFrame, Outcome};
 pub use payload::{Payload, as_bytes, from_bytes};
 pub use ports::{In, Out, Sample};
 pub use serde_json;
+pub use services::{ServiceReply, Services};
+pub use trocar_plugin_api::abi::StaticPlugin;
 pub use trocar_sdk_derive::{Component, Config, Payload, handles, provides};
 pub use values::{Flag, List, Stamp, Text};
 
@@ -46,8 +58,8 @@ pub use values::{Flag, List, Stamp, Text};
 pub mod prelude {
     pub use crate::{
         AnyFunction, AnyIn, AnyOut, Class, Component, Config, Event, Flag, Frame, FrameView, Function, Host,
-        In, List, NoFrame, Out, Outcome, Payload, Result, Sample, Stamp, Text, Tick, handles, log,
-        named_values, provides, trocar_plugin,
+        In, List, Many, Names, NoFrame, Out, Outcome, Payload, Result, Sample, Stamp, Text, Tick, handles,
+        log, named_values, provides, trocar_plugin,
     };
 }
 
@@ -55,12 +67,13 @@ pub mod prelude {
 #[doc(hidden)]
 pub mod __private {
     pub use crate::call::{
-        Answer, Call, DeclaresProvided, DeclaresRequired, HandlesPart, ProvidedPart, kind_of,
+        Answer, Call, DeclaresProvided, DeclaresRequired, HandlesPart, ProvidedPart, has_reads, kind_of,
     };
     pub use crate::config::{
         JsonObject, field as config_field, known as config_known, unset as config_unset,
     };
-    pub use crate::export::{BUILT_WITH, plugin_name};
+    pub use crate::describe::{Lists, check as check_lists};
+    pub use crate::export::{BUILT_WITH, manifest_text, plugin_name};
     pub use crate::function::{EventPort, FunctionPort};
     pub use crate::ports::{Binder, port_type};
     pub use crate::shims::{Export, init, text};
@@ -70,7 +83,7 @@ pub mod __private {
     #[cfg(feature = "layout")]
     pub use trocar_plugin_api::export_layout;
     pub use trocar_plugin_api::note::Note;
-    pub use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR, render};
+    pub use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR, render, render_description};
 
     /// The primitive of an integer, for named values.
     pub const fn prim_of<T: crate::Payload>() -> Prim {

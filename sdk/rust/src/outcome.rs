@@ -65,7 +65,7 @@ impl fmt::Display for Outcome {
             Outcome::Unbound => "no peer is connected",
             Outcome::QueueFull => "the peer's queue is full",
             Outcome::WouldBlock => "waiting is not allowed on this thread: use `send`",
-            Outcome::Disabled => "the command is disabled",
+            Outcome::Disabled => "the command is not among its component's ports any more",
             Outcome::InvalidArgument => "the argument is outside its limits",
             Outcome::Failed => "the command failed",
             Outcome::Deadline => "no answer before the deadline",
@@ -85,6 +85,13 @@ pub struct CallError {
     pub reason: String,
     /// With [`Outcome::Deadline`]: the command may still be executed.
     pub may_still_run: bool,
+}
+
+impl CallError {
+    /// Without a sentence of the peer's.
+    pub(crate) fn of(outcome: Outcome) -> CallError {
+        CallError { outcome, reason: String::new(), may_still_run: false }
+    }
 }
 
 impl fmt::Display for CallError {

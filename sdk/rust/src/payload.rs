@@ -21,6 +21,13 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 /// #[repr(C)]
 /// struct Gap { small: u8, large: f64 }
 /// ```
+/// A unit that nobody knows is refused, with what was probably meant ("did you mean `N.mm`?"):
+/// ```compile_fail
+/// use trocar_sdk::prelude::*;
+/// #[derive(Payload, Clone, Copy)]
+/// #[repr(C)]
+/// struct Torque { #[unit("Nmm")] t: f64 }
+/// ```
 ///
 /// # Safety
 /// The type is `repr(C)` or `repr(transparent)`, has no padding, no pointers, is valid for every bit pattern, is
@@ -73,37 +80,4 @@ unsafe impl<T: Payload, const N: usize> Payload for [T; N] {
         align: align_of::<T>(),
         kind: TypeKind::Array { item: T::DESC, n: N },
     };
-}
-
-/// True when two descriptions have the same names, places, kinds and units all the way down.
-pub(crate) fn same(a: &TypeDesc, b: &TypeDesc) -> bool {
-    let inside = match (&a.kind, &b.kind) {
-        (TypeKind::Prim(a), TypeKind::Prim(b)) => a == b,
-        (TypeKind::Array { item: a, n: x }, TypeKind::Array { item: b, n: y })
-        | (TypeKind::List { item: a, n: x }, TypeKind::List { item: b, n: y }) => x == y && same(a, b),
-        (TypeKind::Text { n: x }, TypeKind::Text { n: y }) => x == y,
-        (TypeKind::Enum { name: a, values: v, .. }, TypeKind::Enum { name: b, values: w, .. }) => {
-            a == b && v == w
-        }
-        (TypeKind::Struct { name: a, fields: f, .. }, TypeKind::Struct { name: b, fields: g, .. }) => {
-            a == b
-                && f.len() == g.len()
-                && f.iter()
-                    .zip(g.iter())
-                    .all(|(x, y)| x.name == y.name && x.at == y.at && x.unit == y.unit && same(x.ty, y.ty))
-        }
-        _ => false,
-    };
-    inside && a.size == b.size
-}
-
-/// A short name for messages: `Force`, `f64`, `[f64; 3]`.
-pub(crate) fn type_name(ty: &TypeDesc) -> String {
-    match &ty.kind {
-        TypeKind::Prim(p) => p.name().to_string(),
-        TypeKind::Array { item, n } => format!("[{}; {n}]", type_name(item)),
-        TypeKind::List { item, n } => format!("List<{}, {n}>", type_name(item)),
-        TypeKind::Text { n } => format!("Text<{n}>"),
-        TypeKind::Enum { name, .. } | TypeKind::Struct { name, .. } => (*name).to_string(),
-    }
 }

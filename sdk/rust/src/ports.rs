@@ -3,6 +3,7 @@
 //! Invariant: a port always points to a slot, the unbound stub until `bind`, so that using it needs no check.
 
 use crate::host::Host;
+use crate::many::Many;
 use crate::outcome::Outcome;
 use crate::payload::Payload;
 use crate::stubs;
@@ -82,7 +83,37 @@ impl<'a> Binder<'a> {
     }
 }
 
+/// Ties the ports of a repeated one: its first slot is at `at`, the next ones each `apart` further.
+macro_rules! many {
+    ($($name:ident, $slot:ty, $table:ident, $count:ident;)*) => {
+        impl Binder<'_> {$(
+            pub fn $name<P: Flow<Slot = $slot> + Default>(&self, at: usize, apart: usize, many: &mut Many<P>) {
+                let described = many.names().described_len();
+                let last = described.checked_sub(1).map(|n| at + n * apart);
+                let there = self.ports.$count as usize;
+                assert!(last.is_none_or(|last| last < there), "slots {at} to {last:?} of {there} do not exist");
+                // SAFETY: inside the table, for described positions; `new` vouches for slot and type.
+                unsafe { many.tie(self.host, |i| *self.ports.$table.add(at + i * apart)) }
+            }
+        )*}
+    };
+}
+many! {
+    many_inputs, InSlot, inputs, input_count;
+    many_outputs, OutSlot, outputs, output_count;
+    many_functions, FnSlot, functions, function_count;
+    many_events, EventSlot, events, event_count;
+}
+
 /// An input: of plain samples (`In<Force>`) or of frames (`In<Frame<ImageHeader>>`).
+///
+/// Units and coordinate frames are those of the payload's fields; at the port they are refused:
+/// ```compile_fail
+/// use trocar_sdk::prelude::*;
+/// #[derive(Component)]
+/// struct Tip { #[input] #[frame("retina")] tip: In<f64> }
+/// impl Component for Tip { fn step(&mut self, _: &Tick) -> Result { self.tip.latest(); Ok(()) } }
+/// ```
 pub struct In<T> {
     pub(crate) slot: *const InSlot,
     kind: PhantomData<fn() -> T>,
@@ -135,6 +166,13 @@ impl<T: Payload> In<T> {
     #[inline]
     pub fn latest(&mut self) -> Option<T> {
         self.view(false).map(|v| value(&v))
+    }
+
+    /// The newest sample, or `safe` when there is none, nobody is connected, or it is older than the connection's
+    /// `max_age`: what an actuator follows, whose health then says STALE_INPUT.
+    #[inline]
+    pub fn latest_or(&mut self, safe: T) -> T {
+        self.view(false).filter(|v| v.flags & SAMPLE_STALE == 0).map_or(safe, |v| value(&v))
     }
 
     /// The newest sample when it was not seen before.

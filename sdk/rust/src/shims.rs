@@ -32,7 +32,7 @@ impl<C: Class> Export<C> {
         create: Some(create::<C>),
         destroy: Some(destroy::<C>),
         configure: Some(configure::<C>),
-        describe: None,
+        describe: if C::DESCRIPTION.is_empty() { None } else { Some(describe::<C>) },
         bind: Some(bind::<C>),
         start: Some(start::<C>),
         stop: Some(stop::<C>),
@@ -115,12 +115,30 @@ unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *m
     })
 }
 
+unsafe extern "C" fn describe<C: Class>(this: *mut c_void, sink: *const Sink) -> Status {
+    guard(core::ptr::null_mut(), || {
+        // SAFETY: a live instance and a sink that is valid for the call.
+        let (instance, sink) = unsafe { (instance::<C>(this), &*sink) };
+        let text = match crate::describe::build(&instance.component) {
+            Ok(json) => json.to_string(),
+            Err(e) => {
+                log::error!("{}: {e}", instance.host.instance_name());
+                return STATUS_INVALID;
+            }
+        };
+        instance.component.freeze();
+        // SAFETY: the sink's own context; the bytes live through the call.
+        unsafe { (sink.write)(sink.ctx, Bytes { ptr: text.as_ptr(), len: text.len() }) };
+        STATUS_OK
+    })
+}
+
 unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status {
     guard(err, || {
         // SAFETY: a live instance; the slot tables are valid until the next bind or destroy.
         let (instance, ports) = unsafe { (instance::<C>(this), &*ports) };
         let given = [ports.input_count, ports.output_count, ports.function_count, ports.event_count];
-        let wanted = slot_counts::<C>();
+        let wanted = slot_counts(&instance.component);
         if given != wanted {
             return refuse(
                 err,
@@ -131,17 +149,24 @@ unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err:
                 ),
             );
         }
-        // SAFETY: counts agree; the host made the slots from this class's manifest.
+        // SAFETY: counts agree; the host made the slots from the manifest or the last description.
         instance.component.bind(&unsafe { Binder::new(ports, &instance.host) });
+        if !C::DESCRIPTION.is_empty() {
+            instance.component.ports_changed();
+        }
         STATUS_OK
     })
 }
 
 /// Inputs, outputs, functions, events.
-fn slot_counts<C: Class>() -> [u32; 4] {
+fn slot_counts<C: Class>(component: &C) -> [u32; 4] {
     let functions: usize = C::DESC.required.iter().map(|r| r.functions.len()).sum();
     let events: usize = C::DESC.provided.iter().map(|p| p.events.len()).sum();
-    [C::DESC.inputs.len(), C::DESC.outputs.len(), functions, events].map(|n| n as u32)
+    let mut counts = [C::DESC.inputs.len(), C::DESC.outputs.len(), functions, events];
+    for (count, many) in counts.iter_mut().zip(component.many_slots()) {
+        *count += many;
+    }
+    counts.map(|n| n as u32)
 }
 
 macro_rules! plain_entries {

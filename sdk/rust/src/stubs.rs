@@ -21,6 +21,9 @@ pub(crate) fn input() -> *const InSlot {
     unsafe extern "C" fn writable(_: *mut c_void, _: *mut SampleView) -> *mut u8 {
         null_mut()
     }
+    unsafe extern "C" fn header_len(_: *mut c_void) -> u64 {
+        0
+    }
     static SLOT: Shared<InSlot> = Shared(InSlot {
         struct_size: size_of::<InSlot>() as u32,
         flags: 0,
@@ -30,6 +33,7 @@ pub(crate) fn input() -> *const InSlot {
         release,
         writable,
         type_of,
+        header_len,
     });
     &SLOT.0
 }
@@ -51,6 +55,9 @@ pub(crate) fn output() -> *const OutSlot {
     unsafe extern "C" fn reserve(_: *mut c_void, _: u64, _: u32) -> Outcome {
         UNBOUND
     }
+    unsafe extern "C" fn write_bytes(_: *mut c_void, _: Bytes, _: u64) -> Outcome {
+        UNBOUND
+    }
     static SLOT: Shared<OutSlot> = Shared(OutSlot {
         struct_size: size_of::<OutSlot>() as u32,
         flags: 0,
@@ -62,6 +69,7 @@ pub(crate) fn output() -> *const OutSlot {
         forward,
         reserve,
         type_of,
+        write_bytes,
     });
     &SLOT.0
 }
@@ -70,8 +78,23 @@ pub(crate) fn function() -> *const FnSlot {
     unsafe extern "C" fn call(_: *mut c_void, _: *const c_void, _: *mut c_void, _: *mut CallOpts) -> Outcome {
         UNBOUND
     }
-    static SLOT: Shared<FnSlot> =
-        Shared(FnSlot { struct_size: size_of::<FnSlot>() as u32, flags: 0, ctx: null_mut(), call, type_of });
+    unsafe extern "C" fn call_bytes(
+        _: *mut c_void,
+        _: Bytes,
+        _: *mut c_void,
+        _: u64,
+        _: *mut CallOpts,
+    ) -> Outcome {
+        UNBOUND
+    }
+    static SLOT: Shared<FnSlot> = Shared(FnSlot {
+        struct_size: size_of::<FnSlot>() as u32,
+        flags: 0,
+        ctx: null_mut(),
+        call,
+        type_of,
+        call_bytes,
+    });
     &SLOT.0
 }
 

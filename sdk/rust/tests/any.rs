@@ -26,7 +26,7 @@ struct Recorder {
 impl Component for Recorder {
     fn step(&mut self, _: &Tick) -> Result {
         while let Some(sample) = self.any.next() {
-            assert!(!sample.header().is_null() && sample.stamp().is_valid());
+            assert!(!sample.value().is_empty() && sample.stamp().is_valid());
             self.samples += 1;
             self.bytes += sample.bytes().len() as u64;
             self.same.forward(&sample);
@@ -39,6 +39,7 @@ impl Component for Recorder {
 fn an_untyped_input_takes_samples_and_frames_alike() {
     let mut bench = Bench::<Recorder>::new("{}");
     bench.push("any", Scalar::default());
+    bench.step(1);
     bench.push_frame("any", ImageHeader::default(), &[1, 2, 3]);
     bench.step(1);
     assert_eq!((bench.state().samples, bench.state().bytes), (2, 3));
@@ -56,4 +57,9 @@ fn untyped_ports_say_any_in_the_manifest() {
 fn an_unconnected_port_has_no_type_yet() {
     assert_eq!(AnyIn::default().type_json(), None);
     assert_eq!(AnyFunction::default().type_json(), None);
+    assert!(AnyOut::default().ty().is_none() && AnyFunction::default().command().is_none());
+    assert_eq!(AnyOut::default().write_bytes(&[0; 8], Stamp::INVALID), Outcome::Unbound);
+    assert_eq!(AnyFunction::default().send_bytes(&[]), Outcome::Unbound);
+    let unbound = AnyFunction::default().call_json(&trocar_sdk::serde_json::Value::Null).unwrap_err();
+    assert_eq!(unbound.outcome, Outcome::Unbound);
 }

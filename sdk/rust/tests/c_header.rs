@@ -41,10 +41,10 @@ fn structs() -> Vec<Both> {
         trocar_tick = Tick { struct_size, flags, cycle, now_ns, deadline_ns, period_ns, elapsed_ns }
         trocar_loan = Loan { struct_size, flags, header, bytes, capacity, token }
         trocar_sample = SampleView { struct_size, flags, header, bytes, len, stamp_ns, seq, token }
-        trocar_out = OutSlot { struct_size, flags, ctx, write, loan, commit, cancel, forward, reserve, type_of }
-        trocar_in = InSlot { struct_size, flags, ctx, latest, next, release, writable, type_of }
+        trocar_out = OutSlot { struct_size, flags, ctx, write, loan, commit, cancel, forward, reserve, type_of, write_bytes }
+        trocar_in = InSlot { struct_size, flags, ctx, latest, next, release, writable, type_of, header_len }
         trocar_call_opts = CallOpts { struct_size, mode, deadline_ns, err, stamp_ns, may_still_run, reserved }
-        trocar_fn = FnSlot { struct_size, flags, ctx, call, type_of }
+        trocar_fn = FnSlot { struct_size, flags, ctx, call, type_of, call_bytes }
         trocar_event = EventSlot { struct_size, flags, ctx, emit }
         trocar_ports = Ports {
             struct_size, output_count, input_count, function_count, event_count, reserved,

@@ -4,10 +4,12 @@
 use std::path::{Path, PathBuf};
 
 /// Compiled files the guide may quote.
-const SOURCES: [&str; 3] = [
+const SOURCES: [&str; 5] = [
     "plugins/filters/src/low_pass.rs",
     "plugins/filters/src/low_pass/tests.rs",
     "plugins/example/src/server.rs",
+    "sdk/rust/tests/guide_examples.rs",
+    "tests/it/embedding.rs",
 ];
 
 fn repository() -> PathBuf {

@@ -11,7 +11,7 @@ use trocar_tests::{Built, Failure, Grpcurl, HostProcess, World, eventually, repl
 /// Reasons that no single call to one host can be answered with in this version.
 const NOT_YET: &[(&str, &str)] = &[
     ("FORBIDDEN", "there are no roles before TLS"),
-    ("DISABLED", "no component can switch a command off yet"),
+    ("DISABLED", "a caller from outside is told MEMBER_NOT_FOUND when a description withdrew the command"),
     ("WOULD_BLOCK", "only a real-time thread meets it, never a caller from outside"),
     ("UNBOUND", "a caller from outside is always bound to the command it names"),
     ("INTERNAL", "it reports a mistake of trocar itself"),
@@ -223,6 +223,10 @@ rows! {
         Stage::new(&["sine"]).with(&[("s", "sine")])
             .refuses("GcmService/WaitFor", json!({ "path": "host/s", "deadline": "0.1s" }));
 
+    an_event_that_does_not_come "DEADLINE_EXCEEDED" "EVENT_NOT_SEEN" ["host/e/ctl/echoed", "100 ms", "READY"]
+        Stage::new(&["fixture_echo"]).with(&[("e", "echo")])
+            .refuses("GcmService/WaitFor", json!({ "path": "host/e/ctl/echoed", "deadline": "0.1s" }));
+
     an_argument_above_its_maximum "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["300", "100", "mm"]
         Stage::new(&["example"]).with(&[("s", "Server")]).started("s")
             .refuses_invoke("host/s/Provided/Write", json!(300));
@@ -250,7 +254,9 @@ rows! {
 
     a_full_queue "RESOURCE_EXHAUSTED" "QUEUE_FULL" ["host/c"] {
         let stage = Stage::new(&["fixture_chaos"]);
-        stage.grpc.create("host/c", "chaos", json!({ "hang_in": "command" }));
+        // Patience enough for the queue to fill before the actuator counts as stuck.
+        let patient = json!({ "model": "on_signal", "max_step": "600s" });
+        stage.grpc.create_with("host/c", "chaos", json!({ "hang_in": "command" }), patient);
         stage.grpc.start("host/c");
         let send = json!({ "path": "host/c/ctl/poke", "send": true });
         eventually("the queue is full", || match stage.grpc.call("InteractService/Invoke", send.clone()) {

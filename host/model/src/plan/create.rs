@@ -9,7 +9,8 @@ use serde_json::{Map, Value};
 
 use super::{Planner, execution};
 use crate::{
-    Change, Component, ComponentId, Execution, Health, Refusal, State, complete, defaults, merge, validate,
+    Change, Component, ComponentId, Execution, Health, Refusal, State, Type, complete, defaults, merge,
+    validate,
 };
 
 impl Planner {
@@ -38,7 +39,8 @@ impl Planner {
         if config.is_some() && !violations.is_empty() {
             return Err(Refusal::ConfigInvalid { id: id.clone(), violations });
         }
-        execution::check(&self.graph, id, &execution)?;
+        let row_bytes = class.ports.state.as_ref().map_or(0, Type::size);
+        execution::check(&self.graph, "Create", id, &execution, row_bytes)?;
         let component = Component {
             ports: Arc::new(class.ports.clone()),
             class,

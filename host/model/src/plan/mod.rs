@@ -4,6 +4,7 @@
 //! (path, process, class, component, interface, direction, connected, types, cycle, state, configuration, arguments), so
 //! that the same mistake always gets the same answer.
 
+mod circle;
 mod configure;
 mod create;
 mod execution;
@@ -50,7 +51,7 @@ impl Planner {
                 self.create(id, class, config.as_ref(), execution)
             }
             Request::Remove { id, force } => self.remove(id, *force),
-            Request::Configure { id, patch } => self.configure(id, patch),
+            Request::Configure { id, patch, execution } => self.configure(id, patch, execution.as_ref()),
             Request::Start { targets } => self.start(targets),
             Request::Stop { targets } => self.stop(targets),
             Request::Resume { targets } => self.resume(targets),

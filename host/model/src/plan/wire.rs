@@ -3,14 +3,13 @@
 //! Invariant: a client end has at most one source; what is connected has been bound by [`crate::bindings`] on the ports
 //! as they are now. Nobody's state changes.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
-
-use super::Planner;
-use crate::connect::directions;
-use crate::refusal::duration;
+use super::circle::{check_circle, is_stream};
+use super::{Planner, host_of};
+use crate::connect::{directions, same_payload};
+use crate::refusal::{brief, duration};
 use crate::{
-    Change, ComponentId, ConnectOptions, Connection, ConnectionId, ExecutionModel, Link, PortId, Queue,
-    Refusal, SystemGraph, Which, bindings,
+    Change, ConnectOptions, Connection, ConnectionId, Execution, ExecutionModel, Link, PortId, PortType,
+    Queue, Refusal, Safety, SystemGraph, Which, bindings,
 };
 
 /// Most samples, commands or events that one connection may queue.
@@ -39,13 +38,20 @@ impl Planner {
             });
         }
         let link = bindings(&a.ports, client, &b.ports, server, options)?;
-        let connection = Connection {
+        if let Link::Stream { input, output, .. } = link {
+            let ends = (&a.ports.inputs[input].ty, &b.ports.outputs[output].ty);
+            check_any(&self.graph, ends, client, server)?;
+        }
+        let mut connection = Connection {
             // 0 is what an unset number looks like on the wire.
             id: ConnectionId(self.graph.next_connection.max(1)),
             client: client.clone(),
             server: server.clone(),
             options: options.clone(),
         };
+        if connection.options.max_age_ns.is_none() {
+            connection.options.max_age_ns = default_max_age(&self.graph, &connection);
+        }
         check_circle(&self.graph, &connection, &link)?;
         check_options(&connection, &link)?;
         let (from, to) = (&server.component.process, &client.component.process);
@@ -81,6 +87,50 @@ impl Planner {
         self.push(Change::Disconnect { connection });
         Ok(())
     }
+}
+
+/// An untyped output is what the first input with a type made of it; two untyped ends alone have nothing to agree on.
+fn check_any(
+    graph: &SystemGraph,
+    (input, output): (&PortType, &PortType),
+    client: &PortId,
+    server: &PortId,
+) -> Result<(), Refusal> {
+    if !matches!(output, PortType::Any) {
+        return Ok(());
+    }
+    // The client's present source, should this replace one, says nothing about the server.
+    let others = graph.connections.values().filter(|c| c.server == *server && c.client != *client);
+    let typed = others.filter_map(|c| {
+        let ports = &graph.components.get(&c.client.component)?.ports;
+        let input = ports.inputs.iter().find(|i| c.client.port == i.name.as_str())?;
+        (!matches!(input.ty, PortType::Any)).then_some((&c.client, &input.ty))
+    });
+    match (input, typed.min_by_key(|(port, _)| *port)) {
+        (PortType::Any, None) => Err(Refusal::FormatMismatch {
+            client: client.clone(),
+            server: server.clone(),
+            wants: "whatever it is connected to".to_owned(),
+            has: "what an input makes of it: connect it to an input that has a type first".to_owned(),
+        }),
+        (PortType::Any, Some(_)) | (_, None) => Ok(()),
+        (wanted, Some((_, has))) => same_payload(client, server, wanted, has),
+    }
+}
+
+/// The default of `max_age`: three periods, where an actuator takes samples that come on a grid; otherwise none.
+pub(super) fn default_max_age(graph: &SystemGraph, connection: &Connection) -> Option<u64> {
+    let client = graph.components.get(&connection.client.component)?;
+    if client.class.safety != Safety::Actuator || !is_stream(graph, connection) {
+        return None;
+    }
+    let mut execution: &Execution = &graph.components.get(&connection.server.component)?.execution;
+    for _ in 0..graph.components.len() {
+        let Some(host) = host_of(execution) else { break };
+        execution = &graph.components.get(&host)?.execution;
+    }
+    let on_grid = matches!(execution.model, Some(ExecutionModel::Periodic | ExecutionModel::Stream));
+    execution.period_ns.filter(|_| on_grid).map(|period| period.saturating_mul(3).min(MAX_NS))
 }
 
 fn check_options(connection: &Connection, link: &Link) -> Result<(), Refusal> {
@@ -119,75 +169,7 @@ fn check_options(connection: &Connection, link: &Link) -> Result<(), Refusal> {
         }
     }
     if !["", "inline", "heap"].contains(&options.carrier.as_str()) {
-        return bad("carrier", format!("{:?} is none of \"inline\", \"heap\"", options.carrier));
+        return bad("carrier", format!("{:?} is none of \"inline\", \"heap\"", brief(&options.carrier)));
     }
     Ok(())
-}
-
-/// Refuses `new` when it closes a circle of direct calls. A wire that it replaces need not be left out: it leaves or enters
-/// the very component where the circle would close, so no shortest way uses it.
-fn check_circle(graph: &SystemGraph, new: &Connection, link: &Link) -> Result<(), Refusal> {
-    let Some((caller, called)) = direct(graph, new, matches!(link, Link::Stream { .. })) else {
-        return Ok(());
-    };
-    let mut calls: BTreeMap<ComponentId, BTreeSet<ComponentId>> = BTreeMap::new();
-    for connection in graph.connections.values() {
-        let stream = graph
-            .components
-            .get(&connection.client.component)
-            .is_some_and(|c| c.ports.inputs.iter().any(|i| connection.client.port == i.name.as_str()));
-        if let Some((from, to)) = direct(graph, connection, stream) {
-            calls.entry(from).or_default().insert(to);
-        }
-    }
-    // Breadth first from what would be called back to the caller; `came` is also the set of the visited.
-    let mut came: BTreeMap<ComponentId, Option<ComponentId>> = BTreeMap::from([(called.clone(), None)]);
-    let mut queue = VecDeque::from([called]);
-    while let Some(at) = queue.pop_front() {
-        if at == caller {
-            let mut path = vec![at.clone()];
-            let mut step = came.get(&at).cloned().flatten();
-            while let Some(id) = step {
-                step = came.get(&id).cloned().flatten();
-                path.push(id);
-            }
-            path.push(caller);
-            path.reverse();
-            return Err(Refusal::SyncCycle { path });
-        }
-        for next in calls.get(&at).into_iter().flatten() {
-            if !came.contains_key(next) {
-                came.insert(next.clone(), Some(at.clone()));
-                queue.push_back(next.clone());
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Who calls whom in one thread through this connection: pinned inline, or a stream within one chain that is not pinned
-/// to a queue.
-fn direct(graph: &SystemGraph, c: &Connection, stream: bool) -> Option<(ComponentId, ComponentId)> {
-    let (client, server) = (&c.client.component, &c.server.component);
-    let chained = || stream && head(graph, client).is_some_and(|h| Some(h) == head(graph, server));
-    match c.options.carrier.as_str() {
-        "heap" => None,
-        "inline" if !stream => Some((client.clone(), server.clone())),
-        "inline" => Some((server.clone(), client.clone())),
-        _ => chained().then(|| (server.clone(), client.clone())),
-    }
-}
-
-/// The head of the stream chain in which a component runs; a head that was removed still holds its chain together, since
-/// it may be made again.
-fn head(graph: &SystemGraph, id: &ComponentId) -> Option<ComponentId> {
-    let mut at = id.clone();
-    for _ in 0..=graph.components.len() {
-        let Some(component) = graph.components.get(&at) else { return Some(at) };
-        match &component.execution.stream_of {
-            Some(above) => at = ComponentId::parse(above).ok()?,
-            None => return (component.execution.model == Some(ExecutionModel::Stream)).then_some(at),
-        }
-    }
-    None
 }

@@ -5,8 +5,11 @@
 use std::collections::BTreeMap;
 use std::fmt::Display;
 
-use super::text::near;
+use super::text::{brief, near};
 use crate::{Code, Refusal};
+
+/// Entries of a list, and fields, that metadata names.
+const MOST: usize = 100;
 
 impl Code {
     /// The name gRPC gives it.
@@ -73,6 +76,7 @@ impl Refusal {
             Refusal::PluginBadFile { .. } => (FailedPrecondition, "PLUGIN_BAD_FILE"),
             Refusal::RevisionConflict { .. } => (Aborted, "REVISION_CONFLICT"),
             Refusal::NotReached { .. } => (DeadlineExceeded, "NOT_REACHED"),
+            Refusal::EventNotSeen { .. } => (DeadlineExceeded, "EVENT_NOT_SEEN"),
             Refusal::LcmTimeout { .. } => (DeadlineExceeded, "LCM_TIMEOUT"),
             Refusal::Unbound { .. } => (FailedPrecondition, "UNBOUND"),
             Refusal::Disabled { .. } => (FailedPrecondition, "DISABLED"),
@@ -88,7 +92,7 @@ impl Refusal {
         }
     }
 
-    /// The values of the refusal by name: ids, `nearest`, `known` and other lists separated by commas, whole.
+    /// The values of the refusal by name: ids, `nearest`, `known` and other lists separated by commas.
     pub fn metadata(&self) -> BTreeMap<String, String> {
         use Refusal::*;
         let mut m = Metadata(BTreeMap::new());
@@ -149,6 +153,9 @@ impl Refusal {
             NotReached { id, state, wanted, after_ns } => {
                 m.put("component", id).put("state", state).list("wanted", wanted).put("after_ns", after_ns)
             }
+            EventNotSeen { member, state, after_ns } => {
+                m.put("member", member).put("state", state).put("after_ns", after_ns)
+            }
             LcmTimeout { process, what } => m.put("process", process).put("what", what),
             Unbound { member } | Disabled { member } | WouldBlock { member } | PeerLost { member } => {
                 m.put("member", member)
@@ -169,7 +176,8 @@ impl Refusal {
     pub fn field_violations(&self) -> Vec<(String, String)> {
         match self {
             Refusal::ConfigInvalid { violations, .. } => {
-                violations.iter().map(|v| (format!("config{}", v.pointer), v.message.clone())).collect()
+                let first = violations.iter().take(MOST);
+                first.map(|v| (format!("config{}", v.pointer), v.message.clone())).collect()
             }
             Refusal::ArgumentInvalid { why, field, .. } => vec![(field.clone(), why.clone())],
             Refusal::BadPath { why, .. } => vec![("path".to_owned(), why.clone())],
@@ -186,13 +194,17 @@ struct Metadata(BTreeMap<String, String>);
 
 impl Metadata {
     fn put(&mut self, key: &str, value: impl Display) -> &mut Metadata {
-        self.0.insert(key.to_owned(), value.to_string());
+        self.0.insert(key.to_owned(), brief(&value.to_string()).into_owned());
         self
     }
 
+    /// The first [`MOST`]: an answer must fit the header it travels in.
     fn list<T: Display>(&mut self, key: &str, items: &[T]) -> &mut Metadata {
-        let items: Vec<String> = items.iter().map(ToString::to_string).collect();
-        if items.is_empty() { self } else { self.put(key, items.join(",")) }
+        let items: Vec<String> = items.iter().take(MOST).map(ToString::to_string).collect();
+        if !items.is_empty() {
+            self.0.insert(key.to_owned(), items.join(","));
+        }
+        self
     }
 
     fn known<T: Display>(&mut self, wanted: &str, known: &[T]) -> &mut Metadata {

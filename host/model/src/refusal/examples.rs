@@ -157,6 +157,11 @@ fn changing() -> Vec<Refusal> {
             wanted: vec![State::Active],
             after_ns: 2_000_000_000,
         },
+        Refusal::EventNotSeen {
+            member: member("host/robot/arm/operating_state"),
+            state: State::Active,
+            after_ns: 2_000_000_000,
+        },
         Refusal::LcmTimeout { process: name("host"), what: "Start host/robot".into() },
     ]
 }

@@ -3,12 +3,24 @@
 //! Invariant: the sentence says what was asked, what is wrong and what exists; `help` says what to do. No list is longer
 //! than [`MOST`] entries.
 
+use std::borrow::Cow;
 use std::fmt::{self, Display, Write as _};
 
 use crate::{Refusal, nearest};
 
 /// Entries of a list that are spelled out.
 const MOST: usize = 12;
+
+/// Characters of a text somebody sent that are repeated to him.
+const ECHO: usize = 200;
+
+/// What was sent, cut where it is longer than anybody reads; an answer must fit the header it travels in.
+pub fn brief(text: &str) -> Cow<'_, str> {
+    match text.char_indices().nth(ECHO) {
+        None => Cow::Borrowed(text),
+        Some((end, _)) => Cow::Owned(format!("{}… ({} bytes)", &text[..end], text.len())),
+    }
+}
 
 /// "a, b, c and 5 more".
 pub(super) fn list<T: Display>(items: &[T]) -> String {
@@ -25,6 +37,10 @@ pub(super) fn list<T: Display>(items: &[T]) -> String {
 
 /// The known name nearest to the mistyped one.
 pub(super) fn near<T: Display>(wanted: &str, known: &[T]) -> Option<String> {
+    // Nothing that long was a slip, and the distance costs the product of the lengths.
+    if wanted.len() > ECHO {
+        return None;
+    }
     let names: Vec<String> = known.iter().map(ToString::to_string).collect();
     nearest(wanted, names.iter().map(String::as_str)).map(str::to_owned)
 }
@@ -54,7 +70,7 @@ impl Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         use Refusal::*;
         match self {
-            BadPath { text, why } => write!(f, "`{text}` is not a path: {why}"),
+            BadPath { text, why } => write!(f, "`{}` is not a path: {why}", brief(text)),
             ProcessNotFound { process, known } => {
                 write!(f, "there is no process `{process}`{}", choices(process.as_str(), known))
             }
@@ -66,10 +82,15 @@ impl Display for Refusal {
                 write!(f, "the name `{process}` is taken by a process that answers (pid {pid}{endpoint})")
             }
             ClassNotFound { process, class, ambiguous, .. } if !ambiguous.is_empty() => {
-                write!(f, "class `{class}` could be any of {} in process `{process}`", list(ambiguous))
+                write!(
+                    f,
+                    "class `{}` could be any of {} in process `{process}`",
+                    brief(class),
+                    list(ambiguous)
+                )
             }
             ClassNotFound { process, class, known, elsewhere, .. } => {
-                write!(f, "process `{process}` has no class `{class}`{}", choices(class, known))?;
+                write!(f, "process `{process}` has no class `{}`{}", brief(class), choices(class, known))?;
                 if elsewhere.is_empty() {
                     Ok(())
                 } else {
@@ -81,7 +102,7 @@ impl Display for Refusal {
                 write!(f, "there is no component `{id}`{}", choices(&id.to_string(), known))
             }
             NothingMatches { pattern, known } => {
-                write!(f, "no component matches `{pattern}`{}", choices(pattern, known))
+                write!(f, "no component matches `{}`{}", brief(pattern), choices(pattern, known))
             }
             InterfaceNotFound { port, known } => write!(
                 f,
@@ -101,10 +122,15 @@ impl Display for Refusal {
             }
             ManagedElsewhere { at } => write!(f, "this process is managed by the GCM at {at}"),
             PluginNotFound { name, known } => {
-                write!(f, "there is no plugin or class \"{name}\" in any process{}", choices(name, known))
+                write!(
+                    f,
+                    "there is no plugin or class \"{}\" in any process{}",
+                    brief(name),
+                    choices(name, known)
+                )
             }
             ConnectionNotFound { asked, known } => {
-                write!(f, "there is no connection {asked}{}", choices(asked, known))
+                write!(f, "there is no connection {}{}", brief(asked), choices(asked, known))
             }
             WrongDirection { client, client_is, server, server_is } => write!(
                 f,
@@ -154,8 +180,13 @@ impl Display for Refusal {
                 write!(f, "`{id}` cannot start: not connected {} {}", is_are(ports.len()), list(ports))
             }
             ConfigInvalid { id, violations } => {
-                let messages: Vec<&str> = violations.iter().map(|v| v.message.as_str()).collect();
-                write!(f, "the configuration of `{id}` is not valid: {}", messages.join("; "))
+                let messages = violations.iter().take(MOST).map(|v| v.message.as_str());
+                let messages = messages.collect::<Vec<_>>().join("; ");
+                write!(f, "the configuration of `{id}` is not valid: {messages}")?;
+                match violations.len().saturating_sub(MOST) {
+                    0 => Ok(()),
+                    more => write!(f, "; and {more} more"),
+                }
             }
             ArgumentInvalid { what, why, .. } => write!(f, "{why} ({what})"),
             ComponentRefused { id, entry, text } => write!(f, "`{id}` refused to {entry}: {text}"),
@@ -175,11 +206,17 @@ impl Display for Refusal {
                 let waited = duration(*after_ns);
                 write!(f, "`{id}` is {state} and did not become {} within {waited}", wanted.join(" or "))
             }
+            EventNotSeen { member, state, after_ns } => {
+                let waited = duration(*after_ns);
+                write!(f, "event `{member}` did not come within {waited}; its component is {state}")
+            }
             LcmTimeout { process, what } => {
                 write!(f, "process `{process}` did not answer in time ({what}); the change was taken back")
             }
             Unbound { member } => write!(f, "`{member}` is not connected to anything"),
-            Disabled { member } => write!(f, "command `{member}` is disabled"),
+            Disabled { member } => {
+                write!(f, "command `{member}` is not among its component's ports any more")
+            }
             NotActive { member, state } => {
                 write!(f, "`{member}` cannot run: its component is {state}, not ACTIVE")
             }
@@ -249,7 +286,7 @@ impl Refusal {
             }
             ManagedElsewhere { at } => format!("Ask there: `--gcm {at}`, or grpcurl with that address."),
             PluginNotFound { .. } => "`trocar plugin ls` lists every plugin and why a file was refused.".into(),
-            ConnectionNotFound { .. } => "`trocar graph` lists the connections with their numbers.".into(),
+            ConnectionNotFound { .. } => "`trocar ls` lists the connections with their numbers.".into(),
             WrongDirection { client_is, server_is, .. } => {
                 let swapped = matches!(*client_is, "an output" | "a provided interface")
                     && matches!(*server_is, "an input" | "a required interface");
@@ -260,10 +297,10 @@ impl Refusal {
                 )
             }
             AlreadyConnected { .. } => {
-                "Disconnect it first, or ask with replace: true, which rewires in one step.".into()
+                "Disconnect it first, or connect with `--replace`, which rewires in one step.".into()
             }
             ConnectionExists { id, .. } => format!(
-                "Nothing is left to do; to change its options ask with replace: true, to undo it disconnect {id}."
+                "Nothing is left to do; to change its options connect with `--replace`, to undo it `trocar disconnect {id}`."
             ),
             CommandMissing { server, .. } => format!(
                 "Connect to an interface that offers it (`trocar describe {}`), or make the function optional in the \
@@ -300,7 +337,7 @@ impl Refusal {
             ComponentFault { id, .. } => {
                 format!("Remove the cause, then `trocar reset {id}`; `trocar logs` has the details.")
             }
-            InUse { .. } => "Disconnect or remove those first, or ask with force: true, which disconnects.".into(),
+            InUse { .. } => "Disconnect or remove those first, or remove with `--force`, which disconnects.".into(),
             PluginAbi { .. } => "Rebuild the plugin with the trocar-sdk of this host's version.".into(),
             PluginUntrusted { .. } => "Install a copy that the trust mode of this process accepts, or change the mode; \
                 `trocar plugin inspect FILE` shows hash, owner and permissions."
@@ -314,12 +351,22 @@ impl Refusal {
             NotReached { id, .. } => {
                 format!("`trocar describe {id}` shows what it does; a longer deadline can be given.")
             }
+            EventNotSeen { member, state: crate::State::Active, .. } => {
+                format!("`trocar echo {member}` shows when it is sent; a longer deadline can be given.")
+            }
+            EventNotSeen { member, state, .. } => {
+                let verb = if matches!(state, crate::State::Stopped(_)) { "resume" } else { "start" };
+                format!("Only an ACTIVE component sends events: `trocar {verb} {}`.", member.port.component)
+            }
             LcmTimeout { process, .. } => format!(
                 "Look whether process `{process}` hangs or is overloaded (`trocar top`), then ask again; a longer \
                 deadline can be given."
             ),
             Unbound { .. } => "Connect the required interface first.".into(),
-            Disabled { .. } => "Its component switched it off for now; its own state or events say when it returns.".into(),
+            Disabled { member } => format!(
+                "Its ports have changed: `trocar describe {}` shows those it has now.",
+                member.port.component
+            ),
             NotActive { member, state } => match state {
                 crate::State::Fault => format!("`trocar reset {0}`, then `trocar start {0}`.", member.port.component),
                 crate::State::Stopped(_) => format!("`trocar resume {}`.", member.port.component),

@@ -5,6 +5,7 @@
 use serde_json::Value;
 
 use super::{At, BEYOND, EXACT, Res, brief, special};
+use crate::refusal::brief as cut;
 use crate::{EnumType, Prim, StructType, Type, nearest};
 
 pub(super) fn put(ty: &Type, value: &Value, out: &mut [u8], here: &At<'_>) -> Res<()> {
@@ -64,11 +65,12 @@ fn put_struct(s: &StructType, value: &Value, out: &mut [u8], here: &At<'_>) -> R
     let names = || s.fields.iter().map(|f| f.name.as_str());
     for key in map.keys() {
         if !names().any(|n| n == key) {
-            let hint = match nearest(key, names()) {
+            let hint = match nearest(&cut(key), names()) {
                 Some(name) => format!("did you mean `{name}`?"),
                 None => format!("it has {}", names().collect::<Vec<_>>().join(", ")),
             };
-            return At::Key(here, key).err(format!("{} has no field `{key}`; {hint}", s.name));
+            let key = cut(key);
+            return At::Key(here, &key).err(format!("{} has no field `{key}`; {hint}", s.name));
         }
     }
     for f in &s.fields {
@@ -99,6 +101,7 @@ fn put_enum(e: &EnumType, value: &Value, out: &mut [u8], here: &At<'_>) -> Res<(
         }
         if name.parse::<i128>().is_err() {
             let names = || e.values.iter().map(|(n, _)| n.as_str());
+            let name = &*cut(name);
             let hint = match nearest(name, names()) {
                 Some(name) => format!("did you mean `{name}`?"),
                 None => format!("it has {}", names().collect::<Vec<_>>().join(", ")),

@@ -117,7 +117,7 @@ fn only_settings_declared_live_may_differ_while_running() {
 }
 
 fn configure(path: &str, patch: Value) -> Request {
-    Request::Configure { id: id(path), patch }
+    Request::Configure { id: id(path), patch, execution: None }
 }
 
 #[test]

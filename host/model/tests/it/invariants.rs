@@ -86,6 +86,22 @@ fn any_execution() -> impl Strategy<Value = Execution> {
     })
 }
 
+/// An execution to change to, mostly one that may be.
+fn any_change() -> impl Strategy<Value = Option<Execution>> {
+    use ExecutionModel::{ExecIn, ExecOut, OnSignal, Periodic, Stream};
+    let model = prop::sample::select(vec![
+        None,
+        Some(Periodic),
+        Some(OnSignal),
+        Some(Stream),
+        Some(ExecIn),
+        Some(ExecOut),
+    ]);
+    let change = (any_execution(), model, prop::option::weighted(0.3, 0u32..70))
+        .prop_map(|(e, model, threads)| Execution { model, threads, ..e });
+    prop::option::weighted(0.5, change)
+}
+
 fn any_targets() -> impl Strategy<Value = Vec<Target>> {
     let one =
         prop_oneof![any_id().prop_map(Target::One), prop::sample::select(GLOBS.to_vec()).prop_map(target)];
@@ -123,7 +139,7 @@ fn any_request() -> impl Strategy<Value = Request> {
             id, class: class.into(), config, execution
         }),
         1 => (any_id(), any::<bool>()).prop_map(|(id, force)| Request::Remove { id, force }),
-        2 => (any_id(), patch).prop_map(|(id, patch)| Request::Configure { id, patch }),
+        3 => (any_id(), patch, any_change()).prop_map(|(id, patch, execution)| Request::Configure { id, patch, execution }),
         2 => any_targets().prop_map(|targets| Request::Start { targets }),
         2 => any_targets().prop_map(|targets| Request::Stop { targets }),
         1 => any_targets().prop_map(|targets| Request::Resume { targets }),
@@ -141,6 +157,7 @@ fn any_report() -> impl Strategy<Value = (ComponentId, State)> {
 }
 
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a handful per test case")]
 enum Step {
     Ask(Request),
     Report(ComponentId, State),

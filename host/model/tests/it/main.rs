@@ -1,9 +1,12 @@
 //! Outer tests of the model, by public names only; one file per promise.
 #![allow(clippy::unwrap_used, clippy::result_large_err)]
 
+mod agreeing;
 mod configuring;
 mod connecting;
 mod creating;
+mod executing;
+mod interpolating;
 mod invariants;
 mod paths;
 mod refusals;
@@ -11,4 +14,5 @@ mod removing;
 mod running;
 mod scene;
 mod types;
+mod units;
 mod values;

@@ -66,6 +66,45 @@ fn long_lists_are_cut_in_the_sentence_but_whole_in_the_metadata() {
 }
 
 #[test]
+fn what_is_far_too_long_is_not_repeated_whole() {
+    let long = "x".repeat(1 << 20);
+    let graph = theatre();
+    let dev = Refusal::BadPath { text: long.clone(), why: "it is no path".into() };
+    let limit = serde_json::json!({"limit": long, "joints": [long], long.clone(): 1});
+    let carrier = Request::Connect {
+        client: port("host/log/force"),
+        server: port("host/robot/force"),
+        options: ConnectOptions { carrier: long.clone(), replace: true, ..ConnectOptions::default() },
+    };
+    let many: serde_json::Map<String, serde_json::Value> =
+        (0..5000).map(|i| (format!("k{i}"), 1.into())).collect();
+    let refusals = [
+        dev,
+        refused(&graph, &create("host/x", &long)),
+        refused(&graph, &Request::Configure { id: id("host/robot"), patch: limit, execution: None }),
+        refused(&graph, &Request::Configure { id: id("host/robot"), patch: many.into(), execution: None }),
+        refused(&graph, &carrier),
+        Refusal::PluginNotFound { name: long.clone(), known: vec![] },
+        Refusal::NothingMatches { pattern: long.clone(), known: vec![] },
+    ];
+    for refusal in refusals {
+        let fields: usize = refusal.field_violations().iter().map(|(f, d)| f.len() + d.len()).sum();
+        let values: usize = refusal.metadata().values().map(String::len).sum();
+        let all = (refusal.to_string().len(), refusal.help().len(), fields, values);
+        assert!(
+            all.0 < 2500 && all.1 < 1000 && all.2 < 15_000 && all.3 < 2500,
+            "{}: {all:?}",
+            refusal.reason()
+        );
+    }
+    let force = force("N");
+    let error = encode(&force, &serde_json::json!({long.clone(): 1})).unwrap_err().to_string();
+    assert!(error.len() < 1500, "{} bytes", error.len());
+    assert_eq!(brief("short"), "short");
+    assert_eq!(brief(&"é".repeat(300)).chars().filter(|c| *c == 'é').count(), 200, "cut between characters");
+}
+
+#[test]
 fn a_slip_is_answered_with_the_name_that_was_meant() {
     let refusal = refused(&theatre(), &start(&["host/robt"]));
     assert!(refusal.to_string().contains("did you mean `host/robot`?"), "{refusal}");
@@ -74,8 +113,11 @@ fn a_slip_is_answered_with_the_name_that_was_meant() {
 
 #[test]
 fn each_violation_of_a_configuration_becomes_a_field() {
-    let request =
-        Request::Configure { id: id("host/robot"), patch: serde_json::json!({"limit": 99, "joint": 1}) };
+    let request = Request::Configure {
+        id: id("host/robot"),
+        patch: serde_json::json!({"limit": 99, "joint": 1}),
+        execution: None,
+    };
     let fields = refused(&theatre(), &request).field_violations();
     let names: Vec<&str> = fields.iter().map(|(f, _)| f.as_str()).collect();
     assert_eq!(names, ["config/joint", "config/limit"]);

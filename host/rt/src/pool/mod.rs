@@ -105,6 +105,12 @@ impl FramePool {
         crate::os::lock_region(self.memory.at(0), self.memory.len())
     }
 
+    /// Whether the number of a [`FrameMut`] or [`Frame`] names a slot of this pool, whatever has become of it. Any number
+    /// may be asked for.
+    pub fn is_descriptor(&self, raw: u64) -> bool {
+        self.slots.has_entry(raw)
+    }
+
     fn header_ptr(&self, slot: u32) -> *mut u8 {
         self.memory.at(slot as usize * self.stride)
     }

@@ -125,6 +125,13 @@ impl Slots {
         Some((pool, entry.cast()))
     }
 
+    /// Whether the descriptor's address is that of one of these entries; its lowest bit does not count.
+    pub(super) fn has_entry(&self, descriptor: u64) -> bool {
+        let address = (descriptor << 16 >> 16 & !1) as usize;
+        let offset = address.wrapping_sub(self.entries.as_ptr().addr());
+        offset < size_of_val(&*self.entries) && offset.is_multiple_of(size_of::<Entry>())
+    }
+
     /// The slot whose entry lies at this address, as `resolve` gave it.
     pub(super) fn slot_at(&self, entry: *const ()) -> u32 {
         ((entry.addr() - self.entries.as_ptr().addr()) / size_of::<Entry>()) as u32

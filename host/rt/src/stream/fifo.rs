@@ -133,3 +133,41 @@ impl Fifo {
         moved.is_ok().then_some(place as usize)
     }
 }
+
+#[cfg(all(test, loom))]
+mod models {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::loom_models::{Plain, model_within};
+
+    /// With a single place in use the writer's next sample goes where the reader has just been: only the way
+    /// back through the ring of returned places orders the two.
+    #[test]
+    fn loom_a_place_that_comes_back_is_written_after_it_was_read() {
+        model_within(3, || {
+            let shared = Arc::new((Fifo::new(1, DropPolicy::DropNewest), Plain::new()));
+            let mut writing = shared.0.writing();
+            writing.free = vec![0];
+            let theirs = Arc::clone(&shared);
+            let reader = loom::thread::spawn(move || {
+                let (fifo, content) = &*theirs;
+                let mut reading = Reading::default();
+                for _ in 0..2 {
+                    if let Some(place) = fifo.pop(fifo.end()) {
+                        assert_eq!((place, content.get() > 0), (0, true), "another place");
+                        fifo.give_back(&mut reading, place);
+                    }
+                }
+            });
+            let (fifo, content) = &*shared;
+            for sample in 1..=2 {
+                if let Some(place) = fifo.free_place(&mut writing) {
+                    content.set(sample);
+                    assert!(!fifo.push(&mut writing, place, |_| {}), "the only place cannot be queued twice");
+                }
+            }
+            reader.join().expect("the reader's checks hold");
+        });
+    }
+}

@@ -75,10 +75,11 @@ impl StreamCounters {
     pub fn stats(&self) -> StreamStats {
         let read = |a: &AtomicU64| a.load(Ordering::Relaxed);
         let Counters { writer, reader } = &*self.0;
+        let turned_away = read(&writer.0.turned_away);
         StreamStats {
             taken: read(&reader.0.taken),
-            dropped: read(&writer.0.dropped) + read(&reader.0.skipped),
-            pushed: read(&writer.0.pushed),
+            dropped: read(&writer.0.dropped) + turned_away + read(&reader.0.skipped),
+            pushed: read(&writer.0.pushed) + turned_away,
         }
     }
 }
@@ -140,6 +141,8 @@ struct Counters {
 struct WriterCounts {
     pushed: AtomicU64,
     dropped: AtomicU64,
+    /// Pushed by whoever could not come in, and dropped.
+    turned_away: AtomicU64,
 }
 
 struct ReaderCounts {
@@ -151,12 +154,18 @@ impl Counters {
     fn new() -> Self {
         let zero = || AtomicU64::new(0);
         Self {
-            writer: Padded(WriterCounts { pushed: zero(), dropped: zero() }),
+            writer: Padded(WriterCounts { pushed: zero(), dropped: zero(), turned_away: zero() }),
             reader: Padded(ReaderCounts { taken: zero(), skipped: zero() }),
         }
     }
 }
 
+/// Counts where several may count at the same moment.
 fn count(counter: &AtomicU64, n: u64) {
     counter.fetch_add(n, Ordering::Relaxed);
+}
+
+/// Counts where only one end, or whoever is inside it, ever counts.
+fn tally(counter: &AtomicU64, n: u64) {
+    counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
 }

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{Link, Meta, Order, StreamCounters, StreamStats, count, fifo, latest};
+use super::{Link, Meta, Order, StreamCounters, StreamStats, fifo, latest, tally};
 use crate::pool::Frame;
 use crate::sync::Ordering;
 
@@ -121,14 +121,14 @@ impl StreamReader {
                 };
                 while newest && let Some(newer) = fifo.pop(end) {
                     give_back(place);
-                    count(&counters.skipped, 1);
+                    tally(&counters.skipped, 1);
                     place = newer;
                 }
                 self.place.replace(place).into_iter().for_each(give_back);
             }
         }
         self.holds = true;
-        count(&counters.taken, 1);
+        tally(&counters.taken, 1);
         true
     }
 
@@ -157,7 +157,7 @@ impl Drop for StreamReader {
             let Some(place) = unseen else { break };
             // SAFETY: the place was just taken over by the reader.
             unsafe { self.link.slots.empty(place) };
-            count(&self.link.counters.reader.0.skipped, 1);
+            tally(&self.link.counters.reader.0.skipped, 1);
         }
     }
 }

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo};
+use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, tally};
 use crate::exclusive::TryCell;
 use crate::pool::Frame;
 use crate::sync::Ordering;
@@ -69,21 +69,25 @@ impl StreamWriter {
 
     fn offer(&self, fits: bool, fill: impl FnOnce(usize)) -> Pushed {
         let counters = &self.link.counters.writer.0;
-        count(&counters.pushed, 1);
-        let pushed = if !fits {
+        if fits
+            && self.has_reader()
+            && let Some(mut end) = self.end.try_enter()
+        {
+            tally(&counters.pushed, 1);
+            let pushed = self.put(&mut end, fill);
+            if pushed != Pushed::Queued {
+                tally(&counters.dropped, 1);
+            }
+            return pushed;
+        }
+        count(&counters.turned_away, 1);
+        if !fits {
             Pushed::WrongPayload
         } else if !self.has_reader() {
             Pushed::NoReader
         } else {
-            match self.end.try_enter() {
-                Some(mut end) => self.put(&mut end, fill),
-                None => Pushed::DroppedNewest,
-            }
-        };
-        if pushed != Pushed::Queued {
-            count(&counters.dropped, 1);
+            Pushed::DroppedNewest
         }
-        pushed
     }
 
     fn put(&self, end: &mut End, fill: impl FnOnce(usize)) -> Pushed {

@@ -92,7 +92,7 @@ const WORDS: usize = 2 * Sums::WORDS + 2;
 
 /// Statistics of one executor (or one component in it).
 pub struct CycleStats {
-    period_ns: u64,
+    period_ns: AtomicU64,
     totals: TryCell<Totals>,
     row: Box<[AtomicU64]>,
     published: AtomicU64,
@@ -103,7 +103,7 @@ impl CycleStats {
     /// `period_ns` is the nominal period that overruns are judged by; 0 for executors without one.
     pub fn new(period_ns: u64) -> Self {
         Self {
-            period_ns,
+            period_ns: AtomicU64::new(period_ns),
             totals: TryCell::new(Totals::default()),
             row: seq::words(seq::OVERHEAD + WORDS),
             published: AtomicU64::new(0),
@@ -115,17 +115,16 @@ impl CycleStats {
     /// it started. The executor's thread; a second thread at the same moment is not counted.
     pub fn record(&self, start_ns: u64, end_ns: u64, lateness_ns: u64) {
         let compute_ns = end_ns.saturating_sub(start_ns);
-        let counted = self.update(|t| {
+        self.update(|t| {
             if let Some(last) = t.last_start_ns.replace(start_ns) {
                 t.period.add(start_ns.saturating_sub(last));
             }
             t.compute.add(compute_ns);
-            let over = self.period_ns > 0 && lateness_ns.saturating_add(compute_ns) > self.period_ns;
+            let period_ns = self.period_ns.load(Ordering::Relaxed);
+            let over = period_ns > 0 && lateness_ns.saturating_add(compute_ns) > period_ns;
             t.overruns += u64::from(over);
+            self.lateness.record_alone(lateness_ns);
         });
-        if counted {
-            self.lateness.record(lateness_ns);
-        }
     }
 
     /// Records cycles that were due and did not run. Same thread as [`CycleStats::record`].
@@ -133,6 +132,14 @@ impl CycleStats {
         if cycles > 0 {
             self.update(|t| t.skipped += cycles);
         }
+    }
+
+    /// Forgets everything, so that the figures are those since now, judged by `period_ns` from now on. Same thread as
+    /// [`CycleStats::record`], between two cycles; a snapshot taken meanwhile may show part of both.
+    pub fn reset(&self, period_ns: u64) {
+        self.period_ns.store(period_ns, Ordering::Relaxed);
+        self.update(|t| *t = Totals { next: t.next, ..Totals::default() });
+        self.lateness.reset();
     }
 
     /// Forgets the last start, so that a pause is not taken for a period. Same thread as `record`.
@@ -165,22 +172,24 @@ impl CycleStats {
         &self.lateness
     }
 
-    fn update(&self, change: impl FnOnce(&mut Totals)) -> bool {
-        let Some(mut totals) = self.totals.try_enter() else { return false };
+    fn update(&self, change: impl FnOnce(&mut Totals)) {
+        let Some(mut totals) = self.totals.try_enter() else { return };
         change(&mut totals);
         let Totals { period, compute, skipped, overruns, next, .. } = *totals;
-        let words = period.to_words().into_iter().chain(compute.to_words()).chain([skipped, overruns]);
-        seq::write(&self.row, next, words);
+        let mut words = [0; WORDS];
+        words[..Sums::WORDS].copy_from_slice(&period.to_words());
+        words[Sums::WORDS..2 * Sums::WORDS].copy_from_slice(&compute.to_words());
+        words[2 * Sums::WORDS..].copy_from_slice(&[skipped, overruns]);
+        seq::write(&self.row, next, words, &[]);
         totals.next = next + 1;
         self.published.store(next + 1, Ordering::Release);
-        true
     }
 
     fn words(&self) -> [u64; WORDS] {
         for _ in 0..ATTEMPTS {
             let mut words = [0; WORDS];
             let Some(newest) = self.published.load(Ordering::Acquire).checked_sub(1) else { break };
-            if seq::read(&self.row, newest, WORDS, |at, word| words[at] = word).is_ok() {
+            if seq::read(&self.row, newest, &mut words, &mut []).is_ok() {
                 return words;
             }
         }

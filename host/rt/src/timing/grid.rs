@@ -1,14 +1,26 @@
 //! The grid of absolute deadlines of a periodic executor.
 //!
-//! Deadline `k` is `start + phase + k * period`, computed from `k` each time, so it never drifts; and every
-//! period is either executed or counted as skipped.
+//! Deadline `k` is `origin + k * period`, computed from `k` each time, so it never drifts; and every period is
+//! either executed or counted as skipped.
 
 /// Where a periodic executor stands on its grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     origin_ns: u64,
     period_ns: u64,
+    /// The next cycle's number: executed plus skipped cycles before it.
     at: u64,
+}
+
+/// A cycle that is to run now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Due {
+    /// Number of the cycle on its grid, from 0; skipped ones are counted.
+    pub cycle: u64,
+    /// When it was due, ns of the monotonic clock.
+    pub deadline_ns: u64,
+    /// Cycles right before it that are left out for good.
+    pub skipped: u64,
 }
 
 impl Grid {
@@ -17,12 +29,26 @@ impl Grid {
         Self { origin_ns: start_ns.saturating_add(phase_ns), period_ns: period_ns.max(1), at: 0 }
     }
 
-    /// When the current cycle is due, ns of the monotonic clock.
+    /// The grid of all times that are `phase_ns` after a multiple of the period on the monotonic clock, from
+    /// `now_ns` on: two grids keep the distance of their phases, whenever each of them began.
+    pub fn on_clock(now_ns: u64, period_ns: u64, phase_ns: u64) -> Self {
+        let period_ns = period_ns.max(1);
+        let phase_ns = phase_ns % period_ns;
+        let into_period = now_ns.saturating_sub(phase_ns) % period_ns;
+        let first = match into_period {
+            _ if now_ns < phase_ns => phase_ns,
+            0 => now_ns,
+            into => now_ns.saturating_add(period_ns - into),
+        };
+        Self { origin_ns: first, period_ns, at: 0 }
+    }
+
+    /// When the next cycle is due, ns of the monotonic clock.
     pub fn deadline(&self) -> u64 {
         self.origin_ns.saturating_add(self.at.saturating_mul(self.period_ns))
     }
 
-    /// The current cycle's number: executed plus skipped cycles before it.
+    /// The next cycle's number: executed plus skipped cycles before it.
     pub fn cycle(&self) -> u64 {
         self.at
     }
@@ -31,17 +57,19 @@ impl Grid {
         self.period_ns
     }
 
-    /// Goes on after the current cycle was executed; how many cycles are skipped: those whose whole period
-    /// is over at `now_ns`. A cycle that is due but whose period still runs is executed late.
-    pub fn advance(&mut self, now_ns: u64) -> u64 {
-        self.advance_catching_up(now_ns, 0)
-    }
-
-    /// As [`Grid::advance`], but up to `limit` cycles whose period is over are still executed, back to back.
-    pub fn advance_catching_up(&mut self, now_ns: u64, limit: u64) -> u64 {
-        let next = self.at + 1;
-        let running = now_ns.saturating_sub(self.origin_ns) / self.period_ns;
-        self.at = running.saturating_sub(limit).max(next);
-        self.at - next
+    /// The cycle to run at `now_ns`, or `None` before the next deadline. Cycles whose whole period is over are
+    /// missed: the last `catch_up` of them are still run, one with each call, those before are skipped. A
+    /// cycle that is due but whose period still runs is never skipped.
+    pub fn begin(&mut self, now_ns: u64, catch_up: u64) -> Option<Due> {
+        let newest = now_ns.checked_sub(self.origin_ns)? / self.period_ns;
+        if newest < self.at {
+            return None;
+        }
+        let cycle = newest.saturating_sub(catch_up).max(self.at);
+        let skipped = cycle - self.at;
+        self.at = cycle;
+        let deadline_ns = self.deadline();
+        self.at = cycle + 1;
+        Some(Due { cycle, deadline_ns, skipped })
     }
 }

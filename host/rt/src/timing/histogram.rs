@@ -49,6 +49,22 @@ impl Histogram {
         }
     }
 
+    /// As [`Histogram::record`], where only one thread at a time ever counts: without an atomic addition.
+    #[inline]
+    pub fn record_alone(&self, ns: u64) {
+        let bucket = &self.buckets[bucket_of(ns)];
+        bucket.store(bucket.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+        if ns > self.max_ns.load(Ordering::Relaxed) {
+            self.max_ns.store(ns, Ordering::Relaxed);
+        }
+    }
+
+    /// Forgets all durations. One counted at the same moment may stay or go.
+    pub fn reset(&self) {
+        self.buckets.iter().for_each(|b| b.store(0, Ordering::Relaxed));
+        self.max_ns.store(0, Ordering::Relaxed);
+    }
+
     /// The duration, in ns, that the share `q` (0 to 1) of all counted ones does not exceed; 0 with none
     /// counted. Never below the true value by rounding, and never above the longest one counted.
     pub fn percentile(&self, q: f64) -> u64 {

@@ -5,5 +5,5 @@ mod grid;
 mod histogram;
 
 pub use cycle::{CycleSnapshot, CycleStats, Spread};
-pub use grid::Grid;
+pub use grid::{Due, Grid};
 pub use histogram::Histogram;

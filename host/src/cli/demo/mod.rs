@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::failure::{Done, Exit, Failure};
 use super::figures::{Reading, Stepper, Steps, Watched, Wire, table};
 use super::session::Session;
-use super::{logging, out, run, session, style};
+use super::{hosting, logging, out, run, session, style};
 use crate::host::{Host, StopRequest};
 use crate::system_file::SystemFile;
 
@@ -79,7 +79,7 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
     let config = run::config(&file, Path::new(""), plugins, args.listen)?;
     let mut stop = StopRequest::listen();
-    let host = Host::start(config).await?;
+    let host = config.start().await?;
     let done = match run::bring_up(&host, &file, &mut stop).await {
         Ok(true) => show(&host, args.seconds, session, &mut stop).await,
         Ok(false) => Ok(Exit::Interrupted),
@@ -92,11 +92,11 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
 async fn show(host: &Host, seconds: Option<u64>, session: &Session, stop: &mut StopRequest) -> Done {
     let Some(watched) = watched(host) else { return Ok(Exit::Ok) };
     if !session.json() {
-        out::line(&format!("trocar demo is running; listening on {}", host.addr()));
-        out::text(&run::hints(host.addr(), Some(TRY)));
+        out::line(&format!("trocar demo is running; listening on {}", hosting::address(host)));
+        out::text(&run::hints(&hosting::address(host), Some(TRY)));
         out::line("");
     } else if seconds.is_none() {
-        out::line(&serde_json::json!({ "listening": host.addr().to_string() }).to_string());
+        out::line(&serde_json::json!({ "listening": hosting::address(host) }).to_string());
     }
     let measured = measure(watched.clone(), seconds);
     let mut screen = Screen::new(watched, session);
@@ -192,7 +192,7 @@ fn watched(host: &Host) -> Option<Watched> {
     })
 }
 
-/// The live table: redrawn in place on a terminal, nothing elsewhere.
+/// The live table: redrawn in place on a terminal, one table below the other elsewhere, nothing beside `--json`.
 struct Screen {
     watched: Watched,
     drawn_lines: usize,
@@ -201,7 +201,7 @@ struct Screen {
 
 impl Screen {
     fn new(watched: Watched, session: &Session) -> Self {
-        Self { watched, drawn_lines: 0, silent: session.json() || !style::interactive() }
+        Self { watched, drawn_lines: 0, silent: session.json() }
     }
 
     /// Draws each second, for ever.
@@ -216,10 +216,10 @@ impl Screen {
             }
             let now = self.watched.read().await;
             let text = table(&self.watched, &before, &now, style::stdout());
-            let up = if self.drawn_lines > 0 {
-                format!("\x1b[{}A\x1b[J", self.drawn_lines)
-            } else {
-                String::new()
+            let up = match (self.drawn_lines, style::interactive()) {
+                (0, _) => String::new(),
+                (lines, true) => format!("\x1b[{lines}A\x1b[J"),
+                (_, false) => "\n".to_owned(),
             };
             out::text(&format!("{up}{text}"));
             self.drawn_lines = text.lines().count();

@@ -18,6 +18,7 @@ use super::{Outgoing, message};
 use crate::control::convert;
 use crate::lcm::{
     Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
+    When,
 };
 
 /// Time for questions that name no deadline.
@@ -227,9 +228,10 @@ impl Lcm for RemoteLcm {
         }
     }
 
-    async fn read(&self, path: String, deadline: Instant) -> Result<Sample, Refusal> {
+    async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal> {
         let what = format!("reading {path}");
-        match self.ask(O::Read(v1::ReadRequest { path }), deadline, &what).await? {
+        let order = O::Read(v1::ReadRequest { path, row: convert::row(when) });
+        match self.ask(order, deadline, &what).await? {
             A::Sample(sample) => Ok(convert::sample_in(sample)),
             _ => wrong(),
         }

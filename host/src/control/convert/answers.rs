@@ -8,7 +8,7 @@ use trocar_proto::v1;
 use super::back::unreadable;
 use super::json::{from_value, to_value};
 use crate::lcm::{
-    Detail, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample, Spread,
+    Detail, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample, Spread, When,
 };
 
 /// Level names; 1 is the first.
@@ -121,6 +121,29 @@ pub(crate) fn reply_in(reply: v1::InvokeResponse) -> Reply {
     }
 }
 
+/// Which row a Read means.
+pub(crate) fn when(row: Option<v1::read_request::Row>) -> When {
+    use v1::read_request::Row;
+    match row {
+        None => When::Newest,
+        Some(Row::AtNs(ns)) => When::Time(ns),
+        Some(Row::NearestNs(ns)) => When::Nearest(ns),
+        Some(Row::Tick(tick)) => When::Tick(tick),
+        Some(Row::Delayed(rows)) => When::Delayed(rows),
+    }
+}
+
+pub(crate) fn row(when: When) -> Option<v1::read_request::Row> {
+    use v1::read_request::Row;
+    match when {
+        When::Newest => None,
+        When::Time(ns) => Some(Row::AtNs(ns)),
+        When::Nearest(ns) => Some(Row::NearestNs(ns)),
+        When::Tick(tick) => Some(Row::Tick(tick)),
+        When::Delayed(rows) => Some(Row::Delayed(rows)),
+    }
+}
+
 pub(crate) fn sample(sample: Sample) -> v1::ReadResponse {
     v1::ReadResponse {
         json: Some(to_value(&sample.value)),
@@ -143,28 +166,40 @@ pub(crate) fn sample_in(sample: v1::ReadResponse) -> Sample {
     }
 }
 
-pub(crate) fn detail_in(s: v1::ComponentStats) -> Detail {
-    let spread = |s: Option<v1::Spread>| {
-        let s = s.unwrap_or_default();
-        Spread { avg_ns: s.avg_ns, std_ns: s.std_ns, min_ns: s.min_ns, max_ns: s.max_ns }
+/// Two functions for two types that have the same fields, out and back; `name: out, back` converts a field.
+macro_rules! mirror {
+    ($out:ident, $back:ident: $model:ident = $wire:ident {
+        $($same:ident),* $(; $($field:ident: $to:expr, $from:expr);+)?
+    }) => {
+        pub(crate) fn $out(m: $model) -> v1::$wire {
+            v1::$wire { $($same: m.$same,)* $($($field: $to(m.$field)),+)? }
+        }
+
+        pub(crate) fn $back(w: v1::$wire) -> $model {
+            $model { $($same: w.$same,)* $($($field: $from(w.$field)),+)? }
+        }
     };
-    Detail {
-        period: spread(s.period),
-        compute: spread(s.compute),
-        lateness_p50_ns: s.lateness_p50_ns,
-        lateness_p99_ns: s.lateness_p99_ns,
-        lateness_max_ns: s.lateness_max_ns,
-        executed: s.executed,
-        skipped: s.skipped,
-        overruns: s.overruns,
-        load: s.load,
-        commands: s.commands,
-        commands_rejected: s.commands_rejected,
-        events_dropped: s.events_dropped,
-        thread: s.thread,
-        realtime: s.realtime,
-        warnings: s.warnings,
-    }
+}
+
+mirror!(spread, spread_in: Spread = Spread { avg_ns, std_ns, min_ns, max_ns });
+
+fn some_spread(s: Spread) -> Option<v1::Spread> {
+    Some(spread(s))
+}
+
+fn any_spread(s: Option<v1::Spread>) -> Spread {
+    spread_in(s.unwrap_or_default())
+}
+
+mirror!(stats_out, detail_in: Detail = ComponentStats {
+    lateness_p50_ns, lateness_p99_ns, lateness_max_ns, executed, skipped, overruns, load, commands, commands_rejected,
+    events_dropped, thread, realtime, warnings;
+    period: some_spread, any_spread;
+    compute: some_spread, any_spread
+});
+
+pub(crate) fn stats(d: &Detail) -> v1::ComponentStats {
+    stats_out(d.clone())
 }
 
 /// Figures only: ends and options stay empty.
@@ -177,6 +212,11 @@ pub(crate) fn link(d: LinkDetail) -> v1::Connection {
         bytes: d.bytes,
         latency_p50_ns: d.latency_p50_ns,
         latency_p99_ns: d.latency_p99_ns,
+        rejected: d.rejected,
+        depth: d.depth,
+        high_water: d.high_water,
+        failed: d.failed,
+        unexecuted: d.unexecuted,
         ..Default::default()
     }
 }
@@ -190,41 +230,14 @@ pub(crate) fn link_in(c: v1::Connection) -> LinkDetail {
         bytes: c.bytes,
         latency_p50_ns: c.latency_p50_ns,
         latency_p99_ns: c.latency_p99_ns,
+        rejected: c.rejected,
+        depth: c.depth,
+        high_water: c.high_water,
+        failed: c.failed,
+        unexecuted: c.unexecuted,
     }
 }
 
-pub(crate) fn plugin(p: PluginInfo) -> v1::Plugin {
-    v1::Plugin {
-        process: p.process,
-        file: p.file,
-        name: p.name,
-        version: p.version,
-        hash: p.hash,
-        abi: p.abi,
-        built_with: p.built_with,
-        doc: p.doc,
-        classes: p.classes,
-        loaded: p.loaded,
-        warnings: p.warnings,
-        refused_reason: p.refused_reason,
-        refused: p.refused,
-    }
-}
-
-pub(crate) fn plugin_in(p: v1::Plugin) -> PluginInfo {
-    PluginInfo {
-        process: p.process,
-        file: p.file,
-        name: p.name,
-        version: p.version,
-        hash: p.hash,
-        abi: p.abi,
-        built_with: p.built_with,
-        doc: p.doc,
-        classes: p.classes,
-        loaded: p.loaded,
-        warnings: p.warnings,
-        refused_reason: p.refused_reason,
-        refused: p.refused,
-    }
-}
+mirror!(plugin, plugin_in: PluginInfo = Plugin {
+    process, file, name, version, hash, abi, built_with, doc, classes, loaded, warnings, refused_reason, refused
+});

@@ -144,7 +144,13 @@ fn required(r: v1::RequiredInterface) -> Result<model::Required, Refusal> {
         })
     };
     let handler = |h: v1::Handler| {
-        Ok(model::Handler { name: h.name, doc: h.doc, payload: maybe(h.payload)?, optional: h.optional, direct: false })
+        Ok(model::Handler {
+            name: h.name,
+            doc: h.doc,
+            payload: maybe(h.payload)?,
+            optional: h.optional,
+            direct: h.direct,
+        })
     };
     Ok(model::Required {
         name: r.name,

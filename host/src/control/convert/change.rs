@@ -9,7 +9,7 @@ use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Por
 use trocar_proto::v1;
 
 use super::back::{self, unreadable};
-use super::requests::options;
+use super::requests::{execution, options};
 use super::types::{class, execution_out, health, options_out, ports, state};
 use crate::gcm::Slice;
 use crate::lcm::{Inventory, Report};
@@ -50,7 +50,7 @@ fn component_in(c: v1::DesiredComponent) -> Result<(ComponentId, Component), Ref
     let component = Component {
         class: Arc::new(class),
         config: json(&c.config_json, "config_json")?,
-        execution: super::requests::execution(c.execution.ok_or_else(|| unreadable("execution"))?)?,
+        execution: execution(c.execution.ok_or_else(|| unreadable("execution"))?)?,
         ports: Arc::new(ports),
         state: state_in(c.state)?,
         health: back::health(c.health)?,
@@ -154,6 +154,7 @@ pub(crate) fn report_in(r: v1::ComponentReport) -> Result<Report, Refusal> {
         health: back::health(r.health)?,
         fault: r.fault,
         ports: r.ports.map(back::ports).transpose()?.map(Arc::new),
+        lost_connections: r.lost_connections,
         warnings: r.warnings,
     })
 }

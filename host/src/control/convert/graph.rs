@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use trocar_model::{Component, ComponentId, Connection, Name, Process, ProcessState, SystemGraph};
 use trocar_proto::v1;
 
+use super::answers::{link, stats};
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
-use crate::lcm::{Detail, LinkDetail, Report, Spread};
+use crate::lcm::{Detail, LinkDetail, Report};
 
 pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
     let state = match p.state {
@@ -41,43 +42,13 @@ pub(crate) fn component(id: &ComponentId, c: &Component, detail: Option<&Detail>
     }
 }
 
-pub(crate) fn stats(d: &Detail) -> v1::ComponentStats {
-    v1::ComponentStats {
-        period: Some(spread(&d.period)),
-        compute: Some(spread(&d.compute)),
-        lateness_p50_ns: d.lateness_p50_ns,
-        lateness_p99_ns: d.lateness_p99_ns,
-        lateness_max_ns: d.lateness_max_ns,
-        executed: d.executed,
-        skipped: d.skipped,
-        overruns: d.overruns,
-        load: d.load,
-        commands: d.commands,
-        commands_rejected: d.commands_rejected,
-        events_dropped: d.events_dropped,
-        thread: d.thread.clone(),
-        realtime: d.realtime,
-        warnings: d.warnings.clone(),
-    }
-}
-
-fn spread(s: &Spread) -> v1::Spread {
-    v1::Spread { avg_ns: s.avg_ns, std_ns: s.std_ns, min_ns: s.min_ns, max_ns: s.max_ns }
-}
-
 pub(crate) fn connection(c: &Connection, detail: Option<&LinkDetail>) -> v1::Connection {
-    let d = detail.cloned().unwrap_or_default();
     v1::Connection {
         id: c.id.0,
         client: c.client.to_string(),
         server: c.server.to_string(),
         options: Some(options_out(&c.options)),
-        carrier: d.carrier,
-        passed: d.passed,
-        dropped: d.dropped,
-        bytes: d.bytes,
-        latency_p50_ns: d.latency_p50_ns,
-        latency_p99_ns: d.latency_p99_ns,
+        ..link(detail.cloned().unwrap_or_default())
     }
 }
 
@@ -115,5 +86,6 @@ pub(crate) fn report(r: &Report) -> v1::ComponentReport {
         fault: r.fault.clone(),
         warnings: r.warnings.clone(),
         ports: r.ports.as_deref().map(ports),
+        lost_connections: r.lost_connections.clone(),
     }
 }

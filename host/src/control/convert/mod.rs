@@ -11,13 +11,13 @@ mod types;
 
 pub(super) use answers::{
     detail_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload, plugin, plugin_in,
-    reply, reply_in, sample, sample_in,
+    reply, reply_in, row, sample, sample_in, stats, when,
 };
 pub(super) use back::unreadable;
 pub(super) use change::{
     change_in, change_out, classes_in, inventory_in, inventory_out, report_in, slice_in, slice_out,
 };
-pub(super) use graph::{Figures, component, connection, list, process, report, stats};
+pub(super) use graph::{Figures, component, connection, list, process, report};
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
 pub(super) use requests::{Common, configure, connect, create, disconnect, remove, step, targets};

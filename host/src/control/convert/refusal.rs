@@ -69,6 +69,7 @@ refusals! {
     PluginBadFile { file, text }
     RevisionConflict { expected, actual }
     NotReached { id, state, wanted, after_ns }
+    EventNotSeen { member, state, after_ns }
     LcmTimeout { process, what }
     Unbound { member }
     Disabled { member }

@@ -2,8 +2,8 @@
 
 use prost_types::Duration;
 use trocar_model::{
-    ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, PortId, Queue, Refusal,
-    Request, Target, Which,
+    ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, OnFailure, PortId, Queue,
+    Refusal, Request, Target, Which, nearest,
 };
 use trocar_proto::v1;
 
@@ -43,7 +43,8 @@ pub(crate) fn remove(r: v1::RemoveRequest) -> Result<Request, Refusal> {
 
 pub(crate) fn configure(r: v1::ConfigureRequest) -> Result<Request, Refusal> {
     let patch = r.config.map(from_struct).unwrap_or_else(|| serde_json::json!({}));
-    Ok(Request::Configure { id: ComponentId::parse(&r.path)?, patch })
+    let execution = r.execution.map(execution).transpose()?;
+    Ok(Request::Configure { id: ComponentId::parse(&r.path)?, patch, execution })
 }
 
 /// The components Start, Stop, Resume and Reset name.
@@ -95,28 +96,19 @@ pub(crate) fn step(step: v1::Step) -> Result<Request, Refusal> {
 }
 
 fn ns(duration: &Duration, field: &str) -> Result<u64, Refusal> {
-    duration_ns(duration).ok_or_else(|| invalid("a duration", "it must not be negative", field))
+    duration_ns(duration).ok_or_else(|| {
+        let shown = duration.seconds as f64 + f64::from(duration.nanos) / 1e9;
+        invalid(
+            field,
+            format!("{shown} s is not a duration here: give 0 s or more, and less than 584 years"),
+            field,
+        )
+    })
 }
 
 pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
-    use ExecutionModel as M;
-    let model = match e.model.as_str() {
-        "" => None,
-        "periodic" => Some(M::Periodic),
-        "continuous" => Some(M::Continuous),
-        "on_signal" => Some(M::OnSignal),
-        "on_callback" => Some(M::OnCallback),
-        "exec_in" => Some(M::ExecIn),
-        "exec_out" => Some(M::ExecOut),
-        "stream" => Some(M::Stream),
-        "none" => Some(M::None),
-        other => {
-            let why = format!(
-                "\"{other}\" is not one of periodic, continuous, on_signal, on_callback, stream, none"
-            );
-            return Err(invalid("execution.model", why, "execution.model"));
-        }
-    };
+    let model = named(&e.model, "execution.model", ExecutionModel::ALL, ExecutionModel::name)?;
+    let on_failure = named(&e.on_failure, "execution.on_failure", OnFailure::ALL, OnFailure::name)?;
     let from_rate = if e.rate_hz == 0.0 {
         None
     } else if e.rate_hz.is_finite() && e.rate_hz > 0.0 {
@@ -126,22 +118,41 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
         return Err(invalid("execution.rate_hz", why, "execution.rate_hz"));
     };
     let period = e.period.as_ref().map(|d| ns(d, "execution.period")).transpose()?;
-    let priority = e
-        .priority
-        .map(|p| {
-            u8::try_from(p)
-                .map_err(|_| invalid("execution.priority", "it must be 1 to 99", "execution.priority"))
-        })
-        .transpose()?;
+    let priority = |p: u32| {
+        let why = || format!("{p} is outside 1 to 99");
+        u8::try_from(p).map_err(|_| invalid("execution.priority", why(), "execution.priority"))
+    };
     Ok(Execution {
         model,
         period_ns: period.or(from_rate),
         phase_ns: e.phase.as_ref().map(|d| ns(d, "execution.phase")).transpose()?,
         stream_of: (!e.stream_of.is_empty()).then_some(e.stream_of),
         inside: (!e.inside.is_empty()).then_some(e.inside),
-        priority,
+        priority: e.priority.map(priority).transpose()?,
         cpus: e.cpus.into_iter().map(|c| c as usize).collect(),
-        ..Execution::default()
+        catch_up: e.catch_up,
+        threads: e.threads,
+        max_step_ns: e.max_step.as_ref().map(|d| ns(d, "execution.max_step")).transpose()?,
+        history: e.history,
+        on_failure,
+    })
+}
+
+/// One of several names; "" = not said.
+fn named<T: Copy, const N: usize>(
+    text: &str,
+    field: &str,
+    all: [T; N],
+    name: fn(T) -> &'static str,
+) -> Result<Option<T>, Refusal> {
+    if text.is_empty() {
+        return Ok(None);
+    }
+    let known = || all.iter().map(|t| name(*t));
+    all.iter().find(|t| name(**t) == text).map(|t| Some(*t)).ok_or_else(|| {
+        let hint = nearest(text, known()).map(|n| format!("; did you mean \"{n}\"?")).unwrap_or_default();
+        let why = format!("\"{text}\" is not one of {}{hint}", known().collect::<Vec<_>>().join(", "));
+        invalid(field, why, field)
     })
 }
 

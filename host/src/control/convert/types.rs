@@ -134,6 +134,7 @@ fn required(r: &model::Required) -> v1::RequiredInterface {
                 doc: h.doc.clone(),
                 payload: h.payload.as_ref().map(ty),
                 optional: h.optional,
+                direct: h.direct,
             })
             .collect(),
     }
@@ -216,20 +217,8 @@ pub(crate) fn safety(s: model::Safety) -> v1::Safety {
 }
 
 pub(crate) fn execution_out(e: &model::Execution) -> v1::Execution {
-    use model::ExecutionModel as M;
-    let model = match e.model {
-        None => "",
-        Some(M::Periodic) => "periodic",
-        Some(M::Continuous) => "continuous",
-        Some(M::OnSignal) => "on_signal",
-        Some(M::OnCallback) => "on_callback",
-        Some(M::ExecIn) => "exec_in",
-        Some(M::ExecOut) => "exec_out",
-        Some(M::Stream) => "stream",
-        Some(M::None) => "none",
-    };
     v1::Execution {
-        model: model.into(),
+        model: e.model.map_or("", model::ExecutionModel::name).into(),
         rate_hz: e.period_ns.map_or(0.0, |ns| 1e9 / ns as f64),
         period: e.period_ns.map(duration),
         phase: e.phase_ns.map(duration),
@@ -237,6 +226,11 @@ pub(crate) fn execution_out(e: &model::Execution) -> v1::Execution {
         inside: e.inside.clone().unwrap_or_default(),
         priority: e.priority.map(u32::from),
         cpus: e.cpus.iter().map(|c| *c as u32).collect(),
+        catch_up: e.catch_up,
+        threads: e.threads,
+        max_step: e.max_step_ns.map(duration),
+        history: e.history,
+        on_failure: e.on_failure.map_or("", model::OnFailure::name).into(),
     }
 }
 

@@ -4,16 +4,17 @@ use std::time::{Duration, Instant};
 
 use tonic::{Request, Response, Status};
 use trocar_model::{
-    Change, ComponentId, MemberId, Name, PortId, Ports, Refusal, Request as Asked, State, StopReason,
-    SystemGraph, Target,
+    Change, ComponentId, MemberId, Name, PortId, Ports, Refusal, Request as Asked, SystemGraph, Target,
 };
+use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_server::GcmService;
-use trocar_proto::v1::{self, ComponentState};
 
+use super::wait::{Awaited, Wait};
 use super::watch::{WatchStream, watch};
-use super::{Edge, not_built, refuse};
+use super::{Caller, Edge, not_built, refuse};
 use crate::control::convert::{self, Common, Figures};
 use crate::control::deadline::{deadline, room};
+use crate::control::services::FOR_COMPONENT;
 use crate::gcm::{ExecuteOptions, Executed, plan_lines};
 use crate::lcm::PluginInfo;
 
@@ -44,8 +45,17 @@ macro_rules! mutate {
     }};
 }
 
+/// Who asks: a component of this process, an address, or a host at an address for one of its components.
 fn identity<T>(request: &Request<T>) -> String {
-    request.remote_addr().map_or_else(|| "local".into(), |a| a.to_string())
+    if let Some(Caller(path)) = request.extensions().get() {
+        return path.clone();
+    }
+    let addr = request.remote_addr().map_or_else(|| "local".into(), |a| a.to_string());
+    let named = request.metadata().get(FOR_COMPONENT).and_then(|v| ComponentId::parse(v.to_str().ok()?).ok());
+    match named {
+        Some(component) => format!("{component} through {addr}"),
+        None => addr,
+    }
 }
 
 fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
@@ -316,20 +326,21 @@ impl GcmService for Edge {
         &self,
         request: Request<v1::WaitForRequest>,
     ) -> Result<Response<v1::WaitForResponse>, Status> {
-        let mut until = deadline(&request);
-        until -= room(until);
-        let r = request.into_inner();
-        let id = ComponentId::parse(&r.path).map_err(refuse)?;
-        if let Some(ns) = r.deadline.as_ref().and_then(convert::duration_ns) {
-            until = until.min(Instant::now() + Duration::from_nanos(ns));
-        }
-        let mut states: Vec<State> = r.states().flat_map(states).collect();
-        if states.is_empty() {
-            states.push(State::Active);
-        }
-        self.gcm()?.wait_for(&id, &states, until).await.map_err(refuse)?;
+        let Wait { what, until } = Wait::read(request).map_err(refuse)?;
+        let (id, item) = match what {
+            Awaited::States(id, states) => {
+                self.gcm()?.wait_for(&id, &states, until).await.map_err(refuse)?;
+                (id, None)
+            }
+            Awaited::Event(member, call) => {
+                let item = self.event(&member, call, until).await?;
+                (member.port.component, Some(convert::item(item)))
+            }
+        };
         let (revision, component) = self.one_component(&id, deadline_from(until)).await?;
-        Ok(Response::new(v1::WaitForResponse { revision, component: Some(component) }))
+        let stamp_ns = item.as_ref().map_or(0, |i| i.stamp_ns);
+        let json = item.and_then(|i| i.json);
+        Ok(Response::new(v1::WaitForResponse { revision, component: Some(component), json, stamp_ns }))
     }
 
     async fn replace(&self, _: Request<v1::ReplaceRequest>) -> Result<Response<v1::ReplaceResponse>, Status> {
@@ -374,7 +385,7 @@ fn keep_only(graph: &mut SystemGraph, path: &str) -> Result<(), Refusal> {
 /// `process/component[/port[/member]]` taken apart.
 fn split(path: &str) -> Result<(ComponentId, Option<Name>, Option<Name>), Refusal> {
     match path.split('/').count() {
-        4 => {
+        4.. => {
             let m = MemberId::parse(path)?;
             Ok((m.port.component, Some(m.port.port), Some(m.member)))
         }
@@ -428,19 +439,4 @@ fn narrow(
 /// At least a moment for the last question.
 fn deadline_from(until: Instant) -> Instant {
     until.max(Instant::now() + Duration::from_millis(100))
-}
-
-fn states(state: ComponentState) -> Vec<State> {
-    match state {
-        ComponentState::Unspecified => Vec::new(),
-        ComponentState::Created => vec![State::Created],
-        ComponentState::Ready => vec![State::Ready],
-        ComponentState::Active => vec![State::Active],
-        ComponentState::Fault => vec![State::Fault],
-        ComponentState::Stopped => {
-            let reasons =
-                [StopReason::Requested, StopReason::Restarted, StopReason::Interlock, StopReason::PeerLost];
-            reasons.into_iter().map(State::Stopped).collect()
-        }
-    }
 }

@@ -15,6 +15,7 @@ use super::logs::{self, Wanted};
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};
+use crate::gcm::Gcm;
 use crate::lcm::{Invoke, Selection};
 
 type Items = Pin<Box<dyn Stream<Item = Result<v1::SubscribeResponse, Status>> + Send>>;
@@ -29,14 +30,13 @@ fn process_of(path: &str) -> Result<Name, Refusal> {
         .map_err(|_| Refusal::BadPath { text: path.into(), why: "it begins with no process name".into() })
 }
 
-#[tonic::async_trait]
-impl InteractService for Edge {
-    async fn invoke(
+impl Edge {
+    /// Calls a command and waits for its outcome, `until` at most.
+    pub(super) async fn call(
         &self,
-        request: Request<v1::InvokeRequest>,
-    ) -> Result<Response<v1::InvokeResponse>, Status> {
-        let until = deadline(&request);
-        let r = request.into_inner();
+        r: v1::InvokeRequest,
+        until: Instant,
+    ) -> Result<v1::InvokeResponse, Status> {
         let member = MemberId::parse(&r.path).map_err(refuse)?;
         let room = room(until);
         let left = until.saturating_duration_since(Instant::now()).saturating_sub(room);
@@ -60,14 +60,25 @@ impl InteractService for Edge {
             .await
             .map_err(|_| refuse(Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: true }))?
             .map_err(refuse)?;
-        Ok(Response::new(convert::reply(reply)))
+        Ok(convert::reply(reply))
+    }
+}
+
+#[tonic::async_trait]
+impl InteractService for Edge {
+    async fn invoke(
+        &self,
+        request: Request<v1::InvokeRequest>,
+    ) -> Result<Response<v1::InvokeResponse>, Status> {
+        let until = deadline(&request);
+        Ok(Response::new(self.call(request.into_inner(), until).await?))
     }
 
     async fn read(&self, request: Request<v1::ReadRequest>) -> Result<Response<v1::ReadResponse>, Status> {
         let until = deadline(&request).min(Instant::now() + Duration::from_secs(2));
-        let path = request.into_inner().path;
+        let v1::ReadRequest { path, row } = request.into_inner();
         let lcm = self.lcm(&process_of(&path).map_err(refuse)?).map_err(refuse)?;
-        let sample = lcm.read(path, until).await.map_err(refuse)?;
+        let sample = lcm.read(path, convert::when(row), until).await.map_err(refuse)?;
         Ok(Response::new(convert::sample(sample)))
     }
 
@@ -118,6 +129,8 @@ impl InteractService for Edge {
     async fn logs(&self, request: Request<v1::LogsRequest>) -> Result<Response<Lines>, Status> {
         let r = request.into_inner();
         let wanted = Wanted::parse(&r.path, &r.level).map_err(refuse)?;
+        let graph = self.gcm.as_ref().map(Gcm::graph);
+        wanted.names_somebody(graph.as_deref(), &self.lines).map_err(refuse)?;
         Ok(Response::new(Box::pin(logs::stream(&self.lines, wanted, r.follow))))
     }
 }

@@ -3,7 +3,7 @@
 use tokio::sync::{broadcast, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
-use trocar_model::{ComponentId, Name, Pattern, Refusal};
+use trocar_model::{ComponentId, Name, Pattern, Refusal, SystemGraph};
 use trocar_proto::v1;
 
 use crate::control::convert;
@@ -51,8 +51,34 @@ impl Wanted {
         Ok(Wanted { place, level })
     }
 
+    /// Somebody who is, or who was and left a line, can be meant.
+    pub(super) fn names_somebody(&self, graph: Option<&SystemGraph>, lines: &Lines) -> Result<(), Refusal> {
+        let (Place::At(place), Some(graph)) = (&self.place, graph) else { return Ok(()) };
+        if lines.tail().0.iter().any(|line| self.comes_from(line)) {
+            return Ok(());
+        }
+        let processes = || graph.processes.keys().cloned().collect();
+        match ComponentId::parse(place) {
+            Ok(id) if graph.components.contains_key(&id) => Ok(()),
+            Ok(id) if graph.processes.contains_key(&id.process) => {
+                Err(Refusal::ComponentNotFound { id, known: graph.components.keys().cloned().collect() })
+            }
+            Ok(id) => Err(Refusal::ProcessNotFound { process: id.process, known: processes() }),
+            Err(_) => match Name::parse(place) {
+                Ok(process) if !graph.processes.contains_key(&process) => {
+                    Err(Refusal::ProcessNotFound { process, known: processes() })
+                }
+                _ => Ok(()),
+            },
+        }
+    }
+
     fn wants(&self, line: &LogLine) -> bool {
-        let here = match &self.place {
+        self.comes_from(line) && line.level <= self.level
+    }
+
+    fn comes_from(&self, line: &LogLine) -> bool {
+        match &self.place {
             Place::Everywhere => true,
             Place::At(place) => line
                 .path
@@ -61,8 +87,7 @@ impl Wanted {
             Place::Glob { pattern, process } => {
                 line.path == *process || ComponentId::parse(&line.path).is_ok_and(|id| pattern.matches(&id))
             }
-        };
-        here && line.level <= self.level
+        }
     }
 }
 

@@ -4,6 +4,7 @@ mod gcm;
 mod interact;
 mod logs;
 mod plugin;
+mod wait;
 mod watch;
 
 use std::sync::Arc;
@@ -20,6 +21,10 @@ use crate::lcm::{Detail, Lcm, LinkDetail};
 
 /// Time for live figures; a list is not held up longer.
 const FIGURES: Duration = Duration::from_secs(1);
+
+/// The component a request comes from, when it never left this process.
+#[derive(Clone)]
+pub(super) struct Caller(pub(super) String);
 
 /// Whom this port speaks for.
 #[derive(Clone)]

@@ -13,6 +13,7 @@ use super::super::{Uplink, UplinkError};
 use super::{System, connect, create, link, reason, serve, start, stop};
 use crate::gcm::fake::{FakeLcm, id, name};
 use crate::gcm::{Gcm, GcmConfig, Registration};
+use crate::lcm::{News, Report};
 
 /// Longer than any test should take; only a broken one waits for it.
 const WATCHDOG: Duration = Duration::from_secs(60);
@@ -67,6 +68,30 @@ async fn an_attached_process_does_what_one_of_the_gcms_own_does() {
 }
 
 #[tokio::test]
+async fn a_port_that_goes_in_an_attached_process_takes_its_connection_with_it() {
+    let (s, lcm, _uplink) = attached().await;
+    let mut gcm = s.gcm();
+    gcm.create(create("gui/a")).await.unwrap();
+    gcm.create(create("gui/b")).await.unwrap();
+    let number = gcm.connect(link("gui/b/robot", "gui/a/arm")).await.unwrap().into_inner().id;
+    let a = s.gcm.graph().components[&id("gui/a")].clone();
+    let ports = trocar_model::Ports { provided: vec![], ..(*a.ports).clone() };
+    let report = Report {
+        id: id("gui/a"),
+        state: a.state,
+        health: Health::Ok,
+        fault: String::new(),
+        ports: Some(Arc::new(ports)),
+        lost_connections: vec![number],
+        warnings: vec![],
+    };
+    lcm.news.send(News::State(report)).unwrap();
+    let graph = until(&s.gcm, "the connection goes", |g| g.connections.is_empty()).await;
+    assert!(graph.components[&id("gui/a")].ports.provided.is_empty());
+    assert!(graph.revision > 3, "it is a new revision: {}", graph.revision);
+}
+
+#[tokio::test]
 async fn what_a_class_offers_crosses_the_wire_whole() {
     let (s, _lcm, _uplink) = attached().await;
     let graph = s.gcm.graph();
@@ -83,8 +108,20 @@ async fn calls_reads_and_logs_of_an_attached_process_go_through_the_gcm() {
         v1::InvokeRequest { path: "gui/a/arm/write".into(), json: Some(json.clone()), ..Default::default() };
     let reply = interact.invoke(invoke).await.unwrap().into_inner();
     assert_eq!((reply.executed, reply.json, reply.unit.as_str()), (true, Some(json), "mm"));
-    let read = v1::ReadRequest { path: "gui/a/value".into() };
+    let read = v1::ReadRequest { path: "gui/a/value".into(), row: None };
     assert_eq!(interact.read(read).await.unwrap().into_inner().seq, 3);
+    use v1::read_request::Row;
+    for row in [Row::AtNs(u64::MAX), Row::NearestNs(2), Row::Tick(3), Row::Delayed(4)] {
+        let read = v1::ReadRequest { path: "gui/a".into(), row: Some(row) };
+        let json = interact.read(read).await.unwrap().into_inner().json.unwrap();
+        let want = match row {
+            Row::AtNs(ns) => format!("gui/a Time({ns})"),
+            Row::NearestNs(ns) => format!("gui/a Nearest({ns})"),
+            Row::Tick(tick) => format!("gui/a Tick({tick})"),
+            Row::Delayed(rows) => format!("gui/a Delayed({rows})"),
+        };
+        assert_eq!(json.kind, Some(prost_types::value::Kind::StringValue(want)));
+    }
     lcm.log("gui/a", 2, "hello");
     let request = v1::LogsRequest { path: "gui".into(), follow: true, ..Default::default() };
     let line = interact.logs(request).await.unwrap().into_inner().message().await.unwrap().unwrap();

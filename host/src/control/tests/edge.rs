@@ -105,6 +105,7 @@ async fn a_watcher_gets_a_snapshot_and_then_what_changes() {
 async fn logs_are_kept_for_who_asks_later_and_end_unless_followed() {
     let s = System::start().await;
     let path = "host/a";
+    s.gcm().create(create(path)).await.unwrap();
     s.lcm.log(path, 3, "one");
     s.lcm.log("host/ab", 3, "another's");
     s.lcm.log(path, 5, "too detailed");
@@ -116,6 +117,15 @@ async fn logs_are_kept_for_who_asks_later_and_end_unless_followed() {
     let kept = s.interact().logs(v1::LogsRequest { follow: false, ..request }).await.unwrap().into_inner();
     let lines: Vec<_> = kept.map(|line| line.unwrap().line.unwrap().message).collect().await;
     assert_eq!(lines, ["one", "two"], "without follow it must end");
+    for (nobody, says) in [("host/b", "host/a"), ("hots/a", "host"), ("hots", "host")] {
+        let request = v1::LogsRequest { path: nobody.into(), follow: true, ..Default::default() };
+        let refused = s.interact().logs(request).await.expect_err("nobody is called that");
+        assert!(refused.message().contains(says), "{nobody}: it must name who there is: {refused}");
+    }
+    s.gcm().remove(v1::RemoveRequest { path: path.into(), ..Default::default() }).await.unwrap();
+    let request = v1::LogsRequest { path: path.into(), ..Default::default() };
+    let left: Vec<_> = s.interact().logs(request).await.unwrap().into_inner().collect().await;
+    assert!(left.len() >= 2, "what a component left is shown after it is gone");
 }
 
 #[tokio::test]

@@ -3,7 +3,9 @@
 
 mod attach;
 mod edge;
+mod execution;
 mod refusals;
+mod waiting;
 
 use std::sync::Arc;
 

@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use trocar_model::{Arg, Prim, Type};
 use trocar_plugin_api::abi::{
-    CallOpts, DEADLINE, EXECUTED, ErrBuf, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, NOT_ACTIVE,
-    Outcome, PEER_LOST, QUEUE_FULL, QUEUED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status, UNBOUND,
+    Bytes, CallOpts, DEADLINE, DISABLED, EXECUTED, ErrBuf, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND,
+    NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, QUEUED, STATUS_OK, STATUS_PANICKED, Sink, Status, UNBOUND,
     WOULD_BLOCK,
 };
 use trocar_rt::cell::BindingCell;
@@ -19,8 +19,10 @@ use trocar_rt::reply::Reply;
 
 use super::super::context;
 use super::super::convert::MAX_PAYLOAD;
-use super::super::inbox::{ENTRY_COMMAND, Inbox};
-use super::super::instance::Instance;
+use super::super::inbox::{ENTRY_COMMAND, Inbox, Position};
+use super::super::instance::{Entered, Instance, Misuse};
+use super::super::pending;
+use super::options;
 
 /// Deadline of a blocking call that names none, ns.
 pub(in crate::lcm) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
@@ -33,15 +35,49 @@ pub(in crate::lcm) enum FnBinding {
 }
 
 /// Host cell behind a function slot.
-pub(super) struct FnCell {
-    pub(super) binding: BindingCell<FnBinding>,
+pub(in crate::lcm) struct FnCell {
+    binding: BindingCell<Bound>,
+}
+
+struct Bound {
+    to: FnBinding,
+    /// The command's description as manifest JSON; empty while unbound.
+    described: String,
+}
+
+impl FnCell {
+    pub(super) fn unbound() -> Self {
+        let bound = Bound { to: FnBinding::Unbound, described: String::new() };
+        FnCell { binding: BindingCell::new(Box::new(bound)) }
+    }
+
+    /// Swaps what stands behind the function; managers only.
+    pub(in crate::lcm) fn bind(&self, to: FnBinding, described: String) {
+        self.binding.swap(Box::new(Bound { to, described }));
+    }
+
+    pub(in crate::lcm) fn unbind(&self) {
+        self.bind(FnBinding::Unbound, String::new());
+    }
+
+    pub(super) fn reclaim(&self) -> usize {
+        self.binding.reclaim()
+    }
+
+    #[inline(always)]
+    fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
+        self.binding.look(move |bound| match &bound.to {
+            FnBinding::Unbound => UNBOUND,
+            FnBinding::Command(target) => target.call(arg, ret, opts),
+            FnBinding::Read(target) => target.call(arg, ret, opts),
+        })
+    }
 }
 
 /// A command of a server, reached through one connection's inbox.
 pub(in crate::lcm) struct CommandTarget {
     pub(in crate::lcm) server: Arc<Instance>,
-    /// The class's own command id.
-    pub(in crate::lcm) command: u32,
+    pub(in crate::lcm) command: Arc<Position>,
     pub(in crate::lcm) arg_bytes: usize,
     pub(in crate::lcm) ret_bytes: usize,
     pub(in crate::lcm) range: Option<RangeCheck>,
@@ -55,9 +91,19 @@ pub(in crate::lcm) struct CommandTarget {
 /// A read of a server: the class's own or one of the system interface.
 pub(in crate::lcm) struct ReadTarget {
     pub(in crate::lcm) server: Arc<Instance>,
-    pub(in crate::lcm) command: u32,
+    pub(in crate::lcm) from: Reader,
+    pub(in crate::lcm) arg_bytes: usize,
     pub(in crate::lcm) ret_bytes: usize,
     pub(in crate::lcm) range: Option<RangeCheck>,
+}
+
+/// Who answers a read.
+#[derive(Clone)]
+pub(in crate::lcm) enum Reader {
+    /// The class, from the published row.
+    Class(Arc<Position>),
+    /// The host: the system interface's read of this number.
+    System(usize),
 }
 
 pub(super) unsafe extern "C" fn call(
@@ -68,29 +114,82 @@ pub(super) unsafe extern "C" fn call(
 ) -> Outcome {
     // SAFETY: ctx is the FnCell whose slot this is; it lives as long as the instance that owns the slot.
     let cell = unsafe { &*ctx.cast::<FnCell>() };
-    // SAFETY: null or a CallOpts the caller lends for the call.
-    let opts = unsafe { opts.as_mut() };
-    let binding = cell.binding.enter();
-    match &*binding {
-        FnBinding::Unbound => UNBOUND,
-        FnBinding::Command(target) => target.call(arg.cast(), ret.cast(), opts),
-        FnBinding::Read(target) => target.call(arg.cast(), ret.cast(), opts),
+    if opts.is_null() {
+        return cell.call(arg.cast(), ret.cast(), None);
     }
+    // SAFETY: options the caller lends for the call.
+    unsafe { options::with(opts, move |opts| cell.call(arg.cast(), ret.cast(), opts)) }
 }
 
-pub(super) unsafe extern "C" fn type_of(_ctx: *mut c_void, _sink: *const Sink) -> Status {
-    STATUS_UNSUPPORTED
+/// As `call`, with the sizes compared with the command that is behind the function now.
+pub(super) unsafe extern "C" fn call_bytes(
+    ctx: *mut c_void,
+    arg: Bytes,
+    ret: *mut c_void,
+    ret_len: u64,
+    opts: *mut CallOpts,
+) -> Outcome {
+    // SAFETY: as in `call`.
+    let cell = unsafe { &*ctx.cast::<FnCell>() };
+    let go = |opts: Option<&mut CallOpts>| {
+        let binding = cell.binding.enter();
+        let waits = opts.as_ref().is_some_and(|o| o.mode == MODE_CALL);
+        let fits = |arg_bytes: usize, ret_bytes: usize, may_leave_out: bool| {
+            arg.len == arg_bytes && (ret_len == ret_bytes as u64 || (ret_len == 0 && may_leave_out))
+        };
+        match &binding.to {
+            FnBinding::Unbound => UNBOUND,
+            FnBinding::Command(target) if fits(target.arg_bytes, target.ret_bytes, !waits) => {
+                let ret = if ret_len == 0 { std::ptr::null_mut() } else { ret.cast() };
+                target.call(arg.ptr, ret, opts)
+            }
+            FnBinding::Read(target) if fits(target.arg_bytes, target.ret_bytes, false) => {
+                target.call(arg.ptr, ret.cast(), opts)
+            }
+            _ => INVALID_ARGUMENT,
+        }
+    };
+    // SAFETY: null or options the caller lends for the call.
+    unsafe { options::with(opts, go) }
+}
+
+/// An argument or result the command has, but the caller gave no place for.
+fn lacks(place: *const u8, bytes: usize) -> bool {
+    place.is_null() && bytes > 0
+}
+
+pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+    // SAFETY: as in `call`.
+    let cell = unsafe { &*ctx.cast::<FnCell>() };
+    super::tell(sink, &cell.binding.enter().described)
 }
 
 impl ReadTarget {
     fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
+        // A read that nobody takes the result of does nothing: even when only sent, it needs the place.
+        if lacks(arg, self.arg_bytes) || lacks(ret, self.ret_bytes) {
+            return INVALID_ARGUMENT;
+        }
         if let Some(range) = &self.range
             && !range.holds(arg)
         {
             return INVALID_ARGUMENT;
         }
         let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
-        let (outcome, stamp_ns) = read_row(&self.server, self.command, arg, ret, self.ret_bytes, err);
+        let (outcome, stamp_ns) = match &self.from {
+            Reader::System(which) => {
+                // SAFETY: not null, and with room for the command's result type, checked when bound.
+                let out = unsafe { std::slice::from_raw_parts_mut(ret, self.ret_bytes) };
+                (EXECUTED, self.server.system_read(*which, out))
+            }
+            Reader::Class(command) => match command.get() {
+                Some(command) => {
+                    pending::publish_of(&self.server);
+                    read_row(&self.server, command, arg, ret, err)
+                }
+                None => (DISABLED, 0),
+            },
+        };
         if let Some(opts) = opts {
             opts.stamp_ns = stamp_ns;
         }
@@ -98,26 +197,25 @@ impl ReadTarget {
     }
 }
 
-/// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step.
+/// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step and
+/// little is cleared in vain.
+const FEW_WORDS: usize = 8;
+const TINY_ROW: usize = 32;
 const SMALL_ROW: usize = 128;
 const MIDDLE_ROW: usize = 1024;
 const LARGEST_ROW: usize = MAX_PAYLOAD / 8;
 
 /// Answers a read from the server's last published row; any thread, never waits.
-pub(in crate::lcm) fn read_row(
+fn read_row(
     server: &Instance,
     command: u32,
     arg: *const u8,
     ret: *mut u8,
-    ret_bytes: usize,
     err: *mut ErrBuf,
 ) -> (Outcome, u64) {
-    if let Some(which) = server.system_command(command) {
-        // SAFETY: `ret` has room for the command's result type, checked when bound.
-        let out = unsafe { std::slice::from_raw_parts_mut(ret, ret_bytes) };
-        return (EXECUTED, server.system_read(which, out));
-    }
     let read = match server.state_bytes.div_ceil(8) {
+        words if words <= FEW_WORDS => read_copy::<FEW_WORDS>,
+        words if words <= TINY_ROW => read_copy::<TINY_ROW>,
         words if words <= SMALL_ROW => read_copy::<SMALL_ROW>,
         words if words <= MIDDLE_ROW => read_copy::<MIDDLE_ROW>,
         _ => read_copy::<LARGEST_ROW>,
@@ -141,7 +239,20 @@ fn read_copy<const N: usize>(
     let Some(info) = server.rows.latest(bytes) else {
         return (NOT_ACTIVE, 0);
     };
-    (outcome_of(server.object.read(row, command, arg, ret, err)), info.stamp_ns)
+    let status = server.object.read(row, command, arg, ret, err);
+    if status == STATUS_PANICKED {
+        panicked(server, command, err);
+    }
+    (outcome_of(status), info.stamp_ns)
+}
+
+/// A read has no instance that could be distrusted: its caller is told, and it is counted; the watchdog tells the world.
+#[cold]
+fn panicked(server: &Instance, command: u32, err: *mut ErrBuf) {
+    let ports = server.ports();
+    let name = ports.provided.iter().flat_map(|p| &p.commands).nth(command as usize).map_or("", |c| &c.name);
+    let text = format!("{name}: {}", super::sentence(err));
+    server.counters.failed(Misuse::ReadPanicked, text.as_bytes());
 }
 
 /// The outcome a status of `command` or `read` means to the caller.
@@ -155,17 +266,40 @@ pub(in crate::lcm) fn outcome_of(status: Status) -> Outcome {
 
 impl CommandTarget {
     /// One call, in the mode `opts` asks for. Real-time unless it waits, which `step` may not.
+    #[inline(always)]
     pub(in crate::lcm) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
+        let mode = opts.as_ref().map_or(MODE_SEND, |o| o.mode);
+        // What is only sent needs no place for its result.
+        if lacks(arg, self.arg_bytes) || (mode == MODE_CALL && lacks(ret, self.ret_bytes)) {
+            return INVALID_ARGUMENT;
+        }
         if let Some(range) = &self.range
             && !range.holds(arg)
         {
             return INVALID_ARGUMENT;
         }
-        let server = &*self.server;
-        if !server.is_active() {
+        if !self.server.is_active() {
             return NOT_ACTIVE;
         }
-        let mode = opts.as_ref().map_or(MODE_SEND, |o| o.mode);
+        // A component this thread runs, in a cycle, with nobody inside: the common way has no other question.
+        match self.server.object.enter_kept() {
+            Some(mut entered) => {
+                let err = opts.map_or(std::ptr::null_mut(), |o| o.err);
+                self.run_inside(&mut entered, arg, ret, err)
+            }
+            None => self.call_otherwise(arg, ret, mode, opts),
+        }
+    }
+
+    #[inline(never)]
+    fn call_otherwise(
+        &self,
+        arg: *const u8,
+        ret: *mut u8,
+        mode: u32,
+        opts: Option<&mut CallOpts>,
+    ) -> Outcome {
+        let server = &*self.server;
         let deadline_ns = match opts.as_ref() {
             Some(o) if o.deadline_ns > 0 => o.deadline_ns,
             _ => self.deadline_ns,
@@ -173,30 +307,61 @@ impl CommandTarget {
         let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
         if server.runs_here() {
             if let Some(entered) = server.object.try_enter() {
-                return server.run_command(entered, self.command, arg, ret, err);
+                return self.run(entered, arg, ret, err);
             }
             if mode == MODE_CALL {
                 return self.wait_inside(arg, ret, err, deadline_ns);
             }
         } else if mode == MODE_CALL && context::stepping() {
-            server.counters.would_block();
-            return WOULD_BLOCK;
+            return self.would_block();
         }
         self.queue(arg, ret, mode, deadline_ns, opts)
+    }
+
+    /// Runs it and leaves: pays what is owed, then runs what was queued meanwhile, where nobody else would.
+    fn run(&self, mut entered: Entered<'_>, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> Outcome {
+        let outcome = self.run_inside(&mut entered, arg, ret, err);
+        self.server.leave(entered);
+        outcome
+    }
+
+    /// Inside the server: its description cannot change under the call.
+    #[inline(always)]
+    fn run_inside(
+        &self,
+        entered: &mut Entered<'_>,
+        arg: *const u8,
+        ret: *mut u8,
+        err: *mut ErrBuf,
+    ) -> Outcome {
+        let Some(command) = self.command.get() else { return DISABLED };
+        let ret = if ret.is_null() { entered.inner().ret.as_mut_ptr().cast() } else { ret };
+        self.server.command_inside(entered, command, arg, ret, err)
     }
 
     /// The server is passive and busy: waits for it, unless this thread is the one inside.
     fn wait_inside(&self, arg: *const u8, ret: *mut u8, err: *mut ErrBuf, deadline_ns: u64) -> Outcome {
         if context::stepping() || !self.server.is_passive() {
-            self.server.counters.would_block();
-            return WOULD_BLOCK;
+            return self.would_block();
         }
         let until = os::now_ns().saturating_add(deadline_ns);
         match self.server.object.enter_until(until) {
-            Some(entered) => self.server.run_command(entered, self.command, arg, ret, err),
+            Some(entered) => self.run(entered, arg, ret, err),
             None if os::now_ns() < until => WOULD_BLOCK,
             None => DEADLINE,
         }
+    }
+
+    /// Counted at both ends.
+    #[cold]
+    fn would_block(&self) -> Outcome {
+        self.server.counters.misuse(Misuse::AskedToWait);
+        // SAFETY: null, or the context of the instance that is being called on this very thread.
+        let caller = unsafe { context::component().as_ref() }.and_then(|host| host.instance.get());
+        if let Some(caller) = caller.and_then(std::sync::Weak::upgrade) {
+            caller.counters.misuse(Misuse::CalledFromStep);
+        }
+        WOULD_BLOCK
     }
 
     fn queue(
@@ -207,6 +372,7 @@ impl CommandTarget {
         deadline_ns: u64,
         opts: Option<&mut CallOpts>,
     ) -> Outcome {
+        pending::publish();
         let ticket = if mode == MODE_CALL {
             match self.inbox.replies.acquire() {
                 Some(ticket) => Some(ticket),
@@ -229,7 +395,13 @@ impl CommandTarget {
         };
         match self.inbox.mailbox.push(head, payload, self.overflow) {
             Push::Queued => {}
-            Push::Full | Push::TooLong => return QUEUE_FULL,
+            Push::Full => {
+                // Its thread runs what is there now, not after this step: the step may be one that tries again.
+                self.server.signal();
+                context::flush_wakes();
+                return QUEUE_FULL;
+            }
+            Push::TooLong => return QUEUE_FULL,
             Push::Closed => return PEER_LOST,
             Push::DroppedOldest(old) => {
                 self.inbox.replies.fail(old.reply, QUEUE_FULL);
@@ -263,7 +435,9 @@ impl CommandTarget {
 /// Puts a sentence into a caller's error buffer, cut to its room.
 pub(in crate::lcm) fn write_err(err: *mut ErrBuf, text: &[u8]) {
     // SAFETY: null or a buffer the caller lends for the call.
-    if let Some(err) = unsafe { err.as_mut() } {
+    if let Some(err) = unsafe { err.as_mut() }
+        && !err.ptr.is_null()
+    {
         let n = text.len().min(err.cap);
         // SAFETY: `ptr` has room for `cap` bytes.
         unsafe { std::ptr::copy_nonoverlapping(text.as_ptr(), err.ptr, n) };
@@ -310,6 +484,11 @@ impl RangeCheck {
     }
 
     fn holds(&self, arg: *const u8) -> bool {
+        if self.prim == Prim::F64 && self.count == 1 && !self.list {
+            // SAFETY: the argument is one f64; it may lie anywhere.
+            let value = unsafe { arg.cast::<f64>().read_unaligned() };
+            return value >= self.min && value <= self.max;
+        }
         let size = Type::Prim(self.prim).size();
         let skip = if self.list { 8 } else { 0 };
         // SAFETY: the argument has the command's type: an optional length, then room for `count` items.
@@ -383,10 +562,11 @@ fn answer(
         reserved: 0,
     };
     let outcome = call(words.as_ptr().cast(), ret.as_mut_ptr().cast(), &mut opts);
+    let len = err.len.min(room.len());
     Answer {
         outcome,
         value: super::as_bytes(&ret)[..ret_bytes].to_vec(),
-        text: super::sentence(&raw mut err),
+        text: String::from_utf8_lossy(&room[..len]).into_owned(),
         stamp_ns: opts.stamp_ns,
         may_still_run: opts.may_still_run != 0,
     }

@@ -6,28 +6,16 @@
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
 use std::ptr;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::{
-    Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_FAILED, STATUS_OK, STATUS_UNSUPPORTED, Status, Tick,
+    Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_FAILED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status,
+    Tick,
 };
-use trocar_plugin_api::has_entry;
 use trocar_rt::os;
 
-/// Reads an entry of a table that may be shorter than ours; `None` when absent or null.
-macro_rules! entry {
-    ($table:expr, $field:ident) => {{
-        let table: *const ClassTable = $table;
-        // SAFETY: every table starts with its struct_size; the loader checked that the pointer is a table.
-        let size = unsafe { (*table).struct_size };
-        if has_entry(size, std::mem::offset_of!(ClassTable, $field), size_of::<usize>()) {
-            // SAFETY: the field lies inside the table, by its own word.
-            unsafe { (*table).$field }
-        } else {
-            None
-        }
-    }};
-}
+use super::super::context;
+use super::hot::{Hot, StateCopy, entry};
 
 /// A failed entry: its status and its sentence.
 #[derive(Clone, Debug)]
@@ -50,35 +38,57 @@ impl EntryError {
 /// Room for one sentence from a plugin, bytes.
 pub(in crate::lcm) const ERR_BYTES: usize = 512;
 
-/// Calls `f` with an error buffer on the stack; a negative status becomes an [`EntryError`].
-fn guarded(f: impl FnOnce(*mut ErrBuf) -> Status) -> Result<(), EntryError> {
-    let mut room = [0u8; ERR_BYTES];
-    let mut err = ErrBuf { ptr: room.as_mut_ptr(), cap: room.len(), len: 0 };
+/// Calls `f` with an error buffer; a negative status becomes an [`EntryError`].
+#[inline]
+fn guarded(mut err: ErrBuf, f: impl FnOnce(*mut ErrBuf) -> Status) -> Result<(), EntryError> {
     let status = f(&raw mut err);
-    if status >= STATUS_OK {
-        return Ok(());
-    }
-    let text = String::from_utf8_lossy(&room[..err.len.min(ERR_BYTES)]).into_owned();
+    if status >= STATUS_OK { Ok(()) } else { Err(failed(status, &raw mut err)) }
+}
+
+#[cold]
+fn failed(status: Status, err: *mut ErrBuf) -> EntryError {
+    let text = super::sentence(err);
     let text = if text.is_empty() { format!("status {status} without a reason") } else { text };
-    Err(EntryError { status, text })
+    EntryError { status, text }
+}
+
+/// What an entry is answered that nobody is there for.
+const GONE: &str = "there is no instance any more: it was destroyed, and the one after it could not be made";
+
+#[cold]
+fn gone(err: *mut ErrBuf) -> Status {
+    super::call::write_err(err, GONE.as_bytes());
+    STATUS_FAILED
 }
 
 const FREE: u32 = 0;
 const HELD: u32 = 1;
 const CONTENDED: u32 = 2;
 
+/// No executor has this number.
+const NOBODY: u64 = u64::MAX;
+
 /// An instance behind its entry lock, with the state only the holder of that lock may touch.
 pub(in crate::lcm) struct Object<T> {
     table: *const ClassTable,
+    hot: Hot,
     lock: AtomicU32,
     /// Thread token of the holder, to tell re-entry from contention.
     holder: AtomicU64,
-    this: UnsafeCell<*mut c_void>,
+    /// The executor that holds the lock for a whole cycle, or [`NOBODY`]. Written by that executor alone.
+    keeper: AtomicU64,
+    /// Somebody is inside under the keeper's lock. Touched by the keeper's thread alone.
+    inside: AtomicBool,
+    /// Null while there is no instance. Used by the holder of the lock, and by visitors.
+    this: AtomicPtr<c_void>,
+    /// Threads that are bringing the instance to its safe condition without the lock; it is not destroyed meanwhile.
+    visitors: AtomicU32,
+    /// For the sentence of an entry that fails.
+    room: UnsafeCell<[u8; ERR_BYTES]>,
     inner: UnsafeCell<T>,
 }
 
-// SAFETY: `this` and `inner` are reached only through `Entered`, i.e. by the holder of the lock; the table is immutable
-// and lives as long as the library, which is never unloaded while classes of it exist. T moves between holders: T: Send.
+// SAFETY: `inner` and `room` are reached only through `Entered`, i.e. by the holder of the lock; the table is immutable and lives as long as the library, which is never unloaded while classes of it exist. T moves between holders: T: Send.
 unsafe impl<T: Send> Send for Object<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Object<T> {}
@@ -93,18 +103,61 @@ impl<T: Send> Object<T> {
     pub(in crate::lcm) fn new(table: *const ClassTable, inner: T) -> Self {
         Object {
             table,
+            hot: Hot::of(table),
             lock: AtomicU32::new(FREE),
             holder: AtomicU64::new(0),
-            this: UnsafeCell::new(ptr::null_mut()),
+            keeper: AtomicU64::new(NOBODY),
+            inside: AtomicBool::new(false),
+            this: AtomicPtr::new(ptr::null_mut()),
+            visitors: AtomicU32::new(0),
+            room: UnsafeCell::new([0; ERR_BYTES]),
             inner: UnsafeCell::new(inner),
         }
     }
 
     /// Enters when nobody is inside.
+    #[inline]
     pub(in crate::lcm) fn try_enter(&self) -> Option<Entered<'_, T>> {
+        if self.is_kept_here() {
+            return self.enter_kept();
+        }
         self.lock.compare_exchange(FREE, HELD, Ordering::Acquire, Ordering::Relaxed).ok()?;
         self.holder.store(thread_token(), Ordering::Relaxed);
-        Some(Entered { object: self })
+        Some(Entered { object: self, kept: false })
+    }
+
+    /// Enters under the lock this thread holds for its cycle: a flag of its own is enough. `None` when somebody is inside,
+    /// and where it holds none.
+    #[inline]
+    pub(in crate::lcm) fn enter_kept(&self) -> Option<Entered<'_, T>> {
+        if !self.is_kept_here() || self.inside.load(Ordering::Relaxed) {
+            return None;
+        }
+        self.inside.store(true, Ordering::Relaxed);
+        Some(Entered { object: self, kept: true })
+    }
+
+    /// Takes the lock for the cycle that begins on this executor, so that entering and leaving within it cost no atomic
+    /// operation; not when somebody is inside. What is kept must be let go by the same thread at the cycle's end.
+    pub(in crate::lcm) fn keep(&self) {
+        if self.lock.compare_exchange(FREE, HELD, Ordering::Acquire, Ordering::Relaxed).is_ok() {
+            self.holder.store(thread_token(), Ordering::Relaxed);
+            self.keeper.store(context::executor(), Ordering::Relaxed);
+        }
+    }
+
+    /// Ends what [`Object::keep`] began, where it began.
+    pub(in crate::lcm) fn let_go(&self) {
+        if self.is_kept_here() && !self.inside.load(Ordering::Relaxed) {
+            self.keeper.store(NOBODY, Ordering::Relaxed);
+            self.unlock();
+        }
+    }
+
+    /// Only the keeper's own thread ever finds its own number here.
+    #[inline]
+    fn is_kept_here(&self) -> bool {
+        self.keeper.load(Ordering::Relaxed) == context::executor()
     }
 
     /// Enters, waiting for whoever is inside until `deadline_ns`. `None` at the deadline, and at once when this very
@@ -119,7 +172,7 @@ impl<T: Send> Object<T> {
             }
             if self.lock.swap(CONTENDED, Ordering::Acquire) == FREE {
                 self.holder.store(thread_token(), Ordering::Relaxed);
-                return Some(Entered { object: self });
+                return Some(Entered { object: self, kept: false });
             }
             if os::now_ns() >= deadline_ns {
                 return None;
@@ -128,12 +181,37 @@ impl<T: Send> Object<T> {
         }
     }
 
+    /// Nobody is inside now.
+    pub(in crate::lcm) fn is_free(&self) -> bool {
+        self.lock.load(Ordering::Acquire) == FREE
+    }
+
+    /// Brings the device to its safe condition while another thread may be stuck inside: only for classes that declare it
+    /// callable from any thread.
+    pub(in crate::lcm) fn make_safe_from_outside(&self) -> Result<(), EntryError> {
+        let mut room = [0u8; ERR_BYTES];
+        let err = ErrBuf { ptr: room.as_mut_ptr(), cap: ERR_BYTES, len: 0 };
+        self.visitors.fetch_add(1, Ordering::SeqCst);
+        let this = self.this.load(Ordering::SeqCst);
+        let done = match entry!(self.table, make_safe) {
+            // SAFETY: a live instance: `destroy` clears `this` before it looks for visitors; the class says that this
+            // entry may be called from any thread at any time.
+            Some(make_safe) if !this.is_null() => guarded(err, |err| unsafe { make_safe(this, err) }),
+            _ => Ok(()),
+        };
+        self.visitors.fetch_sub(1, Ordering::SeqCst);
+        done
+    }
+
     /// Takes over an entry this thread made by `callback_enter`; `None` when it made none.
     pub(in crate::lcm) fn adopt(&self) -> Option<Entered<'_, T>> {
-        (self.holder.load(Ordering::Relaxed) == thread_token()).then_some(Entered { object: self })
+        // Lazily: an `Entered` that is made and dropped would let others in.
+        let mine = self.holder.load(Ordering::Relaxed) == thread_token() && !self.is_kept_here();
+        mine.then(|| Entered { object: self, kept: false })
     }
 
     /// A read command as a pure function of `row`; any thread, no instance.
+    #[inline]
     pub(in crate::lcm) fn read(
         &self,
         row: &[u64],
@@ -142,25 +220,35 @@ impl<T: Send> Object<T> {
         ret: *mut u8,
         err: *mut ErrBuf,
     ) -> Status {
-        match entry!(self.table, read) {
-            // SAFETY: row, arg and ret have the sizes and alignment of the manifest's types, checked when bound; the
-            // entry takes no instance, so no lock is needed.
-            Some(read) => unsafe { read(row.as_ptr().cast(), id, arg.cast(), ret.cast(), err) },
-            None => STATUS_UNSUPPORTED,
-        }
+        // SAFETY: row, arg and ret have the sizes and alignment of the manifest's types, checked when bound; the entry
+        // takes no instance, so no lock is needed.
+        unsafe { (self.hot.read)(row.as_ptr().cast(), id, arg.cast(), ret.cast(), err) }
     }
 }
 
 /// The right to call into an instance; dropping it leaves.
 pub(in crate::lcm) struct Entered<'a, T> {
     object: &'a Object<T>,
+    /// Under the lock its executor keeps for the cycle.
+    kept: bool,
+}
+
+impl<T> Object<T> {
+    fn unlock(&self) {
+        self.holder.store(0, Ordering::Relaxed);
+        if self.lock.swap(FREE, Ordering::Release) == CONTENDED {
+            os::futex_wake(&self.lock, u32::MAX);
+        }
+    }
 }
 
 impl<T> Drop for Entered<'_, T> {
+    #[inline]
     fn drop(&mut self) {
-        self.object.holder.store(0, Ordering::Relaxed);
-        if self.object.lock.swap(FREE, Ordering::Release) == CONTENDED {
-            os::futex_wake(&self.object.lock, u32::MAX);
+        if self.kept {
+            self.object.inside.store(false, Ordering::Relaxed);
+        } else {
+            self.object.unlock();
         }
     }
 }
@@ -172,9 +260,22 @@ impl<T> Entered<'_, T> {
         unsafe { &mut *self.object.inner.get() }
     }
 
+    /// Null between `destroy` and `create`.
+    #[inline]
     fn this(&self) -> *mut c_void {
-        // SAFETY: we hold the lock.
-        unsafe { *self.object.this.get() }
+        self.object.this.load(Ordering::Relaxed)
+    }
+
+    /// The instance, where there is one.
+    fn made(&self) -> Result<*mut c_void, EntryError> {
+        let this = self.this();
+        if this.is_null() { Err(EntryError { status: STATUS_FAILED, text: GONE.into() }) } else { Ok(this) }
+    }
+
+    /// An empty error buffer, used by one entry at a time: an instance is not re-entered.
+    #[inline]
+    pub(in crate::lcm) fn err_buf(&mut self) -> ErrBuf {
+        ErrBuf { ptr: self.object.room.get().cast(), cap: ERR_BYTES, len: 0 }
     }
 
     /// Makes the instance.
@@ -186,41 +287,66 @@ impl<T> Entered<'_, T> {
             });
         };
         let mut made = ptr::null_mut();
-        guarded(|err| {
+        guarded(self.err_buf(), |err| {
             // SAFETY: host outlives the instance (both belong to the same `Instance`); name and err live for the call.
             made = unsafe { create(host, bytes(name.as_bytes()), err) };
             if made.is_null() { STATUS_FAILED } else { STATUS_OK }
         })?;
-        // SAFETY: we hold the lock.
-        unsafe { *self.object.this.get() = made };
+        self.object.this.store(made, Ordering::SeqCst);
         Ok(())
     }
 
-    pub(in crate::lcm) fn destroy(&mut self) {
-        let this = self.this();
+    /// False where the instance is left to the end of the process.
+    pub(in crate::lcm) fn destroy(&mut self) -> bool {
+        let this = self.object.this.swap(ptr::null_mut(), Ordering::SeqCst);
+        // A visitor that came before the swap may still be inside.
+        if self.object.visitors.load(Ordering::SeqCst) > 0 {
+            return this.is_null();
+        }
         if let (false, Some(destroy)) = (this.is_null(), entry!(self.object.table, destroy)) {
-            // SAFETY: made by `create` of the same table, not destroyed before (the pointer is cleared below).
+            // SAFETY: made by `create` of the same table, not destroyed before (the pointer was cleared above), and no
+            // visitor has it.
             unsafe { destroy(this) };
         }
-        // SAFETY: we hold the lock.
-        unsafe { *self.object.this.get() = ptr::null_mut() };
+        true
     }
 
     pub(in crate::lcm) fn configure(&mut self, json: &str) -> Result<(), EntryError> {
-        let this = self.this();
+        let this = self.made()?;
         match entry!(self.object.table, configure) {
-            // SAFETY: a live instance of this table; json and err live for the call.
-            Some(configure) => guarded(|err| unsafe { configure(this, bytes(json.as_bytes()), err) }),
+            Some(configure) => {
+                // SAFETY: a live instance of this table; json and err live for the call.
+                guarded(self.err_buf(), |err| unsafe { configure(this, bytes(json.as_bytes()), err) })
+            }
             None => Ok(()),
         }
     }
 
     pub(in crate::lcm) fn bind(&mut self, ports: *const Ports) -> Result<(), EntryError> {
-        let this = self.this();
+        let this = self.made()?;
         match entry!(self.object.table, bind) {
             // SAFETY: a live instance; the slot tables live as long as it (`Slots` of the same `Instance`).
-            Some(bind) => guarded(|err| unsafe { bind(this, ports, err) }),
+            Some(bind) => guarded(self.err_buf(), |err| unsafe { bind(this, ports, err) }),
             None => Ok(()),
+        }
+    }
+
+    /// The class description as it holds now, at most `most` bytes; `None` where the class offers none.
+    pub(in crate::lcm) fn describe(&mut self, most: usize) -> Result<Option<Vec<u8>>, EntryError> {
+        let this = self.made()?;
+        let Some(describe) = entry!(self.object.table, describe) else { return Ok(None) };
+        let mut text = Pieces { bytes: Vec::new(), most, cut: false };
+        let sink = Sink { ctx: (&raw mut text).cast(), write: add_piece };
+        // SAFETY: a live instance of this table, entered by us alone; the sink lives for the call.
+        match unsafe { describe(this, &raw const sink) } {
+            STATUS_UNSUPPORTED => Ok(None),
+            status if status < STATUS_OK => {
+                Err(EntryError { status, text: format!("status {status} without a reason") })
+            }
+            _ if text.cut => {
+                Err(EntryError { status: STATUS_FAILED, text: format!("it writes more than {most} bytes") })
+            }
+            _ => Ok(Some(text.bytes)),
         }
     }
 
@@ -247,22 +373,21 @@ impl<T> Entered<'_, T> {
         let this = self.this();
         match f {
             // SAFETY: a live instance of this table, entered by us alone.
-            Some(f) if !this.is_null() => guarded(|err| unsafe { f(this, err) }),
+            Some(f) if !this.is_null() => guarded(self.err_buf(), |err| unsafe { f(this, err) }),
             _ => Ok(()),
         }
     }
 
     /// Real-time.
     pub(in crate::lcm) fn step(&mut self, tick: &Tick) -> Result<(), EntryError> {
-        let this = self.this();
-        match entry!(self.object.table, step) {
-            // SAFETY: a live instance of this table, entered by us alone; tick and err live for the call.
-            Some(step) => guarded(|err| unsafe { step(this, tick, err) }),
-            None => Ok(()),
-        }
+        let this = self.made()?;
+        let step = self.object.hot.step;
+        // SAFETY: a live instance of this table, entered by us alone; tick and err live for the call.
+        guarded(self.err_buf(), |err| context::as_step(|| unsafe { step(this, tick, err) }))
     }
 
     /// Runs a command; the sentence of a failure goes to `err`. Real-time.
+    #[inline]
     pub(in crate::lcm) fn command(
         &mut self,
         id: u32,
@@ -270,33 +395,78 @@ impl<T> Entered<'_, T> {
         ret: *mut u8,
         err: *mut ErrBuf,
     ) -> Status {
-        match entry!(self.object.table, command) {
-            // SAFETY: a live instance; arg and ret have the size and alignment of the manifest's types, checked when bound.
-            Some(command) => unsafe { command(self.this(), id, arg.cast(), ret.cast(), err) },
-            None => STATUS_UNSUPPORTED,
+        let this = self.this();
+        if this.is_null() {
+            return gone(err);
+        }
+        // SAFETY: a live instance; arg and ret have the size and alignment of the manifest's types, checked when bound.
+        unsafe { (self.object.hot.command)(this, id, arg.cast(), ret.cast(), err) }
+    }
+
+    /// Hands over the reply to a service it asked for.
+    pub(in crate::lcm) fn on_service(&mut self, token: u64, reply: &str) -> Result<(), EntryError> {
+        let this = self.this();
+        match entry!(self.object.table, on_service) {
+            Some(f) if !this.is_null() => {
+                // SAFETY: a live instance of this table, entered by us alone; the text lives for the call.
+                guarded(self.err_buf(), |_| unsafe { f(this, token, bytes(reply.as_bytes())) })
+            }
+            _ => Ok(()),
         }
     }
 
-    /// Delivers an event. Real-time.
-    pub(in crate::lcm) fn on_event(&mut self, id: u32, payload: *const u8) -> Result<(), EntryError> {
+    /// Delivers an event; the sentence of a failure goes to `err`. Real-time.
+    #[inline]
+    pub(in crate::lcm) fn on_event(&mut self, id: u32, payload: *const u8, err: *mut ErrBuf) -> Status {
         let this = self.this();
-        match entry!(self.object.table, on_event) {
-            // SAFETY: as for `command`.
-            Some(on_event) => guarded(|err| unsafe { on_event(this, id, payload.cast(), err) }),
-            None => Ok(()),
+        if this.is_null() {
+            return gone(err);
         }
+        // SAFETY: as for `command`.
+        unsafe { (self.object.hot.on_event)(this, id, payload.cast(), err) }
     }
 
-    /// What belongs to the holder, with a way to copy the plain state block (of the manifest's state type). Real-time.
-    pub(in crate::lcm) fn with_state(&mut self, f: impl FnOnce(&mut T, &dyn Fn(&mut [u8]))) {
-        let this = self.this();
-        let copy = entry!(self.object.table, state_copy);
-        let fill = |row: &mut [u8]| match copy {
+    /// What belongs to the holder, and a way to copy the plain state block. Real-time.
+    #[inline]
+    pub(in crate::lcm) fn with_state(&mut self) -> (&mut T, StateBlock) {
+        let block = StateBlock { this: self.this(), copy: self.object.hot.state_copy };
+        (self.inner(), block)
+    }
+}
+
+/// The plain state block of an instance, whose entry the holder keeps while it has this.
+pub(in crate::lcm) struct StateBlock {
+    this: *mut c_void,
+    copy: StateCopy,
+}
+
+impl StateBlock {
+    /// Copies it to `row`, which has the length of the manifest's state type.
+    #[inline]
+    pub(in crate::lcm) fn copy_to(&self, row: &mut [u8]) {
+        if !self.this.is_null() {
             // SAFETY: a live instance, entered by us alone; row has the length of the state type.
-            Some(copy) if !this.is_null() => unsafe { copy(this, row.as_mut_ptr().cast(), row.len()) },
-            _ => {}
-        };
-        f(self.inner(), &fill);
+            unsafe { (self.copy)(self.this, row.as_mut_ptr().cast(), row.len()) }
+        }
+    }
+}
+
+/// What a sink has taken so far.
+struct Pieces {
+    bytes: Vec<u8>,
+    most: usize,
+    /// More came than may.
+    cut: bool,
+}
+
+unsafe extern "C" fn add_piece(ctx: *mut c_void, piece: Bytes) {
+    // SAFETY: ctx is the `Pieces` of the call that is under way.
+    let text = unsafe { &mut *ctx.cast::<Pieces>() };
+    if text.bytes.len().saturating_add(piece.len) > text.most {
+        text.cut = true;
+    } else if !piece.ptr.is_null() {
+        // SAFETY: the plugin lends `len` bytes for the call.
+        text.bytes.extend_from_slice(unsafe { std::slice::from_raw_parts(piece.ptr, piece.len) });
     }
 }
 

@@ -3,22 +3,35 @@
 //! Invariant: emitting never waits; what a full queue could not take is counted at that queue.
 
 use std::ffi::c_void;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use trocar_plugin_api::abi::{EXECUTED, Outcome, QUEUE_FULL, UNBOUND};
+use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Outcome, QUEUE_FULL, UNBOUND};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::os;
 
-use super::super::inbox::{ENTRY_EVENT, Inbox};
+use super::super::context;
+use super::super::inbox::{ENTRY_EVENT, Inbox, Position};
 use super::super::instance::Instance;
+use super::super::pending;
 
 /// One observer of one event.
 pub(in crate::lcm) enum EventSink {
     /// A handler of a connected component.
-    Handler { observer: Arc<Instance>, inbox: Arc<Inbox>, index: u32 },
+    Handler(Handler),
     /// Somebody outside: the control plane.
     Tap(Arc<Tap>),
+}
+
+/// A handler of a connected component, reached through one connection's inbox.
+pub(in crate::lcm) struct Handler {
+    pub(in crate::lcm) observer: Arc<Instance>,
+    pub(in crate::lcm) inbox: Arc<Inbox>,
+    /// Position in the inbox's table.
+    pub(in crate::lcm) index: u32,
+    pub(in crate::lcm) position: Arc<Position>,
+    /// Runs inside `emit` when both ends share an executor.
+    pub(in crate::lcm) direct: bool,
 }
 
 /// A queue read from outside; the oldest entries give way.
@@ -28,7 +41,9 @@ pub(in crate::lcm) struct Tap {
 
 /// Host cell behind an event slot.
 pub(in crate::lcm) struct EventCell {
-    pub(in crate::lcm) sinks: BindingCell<Vec<Arc<EventSink>>>,
+    sinks: BindingCell<Vec<Arc<EventSink>>>,
+    /// Managers change them one after the other.
+    editing: Mutex<()>,
     pub(in crate::lcm) bytes: usize,
 }
 
@@ -37,6 +52,8 @@ pub(super) unsafe extern "C" fn emit(ctx: *mut c_void, payload: *const c_void) -
     let cell = unsafe { &*ctx.cast::<EventCell>() };
     let payload: &[u8] = if cell.bytes == 0 {
         &[]
+    } else if payload.is_null() {
+        return INVALID_ARGUMENT;
     } else {
         // SAFETY: the caller lends a payload of the event's type.
         unsafe { std::slice::from_raw_parts(payload.cast(), cell.bytes) }
@@ -47,35 +64,88 @@ pub(super) unsafe extern "C" fn emit(ctx: *mut c_void, payload: *const c_void) -
 impl EventCell {
     /// Any thread. Real-time.
     pub(in crate::lcm) fn emit(&self, payload: &[u8]) -> Outcome {
-        let sinks = self.sinks.enter();
-        if sinks.is_empty() {
-            return UNBOUND;
-        }
-        let stamp_ns = os::now_ns();
-        let mut outcome = EXECUTED;
-        for sink in sinks.iter() {
-            match &**sink {
-                EventSink::Handler { observer, inbox, index } => {
-                    let head = EntryHead { kind: ENTRY_EVENT, index: *index, reply: 0, stamp_ns };
-                    if matches!(inbox.mailbox.push(head, payload, Overflow::Reject), Push::Full) {
-                        outcome = QUEUE_FULL;
-                    }
-                    observer.signal();
-                    observer.drain_if_passive();
-                }
-                EventSink::Tap(tap) => {
-                    let head = EntryHead { kind: ENTRY_EVENT, index: 0, reply: 0, stamp_ns };
-                    let _ = tap.mailbox.push(head, payload, Overflow::DropOldest);
-                }
-            }
-        }
-        outcome
+        self.sinks.look(|sinks| give(sinks, payload))
+    }
+
+    pub(super) fn new(bytes: usize) -> EventCell {
+        EventCell { sinks: BindingCell::new(Box::new(Vec::new())), editing: Mutex::new(()), bytes }
+    }
+
+    pub(super) fn reclaim(&self) -> usize {
+        self.sinks.reclaim()
     }
 
     /// Adds or removes observers; managers only.
     pub(in crate::lcm) fn edit(&self, f: impl FnOnce(&mut Vec<Arc<EventSink>>)) {
+        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
         let mut sinks = self.sinks.enter().clone();
         f(&mut sinks);
         self.sinks.swap(Box::new(sinks));
     }
+}
+
+impl Handler {
+    /// False when its queue is full: counted there, told by the watchdog.
+    fn give(&self, payload: &[u8]) -> bool {
+        if self.direct && self.runs(payload) {
+            return true;
+        }
+        pending::publish();
+        let head = EntryHead { kind: ENTRY_EVENT, index: self.index, reply: 0, stamp_ns: 0 };
+        let pushed = self.inbox.mailbox.push(head, payload, Overflow::Reject);
+        self.observer.signal();
+        self.observer.drain_if_passive();
+        !matches!(pushed, Push::Full)
+    }
+
+    /// Runs it here and now where that is allowed: on the observer's own executor, nobody inside, nothing queued before.
+    #[inline]
+    fn runs(&self, payload: &[u8]) -> bool {
+        let observer = &*self.observer;
+        if !self.inbox.mailbox.is_empty() {
+            return false;
+        }
+        if let Some(mut entered) = observer.object.enter_kept() {
+            if let Some(handler) = self.position.get() {
+                observer.handle(&mut entered, handler, payload);
+            }
+            return true;
+        }
+        // A manager's thread only tells: what runs on callers' threads runs on its own then.
+        !context::is_deferred() && observer.runs_here() && self.runs_otherwise(payload)
+    }
+
+    #[inline(never)]
+    fn runs_otherwise(&self, payload: &[u8]) -> bool {
+        let observer = &*self.observer;
+        let Some(mut entered) = observer.object.try_enter() else { return false };
+        if let Some(handler) = self.position.get() {
+            observer.handle(&mut entered, handler, payload);
+        }
+        observer.leave(entered);
+        true
+    }
+}
+
+/// Gives an event to everybody who wants it.
+fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
+    if sinks.is_empty() {
+        return UNBOUND;
+    }
+    let mut outcome = EXECUTED;
+    for sink in sinks.iter() {
+        match &**sink {
+            EventSink::Handler(handler) => {
+                if !handler.give(payload) {
+                    outcome = QUEUE_FULL;
+                }
+            }
+            EventSink::Tap(tap) => {
+                // Only the outside is told when it was; components need no clock for it.
+                let head = EntryHead { kind: ENTRY_EVENT, index: 0, reply: 0, stamp_ns: os::now_ns() };
+                let _ = tap.mailbox.push(head, payload, Overflow::DropOldest);
+            }
+        }
+    }
+    outcome
 }

@@ -5,14 +5,15 @@
 use std::ffi::c_void;
 use std::sync::{Arc, OnceLock, Weak};
 
-use trocar_plugin_api::abi::{
-    ABI_MAJOR, ABI_MINOR, Bytes, DISABLED, EXECUTED, HostTable, NOT_ACTIVE, Outcome, WOULD_BLOCK,
-};
+use trocar_plugin_api::abi::{ABI_MAJOR, ABI_MINOR, Bytes, HostTable, NOT_ACTIVE, Outcome, PARALLEL, QUEUED};
 use trocar_rt::os;
 
 use super::super::context;
+use super::super::hub::Hub;
 use super::super::instance::Instance;
 use super::super::logs::LogRing;
+use super::super::services::{Account, Desk};
+use super::parallel;
 
 /// What stands behind `HostTable::ctx` of one instance.
 pub(in crate::lcm) struct HostContext {
@@ -20,9 +21,21 @@ pub(in crate::lcm) struct HostContext {
     pub(in crate::lcm) number: u32,
     pub(in crate::lcm) logs: Arc<LogRing>,
     pub(in crate::lcm) instance: OnceLock<Weak<Instance>>,
+    pub(in crate::lcm) account: Account,
+    desk: Arc<Desk>,
 }
 
 impl HostContext {
+    pub(in crate::lcm) fn new(number: u32, hub: &Hub) -> Arc<Self> {
+        Arc::new(Self {
+            number,
+            logs: hub.logs.clone(),
+            instance: OnceLock::new(),
+            account: Account::default(),
+            desk: hub.desk.clone(),
+        })
+    }
+
     /// The table for this context, which must outlive it.
     pub(in crate::lcm) fn shared_table(self: &Arc<Self>) -> SharedTable {
         SharedTable(HostTable {
@@ -39,6 +52,12 @@ impl HostContext {
             extension,
             ports_changed,
         })
+    }
+}
+
+impl Drop for HostContext {
+    fn drop(&mut self) {
+        self.desk.leave(self.number);
     }
 }
 
@@ -67,7 +86,8 @@ unsafe extern "C" fn now_ns(_ctx: *mut c_void) -> u64 {
 }
 
 fn text<'a>(bytes: &Bytes) -> &'a [u8] {
-    if bytes.ptr.is_null() {
+    // Nothing in memory is longer than that, so it is not a length.
+    if bytes.ptr.is_null() || bytes.len > isize::MAX as usize {
         return &[];
     }
     // SAFETY: the plugin lends `len` bytes for the call.
@@ -89,40 +109,41 @@ pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
     }
 }
 
-/// Dynamic component services are answered DISABLED until this host offers them to components.
-unsafe extern "C" fn service(_ctx: *mut c_void, _token: u64, _request: Bytes) -> Outcome {
-    if context::stepping() { WOULD_BLOCK } else { DISABLED }
+/// A dynamic component service; see `services.rs`.
+unsafe extern "C" fn service(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome {
+    let host = context_of(ctx);
+    match host.instance.get().and_then(Weak::upgrade) {
+        Some(instance) => host.desk.ask(&instance, token, text(&request)),
+        None => NOT_ACTIVE,
+    }
 }
 
 unsafe extern "C" fn callback_enter(ctx: *mut c_void) -> Outcome {
-    let Some(instance) = context_of(ctx).instance.get().and_then(Weak::upgrade) else { return NOT_ACTIVE };
-    if !instance.is_active() {
-        return NOT_ACTIVE;
-    }
-    match instance.object.try_enter() {
-        Some(entered) => {
-            // Left again by `callback_leave`.
-            let _stays_inside = std::mem::ManuallyDrop::new(entered);
-            EXECUTED
-        }
-        None => {
-            instance.counters.overlap();
-            WOULD_BLOCK
-        }
-    }
+    let instance = context_of(ctx).instance.get().and_then(Weak::upgrade);
+    instance.map_or(NOT_ACTIVE, |instance| instance.callback_enter())
 }
 
 unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
     if let Some(instance) = context_of(ctx).instance.get().and_then(Weak::upgrade) {
-        instance.after_callback();
+        instance.callback_leave();
     }
 }
 
-/// Ports that change while a component lives come with `describe`.
-unsafe extern "C" fn ports_changed(_ctx: *mut c_void) -> Outcome {
-    DISABLED
+/// The component's ports are to be others: it is described and bound again on its own thread, between two steps.
+unsafe extern "C" fn ports_changed(ctx: *mut c_void) -> Outcome {
+    match context_of(ctx).instance.get().and_then(Weak::upgrade) {
+        Some(instance) => {
+            instance.described.wish();
+            instance.look_at_ports();
+            QUEUED
+        }
+        None => NOT_ACTIVE,
+    }
 }
 
-unsafe extern "C" fn extension(_ctx: *mut c_void, _id: Bytes) -> *const c_void {
-    std::ptr::null()
+unsafe extern "C" fn extension(_ctx: *mut c_void, id: Bytes) -> *const c_void {
+    match text(&id) {
+        id if id == PARALLEL.as_bytes() => parallel::table().cast(),
+        _ => std::ptr::null(),
+    }
 }

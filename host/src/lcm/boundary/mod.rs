@@ -5,24 +5,40 @@
 
 mod call;
 mod class;
+#[cfg(test)]
+pub(super) mod counting;
 mod entry;
 mod event;
+#[cfg(test)]
+pub(super) mod fake;
 mod host_table;
+mod hot;
+mod input;
+mod options;
+mod output;
+mod parallel;
 mod ports;
-mod stream;
+pub(super) mod same;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+pub(super) mod trap;
 
 pub(super) use call::{
-    Answer, CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, RangeCheck, ReadTarget, outcome_of,
+    Answer, CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, FnCell, RangeCheck, ReadTarget, Reader, outcome_of,
 };
 pub use class::LoadedClass;
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
-pub(super) use event::{EventSink, Tap};
+pub(super) use event::{EventCell, EventSink, Handler, Tap};
 pub use host_table::plugin_log;
 pub(super) use host_table::{HostContext, SharedTable};
+pub(super) use input::{InCell, InLink};
+pub(super) use output::{OUTSIDE, OutCell, OutLink, Shape};
 pub(super) use ports::Slots;
-pub(super) use stream::{InLink, OutLink};
+pub(super) use same::{same_input, same_output, same_provided, same_required};
 
-use trocar_plugin_api::abi::ErrBuf;
+use super::instance::Instance;
+use trocar_plugin_api::abi::{ErrBuf, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status};
 
 /// Words viewed as their bytes.
 pub(super) fn as_bytes(words: &[u64]) -> &[u8] {
@@ -33,11 +49,33 @@ pub(super) fn as_bytes(words: &[u64]) -> &[u8] {
 /// The text in an error buffer; empty for a null one.
 pub(super) fn sentence(err: *mut ErrBuf) -> String {
     // SAFETY: null, or a buffer of this host that a plugin wrote at most `cap` bytes into.
-    unsafe { err.as_ref() }.map_or_else(String::new, |err| {
-        // SAFETY: `ptr` has room for `cap` bytes.
-        let text = unsafe { std::slice::from_raw_parts(err.ptr, err.len.min(err.cap)) };
-        String::from_utf8_lossy(text).into_owned()
-    })
+    unsafe { err.as_ref() }.map_or_else(String::new, |err| String::from_utf8_lossy(text_in(err)).into_owned())
+}
+
+/// The bytes in an error buffer of this host, or of a caller that lent one.
+pub(super) fn text_in(err: &ErrBuf) -> &[u8] {
+    if err.ptr.is_null() {
+        return &[];
+    }
+    // SAFETY: `ptr` has room for `cap` bytes, all of them written once.
+    unsafe { std::slice::from_raw_parts(err.ptr, err.len.min(err.cap)) }
+}
+
+/// Passes on what a filter that failed would have worked on, without a copy of a frame. Real-time.
+pub(super) fn bypass(instance: &Instance, _inside: &mut crate::lcm::instance::Entered<'_>) {
+    instance.bypass();
+}
+
+/// Gives `text` to a plugin; nothing to tell is STATUS_UNSUPPORTED.
+fn tell(sink: *const Sink, text: &str) -> Status {
+    // SAFETY: null or a sink the plugin lends for the call.
+    let Some(sink) = (unsafe { sink.as_ref() }) else { return STATUS_UNSUPPORTED };
+    if text.is_empty() {
+        return STATUS_UNSUPPORTED;
+    }
+    // SAFETY: the sink takes any bytes; they live for the call.
+    unsafe { (sink.write)(sink.ctx, entry::bytes(text.as_bytes())) };
+    STATUS_OK
 }
 
 /// A class of the loader as the LCM keeps it.
@@ -45,4 +83,14 @@ pub(super) fn loaded_class(class: crate::loader::LoadedClass) -> LoadedClass {
     let table = std::ptr::from_ref(class.table);
     // SAFETY: the loader checked the table; the plugin, kept beside it, stays mapped for the life of the process.
     unsafe { LoadedClass::new(table, class.plugin) }
+}
+
+/// A class of a plugin linked into this program, by its position in the manifest.
+pub(super) fn linked_class(
+    plugin: &std::sync::Arc<crate::loader::LinkedPlugin>,
+    index: usize,
+) -> Option<LoadedClass> {
+    let table = std::ptr::from_ref(plugin.table(index)?);
+    // SAFETY: the loader checked the table, a static of this program.
+    Some(unsafe { LoadedClass::new(table, plugin.clone()) })
 }

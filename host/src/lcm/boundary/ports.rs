@@ -1,48 +1,63 @@
 //! The slot tables of one instance: cells, the immutable slot structs that point to them, and the arrays of pointers the
 //! plugin gets at `bind`.
 //!
-//! Invariant: cells and slots are boxed and never move while the instance lives; positions are the manifest's.
+//! Invariant: cells and slots never move and live as long as a table that holds them; positions are the description's. A
+//! port that stays from one description to the next keeps its cell and its slot, and with them all that is connected.
+
+use std::sync::Arc;
 
 use trocar_model::{PortType, Ports as Described, Type};
 use trocar_plugin_api::abi::{EventSlot, FnSlot, InSlot, OutSlot, Ports};
-use trocar_rt::cell::BindingCell;
+use trocar_rt::os::OsError;
 
-use super::call::{self, FnBinding, FnCell};
+use super::call::{self, FnCell};
 use super::event::{self, EventCell};
-use super::stream::{self, InCell, OutCell};
+use super::input::{self, InCell};
+use super::output::{self, OutCell};
+use super::same::{self, same_input, same_output};
 
 /// Frames in the pool of an output whose manifest names a size but no count.
 const DEFAULT_POOL: usize = 8;
 
-/// Plugins and slots point to cells and slots by address, so each has a box of its own.
-#[expect(clippy::vec_box, reason = "the addresses are handed out")]
+/// A cell and the slot that points to it.
+struct Port<C, S> {
+    cell: Arc<C>,
+    slot: Arc<S>,
+}
+
+impl<C, S> Clone for Port<C, S> {
+    fn clone(&self) -> Self {
+        Port { cell: self.cell.clone(), slot: self.slot.clone() }
+    }
+}
+
+impl<C, S> Port<C, S> {
+    fn new(cell: C, slot: impl FnOnce(*mut std::ffi::c_void) -> S) -> Self {
+        let cell = Arc::new(cell);
+        let slot = Arc::new(slot(Arc::as_ptr(&cell).cast_mut().cast()));
+        Port { cell, slot }
+    }
+}
+
+/// The ports of one description.
 pub(in crate::lcm) struct Slots {
-    outputs: Vec<Box<OutCell>>,
-    inputs: Vec<Box<InCell>>,
-    functions: Vec<Box<FnCell>>,
+    outputs: Vec<Port<OutCell, OutSlot>>,
+    inputs: Vec<Port<InCell, InSlot>>,
+    functions: Vec<Port<FnCell, FnSlot>>,
     /// The class's own events, then those of the system interface.
-    events: Vec<Box<EventCell>>,
+    events: Vec<Port<EventCell, EventSlot>>,
     table: Box<Ports>,
-    _slots: Boxes,
     _pointers: Pointers,
 }
 
-#[expect(clippy::vec_box, reason = "the addresses are handed out")]
-struct Boxes {
-    _outputs: Vec<Box<OutSlot>>,
-    _inputs: Vec<Box<InSlot>>,
-    _functions: Vec<Box<FnSlot>>,
-    _events: Vec<Box<EventSlot>>,
-}
-
 struct Pointers {
-    _outputs: Vec<*const OutSlot>,
-    _inputs: Vec<*const InSlot>,
-    _functions: Vec<*const FnSlot>,
-    _events: Vec<*const EventSlot>,
+    outputs: Vec<*const OutSlot>,
+    inputs: Vec<*const InSlot>,
+    functions: Vec<*const FnSlot>,
+    events: Vec<*const EventSlot>,
 }
 
-// SAFETY: the raw pointers point into the boxes of the same struct, which are Sync (cells) or immutable (slots).
+// SAFETY: the raw pointers point into the Arcs of the same struct, which are Sync (cells) or immutable (slots).
 unsafe impl Send for Slots {}
 // SAFETY: as above.
 unsafe impl Sync for Slots {}
@@ -51,188 +66,174 @@ fn size_of_slot<T>() -> u32 {
     size_of::<T>() as u32
 }
 
-fn pointer<T>(cell: &T) -> *mut std::ffi::c_void {
-    std::ptr::from_ref(cell).cast_mut().cast()
+fn new_output(ty: &PortType) -> Port<OutCell, OutSlot> {
+    let cell = OutCell::new(ty);
+    if let PortType::Frame { max_bytes, .. } = ty
+        && *max_bytes > 0
+    {
+        cell.reserve(*max_bytes, DEFAULT_POOL);
+    }
+    Port::new(cell, |ctx| OutSlot {
+        struct_size: size_of_slot::<OutSlot>(),
+        flags: 0,
+        ctx,
+        write: output::write,
+        loan: output::loan,
+        commit: output::commit,
+        cancel: output::cancel,
+        forward: output::forward,
+        reserve: output::reserve,
+        type_of: output::type_of,
+        write_bytes: output::write_bytes,
+    })
+}
+
+fn new_input() -> Port<InCell, InSlot> {
+    Port::new(InCell::new(), |ctx| InSlot {
+        struct_size: size_of_slot::<InSlot>(),
+        flags: 0,
+        ctx,
+        latest: input::latest,
+        next: input::next,
+        release: input::release,
+        writable: input::writable,
+        type_of: input::type_of,
+        header_len: input::header_len,
+    })
+}
+
+fn new_function() -> Port<FnCell, FnSlot> {
+    Port::new(FnCell::unbound(), |ctx| FnSlot {
+        struct_size: size_of_slot::<FnSlot>(),
+        flags: 0,
+        ctx,
+        call: call::call,
+        type_of: call::type_of,
+        call_bytes: call::call_bytes,
+    })
+}
+
+fn new_event(payload: Option<&Type>) -> Port<EventCell, EventSlot> {
+    Port::new(EventCell::new(payload.map_or(0, Type::size)), |ctx| EventSlot {
+        struct_size: size_of_slot::<EventSlot>(),
+        flags: 0,
+        ctx,
+        emit: event::emit,
+    })
 }
 
 impl Slots {
-    pub(in crate::lcm) fn new(ports: &Described) -> Self {
-        let outputs: Vec<_> = ports
+    /// Slots for `ports`; those that `stays` finds among the ports of an earlier description are taken over from it.
+    pub(in crate::lcm) fn new(ports: &Described, before: Option<(&Described, &Slots)>) -> Self {
+        let outputs: Vec<Port<OutCell, OutSlot>> = ports
             .outputs
             .iter()
-            .map(|o| {
-                let (bytes, frame, max) = match &o.ty {
-                    PortType::Plain(t) => (t.size(), false, 0),
-                    PortType::Frame { header, max_bytes, .. } => (header.size(), true, *max_bytes),
-                    PortType::Any => (0, false, 0),
-                };
-                let cell = Box::new(OutCell::new(bytes, frame));
-                if max > 0 {
-                    cell.reserve(max, DEFAULT_POOL);
-                }
-                cell
+            .map(|new| {
+                let kept = before.and_then(|(old, slots)| {
+                    let i = old.outputs.iter().position(|o| same_output(o, new))?;
+                    slots.outputs.get(i).cloned()
+                });
+                kept.unwrap_or_else(|| new_output(&new.ty))
             })
             .collect();
-        let inputs: Vec<_> = ports.inputs.iter().map(|_| Box::new(InCell::new())).collect();
-        let functions: Vec<_> = ports
-            .required
+        let inputs: Vec<Port<InCell, InSlot>> = ports
+            .inputs
             .iter()
-            .flat_map(|r| &r.functions)
-            .map(|_| Box::new(FnCell { binding: BindingCell::new(Box::new(FnBinding::Unbound)) }))
-            .collect();
-        let events: Vec<_> = ports
-            .provided
-            .iter()
-            .flat_map(|p| &p.events)
-            .map(|e| {
-                Box::new(EventCell {
-                    sinks: BindingCell::new(Box::new(Vec::new())),
-                    bytes: e.payload.as_ref().map_or(0, Type::size),
-                })
+            .map(|new| {
+                let kept = before.and_then(|(old, slots)| {
+                    let i = old.inputs.iter().position(|o| same_input(o, new))?;
+                    slots.inputs.get(i).cloned()
+                });
+                kept.unwrap_or_else(new_input)
             })
             .collect();
-        Self::with_cells(ports, outputs, inputs, functions, events)
-    }
-
-    #[expect(clippy::vec_box, reason = "the addresses are handed out")]
-    fn with_cells(
-        ports: &Described,
-        outputs: Vec<Box<OutCell>>,
-        inputs: Vec<Box<InCell>>,
-        functions: Vec<Box<FnCell>>,
-        events: Vec<Box<EventCell>>,
-    ) -> Self {
-        let out_slots: Vec<_> = outputs
-            .iter()
-            .map(|cell| {
-                Box::new(OutSlot {
-                    struct_size: size_of_slot::<OutSlot>(),
-                    flags: 0,
-                    ctx: pointer(&**cell),
-                    write: stream::write,
-                    loan: stream::loan,
-                    commit: stream::commit,
-                    cancel: stream::cancel,
-                    forward: stream::forward,
-                    reserve: stream::reserve,
-                    type_of: stream::type_of,
-                })
-            })
-            .collect();
-        let in_slots: Vec<_> = inputs
-            .iter()
-            .map(|cell| {
-                Box::new(InSlot {
-                    struct_size: size_of_slot::<InSlot>(),
-                    flags: 0,
-                    ctx: pointer(&**cell),
-                    latest: stream::latest,
-                    next: stream::next,
-                    release: stream::release,
-                    writable: stream::writable,
-                    type_of: stream::type_of,
-                })
-            })
-            .collect();
-        let fn_slots: Vec<_> = functions
-            .iter()
-            .map(|cell| {
-                Box::new(FnSlot {
-                    struct_size: size_of_slot::<FnSlot>(),
-                    flags: 0,
-                    ctx: pointer(&**cell),
-                    call: call::call,
-                    type_of: call::type_of,
-                })
-            })
-            .collect();
+        let mut functions = Vec::new();
+        for interface in &ports.required {
+            functions.extend(interface.functions.iter().map(|new| {
+                let kept = before.and_then(|(old, slots)| {
+                    slots.functions.get(same::function(old, &interface.name, new)?).cloned()
+                });
+                kept.unwrap_or_else(new_function)
+            }));
+        }
+        let mut events = Vec::new();
+        for interface in &ports.provided {
+            events.extend(interface.events.iter().map(|new| {
+                let kept = before
+                    .and_then(|(old, slots)| slots.events.get(same::event(old, interface, new)?).cloned());
+                kept.unwrap_or_else(|| new_event(new.payload.as_ref()))
+            }));
+        }
+        // Those of the earlier description may still show a sample when it gives way.
+        let known: Vec<_> = inputs.iter().chain(before.iter().flat_map(|(_, slots)| &slots.inputs)).collect();
+        for output in &outputs {
+            output.cell.know(known.iter().map(|p| p.cell.clone()).collect());
+        }
         // The plugin knows only its own events; the system interface's, which come last, are the host's to emit.
         let own_events = events.len() - ports.provided.last().map_or(0, |p| p.events.len());
-        let event_slots: Vec<_> = events[..own_events]
-            .iter()
-            .map(|cell| {
-                Box::new(EventSlot {
-                    struct_size: size_of_slot::<EventSlot>(),
-                    flags: 0,
-                    ctx: pointer(&**cell),
-                    emit: event::emit,
-                })
-            })
-            .collect();
-        let out_ptrs: Vec<*const OutSlot> = out_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
-        let in_ptrs: Vec<*const InSlot> = in_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
-        let fn_ptrs: Vec<*const FnSlot> = fn_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
-        let event_ptrs: Vec<*const EventSlot> =
-            event_slots.iter().map(|s| std::ptr::from_ref(&**s)).collect();
+        Self::with_ports(outputs, inputs, functions, events, own_events)
+    }
+
+    fn with_ports(
+        outputs: Vec<Port<OutCell, OutSlot>>,
+        inputs: Vec<Port<InCell, InSlot>>,
+        functions: Vec<Port<FnCell, FnSlot>>,
+        events: Vec<Port<EventCell, EventSlot>>,
+        own_events: usize,
+    ) -> Self {
+        let pointers = Pointers {
+            outputs: outputs.iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
+            inputs: inputs.iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
+            functions: functions.iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
+            events: events[..own_events].iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
+        };
         let table = Box::new(Ports {
             struct_size: size_of_slot::<Ports>(),
-            output_count: out_ptrs.len() as u32,
-            input_count: in_ptrs.len() as u32,
-            function_count: fn_ptrs.len() as u32,
-            event_count: event_ptrs.len() as u32,
+            output_count: pointers.outputs.len() as u32,
+            input_count: pointers.inputs.len() as u32,
+            function_count: pointers.functions.len() as u32,
+            event_count: pointers.events.len() as u32,
             reserved: 0,
-            outputs: out_ptrs.as_ptr(),
-            inputs: in_ptrs.as_ptr(),
-            functions: fn_ptrs.as_ptr(),
-            events: event_ptrs.as_ptr(),
+            outputs: pointers.outputs.as_ptr(),
+            inputs: pointers.inputs.as_ptr(),
+            functions: pointers.functions.as_ptr(),
+            events: pointers.events.as_ptr(),
         });
-        Slots {
-            outputs,
-            inputs,
-            functions,
-            events,
-            table,
-            _slots: Boxes {
-                _outputs: out_slots,
-                _inputs: in_slots,
-                _functions: fn_slots,
-                _events: event_slots,
-            },
-            _pointers: Pointers {
-                _outputs: out_ptrs,
-                _inputs: in_ptrs,
-                _functions: fn_ptrs,
-                _events: event_ptrs,
-            },
-        }
+        Slots { outputs, inputs, functions, events, table, _pointers: pointers }
     }
 
     pub(in crate::lcm) fn table(&self) -> *const Ports {
         &raw const *self.table
     }
 
-    pub(in crate::lcm) fn output(&self, i: usize) -> &OutCell {
-        &self.outputs[i]
+    pub(in crate::lcm) fn output(&self, i: usize) -> &Arc<OutCell> {
+        &self.outputs[i].cell
     }
 
-    pub(in crate::lcm) fn input(&self, i: usize) -> &InCell {
-        &self.inputs[i]
+    pub(in crate::lcm) fn input(&self, i: usize) -> &Arc<InCell> {
+        &self.inputs[i].cell
     }
 
-    pub(in crate::lcm) fn event(&self, i: usize) -> &EventCell {
-        &self.events[i]
+    pub(in crate::lcm) fn function(&self, i: usize) -> &Arc<FnCell> {
+        &self.functions[i].cell
     }
 
-    /// Swaps what stands behind function `i`; managers only.
-    pub(in crate::lcm) fn bind_function(&self, i: usize, binding: FnBinding) {
-        self.functions[i].binding.swap(Box::new(binding));
+    pub(in crate::lcm) fn event(&self, i: usize) -> &Arc<EventCell> {
+        &self.events[i].cell
+    }
+
+    /// Locks the pools of its outputs into memory, each once; which could not be, and why.
+    pub(in crate::lcm) fn lock_pools(&self) -> Vec<(usize, OsError)> {
+        let outputs = self.outputs.iter().enumerate();
+        outputs.filter_map(|(i, output)| Some((i, output.cell.lock_pool()?))).collect()
     }
 
     /// Drops what earlier swaps left for callers that were inside; returns how many still are.
     pub(in crate::lcm) fn reclaim(&self) -> usize {
-        let mut left = 0;
-        for cell in &self.functions {
-            left += cell.binding.reclaim();
-        }
-        for cell in &self.outputs {
-            left += cell.links.reclaim();
-        }
-        for cell in &self.inputs {
-            left += cell.link.reclaim();
-        }
-        for cell in &self.events {
-            left += cell.sinks.reclaim();
-        }
-        left
+        let functions = self.functions.iter().map(|p| p.cell.reclaim());
+        let outputs = self.outputs.iter().map(|p| p.cell.reclaim());
+        let inputs = self.inputs.iter().map(|p| p.cell.reclaim());
+        let events = self.events.iter().map(|p| p.cell.reclaim());
+        functions.chain(outputs).chain(inputs).chain(events).sum()
     }
 }

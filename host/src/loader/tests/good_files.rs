@@ -129,7 +129,7 @@ fn a_plugin_logs_to_the_stores_log_under_its_name() {
     fn take(plugin: &str, level: u32, target: &str, message: &str) {
         LINES.lock().unwrap().push(format!("{plugin} {level} {target} {message}"));
     }
-    let host = host_table::for_plugin("probe", take);
+    let host = host_table::for_plugin("probe", take, 0);
     let text = |s: &'static str| trocar_plugin_api::abi::Bytes { ptr: s.as_ptr(), len: s.len() };
     // SAFETY: the table is complete and lives for ever.
     let host = unsafe { &*host };

@@ -1,27 +1,29 @@
-//! The bench itself: life cycle, time, and everything a test pushes in or asks for.
+//! The bench itself: makes a component, ties its ports to cells, and takes it through its life.
 //!
 //! Invariant: the state row is published after each entry, as a host does it; reads see that row, never the instance.
 
-use super::cells::{EventCell, FnCell, InCell, OutCell};
+use super::alloc::{self, Count};
+use super::cells::{InCell, OutCell};
 use super::fake_host::FakeHost;
-use super::lookup::{self, Member};
-use crate::call::Value;
+use super::history::{History, Kind};
+use super::logs::{self, LogLine};
+use super::member_cells::{EventCell, FnCell};
+use super::services::Replier;
+use super::shape::{self, Member, Of, Shape};
+use super::wired::Wired;
 use crate::component::Class;
-use crate::payload::{Payload, as_bytes, from_bytes};
+use crate::payload::{Payload, as_bytes};
 use crate::shims::Export;
-use crate::values::Stamp;
 use core::ffi::c_void;
 use core::fmt::{self, Display};
 use core::marker::PhantomData;
-use std::sync::PoisonError;
+use serde_json::{Map, Value as Json};
+use std::cell::RefCell;
 use std::sync::atomic::Ordering;
 use trocar_plugin_api::abi::{
     self, Bytes, ClassTable, ErrBuf, EventSlot, FnSlot, HostTable, InSlot, OutSlot, Ports, Sink, Status,
 };
-use trocar_plugin_api::desc::PortType;
-
-/// Period of a class that names none, ns.
-const DEFAULT_PERIOD_NS: u64 = 1_000_000;
+use trocar_plugin_api::manifest::PortType;
 
 /// An entry that did not succeed.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,46 +49,30 @@ impl Display for Failure {
 
 impl std::error::Error for Failure {}
 
-type Done = Result<(), Failure>;
+pub(crate) type Done = Result<(), Failure>;
 
 /// One component on the bench. Failures that a test does not ask for end it with the component's own sentence.
 pub struct Bench<C: Class> {
-    table: &'static ClassTable,
+    pub(crate) table: &'static ClassTable,
     this: *mut c_void,
-    host: Box<FakeHost>,
-    _host_table: Box<HostTable>,
-    inputs: Vec<Wired<InCell, InSlot>>,
-    outputs: Vec<Wired<OutCell, OutSlot>>,
-    functions: Vec<Wired<FnCell, FnSlot>>,
-    events: Vec<Wired<EventCell, EventSlot>>,
-    row: C::State,
-    cycle: u64,
+    pub(crate) host: Box<FakeHost>,
+    host_table: Box<HostTable>,
+    pub(crate) shape: Shape,
+    pub(crate) inputs: Vec<Wired<InCell, InSlot>>,
+    pub(crate) outputs: Vec<Wired<OutCell, OutSlot>>,
+    pub(crate) functions: Vec<Wired<FnCell, FnSlot>>,
+    pub(crate) events: Vec<Wired<EventCell, EventSlot>>,
+    pub(crate) row: C::State,
+    pub(crate) cycle: u64,
+    pub(crate) history: History,
+    pub(crate) repliers: Vec<Replier>,
+    /// Logged since the last asking.
+    pub(crate) lines: RefCell<Vec<LogLine>>,
+    /// What was configured last, with defaults filled in.
+    config: Map<String, Json>,
+    made_safe: u64,
+    counting: bool,
     class: PhantomData<C>,
-}
-
-/// A cell and the slot in front of it, both at fixed addresses.
-struct Wired<Cell, Slot> {
-    cell: *mut Cell,
-    slot: Box<Slot>,
-}
-
-impl<Cell, Slot> Wired<Cell, Slot> {
-    fn new(cell: Cell, slot: fn(*mut Cell) -> Slot) -> Self {
-        let cell = Box::into_raw(Box::new(cell));
-        Wired { cell, slot: Box::new(slot(cell)) }
-    }
-
-    fn get(&mut self) -> &mut Cell {
-        // SAFETY: made in `new`, freed in drop; the component uses it only inside an entry, when the bench does not.
-        unsafe { &mut *self.cell }
-    }
-}
-
-impl<Cell, Slot> Drop for Wired<Cell, Slot> {
-    fn drop(&mut self) {
-        // SAFETY: made by `Box::into_raw` in `new`; the bench destroyed the component before.
-        drop(unsafe { Box::from_raw(self.cell) });
-    }
 }
 
 impl<C: Class> Bench<C> {
@@ -113,59 +99,55 @@ impl<C: Class> Bench<C> {
     /// Creates and binds only.
     #[track_caller]
     pub fn created() -> Self {
-        crate::forward::install_hook();
-        let class = C::DESC;
+        crate::forward::install_for_tests();
         let host = FakeHost::new();
         let host_table = host.table();
-        let table = Export::<C>::TABLE;
-        let create = table.create.unwrap_or_else(|| panic!("the class has no create"));
-        let mut this = core::ptr::null_mut();
-        let name = Bytes { ptr: class.name.as_ptr(), len: class.name.len() };
-        let made = entry(|err| {
-            // SAFETY: the table and the host live as long as the bench.
-            this = unsafe { create(&*host_table, name, err) };
-            if this.is_null() { abi::STATUS_FAILED } else { abi::STATUS_OK }
-        });
-        if let Err(e) = made {
-            panic!("create failed: {e}");
-        }
-        let header = |ty| lookup::size(lookup::header(ty));
-        let max_bytes = |ty| if let PortType::Frame { max_bytes, .. } = ty { max_bytes } else { 0 };
-        let cell_of = |m: Member| (lookup::size(m.arg), lookup::size(m.ret));
+        let this = create::<C>(&host_table);
         let mut bench = Bench {
-            table,
+            table: Export::<C>::TABLE,
             this,
             host,
-            _host_table: host_table,
-            inputs: class.inputs.iter().map(|i| Wired::new(InCell::new(i.fifo), InCell::slot)).collect(),
-            outputs: class
-                .outputs
-                .iter()
-                .map(|o| Wired::new(OutCell::new(header(o.ty), max_bytes(o.ty)), OutCell::slot))
-                .collect(),
-            functions: lookup::functions(class)
-                .into_iter()
-                .map(cell_of)
-                .map(|(arg, ret)| Wired::new(FnCell::new(arg, ret), FnCell::slot))
-                .collect(),
-            events: lookup::events(class)
-                .into_iter()
-                .map(|m| Wired::new(EventCell::new(lookup::size(m.arg)), EventCell::slot))
-                .collect(),
+            host_table,
+            shape: Shape::of::<C>(),
+            inputs: Vec::new(),
+            outputs: Vec::new(),
+            functions: Vec::new(),
+            events: Vec::new(),
             row: C::State::zeroed(),
             cycle: 0,
+            history: History::default(),
+            repliers: Vec::new(),
+            lines: RefCell::default(),
+            config: Map::new(),
+            made_safe: 0,
+            counting: false,
             class: PhantomData,
         };
+        bench.describe();
         bench.bind();
         bench.publish();
         bench
     }
 
+    /// Asks a class with changing ports what it has now.
+    #[track_caller]
+    fn describe(&mut self) {
+        let Some(describe) = self.table.describe else { return };
+        let mut json: Vec<u8> = Vec::new();
+        let sink = Sink { ctx: (&raw mut json).cast(), write: collect };
+        // SAFETY: a live instance; the sink lives through the call.
+        let status = unsafe { describe(self.this, &sink) };
+        assert!(status == abi::STATUS_OK, "describe failed with status {status}");
+        self.shape = Shape::read(&json).unwrap_or_else(|why| panic!("{why}"));
+    }
+
+    /// Ties every port; what stays by name keeps its cell, and with it what is queued in it.
     #[track_caller]
     fn bind(&mut self) {
         fn slots<Cell, Slot>(wired: &[Wired<Cell, Slot>]) -> Vec<*const Slot> {
-            wired.iter().map(|w| &raw const *w.slot).collect()
+            wired.iter().map(Wired::slot).collect()
         }
+        let _left_over = self.wire();
         let (inputs, outputs) = (slots(&self.inputs), slots(&self.outputs));
         let (functions, events) = (slots(&self.functions), slots(&self.events));
         let ports = Ports {
@@ -181,293 +163,155 @@ impl<C: Class> Bench<C> {
             events: events.as_ptr(),
         };
         if let Some(bind) = self.table.bind {
-            // SAFETY: the slots live as long as the bench; the SDK copies the pointers during the call.
-            if let Err(e) = entry(|err| unsafe { bind(self.this, &ports, err) }) {
+            // SAFETY: the slots live until the next bind; the SDK copies the pointers during the call.
+            if let Err(e) = self.entry(|this, err| unsafe { bind(this, &ports, err) }) {
                 panic!("bind failed: {e}");
             }
         }
     }
 
+    #[allow(clippy::type_complexity)] // Only held until the component is bound.
+    fn wire(
+        &mut self,
+    ) -> (
+        Vec<Wired<InCell, InSlot>>,
+        Vec<Wired<OutCell, OutSlot>>,
+        Vec<Wired<FnCell, FnSlot>>,
+        Vec<Wired<EventCell, EventSlot>>,
+    ) {
+        let class = self.shape.class();
+        let max_bytes =
+            |ty: &PortType| if let PortType::Frame { max_bytes, .. } = ty { *max_bytes } else { 0 };
+        let inputs = class.inputs.iter().map(|i| (key(&i.name, &i.ty), InCell::new(i.fifo)));
+        let outputs = class.outputs.iter().map(|o| {
+            let size = self.shape.size(shape::header(&o.ty));
+            (key(&o.name, &o.ty), OutCell::new(size, max_bytes(&o.ty), matches!(o.ty, PortType::Any(_))))
+        });
+        let sizes = |m: &Member| (self.shape.size(m.arg.as_ref()), self.shape.size(m.ret.as_ref()));
+        let functions = self.shape.members(Of::Functions).into_iter().map(|m| {
+            let (arg, ret) = sizes(&m);
+            (key(&m.path, &(&m.arg, &m.ret)), FnCell::new(arg, ret, m.any))
+        });
+        let events = self.shape.members(Of::Events).into_iter().map(|m| {
+            let size = self.shape.size(m.arg.as_ref());
+            (key(&m.path, &m.arg), EventCell::new(size))
+        });
+        (
+            Wired::rewire(&mut self.inputs, inputs, InCell::slot),
+            Wired::rewire(&mut self.outputs, outputs, OutCell::slot),
+            Wired::rewire(&mut self.functions, functions, FnCell::slot),
+            Wired::rewire(&mut self.events, events, EventCell::slot),
+        )
+    }
+
+    /// After an entry: a component that asked for other ports gets them between two steps, as from a host.
+    fn change_ports(&mut self) {
+        if self.host.ports_changed.swap(false, Ordering::Relaxed) {
+            self.describe();
+            self.bind();
+        }
+    }
+
+    /// Configures as a host does: of a started component only settings that are `live` may change.
+    ///
     /// # Errors
-    /// The component's sentence; its former configuration stays.
+    /// The host's or the component's sentence; its former configuration stays.
     pub fn configure(&mut self, config: impl Display) -> Done {
         let json = config.to_string();
+        self.history.note(self.now().ns(), format!("configure {json}"));
+        let wanted = whole::<C>(&json);
+        if self.is_active()
+            && let Some(wanted) = &wanted
+            && let Some(fixed) = super::config::fixed_change(C::DESC, &self.config, wanted)
+        {
+            return Err(Failure { status: abi::STATUS_INVALID, reason: fixed });
+        }
         let bytes = Bytes { ptr: json.as_ptr(), len: json.len() };
         let f = self.table.configure;
         // SAFETY: a live instance; the text lives through the call.
-        self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, bytes, err) }))
+        self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, bytes, err) }))?;
+        self.config = wanted.unwrap_or_default();
+        self.host.ports_changed.store(self.table.describe.is_some(), Ordering::Relaxed);
+        self.change_ports();
+        Ok(())
     }
 
     /// # Errors
-    /// The component's sentence.
+    /// The component's sentence; it was made safe then, as everywhere below.
     pub fn start(&mut self) -> Done {
         self.cycle = 0;
-        self.plain(self.table.start)
+        self.plain("start", self.table.start).map_err(|e| self.failed(e))?;
+        self.set_active(true);
+        Ok(())
     }
 
+    /// `stop` and then `make_safe`, as a host does.
+    ///
     /// # Errors
     /// The component's sentence.
     pub fn stop(&mut self) -> Done {
-        self.plain(self.table.stop)
+        self.set_active(false);
+        self.plain("stop", self.table.stop).map_err(|e| self.failed(e))?;
+        self.make_safe()
     }
 
     /// # Errors
     /// The component's sentence.
     pub fn resume(&mut self) -> Done {
-        self.plain(self.table.resume)
+        self.plain("resume", self.table.resume).map_err(|e| self.failed(e))?;
+        self.set_active(true);
+        Ok(())
+    }
+
+    /// What a host does with a component whose entry failed.
+    pub(crate) fn failed(&mut self, failure: Failure) -> Failure {
+        self.set_active(false);
+        // The first failure is the one to tell.
+        let _ = self.make_safe();
+        failure
+    }
+
+    /// Stopped without being asked: no step begins any more.
+    pub(crate) fn halt(&mut self) -> Done {
+        self.set_active(false);
+        self.make_safe()
     }
 
     /// # Errors
     /// The component's sentence.
     pub fn make_safe(&mut self) -> Done {
-        self.plain(self.table.make_safe)
+        self.made_safe += 1;
+        self.plain("make_safe", self.table.make_safe)
     }
 
-    /// `cycles` steps, each one period of virtual time after the other.
-    #[track_caller]
-    pub fn step(&mut self, cycles: u64) {
-        for _ in 0..cycles {
-            if let Err(e) = self.try_step() {
-                panic!("step {} failed: {e}", self.cycle);
-            }
-        }
+    /// How often `make_safe` was called: by the test, by `stop` and `lose_peer`, and after an entry that failed.
+    pub fn made_safe(&self) -> u64 {
+        self.made_safe
     }
 
-    /// # Errors
-    /// The component's sentence; in a host it would be in FAULT now.
-    pub fn try_step(&mut self) -> Done {
-        let class = C::DESC;
-        let elapsed_ns = if class.period_ns > 0 { class.period_ns } else { DEFAULT_PERIOD_NS };
-        let now_ns = self.host.now_ns.fetch_add(elapsed_ns, Ordering::Relaxed) + elapsed_ns;
-        let tick = abi::Tick {
-            struct_size: size_of::<abi::Tick>() as u32,
-            flags: 0,
-            cycle: self.cycle,
-            now_ns,
-            deadline_ns: now_ns,
-            period_ns: class.period_ns,
-            elapsed_ns,
-        };
-        self.cycle += 1;
-        let f = self.table.step;
-        self.host.in_step.store(true, Ordering::Relaxed);
-        // SAFETY: a live instance; the tick lives through the call.
-        let done = self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, &tick, err) }));
-        self.host.in_step.store(false, Ordering::Relaxed);
-        done
-    }
-
-    /// Now on the virtual clock.
-    pub fn now(&self) -> Stamp {
-        Stamp::from_ns(self.host.now_ns.load(Ordering::Relaxed))
-    }
-
-    /// Lets `ns` of virtual time pass without a step.
-    pub fn advance(&mut self, ns: u64) {
-        self.host.now_ns.fetch_add(ns, Ordering::Relaxed);
-    }
-
-    /// Writes a plain sample to an input, stamped now unless it has its own stamp.
-    #[track_caller]
-    pub fn push<T: Payload>(&mut self, input: &str, value: T) {
-        self.push_bytes::<T>(input, &value, &[], false);
-    }
-
-    /// Writes a frame to an input.
-    #[track_caller]
-    pub fn push_frame<H: Payload>(&mut self, input: &str, header: H, bytes: &[u8]) {
-        self.push_bytes::<H>(input, &header, bytes, true);
-    }
-
-    #[track_caller]
-    fn push_bytes<T: Payload>(&mut self, input: &str, header: &T, bytes: &[u8], frame: bool) {
-        let at = input_at::<C>(input);
-        let ty = C::DESC.inputs[at].ty;
-        let fits = match ty {
-            PortType::Plain(_) => !frame,
-            PortType::Frame { .. } => frame,
-            PortType::Any => true,
-        };
-        assert!(fits, "input `{input}`: plain samples go in with `push`, frames with `push_frame`");
-        if let Some(have) = lookup::header(ty) {
-            lookup::expect_type("input", input, Some(have), Some(T::DESC));
-        }
-        let own = header.stamp_ns();
-        let stamp = if own != 0 { own } else { self.now().ns() };
-        self.inputs[at].get().push(as_bytes(header), bytes, stamp);
-    }
-
-    /// Makes an input's newest sample older than its connection's `max_age`, until the next push.
-    #[track_caller]
-    pub fn make_stale(&mut self, input: &str) {
-        self.inputs[input_at::<C>(input)].get().stale = true;
-    }
-
-    /// Cuts or restores the connection of an input.
-    #[track_caller]
-    pub fn connect_input(&mut self, input: &str, connected: bool) {
-        self.inputs[input_at::<C>(input)].get().connected = connected;
-    }
-
-    /// Cuts or restores the connection of a function.
-    #[track_caller]
-    pub fn connect_function(&mut self, function: &str, connected: bool) {
-        let at = lookup::member("function", function, lookup::functions(C::DESC)).id;
-        self.functions[at].get().connected = connected;
-    }
-
-    /// Lets an output have no free frame (or has it again).
-    #[track_caller]
-    pub fn exhaust(&mut self, output: &str, exhausted: bool) {
-        self.outputs[output_at::<C>(output)].get().exhausted = exhausted;
-    }
-
-    /// Everything an output wrote since the last asking.
-    #[track_caller]
-    pub fn outputs<T: Payload>(&mut self, output: &str) -> Vec<T> {
-        self.samples(output).into_iter().map(|(value, _)| value).collect()
-    }
-
-    /// Like `outputs`, with stamps.
-    #[track_caller]
-    pub fn samples<T: Payload>(&mut self, output: &str) -> Vec<(T, Stamp)> {
-        self.frames::<T>(output).into_iter().map(|(value, _, stamp)| (value, stamp)).collect()
-    }
-
-    /// Everything an output committed since the last asking: header, bytes, stamp.
-    #[track_caller]
-    pub fn frames<H: Payload>(&mut self, output: &str) -> Vec<(H, Vec<u8>, Stamp)> {
-        let at = output_at::<C>(output);
-        lookup::expect_type("output", output, lookup::header(C::DESC.outputs[at].ty), Some(H::DESC));
-        let written = std::mem::take(&mut self.outputs[at].get().written);
-        let typed = written.into_iter().map(|w| (typed::<H>(&w.header), w.bytes, Stamp::from_ns(w.stamp_ns)));
-        typed.collect()
-    }
-
-    /// Everything an event emitted since the last asking; `event` or `interface/event`.
-    #[track_caller]
-    pub fn events<T: Value>(&mut self, event: &str) -> Vec<T> {
-        let m = lookup::member("event", event, lookup::events(C::DESC));
-        lookup::expect_type("event", event, m.arg, T::DESC);
-        let emitted = std::mem::take(&mut self.events[m.id].get().emitted);
-        emitted.iter().map(|bytes| value(bytes)).collect()
-    }
-
-    /// The arguments a function was called with since the last asking; `function` or `interface/function`.
-    #[track_caller]
-    pub fn calls<A: Value>(&mut self, function: &str) -> Vec<A> {
-        let m = lookup::member("function", function, lookup::functions(C::DESC));
-        lookup::expect_type("function", function, m.arg, A::DESC);
-        let calls = std::mem::take(&mut self.functions[m.id].get().calls);
-        calls.iter().map(|bytes| value(bytes)).collect()
-    }
-
-    /// Lets a fake peer answer a function, inline. An error text becomes the outcome FAILED.
-    #[track_caller]
-    pub fn answer<A: Value, R: Value>(
-        &mut self,
-        function: &str,
-        mut f: impl FnMut(A) -> Result<R, String> + 'static,
-    ) {
-        let m = lookup::member("function", function, lookup::functions(C::DESC));
-        lookup::expect_type("function", function, m.arg, A::DESC);
-        lookup::expect_type("result of function", function, m.ret, R::DESC);
-        self.functions[m.id].get().answer = Some(Box::new(move |arg| match f(value(arg)) {
-            Ok(ret) => Ok(value_bytes(&ret)),
-            Err(reason) => Err((abi::FAILED, reason)),
-        }));
-    }
-
-    /// Executes a command; `command` or `interface/command`. `()` stands for no argument and for no result.
+    /// Another instance in the place of this one, configured the same, not started: what Reset does. Connections stay.
     ///
     /// # Errors
     /// The component's sentence.
     #[track_caller]
-    pub fn command<A: Value, R: Value>(&mut self, command: &str, arg: A) -> Result<R, Failure> {
-        let m = self.command_of::<A, R>(command, false);
-        let (f, mut ret) = (self.table.command, R::blank());
-        let (id, result) = (m.id as u32, ret.ptr_mut());
-        self.enter(|this, err| match f {
-            // SAFETY: a live instance; argument and result have the types of the description, checked above.
-            Some(f) => unsafe { f(this, id, arg.ptr(), result, err) },
-            None => abi::STATUS_UNSUPPORTED,
-        })?;
-        Ok(ret)
-    }
-
-    /// Executes a read on the row published last.
-    ///
-    /// # Errors
-    /// The component's sentence.
-    #[track_caller]
-    pub fn read<A: Value, R: Value>(&self, read: &str, arg: A) -> Result<R, Failure> {
-        let m = self.command_of::<A, R>(read, true);
-        let mut ret = R::blank();
-        let (row, result) = ((&raw const self.row).cast(), ret.ptr_mut());
-        entry(|err| match self.table.read {
-            // SAFETY: the row is this class's; argument and result have the types of the description, checked above.
-            Some(f) => unsafe { f(row, m.id as u32, arg.ptr(), result, err) },
-            None => abi::STATUS_UNSUPPORTED,
-        })?;
-        Ok(ret)
-    }
-
-    #[track_caller]
-    fn command_of<A: Value, R: Value>(&self, name: &str, is_read: bool) -> Member {
-        let m = lookup::member("command", name, lookup::commands(C::DESC));
-        assert!(m.is_read == is_read, "`{name}`: reads go with `read`, the other kinds with `command`");
-        lookup::expect_type("argument of", name, m.arg, A::DESC);
-        lookup::expect_type("result of", name, m.ret, R::DESC);
-        m
-    }
-
-    /// Lets the connected peer emit an event of a required interface; `event` or `interface/event`.
-    ///
-    /// # Errors
-    /// The component's sentence.
-    #[track_caller]
-    pub fn emit<T: Value>(&mut self, event: &str, payload: T) -> Done {
-        let m = lookup::member("handler", event, lookup::handlers(C::DESC));
-        lookup::expect_type("handler", event, m.arg, T::DESC);
-        let (f, id) = (self.table.on_event, m.id as u32);
-        self.enter(|this, err| match f {
-            // SAFETY: a live instance; the payload has the type of the description, checked above.
-            Some(f) => unsafe { f(this, id, payload.ptr(), err) },
-            None => abi::STATUS_UNSUPPORTED,
-        })
-    }
-
-    /// The row published last: after create, and after each entry.
-    pub fn state(&self) -> C::State {
-        self.row
-    }
-
-    /// Services asked for since the last asking: token and JSON.
-    pub fn services(&mut self) -> Vec<(u64, String)> {
-        std::mem::take(&mut self.host.services.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    /// Answers a service.
-    ///
-    /// # Errors
-    /// The component refused the reply.
-    pub fn reply(&mut self, token: u64, reply: &str) -> Done {
-        let (f, bytes) = (self.table.on_service, Bytes { ptr: reply.as_ptr(), len: reply.len() });
-        // SAFETY: a live instance; the text lives through the call.
-        self.enter(|this, _| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, token, bytes) }))
+    pub fn reset(&mut self) -> Done {
+        self.history.note(self.now().ns(), "reset".to_string());
+        let config = std::mem::take(&mut self.config);
+        self.destroy();
+        self.this = create::<C>(&self.host_table);
+        self.set_active(false);
+        self.cycle = 0;
+        self.describe();
+        self.bind();
+        self.publish();
+        self.configure(Json::Object(config))
     }
 
     /// What a swap takes along: the bytes of the state row, and the snapshot.
     pub fn snapshot(&mut self) -> (Vec<u8>, Vec<u8>) {
-        unsafe extern "C" fn write(ctx: *mut c_void, bytes: Bytes) {
-            // SAFETY: `ctx` is the vector below, the bytes are the component's.
-            unsafe {
-                (*ctx.cast::<Vec<u8>>()).extend_from_slice(core::slice::from_raw_parts(bytes.ptr, bytes.len));
-            }
-        }
         let mut taken: Vec<u8> = Vec::new();
         if let Some(f) = self.table.snapshot {
-            let sink = Sink { ctx: (&raw mut taken).cast(), write };
+            let sink = Sink { ctx: (&raw mut taken).cast(), write: collect };
             // SAFETY: a live instance; the sink lives through the call.
             unsafe { f(self.this, &sink) };
         }
@@ -485,17 +329,83 @@ impl<C: Class> Bench<C> {
         self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, state, snapshot, err) }))
     }
 
-    fn plain(&mut self, f: Option<unsafe extern "C" fn(*mut c_void, *mut ErrBuf) -> Status>) -> Done {
+    /// The row published last: after create, and after each entry.
+    pub fn state(&self) -> C::State {
+        self.row
+    }
+
+    /// Runs `f` and fails the test when the component allocated in one of its entries meanwhile. The test program says
+    /// `trocar_sdk::testing::count_allocations!();` once.
+    #[track_caller]
+    pub fn assert_no_alloc(&mut self, f: impl FnOnce(&mut Self)) {
+        assert!(
+            alloc::installed(),
+            "nothing counts allocations here: put `trocar_sdk::count_allocations!();` into the test module"
+        );
+        alloc::take();
+        self.counting = true;
+        f(self);
+        self.counting = false;
+        let Count { times, first_bytes } = alloc::take();
+        if times > 0 {
+            let history = &self.history.text(&self.shape);
+            panic!(
+                "the component allocated {times} times, first {first_bytes} B: what `step` needs is made in \
+                 `configure` or `start`{history}"
+            );
+        }
+    }
+
+    /// Threads that share the slices of `Host::parallel`, this one included: more than one shakes out races.
+    pub fn threads(&mut self, threads: u32) {
+        self.host.threads.store(threads.max(1), Ordering::Relaxed);
+    }
+
+    fn is_active(&self) -> bool {
+        self.host.active.load(Ordering::Relaxed)
+    }
+
+    fn set_active(&mut self, active: bool) {
+        self.host.active.store(active, Ordering::Relaxed);
+    }
+
+    fn plain(
+        &mut self,
+        name: &str,
+        f: Option<unsafe extern "C" fn(*mut c_void, *mut ErrBuf) -> Status>,
+    ) -> Done {
+        self.history.note(self.now().ns(), name.to_string());
         // SAFETY: a live instance.
         self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, err) }))
     }
 
-    /// One entry of the instance, then the state row is published.
-    fn enter(&mut self, f: impl FnOnce(*mut c_void, *mut ErrBuf) -> Status) -> Done {
-        let this = self.this;
-        let done = entry(|err| f(this, err));
+    /// One entry of the instance; then the state row is published, and what came out is remembered.
+    pub(crate) fn enter(&mut self, f: impl FnOnce(*mut c_void, *mut ErrBuf) -> Status) -> Done {
+        let logged = self.lines.borrow().len();
+        let done = self.entry(f);
         self.publish();
+        self.remember();
+        for line in &self.lines.borrow()[logged..] {
+            self.history.note(self.now().ns(), format!("{} {}", line.level, line.message));
+        }
+        if let Err(failure) = &done {
+            self.history.note(self.now().ns(), format!("failed: {failure}"));
+        }
+        self.change_ports();
         done
+    }
+
+    /// Calls one entry with a buffer for its reason.
+    pub(crate) fn entry(&self, f: impl FnOnce(*mut c_void, *mut ErrBuf) -> Status) -> Done {
+        let mut text = [0u8; 512];
+        let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+        let _inside = self.host.callbacks.keep_out();
+        let logged = logs::begin();
+        let armed = alloc::arm(self.counting);
+        let status = f(self.this, &mut err);
+        drop(armed);
+        self.lines.borrow_mut().append(&mut logged.end());
+        outcome(status, &text, &err)
     }
 
     fn publish(&mut self) {
@@ -504,58 +414,90 @@ impl<C: Class> Bench<C> {
             unsafe { copy(self.this, (&raw mut self.row).cast(), size_of::<C::State>()) };
         }
     }
-}
 
-impl<C: Class> Drop for Bench<C> {
-    fn drop(&mut self) {
+    fn remember(&mut self) {
+        let now = self.now().ns();
+        for (at, wired) in self.outputs.iter_mut().enumerate() {
+            let cell = wired.get();
+            for w in &cell.written[cell.told.min(cell.written.len())..] {
+                self.history.value(now, Kind::Output, at, &w.header);
+            }
+            cell.told = cell.written.len();
+        }
+        for (at, wired) in self.events.iter_mut().enumerate() {
+            let cell = wired.get();
+            for bytes in &cell.emitted[cell.told.min(cell.emitted.len())..] {
+                self.history.value(now, Kind::Event, at, bytes);
+            }
+            cell.told = cell.emitted.len();
+        }
+        for (at, wired) in self.functions.iter_mut().enumerate() {
+            let cell = wired.get();
+            for bytes in &cell.calls[cell.told.min(cell.calls.len())..] {
+                self.history.value(now, Kind::Call, at, bytes);
+            }
+            cell.told = cell.calls.len();
+        }
+    }
+
+    fn destroy(&mut self) {
         if let Some(destroy) = self.table.destroy {
-            // SAFETY: the instance's last use; cells, slots and host are dropped after it.
+            // SAFETY: the instance's last use; the caller makes another one or drops cells, slots and host after it.
             unsafe { destroy(self.this) };
         }
     }
 }
 
-/// Calls one entry with a buffer for its reason.
-fn entry(f: impl FnOnce(*mut ErrBuf) -> Status) -> Done {
+impl<C: Class> Drop for Bench<C> {
+    fn drop(&mut self) {
+        self.destroy();
+    }
+}
+
+/// What makes a port the same as before: its name and type.
+fn key(name: &str, ty: &impl fmt::Debug) -> String {
+    format!("{name} {ty:?}")
+}
+
+#[track_caller]
+fn create<C: Class>(host: &HostTable) -> *mut c_void {
+    let create = Export::<C>::TABLE.create.unwrap_or_else(|| panic!("the class has no create"));
+    let name = Bytes { ptr: C::DESC.name.as_ptr(), len: C::DESC.name.len() };
     let mut text = [0u8; 512];
     let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
-    let status = f(&mut err);
+    // SAFETY: the table is static; the host outlives the instance by the order of the bench's fields and its drop.
+    let this = unsafe { create(host, name, &mut err) };
+    if this.is_null()
+        && let Err(e) = outcome(abi::STATUS_FAILED, &text, &err)
+    {
+        panic!("create failed: {e}");
+    }
+    this
+}
+
+fn outcome(status: Status, text: &[u8], err: &ErrBuf) -> Done {
     if status == abi::STATUS_OK {
         return Ok(());
     }
     Err(Failure { status, reason: String::from_utf8_lossy(&text[..err.len]).into_owned() })
 }
 
-#[track_caller]
-fn input_at<C: Class>(name: &str) -> usize {
-    let names: Vec<&str> = C::DESC.inputs.iter().map(|i| i.name).collect();
-    lookup::port("input", name, &names)
-}
-
-#[track_caller]
-fn output_at<C: Class>(name: &str) -> usize {
-    let names: Vec<&str> = C::DESC.outputs.iter().map(|o| o.name).collect();
-    lookup::port("output", name, &names)
-}
-
-fn typed<T: Payload>(bytes: &[u8]) -> T {
-    from_bytes(bytes).unwrap_or_else(T::zeroed)
-}
-
-/// A value from recorded bytes; none are recorded for `()`.
-fn value<T: Value>(bytes: &[u8]) -> T {
-    let mut value = T::blank();
-    if bytes.len() == size_of::<T>() && !bytes.is_empty() {
-        // SAFETY: the length is the value's, and `ptr_mut` points to it.
-        unsafe { core::ptr::copy_nonoverlapping(bytes.as_ptr(), value.ptr_mut().cast(), bytes.len()) };
+/// The configuration with defaults filled in; none when it is no object, which the component refuses itself.
+fn whole<C: Class>(json: &str) -> Option<Map<String, Json>> {
+    let mut given = if json.is_empty() { Map::new() } else { serde_json::from_str(json).ok()? };
+    for field in C::DESC.config {
+        if let (false, Ok(default)) = (given.contains_key(field.name), serde_json::from_str(field.default)) {
+            given.insert(field.name.to_string(), default);
+        }
     }
-    value
+    Some(given)
 }
 
-fn value_bytes<T: Value>(value: &T) -> Vec<u8> {
-    if size_of::<T>() == 0 {
-        return Vec::new();
+unsafe extern "C" fn collect(ctx: *mut c_void, bytes: Bytes) {
+    if bytes.len > 0 {
+        // SAFETY: `ctx` is a vector of the bench's, the bytes are the component's.
+        unsafe {
+            (*ctx.cast::<Vec<u8>>()).extend_from_slice(core::slice::from_raw_parts(bytes.ptr, bytes.len));
+        }
     }
-    // SAFETY: a value is a payload, whose bytes are all initialised.
-    unsafe { core::slice::from_raw_parts(value.ptr().cast::<u8>(), size_of::<T>()).to_vec() }
 }

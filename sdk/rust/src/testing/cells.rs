@@ -1,12 +1,12 @@
-//! What stands behind the bench's slots: queues for inputs, records for outputs, functions and events.
+//! What stands behind the bench's inputs and outputs: queues and records.
 //!
 //! Invariant: a cell is reached by its raw pointer only, from the bench between entries and from the component in one.
 
-use crate::stubs;
+use super::alloc;
+use super::untyped::{Carried, tell};
 use core::ffi::c_void;
 use core::ptr::null_mut;
 use std::collections::{HashMap, VecDeque};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use trocar_plugin_api::abi::*;
 
 /// Bytes at an address that suits every payload.
@@ -36,6 +36,8 @@ impl Aligned {
 #[derive(Clone)]
 pub(crate) struct Pushed {
     pub(crate) header: Aligned,
+    /// Bytes of the header that count.
+    pub(crate) header_len: usize,
     pub(crate) bytes: Vec<u8>,
     pub(crate) stamp_ns: u64,
     pub(crate) seq: u64,
@@ -51,6 +53,10 @@ pub(crate) struct InCell {
     queue: VecDeque<Pushed>,
     held: Option<Pushed>,
     seen: u64,
+    /// The type of the peer of an untyped input.
+    carried: Option<Carried>,
+    /// Counts the peers an untyped input had.
+    peers: u32,
 }
 
 impl InCell {
@@ -64,20 +70,43 @@ impl InCell {
             queue: VecDeque::new(),
             held: None,
             seen: 0,
+            carried: None,
+            peers: 0,
+        }
+    }
+
+    /// The peer of an untyped input writes this from now on. What an earlier peer wrote of another type is gone.
+    pub(crate) fn carry(&mut self, carried: Carried) {
+        if self.carried.as_ref() != Some(&carried) {
+            self.peers += 1;
+            self.latest = None;
+            self.queue.clear();
+            self.carried = Some(carried);
         }
     }
 
     /// Like a host's queue, a full one drops its oldest.
     pub(crate) fn push(&mut self, header: &[u8], bytes: &[u8], stamp_ns: u64) {
         self.pushed += 1;
-        let sample =
-            Pushed { header: Aligned::of(header), bytes: bytes.to_vec(), stamp_ns, seq: self.pushed };
+        let sample = Pushed {
+            header: Aligned::of(header),
+            header_len: header.len(),
+            bytes: bytes.to_vec(),
+            stamp_ns,
+            seq: self.pushed,
+        };
         if self.queue.len() >= self.fifo.max(1) {
             self.queue.pop_front();
         }
         self.queue.push_back(sample.clone());
         self.latest = Some(sample);
         self.stale = false;
+    }
+
+    /// Gives the sample pushed last another stamp.
+    pub(crate) fn stamp_last(&mut self, stamp_ns: u64) {
+        let queued = self.queue.back_mut();
+        queued.into_iter().chain(self.latest.as_mut()).for_each(|sample| sample.stamp_ns = stamp_ns);
     }
 
     fn give(&mut self, view: &mut SampleView, next: bool) -> i32 {
@@ -95,27 +124,45 @@ impl InCell {
         view.len = held.bytes.len() as u64;
         view.stamp_ns = held.stamp_ns;
         view.seq = held.seq;
+        view.token = token(self.peers, held.header_len);
         IN_SAMPLE
     }
 
     pub(crate) fn slot(this: *mut InCell) -> InSlot {
         unsafe extern "C" fn latest(ctx: *mut c_void, view: *mut SampleView) -> i32 {
+            let _quiet = alloc::pause();
             // SAFETY: the slot's own cell, entered by one thread; the view is the caller's.
             unsafe { (*ctx.cast::<InCell>()).give(&mut *view, false) }
         }
         unsafe extern "C" fn next(ctx: *mut c_void, view: *mut SampleView) -> i32 {
+            let _quiet = alloc::pause();
             // SAFETY: as in `latest`.
             unsafe { (*ctx.cast::<InCell>()).give(&mut *view, true) }
         }
         unsafe extern "C" fn release(ctx: *mut c_void) {
+            let _quiet = alloc::pause();
             // SAFETY: as in `latest`.
             unsafe { (*ctx.cast::<InCell>()).held = None }
         }
         unsafe extern "C" fn writable(ctx: *mut c_void, _: *mut SampleView) -> *mut u8 {
+            let _quiet = alloc::pause();
             // SAFETY: as in `latest`; the held copy is the bench's own, so its only owner is this input.
             match unsafe { &mut (*ctx.cast::<InCell>()).held } {
                 Some(held) => held.bytes.as_mut_ptr(),
                 None => null_mut(),
+            }
+        }
+        unsafe extern "C" fn header_len(ctx: *mut c_void) -> u64 {
+            let _quiet = alloc::pause();
+            // SAFETY: as in `latest`.
+            unsafe { &(*ctx.cast::<InCell>()).held }.as_ref().map_or(0, |held| held.header_len as u64)
+        }
+        unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+            let _quiet = alloc::pause();
+            // SAFETY: as in `latest`; the sink is the caller's.
+            unsafe {
+                let cell = &*ctx.cast::<InCell>();
+                tell(cell.carried.as_ref().filter(|_| cell.connected).map(|c| c.text.as_str()), sink)
             }
         }
         InSlot {
@@ -126,9 +173,15 @@ impl InCell {
             next,
             release,
             writable,
-            type_of: stubs::type_of,
+            type_of,
+            header_len,
         }
     }
+}
+
+/// Stands for the peer a sample came from; below it the size of its header, which `forward` compares.
+fn token(peers: u32, header_len: usize) -> u64 {
+    u64::from(peers + 1) << 32 | header_len as u64
 }
 
 /// One written sample or committed frame.
@@ -144,21 +197,43 @@ pub(crate) struct OutCell {
     header_size: usize,
     max_bytes: usize,
     pub(crate) written: Vec<Written>,
+    /// Of these, how many the history knows.
+    pub(crate) told: usize,
     loans: HashMap<u64, (Aligned, Vec<u8>)>,
     lent: u64,
+    /// Of an untyped output: it is connected to nobody while no peer has given it a type.
+    untyped: bool,
+    carried: Option<Carried>,
 }
 
 impl OutCell {
-    pub(crate) fn new(header_size: usize, max_bytes: usize) -> OutCell {
+    pub(crate) fn new(header_size: usize, max_bytes: usize, untyped: bool) -> OutCell {
         OutCell {
             connected: true,
             exhausted: false,
             header_size,
             max_bytes,
             written: Vec::new(),
+            told: 0,
             loans: HashMap::new(),
             lent: 0,
+            untyped,
+            carried: None,
         }
+    }
+
+    /// The peer of an untyped output takes this from now on.
+    pub(crate) fn carry(&mut self, carried: Carried) {
+        self.header_size = carried.size;
+        self.carried = Some(carried);
+    }
+
+    pub(crate) fn carried(&self) -> Option<&Carried> {
+        self.carried.as_ref()
+    }
+
+    fn alone(&self) -> bool {
+        self.untyped && self.carried.is_none()
     }
 
     fn lend(&mut self, loan: &mut Loan) -> Outcome {
@@ -188,6 +263,7 @@ impl OutCell {
 
     pub(crate) fn slot(this: *mut OutCell) -> OutSlot {
         unsafe extern "C" fn write(ctx: *mut c_void, value: *const c_void, stamp_ns: u64) -> Outcome {
+            let _quiet = alloc::pause();
             // SAFETY: the slot's own cell; the value has the described size, which the bench took from the class.
             unsafe {
                 let cell = &mut *ctx.cast::<OutCell>();
@@ -197,21 +273,31 @@ impl OutCell {
             }
         }
         unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outcome {
+            let _quiet = alloc::pause();
             // SAFETY: the slot's own cell; the loan is the caller's.
             unsafe { (*ctx.cast::<OutCell>()).lend(&mut *loan) }
         }
         unsafe extern "C" fn commit(ctx: *mut c_void, loan: *mut Loan, len: u64, stamp_ns: u64) -> Outcome {
+            let _quiet = alloc::pause();
             // SAFETY: as in `loan`.
             unsafe { (*ctx.cast::<OutCell>()).commit(&*loan, len, stamp_ns) }
         }
         unsafe extern "C" fn cancel(ctx: *mut c_void, loan: *mut Loan) {
+            let _quiet = alloc::pause();
             // SAFETY: as in `loan`.
             unsafe { (*ctx.cast::<OutCell>()).loans.remove(&(*loan).token) };
         }
         unsafe extern "C" fn forward(ctx: *mut c_void, sample: *const SampleView, stamp_ns: u64) -> Outcome {
+            let _quiet = alloc::pause();
             // SAFETY: the slot's own cell; the view is held by an input cell of the same described type.
             unsafe {
                 let (cell, view) = (&mut *ctx.cast::<OutCell>(), &*sample);
+                if cell.alone() {
+                    return UNBOUND;
+                }
+                if view.token as u32 as usize != cell.header_size {
+                    return INVALID_ARGUMENT;
+                }
                 let header = core::slice::from_raw_parts(view.header.cast::<u8>(), cell.header_size).to_vec();
                 let bytes = core::slice::from_raw_parts(view.bytes, view.len as usize).to_vec();
                 cell.written.push(Written { header, bytes, stamp_ns });
@@ -219,9 +305,30 @@ impl OutCell {
             }
         }
         unsafe extern "C" fn reserve(ctx: *mut c_void, max_bytes: u64, _: u32) -> Outcome {
+            let _quiet = alloc::pause();
             // SAFETY: the slot's own cell.
             unsafe { (*ctx.cast::<OutCell>()).max_bytes = max_bytes as usize };
             EXECUTED
+        }
+        unsafe extern "C" fn write_bytes(ctx: *mut c_void, value: Bytes, stamp_ns: u64) -> Outcome {
+            let _quiet = alloc::pause();
+            // SAFETY: the slot's own cell; the value has the size it says.
+            unsafe {
+                let cell = &*ctx.cast::<OutCell>();
+                match value.len {
+                    _ if cell.alone() => UNBOUND,
+                    len if len == cell.header_size => write(ctx, value.ptr.cast(), stamp_ns),
+                    _ => INVALID_ARGUMENT,
+                }
+            }
+        }
+        unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+            let _quiet = alloc::pause();
+            // SAFETY: the slot's own cell; the sink is the caller's.
+            unsafe {
+                let cell = &*ctx.cast::<OutCell>();
+                tell(cell.carried.as_ref().filter(|_| cell.connected).map(|c| c.text.as_str()), sink)
+            }
         }
         OutSlot {
             struct_size: size_of::<OutSlot>() as u32,
@@ -233,113 +340,8 @@ impl OutCell {
             cancel,
             forward,
             reserve,
-            type_of: stubs::type_of,
+            type_of,
+            write_bytes,
         }
-    }
-}
-
-/// A fake peer's answer: the bytes of the result, or its outcome and reason.
-pub(crate) type Answer = Box<dyn FnMut(&[u8]) -> Result<Vec<u8>, (Outcome, String)>>;
-
-pub(crate) struct FnCell {
-    pub(crate) connected: bool,
-    arg_size: usize,
-    ret_size: usize,
-    pub(crate) calls: Vec<Vec<u8>>,
-    pub(crate) answer: Option<Answer>,
-}
-
-impl FnCell {
-    pub(crate) fn new(arg_size: usize, ret_size: usize) -> FnCell {
-        FnCell { connected: true, arg_size, ret_size, calls: Vec::new(), answer: None }
-    }
-
-    /// # Safety
-    /// `arg` and `ret` have the described sizes or are null, `opts` is null or valid.
-    unsafe fn call(&mut self, arg: *const c_void, ret: *mut c_void, opts: *mut CallOpts) -> Outcome {
-        if !self.connected {
-            return UNBOUND;
-        }
-        let given = if arg.is_null() { 0 } else { self.arg_size };
-        let arg = match given {
-            0 => &[],
-            // SAFETY: not null, and readable by the caller's promise.
-            len => unsafe { core::slice::from_raw_parts(arg.cast::<u8>(), len) },
-        };
-        self.calls.push(arg.to_vec());
-        let answer = match &mut self.answer {
-            // A failed assertion of the test's answer must not unwind through the component.
-            Some(answer) => catch_unwind(AssertUnwindSafe(|| answer(arg)))
-                .unwrap_or_else(|_| Err((FAILED, "the bench's answer panicked".to_string()))),
-            None if opts.is_null() => return QUEUED,
-            None if self.ret_size == 0 => return EXECUTED,
-            None => Err((FAILED, "the bench has no answer here: give one with `answer`".to_string())),
-        };
-        match answer {
-            Ok(bytes) => {
-                if !ret.is_null() {
-                    let len = bytes.len().min(self.ret_size);
-                    // SAFETY: writable by the caller's promise.
-                    unsafe { core::ptr::copy_nonoverlapping(bytes.as_ptr(), ret.cast(), len) };
-                }
-                EXECUTED
-            }
-            Err((outcome, reason)) => {
-                // SAFETY: options and error buffer are null or valid for the call.
-                if let Some(err) = unsafe { opts.as_ref().and_then(|o| o.err.as_mut()) } {
-                    err.len = reason.len().min(err.cap);
-                    // SAFETY: the buffer has `cap` writable bytes.
-                    unsafe { core::ptr::copy_nonoverlapping(reason.as_ptr(), err.ptr, err.len) };
-                }
-                outcome
-            }
-        }
-    }
-
-    pub(crate) fn slot(this: *mut FnCell) -> FnSlot {
-        unsafe extern "C" fn call(
-            ctx: *mut c_void,
-            arg: *const c_void,
-            ret: *mut c_void,
-            opts: *mut CallOpts,
-        ) -> Outcome {
-            // SAFETY: the slot's own cell; the sizes come from the class's description.
-            unsafe { (*ctx.cast::<FnCell>()).call(arg, ret, opts) }
-        }
-        FnSlot {
-            struct_size: size_of::<FnSlot>() as u32,
-            flags: 0,
-            ctx: this.cast(),
-            call,
-            type_of: stubs::type_of,
-        }
-    }
-}
-
-pub(crate) struct EventCell {
-    size: usize,
-    pub(crate) emitted: Vec<Vec<u8>>,
-}
-
-impl EventCell {
-    pub(crate) fn new(size: usize) -> EventCell {
-        EventCell { size, emitted: Vec::new() }
-    }
-
-    pub(crate) fn slot(this: *mut EventCell) -> EventSlot {
-        unsafe extern "C" fn emit(ctx: *mut c_void, payload: *const c_void) -> Outcome {
-            // SAFETY: the slot's own cell; the payload has the described size or is null for an empty one.
-            unsafe {
-                let cell = &mut *ctx.cast::<EventCell>();
-                let size = if payload.is_null() { 0 } else { cell.size };
-                let bytes = match size {
-                    0 => Vec::new(),
-                    size => core::slice::from_raw_parts(payload.cast::<u8>(), size).to_vec(),
-                };
-                cell.emitted.push(bytes);
-            }
-            EXECUTED
-        }
-        EventSlot { struct_size: size_of::<EventSlot>() as u32, flags: 0, ctx: this.cast(), emit }
     }
 }

@@ -12,25 +12,71 @@
 //!     x: In<f64>,
 //!     #[output]
 //!     y: Out<f64>,
+//!     #[required]
+//!     limit: Function<(), f64>,
 //! }
 //! impl Component for Double {
 //!     fn step(&mut self, _: &Tick) -> Result {
+//!         let limit = self.limit.call(()).unwrap_or(0.0);
 //!         if let Some(x) = self.x.fresh() {
-//!             self.y.write(&(2.0 * x));
+//!             self.y.write(&(2.0 * x).min(limit));
 //!         }
 //!         Ok(())
 //!     }
 //! }
 //!
 //! let mut bench = Bench::<Double>::new("{}");
+//! bench.answer("limit", |()| Ok(50.0));
 //! bench.push("x", 21.0);
 //! bench.step(3);
-//! assert_eq!(bench.outputs::<f64>("y"), [42.0]);
+//! bench.expect_outputs("y", &[42.0]);
+//!
+//! // Without its peer it gives nothing.
+//! bench.fail("limit", Outcome::Deadline);
+//! bench.push("x", 21.0);
+//! bench.step(1);
+//! bench.expect_outputs("y", &[0.0]);
 //! ```
+//!
+//! | to | use |
+//! |---|---|
+//! | let time pass | `step`, `late_step`, `skip`, `advance`, `now` |
+//! | feed inputs | `push`, `push_at`, `push_frame`; `lose`, `make_stale`, `connect_input` |
+//! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; `expect_outputs`, `expect_events`, `expect_calls` |
+//! | play the peers | `answer`, `emit`, `command`, `read`; `fail`, `overflow`, `exhaust`, `connect_output`, `connect_function`, `lose_peer` |
+//! | tie untyped ports | `connect_as`, `connect_as_frames`, `connect_as_command`; `push` and `answer` do so by themselves |
+//! | live through a life | `configure`, `start`, `stop`, `resume`, `make_safe`, `reset`, `snapshot`, `restore` |
+//! | play the system | `answer_service`, `services`, `reply`, `threads`, `refuse_callbacks`, `callbacks` |
+//! | read what was logged | `logs`, `expect_log` |
+//! | prove | `assert_no_alloc` with [`count_allocations!`], [`assert_implements`] |
+//!
+//! A failing expectation prints what happened last, with values and times.
 
+mod alloc;
 mod bench;
+mod callbacks;
 mod cells;
+mod config;
+mod expect;
 mod fake_host;
-mod lookup;
+mod flows;
+mod history;
+mod limits;
+mod logs;
+mod manifest;
+mod member_cells;
+mod parallel;
+mod peers;
+mod services;
+mod shape;
+mod time;
+mod untyped;
+mod wired;
 
+pub use crate::count_allocations;
+pub use alloc::CountingAllocator;
 pub use bench::{Bench, Failure};
+pub use logs::LogLine;
+pub(crate) use logs::keep;
+pub use manifest::{assert_implements, assert_implements_as, field_list};
+pub use trocar_plugin_api::contracts;

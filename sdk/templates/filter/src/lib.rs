@@ -69,20 +69,36 @@ mod tests {
     use super::*;
     use trocar_sdk::testing::Bench;
 
+    trocar_sdk::testing::count_allocations!();
+
+    fn signal(value: f64) -> Scalar {
+        Scalar {
+            stamp: Stamp::INVALID,
+            value,
+        }
+    }
+
     #[test]
     fn a_constant_signal_is_reached_in_the_end() {
         let mut bench = Bench::<{{Name}}>::new(r#"{"cutoff_hz": 20}"#);
-        let constant = Scalar {
-            stamp: Stamp::INVALID,
-            value: 3.0,
-        };
         for _ in 0..1000 {
-            bench.push("raw", constant);
+            bench.push("raw", signal(3.0));
             bench.step(1);
         }
         let out = bench.outputs::<Scalar>("filtered");
         let (first, last) = (out[0].value, out[999].value);
-        assert!(first < 1.0, "the first value jumps to {first}");
-        assert!((last - 3.0).abs() < 1e-6, "after 1 s it is at {last}");
+        bench.expect(first < 1.0, &format!("the first value jumps to {first}"));
+        bench.expect(
+            (last - 3.0).abs() < 1e-6,
+            &format!("after 1 s it is at {last}"),
+        );
+    }
+
+    #[test]
+    fn nothing_new_gives_nothing_and_a_step_allocates_nothing() {
+        let mut bench = Bench::<{{Name}}>::new("{}");
+        bench.push("raw", signal(1.0));
+        bench.assert_no_alloc(|bench| bench.step(100));
+        assert_eq!(bench.outputs::<Scalar>("filtered").len(), 1);
     }
 }

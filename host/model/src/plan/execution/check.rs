@@ -1,0 +1,220 @@
+//! What may be asked of an execution: each setting within its limits and only where it means something.
+//!
+//! Invariant: a refusal names the field, the value and the limits; limits of the machine (processors, priorities it
+//! grants) are not judged here, since only the machine knows them.
+
+use super::able;
+use crate::refusal::duration;
+use crate::{ComponentId, Execution, ExecutionModel, Refusal, SystemGraph};
+
+/// Limits of a period, ns.
+const PERIOD_NS: (u64, u64) = (1_000, 3_600_000_000_000);
+/// Limits of a SCHED_FIFO priority.
+const PRIORITY: (u8, u8) = (1, 99);
+/// Largest number of a processor.
+const CPU: usize = 4095;
+/// Most late periods that are made up for in one go.
+const CATCH_UP: u32 = 1000;
+/// Limits of the threads of a stream.
+const THREADS: (u32, u32) = (1, 64);
+/// Limits of the longest stay inside a component's own code, ns.
+const MAX_STEP_NS: (u64, u64) = (100_000, 3_600_000_000_000);
+/// Limits of the rows a state table keeps: with fewer than three the newest could be overwritten while it is read.
+const HISTORY: (u32, u32) = (3, 65_536);
+/// Most bytes a state table may take.
+const HISTORY_BYTES: usize = 256 << 20;
+
+/// A setting and what is wrong with it.
+type Fault = (&'static str, String);
+
+/// Everything that may be wrong with an execution but a cycle. `row_bytes`: one row of the component's state table.
+pub(in crate::plan) fn check(
+    graph: &SystemGraph,
+    verb: &str,
+    id: &ComponentId,
+    execution: &Execution,
+    row_bytes: usize,
+) -> Result<(), Refusal> {
+    let checked = host(graph, id, execution)
+        .and_then(|()| grid(execution))
+        .and_then(|()| scheduling(execution))
+        .and_then(|()| stream(execution))
+        .and_then(|()| step(execution))
+        .and_then(|()| history(execution, row_bytes));
+    checked.map_err(|(field, why)| {
+        let field = format!("execution.{field}");
+        Refusal::ArgumentInvalid { what: format!("{verb} {id}"), why: format!("{field}: {why}"), field }
+    })
+}
+
+/// Whose thread it is, and that the model fits it.
+fn host(graph: &SystemGraph, id: &ComponentId, execution: &Execution) -> Result<(), Fault> {
+    let (field, host) = match (&execution.stream_of, &execution.inside) {
+        (Some(_), Some(_)) => {
+            let why = "it cannot be set together with stream_of; a component runs in one thread";
+            return Err(("inside", why.to_owned()));
+        }
+        (Some(host), None) => ("stream_of", host),
+        (None, Some(host)) => ("inside", host),
+        (None, None) => {
+            return match execution.model {
+                None => Err(("model", "neither the class nor the request says how it runs".to_owned())),
+                Some(m) if m.is_inside() => Err((
+                    "inside",
+                    format!("model {} needs the component in whose step it runs: inside", m.name()),
+                )),
+                Some(_) => Ok(()),
+            };
+        }
+    };
+    check_host(graph, id, field, host).map_err(|why| (field, why))?;
+    let why = match execution.model {
+        Some(ExecutionModel::Stream) | None if field == "stream_of" => None,
+        Some(m) if field == "inside" && m.is_inside() => None,
+        Some(ExecutionModel::None) => Some("a passive component (model none) has no step".to_owned()),
+        _ if field == "stream_of" => Some("only model stream fits".to_owned()),
+        Some(m) => Some(format!("model {} has a thread of its own; only exec_in or exec_out fit", m.name())),
+        None => Some("only exec_in or exec_out fit".to_owned()),
+    };
+    if let Some(why) = why {
+        return Err(("model", format!("{why}, since the component runs in the thread of `{host}`")));
+    }
+    match misplaced(execution) {
+        Some((setting, why)) => {
+            Err((setting, format!("{why}, since the component runs in the thread of `{host}`")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A setting that belongs to the thread, not to a component that only runs in it.
+fn misplaced(execution: &Execution) -> Option<(&'static str, &'static str)> {
+    if execution.period_ns.is_some() {
+        Some(("rate_hz", "a rate cannot be set"))
+    } else if execution.phase_ns.is_some_and(|p| p > 0) {
+        Some(("phase", "a phase cannot be set"))
+    } else if execution.priority.is_some() {
+        Some(("priority", "a priority cannot be set"))
+    } else if !execution.cpus.is_empty() {
+        Some(("cpus", "processors cannot be chosen"))
+    } else if execution.catch_up.is_some_and(|n| n > 0) {
+        Some(("catch_up", "late periods cannot be made up for"))
+    } else if execution.threads.is_some_and(|n| n != 1) {
+        Some(("threads", "threads are set where the stream begins and cannot be set here"))
+    } else {
+        None
+    }
+}
+
+fn grid(execution: &Execution) -> Result<(), Fault> {
+    let model = execution.model.map_or("nothing", ExecutionModel::name);
+    let has_grid = execution.model.is_some_and(ExecutionModel::has_grid);
+    match execution.period_ns {
+        Some(_) if !has_grid => {
+            return Err(("rate_hz", format!("a rate means nothing to model {model}")));
+        }
+        Some(period) if !(PERIOD_NS.0..=PERIOD_NS.1).contains(&period) => {
+            let (low, high) = (duration(PERIOD_NS.0), duration(PERIOD_NS.1));
+            return Err(("rate_hz", format!("a period of {} is outside {low} to {high}", duration(period))));
+        }
+        None if execution.model == Some(ExecutionModel::Periodic) => {
+            return Err(("rate_hz", "model periodic needs a rate in Hz".to_owned()));
+        }
+        _ => {}
+    }
+    match (execution.phase_ns, execution.period_ns) {
+        (Some(phase), Some(period)) if phase >= period => {
+            let (phase, period) = (duration(phase), duration(period));
+            return Err(("phase", format!("{phase} is not below the period, {period}")));
+        }
+        (Some(phase), None) if phase > 0 => {
+            return Err(("phase", format!("{}: there is no grid to shift", duration(phase))));
+        }
+        _ => {}
+    }
+    match execution.catch_up {
+        Some(n) if n > CATCH_UP => {
+            Err(("catch_up", format!("{n} late periods are more than {CATCH_UP}, the most made up for")))
+        }
+        Some(n) if n > 0 && execution.period_ns.is_none() => {
+            Err(("catch_up", format!("{n}: model {model} has no rate here, so no period is ever late")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn scheduling(execution: &Execution) -> Result<(), Fault> {
+    let passive = execution.model == Some(ExecutionModel::None);
+    match execution.priority {
+        Some(_) if passive => {
+            return Err(("priority", "a passive component (model none) has no thread".to_owned()));
+        }
+        Some(p) if !(PRIORITY.0..=PRIORITY.1).contains(&p) => {
+            return Err(("priority", format!("{p} is outside {} to {}", PRIORITY.0, PRIORITY.1)));
+        }
+        _ => {}
+    }
+    if passive && !execution.cpus.is_empty() {
+        return Err(("cpus", "a passive component (model none) has no thread".to_owned()));
+    }
+    match execution.cpus.iter().find(|cpu| **cpu > CPU) {
+        Some(cpu) => Err(("cpus", format!("{cpu} is no number of a processor, 0 to {CPU}"))),
+        None => Ok(()),
+    }
+}
+
+fn stream(execution: &Execution) -> Result<(), Fault> {
+    let model = execution.model.map_or("nothing", ExecutionModel::name);
+    let stream = execution.model == Some(ExecutionModel::Stream);
+    match execution.threads {
+        Some(n) if !(THREADS.0..=THREADS.1).contains(&n) => {
+            return Err(("threads", format!("{n} is outside {} to {}", THREADS.0, THREADS.1)));
+        }
+        Some(n) if n > 1 && !stream => {
+            return Err((
+                "threads",
+                format!("{n} threads share the work of a stream; this is model {model}"),
+            ));
+        }
+        _ => {}
+    }
+    if execution.on_failure.is_some() && !stream {
+        return Err(("on_failure", format!("it is for the filters of a stream; this is model {model}")));
+    }
+    Ok(())
+}
+
+fn step(execution: &Execution) -> Result<(), Fault> {
+    match execution.max_step_ns {
+        Some(ns) if !(MAX_STEP_NS.0..=MAX_STEP_NS.1).contains(&ns) => {
+            let (low, high) = (duration(MAX_STEP_NS.0), duration(MAX_STEP_NS.1));
+            Err(("max_step", format!("{} is outside {low} to {high}", duration(ns))))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn history(execution: &Execution, row_bytes: usize) -> Result<(), Fault> {
+    match execution.history {
+        Some(rows) if !(HISTORY.0..=HISTORY.1).contains(&rows) => {
+            Err(("history", format!("{rows} rows is outside {} to {}", HISTORY.0, HISTORY.1)))
+        }
+        Some(rows) if rows as usize * row_bytes > HISTORY_BYTES => Err((
+            "history",
+            format!(
+                "{rows} rows of {row_bytes} bytes are more than {} MiB, the most a state table may take",
+                HISTORY_BYTES >> 20
+            ),
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn check_host(graph: &SystemGraph, id: &ComponentId, field: &str, text: &str) -> Result<(), String> {
+    let host = ComponentId::parse(text).map_err(|e| e.to_string())?;
+    if host.process != id.process {
+        return Err(format!("`{host}` is in another process; one thread stays in one process"));
+    }
+    let component = graph.component(&host).map_err(|e| e.to_string())?;
+    able(component, field).map_err(|why| format!("`{host}` {why}"))
+}

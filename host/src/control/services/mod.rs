@@ -1,0 +1,148 @@
+//! Requests of components, carried out as anybody's: through the GCM service, here or in another process.
+//!
+//! Invariant: nothing is checked, decided or logged here that the GCM service would not do for grpcurl; only the caller is
+//! another, and JSON stands where the wire has protobuf.
+
+mod dynamic;
+
+use std::time::Duration;
+
+use serde_json::{Map, Value, json};
+use tokio::runtime::Handle;
+use tonic::client::Grpc;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Request, Status};
+use tonic_types::StatusExt;
+use trocar_model::{ComponentId, Refusal};
+use trocar_proto::v1::gcm_service_server::GcmServiceServer;
+use trocar_proto::v1::plugin_service_server::PluginServiceServer;
+
+use self::dynamic::Rpc;
+use super::attach::MAX_MESSAGE;
+use super::server::{Caller, Edge};
+use super::status::{code_name, status};
+use crate::gcm::Gcm;
+use crate::lcm::{ReplyTo, Services};
+
+/// How long to wait for a connection to a GCM that is elsewhere.
+const CONNECT: Duration = Duration::from_secs(2);
+/// What a request may take, as for a caller that names no deadline.
+const WITHIN: Duration = Duration::from_secs(5);
+/// What WaitFor may take; its own `deadline` ends it earlier.
+const LONGEST: Duration = Duration::from_secs(60);
+/// Header that names the component a host asks for.
+pub(super) const FOR_COMPONENT: &str = "trocar-component";
+
+/// The way from the components of a host to its GCM.
+pub struct GcmServices {
+    runtime: Handle,
+    way: Way,
+}
+
+#[derive(Clone)]
+enum Way {
+    Here(Edge),
+    There { addr: String, channel: Channel },
+}
+
+impl GcmServices {
+    /// To a GCM in this process. Call it inside a tokio runtime.
+    pub fn here(gcm: Gcm) -> GcmServices {
+        let lines = gcm.lines().clone();
+        let edge = Edge { gcm: Some(gcm), local: None, managed_by: None, lines };
+        GcmServices { runtime: Handle::current(), way: Way::Here(edge) }
+    }
+
+    /// To the GCM at `addr`, connected when it is first asked, and again when it was lost. Call it inside a tokio runtime.
+    ///
+    /// # Errors
+    /// The address is malformed.
+    pub fn at(addr: &str) -> Result<GcmServices, String> {
+        let bare = addr.strip_prefix("http://").unwrap_or(addr);
+        let endpoint = Endpoint::from_shared(format!("http://{bare}")).map_err(|e| e.to_string())?;
+        let channel = endpoint.connect_timeout(CONNECT).tcp_nodelay(true).connect_lazy();
+        Ok(GcmServices { runtime: Handle::current(), way: Way::There { addr: bare.into(), channel } })
+    }
+}
+
+impl Services for GcmServices {
+    fn request(&self, from: ComponentId, request: String, reply: ReplyTo) {
+        let way = self.way.clone();
+        self.runtime.spawn(async move {
+            let answer = match answer(way, &from, &request).await {
+                Ok(response) => json!({ "ok": true, "response": response }),
+                Err(status) => refused(&status),
+            };
+            reply(answer.to_string());
+        });
+    }
+}
+
+async fn answer(way: Way, from: &ComponentId, text: &str) -> Result<Value, Status> {
+    let (verb, fields) = taken_apart(text).map_err(|refusal| status(&refusal))?;
+    let rpc = Rpc::named(&verb).map_err(|refusal| status(&refusal))?;
+    let mut request = Request::new(rpc.message(fields).map_err(|refusal| status(&refusal))?);
+    request.set_timeout(if verb == "WaitFor" { LONGEST } else { WITHIN });
+    let answered = match way {
+        Way::Here(edge) => {
+            request.extensions_mut().insert(Caller(from.to_string()));
+            if rpc.of_plugins() {
+                rpc.ask(Grpc::new(PluginServiceServer::new(edge)), request).await
+            } else {
+                rpc.ask(Grpc::new(GcmServiceServer::new(edge)), request).await
+            }
+        }
+        Way::There { addr, channel } => {
+            if let Ok(path) = from.to_string().parse() {
+                request.metadata_mut().insert(FOR_COMPONENT, path);
+            }
+            let grpc = Grpc::new(channel).max_decoding_message_size(MAX_MESSAGE);
+            rpc.ask(grpc, request).await.map_err(|e| unreached(&addr, e))
+        }
+    };
+    answered.and_then(|message| message.to_json().map_err(|refusal| status(&refusal)))
+}
+
+/// The verb and the fields beside it.
+fn taken_apart(text: &str) -> Result<(String, Map<String, Value>), Refusal> {
+    let invalid = |why: String| Refusal::ArgumentInvalid {
+        what: "the request for a service".into(),
+        why,
+        field: "verb".into(),
+    };
+    let mut fields: Map<String, Value> =
+        serde_json::from_str(text).map_err(|e| invalid(format!("it is no JSON object: {e}")))?;
+    match fields.remove("verb") {
+        Some(Value::String(verb)) => Ok((verb, fields)),
+        _ => Err(invalid("it has no \"verb\"".into())),
+    }
+}
+
+/// A status that no GCM gave: it was not reached.
+fn unreached(addr: &str, status: Status) -> Status {
+    let given = status.get_error_details().error_info().is_some();
+    if given || !matches!(status.code(), tonic::Code::Unavailable | tonic::Code::Unknown) {
+        return status;
+    }
+    let mut details = tonic_types::ErrorDetails::new();
+    details.set_error_info("NO_GCM", super::status::DOMAIN, [("addr".to_owned(), addr.to_owned())]);
+    details.add_help_link("ask again: the host connects anew each time", "");
+    let text = format!("no GCM answers at {addr}: {}", status.message());
+    Status::with_error_details(tonic::Code::Unavailable, text, details)
+}
+
+fn refused(status: &Status) -> Value {
+    let details = status.get_error_details();
+    let reason = details.error_info().map_or("", |info| info.reason.as_str());
+    let help = details.help().and_then(|h| h.links.first()).map_or("", |link| link.description.as_str());
+    json!({
+        "ok": false,
+        "code": code_name(status.code()),
+        "reason": reason,
+        "message": status.message(),
+        "help": help,
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,79 @@
+//! What LCMs report, entered in the graph: states, ports, and the connections that went with a port.
+//!
+//! Invariant: after a report no connection of that component ends in a port it does not have or that does not fit any
+//! more; every connection that goes is logged and is a new revision.
+
+use std::time::Instant;
+
+use trocar_model::{Change, ComponentId, Connection, ConnectionId, Refusal, SystemGraph};
+
+use super::Gcm;
+use super::execute::UNDO;
+use crate::lcm::Report;
+
+/// Enters what an LCM reported; components the graph does not have are not invented. Answers the connections that no
+/// longer fit and which the LCM did not say it had cut.
+pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connection> {
+    let Some(component) = graph.components.get_mut(&report.id) else { return Vec::new() };
+    component.state = report.state;
+    component.health = report.health;
+    component.fault.clone_from(&report.fault);
+    let others = report.ports.as_ref().filter(|ports| **ports != component.ports);
+    let changed = others.is_some();
+    if let Some(ports) = others {
+        component.ports = ports.clone();
+    }
+    let mut gone = false;
+    for number in &report.lost_connections {
+        let id = ConnectionId(*number);
+        if let Some(c) = graph.connections.get(&id).filter(|c| touches(c, &report.id)).cloned() {
+            log::warn!("{}: its port went at {}", cut(&c), report.id);
+            graph.connections.remove(&id);
+            gone = true;
+        }
+    }
+    if gone {
+        graph.revision += 1;
+    }
+    if changed { loosen(graph, &report.id) } else { Vec::new() }
+}
+
+/// Takes the connections of a component that do not fit any more out of the graph.
+pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<Connection> {
+    let mut taken = Vec::new();
+    for (number, why) in graph.loose_ends(id) {
+        if let Some(connection) = graph.connections.remove(&number) {
+            log::warn!("{}: {why}", cut(&connection));
+            taken.push(connection);
+        }
+    }
+    if !taken.is_empty() {
+        graph.revision += 1;
+    }
+    taken
+}
+
+fn touches(connection: &Connection, id: &ComponentId) -> bool {
+    connection.client.component == *id || connection.server.component == *id
+}
+
+fn cut(c: &Connection) -> String {
+    format!("connection {} from {} to {} is cut", c.id.0, c.server, c.client)
+}
+
+impl Gcm {
+    /// Has the LCMs cut what was taken out of the graph, should they still have it. Not waited for.
+    pub(super) fn cut_off(&self, connections: Vec<Connection>) {
+        for connection in connections {
+            let Ok(lcm) = self.lcm_of(&connection.client.component.process) else { continue };
+            tokio::spawn(async move {
+                let number = connection.id.0;
+                match lcm.apply(Change::Disconnect { connection }, Instant::now() + UNDO).await {
+                    // It had cut the connection itself.
+                    Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
+                    Err(refusal) => log::error!("connection {number} cannot be cut: {refusal}"),
+                }
+            });
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! Ports that change by themselves: the connections that go with them, and the thread a component is given later.
+
+use tokio::time::timeout;
+use trocar_model::{ConnectOptions, PortId, PortType, Ports, Prim, Type};
+
+use super::*;
+use crate::lcm::{News, Report};
+
+const WATCHDOG: Duration = Duration::from_secs(60);
+
+fn connect(client: &str, server: &str) -> Request {
+    Request::Connect {
+        client: PortId::parse(client).unwrap(),
+        server: PortId::parse(server).unwrap(),
+        options: ConnectOptions::default(),
+    }
+}
+
+/// b uses a's arm (connection 1) and a's value (connection 2); revision 1.
+async fn wired() -> (Gcm, Arc<FakeLcm>) {
+    let (gcm, lcm) = system().await;
+    let wires = [connect("host/b/robot", "host/a/arm"), connect("host/b/input", "host/a/value")];
+    let all = [create("host/a"), create("host/b")].into_iter().chain(wires).collect();
+    ask(&gcm, all).await.unwrap();
+    (gcm, lcm)
+}
+
+/// What `path` reports when its ports are others.
+fn report(gcm: &Gcm, path: &str, lost: &[u64], change: impl FnOnce(&mut Ports)) -> Report {
+    let component = component(&gcm.graph(), path);
+    let mut ports = (*component.ports).clone();
+    change(&mut ports);
+    Report {
+        id: id(path),
+        state: component.state,
+        health: Health::Ok,
+        fault: String::new(),
+        ports: Some(Arc::new(ports)),
+        lost_connections: lost.to_vec(),
+        warnings: Vec::new(),
+    }
+}
+
+async fn until(gcm: &Gcm, what: &str, good: impl Fn(&SystemGraph) -> bool) -> Arc<SystemGraph> {
+    let mut graphs = gcm.watch();
+    let seen = timeout(WATCHDOG, graphs.wait_for(|graph| good(graph))).await;
+    seen.unwrap_or_else(|_| panic!("never: {what}; the graph: {:?}", gcm.graph())).unwrap().clone()
+}
+
+fn numbers(graph: &SystemGraph) -> Vec<u64> {
+    graph.connections.keys().map(|id| id.0).collect()
+}
+
+#[tokio::test]
+async fn a_port_that_goes_takes_its_connections_with_it_as_a_new_revision() {
+    let (gcm, lcm) = wired().await;
+    lcm.news.send(News::State(report(&gcm, "host/a", &[1], |p| p.provided.clear()))).unwrap();
+    let graph = until(&gcm, "the connection goes", |g| numbers(g) == [2]).await;
+    assert_eq!(graph.revision, 2, "whoever planned for revision 1 must plan anew");
+    assert!(graph.components[&id("host/a")].ports.provided.is_empty());
+    let refusal = ask(&gcm, vec![connect("host/b/robot", "host/a/arm")]).await.unwrap_err();
+    assert_eq!(refusal.reason(), "INTERFACE_NOT_FOUND");
+}
+
+#[tokio::test]
+async fn a_connection_that_does_not_fit_any_more_is_cut_in_the_process_too() {
+    let (gcm, lcm) = wired().await;
+    let cut = "Disconnect host/b/input from host/a/value";
+    lcm.hold(cut);
+    let other = |p: &mut Ports| p.outputs[0].ty = PortType::Plain(Type::Prim(Prim::Bool));
+    lcm.news.send(News::State(report(&gcm, "host/a", &[], other))).unwrap();
+    until(&gcm, "the connection goes", |g| numbers(g) == [1]).await;
+    timeout(WATCHDOG, lcm.hangs(cut)).await.expect("the process was never told");
+    lcm.release(cut);
+}
+
+#[tokio::test]
+async fn a_report_takes_nobody_elses_connection() {
+    let (gcm, lcm) = wired().await;
+    ask(&gcm, vec![create("host/c")]).await.unwrap();
+    lcm.news.send(News::State(report(&gcm, "host/c", &[1, 2, 99], |p| p.provided.clear()))).unwrap();
+    let graph = until(&gcm, "the report", |g| g.components[&id("host/c")].ports.provided.is_empty()).await;
+    assert_eq!((numbers(&graph), graph.revision), (vec![1, 2], 2));
+}
+
+#[tokio::test]
+async fn ports_that_are_the_same_change_nothing() {
+    let (gcm, lcm) = wired().await;
+    let same = Report { fault: "seen".into(), ..report(&gcm, "host/a", &[], |_| {}) };
+    lcm.news.send(News::State(same)).unwrap();
+    let graph = until(&gcm, "the report", |g| g.components[&id("host/a")].fault == "seen").await;
+    assert_eq!((numbers(&graph), graph.revision), (vec![1, 2], 1));
+}
+
+#[tokio::test]
+async fn a_process_that_comes_back_with_other_ports_loses_what_does_not_fit() {
+    let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+    let who = host();
+    let registered = register(&gcm, who.clone(), lcm.clone()).await.unwrap();
+    let all = vec![create("host/a"), create("host/b"), connect("host/b/robot", "host/a/arm")];
+    ask(&gcm, all).await.unwrap();
+    let mut inventory = lcm.inventory().await.unwrap();
+    let changed = report(&gcm, "host/a", &[], |p| p.provided.clear());
+    inventory.components.retain(|r| r.id != changed.id);
+    inventory.components.push(changed);
+    gcm.lost(&name("host"), registered.epoch);
+    gcm.register(who, lcm, inventory).await.unwrap();
+    assert_eq!(numbers(&gcm.graph()), Vec::<u64>::new());
+}
+
+#[tokio::test]
+async fn another_thread_means_made_anew_with_the_same_wires() {
+    let (gcm, lcm) = wired().await;
+    let execution = Execution { period_ns: Some(2_000_000), ..Execution::default() };
+    let change =
+        Request::Configure { id: id("host/a"), patch: serde_json::json!({}), execution: Some(execution) };
+    let before = lcm.done().len();
+    let done = ask(&gcm, vec![change]).await.unwrap();
+    let made = plan_lines(&done.plan).into_iter().find(|l| l.starts_with("+ create")).unwrap();
+    assert_eq!(made, "+ create host/a (toy/arm) {period_us: 1000 → 2000}");
+    let did = lcm.done().split_off(before);
+    let kinds: Vec<&str> = did.iter().map(|d| d.split(' ').next().unwrap()).collect();
+    let want =
+        ["Disconnect", "Disconnect", "Configure", "Remove", "Create", "Configure", "Connect", "Connect"];
+    assert_eq!(kinds, want, "{did:?}");
+    assert_eq!(numbers(&gcm.graph()), [1, 2], "the same connections under the same numbers");
+    assert_eq!(component(&gcm.graph(), "host/a").execution.period_ns, Some(2_000_000));
+}
+
+#[tokio::test]
+async fn a_thread_that_cannot_be_had_leaves_everything_as_it_was() {
+    let (gcm, lcm) = wired().await;
+    let before = gcm.graph();
+    // The first Configure leads back to CREATED; it is the one that is refused.
+    lcm.refuse("Configure host/a");
+    let execution = Execution { period_ns: Some(2_000_000), ..Execution::default() };
+    let change =
+        Request::Configure { id: id("host/a"), patch: serde_json::json!({}), execution: Some(execution) };
+    ask(&gcm, vec![change]).await.unwrap_err();
+    let after = gcm.graph();
+    assert_eq!(after.connections, before.connections);
+    assert_eq!(after.components, before.components);
+}

@@ -1,0 +1,164 @@
+//! What a host is made from, as plain data, and the builder that fills it in.
+//!
+//! Invariant: [`HostConfig::start`] is the only way to a host with components, for the command line and for programs alike.
+
+use std::path::PathBuf;
+
+use trocar_model::{Name, Refusal};
+use trocar_plugin_api::abi::StaticPlugin;
+
+use super::{Host, HostError, StateChoice};
+use crate::loader::Trust;
+
+/// What a host is made from.
+#[derive(Clone, Debug)]
+pub struct HostConfig {
+    pub name: Name,
+    /// Watched plugin directories; empty: none.
+    pub plugins: Vec<PathBuf>,
+    /// Plugins linked into this program.
+    pub linked: Vec<StaticPlugin>,
+    /// Address to listen on; port 0 takes a free one. `None`: no port at all.
+    pub listen: Option<String>,
+    pub state: StateChoice,
+    /// Forget what an earlier process left in the state directory.
+    pub fresh: bool,
+    /// The GCM to attach to; `None`: this host embeds one.
+    pub gcm: Option<String>,
+    pub trust: Trust,
+    /// The `trocar` program that tries plugin files out in a child process; `None`: it is looked for, see
+    /// [`HostBuilder::vet_with`].
+    pub vet_with: Option<PathBuf>,
+    /// Keep all memory of the process resident, so that no cycle waits for a page.
+    pub lock_memory: bool,
+}
+
+impl HostConfig {
+    /// No plugins, no port, an ephemeral state directory, a GCM of its own.
+    pub fn new(name: Name) -> HostConfig {
+        HostConfig {
+            name,
+            plugins: Vec::new(),
+            linked: Vec::new(),
+            listen: None,
+            state: StateChoice::Ephemeral,
+            fresh: false,
+            gcm: None,
+            trust: Trust::Dev,
+            vet_with: None,
+            lock_memory: false,
+        }
+    }
+
+    /// Starts a process with an LCM, and a GCM of its own unless it attaches to another.
+    ///
+    /// # Errors
+    /// Everything that can be wrong with its directories, its port, its linked plugins and its name.
+    pub async fn start(self) -> Result<Host, HostError> {
+        Host::from_config(self).await
+    }
+}
+
+/// Fills in a [`HostConfig`] step by step; made by [`Host::builder`].
+#[derive(Clone, Debug)]
+pub struct HostBuilder {
+    /// A name that is none is said at the end, so that one computed at run time needs no handling of its own.
+    config: Result<HostConfig, Refusal>,
+}
+
+impl Host {
+    /// A host inside a program, named `host` unless told otherwise: no plugins, no port, an ephemeral state directory and
+    /// a GCM of its own, until the builder is told otherwise.
+    ///
+    /// ```
+    /// # tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap().block_on(async {
+    /// let host = trocar::Host::builder().name("lab").start().await?;
+    /// let refused = host.create("lab/source", "sine", serde_json::json!({})).await.unwrap_err();
+    /// assert_eq!(refused.reason(), "CLASS_NOT_FOUND");
+    /// host.shutdown().await;
+    /// # Ok::<(), trocar::host::HostError>(())
+    /// # }).unwrap();
+    /// ```
+    pub fn builder() -> HostBuilder {
+        HostBuilder { config: Name::parse("host").map(HostConfig::new) }
+    }
+}
+
+impl HostBuilder {
+    /// Name of the process, the first part of its components' paths.
+    #[must_use]
+    pub fn name(mut self, name: &str) -> Self {
+        self.config = self.config.and_then(|config| Ok(HostConfig { name: Name::parse(name)?, ..config }));
+        self
+    }
+
+    /// A directory of plugin files, watched; may be given several times.
+    #[must_use]
+    pub fn plugins(self, dir: impl Into<PathBuf>) -> Self {
+        self.with(|c| c.plugins.push(dir.into()))
+    }
+
+    /// A plugin linked into this program; may be given several times.
+    #[must_use]
+    pub fn plugin(self, plugin: StaticPlugin) -> Self {
+        self.with(|c| c.linked.push(plugin))
+    }
+
+    /// Serves gRPC at this address; port 0 takes a free one.
+    #[must_use]
+    pub fn listen(self, addr: impl Into<String>) -> Self {
+        self.with(|c| c.listen = Some(addr.into()))
+    }
+
+    /// Where it keeps its state.
+    #[must_use]
+    pub fn state(self, state: StateChoice) -> Self {
+        self.with(|c| c.state = state)
+    }
+
+    /// Forgets what an earlier run left in the state directory.
+    #[must_use]
+    pub fn fresh(self, fresh: bool) -> Self {
+        self.with(|c| c.fresh = fresh)
+    }
+
+    /// Attaches to the GCM at this address instead of having its own.
+    #[must_use]
+    pub fn gcm(self, addr: impl Into<String>) -> Self {
+        self.with(|c| c.gcm = Some(addr.into()))
+    }
+
+    /// Which plugin files are taken.
+    #[must_use]
+    pub fn trust(self, trust: Trust) -> Self {
+        self.with(|c| c.trust = trust)
+    }
+
+    /// The `trocar` program in whose child process plugin files are tried out before this program maps them. Unset: this
+    /// program if it is `trocar` itself, else `trocar` beside it, else in `PATH`.
+    #[must_use]
+    pub fn vet_with(self, program: impl Into<PathBuf>) -> Self {
+        self.with(|c| c.vet_with = Some(program.into()))
+    }
+
+    /// Keeps all memory of the process resident; what the machine refuses is said in the log, and the host starts.
+    #[must_use]
+    pub fn lock_memory(self, lock: bool) -> Self {
+        self.with(|c| c.lock_memory = lock)
+    }
+
+    /// Starts it. Call it inside a tokio runtime, which must outlive the host.
+    ///
+    /// # Errors
+    /// As [`HostConfig::start`]; a name that is none.
+    pub async fn start(self) -> Result<Host, HostError> {
+        self.config?.start().await
+    }
+
+    fn with(mut self, set: impl FnOnce(&mut HostConfig)) -> Self {
+        if let Ok(config) = &mut self.config {
+            set(config);
+        }
+        self
+    }
+}

@@ -1,0 +1,333 @@
+//! Inputs: the slots through which samples and frames reach a component.
+//!
+//! Invariant: a sample an input shows stays valid until the next `latest`, `next` or `release` on it, even when the
+//! connection is cut meanwhile (the input keeps the link it shows from alive).
+
+use std::cell::UnsafeCell;
+use std::ffi::c_void;
+use std::ptr::null_mut;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64, Ordering};
+
+use trocar_model::CopyRun;
+use trocar_plugin_api::abi::{
+    IN_EMPTY, IN_SAMPLE, IN_UNBOUND, INVALID_ARGUMENT, Outcome, SAMPLE_FRESH, SAMPLE_STALE, SampleView, Sink,
+    Status,
+};
+use trocar_rt::cell::BindingCell;
+use trocar_rt::os;
+use trocar_rt::stream::{Sample, StreamReader};
+use trocar_rt::timing::Histogram;
+
+use super::super::context;
+use super::output::OutCell;
+
+/// Samples that pass a failed filter per cycle, so that a flood from another thread cannot keep the cycle from its end.
+const PASSED_BY: usize = 64;
+
+/// The consumer's end of one connection.
+pub(in crate::lcm) struct InLink {
+    reader: UnsafeCell<StreamReader>,
+    /// Older samples are stale, ns; 0 = never.
+    max_age_ns: u64,
+    /// Stamp of the newest sample written, at first the time of connecting; kept where there is a `max_age`.
+    pub(in crate::lcm) newest_ns: Arc<AtomicU64>,
+    /// Age of samples when first shown, ns.
+    pub(in crate::lcm) latency: Histogram,
+    /// The output's type as manifest JSON.
+    described: Arc<str>,
+    adapt: Option<Adapt>,
+    /// Stands in the list of links that an input has left, and the next one there.
+    is_left: AtomicBool,
+    next_left: AtomicPtr<InLink>,
+}
+
+/// Samples of another layout, copied by name into room of the input's own type.
+struct Adapt {
+    plan: Vec<CopyRun>,
+    /// Of the input's type.
+    bytes: usize,
+    room: UnsafeCell<Box<[u64]>>,
+}
+
+// SAFETY: reader and room are used only by the consuming component's thread, one at a time; the rest is lock-free or
+// immutable.
+unsafe impl Sync for InLink {}
+// SAFETY: as above.
+unsafe impl Send for InLink {}
+
+impl InLink {
+    /// `adapt`: the copy plan and the bytes of the input's type, where the output's layout is another.
+    pub(in crate::lcm) fn new(
+        reader: StreamReader,
+        max_age_ns: u64,
+        described: Arc<str>,
+        adapt: Option<(Vec<CopyRun>, usize)>,
+    ) -> Self {
+        let adapt = adapt.map(|(plan, bytes)| Adapt {
+            plan,
+            bytes,
+            room: UnsafeCell::new(vec![0; bytes.div_ceil(8)].into_boxed_slice()),
+        });
+        InLink {
+            reader: UnsafeCell::new(reader),
+            max_age_ns,
+            newest_ns: Arc::new(AtomicU64::new(os::now_ns())),
+            latency: Histogram::new(),
+            described,
+            adapt,
+            is_left: AtomicBool::new(false),
+            next_left: AtomicPtr::new(null_mut()),
+        }
+    }
+
+    /// Nothing younger than `max_age` was written. Any thread.
+    pub(in crate::lcm) fn is_stale(&self, now_ns: u64) -> bool {
+        let age_ns = now_ns.saturating_sub(self.newest_ns.load(Ordering::Relaxed));
+        self.max_age_ns > 0 && age_ns > self.max_age_ns
+    }
+
+    /// Publishes the sample held here through `output`, a frame without a copy. With `give` the frame leaves this input, so
+    /// that its next reader may be its only owner.
+    ///
+    /// # Safety
+    /// Consuming component's thread only.
+    pub(super) unsafe fn pass_on(&self, output: &OutCell, stamp_ns: u64, give: bool) -> Outcome {
+        // SAFETY: the caller's promise.
+        let reader = unsafe { &mut *self.reader.get() };
+        let frame = if give { reader.take_frame() } else { reader.frame().cloned() };
+        match (frame, reader.current()) {
+            (Some(frame), _) => output.forward_frame(frame, stamp_ns),
+            // An adapted sample has the layout of this input, not of what it came from.
+            (None, Some(_)) if self.adapt.is_some() => INVALID_ARGUMENT,
+            (None, Some(sample)) => output.forward_plain(sample.data, stamp_ns),
+            (None, None) => INVALID_ARGUMENT,
+        }
+    }
+}
+
+impl Adapt {
+    /// The sample as the input's own type. Consuming component's thread only.
+    fn copy(&self, data: &[u8]) -> *const u8 {
+        // SAFETY: consuming component's thread only, and the last look at the room has ended with the sample before.
+        let room = unsafe { &mut *self.room.get() };
+        let to: *mut u8 = room.as_mut_ptr().cast();
+        let bytes = size_of_val(&**room);
+        for run in &self.plan {
+            if run.from + run.len <= data.len() && run.to + run.len <= bytes {
+                // SAFETY: both runs lie inside their blocks, which are different allocations.
+                unsafe { to.add(run.to).copy_from_nonoverlapping(data.as_ptr().add(run.from), run.len) };
+            }
+        }
+        to
+    }
+}
+
+/// Host cell behind an input slot.
+pub(in crate::lcm) struct InCell {
+    link: BindingCell<Option<Arc<InLink>>>,
+    /// The link the last view came from.
+    held: UnsafeCell<Option<Arc<InLink>>>,
+    /// Links it showed from before, for a manager to drop: the component's thread frees no memory.
+    left: AtomicPtr<InLink>,
+}
+
+// SAFETY: `held` is used only by the component's thread, one at a time.
+unsafe impl Sync for InCell {}
+// SAFETY: as above.
+unsafe impl Send for InCell {}
+
+impl InCell {
+    pub(in crate::lcm) fn new() -> Self {
+        InCell {
+            link: BindingCell::new(Box::new(None)),
+            held: UnsafeCell::new(None),
+            left: AtomicPtr::new(null_mut()),
+        }
+    }
+
+    /// Puts a link behind the input, or none; managers only.
+    pub(in crate::lcm) fn connect(&self, link: Option<Arc<InLink>>) {
+        self.link.swap(Box::new(link));
+    }
+
+    pub(super) fn reclaim(&self) -> usize {
+        self.drop_left();
+        self.link.reclaim()
+    }
+
+    /// Leaves a link to the managers. Component's thread only; real-time.
+    fn leave(&self, link: Arc<InLink>) {
+        if link.is_left.swap(true, Ordering::AcqRel) {
+            // The list holds it already, so this is not its end.
+            return;
+        }
+        let link = Arc::into_raw(link).cast_mut();
+        let mut first = self.left.load(Ordering::Relaxed);
+        loop {
+            // SAFETY: the reference just given away keeps it alive until it is in the list.
+            unsafe { &*link }.next_left.store(first, Ordering::Relaxed);
+            match self.left.compare_exchange_weak(first, link, Ordering::Release, Ordering::Relaxed) {
+                Ok(_) => return,
+                Err(now) => first = now,
+            }
+        }
+    }
+
+    fn drop_left(&self) {
+        let mut at = self.left.swap(null_mut(), Ordering::Acquire);
+        while !at.is_null() {
+            // SAFETY: each entry of the list owns the reference that `leave` gave it, and the list was taken out whole.
+            let link = unsafe { Arc::from_raw(at) };
+            at = link.next_left.load(Ordering::Relaxed);
+            link.is_left.store(false, Ordering::Release);
+        }
+    }
+
+    /// Nothing younger than its connection's `max_age` was written. Any thread.
+    pub(in crate::lcm) fn is_stale(&self, now_ns: u64) -> bool {
+        self.link.enter().as_ref().is_some_and(|link| link.is_stale(now_ns))
+    }
+
+    /// Passes samples not seen yet on to `output` unchanged, at most [`PASSED_BY`]. Component's thread only; real-time.
+    pub(in crate::lcm) fn bypass(&self, output: &OutCell) {
+        let mut view = std::mem::MaybeUninit::uninit();
+        for _ in 0..PASSED_BY {
+            if self.show(view.as_mut_ptr(), StreamReader::next) != IN_SAMPLE {
+                return;
+            }
+            // SAFETY: IN_SAMPLE says that the view was written.
+            let stamp_ns = unsafe { view.assume_init_ref() }.stamp_ns;
+            // SAFETY: component's thread only.
+            if let Some(link) = unsafe { &*self.held.get() } {
+                // SAFETY: as above.
+                unsafe { link.pass_on(output, stamp_ns, true) };
+            }
+        }
+    }
+
+    /// Publishes the sample this input shows through `output`; `None` when `token` is not of it.
+    ///
+    /// # Safety
+    /// Component's thread only.
+    pub(super) unsafe fn pass_on(&self, token: u64, output: &OutCell, stamp_ns: u64) -> Option<Outcome> {
+        // SAFETY: the caller's promise.
+        let link = unsafe { &*self.held.get() }.as_ref()?;
+        // SAFETY: as above.
+        (Arc::as_ptr(link) as u64 == token).then(|| unsafe { link.pass_on(output, stamp_ns, false) })
+    }
+
+    /// Takes the present link and shows what `pick` finds there. Component's thread only.
+    fn show(
+        &self,
+        view: *mut SampleView,
+        pick: for<'r> fn(&'r mut StreamReader) -> Option<Sample<'r>>,
+    ) -> i32 {
+        // SAFETY: component's thread only.
+        let held = unsafe { &mut *self.held.get() };
+        let left = self.link.look(|now| match now {
+            Some(link) if held.as_ref().is_some_and(|h| Arc::ptr_eq(h, link)) => None,
+            now => std::mem::replace(held, now.clone()),
+        });
+        if let Some(left) = left {
+            self.leave(left);
+        }
+        let Some(link) = held.as_ref() else { return IN_UNBOUND };
+        // SAFETY: component's thread only.
+        let reader = unsafe { &mut *link.reader.get() };
+        let Some(sample) = pick(reader) else { return IN_EMPTY };
+        let mut flags = 0;
+        if sample.fresh {
+            flags |= SAMPLE_FRESH;
+            link.latency.record_alone(context::about_now_ns().saturating_sub(sample.meta.stamp_ns));
+        }
+        if link.max_age_ns > 0 && os::now_ns().saturating_sub(sample.meta.stamp_ns) > link.max_age_ns {
+            flags |= SAMPLE_STALE;
+        }
+        let header = match &link.adapt {
+            Some(adapt) => adapt.copy(sample.data),
+            None => sample.data.as_ptr(),
+        };
+        let shown = SampleView {
+            struct_size: size_of::<SampleView>() as u32,
+            flags,
+            header: header.cast(),
+            bytes: sample.bytes.as_ptr(),
+            len: sample.bytes.len() as u64,
+            stamp_ns: sample.meta.stamp_ns,
+            seq: sample.meta.seq,
+            token: Arc::as_ptr(link) as u64,
+        };
+        // SAFETY: the caller lends room for a SampleView.
+        unsafe { view.write(shown) };
+        IN_SAMPLE
+    }
+}
+
+impl Drop for InCell {
+    fn drop(&mut self) {
+        self.drop_left();
+    }
+}
+
+fn in_cell<'a>(ctx: *mut c_void) -> &'a InCell {
+    // SAFETY: the cell whose slot this is; it lives as long as the instance that owns the slots.
+    unsafe { &*ctx.cast::<InCell>() }
+}
+
+/// The caller lends a whole SampleView.
+fn is_whole(view: *const SampleView) -> bool {
+    // SAFETY: null, or a struct that begins with its size.
+    !view.is_null() && unsafe { (&raw const (*view).struct_size).read() } as usize >= size_of::<SampleView>()
+}
+
+/// What says which input a view is from; `None` without a whole view.
+pub(super) fn token_of(view: *const SampleView) -> Option<u64> {
+    // SAFETY: whole, and lent for the call.
+    is_whole(view).then(|| unsafe { (&raw const (*view).token).read() })
+}
+
+pub(super) unsafe extern "C" fn latest(ctx: *mut c_void, view: *mut SampleView) -> i32 {
+    if is_whole(view) { in_cell(ctx).show(view, StreamReader::latest) } else { INVALID_ARGUMENT }
+}
+
+pub(super) unsafe extern "C" fn next(ctx: *mut c_void, view: *mut SampleView) -> i32 {
+    if is_whole(view) { in_cell(ctx).show(view, StreamReader::next) } else { INVALID_ARGUMENT }
+}
+
+pub(super) unsafe extern "C" fn release(ctx: *mut c_void) {
+    // SAFETY: component's thread only.
+    if let Some(link) = unsafe { &*in_cell(ctx).held.get() } {
+        // SAFETY: component's thread only.
+        unsafe { (*link.reader.get()).release() };
+    }
+}
+
+pub(super) unsafe extern "C" fn header_len(ctx: *mut c_void) -> u64 {
+    // SAFETY: component's thread only.
+    let Some(link) = (unsafe { &*in_cell(ctx).held.get() }) else { return 0 };
+    if let Some(adapt) = &link.adapt {
+        return adapt.bytes as u64;
+    }
+    // SAFETY: component's thread only.
+    unsafe { (*link.reader.get()).current() }.map_or(0, |sample| sample.data.len() as u64)
+}
+
+pub(super) unsafe extern "C" fn writable(ctx: *mut c_void, view: *mut SampleView) -> *mut u8 {
+    // SAFETY: component's thread only.
+    let Some(link) = (unsafe { &*in_cell(ctx).held.get() }) else { return std::ptr::null_mut() };
+    // The view of another input says nothing about the frame held here.
+    if token_of(view) != Some(Arc::as_ptr(link) as u64) {
+        return std::ptr::null_mut();
+    }
+    // SAFETY: component's thread only.
+    match unsafe { (*link.reader.get()).frame() } {
+        // The only owner may write: nobody else can take a reference but through us.
+        Some(frame) if frame.is_unique() => frame.bytes().as_ptr().cast_mut(),
+        _ => std::ptr::null_mut(),
+    }
+}
+
+pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+    super::tell(sink, in_cell(ctx).link.enter().as_ref().map_or("", |link| &link.described))
+}

@@ -1,0 +1,456 @@
+//! Outputs: the slots through which samples and frames leave a component.
+//!
+//! Invariant: an output never waits for a reader; every write counts, read or not, so a gap at a reader is what it missed.
+
+use std::ffi::c_void;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use trocar_model::PortType;
+use trocar_plugin_api::abi::{
+    Bytes, EXECUTED, EXHAUSTED, FAILED, INVALID_ARGUMENT, Loan, Outcome, SampleView, Sink, Status, UNBOUND,
+    WOULD_BLOCK,
+};
+use trocar_rt::cell::BindingCell;
+use trocar_rt::os::{self, OsError};
+use trocar_rt::pool::{Frame, FrameMut, FramePool};
+use trocar_rt::stream::{Meta, StreamWriter};
+
+use super::super::context;
+use super::super::instance::Instance;
+use super::super::pending;
+use super::input::{self, InCell};
+
+/// Connection number of readers from outside.
+pub(in crate::lcm) const OUTSIDE: u64 = 0;
+
+/// The producer's end of one connection.
+pub(in crate::lcm) struct OutLink {
+    /// The connection, or [`OUTSIDE`].
+    pub(in crate::lcm) connection: u64,
+    writer: StreamWriter,
+    consumer: Option<Arc<Instance>>,
+    /// Where the stamp of the newest sample goes, for connections with a `max_age`.
+    newest_ns: Option<Arc<AtomicU64>>,
+}
+
+impl OutLink {
+    pub(in crate::lcm) fn new(
+        connection: u64,
+        writer: StreamWriter,
+        consumer: Option<Arc<Instance>>,
+        newest_ns: Option<Arc<AtomicU64>>,
+    ) -> Self {
+        OutLink { connection, writer, consumer, newest_ns }
+    }
+}
+
+/// How the samples of an output lie in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::lcm) struct Shape {
+    /// Bytes of a plain sample or of a frame's header.
+    pub(in crate::lcm) bytes: usize,
+    pub(in crate::lcm) frame: bool,
+    /// An untyped output without a type yet.
+    pub(in crate::lcm) unknown: bool,
+}
+
+impl Shape {
+    pub(in crate::lcm) fn of(ty: &PortType) -> Shape {
+        match ty {
+            PortType::Plain(t) => Shape { bytes: t.size(), frame: false, unknown: false },
+            PortType::Frame { header, .. } => Shape { bytes: header.size(), frame: true, unknown: false },
+            PortType::Any => Shape { bytes: 0, frame: false, unknown: true },
+        }
+    }
+}
+
+/// What stands behind an output now.
+pub(in crate::lcm) struct Outs {
+    pub(in crate::lcm) shape: Shape,
+    /// The type of what passes; `None` for an untyped output that nobody has connected.
+    ty: Option<PortType>,
+    /// The same as manifest JSON, empty while unconnected.
+    described: Arc<str>,
+    links: Vec<Arc<OutLink>>,
+}
+
+/// The pools of one output.
+#[derive(Clone, Default)]
+struct Pools {
+    lends: Option<Arc<FramePool>>,
+    /// Those before it, of which frames may still be out.
+    earlier: Vec<Arc<FramePool>>,
+}
+
+/// Host cell behind an output slot.
+pub(in crate::lcm) struct OutCell {
+    outs: BindingCell<Outs>,
+    /// Managers change it one after the other.
+    editing: Mutex<()>,
+    /// Where frames come from.
+    pools: BindingCell<Pools>,
+    /// They are changed one after the other.
+    pooling: Mutex<()>,
+    /// Address of the pool that was locked, or was refused to be.
+    locked: AtomicUsize,
+    /// The component's inputs, whose samples may be passed on.
+    inputs: BindingCell<Vec<Arc<InCell>>>,
+    /// The class said no type: that of the first connection holds while there is one.
+    untyped: bool,
+    /// Writes so far.
+    pub(in crate::lcm) seq: AtomicU64,
+    /// Bytes so far, headers included.
+    pub(in crate::lcm) total_bytes: AtomicU64,
+}
+
+impl OutCell {
+    pub(super) fn new(ty: &PortType) -> Self {
+        let untyped = *ty == PortType::Any;
+        let outs = Outs {
+            shape: Shape::of(ty),
+            ty: (!untyped).then(|| ty.clone()),
+            described: "".into(),
+            links: Vec::new(),
+        };
+        OutCell {
+            outs: BindingCell::new(Box::new(outs)),
+            editing: Mutex::new(()),
+            pools: BindingCell::new(Box::default()),
+            pooling: Mutex::new(()),
+            locked: AtomicUsize::new(0),
+            inputs: BindingCell::new(Box::default()),
+            untyped,
+            seq: AtomicU64::new(0),
+            total_bytes: AtomicU64::new(0),
+        }
+    }
+
+    /// The type it has now, if any.
+    pub(in crate::lcm) fn shape(&self) -> Shape {
+        self.outs.enter().shape.clone()
+    }
+
+    /// The type of what passes now; an untyped output has one as long as it is connected.
+    pub(in crate::lcm) fn passing(&self) -> Option<PortType> {
+        self.outs.enter().ty.clone()
+    }
+
+    /// Adds a link whose samples have the given type; managers only.
+    pub(in crate::lcm) fn add(&self, link: Arc<OutLink>, ty: &PortType, described: &Arc<str>) {
+        self.edit(|outs| {
+            if link.connection != OUTSIDE {
+                outs.described = described.clone();
+            }
+            outs.links.push(link);
+            if self.untyped && outs.shape.unknown {
+                outs.shape = Shape::of(ty);
+                outs.ty = Some(ty.clone());
+            }
+        });
+    }
+
+    /// Takes links away; managers only. An untyped output without connections has no type again.
+    pub(in crate::lcm) fn remove(&self, gone: impl Fn(&Arc<OutLink>) -> bool) {
+        self.edit(|outs| {
+            outs.links.retain(|l| !gone(l));
+            if outs.links.iter().all(|l| l.connection == OUTSIDE) {
+                outs.described = "".into();
+                if self.untyped {
+                    // Whoever still reads from outside asked for the type that went.
+                    outs.links.clear();
+                    outs.shape = Shape::of(&PortType::Any);
+                    outs.ty = None;
+                    self.change_pool(None);
+                }
+            }
+        });
+    }
+
+    fn edit(&self, f: impl FnOnce(&mut Outs)) {
+        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = self.outs.enter();
+        let mut outs = Outs {
+            shape: now.shape.clone(),
+            ty: now.ty.clone(),
+            described: now.described.clone(),
+            links: now.links.clone(),
+        };
+        drop(now);
+        f(&mut outs);
+        self.outs.swap(Box::new(outs));
+    }
+
+    pub(super) fn reclaim(&self) -> usize {
+        self.drop_pools();
+        self.outs.reclaim() + self.pools.reclaim() + self.inputs.reclaim()
+    }
+
+    /// (Re)makes the pool; not from `step`.
+    pub(in crate::lcm) fn reserve(&self, max_bytes: usize, slots: usize) -> Outcome {
+        let Shape { bytes, unknown, .. } = self.shape();
+        if unknown {
+            return UNBOUND;
+        }
+        match FramePool::new(slots as u32, bytes, max_bytes) {
+            Ok(pool) => {
+                self.change_pool(Some(pool));
+                EXECUTED
+            }
+            Err(e) => {
+                log::error!("a pool of {slots} frames of {max_bytes} bytes cannot be made: {e}");
+                EXHAUSTED
+            }
+        }
+    }
+
+    /// Another pool, or none, lends from now on. The one before stays at least until the next [`OutCell::reclaim`].
+    fn change_pool(&self, lends: Option<Arc<FramePool>>) {
+        let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
+        let Pools { lends: before, mut earlier } = self.pools.enter().clone();
+        earlier.extend(before);
+        self.pools.swap(Box::new(Pools { lends, earlier }));
+    }
+
+    /// Drops earlier pools whose frames have all come back.
+    fn drop_pools(&self) {
+        let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pools = self.pools.enter().clone();
+        let all = pools.earlier.len();
+        pools.earlier.retain(|p| p.stats().free < p.stats().slots);
+        if pools.earlier.len() < all {
+            self.pools.swap(Box::new(pools));
+        }
+    }
+
+    /// Locks the pool it lends from into memory, once; why it could not. Managers only.
+    pub(super) fn lock_pool(&self) -> Option<OsError> {
+        let pool = self.pools.enter().lends.clone()?;
+        let address = Arc::as_ptr(&pool).addr();
+        if self.locked.swap(address, Ordering::Relaxed) == address {
+            return None;
+        }
+        pool.lock_memory().err()
+    }
+
+    /// The inputs whose samples may be passed on through it; managers only.
+    pub(super) fn know(&self, inputs: Vec<Arc<InCell>>) {
+        self.inputs.swap(Box::new(inputs));
+    }
+
+    /// The frame of a loan that comes back; `None` when it is no loan of this output, or has come back already.
+    fn take_back(&self, loan: *mut Loan) -> Option<FrameMut> {
+        if !is_whole(loan) {
+            return None;
+        }
+        // SAFETY: whole, and lent for the call.
+        let token = std::mem::take(unsafe { &mut (*loan).token });
+        self.pools.look(|pools| {
+            pools.lends.iter().chain(&pools.earlier).any(|p| p.is_descriptor(token)).then(|| {
+                // SAFETY: the number of a slot of a pool that is alive here; whether it is still good is asked there.
+                unsafe { FrameMut::from_raw(token) }
+            })
+        })?
+    }
+
+    /// Frames a loan was refused for.
+    pub(in crate::lcm) fn exhausted(&self) -> u64 {
+        self.pools.enter().lends.as_ref().map_or(0, |p| p.stats().exhausted)
+    }
+
+    fn next_meta(&self, stamp_ns: u64, bytes: usize) -> Meta {
+        let seq = self.seq.load(Ordering::Relaxed) + 1;
+        self.seq.store(seq, Ordering::Relaxed);
+        self.total_bytes.store(self.total_bytes.load(Ordering::Relaxed) + bytes as u64, Ordering::Relaxed);
+        Meta { stamp_ns: if stamp_ns == 0 { os::now_ns() } else { stamp_ns }, seq }
+    }
+
+    /// Publishes one plain sample of the output's size.
+    fn publish_plain(&self, outs: &Outs, value: &[u8], stamp_ns: u64) -> Outcome {
+        if outs.links.is_empty() {
+            self.count_unread(value.len());
+            return UNBOUND;
+        }
+        pending::publish();
+        let meta = self.next_meta(stamp_ns, value.len());
+        for link in &outs.links {
+            link.writer.push(value, meta);
+            link.signal(meta.stamp_ns);
+        }
+        EXECUTED
+    }
+
+    fn publish(&self, outs: &Outs, frame: Frame, stamp_ns: u64) -> Outcome {
+        let bytes = outs.shape.bytes + frame.bytes().len();
+        let Some((last, others)) = outs.links.split_last() else {
+            self.count_unread(bytes);
+            return UNBOUND;
+        };
+        pending::publish();
+        let meta = self.next_meta(stamp_ns, bytes);
+        for link in others {
+            link.writer.push_frame(frame.clone(), meta);
+            link.signal(meta.stamp_ns);
+        }
+        // The last one gets the handle itself, so that a single reader is the frame's only owner.
+        last.writer.push_frame(frame, meta);
+        last.signal(meta.stamp_ns);
+        EXECUTED
+    }
+
+    /// A write nobody reads is a write all the same: the next reader sees how many went before.
+    fn count_unread(&self, bytes: usize) {
+        let _ = self.next_meta(1, bytes);
+    }
+}
+
+impl OutLink {
+    fn signal(&self, stamp_ns: u64) {
+        if let Some(newest_ns) = &self.newest_ns {
+            newest_ns.store(stamp_ns, Ordering::Relaxed);
+        }
+        if let Some(consumer) = &self.consumer {
+            consumer.signal();
+        }
+    }
+}
+
+/// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as the
+/// instance that owns the slots. Pointers handed over live for the call.
+fn out_cell<'a>(ctx: *mut c_void) -> &'a OutCell {
+    // SAFETY: see above.
+    unsafe { &*ctx.cast::<OutCell>() }
+}
+
+pub(super) unsafe extern "C" fn write(ctx: *mut c_void, value: *const c_void, stamp_ns: u64) -> Outcome {
+    let cell = out_cell(ctx);
+    cell.outs.look(|outs| {
+        if outs.shape.unknown {
+            return UNBOUND;
+        }
+        if outs.shape.frame {
+            return INVALID_ARGUMENT;
+        }
+        // SAFETY: the caller lends a value of the output's type; one without a type of its own has asked `type_of`.
+        match unsafe { lent(value.cast(), outs.shape.bytes) } {
+            Some(value) => cell.publish_plain(outs, value, stamp_ns),
+            None => INVALID_ARGUMENT,
+        }
+    })
+}
+
+/// As `write`, with the size compared with the type that is behind the output now.
+pub(super) unsafe extern "C" fn write_bytes(ctx: *mut c_void, value: Bytes, stamp_ns: u64) -> Outcome {
+    // SAFETY: the caller lends `len` readable bytes.
+    match unsafe { lent(value.ptr, value.len) } {
+        Some(value) => out_cell(ctx).forward_plain(value, stamp_ns),
+        None => INVALID_ARGUMENT,
+    }
+}
+
+/// The bytes a caller lends; `None` where it lends none although there should be some, or more than can be.
+///
+/// # Safety
+/// `bytes` readable bytes at `ptr`, unless that is null.
+unsafe fn lent<'a>(ptr: *const u8, bytes: usize) -> Option<&'a [u8]> {
+    match bytes {
+        0 => Some(&[]),
+        _ if ptr.is_null() || bytes > isize::MAX as usize => None,
+        // SAFETY: the caller's promise.
+        _ => Some(unsafe { std::slice::from_raw_parts(ptr, bytes) }),
+    }
+}
+
+pub(super) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outcome {
+    let cell = out_cell(ctx);
+    if !is_whole(loan) {
+        return INVALID_ARGUMENT;
+    }
+    let Some(frame) = cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan())) else {
+        return EXHAUSTED;
+    };
+    let lent = Loan {
+        struct_size: size_of::<Loan>() as u32,
+        flags: 0,
+        header: frame.header_ptr().cast(),
+        bytes: frame.bytes_ptr(),
+        capacity: frame.capacity() as u64,
+        token: frame.into_raw(),
+    };
+    // SAFETY: the caller lends room for a Loan.
+    unsafe { loan.write(lent) };
+    EXECUTED
+}
+
+pub(super) unsafe extern "C" fn commit(
+    ctx: *mut c_void,
+    loan: *mut Loan,
+    len: u64,
+    stamp_ns: u64,
+) -> Outcome {
+    let cell = out_cell(ctx);
+    let Some(frame) = cell.take_back(loan) else { return INVALID_ARGUMENT };
+    if len > frame.capacity() as u64 {
+        return INVALID_ARGUMENT;
+    }
+    // Lent under another type, perhaps: that is asked there.
+    cell.forward_frame(frame.freeze(len as usize), stamp_ns)
+}
+
+pub(super) unsafe extern "C" fn cancel(ctx: *mut c_void, loan: *mut Loan) {
+    drop(out_cell(ctx).take_back(loan));
+}
+
+/// The caller lends room for a whole Loan.
+fn is_whole(loan: *const Loan) -> bool {
+    // SAFETY: null, or a struct that begins with its size.
+    !loan.is_null() && unsafe { (&raw const (*loan).struct_size).read() } as usize >= size_of::<Loan>()
+}
+
+pub(super) unsafe extern "C" fn forward(ctx: *mut c_void, view: *const SampleView, stamp_ns: u64) -> Outcome {
+    let cell = out_cell(ctx);
+    let Some(token) = input::token_of(view) else { return INVALID_ARGUMENT };
+    // SAFETY: only the component's thread, which holds the view, forwards.
+    let passed = cell
+        .inputs
+        .look(|inputs| inputs.iter().find_map(|input| unsafe { input.pass_on(token, cell, stamp_ns) }));
+    passed.unwrap_or(INVALID_ARGUMENT)
+}
+
+impl OutCell {
+    /// Publishes a frame that some input holds; its header must be the output's.
+    pub(super) fn forward_frame(&self, frame: Frame, stamp_ns: u64) -> Outcome {
+        self.outs.look(|outs| match &outs.shape {
+            shape if shape.unknown => UNBOUND,
+            shape if shape.frame && frame.header().len() == shape.bytes => {
+                self.publish(outs, frame, stamp_ns)
+            }
+            _ => INVALID_ARGUMENT,
+        })
+    }
+
+    /// Publishes a plain sample that some input holds.
+    pub(super) fn forward_plain(&self, value: &[u8], stamp_ns: u64) -> Outcome {
+        self.outs.look(|outs| match &outs.shape {
+            shape if shape.unknown => UNBOUND,
+            shape if !shape.frame && value.len() == shape.bytes => self.publish_plain(outs, value, stamp_ns),
+            _ => INVALID_ARGUMENT,
+        })
+    }
+}
+
+pub(super) unsafe extern "C" fn reserve(ctx: *mut c_void, max_bytes: u64, slots: u32) -> Outcome {
+    let cell = out_cell(ctx);
+    if context::stepping() {
+        return WOULD_BLOCK;
+    }
+    let shape = cell.shape();
+    if !shape.frame && !shape.unknown {
+        return FAILED;
+    }
+    cell.reserve(max_bytes as usize, slots.clamp(2, 4096) as usize)
+}
+
+pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+    super::tell(sink, &out_cell(ctx).outs.enter().described)
+}

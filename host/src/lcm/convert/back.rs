@@ -1,0 +1,109 @@
+//! Model → manifest: what an untyped port is told about its peer.
+//!
+//! Invariant: the text stands for itself: every struct and enum it names is in its `types`, which come before their users.
+
+use serde_json::{Value, json};
+use trocar_model as model;
+use trocar_plugin_api::manifest as wire;
+
+/// A stream's type as manifest JSON: a port type with the key `types` beside it. Empty for an untyped one.
+pub fn port(ty: &model::PortType) -> String {
+    let mut types = Vec::new();
+    let port = match ty {
+        model::PortType::Plain(plain) => wire::PortType::Plain { plain: described(plain, &mut types) },
+        model::PortType::Frame { header, format, max_bytes } => wire::PortType::Frame {
+            frame: described(header, &mut types),
+            format: format.clone(),
+            max_bytes: *max_bytes,
+        },
+        model::PortType::Any => return String::new(),
+    };
+    text(json!(port), &types)
+}
+
+/// A command's description as manifest JSON with the key `types` beside it.
+pub fn command(command: &model::Command) -> String {
+    let mut types = Vec::new();
+    let arg = command.arg.as_ref().map(|arg| wire::Arg {
+        name: arg.name.clone(),
+        doc: arg.doc.clone(),
+        ty: described(&arg.ty, &mut types),
+        unit: arg.unit.clone(),
+        min: arg.min,
+        max: arg.max,
+    });
+    let ret = command.ret.as_ref().map(|ty| described(ty, &mut types));
+    let overflow = match command.overflow {
+        model::Overflow::Reject => "reject",
+        model::Overflow::LatestWins => "latest_wins",
+        model::Overflow::DropOldest => "drop_oldest",
+    };
+    let command = wire::Command {
+        name: command.name.clone(),
+        doc: command.doc.clone(),
+        kind: command.kind.name().replace([' ', '-'], "_"),
+        arg,
+        ret,
+        ret_unit: command.ret_unit.clone(),
+        overflow: overflow.into(),
+    };
+    text(json!(command), &types)
+}
+
+fn text(mut value: Value, types: &[wire::NamedType]) -> String {
+    value["types"] = json!(types);
+    value.to_string()
+}
+
+fn described(ty: &model::Type, types: &mut Vec<wire::NamedType>) -> wire::Type {
+    match ty {
+        model::Type::Prim(p) => wire::Type::Prim(p.name().into()),
+        model::Type::Array { item, n } => wire::Type::Array { item: Box::new(described(item, types)), n: *n },
+        model::Type::List { item, n } => wire::Type::List { item: Box::new(described(item, types)), n: *n },
+        model::Type::Text { n } => wire::Type::Text { n: *n },
+        model::Type::Enum(e) => {
+            if types.iter().all(|t| t.name != e.name) {
+                types.push(wire::NamedType {
+                    repr: Some(e.repr.name().into()),
+                    values: values(e),
+                    ..named(&e.name, "", e.repr.size(), e.repr.size())
+                });
+            }
+            wire::Type::Ref { name: e.name.clone() }
+        }
+        model::Type::Struct(s) => {
+            if types.iter().all(|t| t.name != s.name) {
+                let fields = s.fields.iter().map(|f| field(f, types)).collect();
+                types.push(wire::NamedType { fields, ..named(&s.name, &s.doc, s.size, s.align) });
+            }
+            wire::Type::Ref { name: s.name.clone() }
+        }
+    }
+}
+
+fn named(name: &str, doc: &str, size: usize, align: usize) -> wire::NamedType {
+    wire::NamedType {
+        name: name.into(),
+        doc: doc.into(),
+        size,
+        align,
+        fields: Vec::new(),
+        repr: None,
+        values: Vec::new(),
+    }
+}
+
+fn values(e: &model::EnumType) -> Vec<wire::EnumValue> {
+    e.values.iter().map(|(name, value)| wire::EnumValue { name: name.clone(), value: *value }).collect()
+}
+
+fn field(f: &model::Field, types: &mut Vec<wire::NamedType>) -> wire::Field {
+    wire::Field {
+        name: f.name.clone(),
+        at: f.at,
+        ty: described(&f.ty, types),
+        unit: f.unit.clone(),
+        doc: f.doc.clone(),
+        frame: f.frame.clone(),
+    }
+}

@@ -1,0 +1,42 @@
+//! A class whose units nobody can read is refused with its name, the place and what was probably meant.
+#![allow(clippy::unwrap_used)]
+
+use serde_json::json;
+use trocar_plugin_api::manifest::Manifest;
+
+use super::{classes, description};
+
+fn manifest(unit: &str) -> Manifest {
+    let text = json!({
+        "trocar": 1, "abi": [1, 1], "name": "toy", "version": "1.0.0",
+        "types": [{ "name": "Force", "size": 8, "align": 8, "fields": [
+            { "name": "z", "at": 0, "type": "f64", "unit": unit }
+        ]}],
+        "classes": [class()]
+    });
+    serde_json::from_value(text).unwrap()
+}
+
+fn class() -> serde_json::Value {
+    json!({
+        "name": "sensor", "execution": { "model": "on_signal" }, "config": {},
+        "outputs": [{ "name": "force", "type": { "plain": { "ref": "Force" } } }]
+    })
+}
+
+#[test]
+fn an_unknown_unit_refuses_the_class_and_a_known_one_does_not() {
+    let info = classes(&manifest("mN"), "").unwrap().remove(0);
+    let why = classes(&manifest("newtons"), "").unwrap_err();
+    assert_eq!(
+        why,
+        "class sensor: output force: field z of Force: unit \"newtons\": `newtons` is no unit; did you mean `N`?"
+    );
+    let described = |unit: &str| json!({ "types": manifest(unit).types, "class": class() }).to_string();
+    description(described("N").as_bytes(), &info).unwrap();
+    let why = description(described("newtons").as_bytes(), &info).unwrap_err();
+    assert!(
+        why.contains("did you mean `N`?"),
+        "a description that is written later is held to the same: {why}"
+    );
+}

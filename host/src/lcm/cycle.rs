@@ -1,0 +1,205 @@
+//! One cycle of a thread: which of its members step, in which order, and how their timing is kept.
+//!
+//! Invariant: real-time. A member steps at most once per cycle; one that runs inside another steps exactly when that one is
+//! due, before it (`exec_in`) or after it (`exec_out`), and what it does never keeps the other from its step.
+
+use std::sync::Arc;
+
+use trocar_plugin_api::abi::Tick;
+use trocar_rt::executor::{Cycle, Pace};
+use trocar_rt::turn;
+
+use super::boundary;
+use super::context;
+use super::instance::Instance;
+use super::pending;
+
+/// When a member of a thread steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Follow {
+    /// In every cycle of its thread.
+    Thread,
+    /// When something new is there: a filter of a stream.
+    Input,
+    /// Whenever this member (an instance's number) steps.
+    Member(u32),
+}
+
+/// One component on a thread.
+#[derive(Clone)]
+pub(super) struct Member {
+    pub(super) instance: Arc<Instance>,
+    pub(super) follow: Follow,
+    /// Whether it steps in this cycle; `None` until somebody asked.
+    due: Option<bool>,
+}
+
+impl Member {
+    pub(super) fn new(instance: Arc<Instance>, follow: Follow) -> Member {
+        Member { instance, follow, due: None }
+    }
+}
+
+/// A cycle in which every member steps that follows its thread; true when one did.
+pub(super) fn all(members: &mut [Member], cycle: &Cycle) -> bool {
+    run(members, cycle, false)
+}
+
+/// A cycle in which only those step that something is there for; true when one did.
+pub(super) fn signalled(members: &mut [Member], cycle: &Cycle) -> bool {
+    run(members, cycle, true)
+}
+
+/// Runs what is queued for members between cycles, where no step would come soon.
+pub(super) fn serve(members: &[Member], pace: Pace) {
+    let mut served = false;
+    for member in members.iter().filter(|m| m.instance.has_signal()) {
+        let instance = &member.instance;
+        let child = matches!(member.follow, Follow::Member(_));
+        let steps = instance.is_active() && !instance.is_called_back();
+        if steps && !child && pace == Pace::Signal {
+            continue;
+        }
+        // The mark of a filter also means that a frame is there; its step takes it.
+        if !steps || member.follow != Follow::Input {
+            instance.take_signal();
+        }
+        if !served {
+            context::set_stepping(true);
+        }
+        served = true;
+        instance.serve();
+    }
+    if served {
+        pending::publish();
+        context::set_stepping(false);
+        context::flush_wakes();
+    }
+}
+
+/// Answers what is queued for members that are not ACTIVE.
+pub(super) fn refuse(members: &[Member]) {
+    for member in members.iter().filter(|m| m.instance.take_signal()) {
+        member.instance.serve();
+    }
+}
+
+/// The whole cycle is one turn of this thread, and the members' locks are taken once for it: within it neither bindings
+/// nor entries cost an atomic operation.
+fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
+    turn::run(|| {
+        context::set_stepping(true);
+        keep(members);
+        let stepped = turn_of(members, cycle, by_signal);
+        pending::publish();
+        members.iter().for_each(|m| m.instance.object.let_go());
+        context::set_stepping(false);
+        context::flush_wakes();
+        stepped
+    })
+}
+
+/// Takes the locks of those that run on this thread alone.
+fn keep(members: &[Member]) {
+    let own =
+        |m: &&Member| m.instance.is_active() && !m.instance.is_passive() && !m.instance.is_called_back();
+    members.iter().filter(own).for_each(|m| m.instance.object.keep());
+}
+
+fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
+    members.iter_mut().for_each(|m| m.due = None);
+    let mut stepped = false;
+    // Where one member's time ends the next one's begins.
+    let mut now_ns = cycle.begin_ns;
+    for at in 0..members.len() {
+        let due = is_due(members, at, by_signal);
+        let member = &members[at];
+        if due {
+            now_ns = step(member, cycle, now_ns);
+            stepped = true;
+        } else if member.instance.has_signal() {
+            unstepped(member);
+        }
+    }
+    stepped
+}
+
+/// Whether the member at `at` steps in this cycle; asked once, so that all around it get the same answer.
+fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
+    if let Some(due) = members[at].due {
+        return due;
+    }
+    // Should two name each other, neither steps.
+    members[at].due = Some(false);
+    let parent_is_due = match members[at].follow {
+        Follow::Thread | Follow::Input => true,
+        Follow::Member(number) => match members.iter().position(|m| m.instance.number == number) {
+            Some(parent) => is_due(members, parent, by_signal),
+            None => false,
+        },
+    };
+    let member = &members[at];
+    let instance = &member.instance;
+    let mut due = parent_is_due && instance.is_active() && !instance.is_called_back();
+    if due && (member.follow == Follow::Input || by_signal && member.follow == Follow::Thread) {
+        due = instance.take_signal();
+    } else if due {
+        instance.take_signal();
+    }
+    members[at].due = Some(due);
+    due
+}
+
+/// A member something is there for although it does not step: its queue is run or answered; frames may pass it.
+fn unstepped(member: &Member) {
+    let instance = &member.instance;
+    if !instance.take_signal() {
+        return;
+    }
+    if instance.bypasses() && instance.state() == trocar_model::State::Fault {
+        if let Some(mut entered) = instance.object.try_enter() {
+            boundary::bypass(instance, &mut entered);
+        }
+        instance.refuse_queued(trocar_plugin_api::abi::NOT_ACTIVE);
+        return;
+    }
+    instance.serve();
+}
+
+/// One step with its timing; answers when it ended, ns.
+fn step(member: &Member, cycle: &Cycle, begin_ns: u64) -> u64 {
+    let instance = &*member.instance;
+    // Somebody inside means a control entry still runs; this cycle is left out and counted.
+    let Some(mut entered) = instance.object.try_enter() else {
+        instance.stats.record_skipped(1 + cycle.skipped);
+        return begin_ns;
+    };
+    let on_grid = member.follow != Follow::Input && cycle.period_ns > 0;
+    let inner = entered.inner();
+    let fresh = inner.last_begin_ns == 0;
+    // What was left out before its start is not its own.
+    let skipped = if on_grid && !fresh { cycle.skipped } else { 0 };
+    inner.cycle += 1 + skipped;
+    let period_ns = if on_grid { cycle.period_ns } else { 0 };
+    let elapsed_ns = if fresh { period_ns } else { begin_ns.saturating_sub(inner.last_begin_ns) };
+    inner.last_begin_ns = begin_ns;
+    let tick = Tick {
+        struct_size: size_of::<Tick>() as u32,
+        flags: 0,
+        cycle: inner.cycle - 1 - inner.cycle_at_start,
+        now_ns: begin_ns,
+        deadline_ns: if on_grid { cycle.deadline_ns } else { begin_ns },
+        period_ns,
+        elapsed_ns,
+    };
+    let end_ns = instance.step(&mut entered, &tick);
+    drop(entered);
+    // How late its thread was; what others in the cycle took before it is not its own lateness.
+    let lateness_ns = if on_grid { cycle.begin_ns.saturating_sub(cycle.deadline_ns) } else { 0 };
+    instance.stats.record(begin_ns, end_ns, lateness_ns);
+    instance.stats.record_skipped(skipped);
+    if on_grid && lateness_ns + (end_ns - begin_ns) > period_ns && instance.watch.overran() {
+        context::wake(instance.watchdog());
+    }
+    end_ns
+}

@@ -1,0 +1,318 @@
+//! The ports of one instance as its description has them now, and how another description takes their place.
+//!
+//! Invariant: ports change only inside the component, between two steps, and only after `describe` made sense and `bind`
+//! took them: whatever fails leaves the old ports, their connections and what is queued in them as they were.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use trocar_model::Ports;
+use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
+use trocar_rt::cell::BindingCell;
+use trocar_rt::mailbox::Mailbox;
+use trocar_rt::reply::ReplyPool;
+
+use super::boundary::{
+    ERR_BYTES, EntryError, EventCell, Slots, same, same_input, same_output, same_provided, same_required,
+};
+use super::context;
+use super::convert;
+use super::inbox::{Inbox, Position};
+use super::instance::{Entered, Instance};
+use super::lifecycle::Entry;
+
+/// Commands from outside that may wait.
+const EXTERNAL_DEPTH: usize = 64;
+/// Blocking calls from outside that may be under way at once.
+const EXTERNAL_REPLIES: usize = 16;
+
+/// One description of an instance and everything made for it.
+pub(super) struct PortSet {
+    pub(super) ports: Arc<Ports>,
+    pub(super) slots: Slots,
+    /// ABI ids of the commands, in order; those of the system interface come last.
+    pub(super) commands: Vec<Arc<Position>>,
+    /// ABI ids of the handlers, in order.
+    pub(super) handlers: Vec<Arc<Position>>,
+    /// Queue of the control plane; an entry's index is the command's position here.
+    pub(super) external: Arc<Inbox>,
+    /// Input and output of the same type, for a filter that is bypassed.
+    pub(super) bypass: Option<(usize, usize)>,
+    max_ret: usize,
+}
+
+impl PortSet {
+    pub(super) fn new(ports: Ports, before: Option<&PortSet>) -> PortSet {
+        let slots = Slots::new(&ports, before.map(|b| (&*b.ports, &b.slots)));
+        let mut commands = Vec::new();
+        for interface in &ports.provided {
+            for new in &interface.commands {
+                let kept =
+                    before.and_then(|b| b.commands.get(same::command(&b.ports, interface, new)?).cloned());
+                commands.push(kept.unwrap_or_else(|| Position::new(commands.len())));
+            }
+        }
+        let mut handlers = Vec::new();
+        for interface in &ports.required {
+            for new in &interface.handlers {
+                let kept = before
+                    .and_then(|b| b.handlers.get(same::handler(&b.ports, &interface.name, new)?).cloned());
+                handlers.push(kept.unwrap_or_else(|| Position::new(handlers.len())));
+            }
+        }
+        let all = || ports.provided.iter().flat_map(|p| &p.commands);
+        let max_arg = all().filter_map(|c| c.arg.as_ref()).map(|a| a.ty.size()).max().unwrap_or(0);
+        let max_ret = all().filter_map(|c| c.ret.as_ref()).map(|t| t.size()).max().unwrap_or(0);
+        let external = Inbox::commands(
+            Mailbox::new(EXTERNAL_DEPTH, max_arg, commands.len()),
+            ReplyPool::new(EXTERNAL_REPLIES, max_ret, ERR_BYTES),
+            commands.clone(),
+            Weak::new(),
+        );
+        let bypass = ports.inputs.first().and_then(|input| {
+            let fits = |o: &trocar_model::Output| {
+                same_input(
+                    input,
+                    &trocar_model::Input { name: input.name.clone(), ty: o.ty.clone(), ..input.clone() },
+                )
+            };
+            ports.outputs.iter().position(fits).map(|output| (0, output))
+        });
+        PortSet { ports: Arc::new(ports), slots, commands, handlers, external, bypass, max_ret }
+    }
+
+    /// Words a result of any of its commands needs.
+    pub(super) fn ret_words(&self) -> usize {
+        self.max_ret.div_ceil(8)
+    }
+
+    /// The system interface's event of that number.
+    pub(super) fn system_event(&self, event: usize) -> &Arc<EventCell> {
+        let system = self.ports.provided.len().saturating_sub(1);
+        self.slots.event(self.ports.first_event(system) + event)
+    }
+
+    /// Which read of the system interface the command at that position is.
+    pub(super) fn system_command(&self, command: usize) -> Option<usize> {
+        command.checked_sub(self.ports.first_command(self.ports.provided.len().saturating_sub(1)))
+    }
+
+    /// Gives every command and handler its id in this set; those of `before` that are not here are withdrawn.
+    pub(super) fn renumber(&self, before: &PortSet) {
+        let gone = |old: &Arc<Position>, now: &[Arc<Position>]| !now.iter().any(|p| Arc::ptr_eq(p, old));
+        before.commands.iter().filter(|p| gone(p, &self.commands)).for_each(|p| p.put(None));
+        before.handlers.iter().filter(|p| gone(p, &self.handlers)).for_each(|p| p.put(None));
+        for list in [&self.commands, &self.handlers] {
+            list.iter().enumerate().for_each(|(id, position)| position.put(Some(id)));
+        }
+    }
+
+    /// Names of the ports of `before` that are not in this set any more, or not as they were.
+    fn lost(&self, before: &PortSet) -> Vec<String> {
+        let (old, new) = (&before.ports, &self.ports);
+        let inputs = old.inputs.iter().filter(|o| !new.inputs.iter().any(|n| same_input(o, n)));
+        let outputs = old.outputs.iter().filter(|o| !new.outputs.iter().any(|n| same_output(o, n)));
+        let required = old.required.iter().filter(|o| !new.required.iter().any(|n| same_required(o, n)));
+        let provided = old.provided.iter().filter(|o| !new.provided.iter().any(|n| same_provided(o, n)));
+        inputs
+            .map(|p| p.name.clone())
+            .chain(outputs.map(|p| p.name.clone()))
+            .chain(required.map(|p| p.name.clone()))
+            .chain(provided.map(|p| p.name.clone()))
+            .collect()
+    }
+}
+
+/// Where an instance keeps its ports.
+pub(super) struct Described {
+    now: BindingCell<Arc<PortSet>>,
+    wished: AtomicBool,
+    life: Mutex<Life>,
+}
+
+#[derive(Default)]
+struct Life {
+    /// Sets the plugin, or a thread of its own that is still on its way out, may hold slots of.
+    kept: Vec<Arc<PortSet>>,
+    /// What the instance was last bound to is not the present set, but the class's own.
+    fresh: bool,
+    /// Ports that went, or are not what they were, and whose connections nobody has cut yet.
+    lost: Vec<String>,
+    /// Another set took over.
+    changed: bool,
+    /// It did so at the component's own wish, and nobody was told yet.
+    untold: bool,
+}
+
+impl Described {
+    pub(super) fn new(ports: Ports) -> Described {
+        Described {
+            now: BindingCell::new(Box::new(Arc::new(PortSet::new(ports, None)))),
+            wished: AtomicBool::new(false),
+            life: Mutex::new(Life::default()),
+        }
+    }
+
+    pub(super) fn now(&self) -> Arc<PortSet> {
+        self.now.enter().clone()
+    }
+
+    /// Names of the ports that went since the last time somebody asked.
+    pub(super) fn take_lost(&self) -> Vec<String> {
+        let mut life = self.life();
+        life.changed = false;
+        std::mem::take(&mut life.lost)
+    }
+
+    /// The component wants to be asked for its ports. Any thread; never waits.
+    pub(super) fn wish(&self) {
+        self.wished.store(true, Ordering::Release);
+    }
+
+    #[cfg(test)]
+    pub(super) fn is_wished(&self) -> bool {
+        self.wished.load(Ordering::Acquire)
+    }
+
+    /// True once after each wish.
+    pub(super) fn takes_wish(&self) -> bool {
+        self.wished.swap(false, Ordering::AcqRel)
+    }
+
+    /// A description at the component's own wish came through: what it changed has to be told.
+    pub(super) fn tell_change(&self) {
+        let mut life = self.life();
+        life.untold = std::mem::take(&mut life.changed) || life.untold;
+    }
+
+    /// True once after each change at the component's own wish.
+    pub(super) fn changed_by_itself(&self) -> bool {
+        std::mem::take(&mut self.life().untold)
+    }
+
+    pub(super) fn reclaim(&self) -> usize {
+        self.now.reclaim() + self.now().slots.reclaim()
+    }
+
+    fn life(&self) -> MutexGuard<'_, Life> {
+        self.life.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Instance {
+    /// Its ports as described now.
+    pub(super) fn ports(&self) -> Arc<Ports> {
+        self.described.now.enter().ports.clone()
+    }
+
+    /// Has the ports looked at: after a wish, and after what came of it. Any thread; never waits.
+    pub(super) fn look_at_ports(&self) {
+        context::wake(&self.hub.ports);
+    }
+
+    /// Passes on what a filter that failed would have worked on: its first input, to its first output of that type.
+    /// Component's thread only; real-time.
+    pub(super) fn bypass(&self) {
+        let set = self.described.now.enter();
+        if let Some((input, output)) = set.bypass {
+            set.slots.input(input).bypass(set.slots.output(output));
+        }
+    }
+
+    /// Names of the inputs whose connection has a `max_age` and brought nothing younger. Managers only.
+    pub(super) fn stale_inputs(&self, now_ns: u64) -> Vec<String> {
+        let set = self.described.now();
+        let inputs = set.ports.inputs.iter().enumerate();
+        inputs.filter(|(i, _)| set.slots.input(*i).is_stale(now_ns)).map(|(_, p)| p.name.clone()).collect()
+    }
+
+    /// Locks the frame pools of its outputs into memory, each once; says which the machine refused. Managers only.
+    pub(super) fn lock_pools(&self) {
+        let set = self.described.now();
+        for (output, why) in set.slots.lock_pools() {
+            let name = &set.ports.outputs[output].name;
+            self.warn(&format!(
+                "the frames of {name} are not locked into memory, page faults may delay it: {why}"
+            ));
+        }
+    }
+
+    /// Its queues that were full and of which nobody was told yet; see `Inbox::untold_losses`.
+    pub(super) fn full_queues(&self, now_ns: u64) -> Vec<Arc<Inbox>> {
+        self.queues().into_iter().filter(|i| i.untold_losses(now_ns) > 0).collect()
+    }
+}
+
+/// Asks the class for its ports and takes them over when they are others. Inside the component, between two steps.
+///
+/// # Errors
+/// `describe` or `bind` failed, or the description contradicts itself; the ports are as before.
+pub(super) fn describe(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+    let described = entered.describe(convert::MAX_DESCRIPTION).map_err(|e| failed("describe", e))?;
+    let ports = match described {
+        Some(text) => convert::description(&text, &instance.info)
+            .map_err(|text| ("describe", EntryError { status: STATUS_FAILED, text }))?,
+        None => instance.info.ports.clone(),
+    };
+    take_over(instance, entered, ports)
+}
+
+/// Binds a fresh instance to the ports every instance of its class begins with. Those it had before a Reset stay for
+/// the description that follows: what is connected to them survives it.
+pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+    let now = instance.described.now();
+    let own = if *now.ports == instance.info.ports {
+        now
+    } else {
+        Arc::new(PortSet::new(instance.info.ports.clone(), Some(&now)))
+    };
+    let mut life = instance.described.life();
+    life.fresh = !Arc::ptr_eq(&own, &instance.described.now());
+    life.kept.push(own.clone());
+    drop(life);
+    entered.bind(own.slots.table()).map_err(|e| ("bind", e))
+}
+
+/// Here a refusal is a failure, too: configuration and ports do not go together any more.
+fn failed(entry: &'static str, e: EntryError) -> (&'static str, EntryError) {
+    let status = if e.panicked() { e.status } else { STATUS_FAILED };
+    (entry, EntryError { status, ..e })
+}
+
+/// After a Reset without a configuration: the class's own ports are the component's again.
+pub(super) fn as_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+    take_over(instance, entered, instance.info.ports.clone())
+}
+
+fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> Entry {
+    let described = &instance.described;
+    let before = described.now();
+    let same = *before.ports == ports;
+    if same && !described.life().fresh {
+        return Ok(());
+    }
+    let new = if same { before.clone() } else { Arc::new(PortSet::new(ports, Some(&before))) };
+    described.life().kept.push(new.clone());
+    entered.bind(new.slots.table()).map_err(|e| failed("bind", e))?;
+    let mut life = described.life();
+    life.kept.retain(|set| Arc::ptr_eq(set, &before));
+    life.fresh = false;
+    if same {
+        return Ok(());
+    }
+    life.changed = true;
+    life.lost.extend(new.lost(&before));
+    life.kept.push(before.clone());
+    drop(life);
+    new.renumber(&before);
+    let ret = &mut entered.inner().ret;
+    ret.resize(new.ret_words().max(ret.len()), 0);
+    described.now.swap(Box::new(new.clone()));
+    instance.edit_inboxes(|all| {
+        all.retain(|i| !Arc::ptr_eq(i, &before.external));
+        all.push(new.external.clone());
+    });
+    // What the outside had queued is not executed under another description.
+    before.external.close(DISABLED);
+    Ok(())
+}

@@ -1,0 +1,232 @@
+//! What is queued for a component and how it is run: commands, events, answers.
+//!
+//! Invariant: every entry that carries a reply is answered once; component code runs only for the holder of the entry lock.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
+
+use trocar_plugin_api::abi::{
+    DISABLED, EXECUTED, ErrBuf, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK, STATUS_PANICKED,
+    Status,
+};
+use trocar_rt::mailbox::EntryHead;
+
+use super::super::boundary::{EntryError, as_bytes, outcome_of, sentence, text_in};
+use super::super::inbox::{ENTRY_EVENT, Inbox};
+use super::super::supervise::Entry;
+use super::super::{context, pending};
+use super::{Entered, Instance, Misuse};
+
+/// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
+const ROUNDS: usize = 2;
+
+impl Instance {
+    /// Changes the list of queues; managers only.
+    pub(in crate::lcm) fn edit_inboxes(&self, f: impl FnOnce(&mut Vec<Arc<Inbox>>)) {
+        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut inboxes = self.inboxes.enter().clone();
+        f(&mut inboxes);
+        self.inboxes.swap(Box::new(inboxes));
+    }
+
+    /// All queues into it.
+    pub(in crate::lcm) fn queues(&self) -> Vec<Arc<Inbox>> {
+        self.inboxes.enter().clone()
+    }
+
+    /// Commands and events lost in full queues, those of connections that are gone included.
+    pub(in crate::lcm) fn queue_losses(&self) -> [u64; 2] {
+        let mut lost = self.counters.lost_before();
+        for inbox in self.inboxes.enter().iter() {
+            let s = inbox.mailbox.stats();
+            lost[usize::from(inbox.events)] += s.rejected + s.dropped;
+        }
+        lost
+    }
+
+    /// Answers everything queued, unexecuted.
+    pub(in crate::lcm) fn refuse_queued(&self, outcome: Outcome) {
+        for inbox in self.inboxes.enter().iter() {
+            inbox.refuse_all(outcome);
+        }
+    }
+
+    /// Runs what is queued: what was there, plus once what arrived meanwhile. Real-time.
+    pub(in crate::lcm) fn drain(&self, entered: &mut Entered<'_>) {
+        self.inboxes.look(|inboxes| self.drain_all(entered, inboxes));
+    }
+
+    fn drain_all(&self, entered: &mut Entered<'_>, inboxes: &[Arc<Inbox>]) {
+        for inbox in inboxes {
+            if inbox.mailbox.is_empty() {
+                continue;
+            }
+            let run = |head: EntryHead, payload: &[u8]| {
+                let Some(target) = inbox.targets.get(head.index as usize) else { return };
+                match (head.kind, target.get()) {
+                    (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, NOT_ACTIVE),
+                    (ENTRY_EVENT, Some(handler)) => {
+                        self.deliver(entered, handler, payload);
+                        // Without a step after it nobody else would.
+                        if !pending::later(self) {
+                            self.publish_state(entered);
+                        }
+                    }
+                    (_, Some(_)) if head.reply == 0 && !self.is_active() => inbox.refuse(head, NOT_ACTIVE),
+                    (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
+                    // Queued for a command that is not in the description any more.
+                    (_, None) => inbox.refuse(head, DISABLED),
+                }
+            };
+            // Superseded by a newer one of the same command.
+            let skip = |head: EntryHead| {
+                inbox.replies.fail(head.reply, QUEUE_FULL);
+            };
+            inbox.mailbox.drain(run, skip);
+        }
+    }
+
+    /// Counted; the watchdog tells of it. Real-time unless it panicked.
+    #[cold]
+    fn handler_failed(&self, entered: &mut Entered<'_>, status: Status, err: &mut ErrBuf) {
+        if status == STATUS_PANICKED {
+            self.fail(entered, "on_event", &EntryError { status, text: sentence(err) });
+        } else {
+            self.counters.failed(Misuse::HandlerFailed, text_in(err));
+        }
+    }
+
+    /// Runs a handler inside the `emit` of another component of the same thread. Real-time.
+    #[inline]
+    pub(in crate::lcm) fn handle(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
+        let before = context::swap_component(Arc::as_ptr(&self.host));
+        self.deliver(entered, handler, payload);
+        if !pending::later(self) {
+            self.publish_state(entered);
+        }
+        context::swap_component(before);
+    }
+
+    #[inline]
+    fn deliver(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
+        if !self.is_active() {
+            return;
+        }
+        let watched = self.watch.begin(Entry::Event, 0);
+        let mut err = entered.err_buf();
+        let status = entered.on_event(handler, payload.as_ptr(), &raw mut err);
+        self.watch.leave(watched);
+        if status < STATUS_OK {
+            self.handler_failed(entered, status, &mut err);
+        }
+    }
+
+    fn answer(&self, entered: &mut Entered<'_>, inbox: &Inbox, command: u32, reply: u64, payload: &[u8]) {
+        let running = if reply == 0 {
+            None
+        } else {
+            match inbox.replies.begin(reply, PEER_LOST) {
+                Some(running) => Some(running),
+                // The caller gave up before it began: not executed, as it was told.
+                None => return,
+            }
+        };
+        let mut err = entered.err_buf();
+        let ret = entered.inner().ret.as_mut_ptr();
+        let outcome = if self.is_active() {
+            self.command_inside(entered, command, payload.as_ptr(), ret.cast(), &raw mut err)
+        } else {
+            NOT_ACTIVE
+        };
+        if running.is_some() {
+            // Whoever gets the answer may read at once, also of others that ran inside this command.
+            pending::publish();
+            self.publish_state(entered);
+        }
+        if running.is_none() && outcome != EXECUTED {
+            inbox.note_failure(text_in(&err));
+        }
+        if let Some(running) = running {
+            let text = text_in(&err);
+            let value = as_bytes(&entered.inner().ret);
+            running.finish(outcome, |ret, room| {
+                let n = ret.len().min(value.len());
+                ret[..n].copy_from_slice(&value[..n]);
+                let n = room.len().min(text.len());
+                room[..n].copy_from_slice(&text[..n]);
+                n
+            });
+        }
+    }
+
+    /// Runs one command.
+    #[inline(always)]
+    pub(in crate::lcm) fn command_inside(
+        &self,
+        entered: &mut Entered<'_>,
+        command: u32,
+        arg: *const u8,
+        ret: *mut u8,
+        err: *mut ErrBuf,
+    ) -> Outcome {
+        // The reason of a panic is kept also where the caller wants none.
+        let mut own = entered.err_buf();
+        let err = if err.is_null() { &raw mut own } else { err };
+        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let watched = self.watch.begin(Entry::Command, 0);
+        let status = entered.command(command, arg, ret, err);
+        self.watch.leave(watched);
+        context::swap_component(before);
+        self.counters.command();
+        if status == STATUS_PANICKED {
+            self.command_panicked(entered, err);
+        } else if !pending::later(self) {
+            self.publish_state(entered);
+        }
+        if status >= STATUS_OK { EXECUTED } else { outcome_of(status) }
+    }
+
+    #[cold]
+    fn command_panicked(&self, entered: &mut Entered<'_>, err: *mut ErrBuf) {
+        let error = EntryError { status: STATUS_PANICKED, text: sentence(err) };
+        self.fail(entered, "command", &error);
+    }
+
+    /// Runs what was queued while somebody was inside a passive component.
+    #[inline]
+    pub(in crate::lcm) fn drain_if_passive(&self) {
+        if self.is_passive() {
+            self.drain_passive();
+        }
+    }
+
+    #[inline(never)]
+    fn drain_passive(&self) {
+        if context::is_deferred() {
+            self.wake();
+            return;
+        }
+        for _ in 0..ROUNDS {
+            if !self.signalled.swap(false, Ordering::AcqRel) {
+                return;
+            }
+            if let Some(mut entered) = self.object.try_enter() {
+                self.drain(&mut entered);
+                self.pay_safe(&mut entered);
+            } else if !self.leave_mark() {
+                return;
+            }
+        }
+        if self.has_signal() {
+            // Also where this is its own thread, which may be on its way to rest.
+            context::wake(&self.waker);
+        }
+    }
+
+    /// Marks that something is there for whoever is inside, who looks when leaving; true when nobody is any more. Each side
+    /// changes the mark and never only reads it: whoever comes second sees what the first did before.
+    pub(super) fn leave_mark(&self) -> bool {
+        self.signalled.swap(true, Ordering::AcqRel);
+        self.object.is_free()
+    }
+}

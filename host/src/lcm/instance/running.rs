@@ -1,0 +1,288 @@
+//! How a component is run: on which terms, who wakes it, one step, one look at its queues, a callback of its device.
+//!
+//! Invariant: component code runs only here, in `drain` and in lifecycle jobs, each time for the holder of the entry lock and
+//! each time noted in `watch`.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use trocar_model::{Execution, ExecutionModel, OnFailure, Safety};
+use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick, WOULD_BLOCK};
+use trocar_rt::os;
+use trocar_rt::wake::Waker;
+
+use super::super::context;
+use super::super::executor::{Pace, SLOW_NS};
+use super::super::supervise::{Entry, Misdeed, Suspicion};
+use super::{Entered, Instance, Misuse};
+
+/// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are longer.
+const PATIENCE_NS: u64 = 50_000_000;
+
+/// On which terms a component runs.
+pub(super) struct Terms {
+    /// Of the grid it steps on, ns; 0 without one.
+    period_ns: u64,
+    patience_ns: u64,
+    /// Runs in its callers' threads.
+    passive: bool,
+    /// Runs in threads of its device.
+    called_back: bool,
+    /// Its executor looks often by itself, so nobody needs to wake it.
+    on_grid: bool,
+    /// Frames pass it unchanged when its step has failed.
+    bypass: bool,
+}
+
+impl Terms {
+    /// What `execution` means on a thread that runs at `pace`.
+    pub(super) fn of(execution: &Execution, pace: Pace) -> Terms {
+        // A filter steps when something new is there, not on its thread's grid.
+        let period_ns = match pace {
+            Pace::Grid { period_ns, .. } if execution.stream_of.is_none() => period_ns,
+            _ => 0,
+        };
+        Terms {
+            period_ns,
+            patience_ns: match period_ns {
+                0 => execution.max_step_ns.unwrap_or(PATIENCE_NS),
+                period => PATIENCE_NS.max(5 * period),
+            },
+            passive: execution.model == Some(ExecutionModel::None),
+            called_back: execution.model == Some(ExecutionModel::OnCallback),
+            on_grid: matches!(pace, Pace::Grid { period_ns, .. } if period_ns <= SLOW_NS),
+            bypass: execution.on_failure == Some(OnFailure::Bypass),
+        }
+    }
+
+    pub(super) fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+}
+
+impl Instance {
+    /// Of the grid it steps on, ns; 0 without one.
+    pub(in crate::lcm) fn period_ns(&self) -> u64 {
+        self.terms.period_ns()
+    }
+
+    /// Longest stay inside its own running code, ns.
+    pub(in crate::lcm) fn patience_ns(&self) -> u64 {
+        self.terms.patience_ns
+    }
+
+    /// How often it wants to be looked at, ns: every period, or often enough within its patience.
+    pub(in crate::lcm) fn pace_ns(&self) -> u64 {
+        if self.terms.period_ns > 0 { self.terms.period_ns } else { self.terms.patience_ns / 5 }
+    }
+
+    pub(in crate::lcm) fn is_passive(&self) -> bool {
+        self.terms.passive
+    }
+
+    /// Its steps are the calls of its device's own threads.
+    pub(in crate::lcm) fn is_called_back(&self) -> bool {
+        self.terms.called_back
+    }
+
+    pub(in crate::lcm) fn bypasses(&self) -> bool {
+        self.terms.bypass
+    }
+
+    pub(in crate::lcm) fn is_actuator(&self) -> bool {
+        self.info.safety == Safety::Actuator
+    }
+
+    /// True when the calling thread may run this component's commands directly.
+    pub(in crate::lcm) fn runs_here(&self) -> bool {
+        let here = context::executor();
+        self.is_passive() || (here != 0 && here == self.executor_id())
+    }
+
+    /// Something is there for this component: marks it and wakes its thread, unless that is awake or looks by itself.
+    pub(in crate::lcm) fn signal(&self) {
+        if context::executor() == self.executor_id() {
+            // Awake already.
+            self.signalled.store(true, Ordering::Release);
+            return;
+        }
+        // In one order with the gate: either this sees that it steps no more, or its thread, on its way to rest, sees the mark.
+        self.signalled.swap(true, Ordering::SeqCst);
+        if self.is_passive() || (self.terms.on_grid && self.is_active()) {
+            return;
+        }
+        self.wake();
+    }
+
+    /// Wakes the watchdog of its process.
+    pub(in crate::lcm) fn watchdog(&self) -> &Arc<Waker> {
+        &self.hub.watch
+    }
+
+    pub(super) fn wake(&self) {
+        if context::executor() == self.executor_id() {
+            return;
+        }
+        context::wake(&self.waker);
+    }
+
+    pub(in crate::lcm) fn has_signal(&self) -> bool {
+        self.signalled.load(Ordering::SeqCst)
+    }
+
+    /// True once after each signal.
+    pub(in crate::lcm) fn take_signal(&self) -> bool {
+        self.has_signal() && self.signalled.swap(false, Ordering::Acquire)
+    }
+
+    /// Marks this component as the one whose code runs on this thread, inside `entry`, while `f` runs.
+    pub(in crate::lcm) fn as_running<R>(&self, entry: Entry, f: impl FnOnce() -> R) -> R {
+        let watched = self.watch.begin(entry, if entry.runs() { 0 } else { os::now_ns() });
+        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let result = f();
+        context::swap_component(before);
+        self.watch.leave(watched);
+        result
+    }
+
+    /// One step: first what is queued, then the component's own. Answers when it ended, ns. Real-time.
+    pub(in crate::lcm) fn step(&self, entered: &mut Entered<'_>, tick: &Tick) -> u64 {
+        let watched = self.watch.begin(Entry::Step, tick.now_ns);
+        let before = context::swap_component(Arc::as_ptr(&self.host));
+        context::set_step_began(tick.now_ns);
+        let suspicion = Suspicion::before(self);
+        self.drain(entered);
+        let mut failed = None;
+        if self.is_active() {
+            failed = entered.step(tick).err();
+        }
+        context::set_step_began(0);
+        let end_ns = os::now_ns();
+        if !context::keep_rounding() {
+            self.watch.misdeed(Misdeed::Rounding);
+        }
+        if let Some(suspicion) = suspicion {
+            suspicion.after(self);
+        }
+        match failed {
+            None => self.publish_row(entered, end_ns),
+            Some(e) => self.fail(entered, "step", &e),
+        }
+        context::swap_component(before);
+        self.watch.leave(watched);
+        self.pay_safe(entered);
+        end_ns
+    }
+
+    /// Publishes a row of the state table. Real-time.
+    pub(in crate::lcm) fn publish_state(&self, entered: &mut Entered<'_>) {
+        if self.state_bytes > 0 {
+            self.publish_row(entered, os::now_ns());
+        }
+    }
+
+    fn publish_row(&self, entered: &mut Entered<'_>, stamp_ns: u64) {
+        self.owed.take();
+        if self.state_bytes > 0 {
+            let (inner, block) = entered.with_state();
+            inner.rows.publish(stamp_ns, inner.cycle, |row| block.copy_to(row));
+        }
+    }
+
+    /// Runs what is queued without a step; answers it unexecuted while the component is not ACTIVE. Real-time.
+    pub(in crate::lcm) fn serve(&self) {
+        loop {
+            if let Some(mut entered) = self.object.try_enter() {
+                let before = context::swap_component(Arc::as_ptr(&self.host));
+                self.drain(&mut entered);
+                context::swap_component(before);
+                self.pay_safe(&mut entered);
+                drop(entered);
+                self.drain_if_passive();
+                return;
+            }
+            if !self.leave_mark() || !self.take_signal() {
+                return;
+            }
+        }
+    }
+
+    /// Leaves it after a control entry: pays what is owed; for a passive one, looks at what its callers queued meanwhile.
+    pub(in crate::lcm) fn leave(&self, mut entered: Entered<'_>) {
+        self.pay_safe(&mut entered);
+        drop(entered);
+        self.drain_if_passive();
+    }
+
+    /// Brings it to its safe condition when it was found stuck meanwhile and could not be reached.
+    pub(in crate::lcm) fn pay_safe(&self, entered: &mut Entered<'_>) {
+        if self.watch.takes_owed_safe() {
+            // Said in there, and there is nothing safer to do.
+            let _ = self.make_safe(entered);
+            self.publish_state(entered);
+        }
+    }
+
+    /// A thread of the device comes in; turned away while another one is inside, and while it is inside itself.
+    pub(in crate::lcm) fn callback_enter(&self) -> Outcome {
+        if !self.is_active() {
+            return NOT_ACTIVE;
+        }
+        let mut entered = self.object.try_enter();
+        let overlaps = || self.watch.busy().is_some_and(|busy| busy.entry == Entry::Callback);
+        if entered.is_none() && !overlaps() {
+            // A command or a control entry: it ends soon, and what the device brings is not lost for it.
+            entered = self.object.enter_until(os::now_ns().saturating_add(self.patience_ns()));
+        }
+        let Some(mut entered) = entered else {
+            self.counters.misuse(Misuse::Overlap);
+            return WOULD_BLOCK;
+        };
+        // It may have been stopped while this thread waited.
+        if !self.is_active() {
+            drop(entered);
+            self.left_by_device();
+            return NOT_ACTIVE;
+        }
+        let now_ns = os::now_ns();
+        let inner = entered.inner();
+        inner.cycle += 1;
+        inner.last_begin_ns = now_ns;
+        inner.in_callback = true;
+        self.watch.begin(Entry::Callback, now_ns);
+        context::swap_component(Arc::as_ptr(&self.host));
+        // Left again by `callback_leave`.
+        let _stays_inside = std::mem::ManuallyDrop::new(entered);
+        EXECUTED
+    }
+
+    /// It leaves again: runs what was queued meanwhile and publishes. Real-time.
+    pub(in crate::lcm) fn callback_leave(&self) {
+        let Some(entered) = self.object.adopt() else { return };
+        let mut entered = std::mem::ManuallyDrop::new(entered);
+        // Inside by another way: a leave without its enter opens nothing.
+        if !std::mem::take(&mut entered.inner().in_callback) {
+            return;
+        }
+        let mut entered = std::mem::ManuallyDrop::into_inner(entered);
+        self.take_signal();
+        self.drain(&mut entered);
+        let end_ns = os::now_ns();
+        self.publish_row(&mut entered, end_ns);
+        let begin_ns = entered.inner().last_begin_ns;
+        self.stats.record(begin_ns, end_ns, 0);
+        context::swap_component(std::ptr::null());
+        self.watch.leave(0);
+        self.pay_safe(&mut entered);
+        drop(entered);
+        self.left_by_device();
+    }
+
+    /// What came after the drain, while its thread found somebody inside, is that thread's again.
+    fn left_by_device(&self) {
+        // Changed and not only read: see `leave_mark`.
+        if self.signalled.swap(false, Ordering::AcqRel) {
+            self.signal();
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! How a component stands, and how the world hears of it: state, health, the system interface.
+//!
+//! Invariant: every change of state or health is told once, as news to the managers and as an event to components; GetState
+//! is answered from a published row, so that asking costs a step nothing but a copy.
+
+use std::collections::BTreeMap;
+use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
+
+use trocar_model::{Health, State};
+use trocar_rt::os;
+
+use super::super::boundary::EntryError;
+use super::super::gate::{pack, unpack};
+use super::super::{News, Report, context, system};
+use super::Instance;
+
+/// Warnings kept of one component; the oldest gives way.
+const WARNINGS: usize = 16;
+
+impl Instance {
+    /// Sets state and fault text, tells the world.
+    pub(in crate::lcm) fn set_state(&self, state: State, fault: &str) {
+        let before = self.shut(state, fault);
+        self.tell_change(before);
+    }
+
+    /// Sets state and fault text without a word; answers how it stood, for [`Instance::tell_change`].
+    pub(super) fn shut(&self, state: State, fault: &str) -> (State, String) {
+        let before = self.gate.swap(pack(state), Ordering::SeqCst);
+        let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        (unpack(before), std::mem::replace(&mut *text, fault.to_owned()))
+    }
+
+    /// Tells the world where state or fault text are others than these.
+    pub(super) fn tell_change(&self, (state, fault): (State, String)) {
+        if self.state() != state {
+            self.tell_standing();
+            return;
+        }
+        self.publish_status();
+        if *self.fault.lock().unwrap_or_else(PoisonError::into_inner) != fault {
+            self.tell_managers();
+        }
+    }
+
+    /// Its device did not come to its safe condition: kept with its state; what moves something, or panicked, is in FAULT.
+    pub(in crate::lcm) fn not_made_safe(&self, entry: &str, e: &EntryError) {
+        let text = format!("{entry}: {}", e.text);
+        self.say(log::Level::Error, &text);
+        self.message(system::ERROR, &text);
+        self.keep_warning(&text);
+        if self.is_actuator() || e.panicked() {
+            let before = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let both = if before.is_empty() { text } else { format!("{before}; {text}") };
+            self.set_state(State::Fault, &both);
+        } else {
+            self.tell_managers();
+        }
+    }
+
+    /// Sets the state when it is still `from`; tells the world and answers true if it was.
+    pub(in crate::lcm) fn set_state_from(&self, from: State, state: State, fault: &str) -> bool {
+        let (from, to) = (pack(from), pack(state));
+        if self.gate.compare_exchange(from, to, Ordering::SeqCst, Ordering::Relaxed).is_err() {
+            return false;
+        }
+        *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = fault.to_owned();
+        self.tell_standing();
+        true
+    }
+
+    /// Tells everyone how it stands now: row, event, news.
+    fn tell_standing(&self) {
+        self.publish_status();
+        let mut row = [0u8; system::MAX_BYTES];
+        self.read_status(&mut row);
+        self.system_event(system::STATE_CHANGED, &row);
+        self.tell_managers();
+    }
+
+    fn tell_managers(&self) {
+        // Nobody listening is fine: the inventory has it.
+        let _ = self.hub.news.send(News::State(self.report(false)));
+    }
+
+    pub(in crate::lcm) fn report(&self, with_ports: bool) -> Report {
+        Report {
+            id: self.id.clone(),
+            state: self.state(),
+            health: self.watch.health(),
+            fault: self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            ports: with_ports.then(|| self.ports()),
+            lost_connections: Vec::new(),
+            warnings: self.warnings(),
+        }
+    }
+
+    /// Sets the health and, when it is another than before, tells the world; the watchdog's.
+    pub(in crate::lcm) fn set_health(&self, health: Health, why: &str) {
+        if self.watch.set_health(health) == health {
+            return;
+        }
+        if health == Health::Ok {
+            self.say(log::Level::Info, why);
+            self.message(system::STATUS, why);
+        } else {
+            self.say(log::Level::Warn, why);
+            self.message(system::WARNING, why);
+        }
+        self.tell_standing();
+    }
+
+    /// Keeps a sentence that is shown with the state from now on; true when it is new.
+    pub(in crate::lcm) fn keep_warning(&self, text: &str) -> bool {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        if warnings.iter().any(|w| w == text) {
+            return false;
+        }
+        if warnings.len() == WARNINGS {
+            warnings.remove(0);
+        }
+        warnings.push(text.to_owned());
+        true
+    }
+
+    /// Says something about the component everywhere: log, `warning` event, with its state.
+    pub(in crate::lcm) fn warn(&self, text: &str) {
+        self.say(log::Level::Warn, text);
+        self.message(system::WARNING, text);
+        if self.keep_warning(text) {
+            self.tell_managers();
+        }
+    }
+
+    /// As [`Instance::warn`] for what happens again and again: one sentence about it is kept, the newest.
+    pub(in crate::lcm) fn warn_about(&self, about: &str, how: &str) {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        warnings.retain(|w| !w.starts_with(about));
+        drop(warnings);
+        self.warn(&format!("{about}{how}"));
+    }
+
+    pub(in crate::lcm) fn warnings(&self) -> Vec<String> {
+        let of_thread = self.thread_warnings.get().into_iter().flatten();
+        let own = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        of_thread.chain(own.iter()).cloned().collect()
+    }
+
+    /// Says what the machine refused its thread; once.
+    pub(in crate::lcm) fn set_thread_warnings(&self, warnings: Vec<String>) {
+        let _ = self.thread_warnings.set(warnings);
+    }
+
+    /// Forgets the warnings about an instance that is no more.
+    pub(in crate::lcm) fn clear_warnings(&self) {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Threads that came into being during one of its entries, with their names.
+    pub(in crate::lcm) fn note_brood(&self, threads: impl Iterator<Item = (i32, String)>) {
+        self.brood.lock().unwrap_or_else(PoisonError::into_inner).extend(threads);
+    }
+
+    pub(in crate::lcm) fn brood(&self) -> BTreeMap<i32, String> {
+        self.brood.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// A required port lost its connection, or has one again.
+    pub(in crate::lcm) fn set_missing(&self, port: &str, missing: bool) {
+        let mut ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
+        if missing {
+            ports.entry(port.to_owned()).or_insert_with(os::now_ns);
+        } else {
+            ports.remove(port);
+        }
+        drop(ports);
+        self.hub.watch.notify();
+    }
+
+    /// Required ports that lost their connection, and when each did, ns.
+    pub(in crate::lcm) fn missing(&self) -> Vec<(String, u64)> {
+        let ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
+        ports.iter().map(|(port, since)| (port.clone(), *since)).collect()
+    }
+
+    /// Emits `status`, `warning` or `error` of the system interface.
+    pub(in crate::lcm) fn message(&self, event: usize, text: &str) {
+        let mut row = [0u8; system::MESSAGE_BYTES];
+        system::write_message(os::now_ns(), text, &mut row);
+        self.system_event(event, &row);
+    }
+
+    fn system_event(&self, event: usize, row: &[u8]) {
+        let set = self.described.now();
+        let cell = set.system_event(event);
+        // Passive observers handle it on their own threads: this one may be the watchdog's or a manager's.
+        context::deferred(|| cell.emit(&row[..cell.bytes.min(row.len())]));
+    }
+
+    /// Answers a read of the system interface into `out`; returns its stamp.
+    pub(in crate::lcm) fn system_read(&self, which: usize, out: &mut [u8]) -> u64 {
+        match which {
+            system::PERIOD_STATISTICS => {
+                let s = self.statistics();
+                system::write_statistics(&s, out);
+                s.stamp_ns
+            }
+            system::GET_STATE => self.read_status(out),
+            _ => 0,
+        }
+    }
+
+    /// Publishes how it stands.
+    pub(super) fn publish_status(&self) {
+        let mut row = [0u8; system::MAX_BYTES];
+        let mut writer = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        // Read under the lock: the last one to publish has the newest.
+        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let (state, health) = (self.state().to_string(), self.watch.health().to_string());
+        let stamp_ns = os::now_ns();
+        system::write_status(stamp_ns, &state, &health, &fault, &mut row);
+        writer.publish(stamp_ns, 0, |out| out.copy_from_slice(&row));
+    }
+
+    /// The newest published status; answers its stamp. Real-time.
+    fn read_status(&self, out: &mut [u8]) -> u64 {
+        let Some(out) = out.get_mut(..system::MAX_BYTES) else { return 0 };
+        if self.status_rows.latest(out).is_none() {
+            return 0;
+        }
+        // It still stands so: every change publishes a row.
+        let stamp_ns = os::now_ns();
+        out[..8].copy_from_slice(&stamp_ns.to_le_bytes());
+        stamp_ns
+    }
+
+    fn statistics(&self) -> system::Statistics {
+        let s = self.stats.snapshot();
+        let seconds = |ns: f64| ns * 1e-9;
+        system::Statistics {
+            stamp_ns: os::now_ns(),
+            period: [
+                seconds(s.period.avg_ns),
+                seconds(s.period.std_ns),
+                seconds(s.period.min_ns as f64),
+                seconds(s.period.max_ns as f64),
+            ],
+            compute: [
+                seconds(s.compute.avg_ns),
+                seconds(s.compute.std_ns),
+                seconds(s.compute.min_ns as f64),
+                seconds(s.compute.max_ns as f64),
+            ],
+            lateness: [
+                seconds(s.lateness_p50_ns as f64),
+                seconds(s.lateness_p99_ns as f64),
+                seconds(s.lateness_max_ns as f64),
+            ],
+            load: s.load,
+            executed: s.executed,
+            skipped: s.skipped,
+            overruns: s.overruns,
+        }
+    }
+}

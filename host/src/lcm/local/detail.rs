@@ -1,0 +1,45 @@
+//! What Describe shows of one component: its timing, its counters, its thread.
+//!
+//! Invariant: reads counters only; never enters the component.
+
+use super::super::{Detail, Spread};
+use super::Slot;
+
+/// `around`: whether the one it runs inside of, if any, is ACTIVE.
+pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
+    let s = slot.instance.stats.snapshot();
+    let spread = |m: trocar_rt::timing::Spread| Spread {
+        avg_ns: m.avg_ns,
+        std_ns: m.std_ns,
+        min_ns: m.min_ns,
+        max_ns: m.max_ns,
+    };
+    let [commands_rejected, events_dropped] = slot.instance.queue_losses();
+    Detail {
+        period: spread(s.period),
+        compute: spread(s.compute),
+        lateness_p50_ns: s.lateness_p50_ns,
+        lateness_p99_ns: s.lateness_p99_ns,
+        lateness_max_ns: s.lateness_max_ns,
+        executed: s.executed,
+        skipped: s.skipped,
+        overruns: s.overruns,
+        load: s.load,
+        commands: slot.instance.counters.commands(),
+        commands_rejected,
+        events_dropped,
+        thread: match (&slot.execution.stream_of, &slot.execution.inside) {
+            (Some(head), _) => format!("stream of {head}"),
+            (_, Some(head)) if !around => format!("inside {head}, which is not ACTIVE: no steps"),
+            (_, Some(head)) => format!("inside {head}"),
+            _ if slot.instance.is_called_back() => "threads of its device".into(),
+            _ if slot.instance.is_passive() => "callers' threads".into(),
+            _ => match slot.execution.threads {
+                Some(threads) if threads > 1 => format!("own thread, with {} that help", threads - 1),
+                _ => "own thread".into(),
+            },
+        },
+        realtime: slot.executor.settings.realtime(),
+        warnings: slot.instance.warnings(),
+    }
+}

@@ -1,0 +1,174 @@
+//! Real-time settings of threads and of the process: what is asked, what the machine grants, what is said about the rest.
+//!
+//! Invariant: a component runs whatever is refused; every refusal becomes a warning that says what to do about it.
+
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use trocar_model::Execution;
+use trocar_rt::os::{self, Hygiene};
+use trocar_rt::team::Team;
+
+/// Stack of a component's thread, bytes.
+pub(super) const STACK_BYTES: usize = 1 << 20;
+
+/// Begins the names of threads that help a stream; no component's name does.
+pub(super) const HELPER: &str = "+";
+
+/// Bytes of a thread's name the kernel keeps.
+pub(super) const NAME_BYTES: usize = 15;
+
+/// Bytes of its stack a thread touches and locks when the process could not lock everything.
+const LOCKED_STACK: usize = 128 << 10;
+
+/// How much of the process's memory is locked.
+#[derive(Clone, Debug, Default)]
+pub(super) enum Memory {
+    /// Nobody asked for it.
+    #[default]
+    Loose,
+    /// All of it, future memory too.
+    All,
+    /// The stacks of components' threads only, and why not all.
+    Stacks(String),
+}
+
+impl Memory {
+    /// Locks what the machine allows. All of it only where that cannot make later threads and mappings fail.
+    pub(super) fn lock() -> Memory {
+        match os::lock_memory() {
+            Ok(()) => Memory::All,
+            Err(e) => Memory::Stacks(e.to_string()),
+        }
+    }
+
+    /// What is used on a step has to be locked piece by piece.
+    pub(super) fn is_in_pieces(&self) -> bool {
+        matches!(self, Memory::Stacks(_))
+    }
+}
+
+/// What a thread was granted.
+#[derive(Default)]
+pub(super) struct Settings {
+    warnings: Mutex<Vec<String>>,
+    realtime: AtomicBool,
+    /// SCHED_FIFO priority that was granted; 0 = normal scheduling.
+    priority: AtomicU8,
+    /// How the thread stood before any component ran on it.
+    hygiene: OnceLock<Hygiene>,
+    /// It was asked to put its signal mask back and has not come to it yet.
+    pub(super) mask_due: AtomicBool,
+}
+
+impl Settings {
+    /// Applies the settings to the calling thread.
+    pub(super) fn settle(&self, name: &str, execution: &Execution) {
+        os::set_thread_name(name);
+        self.hygiene.get_or_init(os::thread_hygiene);
+        let mut warnings = Vec::new();
+        if let Err(e) = os::set_timer_slack_ns(1) {
+            warnings.push(format!("timer slack stays at the system's default: {e}"));
+        }
+        let realtime = schedule(execution, &mut warnings);
+        self.realtime.store(realtime, Ordering::Relaxed);
+        self.priority.store(execution.priority.filter(|_| realtime).unwrap_or(0), Ordering::Relaxed);
+        *self.warnings.lock().unwrap_or_else(PoisonError::into_inner) = warnings;
+    }
+
+    /// Locks the calling thread's stack where the whole process is not locked but should be.
+    pub(super) fn lock(&self, memory: &Memory) {
+        let Memory::Stacks(why) = memory else { return };
+        let mut said = format!("only the stack of its thread is locked into memory: {why}");
+        // The pages below this frame are those the entries will use.
+        let stack = std::hint::black_box([0u8; LOCKED_STACK]);
+        if let Err(e) = os::lock_region(stack.as_ptr(), stack.len()) {
+            said = format!("nothing is locked into memory, page faults may delay it: {why}; {e}");
+        }
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).push(said);
+    }
+
+    pub(super) fn warnings(&self) -> Vec<String> {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// True when SCHED_FIFO was granted.
+    pub(super) fn realtime(&self) -> bool {
+        self.realtime.load(Ordering::Relaxed)
+    }
+
+    /// How its thread should stand; `None` before it ran.
+    pub(super) fn hygiene(&self) -> Option<Hygiene> {
+        self.hygiene.get().copied()
+    }
+
+    /// SCHED_FIFO priority that was granted; 0 = normal scheduling.
+    pub(super) fn priority(&self) -> u8 {
+        self.priority.load(Ordering::Relaxed)
+    }
+}
+
+/// Priority and processors of the calling thread; true when it is a real-time thread now.
+fn schedule(execution: &Execution, warnings: &mut Vec<String>) -> bool {
+    let mut realtime = false;
+    if let Some(priority) = execution.priority {
+        match os::set_fifo(priority) {
+            Ok(()) => realtime = true,
+            Err(e) => warnings.push(format!(
+                "real-time priority {priority} was refused, it runs with normal scheduling: {e}"
+            )),
+        }
+    }
+    if !execution.cpus.is_empty()
+        && let Err(e) = os::set_affinity(&execution.cpus)
+    {
+        warnings.push(format!("processors {:?} were refused, it runs on any: {e}", execution.cpus));
+    }
+    realtime
+}
+
+/// The threads that share the work of a stream; `None` when one is enough. Helpers run as their stream's own thread does.
+///
+/// # Errors
+/// The machine gives no more threads.
+pub(super) fn team(name: &str, execution: &Execution) -> std::io::Result<Option<Arc<Team>>> {
+    let threads = execution.threads.unwrap_or(1) as usize;
+    if threads < 2 {
+        return Ok(None);
+    }
+    let (name, execution) = (name.to_owned(), execution.clone());
+    let team = Team::new(threads, move |helper| {
+        os::set_thread_name(&format!("{HELPER}{helper} {name}"));
+        // The stream's own thread says what was refused; it asks for the same.
+        schedule(&execution, &mut Vec::new());
+    })?;
+    Ok(Some(Arc::new(team)))
+}
+
+/// Kernel id of the calling thread; 0 where /proc does not tell.
+pub(super) fn thread_id() -> i32 {
+    let link = std::fs::read_link("/proc/thread-self").unwrap_or_default();
+    link.file_name().and_then(|n| n.to_str()).and_then(|n| n.parse().ok()).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Memory, Settings, thread_id};
+
+    #[test]
+    fn where_the_memory_cannot_be_locked_the_state_says_what_is_and_why() {
+        let settings = Settings::default();
+        settings.lock(&Memory::Loose);
+        settings.lock(&Memory::All);
+        assert_eq!(settings.warnings(), Vec::<String>::new());
+        settings.lock(&Memory::Stacks("the limit is finite".into()));
+        let said = settings.warnings().join(" ");
+        assert!(said.contains("locked into memory") && said.contains("the limit is finite"), "{said}");
+    }
+
+    #[test]
+    fn a_thread_knows_its_kernel_id_which_no_other_has() {
+        let other = std::thread::spawn(thread_id).join().ok();
+        assert!(thread_id() > 0 && other != Some(thread_id()));
+    }
+}

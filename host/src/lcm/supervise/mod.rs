@@ -1,0 +1,17 @@
+//! Who looks after the components of this process: entries that do not come back, cycles that are late, peers that are gone.
+//!
+//! Invariant: the watchdog runs no component code and shares no lock with a thread that does.
+
+mod charge;
+mod hygiene;
+mod roster;
+mod safe;
+mod watch;
+mod watchdog;
+
+pub(super) use charge::LEAVE_NS;
+pub(super) use hygiene::{Manners, Suspicion, left_behind};
+pub(super) use roster::{Roster, Ward};
+pub(super) use safe::give_up;
+pub(super) use watch::{Entry, Misdeed, Watch};
+pub(super) use watchdog::Watchdog;

@@ -1,0 +1,53 @@
+//! Who is to be watched: the components of one LCM with their threads.
+//!
+//! Invariant: the lock guards the list only; whoever looks works on a copy.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::super::executor::Executor;
+use super::super::instance::Instance;
+
+/// One component and the thread it runs on.
+#[derive(Clone)]
+pub(in crate::lcm) struct Ward {
+    pub(in crate::lcm) instance: Arc<Instance>,
+    pub(in crate::lcm) executor: Arc<Executor>,
+}
+
+impl Ward {
+    pub(in crate::lcm) fn new(instance: Arc<Instance>, executor: Arc<Executor>) -> Ward {
+        Ward { instance, executor }
+    }
+}
+
+#[derive(Default)]
+pub(in crate::lcm) struct Roster {
+    wards: Mutex<Vec<Ward>>,
+    edition: AtomicU64,
+}
+
+impl Roster {
+    /// Adds a component, or puts it on another thread.
+    pub(in crate::lcm) fn add(&self, ward: Ward) {
+        let mut wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
+        wards.retain(|w| w.instance.number != ward.instance.number);
+        wards.push(ward);
+        self.edition.fetch_add(1, Ordering::Release);
+    }
+
+    pub(in crate::lcm) fn remove(&self, number: u32) {
+        self.wards.lock().unwrap_or_else(PoisonError::into_inner).retain(|w| w.instance.number != number);
+        self.edition.fetch_add(1, Ordering::Release);
+    }
+
+    /// The list, when it is another edition than `seen`, which is brought up to date.
+    pub(super) fn news(&self, seen: &mut u64) -> Option<Vec<Ward>> {
+        let edition = self.edition.load(Ordering::Acquire);
+        if edition == *seen {
+            return None;
+        }
+        *seen = edition;
+        Some(self.wards.lock().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+}

@@ -1,0 +1,245 @@
+//! What a component's thread leaves for the watchdog: where it is since when, how often it was late, what it did wrong.
+//!
+//! Invariant: plain atomic words, written with one store each; nothing here waits, allocates or reads a clock.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+
+use trocar_model::Health;
+
+/// An entry of a component's class, as far as somebody may get stuck in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub(in crate::lcm) enum Entry {
+    Step = 1,
+    Command,
+    Event,
+    Callback,
+    Create,
+    Configure,
+    Start,
+    Stop,
+    Resume,
+    MakeSafe,
+    Destroy,
+    Service,
+}
+
+impl Entry {
+    const ALL: [Entry; 12] = [
+        Entry::Step,
+        Entry::Command,
+        Entry::Event,
+        Entry::Callback,
+        Entry::Create,
+        Entry::Configure,
+        Entry::Start,
+        Entry::Stop,
+        Entry::Resume,
+        Entry::MakeSafe,
+        Entry::Destroy,
+        Entry::Service,
+    ];
+
+    pub(in crate::lcm) fn name(self) -> &'static str {
+        match self {
+            Entry::Step => "step",
+            Entry::Command => "command",
+            Entry::Event => "on_event",
+            Entry::Callback => "callback",
+            Entry::Create => "create",
+            Entry::Configure => "configure",
+            Entry::Start => "start",
+            Entry::Stop => "stop",
+            Entry::Resume => "resume",
+            Entry::MakeSafe => "make_safe",
+            Entry::Destroy => "destroy",
+            Entry::Service => "on_service",
+        }
+    }
+
+    /// Belongs to the running component; the others make, start and end it, and may take longer.
+    pub(in crate::lcm) fn runs(self) -> bool {
+        matches!(self, Entry::Step | Entry::Command | Entry::Event | Entry::Callback | Entry::Service)
+    }
+}
+
+/// Something a component did to its thread or process that it should not have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub(in crate::lcm) enum Misdeed {
+    Rounding = 1,
+    Signals = 2,
+    Directory = 4,
+}
+
+impl Misdeed {
+    pub(super) const ALL: [Misdeed; 3] = [Misdeed::Rounding, Misdeed::Signals, Misdeed::Directory];
+
+    /// What is said of it.
+    pub(super) fn says(self) -> &'static str {
+        match self {
+            Misdeed::Rounding => "step: it changed the rounding mode of its thread, which was put back",
+            Misdeed::Signals => "step: it changed the signal mask of its thread, which was put back",
+            Misdeed::Directory => "step: it changed the working directory of the process",
+        }
+    }
+}
+
+const ENTRY_BITS: u64 = 4;
+
+/// The words between one component and the watchdog.
+#[derive(Default)]
+pub(in crate::lcm) struct Watch {
+    /// When the entry that runs now began (ns, shifted up) and which it is; 0 between entries. A time of 0 is unknown.
+    busy: AtomicU64,
+    /// Entries begun, so that two looks at the same word can be told apart.
+    entries: AtomicU64,
+    overruns: AtomicU64,
+    stops: AtomicU64,
+    misdeeds: AtomicU32,
+    /// It is one of several that may have done something: looked at after each of its steps.
+    suspected: AtomicBool,
+    /// Found stuck while it could move something: its own thread makes it safe when it comes back.
+    owes_safe: AtomicBool,
+    health: AtomicU32,
+}
+
+/// One look at [`Watch::busy`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::lcm) struct Busy {
+    pub(in crate::lcm) entry: Entry,
+    /// 0 = unknown.
+    pub(in crate::lcm) since_ns: u64,
+    /// The same in two looks while nobody left in between.
+    pub(in crate::lcm) ticket: u64,
+}
+
+impl Watch {
+    /// Notes that `entry` begins; hands back what was noted before, for [`Watch::leave`]. `since_ns` 0 = not known here.
+    pub(in crate::lcm) fn begin(&self, entry: Entry, since_ns: u64) -> u64 {
+        let before = self.busy.load(Ordering::Relaxed);
+        // An entry inside another counts from the outer one's begin, if that is known.
+        let since = if since_ns == 0 { before >> ENTRY_BITS } else { since_ns };
+        self.busy.store(since << ENTRY_BITS | entry as u64, Ordering::Relaxed);
+        // Only whoever is inside writes it.
+        self.entries.store(self.entries.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        before
+    }
+
+    pub(in crate::lcm) fn leave(&self, before: u64) {
+        self.busy.store(before, Ordering::Relaxed);
+    }
+
+    pub(in crate::lcm) fn busy(&self) -> Option<Busy> {
+        let ticket = self.entries.load(Ordering::Relaxed);
+        let word = self.busy.load(Ordering::Relaxed);
+        let entry = Entry::ALL.into_iter().find(|e| *e as u64 == word & ((1 << ENTRY_BITS) - 1))?;
+        Some(Busy { entry, since_ns: word >> ENTRY_BITS, ticket })
+    }
+
+    /// Entries begun so far.
+    pub(in crate::lcm) fn entries(&self) -> u64 {
+        self.entries.load(Ordering::Relaxed)
+    }
+
+    /// Counts a cycle that ended after the next was due; true when the watchdog should hear of it now.
+    pub(in crate::lcm) fn overran(&self) -> bool {
+        self.overruns.store(self.overruns.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+        self.health() == Health::Ok
+    }
+
+    pub(in crate::lcm) fn overruns(&self) -> u64 {
+        self.overruns.load(Ordering::Relaxed)
+    }
+
+    /// Notes that it was stopped.
+    pub(in crate::lcm) fn stopped(&self) {
+        self.stops.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(in crate::lcm) fn stops(&self) -> u64 {
+        self.stops.load(Ordering::Relaxed)
+    }
+
+    /// Notes a misdeed, any number of times.
+    pub(in crate::lcm) fn misdeed(&self, what: Misdeed) {
+        self.misdeeds.fetch_or(what as u32, Ordering::Relaxed);
+    }
+
+    pub(super) fn suspect(&self, suspected: bool) {
+        self.suspected.store(suspected, Ordering::Relaxed);
+    }
+
+    pub(in crate::lcm) fn is_suspected(&self) -> bool {
+        self.suspected.load(Ordering::Relaxed)
+    }
+
+    /// Takes the misdeeds noted since the last look.
+    pub(in crate::lcm) fn take_misdeeds(&self) -> u32 {
+        if self.misdeeds.load(Ordering::Relaxed) == 0 { 0 } else { self.misdeeds.swap(0, Ordering::Relaxed) }
+    }
+
+    /// Its own thread is to make it safe; false when it was to already.
+    pub(in crate::lcm) fn owe_safe(&self) -> bool {
+        !self.owes_safe.swap(true, Ordering::AcqRel)
+    }
+
+    /// True once after each [`Watch::owe_safe`]; a plain load while nothing is owed.
+    pub(in crate::lcm) fn takes_owed_safe(&self) -> bool {
+        self.owes_safe.load(Ordering::Relaxed) && self.owes_safe.swap(false, Ordering::AcqRel)
+    }
+
+    /// The health the world was last told.
+    pub(in crate::lcm) fn health(&self) -> Health {
+        match self.health.load(Ordering::Relaxed) {
+            0 => Health::Ok,
+            1 => Health::Overrun,
+            2 => Health::StaleInput,
+            3 => Health::Unresponsive,
+            _ => Health::Lost,
+        }
+    }
+
+    /// Sets it; answers what it was before.
+    pub(in crate::lcm) fn set_health(&self, health: Health) -> Health {
+        let before = self.health();
+        let word = match health {
+            Health::Ok => 0,
+            Health::Overrun => 1,
+            Health::StaleInput => 2,
+            Health::Unresponsive => 3,
+            Health::Lost => 4,
+        };
+        self.health.store(word, Ordering::Relaxed);
+        before
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Entry, Watch};
+
+    #[test]
+    fn an_entry_inside_another_names_itself_and_counts_from_the_outer_begin() {
+        let watch = Watch::default();
+        assert_eq!(watch.busy(), None);
+        let outer = watch.begin(Entry::Step, 77);
+        let inner = watch.begin(Entry::Command, 0);
+        let seen = watch.busy();
+        assert_eq!(seen.map(|b| (b.entry, b.since_ns)), Some((Entry::Command, 77)));
+        watch.leave(inner);
+        assert_eq!(watch.busy().map(|b| b.entry), Some(Entry::Step));
+        watch.leave(outer);
+        assert_eq!(watch.busy(), None);
+    }
+
+    #[test]
+    fn two_looks_at_different_entries_of_one_kind_can_be_told_apart() {
+        let watch = Watch::default();
+        let before = watch.begin(Entry::Command, 0);
+        let first = watch.busy();
+        watch.leave(before);
+        watch.begin(Entry::Command, 0);
+        assert_ne!(first, watch.busy());
+    }
+}

@@ -1,0 +1,159 @@
+//! The watchdog: one thread that looks at every component and tells how it is.
+//!
+//! Invariant: it never enters a component and never waits for one; a look costs some loads per component. It looks once in
+//! the shortest period (1 to 10 ms), when somebody inside comes to the end of what it may take, and when a late cycle wakes it.
+
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+
+use trocar_rt::os;
+
+use super::super::context;
+use super::super::hub::Hub;
+use super::charge::Charge;
+use super::hygiene::Premises;
+use super::roster::{Roster, Ward};
+
+/// Shortest and longest time between two looks, ns; in between it is the shortest period of a running component.
+const LOOK_NS: (u64, u64) = (1_000_000, 10_000_000);
+/// Least time between two looks per component, so that looking stays cheap with many of them, ns.
+const LOOK_EACH_NS: u64 = 10_000;
+
+/// The watchdog of one LCM.
+pub(in crate::lcm) struct Watchdog {
+    hub: Arc<Hub>,
+    stop: Arc<AtomicBool>,
+    thread: Mutex<Option<thread::JoinHandle<()>>>,
+}
+
+impl Watchdog {
+    /// Starts looking.
+    ///
+    /// # Errors
+    /// The machine gives no more threads.
+    pub(in crate::lcm) fn start(hub: Arc<Hub>, roster: Arc<Roster>) -> std::io::Result<Watchdog> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (asked, shared) = (stop.clone(), hub.clone());
+        let thread = thread::Builder::new()
+            .name("trocar-watchdog".into())
+            .spawn(move || context::deferred(|| Rounds::default().run(&shared, &roster, &asked)))?;
+        Ok(Watchdog { hub, stop, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// Ends it and waits for its end.
+    pub(in crate::lcm) fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
+        self.hub.watch.notify();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(thread) = thread
+            && thread.join().is_err()
+        {
+            log::error!("the watchdog panicked");
+        }
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        self.hub.watch.notify();
+    }
+}
+
+/// What the watchdog knows from its earlier looks.
+#[derive(Default)]
+struct Rounds {
+    charges: Vec<Charge>,
+    edition: u64,
+    /// How long it was itself kept from looking, summed up, ns.
+    late_ns: u64,
+    priority: u8,
+    premises: Premises,
+}
+
+impl Rounds {
+    fn run(mut self, hub: &Hub, roster: &Roster, stop: &AtomicBool) {
+        let mut next_ns = os::now_ns();
+        loop {
+            hub.watch.wait(Some(next_ns));
+            if stop.load(Ordering::Acquire) {
+                return;
+            }
+            let now_ns = os::now_ns();
+            self.late_ns += now_ns.saturating_sub(next_ns);
+            if let Some(wards) = roster.news(&mut self.edition) {
+                self.take(wards);
+            }
+            self.look(now_ns);
+            self.look_around(now_ns);
+            next_ns = self.next_ns(os::now_ns());
+        }
+    }
+
+    /// The components: who is stuck, whose thread is held by that one, how the others are.
+    fn look(&mut self, now_ns: u64) {
+        let late_ns = self.late_ns;
+        let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late_ns)).collect();
+        for at in 0..self.charges.len() {
+            let why = stuck[at].clone().or_else(|| {
+                let holders = self.charges.iter().zip(&stuck).filter(|(_, stuck)| stuck.is_some());
+                let holders = holders.filter_map(|(holder, _)| holder.holds(&self.charges[at]));
+                // Where one is inside another, the innermost came in last.
+                holders.max_by_key(|(since_ns, _)| *since_ns).map(|(_, why)| why)
+            });
+            self.charges[at].look(now_ns, why);
+        }
+    }
+
+    /// The process and its threads: what components should have left as it was.
+    fn look_around(&mut self, now_ns: u64) {
+        let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
+        let mut busy: Vec<&Ward> = self.charges.iter().filter(|c| c.commanded()).map(|c| &c.ward).collect();
+        if busy.is_empty() {
+            busy = self.charges.iter().filter(|c| c.entered()).map(|c| &c.ward).collect();
+        }
+        self.premises.look(now_ns, &wards, &busy);
+        let executors: BTreeSet<i32> = wards.iter().map(|w| w.executor.tid()).collect();
+        for charge in &mut self.charges {
+            charge.look_behind(now_ns, &executors);
+            charge.note();
+        }
+    }
+
+    /// Another list of components; what is known of those that stay is kept.
+    fn take(&mut self, wards: Vec<Ward>) {
+        let mut before = std::mem::take(&mut self.charges);
+        self.charges = wards
+            .into_iter()
+            .map(|ward| match before.iter().position(|c| c.ward.instance.number == ward.instance.number) {
+                Some(at) => before.swap_remove(at).on(ward),
+                None => Charge::new(ward),
+            })
+            .collect();
+        self.rise();
+    }
+
+    /// Goes above the highest real-time priority of a component, where the machine allows it.
+    fn rise(&mut self) {
+        let highest = self.charges.iter().map(|c| c.ward.executor.settings.priority()).max().unwrap_or(0);
+        if highest == 0 || highest < self.priority {
+            return;
+        }
+        self.priority = highest.saturating_add(1).min(99);
+        if let Err(e) = os::set_fifo(self.priority) {
+            log::warn!("the watchdog runs below the components it watches: {e}");
+        }
+    }
+
+    /// When to look again, ns.
+    fn next_ns(&self, now_ns: u64) -> u64 {
+        let running = self.charges.iter().map(|c| &c.ward.instance).filter(|i| i.is_active());
+        let shortest = running.map(|i| i.pace_ns()).min().unwrap_or(LOOK_NS.1);
+        let crowd_ns = self.charges.len() as u64 * LOOK_EACH_NS;
+        let pause_ns = shortest.clamp(LOOK_NS.0, LOOK_NS.1).max(crowd_ns);
+        let ends = self.charges.iter().filter_map(|c| c.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
+        ends.max(now_ns + LOOK_NS.0.max(crowd_ns)).min(now_ns + pause_ns)
+    }
+}

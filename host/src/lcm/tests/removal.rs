@@ -1,0 +1,162 @@
+//! Removing what hangs or has failed: it is ended when it comes back, entered by nobody after that, and kept while it may
+//! still use what the host gave it.
+
+use std::sync::atomic::Ordering;
+
+use trocar_plugin_api::abi::Tick;
+
+use super::super::boundary::fake::{Device, Own};
+use super::standing::Held;
+use super::*;
+
+fn destroy(world: &World, name: &str) -> Change {
+    let info = class(ctl(), Safety::None);
+    let component = Box::new(Component {
+        ports: Arc::new(info.ports.clone()),
+        class: Arc::new(info),
+        config: serde_json::json!({}),
+        execution: Execution::default(),
+        state: State::Active,
+        health: Health::Ok,
+        fault: String::new(),
+    });
+    Change::Destroy { id: world.id(name), component }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_removed_while_its_step_hangs_is_stopped_and_destroyed_when_it_comes_back() {
+    let world = World::new("rm_step");
+    let (held, open) = Held::at("step", "");
+    world.create_as("c", class(ctl(), Safety::None), periodic(1000), held.clone()).await;
+    world.start("c").await;
+    held.is_inside().await;
+    let gone = Arc::downgrade(&world.lcm.instance(&world.id("c")).unwrap());
+    let report =
+        world.lcm.apply(destroy(&world, "c"), Instant::now() + Duration::from_millis(20)).await.unwrap();
+    assert!(
+        report.warnings.iter().any(|w| w.contains("has not come back out of its own code")),
+        "{report:?}"
+    );
+    assert!(gone.upgrade().is_some(), "what the host gave it goes before it does");
+    open.send(()).unwrap();
+    eventually("destroyed", || held.destroyed.load(Ordering::SeqCst)).await;
+    assert_eq!(held.stops.load(Ordering::SeqCst), 1);
+    eventually("the host's side of it gone", || gone.upgrade().is_none()).await;
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_passive_component_removed_while_a_caller_hangs_in_it_is_destroyed_when_that_comes_back() {
+    let world = World::new("rm_passive");
+    let (held, open) = Held::at("command", "");
+    world.create_as("c", class(ctl(), Safety::None), model(ExecutionModel::None), held.clone()).await;
+    world.start("c").await;
+    let rest = async {
+        held.is_inside().await;
+        let soon = Instant::now() + Duration::from_millis(20);
+        world.lcm.apply(destroy(&world, "c"), soon).await.unwrap();
+        assert!(!held.destroyed.load(Ordering::SeqCst));
+        open.send(()).unwrap();
+    };
+    let (_, ()) = tokio::join!(world.call("c"), rest);
+    eventually("destroyed", || held.destroyed.load(Ordering::SeqCst)).await;
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_failed_is_not_described_again_whatever_it_wishes() {
+    let world = World::new("rm_wish");
+    let (held, open) = Held::at("step", "it broke");
+    world.create("c", periodic(1000), held.clone()).await;
+    world.start("c").await;
+    held.is_inside().await;
+    let device = held.device();
+    open.send(()).unwrap();
+    world.eventually("FAULT", "c", |r| r.state == State::Fault).await;
+    device.ports_changed();
+    let instance = world.lcm.instance(&world.id("c")).unwrap();
+    eventually("its wish was looked at", || !instance.described.is_wished()).await;
+    assert_eq!(world.report("c").await.fault, "step: it broke");
+    world.run("c", Verb::Reset).await.unwrap();
+    world.end().await;
+}
+
+/// Wishes for other ports while it is being destroyed.
+#[derive(Default)]
+struct Wisher {
+    device: std::sync::Mutex<Option<Device>>,
+}
+
+impl Behaviour for Wisher {
+    fn step(&self, _: &Tick, own: &Own) -> Result<(), String> {
+        *self.device.lock().unwrap() = Some(own.device());
+        Ok(())
+    }
+    fn destroyed(&self) {
+        self.device.lock().unwrap().take().unwrap().ports_changed();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wish_of_one_that_goes_enters_nobody() {
+    let world = World::new("rm_going");
+    for _ in 0..20 {
+        let wisher = Arc::new(Wisher::default());
+        world.create("c", periodic(1000), wisher.clone()).await;
+        world.start("c").await;
+        eventually("a step", || wisher.device.lock().unwrap().is_some()).await;
+        // Its description would be asked of an instance that is not there, which ends this process.
+        world.apply(destroy(&world, "c")).await.unwrap();
+    }
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_an_instance_owes_ends_with_it() {
+    let world = World::new("rm_debt");
+    let (arm, open) = Held::at("command", "");
+    world.create_as("arm", class(ctl(), Safety::Actuator), model(ExecutionModel::None), arm.clone()).await;
+    world.start("arm").await;
+    let member = MemberId::parse(&format!("{}/arm/ctl/do", world.process)).unwrap();
+    let call = Invoke { member, arg: Payload::None, send: false, deadline_ns: 1_000_000 };
+    assert!(world.lcm.invoke(call).await.is_err());
+    world.eventually("FAULT", "arm", |r| r.state == State::Fault).await;
+    open.send(()).unwrap();
+    eventually("made safe", || arm.made_safe.load(Ordering::SeqCst) > 0).await;
+    world.run("arm", Verb::Reset).await.unwrap();
+    world.start("arm").await;
+    world.call("arm").await.unwrap();
+    assert_eq!(arm.made_safe.load(Ordering::SeqCst), 1, "made safe while it runs, for what another one owed");
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
+    let world = World::new("rm_threads");
+    let brood = Arc::new(Brood::default());
+    world.create("c", periodic(1000), brood.clone()).await;
+    world.start("c").await;
+    assert_eq!(world.lcm.buried(), 0);
+    let gone = Arc::downgrade(&world.lcm.instance(&world.id("c")).unwrap());
+    let report = world.apply(destroy(&world, "c")).await.unwrap();
+    assert!(report.warnings.iter().any(|w| w.contains("of its own threads still run")), "{report:?}");
+    assert!(gone.upgrade().is_some());
+    assert_eq!(world.lcm.buried(), 1);
+    brood.child.lock().unwrap().take();
+    world.end().await;
+}
+
+/// Starts a thread and leaves it running until the test lets go.
+#[derive(Default)]
+struct Brood {
+    child: std::sync::Mutex<Option<std::sync::mpsc::Sender<()>>>,
+}
+
+impl Behaviour for Brood {
+    fn start(&self) -> Result<(), String> {
+        let (end, ended) = std::sync::mpsc::channel::<()>();
+        std::thread::spawn(move || ended.recv());
+        *self.child.lock().unwrap() = Some(end);
+        Ok(())
+    }
+}

@@ -1,0 +1,202 @@
+//! Repeated ports and interfaces: the lists behind them, their slots and the way from their ids to methods.
+//!
+//! Invariant: slots are counted by the lists described last, ids by those in force since `bind`; both behind what is
+//! fixed, in the order of the description.
+
+use crate::fields::{ComponentFields, Port};
+use crate::interfaces::{Interface, Interfaces};
+use proc_macro2::{Ident, TokenStream};
+use quote::{format_ident, quote};
+
+/// True when any port or interface is repeated.
+fn any(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> bool {
+    let port = fields.inputs.iter().chain(&fields.outputs).any(|p| p.many);
+    port || !provided.many.is_empty() || !required.many.is_empty()
+}
+
+/// Description, lists and counts of a class with repeated ports; nothing for the others.
+pub(crate) fn items(
+    class: &Ident,
+    fields: &ComponentFields,
+    provided: &Interfaces<'_>,
+    required: &Interfaces<'_>,
+) -> TokenStream {
+    if !any(fields, provided, required) {
+        return TokenStream::new();
+    }
+    let (inputs, outputs) = (ports(&fields.inputs), ports(&fields.outputs));
+    let list = |i: &Interface<'_>| i.names.cloned();
+    let required_lists: Vec<Ident> = required.many.iter().filter_map(list).collect();
+    let provided_lists: Vec<Ident> = provided.many.iter().filter_map(list).collect();
+    let functions = required.many.iter().map(|i| i.ports.len());
+    let events = provided.many.iter().map(|i| i.ports.len());
+    let mut frozen: Vec<&Ident> = inputs.iter().chain(&outputs).copied().collect();
+    frozen.extend(fields.names.iter().map(|(ident, _)| ident));
+    let mut follow = TokenStream::new();
+    for interface in provided.many.iter().chain(&required.many) {
+        let Some(list) = interface.names else { continue };
+        for port in interface.ports.iter().map(|p| &p.ident) {
+            if port == list {
+                frozen.push(port);
+            } else {
+                follow.extend(quote!(self.#port.freeze_as(self.#list.names());));
+            }
+        }
+    }
+    quote! {
+        const DESCRIPTION: &'static str = {
+            #[allow(long_running_const_eval)]
+            const LEN: usize =
+                ::trocar_sdk::__private::render_description::<0>(<#class as ::trocar_sdk::Class>::DESC).1;
+            #[allow(long_running_const_eval)]
+            const TEXT: [u8; LEN] =
+                ::trocar_sdk::__private::render_description::<LEN>(<#class as ::trocar_sdk::Class>::DESC).0;
+            ::trocar_sdk::__private::manifest_text(&TEXT)
+        };
+        fn lists(&self) -> ::trocar_sdk::__private::Lists<'_> {
+            ::trocar_sdk::__private::Lists {
+                inputs: ::std::vec![#(self.#inputs.names()),*],
+                outputs: ::std::vec![#(self.#outputs.names()),*],
+                required: ::std::vec![#(self.#required_lists.names()),*],
+                provided: ::std::vec![#(self.#provided_lists.names()),*],
+            }
+        }
+        fn freeze(&mut self) {
+            #(self.#frozen.freeze();)*
+            #follow
+        }
+        fn many_slots(&self) -> [usize; 4] {
+            [
+                0 #(+ self.#inputs.names().described_len())*,
+                0 #(+ self.#outputs.names().described_len())*,
+                0 #(+ self.#required_lists.names().described_len() * #functions)*,
+                0 #(+ self.#provided_lists.names().described_len() * #events)*,
+            ]
+        }
+    }
+}
+
+fn ports(all: &[Port]) -> Vec<&Ident> {
+    all.iter().filter(|p| p.many).map(|p| &p.ident).collect()
+}
+
+/// After the author's `configure`: the names must not clash.
+pub(crate) fn check(
+    fields: &ComponentFields,
+    provided: &Interfaces<'_>,
+    required: &Interfaces<'_>,
+) -> TokenStream {
+    if !any(fields, provided, required) {
+        return TokenStream::new();
+    }
+    quote!(.and_then(|()| ::trocar_sdk::__private::check_lists(self)))
+}
+
+/// The slots behind the fixed ones.
+pub(crate) fn binds(
+    fields: &ComponentFields,
+    provided: &Interfaces<'_>,
+    required: &Interfaces<'_>,
+) -> TokenStream {
+    let fixed = |ports: &[Port]| ports.iter().filter(|p| !p.many).count();
+    let in_interfaces = |all: &[Interface<'_>]| all.iter().map(|i| i.ports.len()).sum::<usize>();
+    let inputs = lone_binds("many_inputs", fixed(&fields.inputs), &ports(&fields.inputs));
+    let outputs = lone_binds("many_outputs", fixed(&fields.outputs), &ports(&fields.outputs));
+    let functions = group_binds("many_functions", in_interfaces(&required.fixed), &required.many);
+    let events = group_binds("many_events", in_interfaces(&provided.fixed), &provided.many);
+    let lists = fields.names.iter().map(|(ident, _)| ident);
+    quote!(#(self.#lists.adopt();)* #inputs #outputs #functions #events)
+}
+
+fn lone_binds(method: &str, first: usize, ports: &[&Ident]) -> TokenStream {
+    if ports.is_empty() {
+        return TokenStream::new();
+    }
+    let method = format_ident!("{method}");
+    quote! {{
+        let mut at = #first;
+        #(
+            binder.#method(at, 1, &mut self.#ports);
+            at += self.#ports.names().described_len();
+        )*
+        let _ = at;
+    }}
+}
+
+fn group_binds(method: &str, first: usize, many: &[Interface<'_>]) -> TokenStream {
+    if many.is_empty() {
+        return TokenStream::new();
+    }
+    let method = format_ident!("{method}");
+    let groups = many.iter().map(|i| {
+        let (list, apart) = (i.names, i.ports.len());
+        let ports = i.ports.iter().map(|p| &p.ident);
+        let offsets = 0..apart;
+        quote! {
+            #(binder.#method(at + #offsets, #apart, &mut self.#ports);)*
+            at += self.#list.names().described_len() * #apart;
+        }
+    });
+    quote! {{
+        let mut at = #first;
+        #(#groups)*
+        let _ = at;
+    }}
+}
+
+/// Ids of commands behind those of fixed interfaces; `at` is the first of them.
+pub(crate) fn commands(provided: &Interfaces<'_>) -> TokenStream {
+    let lines = provided.many.iter().map(|i| {
+        let part = i.provides_part();
+        dispatch(i, &quote!(Self::#part.commands), &quote!(Self::#part.command))
+    });
+    quote!(#(#lines)*)
+}
+
+/// Ids of handlers behind those of fixed interfaces.
+pub(crate) fn handlers(required: &Interfaces<'_>) -> TokenStream {
+    let lines = required.many.iter().map(|i| {
+        let part = i.handles_part();
+        dispatch(i, &quote!(Self::#part.handlers), &quote!(Self::#part.on_event))
+    });
+    quote!(#(#lines)*)
+}
+
+fn dispatch(i: &Interface<'_>, members: &TokenStream, run: &TokenStream) -> TokenStream {
+    let list = i.names;
+    quote! {
+        let n = #members.len() as u32;
+        let next = at + n * self.#list.names().len() as u32;
+        if id < next {
+            let id = id - at;
+            return (#run)(self, id % n, (id / n) as usize, call);
+        }
+        at = next;
+    }
+}
+
+/// Reads know no instance, so only the first repeated interface may have them: its ids go on to the end.
+pub(crate) fn read(provided: &Interfaces<'_>) -> TokenStream {
+    let Some(first) = provided.many.first() else { return TokenStream::new() };
+    let part = first.provides_part();
+    quote! {
+        let n = Self::#part.commands.len() as u32;
+        if n > 0 {
+            let id = id - at;
+            return (Self::#part.read)(row, id % n, (id / n) as usize, call);
+        }
+    }
+}
+
+pub(crate) fn checks(class: &Ident, provided: &Interfaces<'_>) -> TokenStream {
+    let others = provided.many.iter().skip(1).map(|i| {
+        let part = i.provides_part();
+        let why = format!(
+            "reads of `{}`: of several repeated provided interfaces only the first may have reads; list it first in \
+             provides(…), or make these commands with a result",
+            i.name
+        );
+        quote!(assert!(!::trocar_sdk::__private::has_reads(<#class>::#part.commands), #why);)
+    });
+    quote!(const _: () = { #(#others)* };)
+}

@@ -1,0 +1,80 @@
+//! Payloads of cameras: headers of image frames, and what a camera sees.
+//!
+//! Invariant: rows are `stride` bytes apart; what a header says lies in the frame's bytes, or the reader drops the frame.
+
+use crate as trocar_sdk;
+use trocar_sdk::{Payload, Stamp, named_values};
+
+named_values! {
+    /// Pixel formats; rows are `stride` bytes apart.
+    pub struct PixelFormat: u32 { GRAY8 = 1, RGB8 = 2, BGR8 = 3, RGBA8 = 4, GRAY16 = 5 }
+}
+
+impl PixelFormat {
+    /// Bytes of one pixel; 0 for an unknown format.
+    pub const fn bytes_per_pixel(self) -> usize {
+        match self {
+            PixelFormat::GRAY8 => 1,
+            PixelFormat::GRAY16 => 2,
+            PixelFormat::RGB8 | PixelFormat::BGR8 => 3,
+            PixelFormat::RGBA8 => 4,
+            _ => 0,
+        }
+    }
+}
+
+/// Header of an image frame.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+#[format("image")]
+pub struct ImageHeader {
+    /// When the image was taken.
+    pub stamp: Stamp,
+    /// Counts the source's images, from 0.
+    pub index: u64,
+    #[unit("px")]
+    pub width: u32,
+    #[unit("px")]
+    pub height: u32,
+    /// From one row to the next.
+    #[unit("B")]
+    pub stride: u32,
+    pub format: PixelFormat,
+}
+
+/// Header of a stereo pair: two images of one size and format in one frame.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+#[format("stereo")]
+pub struct StereoHeader {
+    /// When the pair was taken.
+    pub stamp: Stamp,
+    /// Counts the source's pairs, from 0.
+    pub index: u64,
+    /// Of one image.
+    #[unit("px")]
+    pub width: u32,
+    #[unit("px")]
+    pub height: u32,
+    /// From one row to the next.
+    #[unit("B")]
+    pub stride: u32,
+    pub format: PixelFormat,
+    /// Where the right image begins; the left one begins at 0.
+    #[unit("B")]
+    pub right_offset: u64,
+}
+
+/// Size and rate of a camera (`camera_geometry`).
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct CameraGeometry {
+    /// Of one image.
+    #[unit("px")]
+    pub width: u32,
+    #[unit("px")]
+    pub height: u32,
+    /// Images or pairs per second; 0 before the first one.
+    #[unit("Hz")]
+    pub fps: f64,
+}

@@ -1,0 +1,66 @@
+//! `describe`: the class as it is with the present lists of names.
+//!
+//! Invariant: what is fixed comes first, as in the manifest; what is repeated follows in the order of the fields and,
+//! within, of the names. `Binder` and the generated dispatch count the same way.
+
+use crate::component::{Class, Result};
+use crate::many::Names;
+use serde_json::Value as Json;
+
+/// The lists of a class, one per repeated port or interface of its description.
+pub struct Lists<'a> {
+    pub inputs: Vec<&'a Names>,
+    pub outputs: Vec<&'a Names>,
+    pub required: Vec<&'a Names>,
+    pub provided: Vec<&'a Names>,
+}
+
+/// The description as JSON.
+///
+/// # Errors
+/// Two ports or interfaces would have the same name.
+pub(crate) fn build<C: Class>(component: &C) -> Result<Json> {
+    let mut json: Json = serde_json::from_str(C::DESCRIPTION)?;
+    let many = json.as_object_mut().and_then(|o| o.remove("many")).unwrap_or_default();
+    let lists = component.lists();
+    let kinds = [
+        ("inputs", &lists.inputs),
+        ("outputs", &lists.outputs),
+        ("required", &lists.required),
+        ("provided", &lists.provided),
+    ];
+    let mut seen: Vec<String> = Vec::new();
+    for (kind, lists) in kinds {
+        let Some(ports) = json["class"][kind].as_array_mut() else { continue };
+        for (pattern, names) in many[kind].as_array().into_iter().flatten().zip(lists) {
+            ports.extend(names.wanted().iter().map(|name| named(pattern, name)));
+        }
+        for port in ports {
+            let name = port["name"].as_str().unwrap_or_default();
+            if seen.iter().any(|s| s == name) {
+                return Err(format!(
+                    "`{name}` would be there twice: inputs, outputs and interfaces share one set of names"
+                )
+                .into());
+            }
+            seen.push(name.to_string());
+        }
+    }
+    Ok(json)
+}
+
+/// One port or interface of a pattern.
+fn named(pattern: &Json, name: &str) -> Json {
+    let mut port = pattern.clone();
+    let text = pattern["name"].as_str().unwrap_or_default().replace("{}", name);
+    port["name"] = Json::String(text);
+    port
+}
+
+/// Checks the lists a component's `configure` has set.
+///
+/// # Errors
+/// As the description itself.
+pub fn check<C: Class>(component: &C) -> Result {
+    build(component).map(drop)
+}

@@ -1,0 +1,76 @@
+//! Round trips over many values, and what is refused.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::values::List;
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+fn six() -> impl Strategy<Value = [f64; 6]> {
+    prop::array::uniform6(-1e3..1e3f64)
+}
+
+proptest! {
+    #[test]
+    fn a_pose_survives_the_way_to_nalgebra_and_back(v in six()) {
+        let t = Isometry3::new(Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]));
+        let pose = Pose::from(t);
+        let back = pose.isometry().unwrap();
+        prop_assert!((back.translation.vector - t.translation.vector).norm() == 0.0);
+        prop_assert!(back.rotation.angle_to(&t.rotation) < 1e-7);
+        prop_assert!((Pose::from(back).isometry().unwrap().rotation.coords - back.rotation.coords).norm() < 1e-12);
+    }
+
+    #[test]
+    fn twists_and_wrenches_survive_the_way_to_a_vector_and_back(v in six()) {
+        let v = Vector6::from(v);
+        prop_assert_eq!(Twist::from(v).vector().unwrap(), v);
+        prop_assert_eq!(Wrench::from(v).vector().unwrap(), v);
+    }
+
+    #[test]
+    fn an_orientation_whose_length_is_not_one_is_refused(
+        v in prop::array::uniform4(-1.0..1.0f64), length in prop_oneof![0.0..0.99f64, 1.01..100.0f64]
+    ) {
+        let q = Quaternion::from(v);
+        prop_assume!(q.norm() > 1e-3);
+        let orientation: [f64; 4] = (q / q.norm() * length).coords.into();
+        let refused = Pose { orientation, ..Pose::default() }.isometry().unwrap_err();
+        prop_assert!(refused.to_string().contains("no unit quaternion"), "{}", refused);
+    }
+
+    #[test]
+    fn whatever_the_bits_are_a_pose_is_an_isometry_of_finite_numbers_or_refused(bits in prop::array::uniform7(any::<u64>())) {
+        let f = bits.map(f64::from_bits);
+        let pose = Pose { position: [f[0], f[1], f[2]], orientation: [f[3], f[4], f[5], f[6]], ..Pose::default() };
+        if let Ok(t) = pose.isometry() {
+            prop_assert!(t.to_homogeneous().iter().all(|x| x.is_finite()));
+        }
+    }
+}
+
+#[test]
+fn a_number_that_is_not_finite_is_named_with_its_place() {
+    let nan = Pose { position: [0.0, f64::NAN, 0.0], ..Pose::default() };
+    assert_eq!(nan.isometry().unwrap_err().to_string(), "position[1] is NaN: give a finite number");
+    let endless = Twist { angular: [0.0, 0.0, f64::INFINITY], ..Twist::default() };
+    assert_eq!(endless.vector().unwrap_err().to_string(), "angular[2] is inf: give a finite number");
+    let nowhere = Wrench { torque: [f64::NEG_INFINITY, 0.0, 0.0], ..Wrench::default() };
+    assert!(nowhere.vector().is_err());
+    assert!(Isometry3::try_from(&Pose { orientation: [0.0; 4], ..Pose::default() }).is_err());
+}
+
+#[test]
+fn a_quaternion_rounded_to_four_decimals_is_taken_and_normalised() {
+    let pose = Pose { orientation: [0.6, 0.0, 0.0, 0.8001], ..Pose::default() };
+    assert!((pose.isometry().unwrap().rotation.norm() - 1.0).abs() < 1e-15);
+}
+
+#[test]
+fn joints_become_a_vector_of_the_arms_length_or_are_refused() {
+    let state = JointState { position: List::of(&[1.0, 2.0, 3.0]), ..JointState::default() };
+    assert_eq!(state.positions::<3>().unwrap(), Vector3::new(1.0, 2.0, 3.0));
+    let short = state.positions::<5>().unwrap_err();
+    assert_eq!(short.to_string(), "position has 3 items, this arm has 5 joints: give one per joint");
+    assert!(state.velocities::<3>().is_err() && state.efforts::<3>().is_err());
+}

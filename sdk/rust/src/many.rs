@@ -1,0 +1,295 @@
+//! Ports and interfaces that exist once for each name of a list which the component sets itself.
+//!
+//! Invariant: a list changes only in `bind`, for all of its ports at once. Until then positions, ids and slots mean what
+//! the host was told before, so a command never reaches the neighbour of the arm it was meant for.
+
+use crate::component::Result;
+use crate::host::Host;
+use crate::ports::Flow;
+use core::ops::{Index, IndexMut};
+
+/// Longest name, bytes; as in a host's paths.
+const MAX_NAME: usize = 63;
+
+/// The names of repeated interfaces: a `#[names]` field. Set it in `configure`, or later followed by
+/// [`Host::ports_changed`]; it changes when the host has taken it over (see [`crate::Component::ports_changed`]).
+#[derive(Clone, Default, Debug)]
+pub struct Names {
+    wanted: Vec<String>,
+    described: Vec<String>,
+    bound: Vec<String>,
+}
+
+impl Names {
+    /// Says which names there shall be. What stays by name keeps its connections, wherever it stands then.
+    ///
+    /// # Errors
+    /// A name that is none (a letter or `_`, then letters, digits, `_ . -`, at most 63) or comes twice; the old wish
+    /// stays.
+    pub fn set<S: AsRef<str>>(&mut self, names: impl IntoIterator<Item = S>) -> Result {
+        let names: Vec<String> = names.into_iter().map(|n| n.as_ref().to_string()).collect();
+        for (i, name) in names.iter().enumerate() {
+            check_name(name)?;
+            if names[..i].contains(name) {
+                return Err(format!("the name `{name}` is given twice").into());
+            }
+        }
+        self.wanted = names;
+        Ok(())
+    }
+
+    /// How many there are now; as all that follows, of the list the host has taken over.
+    pub fn len(&self) -> usize {
+        self.bound.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.bound.is_empty()
+    }
+
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.bound.iter().map(String::as_str)
+    }
+
+    pub fn get(&self, at: usize) -> Option<&str> {
+        self.bound.get(at).map(String::as_str)
+    }
+
+    /// Where `name` stands.
+    pub fn position(&self, name: &str) -> Option<usize> {
+        self.bound.iter().position(|n| n == name)
+    }
+
+    /// What was set last.
+    pub fn wanted(&self) -> &[String] {
+        &self.wanted
+    }
+
+    /// Itself: generated code asks lists and ports alike.
+    #[doc(hidden)]
+    pub fn names(&self) -> &Names {
+        self
+    }
+
+    /// `describe` has told the host.
+    #[doc(hidden)]
+    pub fn freeze(&mut self) {
+        self.described.clone_from(&self.wanted);
+    }
+
+    /// `bind` comes with the slots of what was told.
+    #[doc(hidden)]
+    pub fn adopt(&mut self) {
+        self.bound.clone_from(&self.described);
+    }
+
+    #[doc(hidden)]
+    pub fn described_len(&self) -> usize {
+        self.described.len()
+    }
+}
+
+fn check_name(name: &str) -> Result {
+    let begins = name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
+    let good = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '-');
+    if begins && name.chars().all(good) && name.len() <= MAX_NAME {
+        return Ok(());
+    }
+    let rule = "a name begins with a letter or _ and holds letters, digits, _ . -, at most 63 of them";
+    Err(format!("`{name}` is no name: {rule}").into())
+}
+
+/// A port that exists once per name: `Many<In<JointState>>`, also of outputs, functions and events.
+///
+/// ```
+/// use trocar_sdk::prelude::*;
+///
+/// /// Adds up what any number of sources measure.
+/// #[derive(Component)]
+/// struct Sum {
+///     #[input]
+///     terms: Many<In<f64>>,
+///     #[output]
+///     sum: Out<f64>,
+///     #[config]
+///     cfg: Cfg,
+/// }
+///
+/// #[derive(Config)]
+/// struct Cfg {
+///     /// Names of the inputs.
+///     #[config(default = ["a", "b"])]
+///     terms: Vec<String>,
+/// }
+///
+/// impl Component for Sum {
+///     fn configure(&mut self) -> Result {
+///         self.terms.set(&self.cfg.terms)
+///     }
+///     fn step(&mut self, _: &Tick) -> Result {
+///         self.sum.write(&self.terms.ports_mut().filter_map(|term| term.latest()).sum());
+///         Ok(())
+///     }
+/// }
+/// ```
+/// A repeated interface takes repeated ports:
+/// ```compile_fail
+/// use trocar_sdk::prelude::*;
+/// #[derive(Component)]
+/// struct Arms {
+///     #[event("arm_{}")]
+///     reached: Event<f64>,
+///     #[names]
+///     arms: Names,
+/// }
+/// impl Component for Arms {}
+/// ```
+/// and each command of it is told which one is meant:
+/// ```compile_fail
+/// use trocar_sdk::prelude::*;
+/// #[derive(Component)]
+/// #[component(provides("arm_{}"))]
+/// struct Arms {
+///     #[names]
+///     arms: Names,
+/// }
+/// #[provides("arm_{}")]
+/// impl Arms {
+///     #[command]
+///     fn stop(&mut self) {}
+/// }
+/// impl Component for Arms {}
+/// ```
+pub struct Many<P> {
+    names: Names,
+    /// One for each bound name.
+    ports: Vec<P>,
+}
+
+impl<P> Default for Many<P> {
+    fn default() -> Self {
+        Many { names: Names::default(), ports: Vec::new() }
+    }
+}
+
+impl<P> Many<P> {
+    /// Says which ports there shall be. After `configure` the host asks by itself; later, call [`Host::ports_changed`].
+    /// A port that stays by name keeps its connection. Ports of a repeated interface follow its `#[names]` list instead.
+    ///
+    /// # Errors
+    /// As [`Names::set`].
+    pub fn set<S: AsRef<str>>(&mut self, names: impl IntoIterator<Item = S>) -> Result {
+        self.names.set(names)
+    }
+
+    pub fn names(&self) -> &Names {
+        &self.names
+    }
+
+    pub fn len(&self) -> usize {
+        self.ports.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.ports.is_empty()
+    }
+
+    pub fn get(&self, at: usize) -> Option<&P> {
+        self.ports.get(at)
+    }
+
+    pub fn get_mut(&mut self, at: usize) -> Option<&mut P> {
+        self.ports.get_mut(at)
+    }
+
+    /// The port of this name.
+    pub fn named(&self, name: &str) -> Option<&P> {
+        self.ports.get(self.names.position(name)?)
+    }
+
+    pub fn named_mut(&mut self, name: &str) -> Option<&mut P> {
+        self.ports.get_mut(self.names.position(name)?)
+    }
+
+    /// Names and ports, in the order of the list.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = (&str, &P)> {
+        self.names.iter().zip(&self.ports)
+    }
+
+    pub fn iter_mut(&mut self) -> impl ExactSizeIterator<Item = (&str, &mut P)> {
+        self.names.iter().zip(&mut self.ports)
+    }
+
+    pub fn ports(&self) -> impl ExactSizeIterator<Item = &P> {
+        self.ports.iter()
+    }
+
+    pub fn ports_mut(&mut self) -> impl ExactSizeIterator<Item = &mut P> {
+        self.ports.iter_mut()
+    }
+
+    #[doc(hidden)]
+    pub fn freeze(&mut self) {
+        self.names.freeze();
+    }
+
+    /// Takes over the list of the interface this port belongs to.
+    #[doc(hidden)]
+    pub fn freeze_as(&mut self, names: &Names) {
+        self.names.wanted.clone_from(&names.wanted);
+        self.names.freeze();
+    }
+}
+
+impl<P: Flow + Default> Many<P> {
+    /// Makes the described list the present one and ties each port to the slot of its position.
+    ///
+    /// # Safety
+    /// `slot` gives, for each described position, a slot as [`Flow::attach`] demands it.
+    pub(crate) unsafe fn tie(&mut self, host: &Host, slot: impl Fn(usize) -> *const P::Slot) {
+        let mut old: Vec<(String, P)> = self.names.bound.drain(..).zip(self.ports.drain(..)).collect();
+        self.names.adopt();
+        for (at, name) in self.names.bound.iter().enumerate() {
+            let known = old.iter().position(|(n, _)| n == name);
+            let mut port = known.map(|i| old.swap_remove(i).1).unwrap_or_default();
+            // SAFETY: the caller vouches for described positions.
+            unsafe { port.attach(slot(at), host) };
+            self.ports.push(port);
+        }
+    }
+}
+
+impl<P> Index<usize> for Many<P> {
+    type Output = P;
+    /// # Panics
+    /// When there are not so many names.
+    fn index(&self, at: usize) -> &P {
+        &self.ports[at]
+    }
+}
+
+impl<P> IndexMut<usize> for Many<P> {
+    fn index_mut(&mut self, at: usize) -> &mut P {
+        &mut self.ports[at]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::ports::In;
+
+    #[test]
+    fn a_bad_or_double_name_is_refused_and_the_old_list_stays() {
+        let mut many = Many::<In<f64>>::default();
+        many.set(["psm1", "psm2"]).unwrap();
+        for bad in ["", "1st", "a/b", "ä"] {
+            assert!(many.set([bad]).unwrap_err().to_string().contains("is no name"), "{bad}");
+        }
+        assert!(many.set(["a".repeat(64)]).is_err());
+        assert!(many.set(["a", "b", "a"]).unwrap_err().to_string().contains("`a` is given twice"));
+        assert_eq!(many.names().wanted(), ["psm1", "psm2"]);
+        assert!(many.is_empty(), "the host has not taken them over");
+    }
+}

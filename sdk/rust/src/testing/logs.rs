@@ -1,0 +1,70 @@
+//! Log lines of the component, kept for the test.
+//!
+//! Invariant: a line is kept by the thread that is inside an entry of a bench, and costs the component no allocation.
+
+use super::alloc;
+use super::bench::Bench;
+use crate::component::Class;
+use std::cell::RefCell;
+
+/// A line the component logged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogLine {
+    pub level: log::Level,
+    /// The Rust module, unless the line names another.
+    pub target: String,
+    pub message: String,
+}
+
+thread_local! {
+    static LINES: RefCell<Option<Vec<LogLine>>> = const { RefCell::new(None) };
+}
+
+/// Keeps a line when this thread is inside an entry.
+pub(crate) fn keep(level: log::Level, target: &str, message: &str) {
+    let _quiet = alloc::pause();
+    LINES.with(|lines| {
+        if let Ok(mut lines) = lines.try_borrow_mut()
+            && let Some(lines) = lines.as_mut()
+        {
+            lines.push(LogLine { level, target: target.to_string(), message: message.to_string() });
+        }
+    });
+}
+
+/// Lines of one entry; of another bench's around it, what was kept before.
+pub(crate) struct Entry(Option<Vec<LogLine>>);
+
+/// An entry begins.
+pub(crate) fn begin() -> Entry {
+    Entry(LINES.replace(Some(Vec::new())))
+}
+
+impl Entry {
+    /// It ended: what was logged in it.
+    pub(crate) fn end(self) -> Vec<LogLine> {
+        LINES.replace(self.0).unwrap_or_default()
+    }
+}
+
+impl<C: Class> Bench<C> {
+    /// The lines logged in entries since the last asking, of the levels a host takes (`info` and above).
+    pub fn logs(&mut self) -> Vec<LogLine> {
+        self.lines.take()
+    }
+
+    /// Fails the test unless a line of this level with `part` in it was logged since the last asking. Takes them all.
+    #[track_caller]
+    pub fn expect_log(&mut self, level: log::Level, part: &str) {
+        let came = self.logs();
+        if came.iter().any(|line| line.level == level && line.message.contains(part)) {
+            return;
+        }
+        let told: Vec<String> = came.iter().map(|l| format!("\n  {} {}", l.level, l.message)).collect();
+        let told = if told.is_empty() { " nothing".to_string() } else { told.concat() };
+        panic!(
+            "no line of level {level} with \"{part}\"; logged was{told}{}",
+            self.history.text(&self.shape)
+        );
+    }
+}

@@ -1,0 +1,81 @@
+//! Dynamic component services: what the component asked for, and a fake system that answers.
+//!
+//! Invariant: replies are delivered between entries, never from within one, as a host does.
+
+use super::bench::{Bench, Done};
+use crate::component::Class;
+use serde_json::{Value as Json, json};
+use std::sync::PoisonError;
+use trocar_plugin_api::abi::{self, Bytes};
+
+/// Most rounds of replies that lead to further services.
+const MAX_ROUNDS: usize = 100;
+
+type Answer = dyn FnMut(&Json) -> Result<Json, String>;
+
+/// Answers one verb; "" any other.
+pub(crate) struct Replier {
+    verb: String,
+    answer: Box<Answer>,
+}
+
+impl<C: Class> Bench<C> {
+    /// Services asked for since the last asking, and not answered by `answer_service`: token and JSON.
+    pub fn services(&mut self) -> Vec<(u64, String)> {
+        std::mem::take(&mut self.host.services.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Lets a fake system answer the services of one verb ("" for every other): the response, or why it is refused. The
+    /// reply is delivered after the entry that asked.
+    pub fn answer_service(&mut self, verb: &str, f: impl FnMut(&Json) -> Result<Json, String> + 'static) {
+        self.repliers.retain(|r| r.verb != verb);
+        self.repliers.push(Replier { verb: verb.to_string(), answer: Box::new(f) });
+        self.reply_all();
+    }
+
+    /// Answers one service by its token.
+    ///
+    /// # Errors
+    /// The component refused the reply.
+    pub fn reply(&mut self, token: u64, reply: &str) -> Done {
+        let (f, bytes) = (self.table.on_service, Bytes { ptr: reply.as_ptr(), len: reply.len() });
+        self.history.note(self.now().ns(), format!("reply {reply}"));
+        // SAFETY: a live instance; the text lives through the call.
+        self.enter(|this, _| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, token, bytes) }))
+    }
+
+    /// Answers what the fake system can answer; a reply may ask for more.
+    #[track_caller]
+    pub(crate) fn reply_all(&mut self) {
+        if self.repliers.is_empty() {
+            return;
+        }
+        for _ in 0..MAX_ROUNDS {
+            let asked = self.services();
+            let mut open = Vec::new();
+            let mut answered = false;
+            for (token, request) in asked {
+                let json: Json = serde_json::from_str(&request).unwrap_or_default();
+                let verb = json["verb"].as_str().unwrap_or_default().to_string();
+                let named = self.repliers.iter().position(|r| r.verb == verb);
+                let Some(at) = named.or_else(|| self.repliers.iter().position(|r| r.verb.is_empty())) else {
+                    open.push((token, request));
+                    continue;
+                };
+                let reply = match (self.repliers[at].answer)(&json) {
+                    Ok(response) => json!({ "ok": true, "response": response }),
+                    Err(message) => json!({ "ok": false, "reason": "REFUSED", "message": message }),
+                };
+                if let Err(e) = self.reply(token, &reply.to_string()) {
+                    panic!("the component refused the reply to {request}: {e}");
+                }
+                answered = true;
+            }
+            self.host.services.lock().unwrap_or_else(PoisonError::into_inner).extend(open);
+            if !answered {
+                return;
+            }
+        }
+        panic!("after {MAX_ROUNDS} rounds of replies the component still asks for services");
+    }
+}

@@ -1,0 +1,194 @@
+//! What a class offers, by name: from its description in the program, or from what `describe` wrote last.
+//!
+//! Invariant: a wrong name or type fails the test with what there is, never with garbage bytes.
+
+use super::manifest;
+use crate::component::Class;
+use trocar_plugin_api::contracts::{leaves_of, size_of_type};
+use trocar_plugin_api::desc::TypeDesc;
+use trocar_plugin_api::manifest::{self as m, Description, PortType, Type};
+
+pub(crate) struct Shape(Description);
+
+/// A member of an interface: its position over all interfaces, and its types.
+#[derive(Clone)]
+pub(crate) struct Member {
+    pub(crate) id: usize,
+    pub(crate) path: String,
+    pub(crate) arg: Option<Type>,
+    pub(crate) ret: Option<Type>,
+    pub(crate) is_read: bool,
+    /// Takes the type of what it is connected to.
+    pub(crate) any: bool,
+    /// With its limits, of a command.
+    pub(crate) limited: Option<m::Arg>,
+}
+
+#[derive(Clone, Copy)]
+pub(crate) enum Of {
+    Commands,
+    Events,
+    Functions,
+    Handlers,
+}
+
+impl Of {
+    fn word(self) -> &'static str {
+        match self {
+            Of::Commands => "command",
+            Of::Events => "event",
+            Of::Functions => "function",
+            Of::Handlers => "handler",
+        }
+    }
+}
+
+impl Shape {
+    pub(crate) fn of<C: Class>() -> Shape {
+        Shape(manifest::description(C::DESC))
+    }
+
+    /// From the JSON that `describe` wrote.
+    ///
+    /// # Errors
+    /// It is no description.
+    pub(crate) fn read(json: &[u8]) -> Result<Shape, String> {
+        let read = serde_json::from_slice(json).map(Shape);
+        read.map_err(|e| format!("what `describe` wrote is no description: {e}"))
+    }
+
+    pub(crate) fn description(&self) -> &Description {
+        &self.0
+    }
+
+    pub(crate) fn class(&self) -> &m::Class {
+        &self.0.class
+    }
+
+    pub(crate) fn types(&self) -> &[m::NamedType] {
+        &self.0.types
+    }
+
+    pub(crate) fn members(&self, of: Of) -> Vec<Member> {
+        let mut out = Vec::new();
+        let mut add = |interface: &str, name: &str, arg: &Option<Type>, ret: &Option<Type>, is_read| {
+            let path = format!("{interface}/{name}");
+            let (arg, ret) = (arg.clone(), ret.clone());
+            out.push(Member { id: out.len(), path, arg, ret, is_read, any: false, limited: None });
+        };
+        let class = &self.0.class;
+        match of {
+            Of::Commands => class.provided.iter().for_each(|p| {
+                p.commands.iter().for_each(|c| {
+                    let arg = c.arg.as_ref().map(|a| a.ty.clone());
+                    add(&p.name, &c.name, &arg, &c.ret, c.kind.ends_with("read"));
+                })
+            }),
+            Of::Events => class.provided.iter().for_each(|p| {
+                p.events.iter().for_each(|e| add(&p.name, &e.name, &e.payload, &None, false));
+            }),
+            Of::Functions => class.required.iter().for_each(|r| {
+                r.functions.iter().for_each(|f| add(&r.name, &f.name, &f.arg, &f.ret, false));
+            }),
+            Of::Handlers => class.required.iter().for_each(|r| {
+                r.handlers.iter().for_each(|h| add(&r.name, &h.name, &h.payload, &None, false));
+            }),
+        }
+        match of {
+            Of::Commands => {
+                let commands = class.provided.iter().flat_map(|p| &p.commands);
+                out.iter_mut().zip(commands).for_each(|(m, c)| m.limited.clone_from(&c.arg));
+            }
+            Of::Functions => {
+                let functions = class.required.iter().flat_map(|r| &r.functions);
+                out.iter_mut().zip(functions).for_each(|(m, f)| m.any = f.any);
+            }
+            Of::Events | Of::Handlers => {}
+        }
+        out
+    }
+
+    /// `member` or `interface/member`.
+    #[track_caller]
+    pub(crate) fn member(&self, of: Of, name: &str) -> Member {
+        let (what, members) = (of.word(), self.members(of));
+        let there: Vec<String> = members.iter().map(|m| m.path.clone()).collect();
+        let fits =
+            |m: &Member| m.path == name || m.path.split_once('/').is_some_and(|(_, short)| short == name);
+        let mut found: Vec<Member> = members.into_iter().filter(fits).collect();
+        match found.pop() {
+            Some(member) if found.is_empty() => member,
+            Some(_) => {
+                panic!(
+                    "several {what}s are called `{name}`, say interface/name; there are {}",
+                    there.join(", ")
+                )
+            }
+            None => panic!("no {what} `{name}`; there are {}", there.join(", ")),
+        }
+    }
+
+    #[track_caller]
+    pub(crate) fn input(&self, name: &str) -> usize {
+        place("input", name, self.0.class.inputs.iter().map(|i| i.name.as_str()))
+    }
+
+    #[track_caller]
+    pub(crate) fn output(&self, name: &str) -> usize {
+        place("output", name, self.0.class.outputs.iter().map(|o| o.name.as_str()))
+    }
+
+    /// Fails the test unless the test's type is the class's.
+    #[track_caller]
+    pub(crate) fn expect_type(
+        &self,
+        what: &str,
+        name: &str,
+        have: Option<&Type>,
+        asked: Option<&'static TypeDesc>,
+    ) {
+        let had = have.map(|ty| leaves_of(self.types(), ty, "").unwrap_or_else(|why| vec![why]));
+        let used = asked.map(manifest::leaves);
+        if had == used {
+            return;
+        }
+        let text = |ty: Option<&Type>| ty.map_or("()".to_string(), type_text);
+        let asked = asked.map(manifest::type_of);
+        let (mut told, asked) = (text(have), text(asked.as_ref()));
+        if let (Some(had), Some(used)) = (had, used)
+            && told == asked
+            && let Some((had, used)) = had.iter().zip(&used).find(|(a, b)| a != b)
+        {
+            told = format!("{told} with `{had}` instead of `{used}`");
+        }
+        panic!("{what} `{name}` has type {told}, the test uses {asked}");
+    }
+
+    pub(crate) fn size(&self, ty: Option<&Type>) -> usize {
+        ty.map_or(0, |ty| size_of_type(self.types(), ty).unwrap_or_else(|why| panic!("{why}")))
+    }
+}
+
+/// The type of a plain sample or a frame's header; none for an untyped port.
+pub(crate) fn header(ty: &PortType) -> Option<&Type> {
+    match ty {
+        PortType::Plain { plain: ty } | PortType::Frame { frame: ty, .. } => Some(ty),
+        PortType::Any(_) => None,
+    }
+}
+
+#[track_caller]
+fn place<'a>(what: &str, name: &str, names: impl Iterator<Item = &'a str> + Clone) -> usize {
+    let at = names.clone().position(|n| n == name);
+    at.unwrap_or_else(|| panic!("no {what} `{name}`; there are {}", names.collect::<Vec<_>>().join(", ")))
+}
+
+/// `Force`, `f64`, `[f64; 3]`.
+fn type_text(ty: &Type) -> String {
+    match ty {
+        Type::Prim(name) | Type::Ref { name } => name.clone(),
+        Type::Array { item, n } => format!("[{}; {n}]", type_text(item)),
+        Type::List { item, n } => format!("List<{}, {n}>", type_text(item)),
+        Type::Text { n } => format!("Text<{n}>"),
+    }
+}

@@ -1,0 +1,84 @@
+//! The virtual clock and the steps on it.
+//!
+//! Invariant: time passes only when a test says so; the grid of deadlines is exact whatever the lateness.
+
+use super::bench::{Bench, Done};
+use crate::component::Class;
+use crate::values::Stamp;
+use std::sync::atomic::Ordering;
+use trocar_plugin_api::abi;
+
+/// Period of a class that names none, ns.
+const DEFAULT_PERIOD_NS: u64 = 1_000_000;
+
+impl<C: Class> Bench<C> {
+    /// `cycles` steps, each one period of virtual time after the other.
+    #[track_caller]
+    pub fn step(&mut self, cycles: u64) {
+        for _ in 0..cycles {
+            if let Err(e) = self.try_step() {
+                let history = self.history.text(&self.shape);
+                panic!("step {} failed: {e}{history}", self.cycle);
+            }
+        }
+    }
+
+    /// # Errors
+    /// The component's sentence; as in a host, it was made safe and is in FAULT now.
+    pub fn try_step(&mut self) -> Done {
+        self.late_step(0)
+    }
+
+    /// One step that begins `late_ns` after its deadline. The next deadline is where it would have been.
+    ///
+    /// # Errors
+    /// As `try_step`.
+    pub fn late_step(&mut self, late_ns: u64) -> Done {
+        let period_ns = self.grid_ns();
+        let deadline_ns = self.host.deadline_ns.fetch_add(period_ns, Ordering::Relaxed) + period_ns;
+        let now_ns = self.host.now_ns.load(Ordering::Relaxed).max(deadline_ns) + late_ns;
+        self.host.now_ns.store(now_ns, Ordering::Relaxed);
+        let before = self.host.stepped_ns.swap(now_ns, Ordering::Relaxed);
+        let tick = abi::Tick {
+            struct_size: size_of::<abi::Tick>() as u32,
+            flags: 0,
+            cycle: self.cycle,
+            now_ns,
+            deadline_ns: if C::DESC.period_ns > 0 { deadline_ns } else { now_ns },
+            period_ns: C::DESC.period_ns,
+            elapsed_ns: if self.cycle == 0 { period_ns } else { now_ns - before.min(now_ns) },
+        };
+        self.cycle += 1;
+        let f = self.table.step;
+        self.history.note(now_ns, format!("step {}", self.cycle));
+        self.host.in_step.store(true, Ordering::Relaxed);
+        // SAFETY: a live instance; the tick lives through the call.
+        let done = self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, &tick, err) }));
+        self.host.in_step.store(false, Ordering::Relaxed);
+        self.reply_all();
+        done.map_err(|e| self.failed(e))
+    }
+
+    /// Leaves out `cycles` deadlines, as a host does after an overrun: they are counted and not stepped.
+    pub fn skip(&mut self, cycles: u64) {
+        let ns = cycles * self.grid_ns();
+        self.cycle += cycles;
+        let deadline_ns = self.host.deadline_ns.fetch_add(ns, Ordering::Relaxed) + ns;
+        self.host.now_ns.fetch_max(deadline_ns, Ordering::Relaxed);
+    }
+
+    fn grid_ns(&self) -> u64 {
+        if C::DESC.period_ns > 0 { C::DESC.period_ns } else { DEFAULT_PERIOD_NS }
+    }
+
+    /// Now on the virtual clock.
+    pub fn now(&self) -> Stamp {
+        Stamp::from_ns(self.host.now_ns.load(Ordering::Relaxed))
+    }
+
+    /// Lets `ns` of virtual time pass without a step. Deadlines that pass meanwhile are moved, not missed.
+    pub fn advance(&mut self, ns: u64) {
+        let now_ns = self.host.now_ns.fetch_add(ns, Ordering::Relaxed) + ns;
+        self.host.deadline_ns.fetch_max(now_ns, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,136 @@
+//! A host inside the benchmark, with the measuring components of a real plugin file.
+
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use tokio::runtime::Runtime;
+use trocar::Host;
+use trocar::host::HostError;
+use trocar::model::{ConnectOptions, Execution, ExecutionModel, Refusal};
+use trocar_tests::{Built, World, eventually};
+
+/// Time a job gets.
+const WITHIN: Duration = Duration::from_secs(60);
+
+pub(crate) struct Lab {
+    runtime: Runtime,
+    host: Option<Host>,
+    _world: World,
+}
+
+impl Lab {
+    pub(crate) fn new() -> Lab {
+        let runtime = Runtime::new().expect("a runtime can be made");
+        let world = World::with_plugins(&["fixture_gauge"]);
+        let builder = Host::builder().plugins(world.plugins()).vet_with(Built::trocar());
+        let host = runtime.block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
+        let lab = Lab { runtime, host: Some(host), _world: world };
+        // A file counts as finished when it has not changed for a while.
+        eventually("the gauge is offered", || match lab.try_create("first", "gauge", Execution::default()) {
+            Ok(()) => Ok(()),
+            Err(e) => Err(e.to_string()),
+        });
+        lab.remove("first");
+        lab
+    }
+
+    fn host(&self) -> &Host {
+        self.host.as_ref().expect("the host is there until the lab is dropped")
+    }
+
+    fn try_create(&self, name: &str, class: &str, execution: Execution) -> Result<(), Refusal> {
+        let path = format!("host/{name}");
+        self.runtime.block_on(self.host().create_with(&path, class, json!({}), execution)).map(drop)
+    }
+
+    pub(crate) fn create(&self, name: &str, class: &str, execution: Execution) {
+        self.try_create(name, class, execution).unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+
+    pub(crate) fn remove(&self, name: &str) {
+        let gone = self.runtime.block_on(self.host().remove_forced(&format!("host/{name}")));
+        gone.unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+
+    pub(crate) fn connect(&self, client: &str, server: &str) {
+        self.connect_with(client, server, ConnectOptions::default());
+    }
+
+    pub(crate) fn connect_with(&self, client: &str, server: &str, options: ConnectOptions) {
+        let (client, server) = (format!("host/{client}"), format!("host/{server}"));
+        let made = self.runtime.block_on(self.host().connect_with(&client, &server, options));
+        made.unwrap_or_else(|e| panic!("{client} to {server}: {e}"));
+    }
+
+    pub(crate) fn start(&self) {
+        self.runtime.block_on(self.host().start("host/**")).unwrap_or_else(|e| panic!("start: {e}"));
+    }
+
+    pub(crate) fn invoke(&self, member: &str, arg: Value) -> Value {
+        let member = format!("host/{member}");
+        let reply = self.runtime.block_on(self.host().invoke_within(&member, arg, WITHIN));
+        reply.unwrap_or_else(|e| panic!("{member}: {e}")).value.unwrap_or_default()
+    }
+
+    /// The state row of a component.
+    pub(crate) fn row(&self, name: &str) -> Value {
+        let row = self.runtime.block_on(self.host().read(&format!("host/{name}")));
+        row.unwrap_or_else(|e| panic!("{name}: {e}")).value
+    }
+
+    /// A number of its state row.
+    pub(crate) fn number(&self, name: &str, field: &str) -> f64 {
+        as_number(&self.row(name)[field])
+    }
+
+    /// A job of a gauge, done in its step; ns per call.
+    pub(crate) fn measure(&self, gauge: &str, what: &str, calls: u64, runs: u64) -> f64 {
+        let before = self.number(gauge, "jobs");
+        self.invoke(&format!("{gauge}/time/measure"), json!({ "what": what, "calls": calls, "runs": runs }));
+        eventually(&format!("{gauge} has measured {what}"), || {
+            if self.number(gauge, "jobs") > before { Ok(()) } else { Err("not yet") }
+        });
+        let refused = self.number(gauge, "refused");
+        assert!(refused == 0.0, "{what}: {refused} of {} calls were refused", calls * runs);
+        self.number(gauge, "ns")
+    }
+
+    pub(crate) fn wait(&self, name: &str, field: &str, more: f64) {
+        let until = self.number(name, field) + more;
+        eventually(&format!("{name}: {field} is {until}"), || {
+            let now = self.number(name, field);
+            if now >= until { Ok(()) } else { Err(format!("{now}")) }
+        });
+    }
+
+    /// What an embedding program would await.
+    pub(crate) fn block_on<R>(&self, f: impl AsyncFnOnce(&Host) -> Result<R, HostError>) -> R {
+        self.runtime.block_on(f(self.host())).unwrap_or_else(|e| panic!("{e}"))
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        if let Some(host) = self.host.take() {
+            self.runtime.block_on(host.shutdown());
+        }
+    }
+}
+
+/// Whole numbers of 64 bits may come as text.
+pub(crate) fn as_number(value: &Value) -> f64 {
+    value.as_f64().or_else(|| value.as_str()?.parse().ok()).unwrap_or(f64::NAN)
+}
+
+pub(crate) fn model(model: ExecutionModel) -> Execution {
+    Execution { model: Some(model), ..Execution::default() }
+}
+
+/// Inside the steps of `head`, after it.
+pub(crate) fn after(head: &str) -> Execution {
+    Execution { inside: Some(format!("host/{head}")), ..model(ExecutionModel::ExecOut) }
+}
+
+pub(crate) fn stream_of(head: &str) -> Execution {
+    Execution { stream_of: Some(format!("host/{head}")), ..model(ExecutionModel::Stream) }
+}

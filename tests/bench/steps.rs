@@ -1,0 +1,67 @@
+//! Whole steps: statistics, publication, hops of a chain.
+
+use trocar::model::ExecutionModel;
+
+use crate::baseline;
+use crate::lab::{Lab, after, as_number, model};
+use crate::table::{Goal, Table, median};
+
+/// Components under test between head and tail.
+const MANY: usize = 8;
+/// Cycles whose times are taken.
+const CYCLES: f64 = 4000.0;
+/// Repetitions; the median counts.
+const ROUNDS: usize = 5;
+
+pub(crate) fn measure(table: &mut Table) {
+    table.title("Steps, on one thread");
+    let clock = baseline::clock();
+    let bare = each("row0");
+    let beside = "a look at the clock";
+    table.row("step with statistics, nothing to publish", bare, Goal::None, beside, clock);
+    table.row("step with statistics and a row of 1 f64", each("row1"), Goal::Ns(150.0), beside, clock);
+    let hop = median((0..ROUNDS).map(|_| (hops(MANY) - hops(0)) / MANY as f64).collect());
+    table.row("step of a filter that hands a sample on", hop, Goal::Ns(150.0), beside, clock);
+    for (class, numbers) in [("row1", 1), ("row10", 10), ("row100", 100), ("row1000", 1000)] {
+        let publish = each(class) - bare;
+        let what = format!("publication of {numbers} f64");
+        let goal = Goal::Ns(60.0 + 0.8 * f64::from(numbers));
+        table.row(&what, publish, goal, "a copy of it", baseline::copy(8 * numbers as usize));
+    }
+}
+
+/// What one step of a class takes, its publication included, ns.
+fn each(class: &str) -> f64 {
+    let once = || (between(class, MANY) - between(class, 0)) / MANY as f64;
+    median((0..ROUNDS).map(|_| once()).collect())
+}
+
+/// From the end of the head's step to the begin of the tail's, with `many` of a class in between; ns.
+fn between(class: &str, many: usize) -> f64 {
+    let lab = Lab::new();
+    lab.create("head", "head", model(ExecutionModel::Continuous));
+    for i in 0..many {
+        lab.create(&format!("one{i}"), class, after("head"));
+    }
+    cycle(&lab)
+}
+
+/// The same with a chain in which each hands a sample on.
+fn hops(many: usize) -> f64 {
+    let lab = Lab::new();
+    lab.create("head", "head", model(ExecutionModel::Continuous));
+    let mut from = "head/value".to_owned();
+    for i in 0..many {
+        lab.create(&format!("hop{i}"), "hop", after("head"));
+        lab.connect(&format!("hop{i}/value"), &from);
+        from = format!("hop{i}/value_out");
+    }
+    cycle(&lab)
+}
+
+fn cycle(lab: &Lab) -> f64 {
+    lab.create("tail", "tail", after("head"));
+    lab.start();
+    lab.wait("tail", "cycles", CYCLES);
+    as_number(&lab.invoke("tail/time/median", serde_json::Value::Null))
+}

@@ -1,0 +1,175 @@
+//! The conformance suite, for every way to connect two components of one process and every language.
+//!
+//! Promise: a component cannot tell where its peer runs or what it is written in; what may happen is the same.
+
+use trocar_tests::conformance::{
+    ExecIn, ExecOut, Lab, Language, OtherThread, Passive, SameStream, Way, cases,
+};
+use trocar_tests::skip;
+
+/// One test per case.
+macro_rules! tests {
+    ($way:expr; $($about:ident: $($case:ident),+;)+) => {
+        $($(
+            #[test]
+            fn $case() {
+                let way = $way;
+                if let Some(why) = way.language.missing() {
+                    return skip(&why);
+                }
+                cases::$about::$case(&way);
+            }
+        )+)+
+    };
+}
+
+/// One module per way; its list is the list of all cases.
+macro_rules! conform {
+    ($($module:ident: $deployment:ident, $language:ident;)+) => {
+        $(mod $module {
+            use super::*;
+            tests! {
+                Way { deployment: &$deployment, language: Language::$language };
+                commands:
+                    every_kind_that_is_sent_arrives_once,
+                    every_kind_that_is_sent_from_a_step_arrives_once,
+                    every_kind_that_is_called_gives_its_result,
+                    a_call_from_a_step_runs_inline_or_would_block,
+                    commands_of_one_client_keep_their_order,
+                    several_threads_of_a_client_use_one_function_at_once,
+                    a_read_is_answered_from_the_published_row_with_its_stamp,
+                    a_read_waits_for_nobody;
+                outcomes:
+                    nothing_connected_is_unbound,
+                    a_server_that_is_not_active_says_so_and_can_still_be_read,
+                    an_argument_outside_its_limits_never_reaches_the_server,
+                    a_command_that_refuses_has_failed_with_its_own_sentence,
+                    a_full_queue_refuses_and_keeps_what_it_has,
+                    a_full_queue_gives_up_its_oldest_where_the_command_says_so,
+                    the_latest_wins_where_the_command_says_so,
+                    a_call_that_was_not_begun_by_its_deadline_never_runs,
+                    a_call_that_was_begun_by_its_deadline_may_still_run,
+                    a_command_that_panics_has_failed_and_puts_only_its_server_in_fault;
+                events:
+                    an_event_back_into_a_stepping_client_waits_for_the_end_of_the_step,
+                    events_arrive_each_once_and_in_order,
+                    every_observer_hears_every_event,
+                    events_that_find_a_full_queue_are_counted_and_told_to_who_emits,
+                    from_outside_one_can_wait_for_an_event,
+                    a_client_that_is_disconnected_hears_nothing_more,
+                    events_of_a_command_from_outside_wake_the_client,
+                    a_direct_handler_runs_inside_emit_where_both_share_a_thread,
+                    a_direct_handler_of_a_client_that_is_busy_waits_like_any_other,
+                    a_client_that_was_reset_hears_again;
+                streams:
+                    the_latest_value_is_shown_again_and_is_fresh_once,
+                    a_full_queue_of_samples_drops_its_oldest_and_the_gap_says_how_many,
+                    a_full_queue_of_samples_drops_the_newest_where_asked,
+                    an_input_s_own_depth_counts_where_the_connection_names_none,
+                    nothing_is_lost_without_being_counted_while_both_run,
+                    one_output_feeds_many_inputs_each_at_its_own_pace,
+                    a_sample_older_than_the_connection_allows_is_stale,
+                    a_cut_stream_shows_nothing_and_a_new_one_starts_afresh,
+                    an_input_is_rewired_in_one_request;
+                frames:
+                    a_frame_arrives_where_it_was_made,
+                    a_frame_that_two_have_is_nobody_s_to_change,
+                    a_filter_changes_a_frame_in_place,
+                    an_exhausted_pool_is_a_counted_drop,
+                    the_threads_of_a_stream_work_on_slices_at_the_same_time,
+                    a_filter_that_failed_is_bypassed_where_its_stream_says_so,
+                    a_filter_that_failed_stops_its_branch_and_no_other;
+                lifecycle:
+                    start_is_refused_while_something_required_is_not_connected,
+                    an_actuator_that_loses_its_peer_is_made_safe_and_stops,
+                    an_actuator_whose_peer_is_removed_is_made_safe_and_stops,
+                    an_actuator_whose_source_falls_silent_has_stale_input_and_goes_on,
+                    one_can_wait_for_a_state_and_is_told_when_it_cannot_come,
+                    a_disconnect_changes_no_other_component_s_state,
+                    stop_makes_safe_and_resume_keeps_what_start_makes_anew,
+                    a_step_that_fails_is_a_fault_with_its_sentence,
+                    a_step_that_panics_is_a_fault_with_its_sentence,
+                    a_command_that_does_not_come_back_is_unresponsive_and_the_host_goes_on,
+                    everything_is_counted_from_a_reset_anew;
+                loss:
+                    a_call_whose_connection_is_cut_has_lost_its_peer,
+                    a_call_whose_server_is_removed_is_told_so_and_never_runs,
+                    a_call_whose_server_is_stopped_finds_it_not_active,
+                    a_call_that_waits_in_a_server_that_goes_into_fault_is_answered,
+                    rewiring_while_calls_go_on_loses_none_and_answers_each;
+                configuring:
+                    a_live_setting_changes_while_the_component_runs,
+                    any_other_setting_of_a_running_component_is_refused,
+                    a_value_outside_its_limits_is_refused_whole,
+                    a_configuration_survives_a_reset,
+                    settings_change_under_load_and_each_answer_is_of_one_of_them;
+                changing:
+                    a_configuration_makes_ports_that_answer_each_for_itself,
+                    what_stays_keeps_its_connections_and_what_goes_loses_them,
+                    a_component_changes_its_ports_itself,
+                    ports_that_contradict_each_other_are_refused_and_the_old_ones_stay,
+                    ports_of_a_configuration_survive_a_reset,
+                    calls_of_ports_that_come_and_go_are_each_answered_and_none_runs_twice;
+                untyped:
+                    an_untyped_input_takes_samples_and_frames_as_they_are,
+                    an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size,
+                    an_untyped_function_calls_what_it_is_connected_to_and_nothing_of_another_size,
+                    fields_that_only_moved_are_copied_by_name_where_the_connection_adapts;
+                payloads:
+                    every_kind_of_payload_comes_back_as_it_went,
+                    json_that_does_not_fit_its_payload_is_refused_with_the_place,
+                    a_command_without_an_argument_takes_none_and_one_with_takes_one;
+            }
+        })+
+    };
+}
+
+conform! {
+    other_thread_rust: OtherThread, Rust;
+    other_thread_cpp: OtherThread, Cpp;
+    other_thread_linked: OtherThread, Linked;
+    same_stream_rust: SameStream, Rust;
+    same_stream_cpp: SameStream, Cpp;
+    same_stream_linked: SameStream, Linked;
+    exec_in_rust: ExecIn, Rust;
+    exec_in_cpp: ExecIn, Cpp;
+    exec_in_linked: ExecIn, Linked;
+    exec_out_rust: ExecOut, Rust;
+    exec_out_cpp: ExecOut, Cpp;
+    exec_out_linked: ExecOut, Linked;
+    passive_rust: Passive, Rust;
+    passive_cpp: Passive, Cpp;
+    passive_linked: Passive, Linked;
+}
+
+/// Everything of a class but where it comes from and what is said to people.
+fn class_of(lab: &Lab, language: Language, name: &str) -> String {
+    let full = format!("{}/{name}", language.plugin());
+    let mut class = (*lab.class(&full)).clone();
+    (class.plugin, class.version, class.hash, class.doc) = Default::default();
+    let text = format!("{class:#?}");
+    // Docs of ports and fields stand on lines of their own.
+    text.lines().filter(|line| !line.trim_start().starts_with("doc: ")).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn the_classes_are_the_same_in_every_language() {
+    let linked = Lab::new(Language::Linked);
+    for language in [Language::Rust, Language::Cpp] {
+        if let Some(why) = language.missing() {
+            return skip(&why);
+        }
+        let lab = Lab::new(language);
+        for name in ["Server", "Client", "Through", "Arm", "Shelf", "Probe"] {
+            let (own, other) = (class_of(&linked, Language::Linked, name), class_of(&lab, language, name));
+            let differs = own.lines().zip(other.lines()).position(|(a, b)| a != b);
+            if let Some(at) = differs {
+                let around = |text: &str| {
+                    text.lines().skip(at.saturating_sub(8)).take(12).collect::<Vec<_>>().join("\n")
+                };
+                panic!("{name} linked:\n{}\n{language:?}:\n{}", around(&own), around(&other));
+            }
+            assert_eq!(own.lines().count(), other.lines().count(), "{name} in {language:?}");
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! Ten thousand steps of every execution model, with everything a step may do.
+//!
+//! Promise: a thread that steps allocates nothing, calls nothing of the system inside a step, and between steps only its own
+//! sleep and its wakes.
+
+mod book;
+mod classes;
+mod trap;
+
+use serde_json::json;
+use trocar::Host;
+use trocar::host::HostError;
+use trocar::model::{ConnectOptions, Execution, ExecutionModel};
+use trocar_tests::{eventually, skip};
+
+use book::{Excused, STEPS, Watch};
+
+type Done = Result<(), HostError>;
+
+/// A host with a watched component in it.
+struct Scene {
+    host: Host,
+    number: u64,
+    watch: &'static Watch,
+}
+
+impl Scene {
+    async fn new() -> Result<Scene, HostError> {
+        let host = Host::builder().name("host").plugin(classes::CLASSES).start().await?;
+        let (number, watch) = book::watch();
+        Ok(Scene { host, number, watch })
+    }
+
+    /// A component whose thread is watched.
+    async fn watched(&self, name: &str, class: &str, execution: Execution) -> Done {
+        let config = json!({ "watch": self.number });
+        self.host.create_with(&format!("host/{name}"), class, config, execution).await?;
+        Ok(())
+    }
+
+    /// One beside it.
+    async fn beside(&self, name: &str, class: &str, execution: Execution) -> Done {
+        self.host.create_with(&format!("host/{name}"), class, json!({}), execution).await?;
+        Ok(())
+    }
+
+    async fn connect(&self, client: &str, server: &str) -> Done {
+        self.host.connect(&format!("host/{client}"), &format!("host/{server}")).await?;
+        Ok(())
+    }
+
+    /// All that two workers can be to each other.
+    async fn pair(&self, client: &str, server: &str) -> Done {
+        for input in ["latest", "queue"] {
+            self.connect(&format!("{client}/{input}"), &format!("{server}/out")).await?;
+        }
+        self.connect(&format!("{client}/peer"), &format!("{server}/ctl")).await
+    }
+
+    /// Starts all, lets the steps pass and looks at the book; how many threads were watched.
+    async fn proves_pure(self, what: &str, excused: Excused) -> Result<usize, HostError> {
+        self.host.start("host/**").await?;
+        self.runs_pure(what, excused).await
+    }
+
+    /// The same without the start.
+    async fn runs_pure(self, what: &str, excused: Excused) -> Result<usize, HostError> {
+        let (watch, waits) = (self.watch, format!("{STEPS} steps {what}"));
+        let passed = tokio::task::spawn_blocking(move || {
+            eventually(&waits, || {
+                if watch.is_done() { Ok(()) } else { Err(format!("{} steps", watch.steps())) }
+            });
+        });
+        passed.await.unwrap();
+        self.host.shutdown().await;
+        if let Some(why) = watch.untrapped() {
+            skip(&format!("system calls in steps {what}: this kernel tells nobody of them ({why})"));
+        }
+        let stains = watch.stains(excused);
+        assert!(stains.is_empty(), "in {STEPS} steps {what}: {}", stains.join("\n"));
+        Ok(watch.threads())
+    }
+}
+
+fn model(model: ExecutionModel) -> Execution {
+    Execution { model: Some(model), ..Execution::default() }
+}
+
+fn periodic() -> Execution {
+    Execution { period_ns: Some(100_000), ..model(ExecutionModel::Periodic) }
+}
+
+fn inside(how: ExecutionModel, of: &str) -> Execution {
+    Execution { inside: Some(format!("host/{of}")), ..model(how) }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_periodic_component_with_others_inside_its_steps_and_one_on_another_thread() -> Done {
+    let scene = Scene::new().await?;
+    scene.watched("head", "worker", periodic()).await?;
+    scene.beside("before", "worker", inside(ExecutionModel::ExecIn, "head")).await?;
+    scene.beside("after", "worker", inside(ExecutionModel::ExecOut, "head")).await?;
+    scene.beside("other", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.pair("before", "head").await?;
+    scene.pair("after", "before").await?;
+    scene.pair("head", "other").await?;
+    scene.pair("other", "after").await?;
+    scene.proves_pure("of periodic, exec_in and exec_out", book::SLEEP_AND_WAKE).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_free_running_component_that_wakes_another_thread() -> Done {
+    let scene = Scene::new().await?;
+    scene.watched("free", "worker", model(ExecutionModel::Continuous)).await?;
+    scene.beside("woken", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.pair("free", "woken").await?;
+    scene.pair("woken", "free").await?;
+    scene.proves_pure("of continuous", book::AND_YIELD).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_that_sleeps_until_it_is_signalled() -> Done {
+    let scene = Scene::new().await?;
+    scene.beside("source", "worker", periodic()).await?;
+    scene.watched("woken", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.pair("woken", "source").await?;
+    scene.pair("source", "woken").await?;
+    scene.proves_pure("of on_signal", book::SLEEP_AND_WAKE).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_thread_that_calls_back() -> Done {
+    let scene = Scene::new().await?;
+    scene.watched("device", "device", model(ExecutionModel::OnCallback)).await?;
+    scene.beside("woken", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.connect("woken/queue", "device/out").await?;
+    scene.proves_pure("of on_callback", book::AND_WAKES_INSIDE).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_whose_filters_share_their_work_between_threads() -> Done {
+    let scene = Scene::new().await?;
+    let head = Execution { period_ns: Some(100_000), threads: Some(3), ..model(ExecutionModel::Stream) };
+    scene.beside("camera", "camera", head).await?;
+    let filter = Execution { stream_of: Some("host/camera".into()), ..model(ExecutionModel::Stream) };
+    scene.watched("filter", "filter", filter.clone()).await?;
+    scene.beside("second", "filter", filter).await?;
+    scene.beside("branch", "filter", model(ExecutionModel::OnSignal)).await?;
+    scene.connect("filter/frame", "camera/frame").await?;
+    scene.connect("second/frame", "filter/frame_out").await?;
+    scene.connect("branch/frame", "filter/frame_out").await?;
+    let threads = scene.proves_pure("of a stream with three threads and a branch", book::AND_TEAM).await?;
+    assert!(threads > 1, "only the stream's first thread was seen at work");
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_passive_component_in_its_callers_step() -> Done {
+    let scene = Scene::new().await?;
+    scene.watched("caller", "worker", periodic()).await?;
+    scene.beside("passive", "worker", model(ExecutionModel::None)).await?;
+    scene.connect("caller/peer", "passive/ctl").await?;
+    scene.proves_pure("that call a passive component", book::SLEEP_AND_WAKE).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_whose_peer_does_not_run_and_has_full_queues() -> Done {
+    let scene = Scene::new().await?;
+    scene.watched("head", "worker", periodic()).await?;
+    scene.beside("stuck", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.beside("idle", "worker", model(ExecutionModel::OnSignal)).await?;
+    let options = ConnectOptions { mailbox: Some(2), ..ConnectOptions::default() };
+    scene.host.connect_with("host/head/peer", "host/stuck/ctl", options).await?;
+    scene.connect("idle/queue", "head/out").await?;
+    scene.host.start("host/head").await?;
+    scene.runs_pure("beside components that do not run", book::SLEEP_AND_WAKE).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_whose_connections_are_replaced_while_it_steps() -> Done {
+    let scene = Scene::new().await?;
+    scene.watched("head", "worker", periodic()).await?;
+    scene.beside("other", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.pair("head", "other").await?;
+    scene.pair("other", "head").await?;
+    scene.host.start("host/**").await?;
+    while !scene.watch.is_done() {
+        let options = ConnectOptions { replace: true, ..ConnectOptions::default() };
+        scene.host.connect_with("host/head/peer", "host/other/ctl", options.clone()).await?;
+        scene.host.connect_with("host/head/latest", "host/other/out", options.clone()).await?;
+        scene.host.connect_with("host/other/queue", "host/head/out", options).await?;
+        scene.host.read("host/head").await?;
+    }
+    scene.runs_pure("while its connections are replaced and its state is read", book::AND_ORDERS).await?;
+    Ok(())
+}

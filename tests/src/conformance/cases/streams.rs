@@ -1,0 +1,129 @@
+//! Samples: latest value, bounded queues with exact gap counts, staleness, rewiring.
+
+use serde_json::json;
+use trocar::model::{ConnectOptions, Queue};
+
+use super::super::{Lab, Samples, Way};
+use crate::eventually;
+
+/// Both running, and this input of the client connected to the server's samples.
+fn flowing(way: &Way, input: &str, options: ConnectOptions) -> Lab {
+    let lab = Lab::pair(way);
+    lab.connect_with(&format!("client/{input}"), "server/value_out", options);
+    lab.start("server");
+    lab.start("client");
+    lab
+}
+
+fn fifo(depth: usize, drop_oldest: bool) -> ConnectOptions {
+    ConnectOptions { queue: Some(Queue::Fifo { depth, drop_oldest }), ..ConnectOptions::default() }
+}
+
+fn publish(lab: &Lab, samples: u32) {
+    let done = lab.invoke("server/ctl/publish", Some(json!(f64::from(samples))), false);
+    done.unwrap_or_else(|refusal| panic!("publishing: {refusal}"));
+}
+
+fn dropped(lab: &Lab) -> u64 {
+    lab.links().iter().map(|l| l.dropped).sum()
+}
+
+pub fn the_latest_value_is_shown_again_and_is_fresh_once(way: &Way) {
+    let lab = flowing(way, "latest", ConnectOptions::default());
+    assert_eq!(lab.samples("look").count, 0, "nothing was written yet");
+    publish(&lab, 10);
+    let first = lab.samples("look");
+    assert_eq!((first.last, first.fresh, first.gaps), (10.0, 1, 9), "the newest; nine were passed over");
+    let again = lab.samples("look");
+    assert_eq!((again.last, again.fresh), (10.0, 0));
+}
+
+pub fn a_full_queue_of_samples_drops_its_oldest_and_the_gap_says_how_many(way: &Way) {
+    let lab = flowing(way, "fifo", fifo(4, true));
+    publish(&lab, 10);
+    let seen = lab.samples("collect");
+    assert_eq!((seen.count, seen.first, seen.last, seen.gaps), (4, 7.0, 10.0, 6), "{seen:?}");
+    assert_eq!(dropped(&lab), seen.gaps, "the connection counts what the gap says");
+}
+
+pub fn a_full_queue_of_samples_drops_the_newest_where_asked(way: &Way) {
+    let lab = flowing(way, "fifo", fifo(4, false));
+    publish(&lab, 10);
+    let seen = lab.samples("collect");
+    assert_eq!((seen.count, seen.first, seen.last, seen.gaps), (4, 1.0, 4.0, 0), "{seen:?}");
+    publish(&lab, 1);
+    let next = lab.samples("collect");
+    assert_eq!((next.count, next.first, next.gaps), (1, 11.0, 6), "{next:?}");
+    assert_eq!(dropped(&lab), 6);
+}
+
+pub fn an_input_s_own_depth_counts_where_the_connection_names_none(way: &Way) {
+    let lab = flowing(way, "fifo", ConnectOptions::default());
+    publish(&lab, 20);
+    let seen = lab.samples("collect");
+    assert_eq!((seen.count, seen.first, seen.gaps), (8, 13.0, 12), "{seen:?}");
+}
+
+pub fn nothing_is_lost_without_being_counted_while_both_run(way: &Way) {
+    let lab = flowing(way, "fifo", fifo(16, true));
+    let mut all = Samples { count: 0, gaps: 0, first: 0.0, last: 0.0, stale: 0, fresh: 0 };
+    let mut take = || {
+        let seen = lab.samples("collect");
+        (all.count, all.gaps) = (all.count + seen.count, all.gaps + seen.gaps);
+    };
+    std::thread::scope(|scope| {
+        let source = scope.spawn(|| (0..40).for_each(|_| publish(&lab, 13)));
+        while !source.is_finished() {
+            take();
+        }
+        source.join().expect("each sample was published");
+    });
+    take();
+    assert_eq!(all.count + all.gaps, 40 * 13, "{all:?}");
+    assert_eq!(dropped(&lab), all.gaps, "{all:?}");
+}
+
+pub fn one_output_feeds_many_inputs_each_at_its_own_pace(way: &Way) {
+    let lab = flowing(way, "fifo", fifo(4, true));
+    lab.connect("client/latest", "server/value_out");
+    publish(&lab, 3);
+    assert_eq!(lab.samples("look").last, 3.0);
+    let seen = lab.samples("collect");
+    assert_eq!((seen.count, seen.first, seen.gaps), (3, 1.0, 0), "{seen:?}");
+}
+
+pub fn a_sample_older_than_the_connection_allows_is_stale(way: &Way) {
+    let options = ConnectOptions { max_age_ns: Some(1_000_000), ..ConnectOptions::default() };
+    let lab = flowing(way, "latest", options);
+    publish(&lab, 1);
+    eventually("the sample is stale", || match lab.samples("look") {
+        seen if seen.stale == 1 => Ok(()),
+        seen => Err(format!("{seen:?}")),
+    });
+    // It is still shown, so that the component chooses.
+    assert_eq!(lab.samples("look").last, 1.0);
+}
+
+pub fn a_cut_stream_shows_nothing_and_a_new_one_starts_afresh(way: &Way) {
+    let lab = flowing(way, "latest", ConnectOptions::default());
+    publish(&lab, 2);
+    assert_eq!(lab.samples("look").last, 2.0);
+    lab.disconnect("client/latest", "server/value_out");
+    assert_eq!(lab.samples("look").count, 0, "a cut input shows nothing old");
+    lab.connect("client/latest", "server/value_out");
+    publish(&lab, 1);
+    assert_eq!(lab.samples("look").last, 3.0);
+}
+
+pub fn an_input_is_rewired_in_one_request(way: &Way) {
+    let lab = flowing(way, "latest", ConnectOptions::default());
+    lab.create("other", "Server", json!({}), super::own_thread());
+    lab.start("other");
+    publish(&lab, 5);
+    assert_eq!(lab.samples("look").last, 5.0);
+    let options = ConnectOptions { replace: true, ..ConnectOptions::default() };
+    lab.connect_with("client/latest", "other/value_out", options);
+    assert_eq!(lab.graph().connections.len(), 1, "the old connection went");
+    lab.invoke("other/ctl/publish", Some(json!(1.0)), false).expect("the other publishes");
+    assert_eq!(lab.samples("look").last, 1.0);
+}

@@ -1,0 +1,95 @@
+//! Ports without a type, and connections whose ends lay a type out in two ways.
+
+use serde_json::json;
+use trocar::model::ConnectOptions;
+use trocar_sdk::Outcome;
+
+use super::super::answer::whole;
+use super::super::{Call, Function, Lab, Way};
+use super::changing::asking;
+
+/// Writes a sample of the server, or a frame.
+fn publish(lab: &Lab, command: &str) {
+    let done = lab.invoke(&format!("server/ctl/{command}"), Some(json!(1.0)), false);
+    done.unwrap_or_else(|refusal| panic!("{command}: {refusal}"));
+}
+
+/// A probe as the client.
+fn probe(way: &Way) -> Lab {
+    let lab = Lab::pair_of(way, "Probe", "Server", json!({}));
+    lab.start("server");
+    lab.start("client");
+    lab
+}
+
+pub fn an_untyped_input_takes_samples_and_frames_as_they_are(way: &Way) {
+    let lab = probe(way);
+    assert_eq!(whole(&lab.own("see")["there"]), 0, "nothing is connected");
+    lab.connect("client/any", "server/value_out");
+    publish(&lab, "publish");
+    let seen = lab.own("see");
+    assert_eq!((&seen["value"], whole(&seen["value_len"]), whole(&seen["seq"])), (&json!(1.0), 16, 1));
+    let options = ConnectOptions { replace: true, ..ConnectOptions::default() };
+    lab.connect_with("client/any", "server/frame_out", options);
+    assert_eq!(whole(&lab.own("see")["there"]), 0, "the other connection's sample went with it");
+    publish(&lab, "publish_frames");
+    let seen = lab.own("see");
+    assert_eq!((whole(&seen["value_len"]), whole(&seen["frame_len"])), (32, 4096));
+}
+
+pub fn an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size(way: &Way) {
+    let lab = probe(way);
+    let told = |value: f64| {
+        let reply = lab.invoke("client/run/tell", Some(json!(value)), false).expect("it is told");
+        super::super::Answer::of(&reply.value.unwrap_or_default())
+    };
+    let nobody = lab.try_connect("client/any", "client/any_out", ConnectOptions::default());
+    assert!(nobody.is_err(), "two ends without a type agree on none");
+    assert_eq!(told(1.0).outcomes, [(Outcome::Unbound, 2)]);
+    lab.create("second", "Client", json!({}), super::own_thread());
+    lab.start("second");
+    lab.connect("second/latest", "client/any_out");
+    assert_eq!(told(2.5).outcomes, [(Outcome::Executed, 1), (Outcome::InvalidArgument, 1)]);
+    let seen = lab.invoke("second/run/look", None, false).expect("it looks").value.unwrap_or_default();
+    assert_eq!((&seen["last"], whole(&seen["count"])), (&json!(2.5), 1));
+}
+
+pub fn an_untyped_function_calls_what_it_is_connected_to_and_nothing_of_another_size(way: &Way) {
+    let lab = Lab::pair_of(way, "Probe", "Shelf", json!({ "slots": ["left"] }));
+    lab.start("server");
+    lab.start("client");
+    assert_eq!(lab.perform(asking(way, 1.0)).only(), Outcome::Unbound);
+    lab.connect("client/peer", "server/slot_left");
+    let answer = lab.perform(asking(way, 7.0));
+    assert_eq!((answer.only(), answer.value), (Outcome::Executed, 7.0), "{answer:?}");
+    assert_eq!(lab.perform(asking(way, 51.0)).only(), Outcome::InvalidArgument, "limits hold for bytes, too");
+    for wait in [false, true] {
+        // The second place stands for three bytes instead of eight.
+        let wrong = Call { wait, ..super::commands::waiting(way, Function::Write, 1.0) };
+        assert_eq!(lab.perform(wrong).only(), Outcome::InvalidArgument, "waiting: {wait}");
+    }
+    let sent = lab.perform(Call::send(Function::Poke, 8.0)).only();
+    assert_eq!(sent, if way.deployment.inline() { Outcome::Executed } else { Outcome::Queued });
+    lab.await_count("server", "puts", |n| n == 2);
+}
+
+pub fn fields_that_only_moved_are_copied_by_name_where_the_connection_adapts(way: &Way) {
+    let lab = Lab::running(way);
+    let connect = |adapt| {
+        let options = ConnectOptions { adapt, ..ConnectOptions::default() };
+        lab.try_connect("client/turned", "server/value_out", options)
+    };
+    let refused = connect(false).expect_err("the fields lie elsewhere");
+    assert_eq!(refused.reason(), "TYPE_MISMATCH", "{refused}");
+    assert!(refused.to_string().contains("adapt"), "it says what would help: {refused}");
+    connect(true).expect("names and kinds agree");
+    for round in 1..=3_u32 {
+        publish(&lab, "publish");
+        let seen = lab.samples("look_turned");
+        assert_eq!((seen.last, seen.fresh, seen.gaps), (f64::from(round), 1, 0), "{seen:?}");
+    }
+    let options = ConnectOptions { adapt: true, ..ConnectOptions::default() };
+    let frames =
+        lab.try_connect("client/latest", "server/frame_out", options).expect_err("a frame is no sample");
+    assert_eq!(frames.reason(), "FORMAT_MISMATCH", "{frames}");
+}

@@ -1,0 +1,55 @@
+//! What the suite's components are written in, and how they reach the host.
+//!
+//! Invariant: the three offer the same classes under different plugin names.
+
+use std::env;
+
+use trocar::host::HostBuilder;
+use trocar_conform_classes::{Arm, Client, Probe, Server, Shelf, Through};
+use trocar_sdk::{StaticPlugin, static_plugin};
+
+use super::super::{Built, World};
+
+/// The Rust classes linked into the test itself.
+static LINKED: StaticPlugin =
+    static_plugin!(name = "conform-linked", Server, Client, Through, Arm, Shelf, Probe);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Language {
+    /// Rust, from a plugin file.
+    Rust,
+    /// C++, from a plugin file.
+    Cpp,
+    /// Rust, linked into the host.
+    Linked,
+}
+
+impl Language {
+    /// The plugin that has the classes.
+    #[must_use]
+    pub fn plugin(self) -> &'static str {
+        match self {
+            Language::Rust => "fixture-conform",
+            Language::Cpp => "conform_cpp",
+            Language::Linked => "conform-linked",
+        }
+    }
+
+    /// Why the classes cannot be had here; a machine may have no C++ compiler.
+    #[must_use]
+    pub fn missing(self) -> Option<String> {
+        if self == Language::Cpp { env::var("TROCAR_NO_CPP").ok() } else { None }
+    }
+
+    /// Gives the classes to a host that is to be started; `world` holds the plugin directory.
+    #[must_use]
+    pub fn offer(self, host: HostBuilder, world: &World) -> HostBuilder {
+        let file = match self {
+            Language::Linked => return host.plugin(LINKED),
+            Language::Rust => Built::plugin("fixture_conform"),
+            Language::Cpp => Built::cpp_plugin("conform_cpp"),
+        };
+        world.drop_in(&file);
+        host.plugins(world.plugins()).vet_with(Built::trocar())
+    }
+}

@@ -1,0 +1,16 @@
+//! The conformance suite: what connected components may rely on, the same for every way to connect them and every language.
+//!
+//! Invariant: a case knows neither where its components run nor what they are written in; what may differ it asks its
+//! [`Way`]. No case is left out for one of them.
+
+mod answer;
+pub mod cases;
+mod language;
+pub mod random;
+mod way;
+mod world;
+
+pub use answer::{Answer, Call, Function, Samples};
+pub use language::Language;
+pub use way::{Deployment, ExecIn, ExecOut, OtherThread, Passive, SameStream, Way};
+pub use world::Lab;

@@ -1,0 +1,180 @@
+//! What must add up when nothing moves any more.
+//!
+//! Invariant: every figure is the host's own; nothing is estimated.
+
+use std::collections::BTreeMap;
+use std::fs;
+
+use serde_json::json;
+use trocar::lcm::{Inventory, LinkDetail};
+use trocar::model::{ConnectOptions, Queue, Request, State, Target};
+use trocar_sdk::Outcome;
+
+use super::super::world::{PATIENCE, id, port};
+use super::super::{Call, Function, Lab, Samples};
+use super::ops::{CLIENTS, SERVERS, own_thread};
+use crate::eventually;
+
+/// What the GCM wants is what the LCM has: components, their states, connections.
+fn desired_is_observed(lab: &Lab) {
+    eventually("desired and observed agree", || {
+        let graph = lab.graph();
+        let Inventory { components, .. } = lab.inventory();
+        let desired: BTreeMap<_, _> = graph.components.iter().map(|(id, c)| (id.clone(), c.state)).collect();
+        let observed: BTreeMap<_, _> = components.into_iter().map(|c| (c.id, c.state)).collect();
+        if desired != observed {
+            return Err(format!("desired {desired:?}, observed {observed:?}"));
+        }
+        let wanted: Vec<u64> = graph.connections.keys().map(|id| id.0).collect();
+        let mut had: Vec<u64> = lab.links().iter().map(|l| l.connection).collect();
+        had.sort_unstable();
+        if wanted == had { Ok(()) } else { Err(format!("connections {wanted:?}, wired {had:?}")) }
+    });
+}
+
+/// Waits until the servers have taken whatever was sent to them, a `crash` among it perhaps.
+pub(super) fn settle(lab: &Lab) {
+    for server in SERVERS {
+        // A drain takes what was there when it began: after the second of these nothing older is left.
+        for _ in 0..3 {
+            // Refused by a server that is gone or stands still; what matters is that it has come back.
+            let _ = lab.invoke(&format!("{server}/ctl/poke"), None, false);
+        }
+    }
+    desired_is_observed(lab);
+}
+
+/// Mends the world by requests, has both pairs account for everything once, and takes it down.
+pub(super) fn close(lab: &Lab) {
+    for (client, server) in CLIENTS.iter().zip(SERVERS) {
+        mend(lab, server, "Server");
+        mend(lab, client, "Client");
+    }
+    for (client, server) in CLIENTS.iter().zip(SERVERS) {
+        wire(lab, client, server);
+        commands_add_up(lab, client, server);
+        events_add_up(lab, client, server);
+        samples_add_up(lab, client, server);
+    }
+    for name in CLIENTS.iter().chain(&SERVERS) {
+        lab.remove(name);
+    }
+    assert!(lab.links().is_empty(), "no component, no connection: {:?}", lab.links());
+}
+
+/// ACTIVE again; made anew where the thread it ran in is gone.
+fn mend(lab: &Lab, name: &str, class: &str) {
+    let start = || lab.ask(Request::Start { targets: vec![Target::One(id(name))] });
+    match lab.stands(name).map(|(state, _)| state) {
+        Some(State::Active) => return,
+        Some(State::Fault) => lab.reset(name),
+        _ => {}
+    }
+    if lab.stands(name).is_some() {
+        if start().is_ok() {
+            return;
+        }
+        lab.remove(name);
+    }
+    let config = if class == "Server" { lab.gated(json!({})) } else { json!({}) };
+    lab.create(name, class, config, own_thread());
+    start().unwrap_or_else(|refusal| panic!("{name}, made anew, does not start: {refusal}"));
+}
+
+fn wire(lab: &Lab, client: &str, server: &str) {
+    let options = ConnectOptions { replace: true, ..ConnectOptions::default() };
+    let queue = Some(Queue::Fifo { depth: 8, drop_oldest: true });
+    lab.connect_with(&format!("{client}/peer"), &format!("{server}/ctl"), options.clone());
+    let options = ConnectOptions { queue, ..options };
+    lab.connect_with(&format!("{client}/fifo"), &format!("{server}/value_out"), options);
+}
+
+/// The figures of the connection at this client's port.
+fn link(lab: &Lab, client_port: &str) -> LinkDetail {
+    let graph = lab.graph();
+    let found = graph.connections.values().find(|c| c.client == port(client_port));
+    let connection = found.unwrap_or_else(|| panic!("{client_port} is not connected")).id.0;
+    let links = lab.links();
+    let link = links.into_iter().find(|l| l.connection == connection);
+    link.unwrap_or_else(|| panic!("connection {connection} has no figures"))
+}
+
+fn commands_add_up(lab: &Lab, client: &str, server: &str) {
+    let (before, rejected) = (lab.count(server, "pokes"), link(lab, &format!("{client}/peer")).dropped);
+    let answer = lab.order(client, Call::send(Function::Poke, 0.0).from_threads(2).times(20), PATIENCE);
+    let answer = answer.unwrap_or_else(|refusal| panic!("{client} does not answer: {refusal}"));
+    let taken = answer.count(Outcome::Queued) + answer.count(Outcome::Executed);
+    let full = answer.count(Outcome::QueueFull);
+    assert_eq!(taken + full, 40, "{answer:?}");
+    lab.await_count(server, "pokes", |n| n == before + taken);
+    let counted = link(lab, &format!("{client}/peer")).dropped - rejected;
+    assert_eq!(counted, full, "every refusal is counted");
+}
+
+fn events_add_up(lab: &Lab, client: &str, server: &str) {
+    outside(lab, &format!("{client}/run/clear"), None);
+    let before = link(lab, &format!("{client}/peer")).dropped;
+    outside(lab, &format!("{server}/ctl/burst"), Some(20.0));
+    eventually(&format!("each event of {server} was heard by {client} or counted as lost"), || {
+        let (heard, lost) =
+            (lab.count(client, "ticks"), link(lab, &format!("{client}/peer")).dropped - before);
+        if heard + lost == 20 { Ok(()) } else { Err(format!("{heard} heard, {lost} lost")) }
+    });
+}
+
+fn samples_add_up(lab: &Lab, client: &str, server: &str) {
+    // Whatever the client saw before, it has now seen the newest.
+    outside(lab, &format!("{server}/ctl/publish"), Some(1.0));
+    collect(lab, client);
+    let before = link(lab, &format!("{client}/fifo")).dropped;
+    outside(lab, &format!("{server}/ctl/publish"), Some(20.0));
+    let seen = collect(lab, client);
+    assert_eq!(seen.count + seen.gaps, 20, "{seen:?}");
+    let dropped = link(lab, &format!("{client}/fifo")).dropped - before;
+    assert_eq!(dropped, seen.gaps, "the gaps are the drops: {seen:?}");
+}
+
+fn outside(lab: &Lab, member: &str, arg: Option<f64>) -> serde_json::Value {
+    let reply = lab.invoke(member, arg.map(|x| json!(x)), false);
+    reply.unwrap_or_else(|refusal| panic!("{member}: {refusal}")).value.unwrap_or_default()
+}
+
+fn collect(lab: &Lab, client: &str) -> Samples {
+    Samples::of(&outside(lab, &format!("{client}/run/collect"), None))
+}
+
+/// Threads and open files of this process.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Resources {
+    threads: usize,
+    files: usize,
+}
+
+impl Resources {
+    pub(super) fn now() -> Resources {
+        let entries = |dir: &str| fs::read_dir(dir).map(Iterator::count).unwrap_or_default();
+        Resources { threads: entries("/proc/self/task"), files: entries("/proc/self/fd") }
+    }
+
+    /// Waits until there are no more than these; the runtime's own helpers come and go.
+    pub(super) fn await_again(&self) {
+        eventually("threads and files are given back", || {
+            let now = Resources::now();
+            let fits = now.threads <= self.threads + SLACK && now.files <= self.files + SLACK;
+            if fits { Ok(()) } else { Err(format!("{self:?} before, {now:?} now: {:?}", open_files())) }
+        });
+    }
+}
+
+/// How many open files point where.
+fn open_files() -> BTreeMap<String, usize> {
+    let mut files = BTreeMap::new();
+    for entry in fs::read_dir("/proc/self/fd").into_iter().flatten().flatten() {
+        let to = fs::read_link(entry.path()).unwrap_or_default().display().to_string();
+        *files.entry(to).or_default() += 1;
+    }
+    files
+}
+
+/// Blocking threads of the tokio runtime that idle for a while before they end.
+const SLACK: usize = 12;

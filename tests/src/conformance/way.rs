@@ -1,0 +1,154 @@
+//! How two components are connected: where their threads come from.
+//!
+//! Invariant: a deployment says only where client and server run and what follows from it; the cases do the rest.
+
+use trocar::model::{Execution, ExecutionModel};
+
+use super::Language;
+
+/// Where client and server run.
+pub trait Deployment: Sync {
+    fn name(&self) -> &'static str;
+    /// The client's commands reach the server without a queue.
+    fn inline(&self) -> bool;
+    /// Execution of the client `host/client`, which is made first when [`Deployment::client_leads`].
+    fn client(&self) -> Execution;
+    /// Execution of the server `host/server`.
+    fn server(&self) -> Execution;
+    /// The server runs in the client's thread.
+    fn client_leads(&self) -> bool {
+        false
+    }
+    /// The server has a step.
+    fn server_steps(&self) -> bool {
+        true
+    }
+    /// A call from another thread waits in a queue while the server is busy; else it waits for the server itself.
+    fn queues_when_busy(&self) -> bool {
+        true
+    }
+}
+
+/// A deployment and a language: what a case is given.
+#[derive(Clone, Copy)]
+pub struct Way {
+    pub deployment: &'static dyn Deployment,
+    pub language: Language,
+}
+
+fn model(model: ExecutionModel) -> Execution {
+    Execution { model: Some(model), ..Execution::default() }
+}
+
+/// Each has its own thread.
+pub struct OtherThread;
+
+impl Deployment for OtherThread {
+    fn name(&self) -> &'static str {
+        "other thread"
+    }
+    fn inline(&self) -> bool {
+        false
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn server(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+}
+
+/// The client leads a stream and the server is in it.
+pub struct SameStream;
+
+impl Deployment for SameStream {
+    fn name(&self) -> &'static str {
+        "same stream"
+    }
+    fn inline(&self) -> bool {
+        true
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::Stream)
+    }
+    fn server(&self) -> Execution {
+        Execution { stream_of: Some("host/client".into()), ..Execution::default() }
+    }
+    fn client_leads(&self) -> bool {
+        true
+    }
+}
+
+/// The server runs inside the client's step, before it.
+pub struct ExecIn;
+
+impl Deployment for ExecIn {
+    fn name(&self) -> &'static str {
+        "exec_in"
+    }
+    fn inline(&self) -> bool {
+        true
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn server(&self) -> Execution {
+        Execution {
+            model: Some(ExecutionModel::ExecIn),
+            inside: Some("host/client".into()),
+            ..Execution::default()
+        }
+    }
+    fn client_leads(&self) -> bool {
+        true
+    }
+}
+
+/// The server runs inside the client's step, after it.
+pub struct ExecOut;
+
+impl Deployment for ExecOut {
+    fn name(&self) -> &'static str {
+        "exec_out"
+    }
+    fn inline(&self) -> bool {
+        true
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn server(&self) -> Execution {
+        Execution {
+            model: Some(ExecutionModel::ExecOut),
+            inside: Some("host/client".into()),
+            ..Execution::default()
+        }
+    }
+    fn client_leads(&self) -> bool {
+        true
+    }
+}
+
+/// The server has no thread: its callers' threads run it.
+pub struct Passive;
+
+impl Deployment for Passive {
+    fn name(&self) -> &'static str {
+        "passive"
+    }
+    fn inline(&self) -> bool {
+        true
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn server(&self) -> Execution {
+        model(ExecutionModel::None)
+    }
+    fn server_steps(&self) -> bool {
+        false
+    }
+    fn queues_when_busy(&self) -> bool {
+        false
+    }
+}

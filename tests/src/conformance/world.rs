@@ -1,0 +1,416 @@
+//! `Lab`: a host inside the test's own process, with the suite's classes.
+//!
+//! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down.
+
+use std::sync::{Arc, OnceLock};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::runtime::Runtime;
+use trocar::Host;
+use trocar::gcm::{ExecuteOptions, Executed, Gcm};
+use trocar::lcm::{Inventory, Invoke, Lcm, LinkDetail, LocalLcm, Payload, Reply};
+use trocar::model::{
+    ClassInfo, ComponentId, ConnectOptions, Execution, Health, MemberId, PortId, Refusal, Request, State,
+    SystemGraph, Target, Which,
+};
+
+use super::answer::whole;
+use super::{Answer, Call, Language, Samples, Way};
+use crate::{World, eventually};
+
+/// For calls that are to come back whatever happens: a watchdog, not a claim.
+pub(super) const PATIENCE: Duration = Duration::from_secs(40);
+
+/// One for all labs of a process, so that threads can be counted.
+fn runtime() -> &'static Runtime {
+    static RUNTIME: OnceLock<Runtime> = OnceLock::new();
+    RUNTIME.get_or_init(|| Runtime::new().unwrap_or_else(|e| panic!("no tokio runtime: {e}")))
+}
+
+/// For what an embedding program would await.
+pub(super) fn block_on<F: Future>(future: F) -> F::Output {
+    runtime().block_on(future)
+}
+
+/// A host and what is in it.
+pub struct Lab {
+    host: Option<Host>,
+    gcm: Gcm,
+    lcm: Arc<LocalLcm>,
+    language: Language,
+    world: World,
+}
+
+impl Lab {
+    /// An empty host that offers the classes in this language.
+    #[must_use]
+    pub fn new(language: Language) -> Lab {
+        let world = World::new();
+        let builder = language.offer(Host::builder().name("host"), &world);
+        let host = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
+        let gcm = host.gcm().cloned().unwrap_or_else(|| panic!("the host has no GCM"));
+        let lcm = host.lcm().cloned().unwrap_or_else(|| panic!("the host has no LCM"));
+        Lab { host: Some(host), gcm, lcm, language, world }
+    }
+
+    /// `host/client` and `host/server`, not connected, READY.
+    #[must_use]
+    pub fn pair(way: &Way) -> Lab {
+        Lab::pair_with(way, json!({}))
+    }
+
+    /// The same, with settings of the server.
+    #[must_use]
+    pub fn pair_with(way: &Way, server: Value) -> Lab {
+        let lab = Lab::new(way.language);
+        let server = lab.gated(server);
+        lab.make_pair(way, "Client", "Server", server);
+        lab
+    }
+
+    /// `host/client` and `host/server` of these classes, not connected.
+    #[must_use]
+    pub fn pair_of(way: &Way, client: &str, server: &str, config: Value) -> Lab {
+        let lab = Lab::new(way.language);
+        lab.make_pair(way, client, server, config);
+        lab
+    }
+
+    fn make_pair(&self, way: &Way, client: &str, server: &str, config: Value) {
+        let make_client = || self.create("client", client, json!({}), way.deployment.client());
+        if way.deployment.client_leads() {
+            make_client();
+        }
+        self.create("server", server, config, way.deployment.server());
+        if !way.deployment.client_leads() {
+            make_client();
+        }
+    }
+
+    /// Both connected and ACTIVE.
+    #[must_use]
+    pub fn running(way: &Way) -> Lab {
+        let lab = Lab::pair(way);
+        lab.connect("client/peer", "server/ctl");
+        lab.start("server");
+        lab.start("client");
+        lab
+    }
+
+    /// `config` with the file that opens the gate.
+    #[must_use]
+    pub fn gated(&self, mut config: Value) -> Value {
+        config["gate"] = json!(self.world.path("gate").to_string_lossy());
+        config
+    }
+
+    /// Lets everything pass that waits at the gate.
+    pub fn open_gate(&self) {
+        let written = std::fs::write(self.world.path("gate"), "");
+        written.unwrap_or_else(|e| panic!("the gate cannot be opened: {e}"));
+    }
+
+    /// Closes it again for those that come later.
+    pub fn close_gate(&self) {
+        for file in ["gate", "gate.waiting"] {
+            // It is closed already when there is no file.
+            let _ = std::fs::remove_file(self.world.path(file));
+        }
+    }
+
+    /// Waits until somebody waits at the gate.
+    pub fn await_waiting(&self) {
+        let sign = self.world.path("gate.waiting");
+        eventually("somebody waits at the gate", || if sign.exists() { Ok(()) } else { Err("nobody does") });
+    }
+
+    /// Keeps the server inside a command, in a thread that is not the client's, while `f` runs.
+    pub fn occupied<R>(&self, f: impl FnOnce() -> R) -> R {
+        self.close_gate();
+        thread::scope(|scope| {
+            let inside = scope.spawn(|| self.invoke("server/ctl/hold", None, false));
+            // Opened also when `f` fails: the scope waits for the thread inside.
+            let gate = OpensAtEnd(self);
+            self.await_waiting();
+            let result = f();
+            drop(gate);
+            // It may have been lost with the server: that is `f`'s doing.
+            let _ = inside.join();
+            result
+        })
+    }
+
+    // -- asking the GCM ------------------------------------------------------------------------------------------------
+
+    /// # Errors
+    /// What the GCM refuses.
+    pub fn ask(&self, request: Request) -> Result<Executed, Refusal> {
+        let options = ExecuteOptions {
+            deadline: Some(Instant::now() + PATIENCE),
+            identity: "conformance".into(),
+            ..ExecuteOptions::default()
+        };
+        runtime().block_on(self.gcm.execute(vec![request], options))
+    }
+
+    #[track_caller]
+    fn done(&self, request: Request) -> Executed {
+        let text = format!("{request:?}");
+        self.ask(request).unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"))
+    }
+
+    /// # Errors
+    /// What the GCM refuses.
+    pub fn try_create(
+        &self,
+        name: &str,
+        class: &str,
+        config: Value,
+        execution: Execution,
+    ) -> Result<Executed, Refusal> {
+        let class = format!("{}/{class}", self.language.plugin());
+        self.ask(Request::Create { id: id(name), class, config: Some(config), execution })
+    }
+
+    #[track_caller]
+    pub fn create(&self, name: &str, class: &str, config: Value, execution: Execution) {
+        let made = self.try_create(name, class, config, execution);
+        made.unwrap_or_else(|refusal| panic!("creating {name} was refused: {refusal}"));
+    }
+
+    #[track_caller]
+    pub fn connect(&self, client: &str, server: &str) {
+        self.connect_with(client, server, ConnectOptions::default());
+    }
+
+    #[track_caller]
+    pub fn connect_with(&self, client: &str, server: &str, options: ConnectOptions) {
+        self.done(Request::Connect { client: port(client), server: port(server), options });
+    }
+
+    /// # Errors
+    /// What the GCM refuses.
+    pub fn try_connect(&self, client: &str, server: &str, options: ConnectOptions) -> Result<(), Refusal> {
+        self.ask(Request::Connect { client: port(client), server: port(server), options }).map(|_| ())
+    }
+
+    #[track_caller]
+    pub fn disconnect(&self, client: &str, server: &str) {
+        self.done(Request::Disconnect { which: Which::Pair { client: port(client), server: port(server) } });
+    }
+
+    #[track_caller]
+    pub fn start(&self, name: &str) {
+        self.done(Request::Start { targets: targets(name) });
+    }
+
+    #[track_caller]
+    pub fn stop(&self, name: &str) {
+        self.done(Request::Stop { targets: targets(name) });
+    }
+
+    #[track_caller]
+    pub fn resume(&self, name: &str) {
+        self.done(Request::Resume { targets: targets(name) });
+    }
+
+    #[track_caller]
+    pub fn reset(&self, name: &str) {
+        self.done(Request::Reset { targets: targets(name) });
+    }
+
+    /// # Errors
+    /// What the GCM refuses.
+    pub fn configure(&self, name: &str, patch: Value) -> Result<(), Refusal> {
+        runtime().block_on(self.host().configure(&format!("host/{name}"), patch)).map(|_| ())
+    }
+
+    #[track_caller]
+    pub fn remove(&self, name: &str) {
+        self.done(Request::Remove { id: id(name), force: true });
+    }
+
+    // -- looking --------------------------------------------------------------------------------------------------------
+
+    #[must_use]
+    pub fn graph(&self) -> Arc<SystemGraph> {
+        self.gcm.graph()
+    }
+
+    /// A class that the host offers, as `plugin/class`.
+    #[track_caller]
+    #[must_use]
+    pub fn class(&self, full_name: &str) -> Arc<ClassInfo> {
+        eventually(full_name, || {
+            let all = self.inventory().classes;
+            let found = all.iter().find(|c| c.full_name() == full_name);
+            found.cloned().ok_or_else(|| all.iter().map(|c| c.full_name()).collect::<Vec<_>>().join(" "))
+        })
+    }
+
+    /// # Errors
+    /// It is not reached in time, or cannot be any more.
+    pub fn wait_for(&self, name: &str, state: State, within: Duration) -> Result<(), Refusal> {
+        runtime().block_on(self.host().wait_for(&format!("host/{name}"), state, within))
+    }
+
+    /// State and health as the GCM knows them.
+    #[must_use]
+    pub fn stands(&self, name: &str) -> Option<(State, Health)> {
+        self.graph().components.get(&id(name)).map(|c| (c.state, c.health))
+    }
+
+    /// Waits until the GCM knows it in this state.
+    #[track_caller]
+    pub fn await_state(&self, name: &str, state: State) {
+        eventually(&format!("{name} is {state}"), || match self.stands(name) {
+            Some((now, _)) if now == state => Ok(()),
+            other => Err(format!("{other:?}")),
+        });
+    }
+
+    /// The last published row of a component.
+    #[must_use]
+    pub fn row(&self, name: &str) -> Value {
+        let path = format!("host/{name}");
+        runtime()
+            .block_on(self.host().read(&path))
+            .unwrap_or_else(|refusal| panic!("the state of {name}: {refusal}"))
+            .value
+    }
+
+    /// A whole number in the last published row.
+    #[must_use]
+    pub fn count(&self, name: &str, field: &str) -> u64 {
+        whole(&self.row(name)[field])
+    }
+
+    /// Waits until a whole number of the row satisfies `is`.
+    #[track_caller]
+    pub fn await_count(&self, name: &str, field: &str, is: impl Fn(u64) -> bool) -> u64 {
+        eventually(&format!("{field} of {name}"), || match self.count(name, field) {
+            n if is(n) => Ok(n),
+            n => Err(n),
+        })
+    }
+
+    /// What the LCM has.
+    #[must_use]
+    pub fn inventory(&self) -> Inventory {
+        runtime().block_on(self.lcm.inventory()).unwrap_or_else(|refusal| panic!("no inventory: {refusal}"))
+    }
+
+    /// Figures of all connections.
+    #[must_use]
+    pub fn links(&self) -> Vec<LinkDetail> {
+        runtime().block_on(self.lcm.links()).unwrap_or_else(|refusal| panic!("no links: {refusal}"))
+    }
+
+    // -- calling --------------------------------------------------------------------------------------------------------
+
+    /// Calls a command from outside.
+    ///
+    /// # Errors
+    /// The refusal that its outcome becomes.
+    pub fn invoke(&self, member: &str, arg: Option<Value>, send: bool) -> Result<Reply, Refusal> {
+        self.invoke_within(member, arg, send, PATIENCE)
+    }
+
+    /// # Errors
+    /// The refusal that its outcome becomes.
+    pub fn invoke_within(
+        &self,
+        member: &str,
+        arg: Option<Value>,
+        send: bool,
+        within: Duration,
+    ) -> Result<Reply, Refusal> {
+        let member = MemberId::parse(&format!("host/{member}"))?;
+        let arg = arg.map_or(Payload::None, Payload::Json);
+        let deadline_ns = u64::try_from(within.as_nanos()).unwrap_or(u64::MAX);
+        runtime().block_on(self.lcm.invoke(Invoke { member, arg, send, deadline_ns }))
+    }
+
+    /// Has a client make calls now; it may be refused.
+    ///
+    /// # Errors
+    /// The client does not exist, does not run, or did not come back.
+    pub fn order(&self, client: &str, call: Call, within: Duration) -> Result<Answer, Refusal> {
+        let reply = self.invoke_within(&format!("{client}/run/perform"), Some(call.json()), false, within)?;
+        Ok(Answer::of(&reply.value.unwrap_or_default()))
+    }
+
+    /// Has the client make calls now, in one of its commands, and answer what they came to.
+    #[track_caller]
+    pub fn perform(&self, call: Call) -> Answer {
+        let answer = self.order("client", call, PATIENCE);
+        answer.unwrap_or_else(|refusal| panic!("the client did not perform {call:?}: {refusal}"))
+    }
+
+    /// Has the client make calls in its next step, and waits until it has.
+    #[track_caller]
+    pub fn perform_in_step(&self, call: Call) -> Answer {
+        let before = self.count("client", "scheduled");
+        let sent = self.invoke("client/run/schedule", Some(call.json()), true);
+        sent.unwrap_or_else(|refusal| panic!("the client did not take {call:?}: {refusal}"));
+        self.await_count("client", "scheduled", |n| n > before);
+        Answer::of(&self.row("client")["tally"])
+    }
+
+    /// A command of the client's own interface that answers samples.
+    #[track_caller]
+    pub fn samples(&self, command: &str) -> Samples {
+        Samples::of(&self.own(command))
+    }
+
+    /// A command without argument of the client's own interface.
+    #[track_caller]
+    pub fn own(&self, command: &str) -> Value {
+        let reply = self.invoke(&format!("client/run/{command}"), None, false);
+        let reply = reply.unwrap_or_else(|refusal| panic!("{command}: {refusal}"));
+        reply.value.unwrap_or_default()
+    }
+
+    fn host(&self) -> &Host {
+        self.host.as_ref().unwrap_or_else(|| panic!("the host was shut down"))
+    }
+
+    /// The LCM, for what has no shorthand here.
+    pub fn lcm(&self) -> &Arc<LocalLcm> {
+        &self.lcm
+    }
+}
+
+struct OpensAtEnd<'a>(&'a Lab);
+
+impl Drop for OpensAtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.open_gate();
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        self.open_gate();
+        if let Some(host) = self.host.take() {
+            runtime().block_on(host.shutdown());
+        }
+    }
+}
+
+/// `name` or `process/name`.
+pub(super) fn id(name: &str) -> ComponentId {
+    let path = format!("host/{name}");
+    ComponentId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
+}
+
+pub(super) fn port(path: &str) -> PortId {
+    let path = format!("host/{path}");
+    PortId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
+}
+
+fn targets(name: &str) -> Vec<Target> {
+    vec![Target::One(id(name))]
+}
