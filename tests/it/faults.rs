@@ -2,83 +2,47 @@
 //!
 //! Promise: its fault stays its own: the host lives, the others miss no cycle, and Reset brings it back.
 
+mod entries;
+mod manners;
+mod refusals;
+
 use serde_json::{Value, json};
 use trocar_tests::{Bystander, Grpcurl, HostProcess, World, eventually};
-
-/// Entries of the class table that the chaos fixture can be told to fail in.
-const ENTRIES: [&str; 4] = ["start", "step", "command", "stop"];
 
 struct Scene {
     grpc: Grpcurl,
     bystander: Bystander,
-    _host: HostProcess,
+    host: HostProcess,
     _world: World,
 }
 
 impl Scene {
     /// A host with a 1 kHz component beside which others may fail.
     fn new() -> Self {
-        let world = World::with_plugins(&["sine", "fixture_chaos"]);
+        let world = World::with_plugins(&["sine", "fixture_chaos", "fixture_echo"]);
         let host = HostProcess::start(&world);
         let grpc = host.grpcurl();
         grpc.await_class("host", "chaos");
         let bystander = Bystander::start(&grpc, "s");
-        Self { grpc, bystander, _host: host, _world: world }
+        Self { grpc, bystander, host, _world: world }
     }
 
     fn remove(&self) {
         self.grpc.ok("GcmService/Remove", json!({ "path": "host/c", "force": true }));
     }
 
-    /// Brings the chaos component to the entry it is told to fail in.
-    fn provoke(&self, entry: &str, config: Value) {
+    /// Makes the chaos component and starts it, whatever comes of it.
+    fn provoke(&self, config: Value) {
         self.grpc.create("host/c", "chaos", config);
-        let start = self.grpc.call("GcmService/Start", json!({ "path": "host/c" }));
-        match entry {
-            "command" => {
-                start.unwrap();
-                let _ = self.grpc.call("InteractService/Invoke", json!({ "path": "host/c/ctl/poke" }));
-            }
-            "stop" => {
-                start.unwrap();
-                let _ = self.grpc.call("GcmService/Stop", json!({ "path": "host/c" }));
-            }
-            _ => drop(start),
-        }
+        let _ = self.grpc.call("GcmService/Start", json!({ "path": "host/c" }));
     }
-}
-
-#[test]
-fn a_panic_in_any_entry_faults_its_component_alone() {
-    let scene = Scene::new();
-    for entry in ENTRIES {
-        scene.bystander.undisturbed_by(&format!("a panic in {entry}"), || {
-            scene.provoke(entry, json!({ "panic_in": entry }));
-            scene.grpc.await_state("host/c", "FAULT");
-            let fault = scene.grpc.component("host/c")["fault"].to_string();
-            assert!(fault.contains("panicked"), "panic in {entry}: {fault}");
-            scene.remove();
-        });
-    }
-}
-
-#[test]
-fn a_panic_while_it_is_made_leaves_nothing_behind() {
-    let scene = Scene::new();
-    scene.bystander.undisturbed_by("a panic in configure", || {
-        let body = json!({ "path": "host/c", "class": "chaos", "config": { "panic_in": "configure" } });
-        let refused = scene.grpc.refused("GcmService/Create", body);
-        assert!(refused.message.contains("panicked"), "{refused}");
-        let left = scene.grpc.refused("GcmService/GetState", json!({ "path": "host/c" }));
-        assert_eq!(left.reason, "COMPONENT_NOT_FOUND", "nothing half made");
-    });
 }
 
 #[test]
 fn an_error_from_step_is_the_reason_of_the_fault() {
     let scene = Scene::new();
     scene.bystander.undisturbed_by("an error from step", || {
-        scene.provoke("step", json!({ "error_in": "step" }));
+        scene.provoke(json!({ "error_in": "step" }));
         scene.grpc.await_state("host/c", "FAULT");
         let fault = scene.grpc.component("host/c")["fault"].to_string();
         assert!(fault.contains("chaos in step"), "the component's own words are kept: {fault}");
@@ -89,7 +53,7 @@ fn an_error_from_step_is_the_reason_of_the_fault() {
 #[test]
 fn reset_leads_from_fault_to_a_working_component() {
     let scene = Scene::new();
-    scene.provoke("step", json!({ "panic_in": "step" }));
+    scene.provoke(json!({ "panic_in": "step" }));
     scene.grpc.await_state("host/c", "FAULT");
     let refused = scene.grpc.refused("GcmService/Start", json!({ "path": "host/c" }));
     assert_eq!(refused.reason, "WRONG_STATE", "{refused}");
