@@ -9,6 +9,7 @@ use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::HostError;
@@ -57,8 +58,7 @@ impl StateDir {
             StateChoice::Ephemeral => {
                 let base = ephemeral_base();
                 sweep(&base);
-                let nanos = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.subsec_nanos());
-                Self::lock(&base.join(format!("{EPHEMERAL}{}-{nanos:08x}", std::process::id())), true)
+                Self::lock(&base.join(ephemeral_name()), true)
             }
         }
     }
@@ -158,6 +158,15 @@ pub fn state_home() -> PathBuf {
         .join("trocar")
 }
 
+/// A name no other host takes: the number tells the hosts of one process apart, the time those of processes with one id
+/// (in other containers).
+fn ephemeral_name() -> String {
+    static HOSTS: AtomicU64 = AtomicU64::new(0);
+    let host = HOSTS.fetch_add(1, Ordering::Relaxed);
+    let nanos = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.subsec_nanos());
+    format!("{EPHEMERAL}{}-{host}-{nanos:08x}", std::process::id())
+}
+
 /// The temporary directory, unless programs may not be run there: plugins are opened from the state directory.
 fn ephemeral_base() -> PathBuf {
     let temp = std::env::temp_dir();
@@ -251,6 +260,15 @@ mod tests {
         assert!(path.is_dir());
         drop(dir);
         assert!(!path.exists(), "{} is still there", path.display());
+    }
+
+    #[test]
+    fn hosts_that_start_at_the_same_moment_have_directories_of_their_own() {
+        let open = || StateDir::open(&StateChoice::Ephemeral, false).unwrap();
+        let names: std::collections::BTreeSet<String> = (0..1000).map(|_| ephemeral_name()).collect();
+        assert_eq!(names.len(), 1000);
+        let (one, other) = (open(), open());
+        assert_ne!(one.path(), other.path());
     }
 
     #[test]
