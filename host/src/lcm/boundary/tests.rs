@@ -7,3 +7,4 @@ mod dynamic;
 mod mistakes;
 mod puppet;
 mod streams;
+mod world;

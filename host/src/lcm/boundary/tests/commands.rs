@@ -9,6 +9,7 @@ use trocar_model::{ConnectOptions, Verb};
 use trocar_plugin_api::abi::*;
 
 use super::puppet::*;
+use super::world::*;
 
 /// poke, set, twice, value; event rang.
 pub(super) fn server() -> Value {

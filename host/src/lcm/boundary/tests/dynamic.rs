@@ -8,6 +8,7 @@ use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, SET, TWICE, client, obeys, server};
 use super::puppet::*;
+use super::world::*;
 use crate::lcm::News;
 
 /// `arms` interfaces like the server's own, in front of it or behind it.

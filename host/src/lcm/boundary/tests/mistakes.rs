@@ -8,6 +8,7 @@ use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, SET, TWICE, VALUE, client, obeys, server};
 use super::puppet::*;
+use super::world::*;
 
 fn frames(header: &str) -> Value {
     json!({"frame": header, "format": "image", "max_bytes": 64})

@@ -1,4 +1,4 @@
-//! A component class by hand, whose entries do what a test says, and a process full of them.
+//! A component class by hand, whose entries do what a test says.
 //!
 //! Invariant: everything goes through the tables a plugin has: class table in, slots and host table out.
 
@@ -7,17 +7,13 @@ use std::ffi::c_void;
 use std::ptr::{null, null_mut};
 use std::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use serde_json::{Value, json};
-use trocar_model::{
-    Change, ClassInfo, Component, ComponentId, ConnectOptions, Connection, ConnectionId, Execution,
-    ExecutionModel, Health, PortId, Refusal, State, Verb,
-};
+use serde_json::Value;
+use trocar_model::ComponentId;
 use trocar_plugin_api::abi::*;
-use trocar_plugin_api::manifest::Manifest;
 
-use crate::lcm::{Classes, Lcm, LcmConfig, LoadedClass, LocalLcm, PluginInfo, Report};
+use crate::lcm::LoadedClass;
 
 type Act = Box<dyn Fn(&Stage) -> Status + Send + Sync>;
 type Told = Box<dyn Fn(&Stage, u32, u64) -> Status + Send + Sync>;
@@ -200,6 +196,27 @@ static TABLE: Table = Table(ClassTable {
 struct Table(ClassTable);
 // SAFETY: immutable; its name points nowhere.
 unsafe impl Sync for Table {}
+
+/// The one class of all puppets.
+pub(super) fn loaded_class() -> LoadedClass {
+    // SAFETY: a static table.
+    unsafe { LoadedClass::new(&raw const TABLE.0, Arc::new(())) }
+}
+
+/// Says what the instance of this name will do; before it is created.
+pub(super) fn enrol(id: &ComponentId, script: Script) {
+    SCRIPTS.lock().unwrap().insert(id.to_string(), Arc::new(script));
+}
+
+pub(super) fn script_of(id: &ComponentId) -> Arc<Script> {
+    SCRIPTS.lock().unwrap()[&id.to_string()].clone()
+}
+
+/// The newest instance of this name.
+pub(super) fn stage_of(id: &ComponentId) -> &'static Stage {
+    let address = STAGES.lock().unwrap()[&id.to_string()];
+    stage(address as *mut c_void)
+}
 
 /// What a call came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -424,205 +441,5 @@ impl Stage {
 
     pub(super) fn seen(&self) -> Vec<u64> {
         self.seen.lock().unwrap().clone()
-    }
-}
-
-/// Every class of the tests is created by the same table.
-struct Puppets;
-
-impl Classes for Puppets {
-    fn catalog(&self) -> Vec<Arc<ClassInfo>> {
-        Vec::new()
-    }
-
-    fn load(&self, _: &ClassInfo) -> Result<LoadedClass, Refusal> {
-        // SAFETY: a static table.
-        Ok(unsafe { LoadedClass::new(&raw const TABLE.0, Arc::new(())) })
-    }
-
-    fn plugins(&self) -> Vec<PluginInfo> {
-        Vec::new()
-    }
-}
-
-/// The types every class of the tests may name.
-pub(super) fn types() -> Value {
-    let field =
-        |name: &str, at: usize, unit: &str| json!({"name": name, "at": at, "type": "f64", "unit": unit});
-    json!([
-        {"name": "Ab", "size": 16, "align": 8, "fields": [field("a", 0, "N"), field("b", 8, "m")]},
-        {"name": "Ba", "size": 24, "align": 8,
-            "fields": [field("b", 0, "m"), field("c", 8, "s"), field("a", 16, "N")]},
-    ])
-}
-
-/// A class of that name; `ports` holds inputs, outputs, required, provided.
-pub(super) fn class(name: &str, ports: &Value) -> Value {
-    let mut class = ports.clone();
-    class["name"] = json!(name);
-    class["state"] = json!("u64");
-    class["execution"] = json!({"model": "on_signal"});
-    class
-}
-
-/// A process of its own, shut down when dropped.
-pub(super) struct World {
-    pub(super) lcm: Arc<LocalLcm>,
-    runtime: tokio::runtime::Runtime,
-    process: String,
-    connections: AtomicU64,
-}
-
-pub(super) const PATIENCE: Duration = Duration::from_secs(30);
-
-impl World {
-    /// `process` tells tests of one program apart.
-    pub(super) fn new(process: &str) -> World {
-        let runtime =
-            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-        let config = LcmConfig {
-            process: process.parse().unwrap(),
-            classes: Some(Arc::new(Puppets)),
-            lock_memory: false,
-        };
-        let lcm = LocalLcm::new(config).unwrap();
-        World { lcm, runtime, process: process.into(), connections: AtomicU64::new(0) }
-    }
-
-    pub(super) fn id(&self, name: &str) -> ComponentId {
-        ComponentId::parse(&format!("{}/{name}", self.process)).unwrap()
-    }
-
-    pub(super) fn apply(&self, change: Change) -> Result<Report, Refusal> {
-        self.runtime.block_on(self.lcm.apply(change, Instant::now() + PATIENCE))
-    }
-
-    /// An ACTIVE component of class `ports`.
-    pub(super) fn active(
-        &self,
-        name: &str,
-        ports: &Value,
-        execution: Execution,
-        script: Script,
-    ) -> &'static Stage {
-        let stage = self.create(name, ports, execution, script);
-        self.configure(name).unwrap();
-        self.run(name, Verb::Start).unwrap();
-        stage()
-    }
-
-    /// A CREATED component, and the way to its present stage.
-    pub(super) fn create(
-        &self,
-        name: &str,
-        ports: &Value,
-        execution: Execution,
-        script: Script,
-    ) -> impl Fn() -> &'static Stage + use<> {
-        let manifest: Manifest = serde_json::from_value(json!({
-            "trocar": 1, "abi": [1, 1], "name": "puppets", "version": "1",
-            "types": types(), "classes": [class(name, ports)],
-        }))
-        .unwrap();
-        let info = crate::lcm::convert::classes(&manifest, "").unwrap().remove(0);
-        let id = self.id(name);
-        SCRIPTS.lock().unwrap().insert(id.to_string(), Arc::new(script));
-        let component = Box::new(Component {
-            ports: Arc::new(info.ports.clone()),
-            class: info,
-            config: json!({}),
-            execution,
-            state: State::Created,
-            health: Health::Ok,
-            fault: String::new(),
-        });
-        self.apply(Change::Create { id: id.clone(), component }).unwrap();
-        move || {
-            let address = STAGES.lock().unwrap()[&id.to_string()];
-            stage(address as *mut c_void)
-        }
-    }
-
-    /// What `describe` writes from now on.
-    pub(super) fn describes(&self, name: &str, text: String) {
-        let script = SCRIPTS.lock().unwrap()[&self.id(name).to_string()].clone();
-        *script.described.lock().unwrap() = text;
-    }
-
-    pub(super) fn configure(&self, name: &str) -> Result<Report, Refusal> {
-        let (from, to) = (json!({}), json!({}));
-        let state = self.instance(name).state();
-        let to_state = if state == State::Active { state } else { State::Ready };
-        self.apply(Change::Configure { id: self.id(name), from, to, from_state: state, to_state })
-    }
-
-    pub(super) fn run(&self, name: &str, verb: Verb) -> Result<Report, Refusal> {
-        self.apply(Change::Run { id: self.id(name), verb, from: State::Ready, to: State::Ready })
-    }
-
-    pub(super) fn remove(&self, name: &str) {
-        let info = self.instance(name).info.clone();
-        let component = Box::new(Component {
-            ports: Arc::new(info.ports.clone()),
-            class: info,
-            config: json!({}),
-            execution: Execution::default(),
-            state: State::Ready,
-            health: Health::Ok,
-            fault: String::new(),
-        });
-        self.apply(Change::Destroy { id: self.id(name), component }).unwrap();
-    }
-
-    pub(super) fn instance(&self, name: &str) -> Arc<crate::lcm::instance::Instance> {
-        self.lcm.instance(&self.id(name)).unwrap()
-    }
-
-    pub(super) fn connection(&self, client: &str, server: &str, options: ConnectOptions) -> Connection {
-        let port = |path: &str| PortId::parse(&format!("{}/{path}", self.process)).unwrap();
-        let id = ConnectionId(self.connections.fetch_add(1, Ordering::Relaxed) + 1);
-        Connection { id, client: port(client), server: port(server), options }
-    }
-
-    pub(super) fn connect(&self, client: &str, server: &str) -> Connection {
-        let connection = self.connection(client, server, ConnectOptions::default());
-        self.apply(Change::Connect { connection: connection.clone() }).unwrap();
-        connection
-    }
-
-    pub(super) fn cut(&self, connection: &Connection) {
-        self.apply(Change::Disconnect { connection: connection.clone() }).unwrap();
-    }
-}
-
-impl Drop for World {
-    fn drop(&mut self) {
-        self.runtime.block_on(self.lcm.shutdown(PATIENCE));
-    }
-}
-
-/// Waits until `f` holds; for what another thread does soon.
-pub(super) fn eventually(what: &str, mut f: impl FnMut() -> bool) {
-    let until = Instant::now() + PATIENCE;
-    while !f() {
-        assert!(Instant::now() < until, "{what} did not happen");
-        std::thread::yield_now();
-    }
-}
-
-pub(super) fn on_signal() -> Execution {
-    Execution { model: Some(ExecutionModel::OnSignal), ..Execution::default() }
-}
-
-pub(super) fn passive() -> Execution {
-    Execution { model: Some(ExecutionModel::None), ..Execution::default() }
-}
-
-/// On the same thread as `head` (`process/component`), stepping when something is there.
-pub(super) fn with(head: &ComponentId) -> Execution {
-    Execution {
-        model: Some(ExecutionModel::Stream),
-        stream_of: Some(head.to_string()),
-        ..Execution::default()
     }
 }

@@ -5,6 +5,7 @@ use trocar_model::{Change, ConnectOptions, Queue, Refusal};
 use trocar_plugin_api::abi::*;
 
 use super::puppet::*;
+use super::world::*;
 
 fn outputs(types: &[(&str, Value)]) -> Value {
     json!({"outputs": types.iter().map(|(n, t)| json!({"name": n, "type": t})).collect::<Vec<_>>()})
