@@ -271,7 +271,7 @@ impl OutCell {
             self.count_unread(value.len());
             return UNBOUND;
         }
-        pending::publish();
+        outs.publish_owed();
         let meta = self.next_meta(stamp_ns, value.len());
         for link in &outs.links {
             link.writer.push(value, meta);
@@ -286,7 +286,7 @@ impl OutCell {
             self.count_unread(bytes);
             return UNBOUND;
         };
-        pending::publish();
+        outs.publish_owed();
         let meta = self.next_meta(stamp_ns, bytes);
         for link in others {
             link.writer.push_frame(frame.clone(), meta);
@@ -304,7 +304,25 @@ impl OutCell {
     }
 }
 
+impl Outs {
+    /// State rows this thread owes are out before a sample tells another thread of what they hold.
+    #[inline]
+    fn publish_owed(&self) {
+        if self.links.iter().any(|link| link.leaves_thread()) {
+            pending::publish();
+        }
+    }
+}
+
 impl OutLink {
+    /// False where only this very thread can take what is written now.
+    #[inline]
+    fn leaves_thread(&self) -> bool {
+        self.consumer
+            .as_ref()
+            .is_none_or(|c| c.is_passive() || c.is_called_back() || c.executor_id() != context::executor())
+    }
+
     fn signal(&self, stamp_ns: u64) {
         if let Some(newest_ns) = &self.newest_ns {
             newest_ns.store(stamp_ns, Ordering::Relaxed);
