@@ -5,6 +5,7 @@
 pub(crate) mod announce;
 mod client;
 mod config;
+mod ending;
 mod error;
 mod process;
 mod signals;

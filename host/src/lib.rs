@@ -9,6 +9,7 @@ pub mod gcm;
 pub mod host;
 pub mod lcm;
 pub mod loader;
+mod plain;
 pub mod system_file;
 
 /// Names, states, requests and refusals: what the methods of [`Host`] take and answer.

@@ -120,7 +120,9 @@ pub struct ClassTable {
     pub start: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     pub stop: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     pub resume: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
-    /// Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown.
+    /// Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown. Of a class that says
+    /// `safe_from_any_thread` it may run beside any other entry of the same instance, and beside itself: it touches only what
+    /// is made for several threads, and nothing that another entry replaces.
     pub make_safe: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     pub step: Option<unsafe extern "C" fn(this: *mut c_void, tick: *const Tick, err: *mut ErrBuf) -> Status>,
     /// Executes a void, write, void-return or write-return command.

@@ -88,6 +88,36 @@ impl TypeDesc {
     pub const fn prim(p: Prim) -> TypeDesc {
         TypeDesc { size: p.size(), align: p.size(), kind: TypeKind::Prim(p) }
     }
+
+    /// True when a port of this type may say in which coordinate frame it is: some field holds coordinates (an array of
+    /// floating point numbers, or a struct with one) and names no frame of its own.
+    pub const fn takes_frame(&self) -> bool {
+        match &self.kind {
+            TypeKind::Array { item, .. } | TypeKind::List { item, .. } => item.takes_frame(),
+            TypeKind::Struct { fields, .. } => {
+                let mut i = 0;
+                while i < fields.len() {
+                    let f = &fields[i];
+                    if f.frame.is_empty() && (f.ty.is_vector() || f.ty.takes_frame()) {
+                        return true;
+                    }
+                    i += 1;
+                }
+                false
+            }
+            TypeKind::Prim(_) | TypeKind::Text { .. } | TypeKind::Enum { .. } => false,
+        }
+    }
+
+    const fn is_vector(&self) -> bool {
+        match &self.kind {
+            TypeKind::Array { item, .. } => match &item.kind {
+                TypeKind::Prim(Prim::F32 | Prim::F64) => true,
+                _ => item.is_vector(),
+            },
+            _ => false,
+        }
+    }
 }
 
 /// One field of a struct. Empty `unit` = none; `frame` is a coordinate-frame tag.
@@ -118,6 +148,8 @@ pub struct InputDesc {
     pub name: &'static str,
     pub doc: &'static str,
     pub ty: PortType,
+    /// Coordinate frame of the payload, empty = not said.
+    pub frame: &'static str,
     pub optional: bool,
     /// Depth of the input's queue in samples; 0 = latest value only.
     pub fifo: usize,
@@ -127,6 +159,8 @@ pub struct OutputDesc {
     pub name: &'static str,
     pub doc: &'static str,
     pub ty: PortType,
+    /// Coordinate frame of the payload, empty = not said.
+    pub frame: &'static str,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -158,6 +192,8 @@ pub struct ArgDesc {
     pub doc: &'static str,
     pub ty: &'static TypeDesc,
     pub unit: &'static str,
+    /// Coordinate frame of the payload, empty = not said.
+    pub frame: &'static str,
     pub min: &'static str,
     pub max: &'static str,
 }
@@ -170,6 +206,8 @@ pub struct CommandDesc {
     pub ret: Option<&'static TypeDesc>,
     /// Unit of the returned value, empty = none.
     pub ret_unit: &'static str,
+    /// Coordinate frame of the returned value, empty = not said.
+    pub ret_frame: &'static str,
     /// Mailbox policy: "reject", "latest_wins", "drop_oldest".
     pub overflow: &'static str,
 }
@@ -179,6 +217,8 @@ pub struct EventDesc {
     pub doc: &'static str,
     pub payload: Option<&'static TypeDesc>,
     pub unit: &'static str,
+    /// Coordinate frame of the payload, empty = not said.
+    pub frame: &'static str,
 }
 
 pub struct ProvidedDesc {
@@ -198,6 +238,8 @@ pub struct FunctionDesc {
     pub ret: Option<&'static TypeDesc>,
     /// Unit the argument must have, empty = not checked.
     pub unit: &'static str,
+    /// Coordinate frame of argument and result, of whichever has coordinates; empty = not said.
+    pub frame: &'static str,
     pub optional: bool,
     /// Takes the type of the command it is connected to.
     pub any: bool,
@@ -207,6 +249,8 @@ pub struct HandlerDesc {
     pub name: &'static str,
     pub doc: &'static str,
     pub payload: Option<&'static TypeDesc>,
+    /// Coordinate frame of the payload, empty = not said.
+    pub frame: &'static str,
     pub optional: bool,
     /// Runs inside `emit` when both ends share an executor.
     pub direct: bool,
@@ -256,7 +300,7 @@ pub struct ClassDesc {
     pub safety: Safety,
     /// Opens a device: never created in a vetting child, no shadow steps at a swap.
     pub hardware: bool,
-    /// `make_safe` may be called from another thread while an entry runs.
+    /// `make_safe` touches only what is made for several threads: it may be called while another entry hangs.
     pub safe_from_any_thread: bool,
     /// Default execution model: "periodic", "continuous", "on_signal", "on_callback", "stream", "none".
     pub model: &'static str,

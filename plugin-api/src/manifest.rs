@@ -126,6 +126,7 @@ pub struct Class {
     pub safety: String,
     #[serde(default)]
     pub hardware: bool,
+    /// `make_safe` touches only what is made for several threads: it may be called while another entry hangs.
     #[serde(default)]
     pub safe_from_any_thread: bool,
     #[serde(default)]
@@ -171,6 +172,9 @@ pub struct Input {
     pub doc: String,
     #[serde(rename = "type")]
     pub ty: PortType,
+    /// Coordinate frame of the payload; said of a type without coordinates it is an error.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub frame: String,
     #[serde(default)]
     pub optional: bool,
     #[serde(default)]
@@ -184,6 +188,9 @@ pub struct Output {
     pub doc: String,
     #[serde(rename = "type")]
     pub ty: PortType,
+    /// Coordinate frame of the payload; said of a type without coordinates it is an error.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub frame: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -212,6 +219,9 @@ pub struct Command {
     pub ret: Option<Type>,
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub ret_unit: String,
+    /// Coordinate frame of the result.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub ret_frame: String,
     /// "reject", "latest_wins", "drop_oldest".
     #[serde(default = "reject")]
     pub overflow: String,
@@ -227,6 +237,9 @@ pub struct Arg {
     pub ty: Type,
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub unit: String,
+    /// Coordinate frame of the payload; said of a type without coordinates it is an error.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub frame: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -242,6 +255,9 @@ pub struct Event {
     pub payload: Option<Type>,
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub unit: String,
+    /// Coordinate frame of the payload; said of a type without coordinates it is an error.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub frame: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -268,6 +284,9 @@ pub struct Function {
     pub ret: Option<Type>,
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub unit: String,
+    /// Coordinate frame of argument and result, of whichever has coordinates.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub frame: String,
     #[serde(default)]
     pub optional: bool,
     #[serde(default)]
@@ -281,6 +300,9 @@ pub struct Handler {
     pub doc: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub payload: Option<Type>,
+    /// Coordinate frame of the payload; said of a type without coordinates it is an error.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub frame: String,
     #[serde(default)]
     pub optional: bool,
     /// Runs inside `emit` when both ends share an executor.

@@ -332,6 +332,7 @@ impl<const N: usize> Out<N> {
             self.pair_opt("doc", inputs[i].doc);
             self.key("type", false);
             self.port(inputs[i].ty);
+            self.pair_opt("frame", inputs[i].frame);
             self.flag("optional", inputs[i].optional);
             self.key("fifo", false);
             self.number(inputs[i].fifo as u64);
@@ -347,6 +348,7 @@ impl<const N: usize> Out<N> {
             self.pair_opt("doc", outputs[i].doc);
             self.key("type", false);
             self.port(outputs[i].ty);
+            self.pair_opt("frame", outputs[i].frame);
             self.byte(b'}');
             i += 1;
         }
@@ -414,6 +416,7 @@ impl<const N: usize> Out<N> {
             self.type_opt("arg", f.arg);
             self.type_opt("ret", f.ret);
             self.pair_opt("unit", f.unit);
+            self.pair_opt("frame", f.frame);
             self.flag("optional", f.optional);
             self.flag("any", f.any);
             self.byte(b'}');
@@ -428,6 +431,7 @@ impl<const N: usize> Out<N> {
             self.pair("name", h.name, true);
             self.pair_opt("doc", h.doc);
             self.type_opt("payload", h.payload);
+            self.pair_opt("frame", h.frame);
             self.flag("optional", h.optional);
             self.flag("direct", h.direct);
             self.byte(b'}');
@@ -458,6 +462,7 @@ impl<const N: usize> Out<N> {
             self.pair_opt("doc", e.doc);
             self.type_opt("payload", e.payload);
             self.pair_opt("unit", e.unit);
+            self.pair_opt("frame", e.frame);
             self.byte(b'}');
             i += 1;
         }
@@ -475,6 +480,7 @@ impl<const N: usize> Out<N> {
         }
         self.type_opt("ret", c.ret);
         self.pair_opt("ret_unit", c.ret_unit);
+        self.pair_opt("ret_frame", c.ret_frame);
         self.pair("overflow", if c.overflow.is_empty() { "reject" } else { c.overflow }, false);
         self.byte(b'}');
     }
@@ -486,6 +492,7 @@ impl<const N: usize> Out<N> {
         self.key("type", false);
         self.type_ref(a.ty);
         self.pair_opt("unit", a.unit);
+        self.pair_opt("frame", a.frame);
         self.literal_opt("min", a.min);
         self.literal_opt("max", a.max);
         self.byte(b'}');

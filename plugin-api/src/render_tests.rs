@@ -35,19 +35,40 @@ static CLASS: ClassDesc = ClassDesc {
         default: "50.0",
         live: true,
     }],
-    inputs: &[InputDesc { name: "raw", doc: "", ty: PortType::Plain(&FORCE), optional: false, fifo: 0 }],
-    outputs: &[OutputDesc { name: "out", doc: "", ty: PortType::Plain(&FORCE) }],
+    inputs: &[InputDesc {
+        name: "raw",
+        doc: "",
+        ty: PortType::Plain(&FORCE),
+        frame: "",
+        optional: false,
+        fifo: 0,
+    }],
+    outputs: &[OutputDesc { name: "out", doc: "", ty: PortType::Plain(&FORCE), frame: "retina" }],
     required: &[RequiredDesc {
         name: "alarm",
         doc: "",
         optional: false,
         functions: &[],
-        handlers: &[HandlerDesc { name: "rang", doc: "", payload: None, optional: false, direct: true }],
+        handlers: &[HandlerDesc {
+            name: "rang",
+            doc: "",
+            payload: None,
+            frame: "",
+            optional: false,
+            direct: true,
+        }],
     }],
     provided: &[],
     state: Some(&FORCE),
     many: ManyDesc {
-        inputs: &[InputDesc { name: "{}_f", doc: "", ty: PortType::Plain(&FORCE), optional: true, fifo: 4 }],
+        inputs: &[InputDesc {
+            name: "{}_f",
+            doc: "",
+            ty: PortType::Plain(&FORCE),
+            frame: "",
+            optional: true,
+            fifo: 4,
+        }],
         ..ManyDesc::NONE
     },
 };
@@ -73,6 +94,10 @@ fn a_manifest_rendered_at_compile_time_parses_back_with_each_type_once() {
     assert_eq!(m.classes[0].execution.max_step_ns, 20_000_000);
     assert!(m.classes[0].required[0].handlers[0].direct);
     assert_eq!(m.classes[0].inputs[0].ty, MPort::Plain { plain: Type::Ref { name: "Force".into() } });
+    assert_eq!(
+        (m.classes[0].outputs[0].frame.as_str(), m.classes[0].inputs[0].frame.as_str()),
+        ("retina", "")
+    );
     assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["maximum"], 400.0);
     assert_eq!(m.classes[0].config["properties"]["cutoff_hz"]["unit"], "Hz");
 }

@@ -18,8 +18,9 @@ namespace trocar {
 
 // Thrown by an author: the entry refuses, with one sentence.
 struct Refused : std::runtime_error {
+    // TROCAR_STATUS_OK: what the entry it leaves takes it for.
     trocar_status status;
-    explicit Refused(const std::string &why, trocar_status status = TROCAR_STATUS_FAILED)
+    explicit Refused(const std::string &why, trocar_status status = TROCAR_STATUS_OK)
         : std::runtime_error(why), status(status) {}
 };
 

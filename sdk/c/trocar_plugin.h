@@ -13,7 +13,12 @@
  * Ids are positions in the manifest, counted over all interfaces of the class in order: commands (reads among them) and
  * events over the provided ones, functions and handlers over the required ones.
  *
- * Threads: the host serialises all calls on one instance. step, slots and state_copy are the real-time ones: no
+ * Beside the "type" of an input, output or argument, the "payload" of an event or handler and the "arg" and "ret" of a
+ * function, "frame": "retina" says in which coordinate frame it is; "ret_frame" of a command says it of its "ret". It holds
+ * for the fields with coordinates, arrays of f64 or f32 in structs, and must agree at Connect where both ends say it.
+ *
+ * Threads: the host serialises all calls on one instance, but for make_safe of a class whose manifest says
+ * "safe_from_any_thread": see there. step, slots and state_copy are the real-time ones: no
  * allocation, no lock, no waiting. read takes no instance and is called from any thread.
  *
  * No exception may leave a function of the tables. */
@@ -39,11 +44,13 @@ extern "C" {
 typedef int32_t trocar_status;
 enum {
     TROCAR_STATUS_OK = 0,
-    /* The entry refused or failed; the reason is in the error buffer. */
+    /* The entry failed; the reason is in the error buffer. A command or read has failed for its caller, and nothing else
+     * happens; after any other entry the component is in FAULT. */
     TROCAR_STATUS_FAILED = -1,
     /* The entry panicked; the component goes to FAULT and its instance is not trusted again. */
     TROCAR_STATUS_PANICKED = -2,
-    /* An argument or the configuration was not acceptable; the reason is in the error buffer. */
+    /* An argument or the configuration was not acceptable; the reason is in the error buffer. From configure: the component
+     * is as it was before. */
     TROCAR_STATUS_INVALID = -3,
     /* The plugin does not implement this id. */
     TROCAR_STATUS_UNSUPPORTED = -4
@@ -303,7 +310,11 @@ typedef struct trocar_class {
     trocar_status (*start)(void *self, trocar_err *err);
     trocar_status (*stop)(void *self, trocar_err *err);
     trocar_status (*resume)(void *self, trocar_err *err);
-    /* Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown. */
+    /* Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown. Of a class whose manifest says
+     * "safe_from_any_thread": true it is called from a thread of the host's own as well, while another entry of the same
+     * instance hangs, and once more by the instance's own thread when that is back, possibly at the same time: then it may
+     * touch only atomics and handles made for several threads, wait for no lock another entry holds, and nothing that
+     * configure, start or stop replaces. Without that word it is serialised like every other entry. */
     trocar_status (*make_safe)(void *self, trocar_err *err);
     trocar_status (*step)(void *self, const trocar_tick *tick, trocar_err *err);
     /* Executes a void, write, void-return or write-return command. ret may be null when nobody wants the value. */

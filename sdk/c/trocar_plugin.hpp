@@ -16,6 +16,8 @@
 
 #include "trocar_frames.hpp"
 #include "trocar_json.hpp"
+#include "trocar_repeated.hpp"
+#include "trocar_values.hpp"
 
 #include <algorithm>
 #include <cstring>
@@ -118,7 +120,10 @@ template <class T = None> class Event {
     const trocar_event *slot_ = nullptr;
 };
 
-// What an author derives from; override what you need. Throw Refused to fail with a sentence.
+// What an author derives from; override what you need. Throw Refused to say no with a sentence: from configure the component
+// is as it was before, so change nothing until all is checked; a command or read has failed for its caller and nothing else
+// happens; from start, stop, resume, make_safe and step the component is in FAULT. Refused(why, TROCAR_STATUS_FAILED) from
+// configure puts it in FAULT as well, and so does every other exception wherever it comes from.
 struct Component {
     const trocar_host *host = nullptr;
     std::string name;
@@ -128,6 +133,8 @@ struct Component {
     virtual void start() {}
     virtual void stop() {}
     virtual void resume() {}
+    // With "safe_from_any_thread" in the manifest this runs beside an entry that hangs, and beside itself: touch only
+    // std::atomic members and handles made for several threads, and wait for no mutex that another entry holds.
     virtual void make_safe() {}
     virtual void step(const trocar_tick &) {}
     virtual void answered(uint64_t, const Json &) {}
@@ -149,6 +156,11 @@ struct Component {
         return host->service(host->ctx, token, {reinterpret_cast<const uint8_t *>(json.data()), json.size()});
     }
     uint64_t now_ns() const { return host->now_ns(host->ctx); }
+
+  private:
+    template <class C> friend class Table;
+    // What ids beyond the manifest mean: by the last describe, and since the last bind.
+    Beyond described_, in_force_;
 };
 
 inline trocar_status say(trocar_err *err, trocar_status status, std::string_view why) {
@@ -159,13 +171,14 @@ inline trocar_status say(trocar_err *err, trocar_status status, std::string_view
     return status;
 }
 
-// Runs an entry; nothing is thrown out of it.
-template <class F> trocar_status guarded(trocar_err *err, F &&entry) noexcept {
+// Runs an entry; nothing is thrown out of it. refusal: what a Refused without a status of its own is here.
+template <class F>
+trocar_status guarded(trocar_err *err, F &&entry, trocar_status refusal = TROCAR_STATUS_FAILED) noexcept {
     try {
         entry();
         return TROCAR_STATUS_OK;
     } catch (const Refused &e) {
-        return say(err, e.status, e.what());
+        return say(err, e.status == TROCAR_STATUS_OK ? refusal : e.status, e.what());
     } catch (const std::exception &e) {
         return say(err, TROCAR_STATUS_PANICKED, e.what());
     } catch (...) {
@@ -227,6 +240,28 @@ template <class C> class Members {
             answer<void, A...>([&](auto &&...a) { (c.*f)(a...); }, arg, nullptr);
         };
     }
+    // Members of interfaces that describe writes once for each name of a list, "arm_{}/move_jp": the first parameter says
+    // which one is meant, from 0 in the order of the description. R f(size_t), R f(size_t, A).
+    template <class R, class... A> void each_command(std::string_view name, R (C::*f)(size_t, A...)) {
+        repeated.command(name, [f](C &c, size_t each, const void *arg, void *ret) {
+            answer<R, A...>([&](auto &&...a) -> R { return (c.*f)(each, a...); }, arg, ret);
+        });
+    }
+    // R f(const State &, size_t), R f(const State &, size_t, A). A class with these has one repeated provided interface, and
+    // its description the members in the order they are given here.
+    template <class R, class S, class... A> void each_read(std::string_view name, R (*f)(const S &, size_t, A...)) {
+        static_assert(std::is_trivially_copyable_v<S>, "the state is plain data");
+        repeated.read(name, [f](const void *row, size_t each, const void *arg, void *ret) {
+            S state{};
+            if (row != nullptr) std::memcpy(&state, row, sizeof state);
+            answer<R, A...>([&](auto &&...a) -> R { return f(state, each, a...); }, arg, ret);
+        });
+    }
+    template <class... A> void each_on(std::string_view name, void (C::*f)(size_t, A...)) {
+        repeated.handler(name, [f](C &c, size_t each, const void *arg) {
+            answer<void, A...>([&](auto &&...a) { (c.*f)(each, a...); }, arg, nullptr);
+        });
+    }
     // The state block, published after each entry.
     template <class S> void state(S C::*field) {
         static_assert(std::is_trivially_copyable_v<S>, "the state is plain data");
@@ -241,8 +276,11 @@ template <class C> class Members {
     std::vector<std::function<void(C &, const void *, void *)>> commands;
     std::vector<std::function<void(const void *, const void *, void *)>> reads;
     std::vector<std::function<void(C &, const void *)>> handlers;
+    Repeated<C> repeated;
     std::function<void *(C &)> state_of;
     size_t state_size = 0;
+
+    const Json &manifest() const { return manifest_; }
 
     // Everything the manifest names must have been given.
     void check() const {
@@ -256,34 +294,12 @@ template <class C> class Members {
         if (manifest_["state"].is_null() != (state_size == 0)) {
             throw Refused("manifest and code differ: only one of them has a state");
         }
+        if (!repeated.empty() && std::is_same_v<decltype(&C::describe), std::string (Component::*)()>) {
+            throw Refused("members of repeated interfaces are given, and the class has no describe that names them");
+        }
     }
 
   private:
-    template <class R, class... A, class F> static void answer(F &&f, const void *arg, void *ret) {
-        static_assert(sizeof...(A) <= 1, "at most one argument: put several values into one struct");
-        if constexpr (sizeof...(A) == 0) {
-            (void)arg;
-            give<R>(f, ret);
-        } else {
-            using Arg = std::decay_t<std::tuple_element_t<0, std::tuple<A...>>>;
-            static_assert(std::is_trivially_copyable_v<Arg>, "arguments are plain data");
-            if (arg == nullptr) throw Refused("the call carries no argument", TROCAR_STATUS_INVALID);
-            Arg value{};
-            std::memcpy(&value, arg, sizeof value);
-            give<R>([&]() -> R { return f(value); }, ret);
-        }
-    }
-    template <class R, class F> static void give(F &&f, void *ret) {
-        if constexpr (std::is_void_v<R>) {
-            (void)ret;
-            f();
-        } else {
-            static_assert(std::is_trivially_copyable_v<R>, "results are plain data");
-            const R value = f();
-            if (ret != nullptr) std::memcpy(ret, &value, sizeof value);
-        }
-    }
-
     size_t count(const char *side, const char *kind) const {
         size_t n = 0;
         for (const Json &i : manifest_[side].items()) n += i[kind].items().size();
@@ -343,7 +359,8 @@ template <class C> class Table {
         table.create = create;
         table.destroy = [](void *self) { guarded(nullptr, [&] { delete of(self); }); };
         table.configure = [](void *self, trocar_bytes json, trocar_err *err) {
-            return guarded(err, [&] { of(self)->configure(json.len == 0 ? Json() : Json::parse(text(json))); });
+            return guarded(err, [&] { of(self)->configure(json.len == 0 ? Json() : Json::parse(text(json))); },
+                           TROCAR_STATUS_INVALID);
         };
         table.bind = bind;
         table.start = [](void *self, trocar_err *err) { return guarded(err, [&] { of(self)->start(); }); };
@@ -354,13 +371,27 @@ template <class C> class Table {
             return guarded(err, [&] { of(self)->step(*tick); });
         };
         table.command = [](void *self, uint32_t id, const void *arg, void *ret, trocar_err *err) {
-            return guarded(err, [&] { at(members_->commands, id)(*of(self), arg, ret); });
+            return guarded(err, [&] {
+                C &c = *of(self);
+                const size_t fixed = members_->commands.size();
+                if (id < fixed) return at(members_->commands, id)(c, arg, ret);
+                members_->repeated.run(c, base(c).in_force_, id - fixed, arg, ret);
+            });
         };
         table.read = [](const void *row, uint32_t id, const void *arg, void *ret, trocar_err *err) {
-            return guarded(err, [&] { at(members_->reads, id)(row, arg, ret); });
+            return guarded(err, [&] {
+                const size_t fixed = members_->reads.size();
+                if (id < fixed) return at(members_->reads, id)(row, arg, ret);
+                members_->repeated.look(row, id - fixed, arg, ret);
+            });
         };
         table.on_event = [](void *self, uint32_t id, const void *payload, trocar_err *err) {
-            return guarded(err, [&] { at(members_->handlers, id)(*of(self), payload); });
+            return guarded(err, [&] {
+                C &c = *of(self);
+                const size_t fixed = members_->handlers.size();
+                if (id < fixed) return at(members_->handlers, id)(c, payload);
+                members_->repeated.handle(c, base(c).in_force_, id - fixed, payload);
+            });
         };
         table.on_service = [](void *self, uint64_t token, trocar_bytes reply) {
             return guarded(nullptr, [&] { of(self)->answered(token, Json::parse(text(reply))); });
@@ -376,7 +407,11 @@ template <class C> class Table {
         };
         if (describes()) {
             table.describe = [](void *self, const trocar_sink *sink) {
-                return guarded(nullptr, [&] { tell(sink, of(self)->describe()); });
+                return guarded(nullptr, [&] {
+                    const std::string said = of(self)->describe();
+                    look_up(*of(self), said);
+                    tell(sink, said);
+                });
             };
         }
         return &table;
@@ -384,6 +419,18 @@ template <class C> class Table {
 
   private:
     static C *of(void *self) { return static_cast<C *>(self); }
+    static Component &base(C &c) { return c; }
+
+    // What the ids of a new description mean; describe has no place for a sentence, so it goes to the log.
+    static void look_up(C &c, const std::string &said) {
+        if (members_->repeated.empty()) return;
+        try {
+            base(c).described_ = members_->repeated.of(said.empty() ? Json() : Json::parse(said), members_->manifest());
+        } catch (const Refused &e) {
+            if (c.host->log != nullptr) c.host->log(c.host->ctx, TROCAR_LOG_ERROR, bytes("describe"), bytes(e.what()));
+            throw;
+        }
+    }
 
     // The class has a describe of its own.
     static constexpr bool describes() {
@@ -419,6 +466,7 @@ template <class C> class Table {
             for (size_t i = 0; i < m.outputs.size(); ++i) m.outputs[i](c, ports->outputs[i]);
             for (size_t i = 0; i < m.functions.size(); ++i) m.functions[i](c, ports->functions[i]);
             for (size_t i = 0; i < m.events.size(); ++i) m.events[i](c, ports->events[i]);
+            base(c).in_force_ = base(c).described_;
             c.bound(*ports);
         });
     }

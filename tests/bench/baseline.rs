@@ -4,13 +4,16 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::table::median;
 
 /// Calls per run of a cheap loop, and runs.
 const CHEAP: u32 = 20_000;
 const RUNS: usize = 31;
+
+/// Between two round trips.
+const REST: Duration = Duration::from_micros(20);
 
 /// One call through a function pointer the compiler cannot see through, ns.
 pub(crate) fn call() -> f64 {
@@ -82,7 +85,7 @@ pub(crate) fn ring(words: u64) -> f64 {
     began.elapsed().as_nanos() as f64 / words as f64
 }
 
-/// A word handed to a sleeping thread through a futex and back, ns for both ways: what any queued call has to pay.
+/// A word handed to a sleeping thread through a futex and back, median ns for both ways: what any queued call has to pay.
 pub(crate) fn ping_pong(trips: u64) -> f64 {
     let (there, back) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
     let stop = Arc::new(AtomicBool::new(false));
@@ -103,15 +106,21 @@ pub(crate) fn ping_pong(trips: u64) -> f64 {
             }
         })
     };
-    let began = Instant::now();
-    for i in 1..=trips {
+    let trip = |i: u64| {
+        // Each time when the other one has gone to sleep, as for a component.
+        let rested = Instant::now();
+        while rested.elapsed() < REST {
+            std::hint::spin_loop();
+        }
+        let began = Instant::now();
         there.store(i, Ordering::Release);
         server.thread().unpark();
         while back.load(Ordering::Acquire) != i {
             thread::park();
         }
-    }
-    let ns = began.elapsed().as_nanos() as f64 / trips as f64;
+        began.elapsed().as_nanos() as f64
+    };
+    let ns = median((1..=trips).map(trip).collect());
     stop.store(true, Ordering::Release);
     server.thread().unpark();
     server.join().expect("the echoing thread does not panic");

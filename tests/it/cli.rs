@@ -43,6 +43,22 @@ fn without_a_gcm_every_question_says_so() {
 }
 
 #[test]
+fn a_class_is_described_by_its_name_wherever_no_path_is_meant() {
+    let world = World::with_plugins(&["example"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().await_class("host", "Server");
+    let trocar = Trocar::at(&world, host.address());
+    for name in ["example/Server", "Server"] {
+        trocar.run(&["describe", name]).ends_with(OK).says("class example/Server").says("Write");
+        let described = [vec!["describe", name, "--json"], vec!["describe", "--class", name, "--json"]]
+            .map(|args| trocar.run(&args).ends_with(OK).json());
+        assert_eq!(described[0], described[1]);
+    }
+    trocar.run(&["describe", "example/Nobody"]).ends_with(REFUSED).says("no process");
+    trocar.run(&["describe", "--class", "host"]).ends_with(REFUSED);
+}
+
+#[test]
 fn the_whole_life_of_a_component_goes_by_the_command_line() {
     let world = World::with_plugins(&["example"]);
     let host = HostProcess::start(&world);

@@ -2,6 +2,7 @@
 //!
 //! Promise: a component cannot tell where its peer runs or what it is written in; what may happen is the same.
 
+use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
     ExecIn, ExecOut, Lab, Language, OtherThread, Passive, SameStream, Way, cases,
 };
@@ -9,7 +10,9 @@ use trocar_tests::skip;
 
 /// One test per case.
 macro_rules! tests {
-    ($way:expr; $($about:ident: $($case:ident),+;)+) => {
+    ($way:expr; $($from:ident $about:ident: $($case:ident),+;)+) => {
+        /// Names of the cases.
+        pub(super) const CASES: &[&str] = &[$($(stringify!($case)),+),+];
         $($(
             #[test]
             fn $case() {
@@ -17,7 +20,8 @@ macro_rules! tests {
                 if let Some(why) = way.language.missing() {
                     return skip(&why);
                 }
-                cases::$about::$case(&way);
+                let _told = way.told_in_a_failure();
+                $from::$about::$case(&way);
             }
         )+)+
     };
@@ -30,7 +34,7 @@ macro_rules! conform {
             use super::*;
             tests! {
                 Way { deployment: &$deployment, language: Language::$language };
-                commands:
+                cases commands:
                     every_kind_that_is_sent_arrives_once,
                     every_kind_that_is_sent_from_a_step_arrives_once,
                     every_kind_that_is_called_gives_its_result,
@@ -39,7 +43,7 @@ macro_rules! conform {
                     several_threads_of_a_client_use_one_function_at_once,
                     a_read_is_answered_from_the_published_row_with_its_stamp,
                     a_read_waits_for_nobody;
-                outcomes:
+                cases outcomes:
                     nothing_connected_is_unbound,
                     a_server_that_is_not_active_says_so_and_can_still_be_read,
                     an_argument_outside_its_limits_never_reaches_the_server,
@@ -50,18 +54,20 @@ macro_rules! conform {
                     a_call_that_was_not_begun_by_its_deadline_never_runs,
                     a_call_that_was_begun_by_its_deadline_may_still_run,
                     a_command_that_panics_has_failed_and_puts_only_its_server_in_fault;
-                events:
+                cases events:
                     an_event_back_into_a_stepping_client_waits_for_the_end_of_the_step,
                     events_arrive_each_once_and_in_order,
                     every_observer_hears_every_event,
                     events_that_find_a_full_queue_are_counted_and_told_to_who_emits,
                     from_outside_one_can_wait_for_an_event,
+                    whoever_waits_for_an_event_is_told_when_it_does_not_come,
+                    events_are_followed_from_outside_in_order,
                     a_client_that_is_disconnected_hears_nothing_more,
                     events_of_a_command_from_outside_wake_the_client,
                     a_direct_handler_runs_inside_emit_where_both_share_a_thread,
                     a_direct_handler_of_a_client_that_is_busy_waits_like_any_other,
                     a_client_that_was_reset_hears_again;
-                streams:
+                cases streams:
                     the_latest_value_is_shown_again_and_is_fresh_once,
                     a_full_queue_of_samples_drops_its_oldest_and_the_gap_says_how_many,
                     a_full_queue_of_samples_drops_the_newest_where_asked,
@@ -69,9 +75,10 @@ macro_rules! conform {
                     nothing_is_lost_without_being_counted_while_both_run,
                     one_output_feeds_many_inputs_each_at_its_own_pace,
                     a_sample_older_than_the_connection_allows_is_stale,
+                    a_slow_consumer_misses_what_its_queue_cannot_hold_and_knows_how_much,
                     a_cut_stream_shows_nothing_and_a_new_one_starts_afresh,
                     an_input_is_rewired_in_one_request;
-                frames:
+                cases frames:
                     a_frame_arrives_where_it_was_made,
                     a_frame_that_two_have_is_nobody_s_to_change,
                     a_filter_changes_a_frame_in_place,
@@ -79,7 +86,7 @@ macro_rules! conform {
                     the_threads_of_a_stream_work_on_slices_at_the_same_time,
                     a_filter_that_failed_is_bypassed_where_its_stream_says_so,
                     a_filter_that_failed_stops_its_branch_and_no_other;
-                lifecycle:
+                cases lifecycle:
                     start_is_refused_while_something_required_is_not_connected,
                     an_actuator_that_loses_its_peer_is_made_safe_and_stops,
                     an_actuator_whose_peer_is_removed_is_made_safe_and_stops,
@@ -91,36 +98,58 @@ macro_rules! conform {
                     a_step_that_panics_is_a_fault_with_its_sentence,
                     a_command_that_does_not_come_back_is_unresponsive_and_the_host_goes_on,
                     everything_is_counted_from_a_reset_anew;
-                loss:
+                cases loss:
                     a_call_whose_connection_is_cut_has_lost_its_peer,
                     a_call_whose_server_is_removed_is_told_so_and_never_runs,
                     a_call_whose_server_is_stopped_finds_it_not_active,
                     a_call_that_waits_in_a_server_that_goes_into_fault_is_answered,
                     rewiring_while_calls_go_on_loses_none_and_answers_each;
-                configuring:
+                cases configuring:
                     a_live_setting_changes_while_the_component_runs,
                     any_other_setting_of_a_running_component_is_refused,
                     a_value_outside_its_limits_is_refused_whole,
                     a_configuration_survives_a_reset,
                     settings_change_under_load_and_each_answer_is_of_one_of_them;
-                changing:
+                cases changing:
                     a_configuration_makes_ports_that_answer_each_for_itself,
                     what_stays_keeps_its_connections_and_what_goes_loses_them,
                     a_component_changes_its_ports_itself,
                     ports_that_contradict_each_other_are_refused_and_the_old_ones_stay,
                     ports_of_a_configuration_survive_a_reset,
                     calls_of_ports_that_come_and_go_are_each_answered_and_none_runs_twice;
-                untyped:
+                cases untyped:
                     an_untyped_input_takes_samples_and_frames_as_they_are,
                     an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size,
                     an_untyped_function_calls_what_it_is_connected_to_and_nothing_of_another_size,
                     fields_that_only_moved_are_copied_by_name_where_the_connection_adapts;
-                payloads:
+                cases rows:
+                    each_row_is_found_by_its_time_its_tick_and_its_distance,
+                    rows_are_the_same_over_grpc;
+                cases payloads:
                     every_kind_of_payload_comes_back_as_it_went,
                     json_that_does_not_fit_its_payload_is_refused_with_the_place,
                     a_command_without_an_argument_takes_none_and_one_with_takes_one;
+                matrix cases:
+                    of_a_command,
+                    of_a_step,
+                    of_a_thread_of_its_own,
+                    without_a_connection,
+                    of_a_server_that_is_not_active,
+                    of_arguments_outside_their_limits,
+                    of_a_server_that_refuses,
+                    of_a_busy_server,
+                    of_a_busy_server_in_a_command,
+                    of_a_full_queue,
+                    of_what_was_begun_and_does_not_come_back,
+                    when_the_connection_is_cut,
+                    when_the_server_is_stopped,
+                    when_the_server_is_removed,
+                    when_the_server_fails,
+                    of_commands_that_are_withdrawn;
             }
         })+
+        /// The cases of every way.
+        const PLAYED: &[(&str, &[&str])] = &[$((stringify!($module), $module::CASES)),+];
     };
 }
 
@@ -140,6 +169,22 @@ conform! {
     passive_rust: Passive, Rust;
     passive_cpp: Passive, Cpp;
     passive_linked: Passive, Linked;
+}
+
+#[test]
+fn every_outcome_of_every_kind_of_command_comes_about_or_has_its_reason_why_not() {
+    let holes = matrix::holes();
+    assert!(holes.is_empty(), "{}", holes.join("\n"));
+}
+
+#[test]
+fn every_situation_has_its_case() {
+    for (way, cases) in PLAYED {
+        for situation in Situation::ALL {
+            let case = situation.case();
+            assert!(cases.contains(&case), "{way}: {situation:?} is not played: {case} is not in the list");
+        }
+    }
 }
 
 /// Everything of a class but where it comes from and what is said to people.

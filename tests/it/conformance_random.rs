@@ -1,7 +1,7 @@
 //! A thousand random interleavings of changes and calls, by seed.
 //!
 //! Promise: whatever is asked in whatever order, every call has one outcome, counts add up, desired is observed, and
-//! nothing is left behind. `TROCAR_SEED=n` plays one seed alone.
+//! nothing is left behind. `TROCAR_SEED=n` plays one seed alone, `TROCAR_SEEDS=5` five times as many.
 
 use trocar_tests::conformance::{Language, random};
 

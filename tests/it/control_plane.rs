@@ -62,6 +62,24 @@ fn the_whole_life_of_a_component_goes_by_grpcurl_alone() {
 }
 
 #[test]
+fn a_change_answers_each_component_once_without_its_ports_and_each_warning_once() {
+    let (_world, _host, grpc) = host_with(&["sine"]);
+    grpc.await_class("host", "sine");
+    let execution = json!({ "cpus": [4000] });
+    let created =
+        grpc.ok("GcmService/Create", json!({ "path": "host/s", "class": "sine", "execution": execution }));
+    let reports = created["components"].as_array().cloned().unwrap_or_default();
+    assert_eq!(reports.len(), 1, "{created}");
+    assert_eq!(reports[0]["state"], "COMPONENT_STATE_READY", "as it stands in the end: {created}");
+    assert!(reports[0]["ports"].is_null(), "ports are for Describe: {created}");
+    let said = created["warnings"].as_array().cloned().unwrap_or_default();
+    assert_eq!(said.len(), 1, "a processor that does not exist, once: {created}");
+    let started = grpc.start("host/s");
+    assert!(started["warnings"].as_array().is_none_or(Vec::is_empty), "it was told before: {started}");
+    assert!(started["components"][0]["ports"].is_null(), "{started}");
+}
+
+#[test]
 fn describe_tells_docs_units_and_kinds() {
     let (_world, _host, grpc) = host_with(&["example"]);
     grpc.await_class("host", "Server");
@@ -132,7 +150,7 @@ fn stop_is_never_refused_for_a_stale_revision() {
     grpc.create("host/s", "sine", json!({}));
     grpc.start("host/s");
     let stale = json!({ "path": "host/s", "expected_revision": 0 });
-    assert_eq!(grpc.refused("GcmService/Configure", stale.clone()).reason, "REVISION_CONFLICT");
+    assert_eq!(grpc.refused("GcmService/Reset", stale.clone()).reason, "REVISION_CONFLICT");
     grpc.ok("GcmService/Stop", stale);
     assert_eq!(grpc.state("host/s"), "STOPPED");
 }

@@ -21,6 +21,23 @@ fn a_cpp_filter_computes_what_the_rust_filter_computes() {
 }
 
 #[test]
+fn the_coordinates_its_manifest_names_at_a_port_are_those_of_the_ports_vectors() {
+    let world = World::new();
+    world.drop_in(&Built::cpp_plugin("cpp_filter"));
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    let class = grpc.await_class("host", "cpp_low_pass");
+    let ports = &grpc.ok("GcmService/Describe", json!({ "class": class }))["class"]["ports"];
+    let frames = |ty: &Value| {
+        let fields = ty["structure"]["fields"].as_array().unwrap_or_else(|| panic!("{ty}"));
+        fields.iter().map(|f| f["frame"].as_str().unwrap_or_default().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(frames(&ports["outputs"][0]["type"]["plain"]), ["", "sensor"]);
+    assert_eq!(frames(&ports["inputs"][0]["type"]["plain"]), ["", ""]);
+    assert_eq!(frames(&ports["provided"][0]["commands"][1]["ret"]), ["", "sensor"], "{ports}");
+}
+
+#[test]
 fn rust_and_cpp_filters_work_in_one_chain() {
     let world = World::with_plugins(&["filters"]);
     world.drop_in(&Built::cpp_plugin("cpp_filter"));
@@ -32,6 +49,29 @@ fn rust_and_cpp_filters_work_in_one_chain() {
     grpc.create("host/second", &rust, json!({}));
     // Identical payloads connect whoever wrote them: names, offsets, kinds and units agree.
     grpc.connect("host/second/raw", "host/first/filtered");
+}
+
+#[test]
+fn the_arms_of_its_configuration_are_interfaces_whose_commands_and_reads_reach_the_right_one() {
+    let world = World::new();
+    world.drop_in(&Built::cpp_plugin("cpp_arms"));
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    let class = grpc.await_class("host", "cpp_arms");
+    grpc.create("host/arms", &class, json!({ "arms": ["left", "right"] }));
+    grpc.ok("GcmService/Start", json!({ "path": "host/arms" }));
+    let moved = grpc.ok("InteractService/Invoke", json!({ "path": "host/arms/arm_right/move", "json": 0.5 }));
+    assert_eq!(moved["json"], 100.5, "{moved}");
+    for (arm, goal) in [("left", 0.0), ("right", 0.5)] {
+        let path = format!("host/arms/arm_{arm}/goal");
+        let said = grpc.ok("InteractService/Invoke", json!({ "path": path }));
+        assert_eq!(said["json"].as_f64().unwrap_or_default(), goal, "{arm}: {said}");
+    }
+    grpc.ok("GcmService/Configure", json!({ "path": "host/arms", "config": { "arms": ["right"] } }));
+    let moved = grpc.ok("InteractService/Invoke", json!({ "path": "host/arms/arm_right/move", "json": 1 }));
+    assert_eq!(moved["json"].as_f64(), Some(1.0), "it is the first one now: {moved}");
+    let gone = grpc.refused("InteractService/Invoke", json!({ "path": "host/arms/arm_left/goal" }));
+    assert_eq!(gone.reason, "INTERFACE_NOT_FOUND");
 }
 
 #[test]

@@ -2,6 +2,8 @@
 //!
 //! Promise: what the command line can ask, the program can, with the same refusals.
 
+mod ending;
+
 use std::time::Duration;
 
 use serde_json::json;
@@ -46,6 +48,35 @@ impl Component for Counter {
         Ok(())
     }
 }
+
+/// Says what a terminal would obey, and what looks like a line of the log.
+#[derive(Component)]
+#[component(model = "on_signal", provides("ctl"))]
+struct Liar {
+    #[state]
+    lies: u64,
+}
+
+const LIE: &str = "\x1b[2J\x1b[31mgone\nERROR lab/other: it burns";
+const SHOWN: &str = "\\u{1b}[2J\\u{1b}[31mgone\\nERROR lab/other: it burns";
+
+#[provides("ctl")]
+impl Liar {
+    #[command]
+    fn refuse(&mut self) -> std::result::Result<(), String> {
+        self.lies += 1;
+        log::error!("{LIE}");
+        Err(LIE.to_owned())
+    }
+    #[command]
+    fn panic(&mut self) {
+        panic!("{LIE}");
+    }
+}
+
+impl Component for Liar {}
+
+const LIARS: StaticPlugin = static_plugin!(name = "liars", Liar);
 
 const COUNTERS: StaticPlugin = static_plugin!(name = "counters", Counter);
 
@@ -118,6 +149,38 @@ async fn earlier_rows_are_read_and_execution_is_configured() -> Done {
     host.stop("lab/a").await?;
     host.configure_with("lab/a", json!({}), Execution { history: Some(8), ..Execution::default() }).await?;
     assert_eq!(host.describe("lab/a").await?.execution.history, Some(8));
+    host.shutdown().await;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_component_says_is_one_line_that_no_terminal_obeys() -> Done {
+    let host = Host::builder().name("lab").plugin(LIARS).start().await?;
+    host.create("lab/liar", "liar", json!({})).await?;
+    host.start("lab/liar").await?;
+    let harmless = |text: &str| {
+        assert!(text.contains(SHOWN), "{text:?}");
+        assert!(!text.contains(|c: char| c.is_control()), "{text:?}");
+    };
+    harmless(&host.invoke("lab/liar/ctl/refuse", json!(null)).await.unwrap_err().to_string());
+    harmless(&host.invoke("lab/liar/ctl/panic", json!(null)).await.unwrap_err().to_string());
+    let fault = host.wait_for("lab/liar", State::Active, LONG).await.unwrap_err();
+    assert_eq!(fault.reason(), "COMPONENT_FAULT");
+    harmless(&fault.to_string());
+    host.shutdown().await;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_output_is_followed_as_often_as_asked_and_a_rate_that_is_none_is_refused() -> Done {
+    let host = two().await?;
+    let mut samples = host.subscribe_at("lab/a/out", 1000.0).await?;
+    host.invoke("lab/a/ctl/count", json!(null)).await?;
+    assert_eq!(samples.recv().await.map(|item| item.value), Some(json!(1.0)));
+    for none in [-1.0, f64::NAN, f64::INFINITY] {
+        let refused = host.subscribe_at("lab/a/out", none).await.unwrap_err();
+        assert_eq!(refused.reason(), "ARGUMENT_INVALID", "{refused}");
+    }
     host.shutdown().await;
     Ok(())
 }

@@ -19,5 +19,6 @@ mod fig4;
 mod plugin_guide;
 mod plugin_loading;
 mod purity;
+mod sdk_devices;
 mod sdk_helpers;
 mod services;

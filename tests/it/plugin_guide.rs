@@ -2,6 +2,8 @@
 //!
 //! Promise: a newcomer who copies the guide's commands ends with a plugin of their own running in a host.
 
+mod embedded;
+
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,6 +27,33 @@ fn the_guide_names_the_commands_this_test_follows() {
             guide.contains(command),
             "the guide does not name `{command}`: this test follows it literally"
         );
+    }
+}
+
+#[test]
+fn the_program_shown_for_linking_in_is_whole_and_the_one_that_is_run() {
+    let guide = fs::read_to_string(repository().join("docs/PLUGIN_GUIDE.md")).unwrap();
+    let section = guide.split("## Linked into a program").nth(1).unwrap();
+    let block = |language: &str| {
+        let rest = section.split(&format!("```{language}\n")).nth(1).unwrap();
+        rest.split("\n```").next().unwrap()
+    };
+    let source = include_str!("plugin_guide/embedded.rs");
+    let program = block("rust");
+    assert!(source.contains(program), "the guide shows another program than the one this test runs");
+    assert!(
+        program.starts_with("use ") && program.contains("async fn main()"),
+        "not a whole one:\n{program}"
+    );
+    // What it imports is what its manifest names, from where it is in this repository.
+    for (krate, path) in [("trocar", "host"), ("trocar-sdk", "sdk/rust")] {
+        let line = format!("{krate} = {{ path = \"TROCAR_DIRECTORY/{path}\" }}");
+        assert!(block("toml").contains(&line), "{line}");
+        let manifest = fs::read_to_string(repository().join(path).join("Cargo.toml")).unwrap();
+        assert!(manifest.contains(&format!("name = \"{krate}\"")), "{path} is not {krate}");
+    }
+    for krate in ["tokio", "serde_json"] {
+        assert!(program.contains(krate) && block("toml").contains(&format!("{krate} = ")), "{krate}");
     }
 }
 

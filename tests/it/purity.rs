@@ -137,7 +137,7 @@ async fn a_device_thread_that_calls_back() -> Done {
     scene.watched("device", "device", model(ExecutionModel::OnCallback)).await?;
     scene.beside("woken", "worker", model(ExecutionModel::OnSignal)).await?;
     scene.connect("woken/queue", "device/out").await?;
-    scene.proves_pure("of on_callback", book::AND_WAKES_INSIDE).await?;
+    scene.proves_pure("of on_callback", book::SLEEP_AND_WAKE).await?;
     Ok(())
 }
 

@@ -85,6 +85,36 @@ pub fn validate(schema: &Value, config: &Value) -> Vec<Violation> {
     found.into_iter().map(|(pointer, message)| Violation { pointer, message }).collect()
 }
 
+/// Why `schema` is no JSON Schema; none when it is one.
+pub fn schema_fault(schema: &Value) -> Option<String> {
+    jsonschema::validator_for(schema).err().map(|e| e.to_string())
+}
+
+/// Settings that `patch` takes away (null) and that neither `config` nor the schema has, sorted as in [`validate`].
+pub fn unknown_nulls(schema: &Value, config: &Value, patch: &Value) -> Vec<Violation> {
+    let mut found = Vec::new();
+    look_for_nulls(schema, config, patch, "", &mut found);
+    found.sort();
+    found
+}
+
+fn look_for_nulls(schema: &Value, config: &Value, patch: &Value, at: &str, found: &mut Vec<Violation>) {
+    let closed = schema.get("additionalProperties") == Some(&Value::Bool(false));
+    for (key, change) in patch.as_object().into_iter().flatten() {
+        let known = properties(schema).and_then(|p| p.get(key));
+        match (known, change) {
+            (None, Value::Null) if closed && config.get(key).is_none() => {
+                found.push(unknown(at, Some(schema), key));
+            }
+            (Some(inner), Value::Object(_)) => {
+                let present = config.get(key).unwrap_or(&Value::Null);
+                look_for_nulls(inner, present, change, &below(at, key), found);
+            }
+            _ => {}
+        }
+    }
+}
+
 /// A configuration change that a running component accepts: only settings declared `live` differ.
 ///
 /// # Errors

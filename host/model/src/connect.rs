@@ -3,6 +3,7 @@
 //! Invariant: decided before anything runs and by values alone; the planner and the LCM use the same answer, so what is
 //! planned can be done.
 
+use crate::refusal::ADAPTABLE;
 use crate::{
     Command, CommandKind, ConnectOptions, Function, Handler, Input, Output, PortId, PortType, Ports,
     Provided, Refusal, Required, Type, Unit,
@@ -247,7 +248,7 @@ impl Ends<'_> {
         match client.first_difference(server) {
             None => Ok(()),
             Some(difference) => {
-                let hint = if adaptable { "; adapt: true would copy it by name" } else { "" };
+                let hint = if adaptable { ADAPTABLE } else { "" };
                 Err(self.type_mismatch(what, format!("{difference}{hint}")))
             }
         }

@@ -10,6 +10,7 @@ mod change;
 mod class;
 mod config;
 mod connect;
+mod frame;
 mod graph;
 mod loose;
 mod name;
@@ -27,14 +28,16 @@ pub use class::{
     Arg, ClassInfo, Command, CommandKind, Event, Execution, ExecutionModel, Function, Handler, Input,
     OnFailure, Output, Overflow, PortType, Ports, Provided, Required, Safety,
 };
-pub use config::{Violation, complete, defaults, live_only, live_settings, merge, validate};
+pub use config::{
+    Violation, complete, defaults, live_only, live_settings, merge, schema_fault, unknown_nulls, validate,
+};
 pub use connect::{Binding, Link, Port, bindings};
 pub use graph::{
     Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph,
 };
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
-pub use plan::{plan, plan_all};
+pub use plan::{class_fault, host_of, period_fault, plan, plan_all};
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};

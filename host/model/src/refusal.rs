@@ -9,7 +9,7 @@ mod text;
 
 pub use examples::errors_markdown;
 pub use text::brief;
-pub(crate) use text::duration;
+pub(crate) use text::{ADAPTABLE, duration};
 
 use crate::{ComponentId, MemberId, Name, PortId, State, Verb, Violation};
 
@@ -141,7 +141,7 @@ pub enum Refusal {
         allowed: Vec<Verb>,
         why: String,
     },
-    /// Start while required ends are open.
+    /// Start or Resume while required ends are open.
     Unconnected {
         id: ComponentId,
         ports: Vec<String>,
@@ -195,6 +195,12 @@ pub enum Refusal {
     /// WaitFor: the event did not come in time. `state` is that of the component then.
     EventNotSeen {
         member: MemberId,
+        state: State,
+        after_ns: u64,
+    },
+    /// Read: an output gave no sample in time. `state` is that of its component then.
+    NoSample {
+        port: PortId,
         state: State,
         after_ns: u64,
     },

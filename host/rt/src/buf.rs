@@ -29,6 +29,7 @@ impl AlignedBuf {
     }
 
     /// The address of byte `offset`.
+    #[inline]
     pub(crate) fn at(&self, offset: usize) -> *mut u8 {
         assert!(offset <= self.layout.size(), "offset {offset} is outside the {} bytes", self.layout.size());
         // SAFETY: the offset was just checked to lie inside the block or one past its end.
@@ -40,6 +41,25 @@ impl AlignedBuf {
         // SAFETY: the block is initialised (zeroed) and `&mut self` proves that nobody else reaches it.
         unsafe { std::slice::from_raw_parts_mut(self.start.as_ptr(), self.layout.size()) }
     }
+}
+
+/// Copies `n` bytes, those of a few numbers without a call.
+///
+/// # Safety
+/// As for [`std::ptr::copy_nonoverlapping`].
+#[inline(always)]
+pub(crate) unsafe fn copy(from: *const u8, to: *mut u8, n: usize) {
+    macro_rules! of {
+        ($($known:literal)*) => {
+            match n {
+                // SAFETY: the caller's promise, for a length the compiler knows.
+                $($known => unsafe { to.copy_from_nonoverlapping(from, $known) },)*
+                // SAFETY: the caller's promise.
+                _ => unsafe { to.copy_from_nonoverlapping(from, n) },
+            }
+        };
+    }
+    of!(0 8 16 24 32)
 }
 
 impl Drop for AlignedBuf {

@@ -85,6 +85,19 @@ impl<T> BindingCell<T> {
         unsafe { self.look_in_turn(f) }
     }
 
+    /// The current value in a turn of this thread; `None` elsewhere.
+    ///
+    /// # Safety
+    /// The answer is not used after that turn has ended.
+    #[inline(always)]
+    pub unsafe fn peek(&self) -> Option<&T> {
+        if !turn::is_inside() {
+            return None;
+        }
+        // SAFETY: by the caller's promise the turn, which every swap finds, outlives the use of the answer.
+        Some(unsafe { self.in_turn() })
+    }
+
     /// Apart, so that what is looked at in turns stays small.
     #[inline(never)]
     fn look_counted<R>(&self, f: impl FnOnce(&T) -> R) -> R {
@@ -95,11 +108,19 @@ impl<T> BindingCell<T> {
     /// A turn that began before this call and is known to whoever swaps lasts until it returns.
     #[inline(always)]
     pub(crate) unsafe fn look_in_turn<R>(&self, f: impl FnOnce(&T) -> R) -> R {
+        // SAFETY: the caller's promise; the answer is used no longer than `f` runs.
+        f(unsafe { self.in_turn() })
+    }
+
+    /// # Safety
+    /// A turn that began before this call and is known to whoever swaps lasts as long as the answer is used.
+    #[inline(always)]
+    unsafe fn in_turn(&self) -> &T {
         // Acquire: sees the value as the swap that released its address left it.
         let node = unpack::<T>(self.word.load(Ordering::Acquire));
         // SAFETY: a swap that takes this node out comes after the turn's begin, so it finds the turn and keeps the node
         // until its end; one that came before would have been seen by the load.
-        f(&unsafe { node.as_ref() }.value)
+        &unsafe { node.as_ref() }.value
     }
 
     /// Replaces the value for all callers that enter from now on, and drops what nobody is inside of any more;

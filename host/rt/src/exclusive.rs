@@ -18,6 +18,7 @@ impl<T> TryCell<T> {
     }
 
     /// Enters, or answers `None` while another guard lives. Any thread; one atomic operation.
+    #[inline]
     pub fn try_enter(&self) -> Option<TryGuard<'_, T>> {
         if self.entered.swap(true, Ordering::Acquire) {
             return None;
@@ -48,6 +49,7 @@ impl<T> DerefMut for TryGuard<'_, T> {
 }
 
 impl<T> Drop for TryGuard<'_, T> {
+    #[inline]
     fn drop(&mut self) {
         self.cell.entered.store(false, Ordering::Release);
     }

@@ -4,7 +4,7 @@
 //! taking an entry, so a drain that stops at a busy slot is always followed by a notification or by room.
 //! Every head that is dropped is handed to exactly one caller, so that its reply can be answered.
 
-use crate::buf::{AlignedBuf, round_up};
+use crate::buf::{AlignedBuf, copy, round_up};
 use crate::exclusive::TryCell;
 use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Shared, spin_loop, yield_now};
 
@@ -67,7 +67,7 @@ pub struct MailboxStats {
 }
 
 /// Attempts of a push against other threads before it answers `Full`.
-const ATTEMPTS: usize = 256;
+const ATTEMPTS: usize = if cfg!(loom) { 6 } else { 256 };
 /// Set in `tail` when the mailbox is closed: no push can claim a position any more.
 const CLOSED: u64 = 1 << 63;
 
@@ -80,12 +80,18 @@ const fn phase(at: u64, phase: u64) -> u64 {
     4 * at + phase
 }
 
+/// A line of its own, so that an entry with a small payload crosses between two processors by one line.
+#[repr(align(64))]
 struct Slot {
     sequence: AtomicU64,
     /// Copy of the head's index that may be read without owning the slot.
     index: AtomicU32,
     body: Shared<Body>,
+    small: Shared<[u64; SMALL / 8]>,
 }
+
+/// Payloads up to this many bytes lie beside the head.
+const SMALL: usize = 16;
 
 #[derive(Clone, Copy, Default)]
 struct Body {
@@ -150,9 +156,10 @@ impl Mailbox {
                     sequence: AtomicU64::new(phase(at, FREE)),
                     index: AtomicU32::new(0),
                     body: Shared::new(Body::default()),
+                    small: Shared::new([0; SMALL / 8]),
                 })
                 .collect(),
-            payloads: AlignedBuf::new(stride * slots),
+            payloads: AlignedBuf::new(if stride > SMALL { stride * slots } else { 0 }),
             newest: (0..indices).map(|_| AtomicU64::new(0)).collect(),
             ours: Padded(Clients {
                 tail: AtomicU64::new(0),
@@ -168,6 +175,7 @@ impl Mailbox {
     }
 
     /// Queues an entry. Any thread; never waits; copies the payload.
+    #[inline]
     pub fn push(&self, head: EntryHead, payload: &[u8], overflow: Overflow) -> Push {
         let pushed = if payload.len() > self.payload_bytes {
             Push::TooLong
@@ -182,6 +190,7 @@ impl Mailbox {
         pushed
     }
 
+    #[inline]
     fn try_push(&self, head: EntryHead, payload: &[u8], overflow: Overflow) -> Push {
         for _ in 0..ATTEMPTS {
             let tail = self.ours.0.tail.load(Ordering::Acquire);
@@ -206,7 +215,10 @@ impl Mailbox {
                 Overflow::LatestWins => self.would_be_superseded(oldest, head.index),
             };
             if may_drop {
-                if self.claim(oldest) {
+                // The room for the new entry is asked for first: it stays, and an entry once claimed must not be put back,
+                // since a drain that met it would have gone to sleep over it.
+                if self.slot(tail).sequence.load(Ordering::Acquire) == phase(tail, FREE) && self.claim(oldest)
+                {
                     return self.push_instead_of(oldest, tail, head, payload, overflow);
                 }
                 spin_loop();
@@ -220,7 +232,8 @@ impl Mailbox {
     }
 
     /// With the mailbox full and its oldest slot owned, nobody else can claim the tail: the spare slot of the
-    /// ring takes the new entry before the oldest gives its place up, so exactly one entry pays for it.
+    /// ring, found free before, takes the new entry before the oldest gives its place up, so exactly one entry
+    /// pays for it.
     fn push_instead_of(
         &self,
         oldest: u64,
@@ -229,12 +242,10 @@ impl Mailbox {
         payload: &[u8],
         overflow: Overflow,
     ) -> Push {
-        let free = self.slot(tail).sequence.load(Ordering::Acquire) == phase(tail, FREE);
-        if !free || !self.claim_tail(tail) {
-            // Closed meanwhile (`close` takes the oldest then), or a suspended reader sits on the spare slot.
+        if !self.claim_tail(tail) {
+            // Closed meanwhile: `close` takes the oldest then.
             self.slot(oldest).sequence.store(phase(oldest, READY), Ordering::Release);
-            let closed = self.ours.0.tail.load(Ordering::Acquire) & CLOSED != 0;
-            return if closed { Push::Closed } else { Push::Full };
+            return Push::Closed;
         }
         // SAFETY: the slot of `oldest` is owned by this thread until `release`.
         let dropped = unsafe { *self.slot(oldest).body.exclusive() }.head;
@@ -262,7 +273,7 @@ impl Mailbox {
     /// during the call; the slot is already free then. Server's thread only: while a drain runs, a second one
     /// (from inside `run`, or another thread) does nothing and answers 0.
     pub fn drain(&self, mut run: impl FnMut(EntryHead, &[u8]), mut skip: impl FnMut(EntryHead)) -> usize {
-        let Some(mut copy) = self.handled.try_enter() else { return 0 };
+        let Some(mut mine) = self.handled.try_enter() else { return 0 };
         let mut handled = 0;
         for _ in 0..2 {
             let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
@@ -277,7 +288,7 @@ impl Mailbox {
                 let superseded = self.newest_of(head.index) > at + 1;
                 if !superseded {
                     // SAFETY: both blocks have `stride >= len` bytes here, and the slot is owned.
-                    unsafe { copy.at(0).copy_from_nonoverlapping(self.payload(at), len) };
+                    unsafe { copy(self.payload(at), mine.at(0), len) };
                 }
                 self.release(at);
                 if superseded {
@@ -285,11 +296,30 @@ impl Mailbox {
                     skip(head);
                 } else {
                     handled += 1;
-                    run(head, &copy.as_mut_slice()[..len]);
+                    run(head, &mine.as_mut_slice()[..len]);
                 }
             }
         }
         handled
+    }
+
+    /// Hands the heads of what is queued now to `refuse` instead of running it; those that a newer one superseded go to
+    /// `skip`. Any thread, never waits, also while a drain is inside an entry: then that drain does not find them any more. An
+    /// entry that is just being pushed or taken stays, with all behind it, for its own notification.
+    pub fn throw_out(&self, mut refuse: impl FnMut(EntryHead), mut skip: impl FnMut(EntryHead)) {
+        let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
+        while let Claim::Mine(at) = self.claim_oldest(end) {
+            // SAFETY: the slot of `at` is owned by this thread until `release`.
+            let head = unsafe { *self.slot(at).body.exclusive() }.head;
+            let superseded = self.newest_of(head.index) > at + 1;
+            self.release(at);
+            if superseded {
+                count(&self.theirs.0.skipped);
+                skip(head);
+            } else {
+                refuse(head);
+            }
+        }
     }
 
     /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's thread:
@@ -312,10 +342,12 @@ impl Mailbox {
     }
 
     /// Whether nothing is queued, nor just being pushed.
+    #[inline]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
+    #[inline]
     fn len(&self) -> u64 {
         let head = self.theirs.0.head.load(Ordering::Acquire);
         (self.ours.0.tail.load(Ordering::Acquire) & !CLOSED).saturating_sub(head)
@@ -336,6 +368,7 @@ impl Mailbox {
     }
 
     /// The oldest position, or a lower one when even that leaves room and is no new high water.
+    #[inline]
     fn oldest_for(&self, tail: u64) -> u64 {
         let clients = &self.ours.0;
         let seen = clients.head_seen.load(Ordering::Relaxed);
@@ -350,11 +383,17 @@ impl Mailbox {
         oldest
     }
 
+    #[inline]
     fn slot(&self, at: u64) -> &Slot {
         &self.slots[at as usize & (self.slots.len() - 1)]
     }
 
+    /// Of `stride` bytes at least; for the owner of the slot.
+    #[inline]
     fn payload(&self, at: u64) -> *mut u8 {
+        if self.stride <= SMALL {
+            return self.slot(at).small.exclusive().cast();
+        }
         self.payloads.at((at as usize & (self.slots.len() - 1)) * self.stride)
     }
 
@@ -371,6 +410,7 @@ impl Mailbox {
 
     /// Takes the right to the oldest entry before position `end`. Each further turn means that another thread
     /// took one, so there are at most as many turns as entries.
+    #[inline]
     fn claim_oldest(&self, end: u64) -> Claim {
         loop {
             let oldest = self.theirs.0.head.load(Ordering::Acquire);
@@ -393,6 +433,7 @@ impl Mailbox {
         self.slot(at).sequence.store(phase(next_round, FREE), Ordering::Release);
     }
 
+    #[inline]
     fn fill(&self, at: u64, head: EntryHead, payload: &[u8], overflow: Overflow) {
         self.write(at, head, payload);
         self.slot(at).index.store(head.index, Ordering::Relaxed);
@@ -409,7 +450,7 @@ impl Mailbox {
         // SAFETY: the slot is owned, and its payload block has `stride >= payload.len()` bytes.
         unsafe {
             *self.slot(at).body.exclusive() = Body { head, len: payload.len() };
-            self.payload(at).copy_from_nonoverlapping(payload.as_ptr(), payload.len());
+            copy(payload.as_ptr(), self.payload(at), payload.len());
         }
     }
 
@@ -428,6 +469,7 @@ impl Mailbox {
         old == index || self.newest_of(old) > oldest + 1
     }
 
+    #[inline]
     fn raise_high_water(&self, queued: u64) {
         if queued > self.ours.0.high_water.load(Ordering::Relaxed) {
             self.ours.0.high_water.fetch_max(queued.min(self.depth), Ordering::Relaxed);

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::buf::{AlignedBuf, round_up};
 use crate::os::WaitResult;
-use crate::sync::{AtomicU32, Futex, Ordering, Shared};
+use crate::sync::{AtomicU32, Futex, Ordering, Shared, pause_while};
 
 /// What became of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +19,12 @@ pub enum Reply {
     /// The deadline passed while the server was at it; it may still run to its end.
     DeadlineMayRun,
 }
+
+/// How long a caller looks for its answer before it sleeps, ns: about what a server takes to wake up, and the caller
+/// after it.
+const PATIENCE_NS: u64 = 5_000;
+/// Calls that sleep at once after one whose answer did not come within [`PATIENCE_NS`].
+const IMPATIENT: u32 = 31;
 
 const PHASE: u32 = 0b0111;
 const FREE: u32 = 0;
@@ -56,6 +62,8 @@ pub struct ReplyPool {
     ret_bytes: usize,
     text_bytes: usize,
     next: AtomicU32,
+    /// Calls that are still to sleep at once.
+    impatient: AtomicU32,
 }
 
 // SAFETY: a cell's content is reached by the server in RUNNING and ABANDONED and by the caller in DONE only.
@@ -76,6 +84,7 @@ impl ReplyPool {
             ret_bytes,
             text_bytes,
             next: AtomicU32::new(0),
+            impatient: AtomicU32::new(0),
         })
     }
 
@@ -149,9 +158,26 @@ impl Ticket {
         u64::from(self.word) << 32 | (self.index as u64 + 1)
     }
 
+    /// Waits a little for an answer that comes at once, as it does while its server has a processor of its own.
+    fn pause(&self, deadline_ns: u64) {
+        let impatient = &self.pool.impatient;
+        let left = impatient.load(Ordering::Relaxed);
+        if left > 0 {
+            impatient.store(left - 1, Ordering::Relaxed);
+            return;
+        }
+        let word = &self.pool.cells[self.index].state.word;
+        let is_open = || word.load(Ordering::Relaxed) & PHASE != DONE;
+        pause_while(PATIENCE_NS.min(deadline_ns.saturating_sub(crate::os::now_ns())), is_open);
+        if is_open() {
+            impatient.store(IMPATIENT, Ordering::Relaxed);
+        }
+    }
+
     /// Sleeps until the answer or the absolute monotonic deadline in ns. With an answer, `take` gets the
     /// result bytes and the text, also when the status says failure.
     pub fn wait(self, deadline_ns: u64, take: impl FnOnce(&[u8], &[u8])) -> Reply {
+        self.pause(deadline_ns);
         let cell = &self.pool.cells[self.index];
         loop {
             let word = cell.state.word.load(Ordering::Acquire);

@@ -144,7 +144,14 @@ impl StateReader {
     /// during each of 1000 attempts.
     #[inline]
     pub fn latest(&self, out: &mut [u8]) -> Option<RowInfo> {
-        for _ in 0..ATTEMPTS {
+        let newest = self.published().checked_sub(1)?;
+        self.read(newest, out).ok().or_else(|| self.latest_again(out))
+    }
+
+    /// The writer was faster than the first attempt.
+    #[cold]
+    fn latest_again(&self, out: &mut [u8]) -> Option<RowInfo> {
+        for _ in 1..ATTEMPTS {
             let newest = self.published().checked_sub(1)?;
             if let Ok(info) = self.read(newest, out) {
                 return Some(info);

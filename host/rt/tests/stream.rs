@@ -327,3 +327,64 @@ proptest! {
         }
     }
 }
+
+proptest! {
+    /// Written by the thread that reads, or by way of the exchange: the newest counts, and what is in sight stays.
+    #[test]
+    fn samples_of_the_reading_thread_come_with_the_others_by_their_number(ops in prop::collection::vec(0u8..4, 1..60)) {
+        let (writer, mut reader) = stream_link(PLAIN, Queue::Latest);
+        let (mut seq, mut seen) = (0u64, 0u64);
+        for op in ops {
+            match op {
+                0 | 1 => {
+                    seq += 1;
+                    let (data, meta) = (seq.to_ne_bytes(), Meta { stamp_ns: seq, seq });
+                    if op == 0 {
+                        let _ = writer.push(&data, meta);
+                    } else {
+                        // SAFETY: this thread holds the reader.
+                        let _ = unsafe { writer.push_here(&data, meta) };
+                    }
+                }
+                2 => {
+                    let got = next(&mut reader);
+                    prop_assert_eq!(got, (seq > seen).then_some(seq));
+                    seen = seq;
+                }
+                _ => {
+                    let got = reader.latest().map(|s| (s.meta.seq, s.fresh));
+                    prop_assert_eq!(got, (seq > 0).then_some((seq, seq > seen)));
+                    seen = seq;
+                }
+            }
+            if seen > 0 {
+                let now = reader.current().unwrap();
+                prop_assert_eq!((now.meta.seq, now.data), (seen, &seen.to_ne_bytes()[..]), "what was shown has changed");
+            }
+        }
+        next(&mut reader);
+        let stats = reader.stats();
+        prop_assert_eq!((stats.pushed, stats.taken + stats.dropped), (seq, seq));
+        let counters = reader.counters();
+        // SAFETY: as above.
+        let _ = unsafe { writer.push_here(&0u64.to_ne_bytes(), Meta { stamp_ns: 0, seq: seq + 1 }) };
+        drop(reader);
+        prop_assert_eq!(counters.stats().dropped, stats.dropped + 1, "what nobody took counts as dropped");
+    }
+}
+
+#[test]
+fn what_is_no_plain_sample_of_a_latest_link_goes_the_common_way() {
+    let meta = |seq| Meta { stamp_ns: 0, seq };
+    let (writer, mut reader) = stream_link(PLAIN, fifo(2, DropPolicy::DropNewest));
+    for (seq, pushed) in [(1, Pushed::Queued), (2, Pushed::Queued), (3, Pushed::DroppedNewest)] {
+        // SAFETY: this thread holds the reader.
+        assert_eq!(unsafe { writer.push_here(&u64::to_ne_bytes(seq), meta(seq)) }, pushed);
+    }
+    assert_eq!((next(&mut reader), next(&mut reader)), (Some(1), Some(2)));
+    // SAFETY: as above.
+    assert_eq!(unsafe { writer.push_here(&[0; 9], meta(4)) }, Pushed::WrongPayload);
+    drop(reader);
+    // SAFETY: as above.
+    assert_eq!(unsafe { writer.push_here(&[0; 8], meta(5)) }, Pushed::NoReader);
+}

@@ -39,7 +39,7 @@ pub(super) async fn run(args: CallArgs, session: &Session) -> Done {
         (Some(value), _) => {
             let short = value.to_string();
             let text = if short.len() > ONE_LINE { format!("{value:#}") } else { short };
-            out::line(&format!("{text}{unit}"));
+            out::text(&format!("{}{unit}\n", out::lines(&text)));
         }
         (None, true) => out::line("executed"),
         (None, false) => out::line("queued"),

@@ -107,7 +107,7 @@ fn stats(s: &v1::ComponentStats) -> StatsView {
 }
 
 fn execution(e: &v1::Execution) -> ExecutionView {
-    let period_ns = match (ns(e.period.as_ref()), e.rate_hz) {
+    let period_ns = match (ns(e.period.as_ref()), e.rate_hz.unwrap_or(0.0)) {
         (0, hz) if hz > 0.0 => (1e9 / hz).round() as u64,
         (period, _) => period,
     };
@@ -132,7 +132,7 @@ fn execution(e: &v1::Execution) -> ExecutionView {
 pub(super) fn typed_execution(e: &ExecutionArgs) -> v1::Execution {
     v1::Execution {
         model: e.model.map(|m| m.wire_name().to_owned()).unwrap_or_default(),
-        rate_hz: e.rate_hz.unwrap_or(0.0),
+        rate_hz: e.rate_hz,
         period: None,
         phase: e.phase.map(duration),
         stream_of: e.stream_of.clone().unwrap_or_default(),

@@ -21,9 +21,9 @@ const VALUE: usize = 200;
 /// Describes a process, component, interface, command or class.
 #[derive(Args, Debug)]
 pub(super) struct DescribeArgs {
-    /// process[/component[/port[/member]]]; with --class a class: plugin/class, or the class alone.
+    /// process[/component[/port[/member]]]; or a class: plugin/class, or the class alone.
     path: String,
-    /// PATH is a class.
+    /// PATH is a class, also where a process or component of this name exists.
     #[arg(long)]
     class: bool,
 }
@@ -103,7 +103,7 @@ impl Page {
     fn component(&mut self, c: &ComponentView, class: Option<&ClassView>) {
         self.title(&c.path, &c.state);
         if !c.fault.is_empty() {
-            self.line(1, &format!("fault: {}", c.fault));
+            self.line(1, &format!("fault: {}", out::harmless(&c.fault)));
         }
         self.entry(1, &format!("class {}", c.class), class.map_or("", |k| &k.doc));
         let thread =
@@ -134,7 +134,7 @@ impl Page {
             ),
         );
         for warning in &c.warnings {
-            self.line(1, &format!("warning: {warning}"));
+            self.line(1, &format!("warning: {}", out::harmless(warning)));
         }
         self.config(&c.config, class.map_or(&Value::Null, |k| &k.config_schema));
     }
@@ -316,7 +316,7 @@ fn options(o: &OptionsView) -> String {
 
 /// Documentation comes with the line breaks of its source.
 fn one_line(doc: &str) -> String {
-    doc.split_whitespace().collect::<Vec<_>>().join(" ")
+    out::harmless(&doc.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }
 
 /// `name: type [unit] range`.

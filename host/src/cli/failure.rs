@@ -97,14 +97,14 @@ impl Failure {
     /// Prints it: a sentence and a "help:" line on stderr, or one JSON object on stdout.
     pub(super) fn print(&self, json: bool) {
         if json {
-            out::line(&self.to_json().to_string());
+            out::line(&out::json(&self.to_json().to_string()));
             return;
         }
         let (red, green, reset) = style::error_colours();
-        let message = self.message.trim_end();
+        let message = out::paragraph(self.message.trim_end());
         eprintln!("{red}error:{reset} {message}");
         if !self.help.is_empty() {
-            eprintln!(" {green}help:{reset} {}", self.help);
+            eprintln!(" {green}help:{reset} {}", out::paragraph(&self.help));
         }
     }
 

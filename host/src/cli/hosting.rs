@@ -14,7 +14,7 @@ use super::{logging, out, session};
 use crate::host::{Host, HostConfig, HostError, StateChoice, StopRequest, state_home};
 use crate::loader::Trust;
 
-/// Runs a host: an LCM with plugin directories, and a GCM of its own unless --gcm names one.
+/// Runs a host: an LCM with plugin directories, and a GCM of its own unless --gcm names one ($TROCAR_GCM does not count).
 #[derive(Args, Debug)]
 pub(super) struct HostArgs {
     /// Name of the process, the first part of its components' paths.

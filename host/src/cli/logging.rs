@@ -12,6 +12,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use log::{Level, LevelFilter, Log, Metadata, Record};
 
 use super::logs::clock;
+use super::out::paragraph;
 
 /// Size at which a file becomes the old one, bytes; two are kept.
 const ROTATE_BYTES: u64 = 4 << 20;
@@ -79,7 +80,8 @@ impl Log for Logger {
             return;
         }
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
-        let line = format!("{}Z {:5} {}\n", clock(now), record.level(), record.args());
+        let said = record.args().to_string();
+        let line = format!("{}Z {:5} {}\n", clock(now), record.level(), paragraph(&said));
         if record.level() <= *self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
             let _ = std::io::stderr().write_all(line.as_bytes());
         }

@@ -10,6 +10,9 @@ use super::table::Table;
 use super::view::SystemView;
 use super::{out, style, units};
 
+/// Longest reason of a fault shown, characters.
+const FAULT: usize = 60;
+
 /// Lists processes, components, connections and classes.
 #[derive(Args, Debug)]
 pub(super) struct LsArgs {
@@ -71,7 +74,11 @@ fn components(view: &SystemView) -> Table {
         "PATH", "CLASS", "STATE", "HEALTH", "RUNS", "STEPS", "SKIPPED", "OVERRUNS", "LATE p99", "LOAD",
     ]);
     for c in &view.components {
-        let state = if c.fault.is_empty() { c.state.clone() } else { format!("{}: {}", c.state, c.fault) };
+        let state = if c.fault.is_empty() {
+            c.state.clone()
+        } else {
+            format!("{}: {}", c.state, shortened(&c.fault))
+        };
         let s = &c.stats;
         table.styled([
             plain(&c.path),
@@ -87,6 +94,14 @@ fn components(view: &SystemView) -> Table {
         ]);
     }
     table
+}
+
+/// What fits into a column; `trocar describe` has the rest.
+fn shortened(fault: &str) -> String {
+    match fault.char_indices().nth(FAULT) {
+        None => fault.to_owned(),
+        Some((end, _)) => format!("{}…", &fault[..end]),
+    }
 }
 
 fn connections(view: &SystemView) -> Table {
@@ -155,5 +170,17 @@ mod tests {
         assert!(text.contains("FAULT: panicked at src/lib.rs:3"), "{text}");
         assert!(!text.contains("Connections"), "{text}");
         assert!(text.ends_with("revision 7\n"), "{text}");
+    }
+
+    #[test]
+    fn a_long_fault_does_not_push_the_columns_behind_it_away() {
+        let fault = "µ".repeat(512);
+        let view = SystemView {
+            components: vec![ComponentView { state: "FAULT".into(), fault, ..ComponentView::default() }],
+            ..SystemView::default()
+        };
+        let text = render(&view, false);
+        assert!(text.contains(&format!("FAULT: {}…", "µ".repeat(FAULT))), "{text}");
+        assert!(text.lines().all(|line| line.chars().count() < 200), "{text}");
     }
 }

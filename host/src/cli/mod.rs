@@ -69,7 +69,7 @@ struct Cli {
 /// Flags every subcommand takes.
 #[derive(Args, Debug)]
 struct Global {
-    /// Address of the GCM [default: $TROCAR_GCM or 127.0.0.1:50551].
+    /// Address of the GCM [default: $TROCAR_GCM or 127.0.0.1:50551; `host` has its own unless this is given].
     #[arg(long, global = true, value_name = "ADDR")]
     gcm: Option<String>,
     /// Answers and errors as JSON on stdout.

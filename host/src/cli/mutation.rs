@@ -62,7 +62,7 @@ pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &s
     }
     if dry_run {
         for line in &outcome.plan {
-            out::line(line);
+            out::say(line);
         }
         out::line(if outcome.plan.is_empty() { "nothing to do" } else { "(dry run: nothing was changed)" });
         return Ok(exit);
@@ -73,19 +73,19 @@ pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &s
             (health, "") => format!("  {health}"),
             (_, fault) => format!("  {fault}"),
         };
-        out::line(&format!("{}  {}{extra}", c.path, c.state));
+        out::say(&format!("{}  {}{extra}", c.path, c.state));
     }
     if outcome.components.is_empty() && outcome.skipped.is_empty() {
         out::line(done);
     }
     for left in &outcome.skipped {
-        out::line(&format!("{}  left alone: {}", left.path, left.why));
+        out::say(&format!("{}  left alone: {}", left.path, left.why));
     }
     for left in &outcome.failed {
-        eprintln!("error: {}: {}", left.path, left.why);
+        out::complain("error", &format!("{}: {}", left.path, left.why));
     }
     for warning in &outcome.warnings {
-        eprintln!("warning: {warning}");
+        out::complain("warning", warning);
     }
     Ok(exit)
 }

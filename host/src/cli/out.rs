@@ -5,6 +5,7 @@
 use std::io::{ErrorKind, Write};
 
 use super::failure::Exit;
+pub(super) use crate::plain::{harmless, json, lines, paragraph};
 
 /// Longest value shown on one line, characters; `--json` shows all of it.
 pub(super) const LONG: usize = 2000;
@@ -26,21 +27,12 @@ pub(super) fn line(line: &str) {
     text(&format!("{line}\n"));
 }
 
-/// Text from elsewhere, such as a file name or a log line, without what a terminal would obey.
-pub(super) fn harmless(text: &str) -> String {
-    let mut shown = String::with_capacity(text.len());
-    for c in text.chars() {
-        if c.is_control() { shown.extend(c.escape_default()) } else { shown.push(c) }
-    }
-    shown
+/// Writes what may hold text from elsewhere: nothing in it is obeyed by a terminal or begins a line of its own.
+pub(super) fn say(text: &str) {
+    line(&paragraph(text));
 }
 
-#[cfg(test)]
-mod tests {
-    use super::harmless;
-
-    #[test]
-    fn a_terminal_obeys_nothing_of_a_file_name() {
-        assert_eq!(harmless("a\x1b[2Jb\nµ.so"), "a\\u{1b}[2Jb\\nµ.so");
-    }
+/// The same on stderr, behind "error" or "warning".
+pub(super) fn complain(kind: &str, text: &str) {
+    eprintln!("{kind}: {}", paragraph(text));
 }

@@ -12,7 +12,7 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::table::Table;
 use super::{out, plugin_check, plugin_new, style};
-use crate::loader::{self, Inspection};
+use crate::loader::{self, Inspection, PluginError};
 
 /// Lists, inspects, checks and begins plugins.
 #[derive(Args, Debug)]
@@ -63,8 +63,9 @@ async fn ls(process: &str, session: &Session) -> Done {
     for p in &plugins {
         for warning in &p.warnings {
             out::line(&format!(
-                "{}: {}",
+                "{}: {}: {}",
                 style::paint("warning", style::WARN, colour),
+                out::harmless(if p.name.is_empty() { &p.file } else { &p.name }),
                 out::harmless(warning)
             ));
         }
@@ -90,12 +91,14 @@ pub(super) fn looked_at(file: &Path) -> Result<Inspection, Failure> {
             "name a built plugin, e.g. target/release/libtrocar_NAME.so",
         ));
     }
-    loader::inspect_file(file).map_err(|e| {
-        // The loader's sentences end with the remedy behind the last colon.
-        let text = e.to_string();
-        let (what, remedy) = text.rsplit_once(": ").unwrap_or((&text, ""));
-        Failure::local(e.reason(), what, remedy)
-    })
+    loader::inspect_file(file).map_err(|e| refused(&e))
+}
+
+pub(super) fn refused(error: &PluginError) -> Failure {
+    // The loader's sentences end with the remedy behind the last colon.
+    let text = error.to_string();
+    let (what, remedy) = text.rsplit_once(": ").unwrap_or((&text, ""));
+    Failure::local(error.reason(), what, remedy)
 }
 
 fn inspect(file: &Path, session: &Session) -> Done {
@@ -118,12 +121,12 @@ fn inspect(file: &Path, session: &Session) -> Done {
         seen.machine
     ));
     out::line(&format!("sha256 {}", seen.hash));
-    out::text(&describe(&seen.manifest));
+    out::text(&out::lines(&describe(&seen.manifest)));
     if !seen.needed.is_empty() {
-        out::line(&format!("needs {}", seen.needed.join(", ")));
+        out::say(&format!("needs {}", seen.needed.join(", ")));
     }
     for warning in &seen.warnings {
-        out::line(&format!("warning: {warning}"));
+        out::say(&format!("warning: {warning}"));
     }
     Ok(Exit::Ok)
 }

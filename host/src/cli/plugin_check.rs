@@ -1,6 +1,7 @@
-//! `trocar plugin check FILE --as arm`: does a class offer what a standard device interface asks for?
+//! `trocar plugin check FILE`: would a host load it? And `--as arm`: does a class offer what a standard device interface asks for?
 //!
-//! Invariant: judged from the manifest by the same tables docs/INTERFACES.md is written from; no byte of the file runs.
+//! Invariant: contracts are judged from the manifest by the same tables docs/INTERFACES.md is written from, and no byte of the
+//! file runs; without a contract it runs in a child process only, as it does before a host loads it.
 
 use std::path::{Path, PathBuf};
 
@@ -13,20 +14,22 @@ use trocar_plugin_api::manifest::Manifest;
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{out, plugin, style};
+use crate::loader;
 
-/// Checks a class against the contract of a standard device interface (docs/INTERFACES.md).
+/// Checks whether a host would load the file, tried in a child process; with --as, a class against the contract of a standard
+/// device interface (docs/INTERFACES.md).
 #[derive(Args, Debug)]
 pub(super) struct CheckArgs {
     /// The .so file.
     file: PathBuf,
-    /// The contract.
+    /// The contract; without it the file's tables, entry and init are tried.
     #[arg(long = "as", value_name = "CONTRACT", value_parser = PossibleValuesParser::new(CONTRACTS.map(|c| c.name)))]
-    contract: String,
+    contract: Option<String>,
     /// What the class calls the contract's interface, where it has several devices: arm_left.
-    #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true)]
+    #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, requires = "contract")]
     interface: String,
     /// The class, when the file has several.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", requires = "contract")]
     class: Option<String>,
 }
 
@@ -37,7 +40,8 @@ struct Judged {
 }
 
 pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
-    let contract = contracts::contract(&args.contract)
+    let Some(contract) = &args.contract else { return tried(&args.file, session) };
+    let contract = contracts::contract(contract)
         .map_err(|why| Failure::usage(why, "see `trocar plugin check --help`"))?;
     let manifest = plugin::looked_at(&args.file)?.manifest;
     let judged = judge(&manifest, args.class.as_deref(), contract, &args.interface)?;
@@ -61,6 +65,27 @@ pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
     }
     out::text(&people(&judged, contract, &args.file, style::stdout()));
     Ok(exit)
+}
+
+/// What a host would find before it loads the file.
+fn tried(file: &Path, session: &Session) -> Done {
+    let seen = plugin::looked_at(file)?;
+    let exe = std::env::current_exe()
+        .map_err(|e| Failure::local("IO", format!("this program cannot be found: {e}"), ""))?;
+    loader::try_file(file, &exe).map_err(|e| plugin::refused(&e))?;
+    let classes: Vec<_> =
+        seen.manifest.classes.iter().map(|c| format!("{}/{}", seen.manifest.name, c.name)).collect();
+    if session.json() {
+        let answer = json!({ "file": file, "loads": true, "classes": classes, "warnings": seen.warnings });
+        session.print_json(&answer)?;
+        return Ok(Exit::Ok);
+    }
+    let word = style::paint("loads", style::GOOD, style::stdout());
+    out::say(&format!("{} {word}: {}", seen.manifest.name, classes.join(", ")));
+    for warning in &seen.warnings {
+        out::say(&format!("warning: {warning}"));
+    }
+    Ok(Exit::Ok)
 }
 
 /// The named class, or all; those that differ least first.

@@ -48,7 +48,7 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
             "choose another name, or go to another directory",
         ));
     }
-    let sdk = sdk_dependency(args.sdk.as_deref())?;
+    let (sdk, found) = sdk_dependency(args.sdk.as_deref())?;
     let files = match args.template {
         Template::Filter => FILTER,
     };
@@ -62,7 +62,10 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
         )
     })?;
     if session.json() {
-        return session.print_json(&json!({ "directory": dir, "sdk": sdk }));
+        return session.print_json(&json!({ "directory": dir, "sdk": sdk, "sdk_found": found }));
+    }
+    if !found {
+        out::complain("warning", &not_found(&args.name));
     }
     let library = args.name.replace('-', "_");
     out::text(&format!(
@@ -121,8 +124,18 @@ fn check_name(name: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What stands behind `trocar-sdk =` in the new Cargo.toml.
-fn sdk_dependency(asked: Option<&Path>) -> Result<String, Failure> {
+/// What to do when the sources are not where this program lies.
+fn not_found(name: &str) -> String {
+    format!(
+        "the SDK is not beside this program, so {name}/Cargo.toml asks for trocar-sdk {} from a registry. If cargo finds no \
+         package there, give it the sources: `trocar plugin new {name} --sdk TROCAR_DIRECTORY/sdk/rust`, or in Cargo.toml \
+         `trocar-sdk = {{ path = \"TROCAR_DIRECTORY/sdk/rust\" }}`",
+        env!("CARGO_PKG_VERSION")
+    )
+}
+
+/// What stands behind `trocar-sdk =` in the new Cargo.toml, and whether sources were found for it.
+fn sdk_dependency(asked: Option<&Path>) -> Result<(String, bool), Failure> {
     if let Some(dir) = asked {
         let manifest = dir.join("Cargo.toml");
         let text = fs::read_to_string(&manifest).unwrap_or_default();
@@ -132,13 +145,14 @@ fn sdk_dependency(asked: Option<&Path>) -> Result<String, Failure> {
                 "give the directory sdk/rust of trocar's sources",
             ));
         }
-        return Ok(by_path(dir));
+        return Ok((by_path(dir), true));
     }
     let found = std::env::current_exe().ok().and_then(|exe| {
         let repo = exe.ancestors().find(|a| a.join("sdk/rust/Cargo.toml").is_file())?;
         Some(repo.join("sdk/rust"))
     });
-    Ok(found.map_or_else(|| format!("{:?}", env!("CARGO_PKG_VERSION")), |dir| by_path(&dir)))
+    let published = || (format!("{:?}", env!("CARGO_PKG_VERSION")), false);
+    Ok(found.map_or_else(published, |dir| (by_path(&dir), true)))
 }
 
 fn by_path(dir: &Path) -> String {

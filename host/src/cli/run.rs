@@ -123,7 +123,7 @@ pub(super) async fn bring_up(
     };
     for report in &executed.reports {
         for warning in &report.warnings {
-            eprintln!("warning: {}: {warning}", report.id);
+            out::complain("warning", &format!("{}: {warning}", report.id));
         }
     }
     Ok(true)

@@ -58,7 +58,7 @@ impl Session {
         let text = serde_json::to_string(value).map_err(|e| {
             Failure::local("INTERNAL", format!("cannot write JSON: {e}"), "please report this")
         })?;
-        out::line(&text);
+        out::line(&out::json(&text));
         Ok(Exit::Ok)
     }
 
@@ -91,8 +91,24 @@ impl Session {
             true => v1::DescribeRequest { class: path.to_owned(), ..v1::DescribeRequest::default() },
             false => v1::DescribeRequest { path: path.to_owned(), ..v1::DescribeRequest::default() },
         };
-        let answer = self.client().await?.gcm.describe(ask).await.map_err(|s| self.failed(&s))?;
-        Ok(convert::description(path, answer.get_ref()))
+        match self.client().await?.gcm.describe(ask).await {
+            Ok(answer) => Ok(convert::description(path, answer.get_ref())),
+            Err(s) => {
+                let failure = self.failed(&s);
+                if class || !failure.reason.ends_with("_NOT_FOUND") {
+                    return Err(failure);
+                }
+                // Of what exists the path is tried first: a class is what stands under no such path.
+                self.class(path).await.ok_or(failure)
+            }
+        }
+    }
+
+    /// The class of this name, if a plugin has one.
+    async fn class(&self, name: &str) -> Option<DescribeView> {
+        let ask = v1::DescribeRequest { class: name.to_owned(), ..v1::DescribeRequest::default() };
+        let answer = self.client().await.ok()?.gcm.describe(ask).await.ok()?;
+        Some(convert::description(name, answer.get_ref()))
     }
 
     pub(super) async fn invoke(

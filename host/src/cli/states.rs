@@ -120,12 +120,12 @@ async fn stop_without_gcm(session: &Session, why: Failure) -> Done {
             .collect();
         session.print_json(&serde_json::json!({ "gcm": why.to_json(), "processes": list }))?;
     } else {
-        eprintln!("warning: {}", why.message);
+        out::complain("warning", &why.message);
         for answer in &answers {
             let (word, colour) =
                 if answer.result.is_ok() { ("stopped", style::GOOD) } else { ("failed", style::BAD) };
             let word = style::paint(word, colour, style::stdout());
-            out::line(&format!("process {}  {word}: {}", answer.pid, answer.text()));
+            out::line(&format!("process {}  {word}: {}", answer.pid, out::harmless(answer.text())));
         }
     }
     Ok(if failed { Exit::Partial } else { Exit::Ok })

@@ -23,7 +23,7 @@ impl Table {
     }
 
     pub(super) fn styled<const N: usize>(&mut self, cells: [(String, Style); N]) {
-        self.rows.push(cells.map(|(cell, style)| (out::harmless(&cell), style)).into());
+        self.rows.push(cells.map(|(cell, style)| (out::harmless(&cell).into_owned(), style)).into());
     }
 
     pub(super) fn is_empty(&self) -> bool {

@@ -94,7 +94,7 @@ pub(super) async fn run(args: WaitArgs, session: &Session) -> Done {
     if session.json() {
         return session.print_json(&seen);
     }
-    out::line(&match &seen.value {
+    out::say(&match &seen.value {
         Some(value) => {
             let seconds = seen.stamp_ns as f64 / 1e9;
             let payload = if value.is_null() { String::new() } else { format!("  {value}") };

@@ -24,7 +24,7 @@ pub(super) async fn run(args: WatchArgs, session: &Session) -> Done {
             continue;
         }
         for line in change.lines() {
-            out::line(&format!("{}  {line}", change.revision));
+            out::say(&format!("{}  {line}", change.revision));
         }
     }
     Ok(Exit::Ok)

@@ -116,6 +116,14 @@ impl Server {
             task.abort();
         }
     }
+
+    /// Takes no more calls and leaves open ones to themselves; waits for nobody.
+    pub(crate) fn cut(self) {
+        if let Some(logging) = &self.logging {
+            logging.abort();
+        }
+        self.task.abort();
+    }
 }
 
 async fn bind(listen: &str) -> Result<TcpListener, ServeError> {
@@ -142,10 +150,12 @@ fn is_loopback(ip: IpAddr) -> bool {
 fn unusable(listen: &str, e: &std::io::Error) -> ServeError {
     if e.kind() == std::io::ErrorKind::AddrInUse {
         return ServeError {
-            because: format!("{listen} is taken by another program"),
+            because: format!(
+                "{listen} is taken: a host or GCM that runs already, or another program, listens there"
+            ),
             help: format!(
-                "if a GCM runs there, attach to it with --gcm {listen} --listen 127.0.0.1:0; else listen elsewhere: \
-                 --listen 127.0.0.1:0 takes a free port"
+                "`trocar ls --gcm {listen}` tells which; if a GCM runs there, attach to it under another name with --gcm \
+                 {listen} --listen 127.0.0.1:0; else listen elsewhere: --listen 127.0.0.1:0 takes a free port"
             ),
         };
     }

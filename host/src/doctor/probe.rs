@@ -97,11 +97,16 @@ fn word(path: &str) -> String {
 }
 
 fn try_fifo() -> Result<(), String> {
-    let tried = thread::Builder::new().spawn(|| os::set_fifo(PRIORITY).map_err(|e| e.to_string()));
+    let tried = thread::Builder::new().spawn(|| os::set_fifo(PRIORITY).map_err(|e| refusal(&e)));
     match tried {
         Ok(thread) => thread.join().unwrap_or_else(|_| Err("the trial panicked".to_owned())),
         Err(e) => Err(e.to_string()),
     }
+}
+
+/// What the system said, without a remedy: which one helps here is judged later.
+fn refusal(e: &os::OsError) -> String {
+    format!("{}: {}", e.asked, std::io::Error::from_raw_os_error(e.errno))
 }
 
 fn try_lock() -> Result<(), String> {

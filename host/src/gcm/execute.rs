@@ -1,12 +1,12 @@
 //! Requests carried out: planned as one change set, done by the LCMs, undone when one of them refuses.
 //!
-//! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM did it.
+//! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM did it. What hangs
+//! holds up the components of its own request and no others.
 
 use std::time::{Duration, Instant};
 
-use tokio::sync::MutexGuard;
 use trocar_model::{
-    Change, ComponentId, Name, Plan, Refusal, Request, Skipped, Verb, brief, inverse, plan_all,
+    Change, ComponentId, Name, Plan, Refusal, Request, Skipped, SystemGraph, Verb, brief, inverse, plan_all,
 };
 
 use super::manager::lock;
@@ -20,8 +20,8 @@ use crate::lcm::Report;
 const WITHIN: Duration = Duration::from_secs(5);
 /// Time a rollback gets for each change, beyond the request's own deadline.
 pub(super) const UNDO: Duration = Duration::from_secs(2);
-/// Time a component gets to stop before it is removed.
-const HUNG: Duration = Duration::from_secs(1);
+/// Time a component gets to stop before it is removed, or after it was found to hang.
+pub(super) const HUNG: Duration = Duration::from_secs(1);
 /// An LCM keeps deadlines itself and says what hung; this much later it is not waited for.
 const GRACE: Duration = Duration::from_millis(50);
 
@@ -76,7 +76,7 @@ impl Gcm {
                 match given {
                     Ok(Ok(answer)) => answer.clone().unwrap_or_else(|| Err(given_up())),
                     Ok(Err(_)) => Err(given_up()),
-                    Err(_) => Err(self.busy(&requests)),
+                    Err(_) => Err(self.busy(&requests, "the same request")),
                 }
             }
             Known::Other => Err(Refusal::ArgumentInvalid {
@@ -101,36 +101,35 @@ impl Gcm {
     }
 
     async fn change(&self, requests: &[Request], options: &ExecuteOptions, deadline: Instant) -> Answer {
-        let _writer = self.writer(requests, deadline).await?;
-        let graph = self.graph();
-        if let Some(expected) = options.expected_revision
-            && expected != graph.revision
-        {
-            return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
-        }
-        let plan = plan_all(&graph, requests)?;
+        let forced = self.give_way(requests, options.validate_only)?;
+        let decide = |graph: &SystemGraph| {
+            if let Some(expected) = options.expected_revision
+                && expected != graph.revision
+            {
+                return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
+            }
+            plan_all(graph, requests)
+        };
+        let (turn, graph, plan) = match self.turn(requests, deadline, decide).await {
+            // It went with the request that had made it.
+            Err(Refusal::ComponentNotFound { id, .. }) if forced == Some(&id) => {
+                return Ok(Executed { revision: self.graph().revision, ..Executed::default() });
+            }
+            planned => planned?,
+        };
         let mut done = Executed { revision: graph.revision, plan, ..Executed::default() };
         if options.validate_only || done.plan.changes.is_empty() {
             return Ok(done);
         }
-        self.all_or_nothing(&mut done, deadline).await?;
+        let carrying = Carrying::begin(self, turn, &done.plan);
+        self.all_or_nothing(&carrying, &mut done, deadline).await?;
         done.revision = self.accepted();
         Ok(done)
     }
 
-    /// The turn to change the graph.
-    pub(super) async fn writer(
-        &self,
-        requests: &[Request],
-        deadline: Instant,
-    ) -> Result<MutexGuard<'_, ()>, Refusal> {
-        let waited = tokio::time::timeout_at(deadline.into(), self.inner.writer.lock()).await;
-        waited.map_err(|_| self.busy(requests))
-    }
-
     /// Another request took all the time this one had.
-    fn busy(&self, requests: &[Request]) -> Refusal {
-        let what = "its turn: another request is still being carried out".to_owned();
+    pub(super) fn busy(&self, requests: &[Request], doing: &str) -> Refusal {
+        let what = format!("its turn: {doing} is still being carried out");
         let named = requests.iter().find_map(process_of);
         match named.or_else(|| self.graph().processes.keys().next().cloned()) {
             Some(process) => Refusal::LcmTimeout { process, what },
@@ -148,12 +147,18 @@ impl Gcm {
         revision
     }
 
-    async fn all_or_nothing(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
-        let carrying = Carrying::begin(self, &done.plan);
+    async fn all_or_nothing(
+        &self,
+        carrying: &Carrying<'_>,
+        done: &mut Executed,
+        deadline: Instant,
+    ) -> Result<(), Refusal> {
         for (i, change) in done.plan.changes.iter().enumerate() {
             let doomed = is_doomed(change, &done.plan.changes[i + 1..]);
             let until = if doomed { deadline.min(Instant::now() + HUNG) } else { deadline };
-            match carrying.one(change, until).await {
+            // Callers that wait for what is removed are told that it is gone, not that it stands still.
+            let asked = if doomed { as_removal(change) } else { change.clone() };
+            match carrying.one(&asked, until).await {
                 Ok(report) => done.reports.push(report),
                 // It goes away all the same: a component that hangs must not keep itself.
                 Err(refusal) if doomed => log::warn!("{} before its removal: {refusal}", text::line(change)),
@@ -232,4 +237,12 @@ pub(super) fn id_of(change: &Change) -> &ComponentId {
 fn is_doomed(change: &Change, later: &[Change]) -> bool {
     let Change::Run { id, verb: Verb::Stop, .. } = change else { return false };
     later.iter().any(|c| matches!(c, Change::Destroy { id: gone, .. } if gone == id))
+}
+
+/// The Stop of a component that is removed, as its LCM is asked.
+fn as_removal(change: &Change) -> Change {
+    match change.clone() {
+        Change::Run { id, verb: Verb::Stop, from, to } => Change::Run { id, verb: Verb::Remove, from, to },
+        other => other,
+    }
 }

@@ -165,6 +165,13 @@ impl FakeLcm {
         let _ = self.news.send(News::State(report));
     }
 
+    /// How a component is, told by its watchdog.
+    pub(crate) fn become_health(&self, component: &str, state: State, health: Health) {
+        let report = Report { health, ..report(&id(component), state) };
+        // Nobody listening is fine.
+        let _ = self.news.send(News::State(report));
+    }
+
     pub(crate) fn log(&self, path: &str, level: u32, message: &str) {
         let line =
             LogLine { wall_ns: 1, level, path: path.into(), target: "toy".into(), message: message.into() };

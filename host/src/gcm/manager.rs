@@ -7,14 +7,14 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use tokio::sync::{Mutex as AsyncMutex, watch};
+use tokio::sync::watch;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 
 use super::ids::{Ids, IdsError};
 use super::lines::Lines;
 use super::requests::Answers;
 use super::sessions::Sessions;
-use super::stop::Carried;
+use super::turns::Turns;
 
 /// How a GCM is set up.
 #[derive(Clone, Debug, Default)]
@@ -33,9 +33,8 @@ pub(super) struct Inner {
     pub(super) ids: Ids,
     graph: watch::Sender<Arc<SystemGraph>>,
     pub(super) sessions: Mutex<Sessions>,
-    /// Everything that changes the graph but Stop, one after the other.
-    pub(super) writer: AsyncMutex<()>,
-    pub(super) carried: Mutex<Option<Carried>>,
+    /// Everything that changes the graph but Stop.
+    pub(super) turns: Turns,
     pub(super) answers: Mutex<Answers>,
     lines: Arc<Lines>,
 }
@@ -52,8 +51,7 @@ impl Gcm {
                 ids: Ids::open(config.state.as_deref())?,
                 graph: watch::channel(Arc::new(graph)).0,
                 sessions: Mutex::default(),
-                writer: AsyncMutex::default(),
-                carried: Mutex::default(),
+                turns: Turns::default(),
                 answers: Mutex::default(),
                 lines: Arc::default(),
             }),

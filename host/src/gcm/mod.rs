@@ -13,6 +13,7 @@ mod requests;
 mod sessions;
 mod stop;
 mod text;
+mod turns;
 
 #[cfg(test)]
 pub(crate) mod fake;

@@ -7,54 +7,58 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use trocar_model::{
-    Change, ComponentId, Plan, Refusal, Request, State, StopReason, Target, Verb, allowed, plan_all,
+    Change, ComponentId, Health, Plan, Refusal, Request, State, StopReason, Target, Verb, allowed, plan_all,
 };
 
 use super::Gcm;
-use super::execute::{Executed, UNDO, id_of};
-use super::manager::lock;
+use super::execute::{Executed, HUNG, UNDO, id_of};
 use super::requests::Answer;
 use super::text;
+use super::turns::Turn;
 use crate::lcm::Report;
 
-/// What is being carried out now, and the Stops given meanwhile.
-#[derive(Default)]
-pub(super) struct Carried {
-    /// Components the plan, or undoing it, sets in motion.
-    moving: BTreeSet<ComponentId>,
-    stops: Vec<Target>,
-}
-
-/// A change set being carried out; only the holder of the writer's turn has one.
+/// A change set being carried out.
 pub(super) struct Carrying<'a> {
     gcm: &'a Gcm,
-}
-
-impl Drop for Carrying<'_> {
-    fn drop(&mut self) {
-        lock(&self.gcm.inner.carried).take();
-    }
+    turn: Turn<'a>,
 }
 
 impl<'a> Carrying<'a> {
-    pub(super) fn begin(gcm: &'a Gcm, plan: &Plan) -> Carrying<'a> {
+    pub(super) fn begin(gcm: &'a Gcm, turn: Turn<'a>, plan: &Plan) -> Carrying<'a> {
         let moves = |change: &&Change| {
             matches!(change, Change::Run { from: State::Active, .. } | Change::Run { to: State::Active, .. })
         };
-        let moving = plan.changes.iter().filter(moves).map(|change| id_of(change).clone()).collect();
-        *lock(&gcm.inner.carried) = Some(Carried { moving, stops: Vec::new() });
-        Carrying { gcm }
+        let moving: BTreeSet<_> = plan.changes.iter().filter(moves).map(|c| id_of(c).clone()).collect();
+        turn.marks(|marks| marks.moving = moving);
+        Carrying { gcm, turn }
     }
 
-    /// One change. What a Stop named meanwhile is not set in motion, or not left so.
+    /// One change. What a Stop named meanwhile is not set in motion, or not left so; what hangs and is to be stopped or
+    /// removed is not waited for.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
+        self.turn.doing(text::asked(change));
         let Change::Run { id, verb, to: State::Active, .. } = change else {
-            return self.gcm.one(change, deadline).await;
+            return tokio::select! {
+                biased;
+                done = self.gcm.one(change, deadline) => done,
+                refusal = self.given_up(change) => Err(refusal),
+            };
         };
         self.not_stopped(id, *verb)?;
         let to = State::Stopped(StopReason::Requested);
         let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to };
-        let report = match self.gcm.one(change, deadline).await {
+        let done = tokio::select! {
+            biased;
+            done = self.gcm.one(change, deadline) => done,
+            refusal = self.given_up(change) => {
+                // Until it is known that it hangs, or does what it was told too late, nobody is told that it stands still.
+                if let Err(e) = self.gcm.one(&stop, Instant::now() + HUNG).await {
+                    log::error!("{} was given up: {e}", text::asked(change));
+                }
+                return Err(refusal);
+            }
+        };
+        let report = match done {
             Ok(report) => report,
             Err(refusal @ Refusal::LcmTimeout { .. }) => {
                 // It may still be done, late; nobody may be told that it failed and see it move. Not waited for: the
@@ -73,13 +77,45 @@ impl<'a> Carrying<'a> {
     }
 
     fn not_stopped(&self, id: &ComponentId, verb: Verb) -> Result<(), Refusal> {
-        let carried = lock(&self.gcm.inner.carried);
-        if !carried.iter().flat_map(|c| &c.stops).any(|target| names(target, id)) {
+        if !self.turn.marks(|marks| marks.stops.iter().any(|target| names(target, id))) {
             return Ok(());
         }
         let state = State::Stopped(StopReason::Requested);
         let why = format!("it was stopped while this {verb} was being carried out");
         Err(Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why })
+    }
+
+    /// Ends when the component of the change hangs and somebody wants to be rid of it.
+    async fn given_up(&self, change: &Change) -> Refusal {
+        let (id, verb, moves) = match change {
+            Change::Run { id, verb, to, .. } if !matches!(verb, Verb::Stop | Verb::Remove) => {
+                (id, *verb, *to == State::Active)
+            }
+            Change::Configure { id, .. } => (id, Verb::Configure, false),
+            _ => return std::future::pending().await,
+        };
+        let (mut graphs, mut marked) = (self.gcm.watch(), self.turn.news());
+        loop {
+            let hung = graphs.borrow_and_update().components.get(id).map(|c| (c.state, c.health));
+            marked.mark_unchanged();
+            if moves
+                && matches!(hung, Some((_, Health::Unresponsive)))
+                && let Err(refusal) = self.not_stopped(id, verb)
+            {
+                return refusal;
+            }
+            if let Some((state, Health::Unresponsive)) = hung
+                && self.turn.marks(|marks| marks.removed.contains(id))
+            {
+                let why = format!("it hangs and is being removed while this {verb} was being carried out");
+                return Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why };
+            }
+            // Neither ends before this does.
+            tokio::select! {
+                _ = graphs.changed() => {}
+                _ = marked.changed() => {}
+            }
+        }
     }
 }
 
@@ -99,7 +135,7 @@ impl Gcm {
             return first;
         }
         // What was being started gives up at the mark; OK is said when it has, and again over what was not seen.
-        let _writer = self.writer(requests, deadline).await?;
+        let _turn = self.turn(requests, deadline, |_| Ok(Plan::default())).await?;
         let second = self.stop_now(requests, false, deadline).await;
         match (first, second) {
             (Ok(first), Ok(second)) => Ok(joined(first, second)),
@@ -110,15 +146,47 @@ impl Gcm {
 
     /// Tells whoever is carrying out a change. True: that change sets some of these components in motion.
     fn mark(&self, requests: &[Request]) -> bool {
-        let mut carried = lock(&self.inner.carried);
-        let Some(carried) = carried.as_mut() else { return false };
         let targets = requests.iter().flat_map(|r| match r {
             Request::Stop { targets } => targets.as_slice(),
             _ => &[],
         });
-        let from = carried.stops.len();
-        carried.stops.extend(targets.cloned());
-        carried.moving.iter().any(|id| carried.stops[from..].iter().any(|target| names(target, id)))
+        let targets: Vec<Target> = targets.cloned().collect();
+        self.inner.turns.mark(|marks| {
+            marks.stops.extend(targets.iter().cloned());
+            marks.moving.iter().any(|id| targets.iter().any(|target| names(target, id)))
+        })
+    }
+
+    /// Tells whoever is carrying out a change which components are removed by force: those that hang are not waited for.
+    /// Answers the one that is, when that is all that is asked.
+    ///
+    /// # Errors
+    /// There is no such component. One that is only just being made is not waited for.
+    pub(super) fn give_way<'a>(
+        &self,
+        requests: &'a [Request],
+        validate_only: bool,
+    ) -> Result<Option<&'a ComponentId>, Refusal> {
+        if validate_only {
+            return Ok(None);
+        }
+        let forced = requests.iter().filter_map(|r| match r {
+            Request::Remove { id, force: true } => Some(id),
+            _ => None,
+        });
+        let ids: BTreeSet<&ComponentId> = forced.collect();
+        if ids.is_empty() {
+            return Ok(None);
+        }
+        let alone = if let [Request::Remove { id, .. }] = requests { Some(id) } else { None };
+        if let Some(id) = alone {
+            self.graph().component(id)?;
+        }
+        self.inner.turns.mark(|marks| {
+            marks.removed.extend(ids.iter().copied().cloned());
+            false
+        });
+        Ok(alone)
     }
 
     async fn stop_now(&self, requests: &[Request], validate_only: bool, deadline: Instant) -> Answer {

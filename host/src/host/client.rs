@@ -242,12 +242,29 @@ impl Host {
         self.lcm_of(&process_of(path)?)?.read(path.to_owned(), when, Instant::now() + WITHIN).await
     }
 
-    /// Follows an event, an output or a component's state until the receiver is dropped.
+    /// Follows an event, an output or a component's state until the receiver is dropped: each event and each change of state,
+    /// but of an output its newest sample, 30 times a second at most.
     ///
     /// # Errors
     /// As [`Host::read`].
     pub async fn subscribe(&self, path: &str) -> Result<mpsc::Receiver<Item>, Refusal> {
-        let selection = Selection { path: path.to_owned(), max_rate_hz: 0.0 };
+        self.subscribe_at(path, 0.0).await
+    }
+
+    /// [`Host::subscribe`] with another limit for an output, samples per second: 0.01 to 1000 Hz; 0 is the usual one. What is
+    /// written faster is left out; a component that must have each sample takes them by a queued input.
+    ///
+    /// # Errors
+    /// As [`Host::read`]; a limit that is negative or no number.
+    pub async fn subscribe_at(&self, path: &str, max_rate_hz: f64) -> Result<mpsc::Receiver<Item>, Refusal> {
+        if !max_rate_hz.is_finite() || max_rate_hz < 0.0 {
+            return Err(Refusal::ArgumentInvalid {
+                what: format!("following {path}"),
+                why: format!("max_rate_hz is {max_rate_hz}; it is 0 or a number of samples per second"),
+                field: "max_rate_hz".into(),
+            });
+        }
+        let selection = Selection { path: path.to_owned(), max_rate_hz };
         self.lcm_of(&process_of(path)?)?.subscribe(vec![selection]).await
     }
 
@@ -334,12 +351,23 @@ impl Host {
     }
 
     fn manager(&self) -> Result<&Gcm, Refusal> {
+        self.still_here()?;
         self.gcm()
             .ok_or_else(|| Refusal::ManagedElsewhere { at: self.managed_by().unwrap_or_default().to_owned() })
     }
 
+    /// # Errors
+    /// ProcessLost once it was shut down.
+    fn still_here(&self) -> Result<(), Refusal> {
+        match self.lcm() {
+            Some(lcm) if self.has_ended() => Err(Refusal::ProcessLost { process: lcm.process().clone() }),
+            _ => Ok(()),
+        }
+    }
+
     /// The LCM of a process: any process for a host with a GCM, its own otherwise.
     fn lcm_of(&self, process: &Name) -> Result<Arc<dyn Lcm>, Refusal> {
+        self.still_here()?;
         match (self.gcm(), self.lcm()) {
             (Some(gcm), _) => gcm.lcm_of(process),
             (None, Some(lcm)) if lcm.process() == process => Ok(lcm.clone()),

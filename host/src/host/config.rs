@@ -63,7 +63,7 @@ impl HostConfig {
 #[derive(Clone, Debug)]
 pub struct HostBuilder {
     /// A name that is none is said at the end, so that one computed at run time needs no handling of its own.
-    config: Result<HostConfig, Refusal>,
+    config: Result<HostConfig, HostError>,
 }
 
 impl Host {
@@ -80,7 +80,7 @@ impl Host {
     /// # }).unwrap();
     /// ```
     pub fn builder() -> HostBuilder {
-        HostBuilder { config: Name::parse("host").map(HostConfig::new) }
+        HostBuilder { config: named("host").map(HostConfig::new) }
     }
 }
 
@@ -88,7 +88,7 @@ impl HostBuilder {
     /// Name of the process, the first part of its components' paths.
     #[must_use]
     pub fn name(mut self, name: &str) -> Self {
-        self.config = self.config.and_then(|config| Ok(HostConfig { name: Name::parse(name)?, ..config }));
+        self.config = self.config.and_then(|config| Ok(HostConfig { name: named(name)?, ..config }));
         self
     }
 
@@ -147,10 +147,11 @@ impl HostBuilder {
         self.with(|c| c.lock_memory = lock)
     }
 
-    /// Starts it. Call it inside a tokio runtime, which must outlive the host.
+    /// Starts it. Call it inside a tokio runtime with clock and network (`enable_all`); when that ends before the host, the
+    /// components run on until the host is dropped, but nothing can be asked of it any more.
     ///
     /// # Errors
-    /// As [`HostConfig::start`]; a name that is none.
+    /// As [`HostConfig::start`]; a name that is none; no such runtime.
     pub async fn start(self) -> Result<Host, HostError> {
         self.config?.start().await
     }
@@ -161,4 +162,15 @@ impl HostBuilder {
         }
         self
     }
+}
+
+fn named(name: &str) -> Result<Name, HostError> {
+    Name::parse(name).map_err(|refusal| {
+        let because = match refusal {
+            _ if name.is_empty() => "it is empty".to_owned(),
+            Refusal::BadPath { why, .. } => why,
+            other => other.to_string(),
+        };
+        HostError::BadName { name: name.to_owned(), because }
+    })
 }

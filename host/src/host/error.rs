@@ -28,6 +28,15 @@ pub enum HostError {
     Threads {
         because: String,
     },
+    /// It was not started inside a tokio runtime that can serve it.
+    NoRuntime {
+        lacks: &'static str,
+    },
+    /// What the process was to be called is no name.
+    BadName {
+        name: String,
+        because: String,
+    },
     Store(StoreError),
     /// A plugin linked into the program cannot be used.
     Linked {
@@ -58,6 +67,8 @@ impl HostError {
             HostError::StateInUse { .. } | HostError::StateHeld { .. } => "STATE_IN_USE",
             HostError::StateUnwritable { .. } => "STATE_UNWRITABLE",
             HostError::Threads { .. } => "NO_RESOURCES",
+            HostError::NoRuntime { .. } => "NO_RUNTIME",
+            HostError::BadName { .. } => "BAD_NAME",
             HostError::Store(e) => match e {
                 StoreError::StateUnwritable { .. } => "STATE_UNWRITABLE",
                 StoreError::StateForeign { .. } => "STATE_FOREIGN",
@@ -88,6 +99,12 @@ impl HostError {
             }
             HostError::Threads { .. } => {
                 "raise the limit on processes (ulimit -u), or end other programs".into()
+            }
+            HostError::NoRuntime { .. } => {
+                "start it inside tokio::runtime::Builder::new_multi_thread().enable_all(), or under #[tokio::main]".into()
+            }
+            HostError::BadName { .. } => {
+                "give the process a name such as `lab`: a letter or _, then letters, digits, _ . - (63 at most)".into()
             }
             HostError::Store(e) => split(e).1,
             HostError::Linked { .. } => {
@@ -123,6 +140,12 @@ impl fmt::Display for HostError {
                 write!(f, "the state directory {} cannot be used: {because}", dir.display())
             }
             HostError::Threads { because } => write!(f, "the system gives no more threads: {because}"),
+            HostError::NoRuntime { lacks } => {
+                write!(f, "a host lives in a tokio runtime with clock and network, and {lacks}")
+            }
+            HostError::BadName { name, because } => {
+                write!(f, "`{name}` is no name for a process: {because}")
+            }
             HostError::Store(e) => f.write_str(&split(e).0),
             HostError::Linked { because } => f.write_str(because),
             HostError::NoVetting { tried } => {

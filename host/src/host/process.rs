@@ -1,9 +1,10 @@
 //! `Host`: one process of a system, from its state directory up to its gRPC port.
 //!
-//! Invariant: start makes everything or nothing; shutdown makes devices safe before it closes the port, so that a caller
-//! can see it happen.
+//! Invariant: start makes everything or nothing, and each part is in the hands of what ends it before the next one is made;
+//! the end makes devices safe before it closes the port, so that a caller can see it happen.
 
 use std::net::SocketAddr;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -11,24 +12,19 @@ use tokio::task::JoinHandle;
 use trocar_model::{Change, Request, State, StopReason, Target, Verb};
 
 use super::announce::Announcement;
+use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
 use crate::control::{GcmServices, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm};
-use crate::loader::WatchHandle;
-
-/// How long components may take to stand still at the end.
-const SHUTDOWN: Duration = Duration::from_secs(5);
 
 /// A running process of a system.
+///
+/// However it is let go, its components are made safe, stopped and destroyed: by [`Host::shutdown`], and by dropping it, be
+/// that at an early return, in a panic, outside its runtime or after that has ended. Only `std::process::exit`, `abort`
+/// and `std::mem::forget` pass by that.
 pub struct Host {
-    parts: Parts,
-    state: StateDir,
-}
-
-/// Everything that runs in a state directory.
-struct Parts {
     /// A GCM process has none.
     lcm: Option<Arc<LocalLcm>>,
     gcm: Option<Gcm>,
@@ -36,94 +32,20 @@ struct Parts {
     /// Where the GCM is when it is another process's.
     managed_by: Option<String>,
     /// A host inside a program may listen nowhere.
-    server: Option<Server>,
-    watch: Option<WatchHandle>,
-    announced: Option<JoinHandle<()>>,
-}
-
-impl Parts {
-    fn into_host(self, state: StateDir) -> Host {
-        Host { parts: self, state }
-    }
+    addr: Option<SocketAddr>,
+    state: Arc<StateDir>,
+    /// What it was to be is there; before that it leaves nothing behind.
+    is_up: bool,
+    ending: Ending,
 }
 
 impl Host {
     /// Starts what the configuration says; [`HostConfig::start`] is the way in.
     pub(super) async fn from_config(config: HostConfig) -> Result<Self, HostError> {
-        let state = StateDir::open(&config.state, config.fresh)?;
-        match Self::start_in(&config, &state).await {
-            Ok(parts) => Ok(parts.into_host(state)),
-            Err(e) => {
-                state.undo();
-                Err(e)
-            }
-        }
-    }
-
-    async fn start_in(config: &HostConfig, state: &StateDir) -> Result<Parts, HostError> {
-        let Sources { classes, store } = sources::open(config, state)?;
-        let lcm = LocalLcm::new(LcmConfig {
-            process: config.name.clone(),
-            classes,
-            lock_memory: config.lock_memory,
-        })
-        .map_err(|e| HostError::Threads { because: e.to_string() })?;
-        let changed = Arc::downgrade(&lcm);
-        let watch = store.map(|store| {
-            store.watch(move |_| {
-                if let Some(lcm) = changed.upgrade() {
-                    lcm.catalog_changed();
-                }
-            })
-        });
-        let served = Self::serve(config, state, lcm.clone()).await;
-        match served.and_then(|parts| offer_services(config, &lcm, parts.0.as_ref()).map(|()| parts)) {
-            Ok((gcm, uplink, server)) => {
-                let announced = announce(config.name.as_str(), gcm.clone(), lcm.clone());
-                let managed_by = config.gcm.clone();
-                Ok(Parts { lcm: Some(lcm), gcm, uplink, managed_by, server, watch, announced })
-            }
-            Err(e) => {
-                lcm.shutdown(SHUTDOWN).await;
-                Err(e)
-            }
-        }
-    }
-
-    async fn serve(
-        config: &HostConfig,
-        state: &StateDir,
-        lcm: Arc<LocalLcm>,
-    ) -> Result<(Option<Gcm>, Option<Uplink>, Option<Server>), HostError> {
-        let local: Arc<dyn Lcm> = lcm;
-        let gcm = match config.gcm {
-            Some(_) => None,
-            None => Some(start_gcm(state).await?),
-        };
-        let server = match &config.listen {
-            None => None,
-            Some(listen) => {
-                let serving = Server::start(ServeConfig {
-                    listen: listen.clone(),
-                    gcm: gcm.clone(),
-                    local: Some((config.name.clone(), local.clone())),
-                    managed_by: config.gcm.clone(),
-                });
-                Some(serving.await?)
-            }
-        };
-        let endpoint = server.as_ref().map(|s| s.addr().to_string()).unwrap_or_default();
-        let registration = Registration::new(config.name.clone(), endpoint);
-        let uplink = match (&gcm, &config.gcm) {
-            (Some(gcm), _) => {
-                let inventory = local.inventory().await?;
-                gcm.register(registration, local, inventory).await?;
-                None
-            }
-            (None, Some(addr)) => Some(Uplink::start(addr.clone(), registration, local).await?),
-            (None, None) => None,
-        };
-        Ok((gcm, uplink, server))
+        needs_runtime()?;
+        let mut host = Self::in_directory(&config.state, config.fresh)?;
+        let done = host.bring_up(&config).await;
+        host.if_up(done).await
     }
 
     /// Starts a GCM without components: `trocar gcm`.
@@ -131,54 +53,131 @@ impl Host {
     /// # Errors
     /// State directory or port cannot be used.
     pub async fn start_gcm(listen: &str, state: &StateChoice, fresh: bool) -> Result<Self, HostError> {
-        let state = StateDir::open(state, fresh)?;
-        match Self::start_gcm_in(listen, &state).await {
-            Ok(parts) => Ok(parts.into_host(state)),
+        needs_runtime()?;
+        let mut host = Self::in_directory(state, fresh)?;
+        let done = host.bring_up_gcm(listen).await;
+        host.if_up(done).await
+    }
+
+    /// Nothing yet but the directory, and what ends the rest.
+    fn in_directory(state: &StateChoice, fresh: bool) -> Result<Self, HostError> {
+        let state = Arc::new(StateDir::open(state, fresh)?);
+        let ending = Ending::prepare(state.clone()).inspect_err(|_| state.undo())?;
+        Ok(Host {
+            lcm: None,
+            gcm: None,
+            uplink: None,
+            managed_by: None,
+            addr: None,
+            state,
+            is_up: false,
+            ending,
+        })
+    }
+
+    /// All of it or, when something was refused, nothing.
+    async fn if_up(mut self, done: Result<(), HostError>) -> Result<Self, HostError> {
+        match done {
+            Ok(()) => {
+                self.is_up = true;
+                Ok(self)
+            }
             Err(e) => {
-                state.undo();
+                self.state.undo();
+                self.shutdown().await;
                 Err(e)
             }
         }
     }
 
-    async fn start_gcm_in(listen: &str, state: &StateDir) -> Result<Parts, HostError> {
-        let gcm = start_gcm(state).await?;
-        let server = Server::start(ServeConfig {
-            listen: listen.to_owned(),
-            gcm: Some(gcm.clone()),
-            local: None,
-            managed_by: None,
+    async fn bring_up(&mut self, config: &HostConfig) -> Result<(), HostError> {
+        let Sources { classes, store } = sources::open(config, &self.state)?;
+        let lcm = LocalLcm::new(LcmConfig {
+            process: config.name.clone(),
+            classes,
+            lock_memory: config.lock_memory,
         })
-        .await?;
-        Ok(Parts {
-            lcm: None,
-            gcm: Some(gcm),
-            uplink: None,
-            managed_by: None,
-            server: Some(server),
-            watch: None,
-            announced: None,
-        })
+        .map_err(|e| HostError::Threads { because: e.to_string() })?;
+        self.lcm = Some(lcm.clone());
+        self.ending.running().lcm = Some(lcm.clone());
+        let changed = Arc::downgrade(&lcm);
+        self.ending.running().watch = store.map(|store| {
+            store.watch(move |_| {
+                if let Some(lcm) = changed.upgrade() {
+                    lcm.catalog_changed();
+                }
+            })
+        });
+        self.serve(config, lcm.clone()).await?;
+        offer_services(config, &lcm, self.gcm.as_ref())?;
+        self.ending.running().announced = announce(config.name.as_str(), self.gcm.clone(), lcm);
+        Ok(())
     }
 
-    /// Where it listens; `None` for a host without a port.
+    async fn serve(&mut self, config: &HostConfig, lcm: Arc<LocalLcm>) -> Result<(), HostError> {
+        let local: Arc<dyn Lcm> = lcm;
+        self.managed_by = config.gcm.clone();
+        if config.gcm.is_none() {
+            self.gcm = Some(start_gcm(&self.state).await?);
+        }
+        if let Some(listen) = &config.listen {
+            self.listen(ServeConfig {
+                listen: listen.clone(),
+                gcm: self.gcm.clone(),
+                local: Some((config.name.clone(), local.clone())),
+                managed_by: config.gcm.clone(),
+            })
+            .await?;
+        }
+        let endpoint = self.addr.map(|addr| addr.to_string()).unwrap_or_default();
+        let registration = Registration::new(config.name.clone(), endpoint);
+        match (&self.gcm, &config.gcm) {
+            (Some(gcm), _) => {
+                let inventory = local.inventory().await?;
+                gcm.register(registration, local, inventory).await?;
+            }
+            (None, Some(addr)) => {
+                let mut uplink = Uplink::start(addr.clone(), registration, local).await?;
+                self.ending.running().uplink = uplink.take_task();
+                self.uplink = Some(uplink);
+            }
+            (None, None) => {}
+        }
+        Ok(())
+    }
+
+    async fn bring_up_gcm(&mut self, listen: &str) -> Result<(), HostError> {
+        let gcm = start_gcm(&self.state).await?;
+        self.gcm = Some(gcm.clone());
+        self.listen(ServeConfig { listen: listen.to_owned(), gcm: Some(gcm), local: None, managed_by: None })
+            .await
+    }
+
+    async fn listen(&mut self, config: ServeConfig) -> Result<(), HostError> {
+        let server = Server::start(config).await?;
+        self.addr = Some(server.addr());
+        self.ending.running().server = Some(server);
+        Ok(())
+    }
+
+    /// Where it listens, or did; `None` for a host without a port.
     pub fn addr(&self) -> Option<SocketAddr> {
-        self.parts.server.as_ref().map(Server::addr)
+        self.addr
     }
 
     /// Address of the GCM that manages this host when it is another process's.
     pub fn managed_by(&self) -> Option<&str> {
-        self.parts.managed_by.as_deref()
+        self.managed_by.as_deref()
     }
 
     /// Its own GCM, unless it is attached to another.
     pub fn gcm(&self) -> Option<&Gcm> {
-        self.parts.gcm.as_ref()
+        self.gcm.as_ref()
     }
 
     /// Its LCM; a GCM process has none.
     pub fn lcm(&self) -> Option<&Arc<LocalLcm>> {
-        self.parts.lcm.as_ref()
+        self.lcm.as_ref()
     }
 
     /// Its state directory.
@@ -186,12 +185,17 @@ impl Host {
         &self.state
     }
 
+    /// True when it was shut down.
+    pub fn has_ended(&self) -> bool {
+        self.ending.has_ended()
+    }
+
     /// Ends when the process is asked to end, or when the GCM it attached to sends it away for good.
     ///
     /// # Errors
     /// Why the GCM sent it away.
     pub async fn until_asked_to_stop(&mut self, stop: &mut StopRequest) -> Result<(), HostError> {
-        match &mut self.parts.uplink {
+        match &mut self.uplink {
             None => stop.asked().await,
             Some(uplink) => tokio::select! {
                 () = stop.asked() => {}
@@ -201,26 +205,40 @@ impl Host {
         Ok(())
     }
 
-    /// Stops components, devices safe first, then everything else.
-    pub async fn shutdown(self) {
-        let Self { parts, state } = self;
-        if let Some(task) = &parts.announced {
-            task.abort();
-        }
-        if let Some(lcm) = &parts.lcm {
-            lcm.shutdown(SHUTDOWN).await;
-        }
-        if let Some(uplink) = parts.uplink {
-            uplink.shutdown().await;
-        }
-        if let Some(server) = parts.server {
-            server.shutdown().await;
-        }
-        // Dropping it joins the watching thread, which must not hold up a thread of the runtime.
-        let watch = parts.watch;
-        let _ = tokio::task::spawn_blocking(move || drop(watch)).await;
-        drop(state);
+    /// Stops components, devices safe first, then everything else; comes back when that is done, after 5 s and a little more
+    /// when components hang. May be called any number of times, by several at once, and from any runtime or none; once
+    /// begun it goes on, also when nobody waits for it any more.
+    ///
+    /// Dropping the host does the same and blocks the thread meanwhile, but cuts open calls of the port.
+    pub async fn shutdown(&self) {
+        self.ending.end().await;
     }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        if !self.is_up {
+            self.state.undo();
+        }
+        self.ending.end_now();
+    }
+}
+
+/// # Errors
+/// No tokio runtime is around, or one that lacks clock or network.
+fn needs_runtime() -> Result<(), HostError> {
+    if tokio::runtime::Handle::try_current().is_err() {
+        return Err(HostError::NoRuntime { lacks: "there is none around" });
+    }
+    // Tokio tells what a runtime has only by panicking over what it has not.
+    let panics = |probe: fn()| catch_unwind(AssertUnwindSafe(probe)).is_err();
+    if panics(|| drop(tokio::time::sleep(Duration::ZERO))) {
+        return Err(HostError::NoRuntime { lacks: "this one has no clock" });
+    }
+    if panics(|| drop(tokio::net::UnixDatagram::unbound())) {
+        return Err(HostError::NoRuntime { lacks: "this one has no network" });
+    }
+    Ok(())
 }
 
 /// Lets components ask the GCM of their system for dynamic component services.

@@ -9,7 +9,8 @@ use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::HostError;
@@ -30,13 +31,21 @@ pub enum StateChoice {
     Ephemeral,
 }
 
-/// An open, locked state directory.
+/// An open state directory, locked until it is released or dropped.
 #[derive(Debug)]
 pub struct StateDir {
     path: PathBuf,
     ephemeral: bool,
     /// It was not there before.
     made: bool,
+    /// It is removed at the end.
+    goes: AtomicBool,
+    hold: Mutex<Option<Hold>>,
+}
+
+/// What keeps others out.
+#[derive(Debug)]
+struct Hold {
     _lock: File,
     _claim: Option<UnixDatagram>,
 }
@@ -97,12 +106,22 @@ impl StateDir {
         let claim = if ephemeral { None } else { claim(path)? };
         file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
         writeln!(file, "{}", std::process::id()).map_err(unwritable)?;
-        Ok(Self { path: path.to_owned(), ephemeral, made, _lock: file, _claim: claim })
+        let hold = Mutex::new(Some(Hold { _lock: file, _claim: claim }));
+        Ok(Self { path: path.to_owned(), ephemeral, made, goes: AtomicBool::new(ephemeral), hold })
     }
 
-    /// Takes back what `open` made, for a process that does not come up after all.
-    pub(super) fn undo(mut self) {
-        self.ephemeral |= self.made;
+    /// Takes back at the end what `open` made, for a process that does not come up after all.
+    pub(super) fn undo(&self) {
+        self.goes.fetch_or(self.made, Ordering::Relaxed);
+    }
+
+    /// Leaves it to others; removes an ephemeral one.
+    pub(super) fn release(&self) {
+        let hold = self.hold.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if hold.is_some() && self.goes.load(Ordering::Relaxed) {
+            // Best effort: the system cleans its temporary files.
+            let _ = fs::remove_dir_all(&self.path);
+        }
     }
 
     /// Forgets everything but the counters that must never go back (`gcm.json`: term and epochs fence old processes).
@@ -127,10 +146,7 @@ impl StateDir {
 
 impl Drop for StateDir {
     fn drop(&mut self) {
-        if self.ephemeral {
-            // Best effort: the system cleans its temporary files.
-            let _ = fs::remove_dir_all(&self.path);
-        }
+        self.release();
     }
 }
 

@@ -57,7 +57,7 @@ pub struct Report {
     pub ports: Option<Arc<Ports>>,
     /// Connections the LCM cut because a port they ended in went, by number.
     pub lost_connections: Vec<u64>,
-    /// Sentences for the caller, e.g. a real-time setting the machine refused.
+    /// Sentences for the caller, e.g. a real-time setting the machine refused; in the answer to a change only new ones.
     pub warnings: Vec<String>,
 }
 
@@ -194,7 +194,8 @@ pub struct Detail {
     /// Compute time over period, 0–1.
     pub load: f64,
     pub commands: u64,
-    /// Commands lost in full queues: not taken, or given up for newer ones.
+    /// Commands lost: not taken by a full queue, given up for newer ones, or only sent and not run before their connection
+    /// was cut.
     pub commands_rejected: u64,
     /// Events lost in its handlers' full queues.
     pub events_dropped: u64,

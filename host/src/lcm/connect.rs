@@ -142,7 +142,8 @@ impl Wired {
                 commands_in.close(PEER_LOST);
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);
-                self.client.counters.lose_events(events_in.unexecuted() - before);
+                self.client.counters.lose(events_in, events_in.unexecuted() - before);
+                self.server.counters.lose(commands_in, commands_in.unexecuted());
                 commands_in.tell_toll(&self.server);
             }
         }

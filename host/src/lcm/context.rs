@@ -10,7 +10,7 @@ use trocar_rt::os;
 use trocar_rt::team::Team;
 use trocar_rt::wake::{WakeList, Waker};
 
-use super::boundary::HostContext;
+use super::boundary::{HostContext, told};
 
 /// Identifies a thread of the LCM; 0 is every other thread.
 pub(super) type ExecutorId = u64;
@@ -22,6 +22,7 @@ thread_local! {
     static STEP_BEGAN_NS: Cell<u64> = const { Cell::new(0) };
     static COMPONENT: Cell<*const HostContext> = const { Cell::new(ptr::null()) };
     static WAKES: RefCell<WakeList> = const { RefCell::new(WakeList::new()) };
+    static FLUSHING: Cell<bool> = const { Cell::new(false) };
     static DEFERRED: Cell<bool> = const { Cell::new(false) };
     static ROUNDING: Cell<u32> = const { Cell::new(0) };
     static TEAM: RefCell<Option<Arc<Team>>> = const { RefCell::new(None) };
@@ -127,14 +128,23 @@ pub(super) fn swap_component(host: *const HostContext) -> *const HostContext {
 
 /// Wakes an executor: after the step when called inside one, else at once.
 pub(super) fn wake(waker: &Arc<Waker>) {
-    if STEPPING.get() {
+    if STEPPING.get() || FLUSHING.get() {
         WAKES.with_borrow_mut(|list| list.add(waker));
     } else {
         waker.notify();
     }
 }
 
-/// Issues the wakes collected during a step.
+/// Wakes are noted on this thread that were not issued yet.
+#[cfg(test)]
+pub(super) fn has_wakes() -> bool {
+    WAKES.with_borrow(|list| !list.is_empty())
+}
+
+/// Marks those that were told in this turn, and issues the wakes collected during the step.
 pub(super) fn flush_wakes() {
+    FLUSHING.set(true);
+    told::flush();
+    FLUSHING.set(false);
     WAKES.with_borrow_mut(WakeList::flush);
 }

@@ -4,6 +4,7 @@
 //! distrust a description; the system interface is appended to every class, last, so it moves no id.
 
 pub mod back;
+mod frames;
 #[cfg(test)]
 mod units;
 
@@ -85,7 +86,7 @@ fn class_info(
         max_step_ns: (class.execution.max_step_ns > 0).then_some(class.execution.max_step_ns),
         ..Default::default()
     };
-    Ok(model::ClassInfo {
+    let info = model::ClassInfo {
         plugin: manifest.name.clone(),
         version: manifest.version.clone(),
         hash: hash.to_owned(),
@@ -102,7 +103,12 @@ fn class_info(
         execution,
         config_schema: class.config.clone(),
         ports: ports(class, types)?,
-    })
+    };
+    // Found now, and not by every Create.
+    match model::class_fault(&info) {
+        Some(why) => Err(why),
+        None => Ok(info),
+    }
 }
 
 fn execution_model(text: &str) -> Result<model::ExecutionModel, String> {
@@ -173,7 +179,10 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
         ports.inputs.push(model::Input {
             name: input.name.clone(),
             doc: input.doc.clone(),
-            ty: types.port(&input.ty).map_err(|e| format!("input {}: {e}", input.name))?,
+            ty: types
+                .port(&input.ty)
+                .and_then(|ty| frames::port(ty, &input.frame))
+                .map_err(|e| format!("input {}: {e}", input.name))?,
             optional: input.optional,
             fifo: depth(input.fifo).map_err(|e| format!("input {}: {e}", input.name))?,
         });
@@ -183,7 +192,10 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
         ports.outputs.push(model::Output {
             name: output.name.clone(),
             doc: output.doc.clone(),
-            ty: types.port(&output.ty).map_err(|e| format!("output {}: {e}", output.name))?,
+            ty: types
+                .port(&output.ty)
+                .and_then(|ty| frames::port(ty, &output.frame))
+                .map_err(|e| format!("output {}: {e}", output.name))?,
         });
     }
     for required in &class.required {
@@ -210,11 +222,14 @@ fn required(required: &wire::Required, types: &mut Types) -> Result<model::Requi
         .iter()
         .map(|f| {
             name(&f.name)?;
+            let (arg, ret) = (types.optional(&f.arg)?, types.optional(&f.ret)?);
+            let (arg, ret) = frames::either(arg, ret, &f.frame)
+                .map_err(|e| format!("function {}/{}: {e}", required.name, f.name))?;
             Ok(model::Function {
                 name: f.name.clone(),
                 doc: f.doc.clone(),
-                arg: types.optional(&f.arg)?,
-                ret: types.optional(&f.ret)?,
+                arg,
+                ret,
                 unit: f.unit.clone(),
                 optional: f.optional,
                 any: f.any,
@@ -229,7 +244,8 @@ fn required(required: &wire::Required, types: &mut Types) -> Result<model::Requi
             Ok(model::Handler {
                 name: h.name.clone(),
                 doc: h.doc.clone(),
-                payload: types.optional(&h.payload)?,
+                payload: frames::optional(types.optional(&h.payload)?, &h.frame)
+                    .map_err(|e| format!("handler {}/{}: {e}", required.name, h.name))?,
                 optional: h.optional,
                 direct: h.direct,
             })
@@ -261,7 +277,8 @@ fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provi
             Ok(model::Event {
                 name: e.name.clone(),
                 doc: e.doc.clone(),
-                payload: types.optional(&e.payload)?,
+                payload: frames::optional(types.optional(&e.payload)?, &e.frame)
+                    .map_err(|why| format!("event {}/{}: {why}", provided.name, e.name))?,
                 unit: e.unit.clone(),
             })
         })
@@ -295,7 +312,7 @@ fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command,
         Some(a) => Some(model::Arg {
             name: a.name.clone(),
             doc: a.doc.clone(),
-            ty: types.resolve(&a.ty)?,
+            ty: frames::value(types.resolve(&a.ty)?, &a.frame)?,
             unit: a.unit.clone(),
             min: a.min,
             max: a.max,
@@ -306,7 +323,7 @@ fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command,
         doc: command.doc.clone(),
         kind,
         arg,
-        ret: types.optional(&command.ret)?,
+        ret: frames::optional(types.optional(&command.ret)?, &command.ret_frame)?,
         ret_unit: command.ret_unit.clone(),
         overflow: match command.overflow.as_str() {
             "latest_wins" => model::Overflow::LatestWins,

@@ -52,6 +52,12 @@ pub(super) fn signalled(members: &mut [Member], cycle: &Cycle) -> bool {
 
 /// Runs what is queued for members between cycles, where no step would come soon.
 pub(super) fn serve(members: &[Member], pace: Pace) {
+    if members.iter().any(|m| m.instance.has_signal()) {
+        turn::run(|| serve_signalled(members, pace));
+    }
+}
+
+fn serve_signalled(members: &[Member], pace: Pace) {
     let mut served = false;
     for member in members.iter().filter(|m| m.instance.has_signal()) {
         let instance = &member.instance;
@@ -117,11 +123,18 @@ fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
         if due {
             now_ns = step(member, cycle, now_ns);
             stepped = true;
-        } else if member.instance.has_signal() {
+        } else if member.instance.has_signal() && !steps_for_signal(member, by_signal) {
             unstepped(member);
         }
     }
     stepped
+}
+
+/// Steps when something is there for it. What comes after it was asked in a cycle keeps its mark for the next one: run
+/// without a step it would leave those that run inside without theirs.
+fn steps_for_signal(member: &Member, by_signal: bool) -> bool {
+    let follows = member.follow == Follow::Input || by_signal && member.follow == Follow::Thread;
+    follows && member.instance.is_active() && !member.instance.is_called_back()
 }
 
 /// Whether the member at `at` steps in this cycle; asked once, so that all around it get the same answer.
@@ -141,7 +154,7 @@ fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
     let member = &members[at];
     let instance = &member.instance;
     let mut due = parent_is_due && instance.is_active() && !instance.is_called_back();
-    if due && (member.follow == Follow::Input || by_signal && member.follow == Follow::Thread) {
+    if due && steps_for_signal(member, by_signal) {
         due = instance.take_signal();
     } else if due {
         instance.take_signal();

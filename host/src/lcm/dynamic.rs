@@ -312,7 +312,13 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
         all.retain(|i| !Arc::ptr_eq(i, &before.external));
         all.push(new.external.clone());
     });
-    // What the outside had queued is not executed under another description.
+    // What the outside had queued is not executed under another description, and what others had queued for an interface
+    // that went is answered before their connections are cut.
     before.external.close(DISABLED);
+    instance
+        .queues()
+        .iter()
+        .filter(|inbox| inbox.is_withdrawn())
+        .for_each(|inbox| inbox.refuse_all(DISABLED));
     Ok(())
 }

@@ -3,9 +3,9 @@
 //! Invariant: component code runs only here (passive components and device callbacks excepted). A cycle takes no lock,
 //! allocates nothing and calls nothing of the OS but its own sleep and the wakes after the step; jobs run between cycles.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use trocar_model::{Execution, ExecutionModel};
@@ -52,6 +52,8 @@ pub(super) struct Executor {
     jobs: Mutex<VecDeque<Job>>,
     has_jobs: AtomicBool,
     stop: AtomicBool,
+    /// Changed and asked under the lock of `jobs`.
+    ended: AtomicBool,
     pub(super) settings: Settings,
     /// As the kernel shows it, and as threads are called that code on it starts without a name of their own.
     pub(super) name: String,
@@ -60,6 +62,34 @@ pub(super) struct Executor {
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
+/// Kernel ids of all executors' threads, of whichever LCM: a program may have several, with components of one name.
+static THREADS: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
+
+fn all_threads() -> MutexGuard<'static, BTreeSet<i32>> {
+    THREADS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// True for the thread of an executor of this process.
+pub(super) fn is_executor(tid: i32) -> bool {
+    all_threads().contains(&tid)
+}
+
+/// One thread on that list, until it ends.
+struct Listed(i32);
+
+impl Listed {
+    fn here() -> Listed {
+        let tid = realtime::thread_id();
+        all_threads().insert(tid);
+        Listed(tid)
+    }
+}
+
+impl Drop for Listed {
+    fn drop(&mut self) {
+        all_threads().remove(&self.0);
+    }
+}
 
 impl Executor {
     /// Starts the thread; it has no members yet.
@@ -80,6 +110,7 @@ impl Executor {
             jobs: Mutex::new(VecDeque::new()),
             has_jobs: AtomicBool::new(false),
             stop: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
             settings: Settings::default(),
             name: name[..name.floor_char_boundary(realtime::NAME_BYTES)].to_owned(),
             tid: AtomicI32::new(0),
@@ -89,7 +120,8 @@ impl Executor {
         thread::Builder::new().name(name.clone()).stack_size(realtime::STACK_BYTES).spawn(move || {
             context::set_executor(mine.id);
             context::set_team(team);
-            mine.tid.store(realtime::thread_id(), Ordering::Release);
+            let listed = Listed::here();
+            mine.tid.store(listed.0, Ordering::Release);
             mine.settings.settle(&name, &execution);
             mine.settings.lock(&memory);
             mine.run(Crew { members: Vec::new(), pacer: Pacer::new(pace) });
@@ -101,11 +133,22 @@ impl Executor {
         self.tid.load(Ordering::Acquire)
     }
 
-    /// Runs `job` on the thread, between cycles.
+    /// Runs `job` on the thread, between cycles. Once the thread has ended it is dropped, so that whoever waits for it hears.
     pub(super) fn submit(&self, job: impl FnOnce(&mut Crew) + Send + 'static) {
-        self.jobs.lock().unwrap_or_else(PoisonError::into_inner).push_back(Box::new(job));
+        let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.ended.load(Ordering::Relaxed) {
+            return;
+        }
+        jobs.push_back(Box::new(job));
+        drop(jobs);
         self.has_jobs.store(true, Ordering::Release);
         self.waker.notify();
+    }
+
+    /// Jobs nobody has begun.
+    #[cfg(test)]
+    pub(super) fn waiting(&self) -> usize {
+        self.jobs.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
 
     /// Ends the thread after the jobs already there.
@@ -117,7 +160,7 @@ impl Executor {
     fn run(&self, mut crew: Crew) {
         loop {
             self.run_jobs(&mut crew);
-            if self.stop.load(Ordering::Acquire) && !self.has_jobs.load(Ordering::Acquire) {
+            if self.stop.load(Ordering::Acquire) && self.ends() {
                 // Threads of the team end before this one.
                 context::set_team(None);
                 return;
@@ -140,7 +183,7 @@ impl Executor {
                 _ => cycle::all(members, &due),
             };
             if pacer.pace() == Pace::Free {
-                if stepped {
+                if stepped || members.iter().any(asks) {
                     thread::yield_now();
                 } else {
                     // Its head stands still: nothing to run freely for.
@@ -148,6 +191,14 @@ impl Executor {
                 }
             }
         }
+    }
+
+    /// Takes no job any more; false while there still is one.
+    fn ends(&self) -> bool {
+        let jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        let ends = jobs.is_empty();
+        self.ended.store(ends, Ordering::Relaxed);
+        ends
     }
 
     fn run_jobs(&self, crew: &mut Crew) {

@@ -77,7 +77,9 @@ pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Repl
     }
     let executed = answer.outcome == EXECUTED;
     let value = match (&ret, executed) {
-        (Some(ty), true) => Some(decode(ty, &answer.value).map_err(|e| undecodable(&member, &e))?),
+        (Some(ty), true) => {
+            Some(decode(ty, &answer.value).map_err(|e| misfit_of(&instance, member.clone(), &e))?)
+        }
         _ => None,
     };
     let age_ns = if answer.stamp_ns == 0 { 0 } else { os::now_ns().saturating_sub(answer.stamp_ns) };
@@ -91,8 +93,17 @@ pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Repl
     })
 }
 
-fn undecodable(what: &dyn std::fmt::Display, e: &ValueError) -> Refusal {
-    Refusal::Internal { text: format!("{what} gave a value that does not fit its type: {e}") }
+/// The bytes of a value come from the plugin, and so does what is wrong with them.
+fn misfit(instance: &Instance, e: &ValueError) -> String {
+    format!("its class {} made a value that does not fit the type: {e}", instance.info.full_name())
+}
+
+fn misfit_of(instance: &Instance, member: MemberId, e: &ValueError) -> Refusal {
+    Refusal::CommandFailed { member, text: misfit(instance, e) }
+}
+
+fn not_shown(instance: &Instance, entry: &'static str, e: &ValueError) -> Refusal {
+    Refusal::ComponentRefused { id: instance.id.clone(), entry, text: misfit(instance, e) }
 }
 
 fn refusal(
@@ -167,7 +178,8 @@ fn argument(member: &MemberId, command: &Command, given: &Payload) -> Result<Vec
 
 fn missing(command: &Command, arg: &Arg) -> String {
     let unit = if arg.unit.is_empty() { String::new() } else { format!(" in {}", arg.unit) };
-    format!("{} needs an argument {}: {}{unit}", command.name, arg.name, arg.ty.title())
+    let name = if arg.name.is_empty() { String::new() } else { format!(" {}", arg.name) };
+    format!("{} needs an argument{name}: {}{unit}", command.name, arg.ty.title())
 }
 
 /// The state row of `process/component`, or the next sample of `process/component/output`.
@@ -190,15 +202,14 @@ pub(super) async fn read(
         });
     }
     let mut output = Output::open(lcm.instance(&port.component)?, &port)?;
+    let began = Instant::now();
     loop {
         if let Some((sample, _)) = output.newest()? {
             return Ok(sample);
         }
         if Instant::now() >= deadline {
-            return Err(Refusal::LcmTimeout {
-                process: port.component.process,
-                what: format!("a sample of {path}"),
-            });
+            let state = output.instance.state();
+            return Err(Refusal::NoSample { port, state, after_ns: began.elapsed().as_nanos() as u64 });
         }
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
@@ -211,13 +222,26 @@ fn state_row(instance: &Instance, when: When) -> Result<Sample, Refusal> {
     if let Some(ty) = &ports.state
         && let Some(row) = rows::read(&instance.rows, ty, &instance.id, when)?
     {
-        sample.value = decode(ty, &row.bytes).map_err(|e| undecodable(&instance.id, &e))?;
+        sample.value = decode(ty, &row.bytes).map_err(|e| not_shown(instance, "show its state", &e))?;
         sample.stamp_ns = row.stamp_ns;
         sample.age_ns = os::now_ns().saturating_sub(row.stamp_ns);
         sample.seq = row.tick;
         sample.encoded = row.bytes;
     }
     Ok(sample)
+}
+
+/// What the port of that name is, where it is one but no output.
+fn no_output(ports: &Ports, name: &str) -> Option<&'static str> {
+    if ports.inputs.iter().any(|p| p.name == name) {
+        Some("an input")
+    } else if ports.required.iter().any(|p| p.name == name) {
+        Some("a required interface")
+    } else if ports.provided.iter().any(|p| p.name == name) {
+        Some("a provided interface")
+    } else {
+        None
+    }
 }
 
 /// A reader from outside on one output; the link goes with it.
@@ -235,6 +259,15 @@ impl Output {
         let set = instance.described.now();
         let ports = &set.ports;
         let Some(index) = ports.outputs.iter().position(|o| o.name == port.port.as_str()) else {
+            if let Some(what) = no_output(ports, port.port.as_str()) {
+                let outputs: Vec<&str> = ports.outputs.iter().map(|o| o.name.as_str()).collect();
+                let there = if outputs.is_empty() { "none".to_owned() } else { outputs.join(", ") };
+                return Err(Refusal::ArgumentInvalid {
+                    what: format!("Read {port}"),
+                    why: format!("it is {what}, and only outputs can be read; outputs there: {there}"),
+                    field: "path".into(),
+                });
+            }
             return Err(Refusal::InterfaceNotFound {
                 port: port.clone(),
                 known: ports.outputs.iter().map(|o| o.name.clone()).collect(),
@@ -261,8 +294,10 @@ impl Output {
     /// The newest sample not shown yet, and how many were left out before it.
     fn newest(&mut self) -> Result<Option<(Sample, u64)>, Refusal> {
         let Some(sample) = self.reader.latest().filter(|s| s.fresh) else { return Ok(None) };
-        let value = decode(&self.ty, sample.data).map_err(|e| undecodable(&self.instance.id, &e))?;
-        let skipped = if self.last_seq == 0 { 0 } else { sample.meta.seq - self.last_seq - 1 };
+        let value =
+            decode(&self.ty, sample.data).map_err(|e| not_shown(&self.instance, "show an output", &e))?;
+        // Numbers stand still where a component writes from two threads at once.
+        let skipped = if self.last_seq == 0 { 0 } else { sample.meta.seq.saturating_sub(self.last_seq + 1) };
         self.last_seq = sample.meta.seq;
         let shown = Sample {
             value,
@@ -294,6 +329,8 @@ struct EventFeed {
     sink: Arc<EventSink>,
     seq: u64,
     dropped: u64,
+    /// A payload that does not fit was told of.
+    warned: bool,
 }
 
 impl EventFeed {
@@ -302,7 +339,17 @@ impl EventFeed {
         let tap = Arc::new(Tap { mailbox: Mailbox::new(TAP_DEPTH, ty.as_ref().map_or(0, Type::size), 0) });
         let sink = Arc::new(EventSink::Tap(tap.clone()));
         cell.edit(|sinks| sinks.push(sink.clone()));
-        Ok(EventFeed { instance, member: member.clone(), cell, ty, tap, sink, seq: 0, dropped: 0 })
+        Ok(EventFeed {
+            instance,
+            member: member.clone(),
+            cell,
+            ty,
+            tap,
+            sink,
+            seq: 0,
+            dropped: 0,
+            warned: false,
+        })
     }
 
     /// Nothing more can come: the component is gone or made anew, or described itself without this event.
@@ -318,7 +365,13 @@ impl EventFeed {
         let show = |head: EntryHead, payload: &[u8]| {
             self.seq += 1 + skipped;
             let value = match &self.ty {
-                Some(ty) => decode(ty, &payload[..ty.size()]).unwrap_or(Value::Null),
+                Some(ty) => decode(ty, &payload[..ty.size()]).unwrap_or_else(|e| {
+                    if !std::mem::replace(&mut self.warned, true) {
+                        let said = misfit(&self.instance, &e);
+                        self.instance.warn(&format!("event {}: {said}; null is shown for it", self.member));
+                    }
+                    Value::Null
+                }),
                 None => Value::Null,
             };
             give(Item {

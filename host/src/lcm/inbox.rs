@@ -3,10 +3,10 @@
 //! Invariant: every entry that carries a reply is answered, executed or not; every event a full queue could not take is
 //! counted and told.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 
-use trocar_plugin_api::abi::Outcome;
+use trocar_plugin_api::abi::{Outcome, PEER_LOST};
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::reply::ReplyPool;
 
@@ -54,6 +54,7 @@ pub(super) struct Inbox {
     pub(super) from: Weak<Instance>,
     losses: Losses,
     toll: Toll,
+    closed: AtomicBool,
 }
 
 /// Entries that nobody waits for and that came to nothing after they had been taken.
@@ -105,6 +106,7 @@ impl Inbox {
             from,
             losses: Losses::default(),
             toll: Toll::default(),
+            closed: AtomicBool::new(false),
         })
     }
 
@@ -119,20 +121,32 @@ impl Inbox {
             from,
             losses: Losses::default(),
             toll: Toll::default(),
+            closed: AtomicBool::new(false),
         })
     }
 
     /// Takes nothing more; answers everything still queued with `outcome`, unexecuted.
     pub(super) fn close(&self, outcome: Outcome) {
+        self.closed.store(outcome == PEER_LOST, Ordering::Release);
         self.mailbox.close(|head| self.refuse(head, outcome));
     }
 
-    /// Answers everything still queued with `outcome`, unexecuted.
+    /// Its connection was cut.
+    pub(super) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    /// Commands of which none is described any more: its connection is about to be cut.
+    pub(super) fn is_withdrawn(&self) -> bool {
+        !self.events && !self.targets.is_empty() && self.targets.iter().all(|target| target.get().is_none())
+    }
+
+    /// Answers everything still queued with `outcome`, unexecuted, also while its component does not come back out of an entry.
     pub(super) fn refuse_all(&self, outcome: Outcome) {
         let superseded = |head: EntryHead| {
             self.replies.fail(head.reply, outcome);
         };
-        self.mailbox.drain(|head, _| self.refuse(head, outcome), superseded);
+        self.mailbox.throw_out(|head| self.refuse(head, outcome), superseded);
     }
 
     /// Answers one entry, unexecuted; where nobody waits for an answer it is counted. Real-time.
@@ -183,10 +197,11 @@ impl Inbox {
         };
         if fresh[0] {
             // The step's side only tries the lock, so it never waits for this.
-            let text = self.toll.last.try_lock().map_or_else(
-                |_| String::new(),
-                |last| String::from_utf8_lossy(&last.bytes[..last.len]).into_owned(),
-            );
+            let text = self
+                .toll
+                .last
+                .try_lock()
+                .map_or_else(|_| String::new(), |last| crate::plain::sentence(&last.bytes[..last.len]));
             let last = if text.is_empty() { "without a reason" } else { &text };
             say("failed", &format!(": {} so far, the last one: {last}", now[0]));
         }
@@ -221,7 +236,6 @@ impl Inbox {
 
 #[cfg(test)]
 mod tests {
-    use trocar_plugin_api::abi::PEER_LOST;
     use trocar_rt::mailbox::{Overflow, Push};
 
     use super::*;

@@ -12,8 +12,9 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use trocar_model::{ClassInfo, ComponentId, Execution, State, StopReason};
-use trocar_plugin_api::abi::{HostTable, NOT_ACTIVE, PEER_LOST};
+use trocar_plugin_api::abi::{HostTable, NOT_ACTIVE, Outcome, PEER_LOST};
 use trocar_rt::cell::BindingCell;
+use trocar_rt::mark::Mark;
 use trocar_rt::state::{StateReader, StateWriter, state_table};
 use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
@@ -31,6 +32,7 @@ use super::pending::Owed;
 use super::services::Account;
 use super::supervise::{Entry, Watch};
 use super::system;
+use crate::plain::harmless;
 
 /// Rows of a state table whose length nobody set.
 const STATE_ROWS: usize = 256;
@@ -100,7 +102,7 @@ impl Default for LastWords {
 pub(super) struct Counters {
     misuses: [AtomicU64; Misuse::ALL.len()],
     commands: AtomicU64,
-    /// Commands and events lost in full queues of connections that are gone, and events that were queued when they were cut.
+    /// Commands and events lost in full queues of connections that are gone, and those that never ran before they were cut.
     lost_before: [AtomicU64; 2],
     /// What the last read that panicked and the last handler that failed said.
     last_words: [LastWords; 2],
@@ -129,7 +131,7 @@ impl Counters {
     pub(super) fn last_words(&self, what: Misuse) -> Option<String> {
         let told = matches!(what, Misuse::ReadPanicked | Misuse::HandlerFailed);
         let last = &self.last_words[usize::from(what == Misuse::HandlerFailed)];
-        told.then(|| last.0.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        told.then(|| harmless(&last.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned())
     }
 
     /// Only the holder of the entry lock counts, so load and store are enough.
@@ -149,9 +151,9 @@ impl Counters {
             .fetch_add(stats.rejected + stats.dropped, Ordering::Relaxed);
     }
 
-    /// Events were thrown out with their queue, which goes away.
-    pub(super) fn lose_events(&self, n: u64) {
-        self.lost_before[1].fetch_add(n, Ordering::Relaxed);
+    /// So many never ran and are thrown out with their queue, which goes away.
+    pub(super) fn lose(&self, inbox: &Inbox, n: u64) {
+        self.lost_before[usize::from(inbox.events)].fetch_add(n, Ordering::Relaxed);
     }
 
     fn lost_before(&self) -> [u64; 2] {
@@ -173,8 +175,8 @@ pub(super) struct Inner {
     /// Cycles before the last Start.
     pub(super) cycle_at_start: u64,
     pub(super) last_begin_ns: u64,
-    /// A thread of the device is inside.
-    in_callback: bool,
+    /// A thread of the device is inside: what it was doing before.
+    in_callback: Option<running::Outer>,
 }
 
 pub(super) type Entered<'a> = super::boundary::Entered<'a, Inner>;
@@ -206,10 +208,16 @@ pub(super) struct Instance {
     thread_warnings: OnceLock<Vec<String>>,
     warnings: Mutex<Vec<String>>,
     /// Threads its own code may have started.
-    brood: Mutex<BTreeMap<i32, String>>,
+    brood: Mutex<BTreeMap<i32, (String, bool)>>,
+    /// Threads that were there before it was made, and when each began.
+    elders: OnceLock<BTreeMap<i32, u64>>,
     /// Required ports whose connection was lost or cut, and when, ns.
     missing: Mutex<BTreeMap<String, u64>>,
-    signalled: AtomicBool,
+    signalled: Mark,
+    /// See [`Instance::teller`].
+    teller: AtomicU64,
+    /// It is stopped in order to be removed.
+    going: AtomicBool,
     closed: AtomicBool,
     terms: Terms,
     executor: ExecutorId,
@@ -250,7 +258,7 @@ impl Instance {
                     cycle: 0,
                     cycle_at_start: 0,
                     last_begin_ns: 0,
-                    in_callback: false,
+                    in_callback: None,
                 },
             ),
             rows,
@@ -269,8 +277,11 @@ impl Instance {
             thread_warnings: OnceLock::new(),
             warnings: Mutex::new(Vec::new()),
             brood: Mutex::new(BTreeMap::new()),
+            elders: OnceLock::new(),
             missing: Mutex::new(BTreeMap::new()),
-            signalled: AtomicBool::new(false),
+            signalled: Mark::default(),
+            teller: AtomicU64::new(0),
+            going: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             terms,
             executor: executor.id,
@@ -331,15 +342,16 @@ impl Instance {
         let before = self.shut(State::Fault, &text);
         // Said in there, and there is nothing safer to do.
         let _ = self.make_safe(entered);
+        let on_failure = self.on_failure();
+        on_failure.map(|said| self.keep_warning(said));
         self.tell_change(before);
-        self.refuse_queued(NOT_ACTIVE);
+        self.refuse_queued(self.turned_away());
         self.publish_state(entered);
         self.say(log::Level::Error, &format!("it is in FAULT: {text}"));
         self.message(system::ERROR, &text);
-        if self.bypasses() {
-            let passed = "frames pass it unchanged until Reset (on_failure bypass)";
-            self.say(log::Level::Warn, passed);
-            self.message(system::WARNING, passed);
+        if let Some(said) = on_failure {
+            self.say(log::Level::Warn, said);
+            self.message(system::WARNING, said);
         }
     }
 
@@ -369,6 +381,17 @@ impl Instance {
     pub(super) fn close(&self) {
         self.closed.store(true, Ordering::Release);
         self.refuse_queued(PEER_LOST);
+    }
+
+    /// It is about to be removed; or it is not after all, and was set going again.
+    pub(super) fn set_going(&self, going: bool) {
+        self.going.store(going, Ordering::Release);
+    }
+
+    /// What callers get who cannot be served any more: stopped is not ACTIVE, removed is gone. Real-time.
+    #[cold]
+    pub(super) fn turned_away(&self) -> Outcome {
+        if self.going.load(Ordering::Acquire) || self.is_closed() { PEER_LOST } else { NOT_ACTIVE }
     }
 
     /// It is removed, or another instance takes its place; it sends nothing more.

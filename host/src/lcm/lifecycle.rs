@@ -13,7 +13,8 @@ use super::instance::{Entered, Instance};
 pub(super) type Entry = Result<(), (&'static str, EntryError)>;
 
 pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryError) -> Refusal {
-    if e.refused() {
+    // Who refused to run is in FAULT all the same: see `run`.
+    if e.refused() && !matches!(entry, "start" | "resume" | "stop") {
         Refusal::ComponentRefused { id: id.clone(), entry, text: e.text }
     } else {
         Refusal::ComponentFault { id: id.clone(), text: format!("{entry}: {}", e.text) }
@@ -86,6 +87,7 @@ fn run(
     f: fn(&mut Entered<'_>) -> Result<(), EntryError>,
 ) -> Entry {
     entered.inner().last_begin_ns = 0;
+    instance.set_going(false);
     let from = instance.state();
     if let Err(e) = f(entered) {
         instance.fail(entered, entry, &e);
@@ -142,7 +144,7 @@ pub(super) fn tell_ports(instance: &Instance) {
 }
 
 pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    instance.refuse_queued(NOT_ACTIVE);
+    instance.refuse_queued(instance.turned_away());
     let done = entered.stop();
     instance.watch.stopped();
     if let Err(e) = done {

@@ -66,6 +66,8 @@ struct Held {
     links: BTreeMap<u64, Arc<Wired>>,
     /// Removed components in which something may still look at wires that were cut: those wires hold their peers.
     leaving: Vec<Arc<Instance>>,
+    /// It shuts down, or has: nothing is made here any more.
+    closed: bool,
 }
 
 /// One component and where it runs.
@@ -166,12 +168,17 @@ impl LocalLcm {
         }
     }
 
-    /// Stops everything, devices safe first, then removes it. Bounded: what does not come back in `within` is left.
+    /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not made. Bounded: what
+    /// does not come back in `within` is left.
     pub async fn shutdown(&self, within: Duration) {
         // A component that is stopped here cannot have another one started.
         self.hub.desk.close();
         let deadline = Instant::now() + within;
-        let ids: Vec<ComponentId> = self.held().components.keys().cloned().collect();
+        let ids: Vec<ComponentId> = {
+            let mut held = self.held();
+            held.closed = true;
+            held.components.keys().cloned().collect()
+        };
         let stops = ids.iter().map(|id| self.run_verb(id, Verb::Stop, deadline));
         for (id, done) in ids.iter().zip(join_all(stops).await) {
             if let Err(refusal) = done {
@@ -320,10 +327,22 @@ async fn join_all<F: Future>(futures: impl IntoIterator<Item = F>) -> Vec<F::Out
     done.into_iter().flatten().collect()
 }
 
+/// The component whose report answers a change.
+fn about(change: &Change) -> &ComponentId {
+    match change {
+        Change::Create { id, .. }
+        | Change::Destroy { id, .. }
+        | Change::Configure { id, .. }
+        | Change::Run { id, .. } => id,
+        Change::Connect { connection } | Change::Disconnect { connection } => &connection.client.component,
+    }
+}
+
 #[async_trait]
 impl Lcm for LocalLcm {
     async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal> {
-        match change {
+        let stood = self.instance(about(&change)).map(|instance| instance.warnings()).unwrap_or_default();
+        let done = match change {
             Change::Create { id, component } => self.create(id, component, deadline).await,
             Change::Destroy { id, .. } => self.destroy(&id, deadline).await,
             Change::Configure { id, to, from_state, to_state, .. } => {
@@ -338,7 +357,12 @@ impl Lcm for LocalLcm {
                     known: self.held().links.keys().map(u64::to_string).collect(),
                 }),
             },
-        }
+        };
+        // What was known before is shown with the component, not again with every answer.
+        done.map(|mut report| {
+            report.warnings.retain(|warning| !stood.contains(warning));
+            report
+        })
     }
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {

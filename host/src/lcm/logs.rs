@@ -13,6 +13,7 @@ use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::wake::Waker;
 
 use super::api::{LogLine, News};
+use crate::plain::sentence;
 
 /// Lines the ring holds.
 const DEPTH: usize = 1024;
@@ -80,10 +81,8 @@ impl LogRing {
             let print = |head: EntryHead, line: &[u8]| {
                 let line = self.line(process, &head, line);
                 log::log!(target: "component", level(line.level), "{}: {}", line.path, line.message);
-                if line.target == HOST {
-                    return;
-                }
-                if line.level <= 3 {
+                // What the host says of a component it tells as an event itself.
+                if line.target != HOST && line.level <= 3 {
                     note(head.index, line.level, &line.message);
                 }
                 // No receiver is fine: the line is printed already.
@@ -116,8 +115,8 @@ impl LogRing {
             wall_ns: head.stamp_ns,
             level: head.kind,
             path: names.get(&head.index).map_or_else(|| process.to_owned(), ComponentId::to_string),
-            target: String::from_utf8_lossy(&bytes[1..split.min(end)]).into_owned(),
-            message: String::from_utf8_lossy(&bytes[split.min(end)..end]).into_owned(),
+            target: sentence(&bytes[1..split.min(end)]),
+            message: sentence(&bytes[split.min(end)..end]),
         }
     }
 }

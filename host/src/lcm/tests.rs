@@ -2,8 +2,11 @@
 #![allow(clippy::unwrap_used)]
 
 mod allocations;
+mod callbacks;
 mod executors;
+mod going;
 mod governed;
+mod leaving;
 mod manners;
 mod passive;
 mod premises;
@@ -13,6 +16,7 @@ mod services;
 mod standing;
 mod supervision;
 mod syscalls;
+mod telling;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -97,8 +101,17 @@ impl World {
 
     /// Calls the command `do` of interface `ctl`.
     async fn call(&self, name: &str) -> Result<(), Refusal> {
+        self.invoke(name, false).await
+    }
+
+    /// Sends it.
+    async fn send(&self, name: &str) {
+        self.invoke(name, true).await.unwrap();
+    }
+
+    async fn invoke(&self, name: &str, send: bool) -> Result<(), Refusal> {
         let member = MemberId::parse(&format!("{}/{name}/ctl/do", self.process)).unwrap();
-        let call = Invoke { member, arg: Payload::None, send: false, deadline_ns: 20_000_000_000 };
+        let call = Invoke { member, arg: Payload::None, send, deadline_ns: 20_000_000_000 };
         self.lcm.invoke(call).await.map(|_| ())
     }
 

@@ -77,10 +77,13 @@ impl Cache {
     }
 }
 
+/// Grows when the child tries more than it did, so that no earlier verdict counts.
+const RULES: u32 = 2;
+
 /// Another host or ABI version judges anew.
 fn verdict_name() -> String {
     use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
-    format!("vetted-{}-{ABI_MAJOR}.{ABI_MINOR}", env!("CARGO_PKG_VERSION"))
+    format!("vetted-{}-{ABI_MAJOR}.{ABI_MINOR}-{RULES}", env!("CARGO_PKG_VERSION"))
 }
 
 fn private_dir(path: &Path) -> io::Result<()> {

@@ -16,7 +16,7 @@ pub(crate) struct Elf<'a> {
     pub(crate) run_paths: Vec<&'a str>,
     /// Names `_Unwind_RaiseException`: it can unwind a panic.
     pub(crate) unwinds: bool,
-    /// The first symbol with binding STB_GNU_UNIQUE.
+    /// The first symbol with binding STB_GNU_UNIQUE that is not the C++ library's own.
     pub(crate) unique_symbol: Option<&'a str>,
 }
 
@@ -377,8 +377,15 @@ fn unique_symbol<'a>(file: File<'a>, sections: &[Section<'a>]) -> Option<&'a str
     let strings = sections.get(table.link as usize)?;
     let strings = file.range(strings.offset, strings.size)?;
     let symbols = file.range(table.offset, table.size)?.as_chunks::<SYMBOL_SIZE>().0;
-    let unique = symbols.iter().find(|s| s[4] >> 4 == STB_GNU_UNIQUE)?;
-    text_at(strings, le32(&unique[0..4]).into())
+    let unique = symbols.iter().filter(|s| s[4] >> 4 == STB_GNU_UNIQUE);
+    unique.filter_map(|s| text_at(strings, le32(&s[0..4]).into())).find(|name| !is_of_std(name))
+}
+
+/// A constant or guard of namespace `std`, mangled: the same in every version of a plugin, and no flag of its build hides it.
+fn is_of_std(symbol: &str) -> bool {
+    let name = symbol.strip_prefix("_ZGV").or_else(|| symbol.strip_prefix("_Z")).unwrap_or("");
+    let name = name.trim_start_matches(['Z', 'N', 'K']);
+    name.starts_with("St") || name.starts_with("9__gnu_cxx")
 }
 
 fn text_at(strings: &[u8], at: u64) -> Option<&str> {

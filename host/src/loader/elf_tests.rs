@@ -62,3 +62,19 @@ fn an_elf_file_with_nothing_in_it_is_damaged() {
     bytes[20] = 1;
     assert!(matches!(Elf::parse(&bytes), Err(Fault::Malformed { .. })));
 }
+
+#[test]
+fn constants_of_the_cpp_library_are_told_from_the_plugins_own() {
+    for std in [
+        "_ZZNSt8__detail18__to_chars_10_implIjEEvPcjT_E8__digits",
+        "_ZNSt12_GLOBAL_E",
+        "_ZSt4cout",
+        "_ZGVZNSt6chrono3fooEvE1x",
+        "_ZN9__gnu_cxx5__ops1xE",
+    ] {
+        assert!(is_of_std(std), "{std}");
+    }
+    for own in ["_ZN4Mine5countE", "_ZZ4namevE1x", "_ZGVZN4Mine3getEvE1x", "St", ""] {
+        assert!(!is_of_std(own), "{own}");
+    }
+}

@@ -147,6 +147,7 @@ pub enum Stage {
     Loading,
     Layout,
     Entry,
+    Init,
 }
 
 /// Why a store cannot be opened.
@@ -196,6 +197,21 @@ impl Fault {
     }
 }
 
+impl Fault {
+    /// The code itself is at fault: the same bytes come to the same again, whatever the system has then.
+    pub(super) fn is_of_the_file(&self) -> bool {
+        matches!(
+            self,
+            Fault::NoEntry
+                | Fault::Layout { .. }
+                | Fault::EntryDiffers { .. }
+                | Fault::Crashed { .. }
+                | Fault::Hung { .. }
+                | Fault::Quit { .. }
+        )
+    }
+}
+
 impl std::error::Error for PluginError {}
 impl std::error::Error for StoreError {}
 
@@ -233,6 +249,7 @@ impl fmt::Display for Stage {
             Stage::Loading => "its constructors run (dlopen)",
             Stage::Layout => "its layout description is read",
             Stage::Entry => "its entry is called",
+            Stage::Init => "its init is called",
         })
     }
 }
@@ -349,7 +366,7 @@ impl fmt::Display for Fault {
             Fault::EntryDiffers { what } => {
                 write!(
                     f,
-                    "says one thing in its manifest and another in its entry: {what}: rebuild it completely"
+                    "has a manifest and tables that do not fit: {what}: correct the plugin, or rebuild it completely"
                 )
             }
             Fault::Crashed { during, how } => write!(
@@ -360,7 +377,8 @@ impl fmt::Display for Fault {
             Fault::Hung { during, seconds } => write!(
                 f,
                 "does not come back within {seconds} s while {during}; the child process that tried it was \
-                 ended: do slow work in `configure` or `start`"
+                 ended, and it is not tried again until its file is another or was taken away: do slow work in \
+                 `configure` or `start`"
             ),
             Fault::Quit { during, code } => {
                 write!(f, "ends the process with code {code} while {during}: a plugin must not call exit")

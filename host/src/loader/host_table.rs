@@ -58,18 +58,18 @@ unsafe extern "C" fn log_line(ctx: *mut c_void, level: u32, target: Bytes, messa
     // SAFETY: `ctx` is the leaked context of this table.
     let context = unsafe { &*ctx.cast::<Context>() };
     // SAFETY: the caller lends both texts for the call.
-    let (target, message) = unsafe { (lossy(&target), lossy(&message)) };
+    let (target, message) = unsafe { (harmless(&target), harmless(&message)) };
     (context.log)(&context.plugin, level, &target, &message);
 }
 
 /// # Safety
 /// `bytes` is null or readable while it is borrowed.
-unsafe fn lossy(bytes: &Bytes) -> std::borrow::Cow<'_, str> {
+unsafe fn harmless(bytes: &Bytes) -> String {
     if bytes.ptr.is_null() {
-        return "".into();
+        return String::new();
     }
     // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
+    crate::plain::sentence(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
 /// A plugin without an instance has no identity to ask for services with.

@@ -55,7 +55,7 @@ pub fn inspect_file(path: &Path) -> Result<Inspection, PluginError> {
 pub(crate) fn inspect_bytes(bytes: &[u8]) -> Result<Facts, Fault> {
     let elf = Elf::parse(bytes)?;
     let note = elf.note.ok_or(Fault::NoNote)?;
-    let manifest = manifest::read(note)?;
+    let (manifest, mut warnings) = manifest::read_warned(note)?;
     if manifest.panic == "unwind" && !elf.unwinds {
         return Err(Fault::PanicAbort);
     }
@@ -70,11 +70,10 @@ pub(crate) fn inspect_bytes(bytes: &[u8]) -> Result<Facts, Fault> {
             return Err(Fault::MissingLibrary { name: name.to_string() });
         }
     }
-    let mut warnings = Vec::new();
     if let Some(symbol) = elf.unique_symbol {
         warnings.push(format!(
             "exports unique symbols (`{symbol}`), which all its versions would share: build it with \
-             -fvisibility=hidden; it cannot be unloaded"
+             -fvisibility=hidden, or with g++ -fno-gnu-unique; it cannot be unloaded"
         ));
     }
     Ok(Facts { manifest, needed: elf.needed.iter().map(ToString::to_string).collect(), warnings })

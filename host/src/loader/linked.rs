@@ -10,8 +10,9 @@ use trocar_plugin_api::abi::{ClassTable, HOST_LINKED, StaticPlugin};
 use trocar_plugin_api::manifest::Manifest;
 
 use super::host_table::LogFn;
-use super::load::{check_table, settle_in};
+use super::load::settle_in;
 use super::store::lock;
+use super::table::check_table;
 use super::{Fault, manifest};
 
 /// A plugin of this very program, ready to use.

@@ -1,22 +1,22 @@
 //! dlopen and the first calls into a plugin, the same code in the vetting child and in the host.
 //!
-//! Invariant: only a cache file is opened. A table is read no further than its `struct_size`; names and counts must equal
-//! the manifest's; what is handed on are complete copies of the class tables, so nobody later needs to ask `has_entry`.
+//! Invariant: only a cache file is opened, and nothing is called through a table that `table.rs` has not checked.
 
 use std::ffi::c_int;
-use std::mem::{ManuallyDrop, MaybeUninit, offset_of};
+use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
 use serde::{Deserialize, Serialize};
-use trocar_plugin_api::abi::{Bytes, ClassTable, PluginTable, STATUS_OK};
+use trocar_plugin_api::abi::{ClassTable, PluginTable, STATUS_OK};
 use trocar_plugin_api::layout::{AbiHeader, LAYOUT_SYMBOL, LibHeader};
 use trocar_plugin_api::manifest::{Class, Manifest};
-use trocar_plugin_api::{ABI_MAJOR, ENTRY_SYMBOL, EntryFn, has_entry, layout};
+use trocar_plugin_api::{ENTRY_SYMBOL, EntryFn, layout};
 
 use super::error::Stage;
 use super::host_table::{self, LogFn};
+use super::table::{check_table, complete};
 use super::{Fault, Hash};
 
 /// A library that is in this process, and stays.
@@ -67,6 +67,7 @@ pub(crate) enum LoadFault {
     NoEntry,
     Layout { difference: String },
     EntryDiffers { what: String },
+    Init { status: i32 },
 }
 
 impl From<LoadFault> for Fault {
@@ -78,6 +79,7 @@ impl From<LoadFault> for Fault {
             LoadFault::NoEntry => Fault::NoEntry,
             LoadFault::Layout { difference } => Fault::Layout { difference },
             LoadFault::EntryDiffers { what } => Fault::EntryDiffers { what },
+            LoadFault::Init { status } => Fault::Init { status },
         }
     }
 }
@@ -91,6 +93,24 @@ struct Opened {
 
 /// Loads a vetted cache file into the host and calls its `init`.
 pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {
+    let place = std::env::current_dir().ok();
+    let loaded = load_here(path, hash, manifest, log);
+    if let Some(place) = place
+        && std::env::current_dir().ok().as_ref() != Some(&place)
+    {
+        let put_back = match std::env::set_current_dir(&place) {
+            Ok(()) => "which was put back".to_owned(),
+            Err(e) => format!("which could not be put back to {}: {e}", place.display()),
+        };
+        let plugin = &manifest.name;
+        log::warn!(
+            "plugin {plugin}: it changed the working directory of the process while it was loaded, {put_back}"
+        );
+    }
+    loaded
+}
+
+fn load_here(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {
     let opened = open(path, manifest, false, |_| ())?;
     // From here on the code has run; unmapping it is never safe again.
     let library = ManuallyDrop::new(opened.library);
@@ -102,7 +122,7 @@ pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> 
 /// Calls `init` and completes the class tables.
 ///
 /// # Safety
-/// `table` and `classes` came out of [`check_table`] and live as long as the process. Once for each plugin.
+/// As for [`call_init`], and `classes` came out of the same [`check_table`].
 pub(super) unsafe fn settle_in(
     table: *const PluginTable,
     classes: &[*const ClassTable],
@@ -110,25 +130,36 @@ pub(super) unsafe fn settle_in(
     log: LogFn,
     flags: u32,
 ) -> Result<Vec<&'static ClassTable>, Fault> {
-    // SAFETY: `check_table` proved that the table reaches beyond `init`.
-    let init = unsafe { (&raw const (*table).init).read() };
-    if let Some(init) = init {
-        let host = host_table::for_plugin(name, log, flags);
-        // SAFETY: `init` is the plugin's own, called once, with a host table that lives as long as the process.
-        let status = unsafe { init(host) };
-        if status != STATUS_OK {
-            return Err(Fault::Init { status });
-        }
-    }
+    // SAFETY: the caller's promise.
+    unsafe { call_init(table, name, log, flags) }?;
     // SAFETY: `check_table` proved that each pointer is a class table.
     Ok(classes.iter().map(|table| unsafe { complete(*table) }).collect())
 }
 
-/// What the vetting child does: everything but `init`, and the layout as well.
-pub(crate) fn try_out(path: &Path, manifest: &Manifest, stage: impl FnMut(Stage)) -> Result<(), LoadFault> {
-    let opened = open(path, manifest, true, stage)?;
+/// # Safety
+/// `table` came out of [`check_table`] and lives as long as the process. Once for each plugin.
+unsafe fn call_init(table: *const PluginTable, name: &str, log: LogFn, flags: u32) -> Result<(), LoadFault> {
+    // SAFETY: `check_table` proved that the table reaches beyond `init`.
+    let Some(init) = (unsafe { (&raw const (*table).init).read() }) else { return Ok(()) };
+    let host = host_table::for_plugin(name, log, flags);
+    // SAFETY: `init` is the plugin's own, called once, with a host table that lives as long as the process.
+    match unsafe { init(host) } {
+        STATUS_OK => Ok(()),
+        status => Err(LoadFault::Init { status }),
+    }
+}
+
+/// What the vetting child does: everything the host does to load it, and the layout as well. No instance is made.
+pub(crate) fn try_out(
+    path: &Path,
+    manifest: &Manifest,
+    mut stage: impl FnMut(Stage),
+) -> Result<(), LoadFault> {
+    let opened = open(path, manifest, true, &mut stage)?;
     let _stays_mapped = ManuallyDrop::new(opened.library);
-    Ok(())
+    stage(Stage::Init);
+    // SAFETY: `open` checked the table; the library stays until the process ends.
+    unsafe { call_init(opened.table, &manifest.name, |_, _, _, _| (), 0) }
 }
 
 fn open(
@@ -171,105 +202,6 @@ fn check_layout(library: &Library, manifest: &Manifest) -> Result<(), LoadFault>
     // SAFETY: a valid abi_stable header of this version is the beginning of a `LibHeader`.
     let described: &'static LibHeader = unsafe { &*header.cast::<LibHeader>() };
     layout::judge(described, manifest.abi[1]).map_err(|difference| LoadFault::Layout { difference })
-}
-
-/// Compares the entry's table with the manifest and returns its class tables.
-///
-/// # Safety
-/// `table` is null or what a plugin's entry returned.
-pub(super) unsafe fn check_table(
-    table: *const PluginTable,
-    manifest: &Manifest,
-) -> Result<Vec<*const ClassTable>, String> {
-    if table.is_null() || !table.is_aligned() {
-        return Err("it returns no table".into());
-    }
-    // SAFETY: every table begins with its size.
-    let size = unsafe { (&raw const (*table).struct_size).read() };
-    if !has_entry(size, offset_of!(PluginTable, classes), size_of::<usize>()) {
-        return Err(format!("its table has only {size} bytes"));
-    }
-    // SAFETY: all fields up to `classes` lie inside the table.
-    let (major, name, version, count, classes) = unsafe {
-        let t = table;
-        (
-            (&raw const (*t).abi_major).read(),
-            text((&raw const (*t).name).read())?,
-            text((&raw const (*t).version).read())?,
-            (&raw const (*t).class_count).read() as usize,
-            (&raw const (*t).classes).read(),
-        )
-    };
-    if major != ABI_MAJOR {
-        return Err(format!("the entry speaks ABI {major}"));
-    }
-    same("plugin name", &manifest.name, name)?;
-    same("version", &manifest.version, version)?;
-    if count != manifest.classes.len() || classes.is_null() {
-        return Err(format!("{} classes in the manifest, {count} in the entry", manifest.classes.len()));
-    }
-    let mut tables = Vec::with_capacity(count);
-    for (i, class) in manifest.classes.iter().enumerate() {
-        // SAFETY: the array has `count` pointers.
-        let table = unsafe { classes.add(i).read() };
-        if table.is_null() || !table.is_aligned() {
-            return Err(format!("the table of class `{}` is missing", class.name));
-        }
-        // SAFETY: every table begins with its size.
-        let size = unsafe { (&raw const (*table).struct_size).read() };
-        if !has_entry(size, offset_of!(ClassTable, create), size_of::<usize>()) {
-            return Err(format!("the table of class `{}` has only {size} bytes", class.name));
-        }
-        // SAFETY: `name` and `create` lie inside the table.
-        let (name, create) =
-            unsafe { (text((&raw const (*table).name).read())?, (&raw const (*table).create).read()) };
-        same("class", &class.name, name)?;
-        if create.is_none() {
-            return Err(format!("class `{}` cannot be created: `create` is null", class.name));
-        }
-        tables.push(table);
-    }
-    Ok(tables)
-}
-
-fn same(what: &str, manifest: &str, entry: &str) -> Result<(), String> {
-    match manifest == entry {
-        true => Ok(()),
-        false => Err(format!("{what} `{manifest}` in the manifest, `{entry}` in the entry")),
-    }
-}
-
-/// # Safety
-/// `bytes` comes from a plugin's table: null, or as many bytes as it says, for the life of the library.
-unsafe fn text(bytes: Bytes) -> Result<&'static str, String> {
-    const LONGEST: usize = 4096;
-    if bytes.len == 0 {
-        return Ok("");
-    }
-    if bytes.ptr.is_null() || bytes.len > LONGEST {
-        return Err("a name in its table is unreadable".into());
-    }
-    // SAFETY: the caller's promise.
-    let bytes = unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) };
-    std::str::from_utf8(bytes).map_err(|_| "a name in its table is not UTF-8".into())
-}
-
-/// A copy of full size for the life of the process; entries beyond the plugin's own table are null.
-///
-/// # Safety
-/// `table` points to a class table whose `struct_size` is true.
-unsafe fn complete(table: *const ClassTable) -> &'static ClassTable {
-    let mut copy = MaybeUninit::<ClassTable>::zeroed();
-    // SAFETY: every table begins with its size.
-    let size = unsafe { (&raw const (*table).struct_size).read() } as usize;
-    // A half entry is no entry.
-    let size = size.min(size_of::<ClassTable>()) & !(size_of::<usize>() - 1);
-    // SAFETY: both sides have at least `size` bytes and do not overlap.
-    unsafe { std::ptr::copy_nonoverlapping(table.cast::<u8>(), copy.as_mut_ptr().cast::<u8>(), size) };
-    // SAFETY: zero is a valid value of every field: integers, raw pointers, optional functions.
-    let mut copy = unsafe { copy.assume_init() };
-    copy.struct_size = size_of::<ClassTable>() as u32;
-    Box::leak(Box::new(copy))
 }
 
 /// libloading's own text says only "dlopen failed".

@@ -6,10 +6,11 @@
 use std::collections::{BTreeSet, HashMap};
 
 use serde::Deserialize;
-use trocar_plugin_api::ABI_MAJOR;
+use serde_json::Value;
 use trocar_plugin_api::manifest::{Class, Command, Manifest, PortType, Type};
+use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
 
-use super::Fault;
+use super::{Fault, keys};
 
 /// Longest plugin or class name, bytes.
 const MAX_NAME: usize = 64;
@@ -20,20 +21,34 @@ const MAX_PAYLOAD: usize = 1 << 30;
 
 /// Reads, checks the ABI major, then the content.
 pub(crate) fn read(note: &[u8]) -> Result<Manifest, Fault> {
+    read_warned(note).map(|(manifest, _)| manifest)
+}
+
+/// As [`read`], with what is strange and yet taken: keys that only a newer minor can know.
+pub(crate) fn read_warned(note: &[u8]) -> Result<(Manifest, Vec<String>), Fault> {
     #[derive(Deserialize)]
     struct Version {
         abi: [u32; 2],
     }
-    let text = note.trim_ascii_end();
-    let text = text.strip_suffix(b"\0").map_or(text, <[u8]>::trim_ascii_end);
+    let padding = |b: &u8| *b == 0 || b.is_ascii_whitespace();
+    let end = note.iter().rposition(|b| !padding(b)).map_or(0, |last| last + 1);
+    let text = &note[..end];
     if let Ok(Version { abi }) = serde_json::from_slice::<Version>(text)
         && abi[0] != ABI_MAJOR
     {
         return Err(Fault::Abi { plugin: abi });
     }
     let manifest = Manifest::parse(note).map_err(bad)?;
+    if manifest.abi[0] != ABI_MAJOR {
+        return Err(Fault::Abi { plugin: manifest.abi });
+    }
     check(&manifest).map_err(bad)?;
-    Ok(manifest)
+    let mut unknown = keys::unknown(&serde_json::from_slice(text).unwrap_or_default());
+    if manifest.abi[1] <= ABI_MINOR && !unknown.is_empty() {
+        return Err(bad(unknown.swap_remove(0)));
+    }
+    unknown.iter_mut().for_each(|key| key.push_str(": this host does without it"));
+    Ok((manifest, unknown))
 }
 
 fn bad(because: String) -> Fault {
@@ -82,6 +97,16 @@ fn unique<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<(), St
 fn check_class<'a>(class: &'a Class, types: &mut Types<'a>) -> Result<(), String> {
     if !class.config.is_object() {
         return Err("its config schema is not a JSON object".into());
+    }
+    if class.config.get("type").and_then(Value::as_str) != Some("object") {
+        let said = class.config.get("type").map_or("none".to_owned(), Value::to_string);
+        return Err(format!("its config schema has the type {said}: a configuration is an \"object\""));
+    }
+    if let Some(wrong) = trocar_model::schema_fault(&class.config) {
+        return Err(format!("its config schema is no JSON Schema: {wrong}"));
+    }
+    if !matches!(class.safety.as_str(), "none" | "sensor" | "actuator") {
+        return Err(format!("`{}` is no safety: say none, sensor or actuator", class.safety));
     }
     let ports = class.inputs.iter().map(|i| &i.name).chain(class.outputs.iter().map(|o| &o.name));
     let interfaces = class.required.iter().map(|r| &r.name).chain(class.provided.iter().map(|p| &p.name));

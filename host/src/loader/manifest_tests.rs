@@ -71,6 +71,92 @@ fn unknown_keys_of_newer_minors_are_ignored() {
 }
 
 #[test]
+fn a_newer_minor_is_told_which_keys_this_host_does_without() {
+    let mut manifest = good();
+    manifest["abi"] = json!([1, 99]);
+    manifest["classes"][0]["hologram"] = json!({"deep": true});
+    let (_, warnings) = read_warned(manifest.to_string().as_bytes()).unwrap();
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(warnings[0].starts_with("class `low_pass` has the unknown key `hologram`"), "{warnings:?}");
+}
+
+#[test]
+fn a_slip_of_the_pen_in_a_key_is_refused_and_the_nearest_key_named() {
+    for (place, key, said) in [
+        ("", "venodr", "the manifest has the unknown key `venodr`; did you mean `vendor`?"),
+        ("/classes/0", "safty", "class `low_pass` has the unknown key `safty`; did you mean `safety`?"),
+        (
+            "/classes/0/inputs/0",
+            "optinal",
+            "input `raw` has the unknown key `optinal`; did you mean `optional`?",
+        ),
+        ("/classes/0/provided/0/commands/0", "overflo", "did you mean `overflow`?"),
+        ("/classes/0/provided/0/commands/0/arg", "maximum", "unknown key `maximum`"),
+        ("/types/0/fields/1", "qqq", "field `f` has the unknown key `qqq`; there are name, at,"),
+        ("/types/0/fields/1/type", "m", "field `f` has the unknown key `m`"),
+    ] {
+        let mut manifest = good();
+        manifest.pointer_mut(place).unwrap()[key] = json!("actuator");
+        let text = read(manifest.to_string().as_bytes()).expect_err(key).to_string();
+        assert!(text.contains(said), "{key}: `{said}` is not in: {text}");
+        let mut own = good();
+        own.pointer_mut(place).unwrap()[format!("x-{key}")] = json!("the author's own");
+        assert!(read(own.to_string().as_bytes()).is_ok(), "x-{key}");
+    }
+}
+
+#[test]
+fn every_key_that_is_read_is_known_and_no_other() {
+    let read = include_str!("../../../plugin-api/src/manifest.rs");
+    let mut fields: BTreeSet<String> = BTreeSet::new();
+    let mut renamed = None;
+    for line in read.lines().map(str::trim) {
+        if let Some((_, name)) = line.split_once("rename = \"") {
+            renamed = name.split('"').next().map(str::to_owned);
+        }
+        let field = line.strip_prefix("pub ").unwrap_or(line).split_once(": ");
+        if let Some((name, rest)) = field
+            && rest.ends_with(',')
+            && name.bytes().all(|b| b.is_ascii_lowercase() || b == b'_')
+        {
+            fields.insert(renamed.take().unwrap_or_else(|| name.to_owned()));
+        }
+    }
+    // Of `Description`, which is not part of a manifest.
+    fields.remove("class");
+    assert_eq!(fields, keys::all());
+}
+
+#[test]
+fn another_major_is_named_also_behind_the_padding_of_a_c_string() {
+    let mut manifest = good();
+    manifest["abi"] = json!([2, 0]);
+    for end in ["\n\0", "\0\0", " \n \0", "\n"] {
+        let fault = read(format!("{manifest}{end}").as_bytes()).expect_err(end);
+        assert_eq!(fault, Fault::Abi { plugin: [2, 0] }, "{end:?}");
+    }
+}
+
+#[test]
+fn a_configuration_is_an_object_with_a_schema_that_is_one() {
+    for (schema, said) in [
+        (json!({"type": "objekt"}), "config schema has the type \"objekt\""),
+        (json!({}), "config schema has the type none"),
+        (json!({"type": "object", "properties": {"a": {"type": "numbre"}}}), "is no JSON Schema"),
+    ] {
+        let mut manifest = good();
+        manifest["classes"][0]["config"] = schema;
+        let text = read(manifest.to_string().as_bytes()).expect_err(said).to_string();
+        assert!(text.contains(said), "`{said}` is not in: {text}");
+    }
+    let mut manifest = good();
+    manifest["classes"][0]["safety"] = json!("aktuator");
+    assert!(
+        read(manifest.to_string().as_bytes()).unwrap_err().to_string().contains("`aktuator` is no safety")
+    );
+}
+
+#[test]
 fn deeply_nested_types_are_refused_not_followed() {
     let mut ty = json!("f64");
     for _ in 0..60 {

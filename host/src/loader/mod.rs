@@ -12,12 +12,14 @@ mod file;
 mod hash;
 mod host_table;
 mod inspect;
+mod keys;
 mod libraries;
 mod linked;
 mod load;
 mod manifest;
 mod scan;
 mod store;
+mod table;
 mod trust;
 mod vet;
 mod watch;
@@ -32,7 +34,7 @@ pub use linked::LinkedPlugin;
 pub use load::{LoadedClass, LoadedPlugin};
 pub use store::{ClassRef, ListedPlugin, PluginStore, PluginStoreConfig};
 pub use trust::{AllowList, Trust};
-pub use vet::VET_ARG;
+pub use vet::{VET_ARG, try_file};
 pub use watch::WatchHandle;
 
 #[cfg(test)]

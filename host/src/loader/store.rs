@@ -47,6 +47,8 @@ pub struct PluginStore {
     entries: RwLock<Arc<Vec<PluginEntry>>>,
     /// One slot per file content, so that a slow plugin does not hold up another.
     loaded: Mutex<HashMap<Hash, Slot>>,
+    /// What was wrong with a content's code: said again at once, not tried again, as long as it is listed.
+    failed: Mutex<HashMap<Hash, Fault>>,
     pub(super) observers: Mutex<Vec<Observer>>,
     /// Files seen to be written and not yet closed.
     pub(super) writing: Mutex<BTreeSet<PathBuf>>,
@@ -134,6 +136,7 @@ impl PluginStore {
             scanner: Mutex::default(),
             entries: RwLock::default(),
             loaded: Mutex::default(),
+            failed: Mutex::default(),
             observers: Mutex::default(),
             writing: Mutex::default(),
         };
@@ -165,6 +168,8 @@ impl PluginStore {
         let after = Arc::new(catalog::assemble(&before, scan.findings));
         let changes = catalog::changes(&before, &after);
         self.drop_loaded_content(&after);
+        let listed: BTreeSet<Hash> = after.iter().filter_map(PluginEntry::listed).map(|p| p.hash).collect();
+        lock(&self.failed).retain(|hash, _| listed.contains(hash));
         *self.entries.write().unwrap_or_else(PoisonError::into_inner) = after;
         let observers = lock(&self.observers);
         for change in &changes {
@@ -236,7 +241,8 @@ impl PluginStore {
     /// Cache, vet, dlopen, `init`: milliseconds the first time, a look-up afterwards. Blocking; several threads may call.
     ///
     /// # Errors
-    /// What the vetting child or the dynamic linker says; the host is unharmed and a later try starts anew.
+    /// What the vetting child or the dynamic linker says; the host is unharmed. What the file itself does wrong is said
+    /// again at once; what the system lacks is looked for again.
     pub fn load(&self, class: &ClassRef) -> Result<LoadedClass, PluginError> {
         let plugin = &class.plugin;
         let refused = |fault| PluginError::Refused { file: plugin.file.clone(), fault };
@@ -262,7 +268,19 @@ impl PluginStore {
         slot.is_some_and(|slot| lock(&slot).is_some())
     }
 
+    /// Once at a time for each content: the caller holds its slot.
     fn load_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
+        if let Some(fault) = lock(&self.failed).get(&plugin.hash) {
+            return Err(fault.clone());
+        }
+        self.try_plugin(plugin).inspect_err(|fault| {
+            if fault.is_of_the_file() {
+                lock(&self.failed).insert(plugin.hash, fault.clone());
+            }
+        })
+    }
+
+    fn try_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
         let Some(bytes) = lock(&plugin.content).clone() else { return Err(Fault::Vanished) };
         let path = self.cache.put(&plugin.hash, plugin.name(), &bytes)?;
         if !self.cache.is_vetted(&plugin.hash) {

@@ -10,18 +10,28 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use super::Fault;
 use super::error::Stage;
 use super::load::LoadFault;
+use super::{Fault, PluginError};
 
 /// Hidden subcommand of the host binary: `__vet FILE`.
 pub const VET_ARG: &str = "__vet";
-/// How long constructors, layout and entry may take together.
-pub(crate) const VET_LIMIT: Duration = Duration::from_secs(10);
+/// How long constructors, layout, entry and init may take together: so short that a Create without a deadline of its own
+/// still answers what it came to.
+pub(crate) const VET_LIMIT: Duration = Duration::from_secs(3);
 /// Begins every line of the child that is meant for us.
 pub(crate) const PREFIX: &str = "trocar-vet ";
 /// More than this the child never says, bytes.
 const REPORT_LIMIT: u64 = 64 << 10;
+
+/// Tries a file somebody names as a host does before it loads it: constructors, tables, entry and init, in a child process
+/// of `exe`, a program that knows the hidden subcommand.
+///
+/// # Errors
+/// The sentence a host would refuse it with.
+pub fn try_file(file: &Path, exe: &Path) -> Result<(), PluginError> {
+    vet(exe, file, VET_LIMIT).map_err(|fault| PluginError::Refused { file: file.to_path_buf(), fault })
+}
 
 /// Runs `exe __vet file` and turns what happened into a verdict.
 pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault> {
@@ -60,6 +70,7 @@ impl Report {
                 "loading" => report.stage = Some(Stage::Loading),
                 "layout" => report.stage = Some(Stage::Layout),
                 "entry" => report.stage = Some(Stage::Entry),
+                "init" => report.stage = Some(Stage::Init),
                 "ok" => report.result = Some(Ok(())),
                 json => {
                     if let Ok(fault) = serde_json::from_str(json) {
@@ -95,6 +106,7 @@ pub(crate) fn stage_word(stage: Stage) -> &'static str {
         Stage::Loading => "loading",
         Stage::Layout => "layout",
         Stage::Entry => "entry",
+        Stage::Init => "init",
     }
 }
 

@@ -37,7 +37,8 @@ const PAYLOAD_HEAD: &str = "
 ## Payloads
 
 `list[T;n]` holds up to n items, `[T;n]` exactly n, `text[n]` up to n bytes of UTF-8; `m|rad` is m for a prismatic joint and
-rad for a revolute one.
+rad for a revolute one. `bool` is one byte: in Rust `Flag`, since not every byte is a valid Rust `bool`; `stamp` is `Stamp`,
+`text[n]` is `Text<n>`, `list[T;n]` is `List<T, n>`.
 ";
 
 // Writing to a String cannot fail, so the results of `write!` carry nothing here.

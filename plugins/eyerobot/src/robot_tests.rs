@@ -138,6 +138,7 @@ fn make_safe_stops_at_once_and_resume_goes_on() {
     bench.step(100);
     let way = (position(&bench)[0] - stood[0]).abs();
     assert!(way < 2e-6, "the arm went on for {way} m");
+    bench.stop().unwrap();
     bench.resume().unwrap();
     assert_eq!(operating(&bench).state, OperatingMode::ENABLED);
     bench.command::<_, ()>("servo_jp", joints(&[0.0; 5])).unwrap();
@@ -196,6 +197,7 @@ fn a_swapped_arm_stands_where_the_former_one_stood_and_does_not_move_by_itself()
     let (row, extra) = old.snapshot();
     let mut new = Bench::<EyeRobot>::ready("{}");
     new.restore(&row, &extra).unwrap();
+    new.resume().unwrap();
     new.step(100);
     let (was, is) = (position(&old)[0], position(&new)[0]);
     assert!((is - was).abs() < 2e-6, "x was {was} m and is {is} m");

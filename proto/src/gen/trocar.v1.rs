@@ -354,8 +354,8 @@ pub struct Execution {
     #[prost(string, tag = "1")]
     pub model: ::prost::alloc::string::String,
     /// Steps per second, Hz; the same setting as period.
-    #[prost(double, tag = "2")]
-    pub rate_hz: f64,
+    #[prost(double, optional, tag = "2")]
+    pub rate_hz: ::core::option::Option<f64>,
     /// Time between steps, e.g. "0.001s"; wins over rate_hz.
     #[prost(message, optional, tag = "3")]
     pub period: ::core::option::Option<::prost_types::Duration>,
@@ -477,7 +477,8 @@ pub struct ComponentStats {
     /// Commands executed.
     #[prost(uint64, tag = "10")]
     pub commands: u64,
-    /// Commands lost in full queues: not taken, or given up for newer ones. Only sums; the connections say whose.
+    /// Commands lost in full queues: not taken, given up for newer ones, or only sent and not run before their connection was cut.
+    /// Only sums; the connections say whose.
     #[prost(uint64, tag = "11")]
     pub commands_rejected: u64,
     /// Events lost in the full queues of its handlers.

@@ -32,8 +32,9 @@ struct Gauge : trocar::Component {
     double limit = 10.0;
 
     void configure(const trocar::Json &json) override {
-        limit = json["limit"].number(10.0);
-        if (limit <= 0.0) throw trocar::Refused("limit: is not above 0", TROCAR_STATUS_INVALID);
+        const double given = json["limit"].number(10.0);
+        if (given <= 0.0) throw trocar::Refused("limit: is not above 0");
+        limit = given;
     }
     void step(const trocar_tick &tick) override {
         double value = 0.0;
@@ -220,7 +221,19 @@ void frames_are_lent_forwarded_and_described() {
 
 TROCAR_PLUGIN(trocar::class_<Gauge>("gauge"))
 
+void values() {
+    trocar::Text<16> text = {};
+    expect(text.set("0123456789abcdef") && text.set("abc") && text.view() == "abc", "a text is what was set last");
+    expect(text.room[3] == 0 && text.room[15] == 0, "behind a text all is zero");
+    expect(!text.set("0123456789abcdefg") && text.view() == "abc", "a text that is too long changes nothing");
+    trocar::List<double, 2> list = {};
+    expect(list.push(1.0) && list.push(2.0) && !list.push(3.0) && list.size() == 2 && list[1] == 2.0, "a list has its room");
+    list.clear();
+    expect(list.size() == 0 && list.room[1] == 0.0, "behind a list all is zero");
+}
+
 int main() {
+    values();
     const trocar_plugin *plugin = trocar_plugin_v1();
     expect(plugin != nullptr && plugin->class_count == 1, "the plugin has its class");
     if (plugin == nullptr) return 1;

@@ -2,7 +2,8 @@
 //!
 //! Invariant: numbers of attributes stay text (`0.1` is never rounded through a float on its way to the manifest).
 
-use proc_macro2::Span;
+use proc_macro2::{Span, TokenStream};
+use quote::quote_spanned;
 use syn::{Attribute, Expr, ExprLit, ExprUnary, Lit, LitStr, Meta, UnOp};
 
 /// The doc comment, one leading space removed per line, without blank lines at the ends.
@@ -24,6 +25,43 @@ pub(crate) fn text_attr(attrs: &[Attribute], name: &str) -> syn::Result<String> 
     match attrs.iter().find(|a| a.path().is_ident(name)) {
         Some(attr) => Ok(attr.parse_args::<LitStr>()?.value()),
         None => Ok(String::new()),
+    }
+}
+
+/// A coordinate frame, and where the author says it.
+#[derive(Default)]
+pub(crate) struct Frame {
+    pub(crate) name: String,
+    span: Option<Span>,
+}
+
+impl Frame {
+    /// Of `#[frame("retina")]`; empty when the attribute is absent.
+    pub(crate) fn of(attrs: &[Attribute]) -> syn::Result<Frame> {
+        let Some(attr) = attrs.iter().find(|a| a.path().is_ident("frame")) else {
+            return Ok(Frame::default());
+        };
+        let text = attr.parse_args::<LitStr>()?;
+        if text.value().trim().is_empty() {
+            return Err(syn::Error::new(
+                text.span(),
+                "a coordinate frame has a name, such as #[frame(\"retina\")]",
+            ));
+        }
+        Ok(Frame { name: text.value(), span: Some(text.span()) })
+    }
+
+    /// The same, and the attribute is taken off: what stays behind is no business of ours.
+    pub(crate) fn take(attrs: &mut Vec<Attribute>) -> syn::Result<Frame> {
+        let frame = Frame::of(attrs)?;
+        attrs.retain(|a| !a.path().is_ident("frame"));
+        Ok(frame)
+    }
+
+    /// A check that one of the described payloads (expressions of type `Option<&TypeDesc>`) has coordinates.
+    pub(crate) fn check(&self, payloads: &[TokenStream]) -> TokenStream {
+        let Some(span) = self.span else { return TokenStream::new() };
+        quote_spanned!(span => const _: () = ::trocar_sdk::__private::frame_fits(&[#(#payloads),*]);)
     }
 }
 

@@ -5,6 +5,7 @@
 use crate::attrs;
 use proc_macro2::Span;
 use syn::meta::ParseNestedMeta;
+use syn::spanned::Spanned;
 use syn::{DeriveInput, Expr, LitStr};
 
 const MODELS: [&str; 6] = ["periodic", "continuous", "on_signal", "on_callback", "stream", "none"];
@@ -19,7 +20,8 @@ pub(crate) struct ClassAttr {
     /// Variant of `desc::Safety`.
     pub(crate) safety: &'static str,
     pub(crate) hardware: bool,
-    pub(crate) safe_from_any_thread: bool,
+    /// Where the class says so.
+    pub(crate) safe_from_any_thread: Option<Span>,
     pub(crate) provides: Vec<(String, Span)>,
     pub(crate) requires: Vec<(String, Span)>,
     pub(crate) optional: Vec<(String, Span)>,
@@ -97,7 +99,7 @@ impl ClassAttr {
                 };
             }
             "hardware" => self.hardware = true,
-            "safe_from_any_thread" => self.safe_from_any_thread = true,
+            "safe_from_any_thread" => self.safe_from_any_thread = Some(meta.path.span()),
             "provides" => names(&meta, &mut self.provides)?,
             "requires" => names(&meta, &mut self.requires)?,
             "optional" => names(&meta, &mut self.optional)?,

@@ -9,7 +9,7 @@ use crate::interfaces::{self, Interface, Interfaces};
 use crate::many;
 use crate::payload;
 use proc_macro2::{Ident, TokenStream};
-use quote::{format_ident, quote};
+use quote::{format_ident, quote, quote_spanned};
 use syn::{DeriveInput, Visibility};
 
 pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
@@ -29,9 +29,11 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
     let state = state(&input, &fields);
     let desc = desc(&class, &fields, &provided, &required);
     let create = create(&fields);
+    let safe = safe_handle(&class);
     let methods = methods(&fields, &provided, &required);
     let many = many::items(name, &fields, &provided, &required);
     let checks = many::checks(name, &provided);
+    let frames = frames(&fields);
     let fallbacks = fallbacks(name, &provided, &required);
     let state_name = format_ident!("{name}State");
     Ok(quote! {
@@ -39,10 +41,12 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
         const _: () = {
             #fallbacks
             #checks
+            #frames
             unsafe impl ::trocar_sdk::Class for #name {
                 const DESC: &'static ::trocar_sdk::__private::ClassDesc = &#desc;
                 type State = #state_name;
                 #create
+                #safe
                 #methods
                 #many
             }
@@ -98,8 +102,9 @@ fn desc(
     provided: &Interfaces<'_>,
     required: &Interfaces<'_>,
 ) -> TokenStream {
-    let ClassAttr { name, doc, model, period_ns, max_step_ns, hardware, safe_from_any_thread, .. } = class;
-    let safety = format_ident!("{}", class.safety);
+    let ClassAttr { name, doc, model, period_ns, max_step_ns, hardware, .. } = class;
+    let (safety, safe_from_any_thread) =
+        (format_ident!("{}", class.safety), class.safe_from_any_thread.is_some());
     let config = match &fields.config {
         Some((_, ty)) => quote!(<#ty as ::trocar_sdk::Config>::FIELDS),
         None => quote!(&[]),
@@ -138,15 +143,15 @@ fn port_lists(
 ) -> TokenStream {
     let inputs = fields.inputs.iter().filter(|p| p.many == many).map(|p| {
         let (name, doc, optional, fifo) = (&p.set.name, &p.doc, p.set.optional, p.set.fifo);
-        let ty = port_type(p);
+        let (ty, frame) = (port_type(p), &p.frame.name);
         quote!(::trocar_sdk::__private::InputDesc {
-            name: #name, doc: #doc, ty: #ty, optional: #optional, fifo: #fifo,
+            name: #name, doc: #doc, ty: #ty, frame: #frame, optional: #optional, fifo: #fifo,
         })
     });
     let outputs = fields.outputs.iter().filter(|p| p.many == many).map(|p| {
         let (name, doc) = (&p.set.name, &p.doc);
-        let ty = port_type(p);
-        quote!(::trocar_sdk::__private::OutputDesc { name: #name, doc: #doc, ty: #ty })
+        let (ty, frame) = (port_type(p), &p.frame.name);
+        quote!(::trocar_sdk::__private::OutputDesc { name: #name, doc: #doc, ty: #ty, frame: #frame })
     });
     let required = required.iter().map(required_desc);
     let provided = provided.iter().map(provided_desc);
@@ -163,11 +168,30 @@ fn port_type(p: &Port) -> TokenStream {
     quote!(::trocar_sdk::__private::port_type::<#ty>(#format, #max_bytes))
 }
 
+/// What is said to be in a coordinate frame has coordinates.
+fn frames(fields: &ComponentFields) -> TokenStream {
+    let streams = fields.inputs.iter().chain(&fields.outputs).map(|p| {
+        let ty = port_type(p);
+        p.frame.check(&[quote!(::trocar_sdk::__private::payload_of(#ty))])
+    });
+    let functions = fields.functions.iter().map(|p| {
+        let ty = &p.ty;
+        let of = |what| quote!(<#ty as ::trocar_sdk::__private::FunctionPort>::#what);
+        p.frame.check(&[of(format_ident!("ARG")), of(format_ident!("RET"))])
+    });
+    let events = fields.events.iter().map(|p| {
+        let ty = &p.ty;
+        p.frame.check(&[quote!(<#ty as ::trocar_sdk::__private::EventPort>::PAYLOAD)])
+    });
+    quote!(#(#streams)* #(#functions)* #(#events)*)
+}
+
 fn required_desc(i: &Interface<'_>) -> TokenStream {
     let (name, doc, optional) = (&i.name, &i.doc, i.optional);
     let part = i.handles_part();
     let functions = i.ports.iter().map(|p| {
         let (name, doc, unit, optional, ty) = (&p.set.name, &p.doc, &p.set.unit, p.set.optional, &p.ty);
+        let frame = &p.frame.name;
         quote! {
             ::trocar_sdk::__private::FunctionDesc {
                 name: #name,
@@ -175,6 +199,7 @@ fn required_desc(i: &Interface<'_>) -> TokenStream {
                 arg: <#ty as ::trocar_sdk::__private::FunctionPort>::ARG,
                 ret: <#ty as ::trocar_sdk::__private::FunctionPort>::RET,
                 unit: #unit,
+                frame: #frame,
                 optional: #optional,
                 any: <#ty as ::trocar_sdk::__private::FunctionPort>::ANY,
             }
@@ -195,13 +220,14 @@ fn provided_desc(i: &Interface<'_>) -> TokenStream {
     let name = &i.name;
     let part = i.provides_part();
     let events = i.ports.iter().map(|p| {
-        let (name, doc, unit, ty) = (&p.set.name, &p.doc, &p.set.unit, &p.ty);
+        let (name, doc, unit, frame, ty) = (&p.set.name, &p.doc, &p.set.unit, &p.frame.name, &p.ty);
         quote! {
             ::trocar_sdk::__private::EventDesc {
                 name: #name,
                 doc: #doc,
                 payload: <#ty as ::trocar_sdk::__private::EventPort>::PAYLOAD,
                 unit: #unit,
+                frame: #frame,
             }
         }
     });
@@ -235,6 +261,17 @@ fn create(fields: &ComponentFields) -> TokenStream {
                 #(#host: host,)*
                 #(#names: ::core::default::Default::default(),)*
             }
+        }
+    }
+}
+
+/// A class that says `safe_from_any_thread` does not compile without its handle; the mistake is shown at that word.
+fn safe_handle(class: &ClassAttr) -> TokenStream {
+    let Some(span) = class.safe_from_any_thread else { return TokenStream::new() };
+    let handle = quote_spanned!(span => <Self as ::trocar_sdk::SafeFromAnyThread>::safe_handle(self));
+    quote! {
+        fn safe_handle(&self) -> ::core::option::Option<::std::sync::Arc<dyn ::trocar_sdk::MakeSafe>> {
+            ::core::option::Option::Some(#handle)
         }
     }
 }

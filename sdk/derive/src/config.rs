@@ -15,6 +15,9 @@ struct Settings {
     unit: String,
     default: String,
     one_of: String,
+    /// The default and the choice as written.
+    given: Option<Expr>,
+    choice: Option<Expr>,
 }
 
 pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
@@ -37,6 +40,7 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
         let text = ident.to_string();
         let doc = attrs::docs(&field.attrs);
         let mut s = settings(field)?;
+        possible(field, &s)?;
         let schema = schema(&field.ty, &mut s)?;
         let Settings { live, min, max, unit, default, .. } = s;
         descs.push(quote! {
@@ -78,9 +82,13 @@ fn settings(field: &Field) -> syn::Result<Settings> {
             } else if meta.path.is_ident("unit") {
                 s.unit = attrs::unit(&meta.value()?.parse::<syn::LitStr>()?)?;
             } else if meta.path.is_ident("default") {
-                s.default = attrs::json(&meta.value()?.parse::<Expr>()?)?;
+                let given = meta.value()?.parse::<Expr>()?;
+                s.default = attrs::json(&given)?;
+                s.given = Some(given);
             } else if meta.path.is_ident("one_of") {
-                s.one_of = attrs::json(&meta.value()?.parse::<Expr>()?)?;
+                let choice = meta.value()?.parse::<Expr>()?;
+                s.one_of = attrs::json(&choice)?;
+                s.choice = Some(choice);
             } else {
                 return Err(meta.error("unknown setting; there are live, min, max, unit, default and one_of"));
             }
@@ -88,6 +96,67 @@ fn settings(field: &Field) -> syn::Result<Settings> {
         })?;
     }
     Ok(s)
+}
+
+/// Refuses limits that no value lies within, and a default outside of them: nobody could configure such a class.
+fn possible(field: &Field, s: &Settings) -> syn::Result<()> {
+    let whole = leaf(&field.ty).and_then(|name| integer_limits(&name)).unwrap_or_default();
+    let limit = |text: &str, of_type: &str| {
+        let text = if text.is_empty() { of_type } else { text };
+        text.parse::<f64>().ok()
+    };
+    let (min, max) = (limit(&s.min, whole.0), limit(&s.max, whole.1));
+    if let (Some(low), Some(high)) = (min, max)
+        && low > high
+    {
+        let why = format!("min {low} is above max {high}: no value would be taken");
+        return Err(syn::Error::new_spanned(field, why));
+    }
+    let Some(given) = &s.given else { return Ok(()) };
+    for item in items_of(given) {
+        let Some(number) = attrs::number(item).ok().and_then(|text| text.parse::<f64>().ok()) else {
+            continue;
+        };
+        let why = match (min, max) {
+            (Some(min), _) if number < min => format!("the default {number} is below min {min}"),
+            (_, Some(max)) if number > max => format!("the default {number} is above max {max}"),
+            _ => continue,
+        };
+        return Err(syn::Error::new_spanned(item, why));
+    }
+    let Some(choice) = s.choice.as_ref().filter(|_| !matches!(given, Expr::Array(_) | Expr::Path(_))) else {
+        return Ok(());
+    };
+    let allowed = items_of(choice).into_iter().map(attrs::json).collect::<syn::Result<Vec<_>>>()?;
+    let same = |one: &String| match (one.parse::<f64>(), s.default.parse::<f64>()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => *one == s.default,
+    };
+    if allowed.iter().any(same) {
+        return Ok(());
+    }
+    let why = format!("the default {} is not one of {}", s.default, allowed.join(", "));
+    Err(syn::Error::new_spanned(given, why))
+}
+
+/// The items of a written list; anything else is one item.
+fn items_of(expr: &Expr) -> Vec<&Expr> {
+    match expr {
+        Expr::Array(items) => items.elems.iter().collect(),
+        one => vec![one],
+    }
+}
+
+/// The innermost type of a list or option.
+fn leaf(ty: &Type) -> Option<String> {
+    match ty {
+        Type::Array(array) => leaf(&array.elem),
+        Type::Path(path) => {
+            let last = path.path.segments.last()?;
+            inner(&last.arguments).map_or_else(|| Some(last.ident.to_string()), leaf)
+        }
+        _ => None,
+    }
 }
 
 /// The inside of the field's schema object. Limits of list items move into `items`; those of plain numbers stay in `s`.
@@ -187,4 +256,47 @@ fn unknown(ty: &Type) -> syn::Error {
         ty,
         "a configuration field is f64, f32, an integer, bool, String, or [T; N], Vec<T>, Option<T> of these",
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(field: &str) -> String {
+        let input = syn::parse_str(&format!("struct Cfg {{ {field} }}")).expect(field);
+        derive(input).err().map(|e| e.to_string()).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_setting_that_could_never_be_valid_does_not_compile() {
+        for (field, why) in [
+            ("#[config(min = 3, max = 1, default = 5.0)] x: f64", "min 3 is above max 1"),
+            ("#[config(min = 1, max = 3, default = 5.0)] x: f64", "the default 5 is above max 3"),
+            ("#[config(min = -1.5, default = -2)] x: Option<f64>", "the default -2 is below min -1.5"),
+            ("#[config(max = 3, default = [1, 2, 4])] x: [f64; 3]", "the default 4 is above max 3"),
+            ("#[config(default = 300)] x: u8", "the default 300 is above max 255"),
+            ("#[config(default = -1)] x: Vec<usize>", "the default -1 is below min 0"),
+            ("#[config(min = 300)] x: u8", "min 300 is above max 255"),
+            (
+                "#[config(one_of = [\"bm\", \"sgm\"], default = \"gm\")] x: String",
+                "the default \"gm\" is not one of \"bm\", \"sgm\"",
+            ),
+        ] {
+            assert!(said(field).contains(why), "{field}: {}", said(field));
+        }
+    }
+
+    #[test]
+    fn limits_that_can_be_met_compile() {
+        for field in [
+            "#[config(min = 3, max = 3, default = 3)] x: f64",
+            "#[config(default = None, min = 0.5)] x: Option<f64>",
+            "#[config(default = [])] x: Vec<String>",
+            "#[config(one_of = [1, 2], default = 1.0)] x: f64",
+            "#[config(one_of = [\"a,b\", \"c\"], default = \"a,b\")] x: String",
+            "#[config(min = 1)] x: u64",
+        ] {
+            assert_eq!(said(field), "", "{field}");
+        }
+    }
 }

@@ -2,12 +2,14 @@
 //!
 //! Invariant: order of declaration is the order in the manifest, and with it the order of slots.
 
-use crate::attrs;
+use crate::attrs::{self, Frame};
 use crate::payload::Described;
 use proc_macro2::{Ident, Span};
 use syn::meta::ParseNestedMeta;
 use syn::punctuated::Punctuated;
-use syn::{Attribute, Data, DeriveInput, Fields, GenericArgument, LitInt, LitStr, Meta, PathArguments, Type};
+use syn::{
+    Attribute, Data, DeriveInput, Field, Fields, GenericArgument, LitInt, LitStr, Meta, PathArguments, Type,
+};
 
 pub(crate) struct Port {
     pub(crate) ident: Ident,
@@ -16,6 +18,7 @@ pub(crate) struct Port {
     /// The field is a `Many<…>`.
     pub(crate) many: bool,
     pub(crate) doc: String,
+    pub(crate) frame: Frame,
     pub(crate) set: PortSettings,
 }
 
@@ -74,23 +77,25 @@ impl ComponentFields {
                 }
             }
             let Some(attr) = role else {
+                if is_host(&field.ty) {
+                    return Err(syn::Error::new_spanned(
+                        field,
+                        "a `Host` comes from the host and has no default: mark the field #[host]",
+                    ));
+                }
                 out.private.push(ident.clone());
                 continue;
             };
             let key = attr.path().get_ident().map(ToString::to_string).unwrap_or_default();
-            let tag = field.attrs.iter().find(|a| a.path().is_ident("unit") || a.path().is_ident("frame"));
-            if let Some(tag) = tag.filter(|_| key != "state") {
-                return Err(syn::Error::new_spanned(
-                    tag,
-                    "units and frames of a port are those of its payload's fields: put this there",
-                ));
-            }
+            misplaced(field, &key)?;
             let one = inside_many(&field.ty);
+            let frame = Frame::of(&field.attrs)?;
             let port = |set: PortSettings| Port {
                 ident: ident.clone(),
                 ty: one.unwrap_or(&field.ty).clone(),
                 many: one.is_some(),
                 doc: attrs::docs(&field.attrs),
+                frame,
                 set: named_by(set, ident),
             };
             match key.as_str() {
@@ -123,12 +128,40 @@ impl ComponentFields {
     }
 }
 
+/// Refuses `#[unit]` and `#[frame]` where they say nothing.
+fn misplaced(field: &Field, role: &str) -> syn::Result<()> {
+    for attr in &field.attrs {
+        let why = match role {
+            "state" => continue,
+            "required" | "event" if attr.path().is_ident("unit") => {
+                "here the unit is a setting of the attribute before: unit = \"…\""
+            }
+            _ if attr.path().is_ident("unit") => {
+                "units of a port are those of its payload's fields: put this there"
+            }
+            "config" | "host" | "names" if attr.path().is_ident("frame") => {
+                "a coordinate frame belongs to a port or a column of the state table"
+            }
+            _ => continue,
+        };
+        return Err(syn::Error::new_spanned(attr, why));
+    }
+    Ok(())
+}
+
 fn named_by(mut set: PortSettings, ident: &Ident) -> PortSettings {
     if set.name.is_empty() {
         set.name = ident.to_string();
     }
     set.span.get_or_insert_with(|| ident.span());
     set
+}
+
+/// The SDK's own handle, by the name it has there.
+fn is_host(ty: &Type) -> bool {
+    let Type::Path(path) = ty else { return false };
+    let names: Vec<String> = path.path.segments.iter().map(|s| s.ident.to_string()).collect();
+    matches!(names.join("::").as_str(), "Host" | "trocar_sdk::Host" | "trocar_sdk::prelude::Host")
 }
 
 /// `P` of `Many<P>`.
@@ -228,4 +261,24 @@ fn setting(set: &mut PortSettings, meta: &ParseNestedMeta<'_>, allowed: &[&str])
         _ => set.max_bytes = meta.value()?.parse::<LitInt>()?.base10_parse()?,
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(field: &str) -> String {
+        let input = syn::parse_str(&format!("struct C {{ {field} }}")).expect(field);
+        ComponentFields::of(&input).err().map(|e| e.to_string()).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_host_without_its_attribute_is_told_what_is_missing() {
+        for field in ["host: Host", "host: trocar_sdk::Host"] {
+            assert!(said(field).contains("mark the field #[host]"), "{field}: {}", said(field));
+        }
+        for field in ["#[host] host: Host", "host: my::Host", "hosts: Vec<Host>"] {
+            assert_eq!(said(field), "", "{field}");
+        }
+    }
 }

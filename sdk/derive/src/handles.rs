@@ -14,7 +14,7 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
     }
     let many = attrs::is_many(&args.name.value());
     let class = item.self_ty.clone();
-    let (mut descs, mut calls) = (Vec::new(), Vec::new());
+    let (mut descs, mut calls, mut frames) = (Vec::new(), Vec::new(), Vec::new());
     for inner in &mut item.items {
         let ImplItem::Fn(f) = inner else { continue };
         let Some(at) = f.attrs.iter().position(|a| a.path().is_ident("on")) else { continue };
@@ -52,9 +52,11 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
             None => quote!(None),
             Some(Argument { ty, .. }) => quote!(Some(<#ty as ::trocar_sdk::Payload>::DESC)),
         };
+        let frame = arg.as_ref().map_or("", |a| a.frame.name.as_str());
+        frames.extend(arg.as_ref().map(Argument::check_frame));
         descs.push(quote! {
             ::trocar_sdk::__private::HandlerDesc {
-                name: #name, doc: #doc, payload: #payload, optional: #optional, direct: #direct,
+                name: #name, doc: #doc, payload: #payload, frame: #frame, optional: #optional, direct: #direct,
             }
         });
         let (id, method) = (calls.len() as u32, &f.sig.ident);
@@ -67,6 +69,7 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
     Ok(quote! {
         #item
         #declared
+        #(#frames)*
         impl #class {
             #[doc(hidden)]
             #[allow(non_upper_case_globals, dead_code, unused_variables)]

@@ -1,6 +1,7 @@
 //! The interfaces of a class, put together from its `#[component]` attribute and the fields that belong to them.
 //!
-//! Invariant: interfaces with fixed names come before repeated ones, so that ids of the fixed ones never move.
+//! Invariant: interfaces with fixed names come before repeated ones, so that ids of the fixed ones never move; repeated
+//! provided ones that share a list stand together.
 
 use crate::attrs;
 use crate::class::ClassAttr;
@@ -52,6 +53,12 @@ impl<'a> Interfaces<'a> {
     pub(crate) fn all(&self) -> impl Iterator<Item = &Interface<'a>> {
         self.fixed.iter().chain(&self.many)
     }
+
+    /// The repeated ones by their lists: those of one list are described name by name, so that a read, which knows no
+    /// list, still finds its way.
+    pub(crate) fn groups(&self) -> impl Iterator<Item = &[Interface<'a>]> {
+        self.many.chunk_by(|a, b| a.names == b.names)
+    }
 }
 
 pub(crate) fn provided<'a>(class: &ClassAttr, fields: &'a ComponentFields) -> syn::Result<Interfaces<'a>> {
@@ -65,7 +72,10 @@ pub(crate) fn provided<'a>(class: &ClassAttr, fields: &'a ComponentFields) -> sy
     for port in &fields.events {
         join(&mut out, &port.set.interface, port);
     }
-    split(out, fields, false)
+    let mut out = split(out, fields, false)?;
+    let lists: Vec<Option<&Ident>> = out.many.iter().map(|i| i.names).collect();
+    out.many.sort_by_key(|i| lists.iter().position(|list| *list == i.names));
+    Ok(out)
 }
 
 pub(crate) fn required<'a>(class: &ClassAttr, fields: &'a ComponentFields) -> syn::Result<Interfaces<'a>> {

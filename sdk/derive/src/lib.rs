@@ -40,7 +40,7 @@ pub fn derive_config(input: TokenStream) -> TokenStream {
 /// Struct attribute: `#[component(name = "…", rate_hz = 1000, max_step_ms = 50, model = "…", safety = "…", hardware,
 /// safe_from_any_thread, provides("a", "b"), requires("c"), optional("c"))]`. Field attributes: `#[input]`, `#[output]`,
 /// `#[required]`, `#[event("interface")]`, `#[state]`, `#[config]`, `#[host]`, `#[names]`; a field without one is private run-time
-/// state and needs `Default`.
+/// state and needs `Default`. Beside a port's attribute, `#[frame("retina")]` says in which coordinates its payload is.
 #[proc_macro_derive(
     Component,
     attributes(component, input, output, required, event, state, config, host, names, unit, frame)
@@ -49,7 +49,8 @@ pub fn derive_component(input: TokenStream) -> TokenStream {
     done(component::derive(parse_macro_input!(input)))
 }
 
-/// The commands of one provided interface: `#[provides("ctl")] impl LowPass { #[command] … #[read] … }`.
+/// The commands of one provided interface: `#[provides("ctl")] impl LowPass { #[command] … #[read] … }`. `#[frame("retina")]` on
+/// a method is the coordinate frame of its result, on a parameter that of the argument.
 #[proc_macro_attribute]
 pub fn provides(args: TokenStream, item: TokenStream) -> TokenStream {
     done(provides::expand(parse_macro_input!(args), parse_macro_input!(item)))

@@ -102,8 +102,9 @@ pub(crate) fn binds(
     let in_interfaces = |all: &[Interface<'_>]| all.iter().map(|i| i.ports.len()).sum::<usize>();
     let inputs = lone_binds("many_inputs", fixed(&fields.inputs), &ports(&fields.inputs));
     let outputs = lone_binds("many_outputs", fixed(&fields.outputs), &ports(&fields.outputs));
-    let functions = group_binds("many_functions", in_interfaces(&required.fixed), &required.many);
-    let events = group_binds("many_events", in_interfaces(&provided.fixed), &provided.many);
+    let functions =
+        group_binds("many_functions", in_interfaces(&required.fixed), required.many.chunks(1).collect());
+    let events = group_binds("many_events", in_interfaces(&provided.fixed), provided.groups().collect());
     let lists = fields.names.iter().map(|(ident, _)| ident);
     quote!(#(self.#lists.adopt();)* #inputs #outputs #functions #events)
 }
@@ -123,14 +124,14 @@ fn lone_binds(method: &str, first: usize, ports: &[&Ident]) -> TokenStream {
     }}
 }
 
-fn group_binds(method: &str, first: usize, many: &[Interface<'_>]) -> TokenStream {
-    if many.is_empty() {
+fn group_binds(method: &str, first: usize, groups: Vec<&[Interface<'_>]>) -> TokenStream {
+    if groups.is_empty() {
         return TokenStream::new();
     }
     let method = format_ident!("{method}");
-    let groups = many.iter().map(|i| {
-        let (list, apart) = (i.names, i.ports.len());
-        let ports = i.ports.iter().map(|p| &p.ident);
+    let groups = groups.iter().map(|group| {
+        let ports: Vec<&Ident> = group.iter().flat_map(|i| &i.ports).map(|p| &p.ident).collect();
+        let (list, apart) = (group[0].names, ports.len());
         let offsets = 0..apart;
         quote! {
             #(binder.#method(at + #offsets, #apart, &mut self.#ports);)*
@@ -146,56 +147,91 @@ fn group_binds(method: &str, first: usize, many: &[Interface<'_>]) -> TokenStrea
 
 /// Ids of commands behind those of fixed interfaces; `at` is the first of them.
 pub(crate) fn commands(provided: &Interfaces<'_>) -> TokenStream {
-    let lines = provided.many.iter().map(|i| {
-        let part = i.provides_part();
-        dispatch(i, &quote!(Self::#part.commands), &quote!(Self::#part.command))
+    let lines = provided.groups().map(|group| {
+        let parts = parts(group, |i| i.provides_part(), "commands", "command");
+        dispatch(group, &parts, &quote!(self))
     });
     quote!(#(#lines)*)
 }
 
 /// Ids of handlers behind those of fixed interfaces.
 pub(crate) fn handlers(required: &Interfaces<'_>) -> TokenStream {
-    let lines = required.many.iter().map(|i| {
-        let part = i.handles_part();
-        dispatch(i, &quote!(Self::#part.handlers), &quote!(Self::#part.on_event))
+    let lines = required.many.chunks(1).map(|alone| {
+        let parts = parts(alone, |i| i.handles_part(), "handlers", "on_event");
+        dispatch(alone, &parts, &quote!(self))
     });
     quote!(#(#lines)*)
 }
 
-fn dispatch(i: &Interface<'_>, members: &TokenStream, run: &TokenStream) -> TokenStream {
-    let list = i.names;
+/// Per interface: its members, and what runs one of them.
+fn parts(
+    group: &[Interface<'_>],
+    part: impl Fn(&Interface<'_>) -> Ident,
+    members: &str,
+    run: &str,
+) -> Vec<(TokenStream, TokenStream)> {
+    let (members, run) = (format_ident!("{members}"), format_ident!("{run}"));
+    group.iter().map(part).map(|part| (quote!(Self::#part.#members), quote!(Self::#part.#run))).collect()
+}
+
+fn dispatch(
+    group: &[Interface<'_>],
+    parts: &[(TokenStream, TokenStream)],
+    this: &TokenStream,
+) -> TokenStream {
+    let list = group[0].names;
+    let members = parts.iter().map(|(members, _)| members);
+    let found = within(parts, this);
     quote! {
-        let n = #members.len() as u32;
+        let n = 0 #(+ #members.len() as u32)*;
         let next = at + n * self.#list.names().len() as u32;
         if id < next {
-            let id = id - at;
-            return (#run)(self, id % n, (id / n) as usize, call);
+            #found
         }
         at = next;
     }
 }
 
-/// Reads know no instance, so only the first repeated interface may have them: its ids go on to the end.
-pub(crate) fn read(provided: &Interfaces<'_>) -> TokenStream {
-    let Some(first) = provided.many.first() else { return TokenStream::new() };
-    let part = first.provides_part();
+/// Which of the interfaces of a list is meant, and which member of which of those that share it.
+fn within(parts: &[(TokenStream, TokenStream)], this: &TokenStream) -> TokenStream {
+    let steps = parts.iter().map(|(members, run)| {
+        quote! {
+            if id < #members.len() as u32 { return (#run)(#this, id, each, call); }
+            let id = id - #members.len() as u32;
+        }
+    });
     quote! {
-        let n = Self::#part.commands.len() as u32;
+        let each = ((id - at) / n) as usize;
+        let id = (id - at) % n;
+        #(#steps)*
+        return call.unknown(id);
+    }
+}
+
+/// Reads know no instance, so only those of the first list may have them: its ids go on to the end.
+pub(crate) fn read(provided: &Interfaces<'_>) -> TokenStream {
+    let Some(first) = provided.groups().next() else { return TokenStream::new() };
+    let parts = parts(first, |i| i.provides_part(), "commands", "read");
+    let members = parts.iter().map(|(members, _)| members);
+    let found = within(&parts, &quote!(row));
+    quote! {
+        let n = 0 #(+ #members.len() as u32)*;
         if n > 0 {
-            let id = id - at;
-            return (Self::#part.read)(row, id % n, (id / n) as usize, call);
+            #found
         }
     }
 }
 
 pub(crate) fn checks(class: &Ident, provided: &Interfaces<'_>) -> TokenStream {
-    let others = provided.many.iter().skip(1).map(|i| {
+    let others = provided.groups().skip(1).flatten().map(|i| {
         let part = i.provides_part();
         let why = format!(
-            "reads of `{}`: of several repeated provided interfaces only the first may have reads; list it first in \
-             provides(…), or make these commands with a result",
+            "reads of `{}`: repeated provided interfaces may have reads when they share the list of the first one; list it \
+             first in provides(…), give both one #[names(…)] list, or make these commands with a result",
             i.name
         );
+        // It is a format string.
+        let why = why.replace('{', "{{").replace('}', "}}");
         quote!(assert!(!::trocar_sdk::__private::has_reads(<#class>::#part.commands), #why);)
     });
     quote!(const _: () = { #(#others)* };)

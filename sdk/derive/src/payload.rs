@@ -22,7 +22,7 @@ impl Described {
             ident: ident.clone(),
             ty: field.ty.clone(),
             unit: attrs::unit_attr(&field.attrs)?,
-            frame: attrs::text_attr(&field.attrs, "frame")?,
+            frame: attrs::Frame::of(&field.attrs)?.name,
             doc: attrs::docs(&field.attrs),
         })
     }

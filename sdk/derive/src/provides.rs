@@ -3,7 +3,7 @@
 //! Invariant: what a command is (void, write, …, read) follows from its signature alone; the `impl` block itself stays
 //! as the author wrote it, minus our attributes.
 
-use crate::attrs;
+use crate::attrs::{self, Frame};
 use proc_macro2::{Ident, TokenStream};
 use quote::{format_ident, quote, quote_spanned};
 use syn::parse::{Parse, ParseStream};
@@ -51,6 +51,7 @@ struct Command {
     many: bool,
     overflow: String,
     ret_unit: String,
+    ret_frame: Frame,
     arg: Option<Argument>,
     ret: TokenStream,
 }
@@ -63,6 +64,7 @@ pub(crate) struct Argument {
     pub(crate) by_ref: bool,
     doc: String,
     unit: String,
+    pub(crate) frame: Frame,
     min: String,
     max: String,
 }
@@ -94,9 +96,11 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
     let calls = commands.iter().enumerate().filter(|(_, c)| !c.is_read).map(|(i, c)| c.dispatch(i, class));
     let reads = commands.iter().enumerate().filter(|(_, c)| c.is_read).map(|(i, c)| c.dispatch(i, class));
     let declared = declared(class, &args.name, "DeclaresProvided");
+    let frames = commands.iter().map(Command::frames);
     Ok(quote! {
         #item
         #declared
+        #(#frames)*
         impl #class {
             #[doc(hidden)]
             #[allow(non_upper_case_globals, dead_code, unused_variables)]
@@ -140,6 +144,7 @@ fn command(attr: &Attribute, is_read: bool, many: bool, f: &mut syn::ImplItemFn)
         many,
         overflow: String::new(),
         ret_unit: String::new(),
+        ret_frame: Frame::take(&mut f.attrs)?,
         arg: None,
         ret: match &f.sig.output {
             ReturnType::Default => quote!(()),
@@ -238,6 +243,7 @@ pub(crate) fn argument<'a>(
         by_ref,
         doc: String::new(),
         unit: String::new(),
+        frame: Frame::take(&mut typed.attrs)?,
         min: String::new(),
         max: String::new(),
     };
@@ -264,14 +270,15 @@ pub(crate) fn argument<'a>(
 impl Command {
     fn desc(&self) -> TokenStream {
         let Command { name, doc, is_read, overflow, ret_unit, ret, .. } = self;
+        let ret_frame = &self.ret_frame.name;
         let (arg_ty, arg) = match &self.arg {
             None => (quote!(()), quote!(None)),
-            Some(Argument { name, ty, doc, unit, min, max, .. }) => (
+            Some(Argument { name, ty, doc, unit, min, max, frame: Frame { name: frame, .. }, .. }) => (
                 quote!(#ty),
                 quote! {
                     Some(::trocar_sdk::__private::ArgDesc {
                         name: #name, doc: #doc, ty: <#ty as ::trocar_sdk::Payload>::DESC,
-                        unit: #unit, min: #min, max: #max,
+                        unit: #unit, frame: #frame, min: #min, max: #max,
                     })
                 },
             ),
@@ -284,9 +291,19 @@ impl Command {
                 arg: #arg,
                 ret: <<#ret as ::trocar_sdk::__private::Answer>::Value as ::trocar_sdk::Value>::DESC,
                 ret_unit: #ret_unit,
+                ret_frame: #ret_frame,
                 overflow: #overflow,
             }
         }
+    }
+
+    /// What is said to be in a coordinate frame has coordinates.
+    fn frames(&self) -> TokenStream {
+        let ret = &self.ret;
+        let result = quote!(<<#ret as ::trocar_sdk::__private::Answer>::Value as ::trocar_sdk::Value>::DESC);
+        let arg = self.arg.as_ref().map(Argument::check_frame);
+        let ret = self.ret_frame.check(&[result]);
+        quote!(#arg #ret)
     }
 
     fn dispatch(&self, id: usize, class: &Type) -> TokenStream {
@@ -295,6 +312,13 @@ impl Command {
         let (arg_ty, pattern, call) = call_of(&self.arg, quote!(<#class>::#method), this, self.many);
         // Why `run` may be called: the description above names the very types used here.
         quote!(#id => unsafe { call.run::<#arg_ty, _>(|#pattern| #call) })
+    }
+}
+
+impl Argument {
+    pub(crate) fn check_frame(&self) -> TokenStream {
+        let ty = &self.ty;
+        self.frame.check(&[quote!(::core::option::Option::Some(<#ty as ::trocar_sdk::Payload>::DESC))])
     }
 }
 

@@ -8,8 +8,10 @@ use crate::describe::Lists;
 use crate::host::Host;
 use crate::payload::Payload;
 use crate::ports::Binder;
+use crate::safe::MakeSafe;
 use crate::services::ServiceReply;
 use crate::values::Stamp;
+use std::sync::Arc;
 use trocar_plugin_api::abi::{self, Status};
 use trocar_plugin_api::desc::ClassDesc;
 
@@ -35,7 +37,8 @@ pub trait Component {
     fn resume(&mut self) -> Result {
         Ok(())
     }
-    /// Brings the device to its safe condition. Called on FAULT, Stop, peer loss and shutdown; short, never waits.
+    /// Brings the device to its safe condition. Called on FAULT, Stop, peer loss and shutdown; short, never waits. Not called
+    /// for a class with `safe_from_any_thread`: that one has [`crate::SafeFromAnyThread`].
     fn make_safe(&mut self) -> Result {
         Ok(())
     }
@@ -86,6 +89,11 @@ pub unsafe trait Class: Component + Send + Sized + 'static {
 
     #[doc(hidden)]
     fn create(host: Host) -> Self;
+    /// Of a class with `safe_from_any_thread`.
+    #[doc(hidden)]
+    fn safe_handle(&self) -> Option<Arc<dyn MakeSafe>> {
+        None
+    }
     #[doc(hidden)]
     fn apply(&mut self, object: &JsonObject) -> Result;
     #[doc(hidden)]

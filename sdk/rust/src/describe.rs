@@ -1,7 +1,8 @@
 //! `describe`: the class as it is with the present lists of names.
 //!
 //! Invariant: what is fixed comes first, as in the manifest; what is repeated follows in the order of the fields and,
-//! within, of the names. `Binder` and the generated dispatch count the same way.
+//! within, of the names; provided interfaces that share a list go name by name. `Binder` and the generated dispatch count
+//! the same way.
 
 use crate::component::{Class, Result};
 use crate::many::Names;
@@ -32,8 +33,14 @@ pub(crate) fn build<C: Class>(component: &C) -> Result<Json> {
     let mut seen: Vec<String> = Vec::new();
     for (kind, lists) in kinds {
         let Some(ports) = json["class"][kind].as_array_mut() else { continue };
-        for (pattern, names) in many[kind].as_array().into_iter().flatten().zip(lists) {
-            ports.extend(names.wanted().iter().map(|name| named(pattern, name)));
+        let repeated: Vec<(&Json, &Names)> =
+            many[kind].as_array().into_iter().flatten().zip(lists.iter().copied()).collect();
+        let together =
+            |a: &(&Json, &Names), b: &(&Json, &Names)| kind == "provided" && std::ptr::eq(a.1, b.1);
+        for group in repeated.chunk_by(together) {
+            for name in group[0].1.wanted() {
+                ports.extend(group.iter().map(|(pattern, _)| named(pattern, name)));
+            }
         }
         for port in ports {
             let name = port["name"].as_str().unwrap_or_default();

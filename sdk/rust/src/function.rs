@@ -8,6 +8,7 @@ use crate::outcome::{CallError, Outcome};
 use crate::ports::{Flow, PortKind};
 use crate::stubs;
 use core::marker::PhantomData;
+use core::mem::MaybeUninit;
 use core::time::Duration;
 use trocar_plugin_api::abi::{CallOpts, ErrBuf, EventSlot, FnSlot, MODE_CALL};
 use trocar_plugin_api::desc::TypeDesc;
@@ -83,8 +84,9 @@ pub(crate) fn waiting(
     deadline: Duration,
     call: impl FnOnce(*mut CallOpts) -> Outcome,
 ) -> Result<(), CallError> {
-    let mut text = [0u8; 256];
-    let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+    // Written only by a call that fails: to clear it would cost as much as the call.
+    let mut text = [MaybeUninit::<u8>::uninit(); 256];
+    let mut err = ErrBuf { ptr: text.as_mut_ptr().cast(), cap: text.len(), len: 0 };
     let mut opts = CallOpts {
         struct_size: size_of::<CallOpts>() as u32,
         mode: MODE_CALL,
@@ -99,7 +101,9 @@ pub(crate) fn waiting(
         return Ok(());
     }
     let may_still_run = opts.may_still_run != 0;
-    let reason = String::from_utf8_lossy(&text[..err.len.min(text.len())]).into_owned();
+    // SAFETY: whoever sets `len` has written that many bytes, by the contract of an `ErrBuf`.
+    let said = unsafe { core::slice::from_raw_parts(text.as_ptr().cast::<u8>(), err.len.min(text.len())) };
+    let reason = String::from_utf8_lossy(said).into_owned();
     Err(CallError { outcome, reason, may_still_run })
 }
 

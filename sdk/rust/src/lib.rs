@@ -27,6 +27,7 @@ mod outcome;
 mod parallel;
 mod payload;
 mod ports;
+mod safe;
 mod services;
 mod shims;
 mod stubs;
@@ -48,6 +49,7 @@ pub use many::{Many, Names};
 pub use outcome::{CallError, NoFrame, Outcome};
 pub use payload::{Payload, as_bytes, from_bytes};
 pub use ports::{In, Out, Sample};
+pub use safe::{MakeSafe, SafeFromAnyThread};
 pub use serde_json;
 pub use services::{ServiceReply, Services};
 pub use trocar_plugin_api::abi::StaticPlugin;
@@ -58,9 +60,10 @@ pub use values::{Flag, List, Stamp, Text};
 pub mod prelude {
     pub use crate::{
         AnyFunction, AnyIn, AnyOut, Class, Component, Config, Event, Flag, Frame, FrameView, Function, Host,
-        In, List, Many, Names, NoFrame, Out, Outcome, Payload, Result, Sample, Stamp, Text, Tick, handles,
-        log, named_values, provides, trocar_plugin,
+        In, List, MakeSafe, Many, Names, NoFrame, Out, Outcome, Payload, Place, Result, SafeFromAnyThread,
+        Sample, ServiceReply, Stamp, Text, Tick, handles, log, named_values, provides, trocar_plugin,
     };
+    pub use serde_json::json;
 }
 
 /// What generated code refers to. Not for authors; changes without notice.
@@ -75,7 +78,7 @@ pub mod __private {
     pub use crate::describe::{Lists, check as check_lists};
     pub use crate::export::{BUILT_WITH, manifest_text, plugin_name};
     pub use crate::function::{EventPort, FunctionPort};
-    pub use crate::ports::{Binder, port_type};
+    pub use crate::ports::{Binder, frame_fits, payload_of, port_type};
     pub use crate::shims::{Export, init, text};
     pub use crate::stubs::Shared;
     pub use trocar_plugin_api::abi::{ClassTable, PluginTable, Status};

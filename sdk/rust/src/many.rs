@@ -13,6 +13,26 @@ const MAX_NAME: usize = 63;
 
 /// The names of repeated interfaces: a `#[names]` field. Set it in `configure`, or later followed by
 /// [`Host::ports_changed`]; it changes when the host has taken it over (see [`crate::Component::ports_changed`]).
+///
+/// Reads know no instance and so no list: the repeated provided interfaces that have some share one, the first.
+/// ```
+/// # use trocar_sdk::prelude::*;
+/// #[derive(Component)]
+/// #[component(provides("arm_{}", "arm_{}_tip"))]
+/// struct Arms { #[names("arm_{}", "arm_{}_tip")] arms: Names }
+/// #[provides("arm_{}_tip")]
+/// impl Arms { #[read] fn force(_: &ArmsState, arm: usize) -> f64 { arm as f64 } }
+/// # impl Component for Arms {}
+/// ```
+/// ```compile_fail,E0080
+/// # use trocar_sdk::prelude::*;
+/// #[derive(Component)]
+/// #[component(provides("arm_{}", "tool_{}"))]
+/// struct Arms { #[names("arm_{}")] arms: Names, #[names("tool_{}")] tools: Names }
+/// #[provides("tool_{}")]
+/// impl Arms { #[read] fn force(_: &ArmsState, tool: usize) -> f64 { tool as f64 } }
+/// # impl Component for Arms {}
+/// ```
 #[derive(Clone, Default, Debug)]
 pub struct Names {
     wanted: Vec<String>,

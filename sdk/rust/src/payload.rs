@@ -21,6 +21,13 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 /// #[repr(C)]
 /// struct Gap { small: u8, large: f64 }
 /// ```
+/// A truth value is a `Flag`, as not every byte is a valid `bool`:
+/// ```compile_fail,E0277
+/// use trocar_sdk::prelude::*;
+/// #[derive(Payload, Clone, Copy)]
+/// #[repr(C)]
+/// struct Seen { seen: bool }
+/// ```
 /// A unit that nobody knows is refused, with what was probably meant ("did you mean `N.mm`?"):
 /// ```compile_fail
 /// use trocar_sdk::prelude::*;
@@ -32,6 +39,14 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 /// # Safety
 /// The type is `repr(C)` or `repr(transparent)`, has no padding, no pointers, is valid for every bit pattern, is
 /// aligned to at most 8 bytes, and `DESC` says exactly where its fields are.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no payload: it cannot cross a port or stand in the state table",
+    label = "not plain data of a fixed layout",
+    note = "instead of `bool` write `Flag`, of `String` `Text<N>`, of `Vec<T>` `List<T, N>`, of an enum `named_values!`, of \
+            `usize` `u64`",
+    note = "a struct of one's own needs `#[derive(Payload, Clone, Copy)] #[repr(C)]`; what nobody else sees goes into a field \
+            without an attribute"
+)]
 pub unsafe trait Payload: Copy + Send + Sync + 'static {
     const DESC: &'static TypeDesc;
     /// How the bytes behind this header are read when it heads a frame ("image", "spectra"), else empty.

@@ -44,6 +44,31 @@ pub const fn port_type<P: Flow>(format: &'static str, max_bytes: usize) -> PortT
     }
 }
 
+/// The payload of an input or output; none of an untyped one.
+pub const fn payload_of(port: PortType) -> Option<&'static TypeDesc> {
+    match port {
+        PortType::Plain(ty) | PortType::Frame { header: ty, .. } => Some(ty),
+        PortType::Any => None,
+    }
+}
+
+/// Fails the build where a coordinate frame is said of payloads without coordinates.
+pub const fn frame_fits(payloads: &[Option<&'static TypeDesc>]) {
+    let mut i = 0;
+    while i < payloads.len() {
+        if let Some(ty) = payloads[i]
+            && ty.takes_frame()
+        {
+            return;
+        }
+        i += 1;
+    }
+    panic!(
+        "nothing here can be in a coordinate frame: a payload is wanted with coordinates (arrays of f64 or f32 in a struct, \
+         such as the position of a Pose) whose fields do not say already in which frame they are"
+    );
+}
+
 /// The slot tables during `bind`. Made by the shims after the counts were compared with the description.
 pub struct Binder<'a> {
     ports: &'a Ports,

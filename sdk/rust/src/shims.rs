@@ -1,6 +1,8 @@
 //! The C table of a class: every entry guarded, every pointer turned into a typed reference in one place.
 //!
-//! Invariant: `this` is always a `Box<Instance<C>>` made by `create`; the LCM serialises the calls on it.
+//! Invariant: `this` is always a `Box<Instance<C>>` made by `create`; the LCM serialises the calls on it, but for `make_safe`
+//! of a class with `safe_from_any_thread`, which may run beside any other. So no entry borrows the whole `Instance`, and
+//! that one touches only its handle.
 
 use crate::call::Call;
 use crate::component::{Class, Tick};
@@ -9,16 +11,27 @@ use crate::guard::{Chain, guard, refuse, settle};
 use crate::host::Host;
 use crate::payload::Payload;
 use crate::ports::Binder;
+use crate::safe::MakeSafe;
 use core::ffi::c_void;
 use core::marker::PhantomData;
 use serde_json::Value as Json;
+use std::sync::Arc;
 use trocar_plugin_api::abi::{
     self, Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_INVALID, STATUS_OK, Sink, Status,
 };
 
 struct Instance<C> {
+    /// Reached by one entry at a time, through [`component`].
     component: C,
+    /// Never changes after `create`.
+    beside: Beside,
+}
+
+/// What may be read while an entry is inside the component.
+struct Beside {
     host: Host,
+    /// Of a class with `safe_from_any_thread`.
+    safe: Option<Arc<dyn MakeSafe>>,
 }
 
 /// Holds the table of `C`.
@@ -61,11 +74,20 @@ unsafe fn slice<'a>(bytes: Bytes) -> &'a [u8] {
 }
 
 /// # Safety
-/// `this` comes from `create::<C>` and nobody else uses it during `'a`.
+/// `this` comes from `create::<C>`, and no other entry has its component during `'a`.
 #[inline]
-unsafe fn instance<'a, C>(this: *mut c_void) -> &'a mut Instance<C> {
-    // SAFETY: by the caller's promise a live, exclusively used `Instance<C>`.
-    unsafe { &mut *this.cast::<Instance<C>>() }
+unsafe fn component<'a, C>(this: *mut c_void) -> &'a mut C {
+    // SAFETY: by the caller's promise a live instance whose component nobody else uses; the rest of it is not borrowed.
+    unsafe { &mut (*this.cast::<Instance<C>>()).component }
+}
+
+/// # Safety
+/// `this` comes from `create::<C>` and lives during `'a`; other entries may be inside its component.
+#[inline]
+unsafe fn beside<'a, C>(this: *mut c_void) -> &'a Beside {
+    // SAFETY: by the caller's promise a live instance; this part of it is never written after `create`, and the
+    // component is not borrowed.
+    unsafe { &(*this.cast::<Instance<C>>()).beside }
 }
 
 unsafe extern "C" fn create<C: Class>(
@@ -81,7 +103,8 @@ unsafe extern "C" fn create<C: Class>(
         // SAFETY: the name is readable during the call, the table until destroy.
         let host = unsafe { Host::new(host, &String::from_utf8_lossy(slice(instance_name))) };
         let component = C::create(host.clone());
-        made = Box::into_raw(Box::new(Instance { component, host })).cast();
+        let safe = component.safe_handle();
+        made = Box::into_raw(Box::new(Instance { component, beside: Beside { host, safe } })).cast();
         STATUS_OK
     });
     made
@@ -100,14 +123,14 @@ unsafe extern "C" fn destroy<C: Class>(this: *mut c_void) {
 unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status {
     guard(err, || {
         // SAFETY: the table's contract: serialised calls on a live instance, readable bytes.
-        let (instance, json) = unsafe { (instance::<C>(this), slice(json)) };
+        let (component, json) = unsafe { (component::<C>(this), slice(json)) };
         let parsed: Result<JsonObject, _> = match json {
             [] => Ok(JsonObject::new()),
             json => serde_json::from_slice::<Json>(json).and_then(serde_json::from_value),
         };
         match parsed {
             Err(e) => refuse(err, STATUS_INVALID, &format_args!("the configuration is no JSON object: {e}")),
-            Ok(object) => match instance.component.apply(&object) {
+            Ok(object) => match component.apply(&object) {
                 Ok(()) => STATUS_OK,
                 Err(e) => refuse(err, STATUS_INVALID, &Chain(&*e)),
             },
@@ -118,15 +141,15 @@ unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *m
 unsafe extern "C" fn describe<C: Class>(this: *mut c_void, sink: *const Sink) -> Status {
     guard(core::ptr::null_mut(), || {
         // SAFETY: a live instance and a sink that is valid for the call.
-        let (instance, sink) = unsafe { (instance::<C>(this), &*sink) };
-        let text = match crate::describe::build(&instance.component) {
+        let (component, beside, sink) = unsafe { (component::<C>(this), beside::<C>(this), &*sink) };
+        let text = match crate::describe::build(component) {
             Ok(json) => json.to_string(),
             Err(e) => {
-                log::error!("{}: {e}", instance.host.instance_name());
+                log::error!("{}: {e}", beside.host.instance_name());
                 return STATUS_INVALID;
             }
         };
-        instance.component.freeze();
+        component.freeze();
         // SAFETY: the sink's own context; the bytes live through the call.
         unsafe { (sink.write)(sink.ctx, Bytes { ptr: text.as_ptr(), len: text.len() }) };
         STATUS_OK
@@ -136,9 +159,9 @@ unsafe extern "C" fn describe<C: Class>(this: *mut c_void, sink: *const Sink) ->
 unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status {
     guard(err, || {
         // SAFETY: a live instance; the slot tables are valid until the next bind or destroy.
-        let (instance, ports) = unsafe { (instance::<C>(this), &*ports) };
+        let (component, beside, ports) = unsafe { (component::<C>(this), beside::<C>(this), &*ports) };
         let given = [ports.input_count, ports.output_count, ports.function_count, ports.event_count];
-        let wanted = slot_counts(&instance.component);
+        let wanted = slot_counts(component);
         if given != wanted {
             return refuse(
                 err,
@@ -150,9 +173,9 @@ unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err:
             );
         }
         // SAFETY: counts agree; the host made the slots from the manifest or the last description.
-        instance.component.bind(&unsafe { Binder::new(ports, &instance.host) });
+        component.bind(&unsafe { Binder::new(ports, &beside.host) });
         if !C::DESCRIPTION.is_empty() {
-            instance.component.ports_changed();
+            component.ports_changed();
         }
         STATUS_OK
     })
@@ -173,19 +196,31 @@ macro_rules! plain_entries {
     ($($name:ident),*) => {$(
         unsafe extern "C" fn $name<C: Class>(this: *mut c_void, err: *mut ErrBuf) -> Status {
             // SAFETY: the table's contract: serialised calls on a live instance.
-            guard(err, || settle(err, unsafe { instance::<C>(this) }.component.$name()))
+            guard(err, || settle(err, unsafe { component::<C>(this) }.$name()))
         }
     )*};
 }
-plain_entries!(start, stop, resume, make_safe);
+plain_entries!(start, stop, resume);
+
+unsafe extern "C" fn make_safe<C: Class>(this: *mut c_void, err: *mut ErrBuf) -> Status {
+    guard(err, || {
+        // SAFETY: a live instance; the component is left alone.
+        match unsafe { &beside::<C>(this).safe } {
+            Some(handle) => settle(err, handle.make_safe()),
+            // SAFETY: a class without a handle does not say `safe_from_any_thread`: the call is serialised as any other.
+            None => settle(err, unsafe { component::<C>(this) }.make_safe()),
+        }
+    })
+}
 
 unsafe extern "C" fn step<C: Class>(this: *mut c_void, tick: *const abi::Tick, err: *mut ErrBuf) -> Status {
     // SAFETY: the table's contract; `Tick` is transparent over `abi::Tick`.
-    let (instance, tick) = unsafe { (instance::<C>(this), &*tick.cast::<Tick>()) };
-    instance.host.step_begins(tick.0.now_ns);
-    let component = &mut instance.component;
+    let (component, host) = unsafe { (component::<C>(this), &beside::<C>(this).host) };
+    // SAFETY: as above.
+    let tick = unsafe { &*tick.cast::<Tick>() };
+    host.step_begins(tick.0.now_ns);
     let status = guard(err, || settle(err, component.step(tick)));
-    instance.host.step_ended();
+    host.step_ended();
     status
 }
 
@@ -197,7 +232,7 @@ unsafe extern "C" fn command<C: Class>(
     err: *mut ErrBuf,
 ) -> Status {
     // SAFETY: the table's contract: a live instance, pointers to the described types.
-    guard(err, || unsafe { instance::<C>(this).component.command(id, &mut Call::new(arg, ret, err)) })
+    guard(err, || unsafe { component::<C>(this).command(id, &mut Call::new(arg, ret, err)) })
 }
 
 unsafe extern "C" fn read<C: Class>(
@@ -234,7 +269,7 @@ unsafe extern "C" fn on_event<C: Class>(
         // SAFETY: the table's contract: a live instance, a payload of the described type.
         unsafe {
             let mut call = Call::new(payload, core::ptr::null_mut(), err);
-            instance::<C>(this).component.on_event(id, &mut call)
+            component::<C>(this).on_event(id, &mut call)
         }
     })
 }
@@ -243,14 +278,14 @@ unsafe extern "C" fn on_service<C: Class>(this: *mut c_void, token: u64, reply: 
     let no_buffer = core::ptr::null_mut();
     guard(no_buffer, || {
         // SAFETY: a live instance and readable bytes.
-        let (instance, reply) = unsafe { (instance::<C>(this), slice(reply)) };
-        settle(no_buffer, instance.component.service_reply(token, &String::from_utf8_lossy(reply)))
+        let (component, reply) = unsafe { (component::<C>(this), slice(reply)) };
+        settle(no_buffer, component.service_reply(token, &String::from_utf8_lossy(reply)))
     })
 }
 
 unsafe extern "C" fn state_copy<C: Class>(this: *mut c_void, dst: *mut c_void, len: usize) {
     // SAFETY: a live instance; only fields are copied here, so nothing can panic.
-    let row = unsafe { instance::<C>(this) }.component.state();
+    let row = unsafe { component::<C>(this) }.state();
     if len >= size_of::<C::State>() {
         // SAFETY: the host gives `len` writable bytes.
         unsafe { dst.cast::<C::State>().write_unaligned(row) };
@@ -260,8 +295,8 @@ unsafe extern "C" fn state_copy<C: Class>(this: *mut c_void, dst: *mut c_void, l
 unsafe extern "C" fn snapshot<C: Class>(this: *mut c_void, sink: *const Sink) -> Status {
     guard(core::ptr::null_mut(), || {
         // SAFETY: a live instance and a sink that is valid for the call.
-        let (instance, sink) = unsafe { (instance::<C>(this), &*sink) };
-        let taken = instance.component.snapshot();
+        let (component, sink) = unsafe { (component::<C>(this), &*sink) };
+        let taken = component.snapshot();
         if !taken.is_empty() {
             // SAFETY: the sink's own context; the bytes live through the call.
             unsafe { (sink.write)(sink.ctx, Bytes { ptr: taken.as_ptr(), len: taken.len() }) };
@@ -278,16 +313,16 @@ unsafe extern "C" fn restore<C: Class>(
 ) -> Status {
     guard(err, || {
         // SAFETY: a live instance and readable bytes.
-        let (instance, state, taken) = unsafe { (instance::<C>(this), slice(state), slice(snapshot)) };
+        let (component, state, taken) = unsafe { (component::<C>(this), slice(state), slice(snapshot)) };
         if !state.is_empty() {
             let Some(row) = crate::payload::from_bytes::<C::State>(state) else {
                 let want = size_of::<C::State>();
                 let why = format_args!("the state block has {} bytes, this class's has {want}", state.len());
                 return refuse(err, STATUS_INVALID, &why);
             };
-            instance.component.set_state(&row);
+            component.set_state(&row);
         }
-        settle(err, if taken.is_empty() { Ok(()) } else { instance.component.restore(taken) })
+        settle(err, if taken.is_empty() { Ok(()) } else { component.restore(taken) })
     })
 }
 

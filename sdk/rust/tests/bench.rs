@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_sdk::data::Scalar;
 use trocar_sdk::prelude::*;
-use trocar_sdk::testing::Bench;
+use trocar_sdk::testing::{Bench, Life};
 use trocar_sdk::{ServiceReply, serde_json::json};
 
 trocar_sdk::testing::count_allocations!();
@@ -270,6 +270,109 @@ fn a_step_that_fails_makes_the_component_safe() {
     bench.push("x", x(f64::NAN));
     let failed = bench.try_step().unwrap_err();
     assert_eq!((failed.reason.as_str(), bench.made_safe()), ("the signal is no number", 1));
+}
+
+/// Breaks wherever it is entered and told to.
+#[derive(Component)]
+#[component(rate_hz = 1000, provides("ctl"), requires("robot"))]
+struct Brittle {
+    #[state]
+    count: u64,
+}
+
+#[provides("ctl")]
+impl Brittle {
+    #[command]
+    fn explode(&mut self) {
+        panic!("a fuse is blown");
+    }
+    #[command]
+    fn refuse(&mut self) -> Result {
+        Err("not today".into())
+    }
+    #[command]
+    fn count(&mut self) {
+        self.count += 1;
+    }
+    #[read]
+    fn counted(s: &BrittleState) -> u64 {
+        s.count
+    }
+}
+
+#[handles("robot")]
+impl Brittle {
+    #[on]
+    fn fell(&mut self, from: f64) {
+        assert!(from < 1.0, "it fell from {from} m");
+    }
+}
+
+impl Component for Brittle {
+    fn step(&mut self, _: &Tick) -> Result {
+        self.count += 1;
+        Ok(())
+    }
+}
+
+#[test]
+fn after_a_panic_in_a_command_it_is_safe_and_in_fault_and_nothing_but_reset_leads_on() {
+    let mut bench = Bench::<Brittle>::new("{}");
+    bench.step(1);
+    assert_eq!(bench.command::<(), ()>("refuse", ()).unwrap_err().reason, "not today");
+    assert_eq!((bench.life(), bench.made_safe()), (Life::Active, 0), "a refusal is no failure");
+    assert!(bench.command::<(), ()>("ctl/explode", ()).unwrap_err().panicked());
+    assert_eq!((bench.life(), bench.made_safe()), (Life::Fault, 1));
+
+    let refused = bench.command::<(), ()>("count", ()).unwrap_err();
+    assert!(!refused.panicked());
+    assert!(
+        refused.reason.starts_with("NOT_ACTIVE: ctl/count: it is in FAULT (command ctl/explode: panicked"),
+        "{refused}"
+    );
+    let now = bench.now();
+    for refused in [
+        bench.try_step(),
+        bench.start(),
+        bench.resume(),
+        bench.configure("{}"),
+        bench.emit("fell", 0.5),
+        bench.reply(1, "{}"),
+    ] {
+        assert!(refused.unwrap_err().reason.contains("in FAULT"));
+    }
+    bench.stop().unwrap();
+    assert_eq!((bench.life(), bench.made_safe(), bench.now()), (Life::Fault, 1, now));
+    assert_eq!(bench.read::<(), u64>("counted", ()), Ok(1), "its last row stands");
+
+    bench.reset().unwrap();
+    assert_eq!(bench.life(), Life::Ready);
+    bench.start().unwrap();
+    bench.command::<(), ()>("count", ()).unwrap();
+    assert!(bench.emit("fell", 2.0).unwrap_err().panicked());
+    assert_eq!(bench.life(), Life::Fault, "and a handler's panic is no better");
+}
+
+#[test]
+fn what_does_not_run_takes_no_commands_and_makes_no_steps() {
+    let mut bench = Bench::<Brittle>::created();
+    assert!(bench.start().unwrap_err().reason.contains("it is CREATED, and has to be READY or STOPPED"));
+    bench.configure("{}").unwrap();
+    assert_eq!(bench.life(), Life::Ready);
+    for refused in [bench.command::<(), ()>("count", ()), bench.try_step(), bench.emit("fell", 0.5)] {
+        let reason = refused.unwrap_err().reason;
+        assert!(
+            reason.starts_with("NOT_ACTIVE: ") && reason.ends_with("it is READY, and has to be ACTIVE"),
+            "{reason}"
+        );
+    }
+    assert!(bench.resume().is_err(), "it never ran");
+    bench.start().unwrap();
+    assert!(bench.start().is_err(), "it runs");
+    bench.command::<(), ()>("count", ()).unwrap();
+    bench.stop().unwrap();
+    bench.stop().unwrap();
+    assert_eq!((bench.life(), bench.made_safe(), bench.state().count), (Life::Stopped, 1, 1));
 }
 
 #[test]

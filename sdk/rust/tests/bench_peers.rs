@@ -206,7 +206,7 @@ fn an_argument_beyond_its_limits_never_reaches_the_component() {
     for (value, told) in [
         (100.5, "value 100.5 is above maximum 100 mm"),
         (-2.0, "value -2 is below minimum -1 mm"),
-        (f64::NAN, "value NaN is not a number within the limits mm"),
+        (f64::NAN, "value NaN is not a number; the limits are -1 to 100 mm"),
     ] {
         let refused = bench.command::<f64, ()>("set", value).unwrap_err();
         assert_eq!((refused.status, refused.reason.as_str()), (STATUS_INVALID, told));

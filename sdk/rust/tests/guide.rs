@@ -4,12 +4,13 @@
 use std::path::{Path, PathBuf};
 
 /// Compiled files the guide may quote.
-const SOURCES: [&str; 5] = [
+const SOURCES: [&str; 6] = [
     "plugins/filters/src/low_pass.rs",
     "plugins/filters/src/low_pass/tests.rs",
     "plugins/example/src/server.rs",
     "sdk/rust/tests/guide_examples.rs",
-    "tests/it/embedding.rs",
+    "sdk/rust/tests/guide_devices.rs",
+    "tests/it/plugin_guide/embedded.rs",
 ];
 
 fn repository() -> PathBuf {

@@ -117,12 +117,13 @@ impl Component for Negative {
 struct Builder {
     #[host]
     host: Host,
+    /// The token of what was asked for.
     making: Option<u64>,
 }
 
 impl Component for Builder {
     fn start(&mut self) -> Result {
-        self.making = self.host.services().create("host/source", "sine", json!({"rate_hz": 100})).ok();
+        self.making = self.host.services().create("host/source", "sine", json!({"frequency_hz": 2.0})).ok();
         Ok(())
     }
     fn answered(&mut self, reply: ServiceReply) -> Result {

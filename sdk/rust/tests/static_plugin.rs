@@ -1,6 +1,7 @@
 //! Plugins without a file: several in one executable, each with its manifest and its tables.
 #![allow(clippy::unwrap_used)]
 
+use std::sync::Arc;
 use trocar_plugin_api::manifest::Manifest;
 use trocar_sdk::prelude::*;
 use trocar_sdk::{StaticPlugin, static_plugin};
@@ -28,7 +29,24 @@ impl Component for Listener {}
 
 #[derive(Component)]
 #[component(safety = "actuator", hardware, safe_from_any_thread, rate_hz = 250)]
-struct Motor {}
+struct Motor {
+    brake: Arc<Brake>,
+}
+
+#[derive(Default)]
+struct Brake {}
+
+impl MakeSafe for Brake {
+    fn make_safe(&self) -> Result {
+        Ok(())
+    }
+}
+
+impl SafeFromAnyThread for Motor {
+    fn safe_handle(&self) -> Arc<dyn MakeSafe> {
+        self.brake.clone()
+    }
+}
 
 impl Component for Motor {}
 

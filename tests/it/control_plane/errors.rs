@@ -227,6 +227,41 @@ rows! {
         Stage::new(&["fixture_echo"]).with(&[("e", "echo")])
             .refuses("GcmService/WaitFor", json!({ "path": "host/e/ctl/echoed", "deadline": "0.1s" }));
 
+    an_output_without_a_sample "DEADLINE_EXCEEDED" "NO_SAMPLE" ["host/s/value", "its component is READY"]
+        Stage::new(&["sine"]).with(&[("s", "sine")])
+            .refuses("InteractService/Read", json!({ "path": "host/s/value" }));
+
+    an_interface_that_is_read "INVALID_ARGUMENT" "ARGUMENT_INVALID"
+        ["a provided interface", "only outputs can be read", "value"]
+        Stage::new(&["sine"]).with(&[("s", "sine")])
+            .refuses("InteractService/Read", json!({ "path": "host/s/system" }));
+
+    a_create_with_two_names "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["host/q", "\"z\""]
+        Stage::new(&["sine"]).refuses("GcmService/Create",
+            json!({ "path": "host/q", "process": "host", "name": "z", "class": "sine" }));
+
+    a_rate_of_zero "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["0 Hz is not a rate"]
+        Stage::new(&["sine"]).refuses("GcmService/Create",
+            json!({ "path": "host/s", "class": "sine", "execution": { "rate_hz": 0 } }));
+
+    a_rate_beyond_its_limit_is_told_in_hz "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["1000000000000 Hz is outside", "1000000 Hz"]
+        Stage::new(&["sine"]).refuses("GcmService/Create",
+            json!({ "path": "host/s", "class": "sine", "execution": { "rate_hz": 1e12 } }));
+
+    callbacks_for_a_class_without_a_device "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["on_callback", "would never run"]
+        Stage::new(&["sine"]).refuses("GcmService/Create",
+            json!({ "path": "host/s", "class": "sine", "execution": { "model": "on_callback" } }));
+
+    a_configure_of_nothing "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["nothing is to change"]
+        Stage::new(&["sine"]).with(&[("s", "sine")]).refuses("GcmService/Configure", json!({ "path": "host/s" }));
+
+    an_unknown_setting_that_is_taken_away "INVALID_ARGUMENT" "CONFIG_INVALID" ["x is unknown"]
+        Stage::new(&["sine"]).with(&[("s", "sine")])
+            .refuses("GcmService/Configure", json!({ "path": "host/s", "config": { "x": null } }));
+
+    an_apply_of_nothing "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["it has no step"]
+        Stage::new(&["sine"]).refuses("GcmService/Apply", json!({}));
+
     an_argument_above_its_maximum "INVALID_ARGUMENT" "ARGUMENT_INVALID" ["300", "100", "mm"]
         Stage::new(&["example"]).with(&[("s", "Server")]).started("s")
             .refuses_invoke("host/s/Provided/Write", json!(300));

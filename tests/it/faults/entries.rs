@@ -5,7 +5,7 @@
 use std::thread;
 
 use serde_json::{Value, json};
-use trocar_tests::{Failure, eventually};
+use trocar_tests::{Failure, Grpcurl, eventually};
 
 use super::Scene;
 use super::manners::is_warning;
@@ -84,6 +84,28 @@ fn a_panic_in_a_read_is_its_caller_s_refusal_and_named_at_the_component() {
 }
 
 #[test]
+fn an_error_in_a_read_is_its_caller_s_refusal_and_nothing_else() {
+    let scene = Scene::new();
+    scene.bystander.undisturbed_by("an error in a read", || {
+        scene.provoke(json!({ "error_in": "read" }));
+        let read = json!({ "path": "host/c/ctl/steps" });
+        let refused = eventually("a read is refused", || {
+            match scene.grpc.call("InteractService/Invoke", read.clone()) {
+                Err(refused) => Ok(refused),
+                Ok(answer) => Err(answer),
+            }
+        });
+        assert_eq!(refused.reason, "COMMAND_FAILED", "{refused}");
+        assert!(refused.message.contains("chaos in read"), "{refused}");
+        let component = scene.grpc.component("host/c");
+        assert_eq!(component["state"], "COMPONENT_STATE_ACTIVE", "{component}");
+        assert_eq!(component["health"], "HEALTH_OK", "it did as it was written to: {component}");
+        assert!(!component["stats"]["warnings"].to_string().contains("read"), "{component}");
+        scene.clear();
+    });
+}
+
+#[test]
 fn an_error_in_any_entry_is_told_in_the_component_s_own_words() {
     let scene = Scene::new();
     scene.bystander.undisturbed_by("an error in each entry", || {
@@ -144,10 +166,76 @@ fn a_hang_in_a_running_entry_is_named_with_the_entry_while_it_lasts() {
                     call("InteractService/Invoke", &format!("{at}/ctl/poke"));
                 }
             });
-            let words = format!("it has not come back out of its {entry} for");
+            let inside = if entry == "command" { "command ctl/poke, which may take" } else { entry };
+            let words = format!("it has not come back out of its {inside}");
             events.until(&words, |item| is_warning(item, &words));
             scene.grpc.ok("GcmService/Remove", json!({ "path": path, "force": true }));
             caller.join().unwrap();
+        });
+    }
+}
+
+/// Brings a component of its own to the entry it never comes back out of; the last call waits for up to 60 s.
+fn hang(grpc: &Grpcurl, path: &str, entry: &'static str) -> thread::JoinHandle<Result<Value, Failure>> {
+    // grpcurl allows as much as the server does: 60 s.
+    let patient = grpc.clone();
+    let hanging = json!({ "hang_in": entry });
+    let (verb, body) = match entry {
+        "create" => ("Create", json!({ "path": path, "class": "hangs_in_create" })),
+        "configure" => {
+            grpc.create(path, "chaos", json!({}));
+            ("Configure", json!({ "path": path, "config": hanging }))
+        }
+        _ => {
+            grpc.create(path, "chaos", hanging);
+            if entry == "stop" {
+                grpc.start(path);
+            }
+            (if entry == "stop" { "Stop" } else { "Start" }, json!({ "path": path }))
+        }
+    };
+    thread::spawn(move || patient.call(&format!("GcmService/{verb}"), body))
+}
+
+#[test]
+fn a_hang_in_create_configure_start_or_stop_is_named_and_holds_up_nobody_else() {
+    let scene = Scene::new();
+    scene.grpc.create("host/peer", "chaos", json!({}));
+    let mut round = 0;
+    for entry in ["create", "configure", "start", "stop"] {
+        scene.bystander.undisturbed_by(&format!("a hang in {entry}"), || {
+            round += 1;
+            let path = format!("host/hanging-{round}");
+            let caller = hang(&scene.grpc, &path, entry);
+            let words = format!("it has not come back out of its {entry}");
+            eventually("the log names it with the entry", || {
+                let said = scene.host.printed();
+                let named = said.lines().any(|line| line.contains(&path) && line.contains(&words));
+                if named { Ok(()) } else { Err(said) }
+            });
+            if entry != "create" {
+                let component = scene.grpc.component(&path);
+                assert_eq!(component["health"], "HEALTH_UNRESPONSIVE", "{component}");
+                assert!(component["stats"]["warnings"].to_string().contains(&words), "{component}");
+            }
+            // The LCM answers, and others are changed, while the caller still waits.
+            let other = format!("host/other-{round}");
+            scene.grpc.create(&other, "chaos", json!({}));
+            scene.grpc.connect(&format!("{other}/peer"), "host/peer/ctl");
+            scene.grpc.start(&other);
+            scene.grpc.stop(&other);
+            scene.grpc.ok("GcmService/List", json!({}));
+            scene.grpc.ok("GcmService/Remove", json!({ "path": other, "force": true }));
+            let removed = scene.grpc.call("GcmService/Remove", json!({ "path": path, "force": true }));
+            if entry == "create" {
+                // It is not there as long as it is being made.
+                assert_eq!(removed.unwrap_err().reason, "COMPONENT_NOT_FOUND");
+            } else {
+                let left = scene.grpc.refused("GcmService/GetState", json!({ "path": path }));
+                assert_eq!(left.reason, "COMPONENT_NOT_FOUND", "{removed:?}");
+                let refused = caller.join().unwrap().unwrap_err();
+                assert!(!refused.reason.is_empty(), "{refused}");
+            }
         });
     }
 }

@@ -10,13 +10,14 @@ use super::Scene;
 fn absurd_executions_are_refused_with_field_value_and_limits() {
     let scene = Scene::new();
     let cases: &[(Value, &str, &[&str])] = &[
-        (json!({ "period": "0s" }), "execution.rate_hz", &["0", "1 µs to 3600 s"]),
+        (json!({ "period": "0s" }), "execution.period", &["0 ns", "1 µs to 3600 s"]),
         (json!({ "period": "-1s" }), "execution.period", &["-1"]),
-        (json!({ "period": "0.000000001s" }), "execution.rate_hz", &["1 ns", "1 µs to 3600 s"]),
-        (json!({ "period": "9000000000s" }), "execution.rate_hz", &["1 µs to 3600 s"]),
+        (json!({ "period": "0.000000001s" }), "execution.period", &["1 ns", "1 µs to 3600 s"]),
+        (json!({ "period": "3600.000000001s" }), "execution.period", &["1 µs to 3600 s"]),
+        (json!({ "period": "9000000000s" }), "execution.period", &["1 µs to 3600 s"]),
         (json!({ "rate_hz": -5 }), "execution.rate_hz", &["-5"]),
-        (json!({ "rate_hz": 1e300 }), "execution.rate_hz", &["1 µs to 3600 s"]),
-        (json!({ "rate_hz": 1e-300 }), "execution.rate_hz", &["1 µs to 3600 s"]),
+        (json!({ "rate_hz": 1e300 }), "execution.rate_hz", &["1e300 Hz", "one step an hour to 1000000 Hz"]),
+        (json!({ "rate_hz": 1e-300 }), "execution.rate_hz", &["1e-300 Hz", "one step an hour to 1000000 Hz"]),
         (json!({ "rate_hz": "NaN" }), "execution.rate_hz", &["NaN"]),
         (json!({ "rate_hz": "Infinity" }), "execution.rate_hz", &["inf"]),
         (json!({ "history": 0 }), "execution.history", &["0 rows", "3 to 65536"]),
@@ -68,14 +69,33 @@ fn absurd_executions_are_refused_with_field_value_and_limits() {
 }
 
 #[test]
+fn a_history_that_takes_too_many_bytes_is_refused_with_rows_bytes_and_the_limit() {
+    let scene = Scene::new();
+    let rows = |n: u64| json!({ "history": n });
+    let wide = |n: u64| json!({ "path": "host/w", "class": "wide", "execution": rows(n) });
+    // 32768 rows of 8 KiB are 256 MiB, exactly what is allowed.
+    let refused = scene.grpc.refused("GcmService/Create", wide(32_769));
+    assert_eq!(refused.violated_fields(), ["execution.history"], "{refused}");
+    for word in ["32769 rows of 8192 bytes", "256 MiB"] {
+        assert!(refused.message.contains(word), "{refused}");
+    }
+    scene.grpc.create_with("host/w", "wide", json!({}), rows(16));
+    let refused =
+        scene.grpc.refused("GcmService/Configure", json!({ "path": "host/w", "execution": rows(65_536) }));
+    assert_eq!(refused.violated_fields(), ["execution.history"], "{refused}");
+    assert_eq!(scene.grpc.component("host/w")["execution"]["history"], 16, "nothing is changed");
+    scene.grpc.start("host/w");
+}
+
+#[test]
 fn absurd_depths_of_queues_and_mailboxes_are_refused_with_field_value_and_limits() {
     let scene = Scene::new();
     scene.grpc.create("host/a", "chaos", json!({}));
     scene.grpc.create("host/b", "chaos", json!({}));
     let cases: &[(Value, &str, &[&str])] = &[
-        (json!({ "mailbox": 0 }), "options.mailbox", &["1 or more"]),
-        (json!({ "mailbox": 65_537 }), "options.mailbox", &["65537", "65536"]),
-        (json!({ "mailbox": 4_294_967_295_u32 }), "options.mailbox", &["4294967295", "65536"]),
+        (json!({ "mailbox": 0 }), "options.mailbox", &["0", "1 to 65536"]),
+        (json!({ "mailbox": 65_537 }), "options.mailbox", &["65537", "1 to 65536"]),
+        (json!({ "mailbox": 4_294_967_295_u32 }), "options.mailbox", &["4294967295", "1 to 65536"]),
         (json!({ "queue": { "fifo": 8 } }), "options.queue", &["mailbox"]),
         (json!({ "deadline": "0s" }), "options.deadline", &["1 ns to 3600 s"]),
         (json!({ "deadline": "-1s" }), "options.deadline", &["-1"]),
@@ -111,7 +131,7 @@ fn an_absurd_depth_of_a_stream_is_refused_with_field_value_and_limits() {
         let body = json!({ "client": "host/e/sample", "server": "host/s/value", "options": options });
         let refused = scene.grpc.refused("GcmService/Connect", body);
         assert_eq!(refused.violated_fields(), ["options.queue.fifo"], "{refused}");
-        let words = format!("{depth} is more than 65536");
+        let words = format!("room for {depth} is outside 1 to 65536");
         assert!(refused.message.contains(&words), "{refused}");
     }
     scene.grpc.connect("host/e/sample", "host/s/value");
@@ -136,6 +156,31 @@ fn components_cannot_run_inside_each_other_in_a_circle() {
         scene.grpc.start(path);
     }
     scene.grpc.await_state("host/c", "ACTIVE");
+}
+
+#[test]
+fn passive_components_that_call_each_other_in_a_circle_neither_hang_nor_call_for_ever() {
+    let scene = Scene::new();
+    for path in ["host/a", "host/b", "host/c"] {
+        scene.grpc.create_with(path, "chaos", json!({}), json!({ "model": "none" }));
+    }
+    for (client, server) in [("host/a", "host/b"), ("host/b", "host/c"), ("host/c", "host/a")] {
+        scene.grpc.connect(&format!("{client}/peer"), &format!("{server}/ctl"));
+    }
+    for path in ["host/a", "host/b", "host/c"] {
+        scene.grpc.start(path);
+    }
+    // Where the circle closes somebody is inside already, who is not entered again.
+    let asked = scene.grpc.invoke("host/a/ctl/relay", Value::Null);
+    assert_eq!(
+        asked.to_string().trim_matches(['"', '\\']),
+        "2",
+        "two others are asked, and not the first again"
+    );
+    for path in ["host/a", "host/b", "host/c"] {
+        scene.grpc.invoke(&format!("{path}/ctl/count"), Value::Null);
+        assert_eq!(scene.grpc.state(path), "ACTIVE");
+    }
 }
 
 #[test]

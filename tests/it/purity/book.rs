@@ -39,9 +39,7 @@ pub(super) const AND_YIELD: Excused = Excused {
     orders: false,
 };
 /// Of one whose step is shared by several threads: they wake and await each other in it.
-pub(super) const AND_TEAM: Excused = AND_WAKES_INSIDE;
-/// Of a device's thread: it wakes others at once.
-pub(super) const AND_WAKES_INSIDE: Excused = Excused { inside: &[libc::SYS_futex], ..SLEEP_AND_WAKE };
+pub(super) const AND_TEAM: Excused = Excused { inside: &[libc::SYS_futex], ..SLEEP_AND_WAKE };
 
 /// Of one watched thread.
 pub(super) struct Book {

@@ -153,6 +153,14 @@ impl Answer {
         self.outcomes.iter().find(|(o, _)| *o == outcome).map_or(0, |(_, n)| *n)
     }
 
+    /// Leaves out so many of an outcome; without effect where there are not as many.
+    pub(super) fn take(&mut self, outcome: Outcome, n: u64) {
+        if let Some((_, count)) = self.outcomes.iter_mut().find(|(o, count)| *o == outcome && *count >= n) {
+            *count -= n;
+        }
+        self.outcomes.retain(|(_, count)| *count > 0);
+    }
+
     /// The one outcome there was.
     ///
     /// # Panics

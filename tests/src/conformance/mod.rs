@@ -6,11 +6,14 @@
 mod answer;
 pub mod cases;
 mod language;
+mod looking;
+pub mod matrix;
 pub mod random;
+mod waiting;
 mod way;
 mod world;
 
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::Language;
-pub use way::{Deployment, ExecIn, ExecOut, OtherThread, Passive, SameStream, Way};
+pub use way::{Deployment, ExecIn, ExecOut, OtherThread, Passive, Reach, SameStream, Told, Way};
 pub use world::Lab;

@@ -6,9 +6,31 @@ use trocar::model::{Execution, ExecutionModel};
 
 use super::Language;
 
+/// How a command of the client gets to the server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// Through a queue, to the server's own thread.
+    Queue,
+    /// Directly: both share a thread. From another thread through a queue.
+    Thread,
+    /// Directly, in whatever thread calls: the server has none of its own.
+    Caller,
+}
+
+impl Reach {
+    pub const ALL: [Reach; 3] = [Reach::Queue, Reach::Thread, Reach::Caller];
+}
+
 /// Where client and server run.
 pub trait Deployment: Sync {
     fn name(&self) -> &'static str;
+    fn reach(&self) -> Reach {
+        match (self.client_leads(), self.inline()) {
+            (true, _) => Reach::Thread,
+            (false, true) => Reach::Caller,
+            (false, false) => Reach::Queue,
+        }
+    }
     /// The client's commands reach the server without a queue.
     fn inline(&self) -> bool;
     /// Execution of the client `host/client`, which is made first when [`Deployment::client_leads`].
@@ -23,10 +45,6 @@ pub trait Deployment: Sync {
     fn server_steps(&self) -> bool {
         true
     }
-    /// A call from another thread waits in a queue while the server is busy; else it waits for the server itself.
-    fn queues_when_busy(&self) -> bool {
-        true
-    }
 }
 
 /// A deployment and a language: what a case is given.
@@ -34,6 +52,24 @@ pub trait Deployment: Sync {
 pub struct Way {
     pub deployment: &'static dyn Deployment,
     pub language: Language,
+}
+
+impl Way {
+    /// Names deployment and language beside whatever fails until the answer is dropped.
+    #[must_use]
+    pub fn told_in_a_failure(self) -> Told {
+        Told(self)
+    }
+}
+
+pub struct Told(Way);
+
+impl Drop for Told {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("this way: {}, {:?}", self.0.deployment.name(), self.0.language);
+        }
+    }
 }
 
 fn model(model: ExecutionModel) -> Execution {
@@ -146,9 +182,6 @@ impl Deployment for Passive {
         model(ExecutionModel::None)
     }
     fn server_steps(&self) -> bool {
-        false
-    }
-    fn queues_when_busy(&self) -> bool {
         false
     }
 }

@@ -10,13 +10,12 @@ use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 use trocar::Host;
 use trocar::gcm::{ExecuteOptions, Executed, Gcm};
-use trocar::lcm::{Inventory, Invoke, Lcm, LinkDetail, LocalLcm, Payload, Reply};
+use trocar::host::HostBuilder;
+use trocar::lcm::{Invoke, Lcm, LocalLcm, Payload, Reply};
 use trocar::model::{
-    ClassInfo, ComponentId, ConnectOptions, Execution, Health, MemberId, PortId, Refusal, Request, State,
-    SystemGraph, Target, Which,
+    ComponentId, ConnectOptions, Execution, MemberId, PortId, Refusal, Request, Target, Which,
 };
 
-use super::answer::whole;
 use super::{Answer, Call, Language, Samples, Way};
 use crate::{World, eventually};
 
@@ -47,8 +46,12 @@ impl Lab {
     /// An empty host that offers the classes in this language.
     #[must_use]
     pub fn new(language: Language) -> Lab {
+        Lab::with(language, |host| host)
+    }
+
+    fn with(language: Language, more: impl FnOnce(HostBuilder) -> HostBuilder) -> Lab {
         let world = World::new();
-        let builder = language.offer(Host::builder().name("host"), &world);
+        let builder = more(language.offer(Host::builder().name("host"), &world));
         let host = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
         let gcm = host.gcm().cloned().unwrap_or_else(|| panic!("the host has no GCM"));
         let lcm = host.lcm().cloned().unwrap_or_else(|| panic!("the host has no LCM"));
@@ -99,6 +102,18 @@ impl Lab {
         lab
     }
 
+    /// Both connected and ACTIVE, in a host with a gRPC port.
+    #[must_use]
+    pub fn listening(way: &Way) -> Lab {
+        let lab = Lab::with(way.language, |host| host.listen("127.0.0.1:0"));
+        let server = lab.gated(json!({}));
+        lab.make_pair(way, "Client", "Server", server);
+        lab.connect("client/peer", "server/ctl");
+        lab.start("server");
+        lab.start("client");
+        lab
+    }
+
     /// `config` with the file that opens the gate.
     #[must_use]
     pub fn gated(&self, mut config: Value) -> Value {
@@ -118,6 +133,11 @@ impl Lab {
             // It is closed already when there is no file.
             let _ = std::fs::remove_file(self.world.path(file));
         }
+    }
+
+    /// Opens the gate when what it answers is dropped.
+    pub(super) fn opens_at_end(&self) -> OpensAtEnd<'_> {
+        OpensAtEnd(self)
     }
 
     /// Waits until somebody waits at the gate.
@@ -232,82 +252,6 @@ impl Lab {
         self.done(Request::Remove { id: id(name), force: true });
     }
 
-    // -- looking --------------------------------------------------------------------------------------------------------
-
-    #[must_use]
-    pub fn graph(&self) -> Arc<SystemGraph> {
-        self.gcm.graph()
-    }
-
-    /// A class that the host offers, as `plugin/class`.
-    #[track_caller]
-    #[must_use]
-    pub fn class(&self, full_name: &str) -> Arc<ClassInfo> {
-        eventually(full_name, || {
-            let all = self.inventory().classes;
-            let found = all.iter().find(|c| c.full_name() == full_name);
-            found.cloned().ok_or_else(|| all.iter().map(|c| c.full_name()).collect::<Vec<_>>().join(" "))
-        })
-    }
-
-    /// # Errors
-    /// It is not reached in time, or cannot be any more.
-    pub fn wait_for(&self, name: &str, state: State, within: Duration) -> Result<(), Refusal> {
-        runtime().block_on(self.host().wait_for(&format!("host/{name}"), state, within))
-    }
-
-    /// State and health as the GCM knows them.
-    #[must_use]
-    pub fn stands(&self, name: &str) -> Option<(State, Health)> {
-        self.graph().components.get(&id(name)).map(|c| (c.state, c.health))
-    }
-
-    /// Waits until the GCM knows it in this state.
-    #[track_caller]
-    pub fn await_state(&self, name: &str, state: State) {
-        eventually(&format!("{name} is {state}"), || match self.stands(name) {
-            Some((now, _)) if now == state => Ok(()),
-            other => Err(format!("{other:?}")),
-        });
-    }
-
-    /// The last published row of a component.
-    #[must_use]
-    pub fn row(&self, name: &str) -> Value {
-        let path = format!("host/{name}");
-        runtime()
-            .block_on(self.host().read(&path))
-            .unwrap_or_else(|refusal| panic!("the state of {name}: {refusal}"))
-            .value
-    }
-
-    /// A whole number in the last published row.
-    #[must_use]
-    pub fn count(&self, name: &str, field: &str) -> u64 {
-        whole(&self.row(name)[field])
-    }
-
-    /// Waits until a whole number of the row satisfies `is`.
-    #[track_caller]
-    pub fn await_count(&self, name: &str, field: &str, is: impl Fn(u64) -> bool) -> u64 {
-        eventually(&format!("{field} of {name}"), || match self.count(name, field) {
-            n if is(n) => Ok(n),
-            n => Err(n),
-        })
-    }
-
-    /// What the LCM has.
-    #[must_use]
-    pub fn inventory(&self) -> Inventory {
-        runtime().block_on(self.lcm.inventory()).unwrap_or_else(|refusal| panic!("no inventory: {refusal}"))
-    }
-
-    /// Figures of all connections.
-    #[must_use]
-    pub fn links(&self) -> Vec<LinkDetail> {
-        runtime().block_on(self.lcm.links()).unwrap_or_else(|refusal| panic!("no links: {refusal}"))
-    }
-
     // -- calling --------------------------------------------------------------------------------------------------------
 
     /// Calls a command from outside.
@@ -353,8 +297,20 @@ impl Lab {
     #[track_caller]
     pub fn perform_in_step(&self, call: Call) -> Answer {
         let before = self.count("client", "scheduled");
+        self.schedule(call);
+        self.await_scheduled(before)
+    }
+
+    /// Sends the client calls for its next step.
+    #[track_caller]
+    pub(super) fn schedule(&self, call: Call) {
         let sent = self.invoke("client/run/schedule", Some(call.json()), true);
         sent.unwrap_or_else(|refusal| panic!("the client did not take {call:?}: {refusal}"));
+    }
+
+    /// What the calls came to that were scheduled after so many.
+    #[track_caller]
+    pub(super) fn await_scheduled(&self, before: u64) -> Answer {
         self.await_count("client", "scheduled", |n| n > before);
         Answer::of(&self.row("client")["tally"])
     }
@@ -373,7 +329,11 @@ impl Lab {
         reply.value.unwrap_or_default()
     }
 
-    fn host(&self) -> &Host {
+    pub(super) fn gcm(&self) -> &Gcm {
+        &self.gcm
+    }
+
+    pub(super) fn host(&self) -> &Host {
         self.host.as_ref().unwrap_or_else(|| panic!("the host was shut down"))
     }
 
@@ -383,7 +343,8 @@ impl Lab {
     }
 }
 
-struct OpensAtEnd<'a>(&'a Lab);
+/// Opens the gate when dropped: whoever waits there is waited for.
+pub(super) struct OpensAtEnd<'a>(&'a Lab);
 
 impl Drop for OpensAtEnd<'_> {
     fn drop(&mut self) {

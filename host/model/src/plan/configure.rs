@@ -9,8 +9,8 @@ use super::circle::check_circles;
 use super::wire::default_max_age;
 use super::{Planner, execution, host_of};
 use crate::{
-    Change, Component, ComponentId, Connection, Execution, Refusal, Safety, State, Type, Verb, allowed,
-    complete, live_only, live_settings, merge, transition, validate,
+    Change, Component, ComponentId, Connection, Execution, Refusal, Safety, State, Verb, allowed, complete,
+    live_only, live_settings, merge, transition, unknown_nulls, validate,
 };
 
 impl Planner {
@@ -31,7 +31,8 @@ impl Planner {
         let merged = merge(&component.config, patch);
         let to = if merged.is_object() { complete(schema, merged) } else { merged };
         // First what is wrong in any state: nobody should stop a running device over a misspelt name.
-        let violations = validate(schema, &to);
+        let mut violations = validate(schema, &to);
+        violations.extend(unknown_nulls(schema, &component.config, patch));
         // A thread can be chosen before the configuration is complete.
         let only_execution = execution.is_some() && to == component.config;
         let open = state == State::Created && only_execution;
@@ -66,8 +67,7 @@ impl Planner {
         let component = self.graph.component(id)?;
         let after = execution::change(&component.class.execution, &component.execution, asked);
         execution::check_cycle(&self.graph, id, &after)?;
-        let row_bytes = component.class.ports.state.as_ref().map_or(0, Type::size);
-        execution::check(&self.graph, "Configure", id, &after, row_bytes)?;
+        execution::check(&self.graph, "Configure", id, &component.class, &after)?;
         Ok((component.execution != after).then_some(after))
     }
 

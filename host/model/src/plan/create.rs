@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 
 use super::{Planner, execution};
 use crate::{
-    Change, Component, ComponentId, Execution, Health, Refusal, State, Type, complete, defaults, merge,
-    validate,
+    Change, Component, ComponentId, Execution, Health, Refusal, State, complete, defaults, merge,
+    unknown_nulls, validate,
 };
 
 impl Planner {
@@ -35,12 +35,12 @@ impl Planner {
             Some(given @ Value::Object(_)) => complete(schema, merge(&Value::Object(Map::new()), given)),
             Some(other) => other.clone(),
         };
-        let violations = validate(schema, &whole);
+        let mut violations = validate(schema, &whole);
+        violations.extend(config.iter().flat_map(|given| unknown_nulls(schema, &Value::Null, given)));
         if config.is_some() && !violations.is_empty() {
             return Err(Refusal::ConfigInvalid { id: id.clone(), violations });
         }
-        let row_bytes = class.ports.state.as_ref().map_or(0, Type::size);
-        execution::check(&self.graph, "Create", id, &execution, row_bytes)?;
+        execution::check(&self.graph, "Create", id, &class, &execution)?;
         let component = Component {
             ports: Arc::new(class.ports.clone()),
             class,

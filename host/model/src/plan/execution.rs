@@ -6,6 +6,7 @@
 mod check;
 
 pub(super) use check::check;
+pub use check::{class_fault, period_fault};
 
 use crate::{Component, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph};
 

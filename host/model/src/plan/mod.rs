@@ -15,6 +15,8 @@ mod wire;
 
 use std::collections::BTreeMap;
 
+pub use execution::{class_fault, period_fault};
+
 use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph};
 
 /// What `request` would do to `graph`.
@@ -113,7 +115,7 @@ fn in_order(graph: &SystemGraph, requests: &[Request]) -> Result<Vec<usize>, Ref
 }
 
 /// The component in whose thread this execution runs, if it names one that can be read.
-pub(crate) fn host_of(execution: &Execution) -> Option<ComponentId> {
+pub fn host_of(execution: &Execution) -> Option<ComponentId> {
     let named = execution.stream_of.as_deref().or(execution.inside.as_deref())?;
     ComponentId::parse(named).ok()
 }

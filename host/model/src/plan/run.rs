@@ -1,7 +1,8 @@
 //! Start, Stop, Resume, Reset: over names and globs, ordered by the graph.
 //!
 //! Invariant: Stop is refused for nothing but an unknown component. A glob never puts into motion, nor makes ready for a
-//! later glob, what waits for somebody to look at it: STOPPED{restarted, interlock, peer_lost}.
+//! later glob, what waits for somebody to look at it: STOPPED{restarted, interlock, peer_lost}. Nothing is set in motion
+//! while an end it requires is open.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -82,7 +83,7 @@ impl Planner {
         if transition(state, verb).is_none() {
             return Err(wrong(reason(component)));
         }
-        if verb == Verb::Start {
+        if matches!(verb, Verb::Start | Verb::Resume) {
             let ports = open_ends(&self.graph, id, component);
             if !ports.is_empty() {
                 return Err(Refusal::Unconnected { id: id.clone(), ports });

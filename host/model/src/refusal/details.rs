@@ -77,6 +77,7 @@ impl Refusal {
             Refusal::RevisionConflict { .. } => (Aborted, "REVISION_CONFLICT"),
             Refusal::NotReached { .. } => (DeadlineExceeded, "NOT_REACHED"),
             Refusal::EventNotSeen { .. } => (DeadlineExceeded, "EVENT_NOT_SEEN"),
+            Refusal::NoSample { .. } => (DeadlineExceeded, "NO_SAMPLE"),
             Refusal::LcmTimeout { .. } => (DeadlineExceeded, "LCM_TIMEOUT"),
             Refusal::Unbound { .. } => (FailedPrecondition, "UNBOUND"),
             Refusal::Disabled { .. } => (FailedPrecondition, "DISABLED"),
@@ -155,6 +156,9 @@ impl Refusal {
             }
             EventNotSeen { member, state, after_ns } => {
                 m.put("member", member).put("state", state).put("after_ns", after_ns)
+            }
+            NoSample { port, state, after_ns } => {
+                m.put("port", port).put("state", state).put("after_ns", after_ns)
             }
             LcmTimeout { process, what } => m.put("process", process).put("what", what),
             Unbound { member } | Disabled { member } | WouldBlock { member } | PeerLost { member } => {

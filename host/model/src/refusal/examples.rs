@@ -162,6 +162,7 @@ fn changing() -> Vec<Refusal> {
             state: State::Active,
             after_ns: 2_000_000_000,
         },
+        Refusal::NoSample { port: port("host/sensor/force"), state: State::Ready, after_ns: 2_000_000_000 },
         Refusal::LcmTimeout { process: name("host"), what: "Start host/robot".into() },
     ]
 }

@@ -14,6 +14,9 @@ const MOST: usize = 12;
 /// Characters of a text somebody sent that are repeated to him.
 const ECHO: usize = 200;
 
+/// Ends the difference of two types whose fields only moved.
+pub(crate) const ADAPTABLE: &str = "; adapt: true would copy it by name";
+
 /// What was sent, cut where it is longer than anybody reads; an answer must fit the header it travels in.
 pub fn brief(text: &str) -> Cow<'_, str> {
     match text.char_indices().nth(ECHO) {
@@ -174,7 +177,8 @@ impl Display for Refusal {
                 if !why.is_empty() {
                     write!(f, ": {why}")?;
                 }
-                if allowed.is_empty() { Ok(()) } else { write!(f, "; allowed are {}", list(allowed)) }
+                let others: Vec<_> = allowed.iter().filter(|other| *other != verb).collect();
+                if others.is_empty() { Ok(()) } else { write!(f, "; allowed are {}", list(&others)) }
             }
             Unconnected { id, ports } => {
                 write!(f, "`{id}` cannot start: not connected {} {}", is_are(ports.len()), list(ports))
@@ -210,6 +214,10 @@ impl Display for Refusal {
                 let waited = duration(*after_ns);
                 write!(f, "event `{member}` did not come within {waited}; its component is {state}")
             }
+            NoSample { port, state, after_ns } => {
+                let waited = duration(after_ns / 1_000_000 * 1_000_000);
+                write!(f, "output `{port}` gave no sample within {waited}; its component is {state}")
+            }
             LcmTimeout { process, what } => {
                 write!(f, "process `{process}` did not answer in time ({what}); the change was taken back")
             }
@@ -244,6 +252,20 @@ impl std::error::Error for Refusal {}
 
 fn is_are(n: usize) -> &'static str {
     if n == 1 { "is" } else { "are" }
+}
+
+/// What to do about an argument, by the field it is in: only a command's argument has limits that its class declares.
+fn argument_help(field: &str) -> &'static str {
+    match field.split('.').next().unwrap_or_default() {
+        "json" | "encoded" => "Correct the value and ask again; `trocar describe` shows units and limits.",
+        "execution" => {
+            "Correct the setting and ask again; `trocar create --help` lists the settings of an execution."
+        }
+        "options" => {
+            "Correct the option and ask again; `trocar connect --help` lists the options of a connection."
+        }
+        _ => "Correct it and ask again.",
+    }
 }
 
 impl Refusal {
@@ -311,9 +333,12 @@ impl Refusal {
                 command has: without a result it binds to void and write commands, with one to reads and returning \
                 commands."
                 .into(),
-            TypeMismatch { .. } => "Build both plugins against the same payload type, or put a converting component \
-                between them; for fields that only moved, ask with adapt: true."
-                .into(),
+            TypeMismatch { difference, .. } => {
+                let adapt = if difference.ends_with(ADAPTABLE) { " Or ask with adapt: true: the fields only moved." } else { "" };
+                format!(
+                    "Build both plugins against the same payload type, or put a converting component between them.{adapt}"
+                )
+            }
             FormatMismatch { .. } => "Put a filter between them that converts, or set the server's format in its \
                 configuration."
                 .into(),
@@ -326,16 +351,19 @@ impl Refusal {
                 (_, crate::State::Created) => format!("Configure it first; `trocar describe {id}` shows what is missing."),
                 _ => "Ask for one of the allowed verbs.".into(),
             },
-            Unconnected { .. } => "Connect each of them, then start again; or declare the end optional in the class.".into(),
+            Unconnected { .. } => "Connect each of them, then ask again; or declare the end optional in the class.".into(),
             ConfigInvalid { .. } => "Correct each of the values; `trocar describe` shows every setting with its unit, \
                 limits and default."
                 .into(),
-            ArgumentInvalid { .. } => "Correct the value and ask again; `trocar describe` shows units and limits.".into(),
+            ArgumentInvalid { field, .. } => argument_help(field).into(),
             ComponentRefused { .. } => "The component's own words say why; correct that and ask again. It is as it was \
                 before."
                 .into(),
             ComponentFault { id, .. } => {
-                format!("Remove the cause, then `trocar reset {id}`; `trocar logs` has the details.")
+                format!(
+                    "Remove the cause, then `trocar reset {id}`, or create it again where it was not made; `trocar logs` \
+                    has the details."
+                )
             }
             InUse { .. } => "Disconnect or remove those first, or remove with `--force`, which disconnects.".into(),
             PluginAbi { .. } => "Rebuild the plugin with the trocar-sdk of this host's version.".into(),
@@ -358,9 +386,21 @@ impl Refusal {
                 let verb = if matches!(state, crate::State::Stopped(_)) { "resume" } else { "start" };
                 format!("Only an ACTIVE component sends events: `trocar {verb} {}`.", member.port.component)
             }
+            NoSample { port, state: crate::State::Active, .. } => format!(
+                "Look what it waits for, e.g. an input without data (`trocar describe {}`); a longer deadline can be given.",
+                port.component
+            ),
+            NoSample { port, state, .. } => {
+                let verb = match state {
+                    crate::State::Stopped(_) => "resume",
+                    crate::State::Fault => "reset",
+                    _ => "start",
+                };
+                format!("Only an ACTIVE component gives samples: `trocar {verb} {}`.", port.component)
+            }
             LcmTimeout { process, .. } => format!(
-                "Look whether process `{process}` hangs or is overloaded (`trocar top`), then ask again; a longer \
-                deadline can be given."
+                "Look whether process `{process}` hangs or is overloaded (`trocar ls {process}`, `trocar logs`), then ask \
+                again; a longer deadline can be given."
             ),
             Unbound { .. } => "Connect the required interface first.".into(),
             Disabled { member } => format!(

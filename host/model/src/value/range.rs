@@ -15,7 +15,7 @@ pub fn check_range(arg: &Arg, value: &Value) -> Result<(), String> {
     if arg.min.is_none() && arg.max.is_none() {
         return Ok(());
     }
-    range(arg, value, "value")
+    range(arg, value, if arg.name.is_empty() { "value" } else { &arg.name })
 }
 
 fn range(arg: &Arg, value: &Value, name: &str) -> Result<(), String> {
@@ -37,8 +37,12 @@ fn range(arg: &Arg, value: &Value, name: &str) -> Result<(), String> {
         _ => number.to_string(),
     };
     if number.is_nan() {
-        let limit = arg.min.map(|m| format!("minimum {m}")).or(arg.max.map(|m| format!("maximum {m}")));
-        return Err(format!("{name} NaN is not a number within {}{unit}", limit.unwrap_or_default()));
+        let limits = match (arg.min, arg.max) {
+            (Some(min), Some(max)) => format!("{min} to {max}{unit}"),
+            (Some(min), None) => format!("from {min}{unit} up"),
+            (_, max) => format!("up to {}{unit}", max.unwrap_or(f64::INFINITY)),
+        };
+        return Err(format!("{name} NaN is not a number; the limits are {limits}"));
     }
     match (arg.min, arg.max) {
         (Some(min), _) if number < min => Err(format!("{name} {} is below minimum {min}{unit}", shown())),

@@ -174,3 +174,32 @@ fn a_patch_that_changes_nothing_is_nothing_to_do() {
     let graph = theatre();
     assert_eq!(plan(&graph, &configure("host/robot", json!({"limit": 2}))).unwrap(), Plan::default());
 }
+
+#[test]
+fn a_null_for_a_setting_that_does_not_exist_is_a_misspelt_name() {
+    let mut graph = empty();
+    done(&mut graph, &[create("host/robot", "eyerobot")]);
+    let ask = |patch: Value| Request::Configure { id: id("host/robot"), patch, execution: None };
+    let refusal = refused(&graph, &ask(json!({"limits": null})));
+    assert!(refusal.to_string().contains("limits is unknown; did you mean limit?"), "{refusal}");
+    plan(&graph, &ask(json!({"limit": null}))).expect("null asks for the default of what exists");
+    let created = Request::Create {
+        id: id("host/other"),
+        class: "eyerobot".into(),
+        config: Some(json!({"x": null})),
+        execution: Execution::default(),
+    };
+    assert_eq!(refused(&graph, &created).reason(), "CONFIG_INVALID");
+    let nested = unknown_nulls(&schema(), &json!({}), &json!({"limits": {"forse": null}}));
+    assert_eq!(nested[0].message, "limits.forse is unknown; did you mean force?");
+}
+
+#[test]
+fn a_running_component_that_refuses_a_setting_is_not_said_to_allow_configure() {
+    let mut graph = empty();
+    done(&mut graph, &[create("host/robot", "eyerobot"), start(&["host/robot"])]);
+    let patch = json!({"joints": 3});
+    let refusal = refused(&graph, &Request::Configure { id: id("host/robot"), patch, execution: None });
+    let text = refusal.to_string();
+    assert!(text.ends_with("(live settings: limit); allowed are Stop, Reset, Remove"), "{text}");
+}

@@ -304,3 +304,44 @@ fn a_thread_and_a_configuration_given_together_are_configured_once() {
     };
     assert_eq!(refused(&graph, &bad).reason(), "CONFIG_INVALID");
 }
+
+#[test]
+fn only_a_class_that_devices_call_back_is_run_by_their_calls() {
+    let graph = empty();
+    let called = Execution { model: Some(ExecutionModel::OnCallback), ..e() };
+    let (field, why) = blamed(&graph, &of("eyerobot", called));
+    assert_eq!(field, "execution.model");
+    assert!(why.contains("`eyerobot` is none and would never run"), "{why}");
+}
+
+#[test]
+fn a_processor_named_twice_is_a_mistake() {
+    let graph = empty();
+    let (field, why) = blamed(&graph, &of("eyerobot", Execution { cpus: vec![0, 1, 0], ..e() }));
+    assert_eq!(
+        (field.as_str(), why.as_str()),
+        ("execution.cpus", "execution.cpus: processor 0 is named twice")
+    );
+}
+
+#[test]
+fn a_class_whose_own_execution_or_defaults_no_create_could_accept_has_a_fault() {
+    for class in [robot(), controller(), logger(), source(), filter(), device()] {
+        assert_eq!(class_fault(&class), None, "{}", class.name);
+    }
+    let mut open = robot();
+    open.execution.period_ns = None;
+    assert_eq!(class_fault(&open), None, "the rate may come with Create");
+
+    let mut signalled = logger();
+    signalled.execution.period_ns = Some(250_000_000);
+    let why = class_fault(&signalled).unwrap();
+    assert_eq!(why, "execution.rate_hz: a rate means nothing to model on_signal");
+
+    let mut impossible = robot();
+    impossible.config_schema = json!({"type": "object", "properties": {
+        "gain": {"type": "number", "minimum": 3, "maximum": 1, "default": 5},
+    }});
+    let why = class_fault(&impossible).unwrap();
+    assert!(why.contains("defaults are not valid: gain: 5 is above 1"), "{why}");
+}

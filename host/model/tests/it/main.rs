@@ -6,6 +6,7 @@ mod configuring;
 mod connecting;
 mod creating;
 mod executing;
+mod framing;
 mod interpolating;
 mod invariants;
 mod paths;

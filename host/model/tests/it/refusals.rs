@@ -137,3 +137,36 @@ fn the_page_of_errors_is_what_the_code_says() {
         "docs/errors.md is stale; run `TROCAR_BLESS=1 cargo test -p trocar-model` and look at the diff"
     );
 }
+
+#[test]
+fn help_names_only_what_helps_there() {
+    let argument = |field: &str| {
+        let (what, why) = ("Create host/s".into(), "it is wrong".into());
+        Refusal::ArgumentInvalid { what, why, field: field.into() }.help()
+    };
+    assert!(argument("json").contains("trocar describe"));
+    assert!(argument("execution.priority").contains("trocar create --help"));
+    assert!(argument("level").len() < 40, "{}", argument("level"));
+
+    let differ = |difference: &str| {
+        let (client, server) = (port("host/a/in"), port("host/b/out"));
+        let what = "frame header".into();
+        Refusal::TypeMismatch { client, server, what, difference: difference.into() }.help()
+    };
+    assert!(!differ("field `right_offset` exists there only").contains("adapt"));
+    assert!(
+        differ("field `f` lies at byte 8 here and at byte 0 there; adapt: true would copy it by name")
+            .contains("adapt")
+    );
+}
+
+#[test]
+fn an_output_without_a_sample_says_how_its_component_stands_and_what_sets_it_going() {
+    let none = |state| Refusal::NoSample { port: port("host/s/value"), state, after_ns: 2_000_400_000 };
+    let ready = none(State::Ready);
+    let text = ready.to_string();
+    assert_eq!(text, "output `host/s/value` gave no sample within 2 s; its component is READY");
+    assert!(ready.help().ends_with("`trocar start host/s`."), "{}", ready.help());
+    assert!(none(State::Stopped(StopReason::Requested)).help().ends_with("`trocar resume host/s`."));
+    assert!(none(State::Fault).help().ends_with("`trocar reset host/s`."));
+}

@@ -205,3 +205,23 @@ fn components_that_serve_each_other_still_have_an_order() {
     );
     assert_eq!(runs(&plan(&graph, &start(&["**"])).unwrap()).len(), 2);
 }
+
+#[test]
+fn what_lost_an_end_it_requires_is_not_resumed_until_that_is_connected_again() {
+    let mut graph = theatre();
+    done(&mut graph, &[start(&["host/robot", "host/controller"])]);
+    done(&mut graph, &[Request::Remove { id: id("host/robot"), force: true }]);
+    set_state(&mut graph, "host/controller", State::Stopped(StopReason::PeerLost));
+    for request in [resume(&["host/controller"]), start(&["host/controller"])] {
+        let refusal = refused(&graph, &request);
+        assert!(matches!(&refusal, Refusal::Unconnected { ports, .. } if ports == &["robot"]), "{refusal}");
+    }
+    let again = [
+        create("host/robot", "eyerobot"),
+        start(&["host/robot"]),
+        connect("host/controller/robot", "host/robot/arm"),
+    ];
+    done(&mut graph, &again);
+    let plan = plan(&graph, &resume(&["host/controller"])).unwrap();
+    assert_eq!(runs(&plan), ["host/controller ACTIVE"]);
+}

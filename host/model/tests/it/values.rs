@@ -143,10 +143,10 @@ fn limited(unit: &str) -> Arg {
 #[test]
 fn a_value_outside_the_declared_range_names_the_limit_with_its_unit() {
     let check = |v: Value| check_range(&limited("mm"), &v);
-    assert_eq!(check(json!(300)).unwrap_err(), "value 300 is above maximum 100 mm");
-    assert_eq!(check(json!(-0.5)).unwrap_err(), "value -0.5 is below minimum 0 mm");
-    assert_eq!(check(json!([1, 2, 101])).unwrap_err(), "value[2] 101 is above maximum 100 mm");
-    assert_eq!(check(json!("Infinity")).unwrap_err(), "value Infinity is above maximum 100 mm");
+    assert_eq!(check(json!(300)).unwrap_err(), "v 300 is above maximum 100 mm");
+    assert_eq!(check(json!(-0.5)).unwrap_err(), "v -0.5 is below minimum 0 mm");
+    assert_eq!(check(json!([1, 2, 101])).unwrap_err(), "v[2] 101 is above maximum 100 mm");
+    assert_eq!(check(json!("Infinity")).unwrap_err(), "v Infinity is above maximum 100 mm");
     assert!(check(json!("NaN")).is_err(), "NaN is within no range");
     assert_eq!(check(json!(100)), Ok(()));
 }

@@ -57,29 +57,31 @@ impl FrameMut {
     pub fn freeze(self, len: usize) -> Frame {
         let slots = &self.0.pool().slots;
         slots.set_len(self.0.slot, len.min(self.capacity()));
-        slots.next_generation(self.0.slot);
         Frame(self.0)
     }
 
     /// Hands this handle out as a number; it must come back through [`FrameMut::from_raw`], or the slot is lost.
     pub fn into_raw(self) -> u64 {
+        self.0.pool().slots.go_out(self.0.slot);
         self.0.into_raw() | WRITING
     }
 
-    /// Takes a handle back; `None` for 0, for a [`Frame`]'s number and for one whose handle has come back already
-    /// (as long as the slot was not lent, frozen or given back 65 536 times since).
+    /// Takes a handle back; `None` for 0, for a [`Frame`]'s number and for one whose handle has come back already,
+    /// on whatever thread and however often its slot was lent since: an old number is never good for a slot that
+    /// anybody else holds.
     ///
     /// # Safety
-    /// 0, or from [`FrameMut::into_raw`] of a frame whose pool is still alive.
+    /// 0, or a number that names a slot of a pool that is still alive: see [`FramePool::is_descriptor`].
     pub unsafe fn from_raw(raw: u64) -> Option<Self> {
-        if raw & WRITING == 0 {
+        // Even generations are never out, so this also keeps the numbers of slots away that nobody ever lent.
+        if raw & WRITING == 0 || raw >> 48 & 1 == 0 {
             return None;
         }
         // SAFETY: the caller's promise is the one asked for.
-        let loan = unsafe { Loan::from_raw(raw & !WRITING) }?;
-        // The number is used up, whatever becomes of the handle.
-        loan.pool().slots.next_generation(loan.slot);
-        Some(Self(loan))
+        let (pool, slot) = unsafe { Loan::named_by(raw & !WRITING) }?;
+        // SAFETY: as above: the pool that was found is alive.
+        let slots = unsafe { &(*pool).slots };
+        slots.come_back(slot, raw).then(|| Self(Loan { pool, slot }))
     }
 }
 
@@ -108,7 +110,7 @@ impl Frame {
         if !self.is_unique() {
             return Err(self);
         }
-        self.0.pool().slots.next_generation(self.0.slot);
+        self.0.pool().slots.make_stale(self.0.slot);
         Ok(FrameMut(self.0))
     }
 
@@ -128,7 +130,8 @@ impl Frame {
             return None;
         }
         // SAFETY: the caller's promise is the one asked for.
-        unsafe { Loan::from_raw(raw) }.map(Self)
+        let (pool, slot) = unsafe { Loan::named_by(raw) }?;
+        Some(Self(Loan { pool, slot }))
     }
 }
 
@@ -157,14 +160,15 @@ impl Loan {
         loan.pool().slots.descriptor(loan.slot)
     }
 
+    /// The pool and the slot that a number names, where its generation is the slot's.
+    ///
     /// # Safety
-    /// 0, or from `into_raw`, of a pool that is still alive.
-    unsafe fn from_raw(raw: u64) -> Option<Self> {
+    /// 0, or a number that names a slot of a pool that is still alive, lent at least once.
+    unsafe fn named_by(raw: u64) -> Option<(*const FramePool, u32)> {
         // SAFETY: the caller's promise is the one asked for.
         let (pool, entry) = unsafe { Slots::resolve::<FramePool>(raw) }?;
-        // SAFETY: the entry's generation fits, so the slot is lent and its owner, the pool, alive.
-        let slot = unsafe { &*pool }.slots.slot_at(entry);
-        Some(Self { pool, slot })
+        // SAFETY: the slot was lent, so its owner is its pool, which the caller vouches for.
+        Some((pool, unsafe { &*pool }.slots.slot_at(entry)))
     }
 }
 

@@ -18,7 +18,8 @@ pub(super) struct Slots {
 #[repr(align(64))]
 struct Entry {
     count: AtomicU32,
-    /// +1 with every change of hands: lent, frozen, made unique, given back.
+    /// Odd exactly while the one handle for writing is out as a number. +1 when it goes out and when it comes back, +2
+    /// when numbers of frames become stale otherwise: made unique, given back.
     generation: AtomicU32,
     /// Bytes in use after the header, set when frozen.
     len: AtomicU64,
@@ -52,7 +53,6 @@ impl Slots {
             return None;
         };
         self.entry(slot).count.store(1, Ordering::Relaxed);
-        self.next_generation(slot);
         let lent = self.lent.fetch_add(1, Ordering::Relaxed) + 1;
         if lent > self.high_water.load(Ordering::Relaxed) {
             self.high_water.fetch_max(lent.min(self.entries.len() as u32), Ordering::Relaxed);
@@ -83,7 +83,7 @@ impl Slots {
         if before != 1 {
             return false;
         }
-        self.next_generation(slot);
+        self.make_stale(slot);
         self.lent.fetch_sub(1, Ordering::Relaxed);
         self.free[slot as usize / 64].fetch_or(1 << (slot % 64), Ordering::Release);
         true
@@ -109,7 +109,7 @@ impl Slots {
     /// The pool's address and the entry's, when the descriptor's generation is still the entry's.
     ///
     /// # Safety
-    /// 0, or from `descriptor` of a pool that is still alive.
+    /// 0, or a number with the address of an entry of a pool that is still alive.
     pub(super) unsafe fn resolve<T>(descriptor: u64) -> Option<(*const T, *const ())> {
         let address = (descriptor << 16 >> 16) as usize;
         if address == 0 {
@@ -138,8 +138,25 @@ impl Slots {
     }
 
     /// For the only holder: makes every descriptor given out before stale.
-    pub(super) fn next_generation(&self, slot: u32) {
+    pub(super) fn make_stale(&self, slot: u32) {
+        self.entry(slot).generation.fetch_add(2, Ordering::Release);
+    }
+
+    /// For the only holder, who gives himself up for the descriptor that follows.
+    pub(super) fn go_out(&self, slot: u32) {
         self.entry(slot).generation.fetch_add(1, Ordering::Release);
+    }
+
+    /// Makes the bearer of this descriptor the only holder again; true for one of all that bear it. However old it is, it
+    /// fits nothing but a slot whose only holder is out, since only those have odd generations.
+    pub(super) fn come_back(&self, slot: u32, descriptor: u64) -> bool {
+        let generation = &self.entry(slot).generation;
+        let now = generation.load(Ordering::Relaxed);
+        u64::from(now & 0xffff) == descriptor >> 48
+            && now % 2 == 1
+            && generation
+                .compare_exchange(now, now.wrapping_add(1), Ordering::Acquire, Ordering::Relaxed)
+                .is_ok()
     }
 
     pub(super) fn len(&self, slot: u32) -> usize {

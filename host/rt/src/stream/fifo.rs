@@ -129,7 +129,8 @@ impl Fifo {
 
     fn take(&self, head: u64) -> Option<usize> {
         let place = at(&self.ring, head).load(Ordering::Relaxed);
-        let moved = self.head.0.compare_exchange(head, head + 1, Ordering::AcqRel, Ordering::Relaxed);
+        // Acquire also where the other end was faster: what it gave back before is seen then, see `free_place`.
+        let moved = self.head.0.compare_exchange(head, head + 1, Ordering::AcqRel, Ordering::Acquire);
         moved.is_ok().then_some(place as usize)
     }
 }

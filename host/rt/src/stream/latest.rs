@@ -21,17 +21,20 @@ impl Latest {
     }
 
     /// Gives the written place away for another one; whether that one held an unseen sample. Wait-free.
+    #[inline]
     pub(super) fn publish(&self, written: usize) -> (usize, bool) {
         let got = self.middle.swap(written as u32 | UNSEEN, Ordering::AcqRel);
         ((got & 3) as usize, got & UNSEEN != 0)
     }
 
     /// Whether there is an unseen sample: once true for the reader, it stays true until it takes one.
+    #[inline]
     pub(super) fn has_unseen(&self) -> bool {
         self.middle.load(Ordering::Relaxed) & UNSEEN != 0
     }
 
     /// Gives the seen (and emptied) place away for the newest one. Wait-free.
+    #[inline]
     pub(super) fn exchange(&self, seen: usize) -> usize {
         (self.middle.swap(seen as u32, Ordering::AcqRel) & 3) as usize
     }

@@ -5,6 +5,7 @@
 //! reader; its index moves between them by one atomic operation.
 
 mod fifo;
+mod here;
 mod latest;
 mod reader;
 mod slots;
@@ -18,6 +19,7 @@ pub use writer::{Pushed, StreamWriter};
 use crate::exclusive::TryCell;
 use crate::sync::{AtomicBool, AtomicU64, Ordering, Padded};
 use fifo::Fifo;
+use here::Here;
 use latest::Latest;
 use slots::Slots;
 
@@ -79,7 +81,7 @@ impl StreamCounters {
         StreamStats {
             taken: read(&reader.0.taken),
             dropped: read(&writer.0.dropped) + turned_away + read(&reader.0.skipped),
-            pushed: read(&writer.0.pushed) + turned_away,
+            pushed: read(&writer.0.pushed) + turned_away + read(&reader.0.pushed_here),
         }
     }
 }
@@ -95,13 +97,14 @@ pub fn stream_link(payload: Payload, queue: Queue) -> (StreamWriter, StreamReade
         Queue::Fifo { depth, drop } => Order::Fifo(Fifo::new(depth.max(1), drop)),
     };
     let slots = match &order {
-        Order::Latest(_) => latest::SLOTS,
+        Order::Latest(_) => latest::SLOTS + here::SLOTS,
         Order::Fifo(fifo) => fifo.slots(),
     };
     let link = Arc::new(Link {
         payload,
         slots: Slots::new(slots, bytes),
         order,
+        here: Here::new(),
         reader_left: AtomicBool::new(false),
         writer_left: AtomicBool::new(false),
         counters: Arc::new(Counters::new()),
@@ -118,6 +121,8 @@ struct Link {
     payload: Payload,
     slots: Slots,
     order: Order,
+    /// Of a latest link.
+    here: Here,
     reader_left: AtomicBool,
     writer_left: AtomicBool,
     counters: Arc<Counters>,
@@ -148,6 +153,8 @@ struct WriterCounts {
 struct ReaderCounts {
     taken: AtomicU64,
     skipped: AtomicU64,
+    /// Pushed by the thread that reads.
+    pushed_here: AtomicU64,
 }
 
 impl Counters {
@@ -155,7 +162,7 @@ impl Counters {
         let zero = || AtomicU64::new(0);
         Self {
             writer: Padded(WriterCounts { pushed: zero(), dropped: zero(), turned_away: zero() }),
-            reader: Padded(ReaderCounts { taken: zero(), skipped: zero() }),
+            reader: Padded(ReaderCounts { taken: zero(), skipped: zero(), pushed_here: zero() }),
         }
     }
 }
@@ -166,6 +173,7 @@ fn count(counter: &AtomicU64, n: u64) {
 }
 
 /// Counts where only one end, or whoever is inside it, ever counts.
+#[inline]
 fn tally(counter: &AtomicU64, n: u64) {
     counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
 }

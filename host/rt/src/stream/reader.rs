@@ -24,8 +24,10 @@ pub struct Sample<'a> {
 /// The reading end: one thread at a time.
 pub struct StreamReader {
     link: Arc<Link>,
-    /// The place the reader owns. A latest link always has one, seen or not.
+    /// The place of the sample last seen.
     place: Option<usize>,
+    /// The place the reader of a latest link has to exchange; `place` too, unless that sample never left its thread.
+    own: usize,
     /// Whether there is a sample in it.
     holds: bool,
     reading: fifo::Reading,
@@ -34,11 +36,12 @@ pub struct StreamReader {
 impl StreamReader {
     pub(super) fn new(link: Arc<Link>) -> Self {
         let place = matches!(link.order, Order::Latest(_)).then_some(latest::READERS);
-        Self { link, place, holds: false, reading: fifo::Reading::default() }
+        Self { link, place, own: latest::READERS, holds: false, reading: fifo::Reading::default() }
     }
 
     /// The newest sample, fresh or as seen before; older unseen ones are skipped and counted. `None` before
     /// the first one and after [`StreamReader::release`]. Never waits; compare [`StreamReader::next`].
+    #[inline]
     pub fn latest(&mut self) -> Option<Sample<'_>> {
         let fresh = self.advance(true);
         self.sample(fresh)
@@ -49,6 +52,7 @@ impl StreamReader {
         clippy::should_implement_trait,
         reason = "the sample borrows the reader: no iterator can do that"
     )]
+    #[inline]
     pub fn next(&mut self) -> Option<Sample<'_>> {
         if self.advance(false) { self.sample(true) } else { None }
     }
@@ -96,18 +100,31 @@ impl StreamReader {
     }
 
     /// Moves on to the next sample or to the newest one; whether there was one.
+    #[inline]
     fn advance(&mut self, newest: bool) -> bool {
         let slots = &self.link.slots;
         let counters = &self.link.counters.reader.0;
         match &self.link.order {
             Order::Latest(latest) => {
-                if !latest.has_unseen() {
-                    return false;
+                let (came, here) = (latest.has_unseen(), &self.link.here);
+                if came {
+                    // SAFETY: the reader owns the place, and `&mut self` ends every look at it.
+                    unsafe { slots.empty(self.own) };
+                    self.own = latest.exchange(self.own);
                 }
-                self.place = self.place.map(|seen| {
-                    // SAFETY: the reader owns the place it has seen, and `&mut self` ends every look at it.
-                    unsafe { slots.empty(seen) };
-                    latest.exchange(seen)
+                self.place = Some(match (came, here.has_unseen()) {
+                    (false, false) => return false,
+                    (true, false) => self.own,
+                    // SAFETY: `&mut self` is the right to read.
+                    (false, true) => unsafe { here.take() },
+                    (true, true) => {
+                        tally(&counters.skipped, 1);
+                        // SAFETY: as above.
+                        let stayed = unsafe { here.take() };
+                        // SAFETY: the reader owns both places.
+                        let of = |place| unsafe { slots.look(place) }.meta.seq;
+                        if of(self.own) > of(stayed) { self.own } else { stayed }
+                    }
                 });
             }
             Order::Fifo(fifo) => {
@@ -119,12 +136,14 @@ impl StreamReader {
                     unsafe { slots.empty(place) };
                     fifo.give_back(reading, place);
                 };
+                // The place seen before goes back first: the writer counts on it (see `Fifo::free_place`).
+                self.place.take().into_iter().for_each(&mut give_back);
                 while newest && let Some(newer) = fifo.pop(end) {
                     give_back(place);
                     tally(&counters.skipped, 1);
                     place = newer;
                 }
-                self.place.replace(place).into_iter().for_each(give_back);
+                self.place = Some(place);
             }
         }
         self.holds = true;
@@ -132,6 +151,7 @@ impl StreamReader {
         true
     }
 
+    #[inline]
     fn sample(&self, fresh: bool) -> Option<Sample<'_>> {
         let place = self.place.filter(|_| self.holds)?;
         // SAFETY: the reader owns the place and keeps it while it is borrowed.
@@ -146,18 +166,22 @@ impl Drop for StreamReader {
         // Frames still here go back to their pool now, not when the writer happens to go. Bounded: once the
         // writer sees that the reader left, it queues nothing more.
         self.release();
+        let skipped = &self.link.counters.reader.0.skipped;
+        if self.link.here.has_unseen() {
+            tally(skipped, 1);
+        }
         loop {
             let unseen = match &self.link.order {
-                Order::Latest(latest) => {
-                    let seen = self.place.filter(|_| latest.has_unseen());
-                    seen.map(|seen| *self.place.insert(latest.exchange(seen)))
-                }
+                Order::Latest(latest) => latest.has_unseen().then(|| {
+                    self.own = latest.exchange(self.own);
+                    self.own
+                }),
                 Order::Fifo(fifo) => fifo.pop(fifo.end()),
             };
             let Some(place) = unseen else { break };
             // SAFETY: the place was just taken over by the reader.
             unsafe { self.link.slots.empty(place) };
-            tally(&self.link.counters.reader.0.skipped, 1);
+            tally(skipped, 1);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The places samples lie in. A place is touched only by the end, or the queue, that owns its index.
 
 use super::Meta;
-use crate::buf::{AlignedBuf, round_up};
+use crate::buf::{AlignedBuf, copy, round_up};
 use crate::pool::Frame;
 use crate::sync::Shared;
 
@@ -38,6 +38,7 @@ impl Slots {
     /// # Safety
     /// The caller owns the place and uses one reference to it at a time.
     #[expect(clippy::mut_from_ref, reason = "ownership of a place is by index, as the contract says")]
+    #[inline]
     pub(super) unsafe fn content(&self, place: usize) -> &mut Content {
         // SAFETY: the caller owns the place.
         unsafe { &mut *self.contents[place].exclusive() }
@@ -45,17 +46,19 @@ impl Slots {
 
     /// # Safety
     /// As for [`Slots::content`]; `data` is no longer than the link's samples.
+    #[inline]
     pub(super) unsafe fn write(&self, place: usize, meta: Meta, data: &[u8]) {
         debug_assert!(data.len() <= self.stride, "the writer checks the length");
         // SAFETY: the caller owns the place, which has `stride` bytes.
         unsafe {
-            self.plain.at(place * self.stride).copy_from_nonoverlapping(data.as_ptr(), data.len());
+            copy(data.as_ptr(), self.plain.at(place * self.stride), data.len());
             *self.content(place) = Content { meta, frame: None, len: data.len() };
         }
     }
 
     /// # Safety
     /// The caller owns the place, and nobody writes it while the answer lives.
+    #[inline]
     pub(super) unsafe fn look(&self, place: usize) -> &Content {
         // SAFETY: the caller owns the place and keeps it.
         unsafe { &*self.contents[place].readable() }
@@ -63,6 +66,7 @@ impl Slots {
 
     /// # Safety
     /// As for [`Slots::look`].
+    #[inline]
     pub(super) unsafe fn read(&self, place: usize) -> (Meta, &[u8], &[u8]) {
         // SAFETY: the caller's promise is the one asked for.
         let content = unsafe { self.look(place) };
@@ -81,6 +85,7 @@ impl Slots {
     ///
     /// # Safety
     /// As for [`Slots::content`].
+    #[inline]
     pub(super) unsafe fn empty(&self, place: usize) {
         // SAFETY: the caller's promise is the one asked for.
         drop(unsafe { self.content(place) }.frame.take());

@@ -37,10 +37,36 @@ pub struct StreamWriter {
 
 impl StreamWriter {
     /// Offers a sample of plain bytes, copied. Never waits.
+    #[inline]
     pub fn push(&self, data: &[u8], meta: Meta) -> Pushed {
         let fits = matches!(self.link.payload, Payload::Plain { bytes } if data.len() <= bytes);
         // SAFETY: `offer` gives a place that the writer owns; the length fits.
         self.offer(fits, |place| unsafe { self.link.slots.write(place, meta, data) })
+    }
+
+    /// As [`StreamWriter::push`], for a sample that does not leave its thread: a latest link of plain bytes takes it without an
+    /// atomic operation.
+    ///
+    /// # Safety
+    /// The calling thread has the right to read the link now, as if it held its reader: while this runs no other thread is in
+    /// any method of the reader that takes `&mut self`, and one that is there later comes after it. (The drop of the reader
+    /// may run meanwhile.)
+    #[inline]
+    pub unsafe fn push_here(&self, data: &[u8], meta: Meta) -> Pushed {
+        let fits = matches!(self.link.payload, Payload::Plain { bytes } if data.len() <= bytes);
+        if !fits || !matches!(self.link.order, Order::Latest(_)) || !self.has_reader() {
+            return self.push(data, meta);
+        }
+        let here = &self.link.here;
+        // SAFETY: the caller has the right to read, so the back place is nobody else's; the length fits.
+        unsafe { self.link.slots.write(here.back(), meta, data) };
+        let counters = &self.link.counters.reader.0;
+        tally(&counters.pushed_here, 1);
+        if here.publish() {
+            tally(&counters.skipped, 1);
+            return Pushed::DroppedOldest;
+        }
+        Pushed::Queued
     }
 
     /// Offers a frame: its handle is passed on, or dropped. Never waits.
@@ -54,6 +80,7 @@ impl StreamWriter {
     }
 
     /// Whether the reading end still exists.
+    #[inline]
     pub fn has_reader(&self) -> bool {
         !self.link.reader_left.load(Ordering::Relaxed)
     }
@@ -67,6 +94,7 @@ impl StreamWriter {
         StreamCounters(Arc::clone(&self.link.counters))
     }
 
+    #[inline]
     fn offer(&self, fits: bool, fill: impl FnOnce(usize)) -> Pushed {
         let counters = &self.link.counters.writer.0;
         if fits
@@ -90,6 +118,7 @@ impl StreamWriter {
         }
     }
 
+    #[inline]
     fn put(&self, end: &mut End, fill: impl FnOnce(usize)) -> Pushed {
         match (&self.link.order, end) {
             (Order::Latest(latest), End::Latest { back }) => {

@@ -20,5 +20,5 @@ pub(super) use change::{
 pub(super) use graph::{Figures, component, connection, list, process, report};
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
-pub(super) use requests::{Common, configure, connect, create, disconnect, remove, step, targets};
+pub(super) use requests::{Common, configure, connect, create, disconnect, remove, steps, targets};
 pub(super) use types::{class, ports};

@@ -70,6 +70,7 @@ refusals! {
     RevisionConflict { expected, actual }
     NotReached { id, state, wanted, after_ns }
     EventNotSeen { member, state, after_ns }
+    NoSample { port, state, after_ns }
     LcmTimeout { process, what }
     Unbound { member }
     Disabled { member }

@@ -3,7 +3,7 @@
 use prost_types::Duration;
 use trocar_model::{
     ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, OnFailure, PortId, Queue,
-    Refusal, Request, Target, Which, nearest,
+    Refusal, Request, Target, Which, brief, nearest, period_fault,
 };
 use trocar_proto::v1;
 
@@ -21,6 +21,16 @@ fn invalid(what: &str, why: impl Into<String>, field: &str) -> Refusal {
 }
 
 pub(crate) fn create(r: v1::CreateRequest) -> Result<Request, Refusal> {
+    let both = !r.process.is_empty() || !r.name.is_empty();
+    if both && !r.path.is_empty() && r.path != format!("{}/{}", r.process, r.name) {
+        let why = format!(
+            "path \"{}\" says something else than process \"{}\" and name \"{}\": give path, or process and name",
+            brief(&r.path),
+            brief(&r.process),
+            brief(&r.name)
+        );
+        return Err(invalid("Create", why, "path"));
+    }
     let id = if r.path.is_empty() {
         if r.process.is_empty() || r.name.is_empty() {
             let why = "name the component: process and name, or path \"process/name\"";
@@ -42,6 +52,10 @@ pub(crate) fn remove(r: v1::RemoveRequest) -> Result<Request, Refusal> {
 }
 
 pub(crate) fn configure(r: v1::ConfigureRequest) -> Result<Request, Refusal> {
+    if r.config.is_none() && r.execution.is_none() {
+        let why = "nothing is to change: give config, execution or both";
+        return Err(invalid(&format!("Configure {}", brief(&r.path)), why, "config"));
+    }
     let patch = r.config.map(from_struct).unwrap_or_else(|| serde_json::json!({}));
     let execution = r.execution.map(execution).transpose()?;
     Ok(Request::Configure { id: ComponentId::parse(&r.path)?, patch, execution })
@@ -79,7 +93,16 @@ pub(crate) fn disconnect(r: v1::DisconnectRequest) -> Result<Request, Refusal> {
     Ok(Request::Disconnect { which })
 }
 
-pub(crate) fn step(step: v1::Step) -> Result<Request, Refusal> {
+/// The steps of an Apply; none is a mistake of whoever made them.
+pub(crate) fn steps(steps: Vec<v1::Step>) -> Result<Vec<Request>, Refusal> {
+    if steps.is_empty() {
+        let why = "it has no step: give at least one of create, connect, start, …";
+        return Err(invalid("Apply", why, "steps"));
+    }
+    steps.into_iter().map(step).collect()
+}
+
+fn step(step: v1::Step) -> Result<Request, Refusal> {
     use v1::step::Step as S;
     match step.step {
         Some(S::Create(r)) => create(r),
@@ -109,15 +132,12 @@ fn ns(duration: &Duration, field: &str) -> Result<u64, Refusal> {
 pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
     let model = named(&e.model, "execution.model", ExecutionModel::ALL, ExecutionModel::name)?;
     let on_failure = named(&e.on_failure, "execution.on_failure", OnFailure::ALL, OnFailure::name)?;
-    let from_rate = if e.rate_hz == 0.0 {
-        None
-    } else if e.rate_hz.is_finite() && e.rate_hz > 0.0 {
-        Some((1e9 / e.rate_hz).round() as u64)
-    } else {
-        let why = format!("{} Hz is not a rate: give a positive number", e.rate_hz);
-        return Err(invalid("execution.rate_hz", why, "execution.rate_hz"));
-    };
+    let from_rate = e.rate_hz.map(period_of).transpose()?;
     let period = e.period.as_ref().map(|d| ns(d, "execution.period")).transpose()?;
+    // The planner knows periods only, and would name the rate.
+    if let Some(why) = period.and_then(period_fault) {
+        return Err(invalid("execution.period", why, "execution.period"));
+    }
     let priority = |p: u32| {
         let why = || format!("{p} is outside 1 to 99");
         u8::try_from(p).map_err(|_| invalid("execution.priority", why(), "execution.priority"))
@@ -136,6 +156,24 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
         history: e.history,
         on_failure,
     })
+}
+
+/// The period of a rate, ns; what is outside the limits is told as the rate it was given as.
+fn period_of(rate_hz: f64) -> Result<u64, Refusal> {
+    let wrong = |why: &str| {
+        let readable = rate_hz == 0.0 || !rate_hz.is_finite() || (1e-6..1e15).contains(&rate_hz.abs());
+        let rate = if readable { rate_hz.to_string() } else { format!("{rate_hz:e}") };
+        let why = format!("{rate} Hz {why}");
+        invalid("execution.rate_hz", why, "execution.rate_hz")
+    };
+    if !(rate_hz.is_finite() && rate_hz > 0.0) {
+        return Err(wrong("is not a rate: give a positive number"));
+    }
+    let period_ns = (1e9 / rate_hz).round() as u64;
+    match period_fault(period_ns) {
+        Some(_) => Err(wrong("is outside one step an hour to 1000000 Hz")),
+        None => Ok(period_ns),
+    }
 }
 
 /// One of several names; "" = not said.
@@ -161,10 +199,10 @@ const MAX_DEPTH: u32 = 65_536;
 
 pub(crate) fn options(o: v1::ConnectOptions) -> Result<ConnectOptions, Refusal> {
     let depth = |n: u32, field: &str| {
-        if n <= MAX_DEPTH {
+        if (1..=MAX_DEPTH).contains(&n) {
             Ok(n as usize)
         } else {
-            Err(invalid(field, format!("{n} is more than {MAX_DEPTH}"), field))
+            Err(invalid(field, format!("room for {n} is outside 1 to {MAX_DEPTH}"), field))
         }
     };
     let queue = match &o.queue {
@@ -174,17 +212,11 @@ pub(crate) fn options(o: v1::ConnectOptions) -> Result<ConnectOptions, Refusal> 
             Some(Queue::Fifo { depth: depth(q.fifo, "options.queue.fifo")?, drop_oldest: q.drop_oldest })
         }
     };
-    let mailbox = match o.mailbox {
-        Some(0) => {
-            return Err(invalid("options.mailbox", "a mailbox needs room for 1 or more", "options.mailbox"));
-        }
-        other => other.map(|n| depth(n, "options.mailbox")).transpose()?,
-    };
     Ok(ConnectOptions {
         queue,
         max_age_ns: o.max_age.as_ref().map(|d| ns(d, "options.max_age")).transpose()?,
         deadline_ns: o.deadline.as_ref().map(|d| ns(d, "options.deadline")).transpose()?,
-        mailbox,
+        mailbox: o.mailbox.map(|n| depth(n, "options.mailbox")).transpose()?,
         adapt: o.adapt,
         replace: o.replace,
         carrier: o.carrier,

@@ -219,7 +219,7 @@ pub(crate) fn safety(s: model::Safety) -> v1::Safety {
 pub(crate) fn execution_out(e: &model::Execution) -> v1::Execution {
     v1::Execution {
         model: e.model.map_or("", model::ExecutionModel::name).into(),
-        rate_hz: e.period_ns.map_or(0.0, |ns| 1e9 / ns as f64),
+        rate_hz: e.period_ns.map(|ns| 1e9 / ns as f64),
         period: e.period_ns.map(duration),
         phase: e.phase_ns.map(duration),
         stream_of: e.stream_of.clone().unwrap_or_default(),

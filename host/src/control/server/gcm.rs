@@ -1,5 +1,6 @@
 //! GcmService: one thin method per RPC.
 
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use tonic::{Request, Response, Status};
@@ -16,7 +17,7 @@ use crate::control::convert::{self, Common, Figures};
 use crate::control::deadline::{deadline, room};
 use crate::control::services::FOR_COMPONENT;
 use crate::gcm::{ExecuteOptions, Executed, plan_lines};
-use crate::lcm::PluginInfo;
+use crate::lcm::{PluginInfo, Report};
 
 /// Executes and answers; the response types differ in name, and in the fields that are filled by the caller.
 macro_rules! mutate {
@@ -35,7 +36,7 @@ macro_rules! mutate {
             v1::$response {
                 revision: done.revision,
                 plan: plan_lines(&done.plan),
-                components: done.reports.iter().map(convert::report).collect(),
+                components: told(&done),
                 skipped: skipped(&done),
                 warnings: warnings(&done),
                 $($($extra: Default::default(),)*)?
@@ -63,9 +64,27 @@ fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
     skipped.map(|s| v1::SkippedComponent { path: s.id.to_string(), why: s.why.clone() }).collect()
 }
 
+/// How each component stands in the end, once each; its ports are for Describe.
+fn told(done: &Executed) -> Vec<v1::ComponentReport> {
+    let mut out: Vec<v1::ComponentReport> = Vec::with_capacity(done.reports.len());
+    for report in &done.reports {
+        let mut last = Report { ports: None, ..report.clone() };
+        if let Some(at) = out.iter().position(|earlier| earlier.path == report.id.to_string()) {
+            let earlier = out.remove(at);
+            last.lost_connections.splice(0..0, earlier.lost_connections);
+            last.warnings.splice(0..0, earlier.warnings);
+        }
+        out.push(convert::report(&last));
+    }
+    out
+}
+
+/// Each sentence once, though every change of a component reports it anew.
 fn warnings(done: &Executed) -> Vec<String> {
     let failed = done.failed.iter().map(|(id, refusal)| format!("{id}: {refusal}"));
-    done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed).collect()
+    let mut seen = BTreeSet::new();
+    let all = done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed);
+    all.filter(|warning| seen.insert(warning.clone())).collect()
 }
 
 impl Edge {
@@ -228,12 +247,7 @@ impl GcmService for Edge {
 
     async fn apply(&self, request: Request<v1::ApplyRequest>) -> Result<Response<v1::ApplyResponse>, Status> {
         Ok(Response::new(
-            mutate!(self, request, ApplyResponse, |r: v1::ApplyRequest| r
-                .steps
-                .into_iter()
-                .map(convert::step)
-                .collect())
-            .0,
+            mutate!(self, request, ApplyResponse, |r: v1::ApplyRequest| convert::steps(r.steps)).0,
         ))
     }
 
@@ -262,7 +276,7 @@ impl GcmService for Edge {
         let figures = if r.brief { Figures::default() } else { self.figures(&graph, &ids, until).await };
         let mut answer = convert::list(&graph, gcm.term(), &figures);
         if r.classes {
-            let mut seen = std::collections::BTreeSet::new();
+            let mut seen = BTreeSet::new();
             let classes = graph.processes.values().flat_map(|p| &p.classes);
             answer.classes = classes
                 .filter(|c| seen.insert((c.full_name(), c.hash.clone())))

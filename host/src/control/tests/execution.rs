@@ -24,7 +24,7 @@ async fn every_setting_arrives_and_is_shown_again() {
     let s = System::start().await;
     let lead = v1::Execution {
         model: "stream".into(),
-        rate_hz: 100.0,
+        rate_hz: Some(100.0),
         priority: Some(80),
         cpus: vec![1],
         catch_up: Some(3),
@@ -51,13 +51,13 @@ async fn configure_changes_it_but_not_while_it_runs() {
     let s = System::start().await;
     let mut gcm = s.gcm();
     gcm.create(create("host/a")).await.unwrap();
-    let faster = v1::Execution { rate_hz: 2000.0, ..Default::default() };
+    let faster = v1::Execution { rate_hz: Some(2000.0), ..Default::default() };
     let done = gcm.configure(configure("host/a", faster.clone())).await.unwrap().into_inner();
     assert!(done.plan.iter().any(|l| l.contains("period_us: 1000 → 500")), "{:?}", done.plan);
-    assert_eq!(shown(&s, "host/a").await.rate_hz, 2000.0);
+    assert_eq!(shown(&s, "host/a").await.rate_hz, Some(2000.0));
     gcm.start(start("host/a")).await.unwrap();
     gcm.configure(configure("host/a", faster)).await.expect("what it is already is no change");
-    let slower = v1::Execution { rate_hz: 500.0, ..Default::default() };
+    let slower = v1::Execution { rate_hz: Some(500.0), ..Default::default() };
     let status = gcm.configure(configure("host/a", slower)).await.unwrap_err();
     assert_eq!(reason(&status), "WRONG_STATE", "{status}");
     assert!(status.message().contains("its execution cannot change while it runs"), "{status}");
@@ -74,12 +74,21 @@ async fn a_wrong_setting_is_refused_with_its_field() {
             "execution.on_failure",
             "did you mean \"bypass\"?",
         ),
-        (v1::Execution { rate_hz: f64::NAN, ..e() }, "execution.rate_hz", "NaN Hz"),
-        (v1::Execution { rate_hz: -5.0, ..e() }, "execution.rate_hz", "-5 Hz is not a rate"),
-        (v1::Execution { rate_hz: f64::INFINITY, ..e() }, "execution.rate_hz", "inf Hz"),
-        (v1::Execution { rate_hz: 1e12, ..e() }, "execution.rate_hz", "outside 1 µs to 3600 s"),
-        (v1::Execution { rate_hz: 1e-9, ..e() }, "execution.rate_hz", "outside 1 µs to 3600 s"),
-        (v1::Execution { period: seconds(0, 0), ..e() }, "execution.rate_hz", "a period of 0 ns"),
+        (v1::Execution { rate_hz: Some(f64::NAN), ..e() }, "execution.rate_hz", "NaN Hz"),
+        (v1::Execution { rate_hz: Some(0.0), ..e() }, "execution.rate_hz", "0 Hz is not a rate"),
+        (v1::Execution { rate_hz: Some(-5.0), ..e() }, "execution.rate_hz", "-5 Hz is not a rate"),
+        (v1::Execution { rate_hz: Some(f64::INFINITY), ..e() }, "execution.rate_hz", "inf Hz"),
+        (
+            v1::Execution { rate_hz: Some(1e12), ..e() },
+            "execution.rate_hz",
+            "1000000000000 Hz is outside one step an hour to 1000000 Hz",
+        ),
+        (
+            v1::Execution { rate_hz: Some(1e-9), ..e() },
+            "execution.rate_hz",
+            "outside one step an hour to 1000000 Hz",
+        ),
+        (v1::Execution { period: seconds(0, 0), ..e() }, "execution.period", "a period of 0 ns"),
         (v1::Execution { period: seconds(-1, 0), ..e() }, "execution.period", "-1 s is not a duration here"),
         (v1::Execution { period: seconds(i64::MAX, 0), ..e() }, "execution.period", "is not a duration"),
         (v1::Execution { phase: seconds(0, -1), ..e() }, "execution.phase", "is not a duration"),
@@ -87,6 +96,7 @@ async fn a_wrong_setting_is_refused_with_its_field() {
         (v1::Execution { priority: Some(4000), ..e() }, "execution.priority", "4000 is outside 1 to 99"),
         (v1::Execution { catch_up: Some(u32::MAX), ..e() }, "execution.catch_up", "4294967295"),
         (v1::Execution { threads: Some(65), ..e() }, "execution.threads", "65 is outside 1 to 64"),
+        (v1::Execution { cpus: vec![0, 1, 0], ..e() }, "execution.cpus", "processor 0 is named twice"),
         (v1::Execution { cpus: vec![u32::MAX], ..e() }, "execution.cpus", "4294967295"),
         (v1::Execution { model: "exec_in".into(), ..e() }, "execution.inside", "model exec_in needs"),
     ];

@@ -49,7 +49,8 @@ impl Error for UplinkError {}
 
 /// A process's tie to its GCM.
 pub struct Uplink {
-    task: JoinHandle<()>,
+    /// `None`: somebody else ends it.
+    task: Option<JoinHandle<()>>,
     refused: oneshot::Receiver<Refusal>,
 }
 
@@ -66,7 +67,7 @@ impl Uplink {
         let tie = Tie { addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
         let session = tie.attempt().await?;
         let (tell, refused) = oneshot::channel();
-        Ok(Uplink { task: tokio::spawn(tie.stay(session, tell)), refused })
+        Ok(Uplink { task: Some(tokio::spawn(tie.stay(session, tell))), refused })
     }
 
     /// Waits until the GCM sends this process away for good, as when its name was given to another one meanwhile.
@@ -78,11 +79,18 @@ impl Uplink {
         }
     }
 
+    /// What to abort to leave the GCM, in the hands of the caller from now on.
+    pub(crate) fn take_task(&mut self) -> Option<JoinHandle<()>> {
+        self.task.take()
+    }
+
     /// Leaves the GCM, which then lists the process as lost.
     pub async fn shutdown(self) {
-        self.task.abort();
-        // Aborted is what it is meant to be.
-        let _ = self.task.await;
+        if let Some(task) = self.task {
+            task.abort();
+            // Aborted is what it is meant to be.
+            let _ = task.await;
+        }
     }
 }
 

@@ -6,7 +6,7 @@
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
 use std::ptr;
-use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::{
     Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_FAILED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status,
@@ -38,17 +38,21 @@ impl EntryError {
 /// Room for one sentence from a plugin, bytes.
 pub(in crate::lcm) const ERR_BYTES: usize = 512;
 
-/// Calls `f` with an error buffer; a negative status becomes an [`EntryError`].
+/// Calls `f` with an error buffer; any status but OK becomes an [`EntryError`].
 #[inline]
 fn guarded(mut err: ErrBuf, f: impl FnOnce(*mut ErrBuf) -> Status) -> Result<(), EntryError> {
     let status = f(&raw mut err);
-    if status >= STATUS_OK { Ok(()) } else { Err(failed(status, &raw mut err)) }
+    if status == STATUS_OK { Ok(()) } else { Err(failed(status, &raw mut err)) }
 }
 
 #[cold]
 fn failed(status: Status, err: *mut ErrBuf) -> EntryError {
     let text = super::sentence(err);
-    let text = if text.is_empty() { format!("status {status} without a reason") } else { text };
+    let text = match text.is_empty() {
+        true if status > STATUS_OK => format!("status {status}, which this ABI does not have"),
+        true => format!("status {status} without a reason"),
+        false => text,
+    };
     EntryError { status, text }
 }
 
@@ -65,8 +69,9 @@ const FREE: u32 = 0;
 const HELD: u32 = 1;
 const CONTENDED: u32 = 2;
 
-/// No executor has this number.
+/// No executor's keeper word, whether somebody is inside or not.
 const NOBODY: u64 = u64::MAX;
+const INSIDE: u64 = 1;
 
 /// An instance behind its entry lock, with the state only the holder of that lock may touch.
 pub(in crate::lcm) struct Object<T> {
@@ -75,10 +80,9 @@ pub(in crate::lcm) struct Object<T> {
     lock: AtomicU32,
     /// Thread token of the holder, to tell re-entry from contention.
     holder: AtomicU64,
-    /// The executor that holds the lock for a whole cycle, or [`NOBODY`]. Written by that executor alone.
+    /// Twice the number of the executor that holds the lock for a whole cycle, plus [`INSIDE`] while somebody is inside under
+    /// that lock; or [`NOBODY`]. Written by that executor's thread alone.
     keeper: AtomicU64,
-    /// Somebody is inside under the keeper's lock. Touched by the keeper's thread alone.
-    inside: AtomicBool,
     /// Null while there is no instance. Used by the holder of the lock, and by visitors.
     this: AtomicPtr<c_void>,
     /// Threads that are bringing the instance to its safe condition without the lock; it is not destroyed meanwhile.
@@ -107,7 +111,6 @@ impl<T: Send> Object<T> {
             lock: AtomicU32::new(FREE),
             holder: AtomicU64::new(0),
             keeper: AtomicU64::new(NOBODY),
-            inside: AtomicBool::new(false),
             this: AtomicPtr::new(ptr::null_mut()),
             visitors: AtomicU32::new(0),
             room: UnsafeCell::new([0; ERR_BYTES]),
@@ -126,14 +129,15 @@ impl<T: Send> Object<T> {
         Some(Entered { object: self, kept: false })
     }
 
-    /// Enters under the lock this thread holds for its cycle: a flag of its own is enough. `None` when somebody is inside,
+    /// Enters under the lock this thread holds for its cycle: a plain word is enough. `None` when somebody is inside,
     /// and where it holds none.
     #[inline]
     pub(in crate::lcm) fn enter_kept(&self) -> Option<Entered<'_, T>> {
-        if !self.is_kept_here() || self.inside.load(Ordering::Relaxed) {
+        let free = context::executor() * 2;
+        if self.keeper.load(Ordering::Relaxed) != free {
             return None;
         }
-        self.inside.store(true, Ordering::Relaxed);
+        self.keeper.store(free | INSIDE, Ordering::Relaxed);
         Some(Entered { object: self, kept: true })
     }
 
@@ -142,22 +146,22 @@ impl<T: Send> Object<T> {
     pub(in crate::lcm) fn keep(&self) {
         if self.lock.compare_exchange(FREE, HELD, Ordering::Acquire, Ordering::Relaxed).is_ok() {
             self.holder.store(thread_token(), Ordering::Relaxed);
-            self.keeper.store(context::executor(), Ordering::Relaxed);
+            self.keeper.store(context::executor() * 2, Ordering::Relaxed);
         }
     }
 
     /// Ends what [`Object::keep`] began, where it began.
     pub(in crate::lcm) fn let_go(&self) {
-        if self.is_kept_here() && !self.inside.load(Ordering::Relaxed) {
+        if self.keeper.load(Ordering::Relaxed) == context::executor() * 2 {
             self.keeper.store(NOBODY, Ordering::Relaxed);
             self.unlock();
         }
     }
 
-    /// Only the keeper's own thread ever finds its own number here.
+    /// This thread holds the entry lock for its cycle. Only the keeper's own thread ever finds its own number here.
     #[inline]
-    fn is_kept_here(&self) -> bool {
-        self.keeper.load(Ordering::Relaxed) == context::executor()
+    pub(super) fn is_kept_here(&self) -> bool {
+        self.keeper.load(Ordering::Relaxed) | INSIDE == (context::executor() * 2) | INSIDE
     }
 
     /// Enters, waiting for whoever is inside until `deadline_ns`. `None` at the deadline, and at once when this very
@@ -246,7 +250,8 @@ impl<T> Drop for Entered<'_, T> {
     #[inline]
     fn drop(&mut self) {
         if self.kept {
-            self.object.inside.store(false, Ordering::Relaxed);
+            let keeper = &self.object.keeper;
+            keeper.store(keeper.load(Ordering::Relaxed) & !INSIDE, Ordering::Relaxed);
         } else {
             self.object.unlock();
         }
@@ -340,7 +345,7 @@ impl<T> Entered<'_, T> {
         // SAFETY: a live instance of this table, entered by us alone; the sink lives for the call.
         match unsafe { describe(this, &raw const sink) } {
             STATUS_UNSUPPORTED => Ok(None),
-            status if status < STATUS_OK => {
+            status if status != STATUS_OK => {
                 Err(EntryError { status, text: format!("status {status} without a reason") })
             }
             _ if text.cut => {

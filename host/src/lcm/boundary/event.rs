@@ -14,6 +14,7 @@ use super::super::context;
 use super::super::inbox::{ENTRY_EVENT, Inbox, Position};
 use super::super::instance::Instance;
 use super::super::pending;
+use super::told;
 
 /// One observer of one event.
 pub(in crate::lcm) enum EventSink {
@@ -93,7 +94,8 @@ impl Handler {
         pending::publish();
         let head = EntryHead { kind: ENTRY_EVENT, index: self.index, reply: 0, stamp_ns: 0 };
         let pushed = self.inbox.mailbox.push(head, payload, Overflow::Reject);
-        self.observer.signal();
+        // SAFETY: this handler stands behind the event, which was looked at in this turn, if there is one.
+        unsafe { told::signal(&self.observer) };
         self.observer.drain_if_passive();
         !matches!(pushed, Push::Full)
     }

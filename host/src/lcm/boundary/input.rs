@@ -5,9 +5,8 @@
 
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
-use std::ptr::null_mut;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_model::CopyRun;
 use trocar_plugin_api::abi::{
@@ -15,6 +14,7 @@ use trocar_plugin_api::abi::{
     Status,
 };
 use trocar_rt::cell::BindingCell;
+use trocar_rt::left::{Leave, Left, LeftList};
 use trocar_rt::os;
 use trocar_rt::stream::{Sample, StreamReader};
 use trocar_rt::timing::Histogram;
@@ -37,9 +37,14 @@ pub(in crate::lcm) struct InLink {
     /// The output's type as manifest JSON.
     described: Arc<str>,
     adapt: Option<Adapt>,
-    /// Stands in the list of links that an input has left, and the next one there.
-    is_left: AtomicBool,
-    next_left: AtomicPtr<InLink>,
+    left: Left<InLink>,
+}
+
+// SAFETY: the place of its own; a link stands behind one input, which leaves it to its own list.
+unsafe impl Leave for InLink {
+    fn left(&self) -> &Left<InLink> {
+        &self.left
+    }
 }
 
 /// Samples of another layout, copied by name into room of the input's own type.
@@ -76,8 +81,7 @@ impl InLink {
             latency: Histogram::new(),
             described,
             adapt,
-            is_left: AtomicBool::new(false),
-            next_left: AtomicPtr::new(null_mut()),
+            left: Left::default(),
         }
     }
 
@@ -129,7 +133,7 @@ pub(in crate::lcm) struct InCell {
     /// The link the last view came from.
     held: UnsafeCell<Option<Arc<InLink>>>,
     /// Links it showed from before, for a manager to drop: the component's thread frees no memory.
-    left: AtomicPtr<InLink>,
+    left: LeftList<InLink>,
 }
 
 // SAFETY: `held` is used only by the component's thread, one at a time.
@@ -142,7 +146,7 @@ impl InCell {
         InCell {
             link: BindingCell::new(Box::new(None)),
             held: UnsafeCell::new(None),
-            left: AtomicPtr::new(null_mut()),
+            left: LeftList::default(),
         }
     }
 
@@ -152,36 +156,8 @@ impl InCell {
     }
 
     pub(super) fn reclaim(&self) -> usize {
-        self.drop_left();
+        self.left.drop_all();
         self.link.reclaim()
-    }
-
-    /// Leaves a link to the managers. Component's thread only; real-time.
-    fn leave(&self, link: Arc<InLink>) {
-        if link.is_left.swap(true, Ordering::AcqRel) {
-            // The list holds it already, so this is not its end.
-            return;
-        }
-        let link = Arc::into_raw(link).cast_mut();
-        let mut first = self.left.load(Ordering::Relaxed);
-        loop {
-            // SAFETY: the reference just given away keeps it alive until it is in the list.
-            unsafe { &*link }.next_left.store(first, Ordering::Relaxed);
-            match self.left.compare_exchange_weak(first, link, Ordering::Release, Ordering::Relaxed) {
-                Ok(_) => return,
-                Err(now) => first = now,
-            }
-        }
-    }
-
-    fn drop_left(&self) {
-        let mut at = self.left.swap(null_mut(), Ordering::Acquire);
-        while !at.is_null() {
-            // SAFETY: each entry of the list owns the reference that `leave` gave it, and the list was taken out whole.
-            let link = unsafe { Arc::from_raw(at) };
-            at = link.next_left.load(Ordering::Relaxed);
-            link.is_left.store(false, Ordering::Release);
-        }
     }
 
     /// Nothing younger than its connection's `max_age` was written. Any thread.
@@ -230,7 +206,7 @@ impl InCell {
             now => std::mem::replace(held, now.clone()),
         });
         if let Some(left) = left {
-            self.leave(left);
+            self.left.leave(left);
         }
         let Some(link) = held.as_ref() else { return IN_UNBOUND };
         // SAFETY: component's thread only.
@@ -261,12 +237,6 @@ impl InCell {
         // SAFETY: the caller lends room for a SampleView.
         unsafe { view.write(shown) };
         IN_SAMPLE
-    }
-}
-
-impl Drop for InCell {
-    fn drop(&mut self) {
-        self.drop_left();
     }
 }
 

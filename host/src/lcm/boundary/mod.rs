@@ -3,6 +3,7 @@
 //! Invariant: the only `unsafe` of the LCM is in this folder. Everything that enters through a slot is checked before it is
 //! used; nothing here waits, allocates or locks on the step path.
 
+mod answer;
 mod call;
 mod class;
 #[cfg(test)]
@@ -18,15 +19,17 @@ mod options;
 mod output;
 mod parallel;
 mod ports;
+mod range;
+mod read;
 pub(super) mod same;
 #[cfg(test)]
 mod tests;
+pub(super) mod told;
 #[cfg(test)]
 pub(super) mod trap;
 
-pub(super) use call::{
-    Answer, CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, FnCell, RangeCheck, ReadTarget, Reader, outcome_of,
-};
+pub(super) use answer::Answer;
+pub(super) use call::{CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, FnCell, outcome_of, write_err};
 pub use class::LoadedClass;
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
 pub(super) use event::{EventCell, EventSink, Handler, Tap};
@@ -35,6 +38,8 @@ pub(super) use host_table::{HostContext, SharedTable};
 pub(super) use input::{InCell, InLink};
 pub(super) use output::{OUTSIDE, OutCell, OutLink, Shape};
 pub(super) use ports::Slots;
+pub(super) use range::RangeCheck;
+pub(super) use read::{ReadTarget, Reader};
 pub(super) use same::{same_input, same_output, same_provided, same_required};
 
 use super::instance::Instance;
@@ -49,7 +54,7 @@ pub(super) fn as_bytes(words: &[u64]) -> &[u8] {
 /// The text in an error buffer; empty for a null one.
 pub(super) fn sentence(err: *mut ErrBuf) -> String {
     // SAFETY: null, or a buffer of this host that a plugin wrote at most `cap` bytes into.
-    unsafe { err.as_ref() }.map_or_else(String::new, |err| String::from_utf8_lossy(text_in(err)).into_owned())
+    unsafe { err.as_ref() }.map_or_else(String::new, |err| crate::plain::sentence(text_in(err)))
 }
 
 /// The bytes in an error buffer of this host, or of a caller that lent one.
@@ -57,7 +62,7 @@ pub(super) fn text_in(err: &ErrBuf) -> &[u8] {
     if err.ptr.is_null() {
         return &[];
     }
-    // SAFETY: `ptr` has room for `cap` bytes, all of them written once.
+    // SAFETY: `ptr` has room for `cap` bytes, and whoever sets `len` has written that many, by the contract of an `ErrBuf`.
     unsafe { std::slice::from_raw_parts(err.ptr, err.len.min(err.cap)) }
 }
 

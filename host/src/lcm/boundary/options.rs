@@ -7,6 +7,27 @@ use std::mem::offset_of;
 use trocar_plugin_api::abi::{CallOpts, MODE_SEND, Outcome};
 use trocar_plugin_api::has_entry;
 
+/// The options, where they have all our fields.
+///
+/// # Safety
+/// Not null; lent by the caller for `'a` and as long as its `struct_size` says.
+#[inline]
+pub(super) unsafe fn whole<'a>(opts: *mut CallOpts) -> Option<&'a mut CallOpts> {
+    // SAFETY: every such struct begins with its size.
+    let size = unsafe { (&raw const (*opts).struct_size).read() };
+    if (size as usize) < size_of::<CallOpts>() {
+        return None;
+    }
+    // SAFETY: the caller's promise; all our fields lie inside.
+    let opts = unsafe { &mut *opts };
+    // A buffer that lies nowhere is no buffer, also for the server it is handed on to.
+    // SAFETY: null or a buffer the caller lends for the call.
+    if unsafe { opts.err.as_ref() }.is_some_and(|err| err.ptr.is_null()) {
+        opts.err = std::ptr::null_mut();
+    }
+    Some(opts)
+}
+
 /// Runs `f` with the options, if there are any. Real-time.
 ///
 /// # Safety
@@ -16,20 +37,12 @@ pub(super) unsafe fn with(opts: *mut CallOpts, f: impl FnOnce(Option<&mut CallOp
     if opts.is_null() {
         return f(None);
     }
-    // SAFETY: every such struct begins with its size.
-    let size = unsafe { (&raw const (*opts).struct_size).read() };
-    if size as usize >= size_of::<CallOpts>() {
-        // SAFETY: the caller's promise; all our fields lie inside.
-        let opts = unsafe { &mut *opts };
-        // A buffer that lies nowhere is no buffer, also for the server it is handed on to.
-        // SAFETY: null or a buffer the caller lends for the call.
-        if unsafe { opts.err.as_ref() }.is_some_and(|err| err.ptr.is_null()) {
-            opts.err = std::ptr::null_mut();
-        }
-        return f(Some(opts));
-    }
     // SAFETY: the caller's promise.
-    unsafe { with_short(opts, size, f) }
+    match unsafe { whole(opts) } {
+        Some(opts) => f(Some(opts)),
+        // SAFETY: as above; every such struct begins with its size.
+        None => unsafe { with_short(opts, (&raw const (*opts).struct_size).read(), f) },
+    }
 }
 
 /// The same through a copy of the fields that are there.

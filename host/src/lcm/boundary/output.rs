@@ -20,6 +20,7 @@ use super::super::context;
 use super::super::instance::Instance;
 use super::super::pending;
 use super::input::{self, InCell};
+use super::told;
 
 /// Connection number of readers from outside.
 pub(in crate::lcm) const OUTSIDE: u64 = 0;
@@ -102,6 +103,8 @@ pub(in crate::lcm) struct OutCell {
     pub(in crate::lcm) seq: AtomicU64,
     /// Bytes so far, headers included.
     pub(in crate::lcm) total_bytes: AtomicU64,
+    /// Loans that were refused so far: pools come and go.
+    exhausted: AtomicU64,
 }
 
 impl OutCell {
@@ -123,6 +126,7 @@ impl OutCell {
             untyped,
             seq: AtomicU64::new(0),
             total_bytes: AtomicU64::new(0),
+            exhausted: AtomicU64::new(0),
         }
     }
 
@@ -253,9 +257,9 @@ impl OutCell {
         })?
     }
 
-    /// Frames a loan was refused for.
+    /// Frames a loan was refused for, by whichever pool.
     pub(in crate::lcm) fn exhausted(&self) -> u64 {
-        self.pools.enter().lends.as_ref().map_or(0, |p| p.stats().exhausted)
+        self.exhausted.load(Ordering::Relaxed)
     }
 
     fn next_meta(&self, stamp_ns: u64, bytes: usize) -> Meta {
@@ -274,8 +278,7 @@ impl OutCell {
         outs.publish_owed();
         let meta = self.next_meta(stamp_ns, value.len());
         for link in &outs.links {
-            link.writer.push(value, meta);
-            link.signal(meta.stamp_ns);
+            link.push(value, meta);
         }
         EXECUTED
     }
@@ -308,27 +311,39 @@ impl Outs {
     /// State rows this thread owes are out before a sample tells another thread of what they hold.
     #[inline]
     fn publish_owed(&self) {
-        if self.links.iter().any(|link| link.leaves_thread()) {
+        if !self.links.iter().all(|link| link.is_read_here()) {
             pending::publish();
         }
     }
 }
 
 impl OutLink {
-    /// False where only this very thread can take what is written now.
+    /// Only this very thread can take what is written now: it holds the consumer's entry lock for its cycle.
     #[inline]
-    fn leaves_thread(&self) -> bool {
-        self.consumer
-            .as_ref()
-            .is_none_or(|c| c.is_passive() || c.is_called_back() || c.executor_id() != context::executor())
+    fn is_read_here(&self) -> bool {
+        self.consumer.as_ref().is_some_and(|c| c.object.is_kept_here())
+    }
+
+    #[inline]
+    fn push(&self, value: &[u8], meta: Meta) {
+        if self.is_read_here() {
+            // SAFETY: a reader is used by whoever is inside its component alone, and the lock for that is this thread's until
+            // its cycle ends: nobody else is in it meanwhile, and whoever gets the lock later comes after.
+            unsafe { self.writer.push_here(value, meta) };
+        } else {
+            self.writer.push(value, meta);
+        }
+        self.signal(meta.stamp_ns);
     }
 
     fn signal(&self, stamp_ns: u64) {
         if let Some(newest_ns) = &self.newest_ns {
-            newest_ns.store(stamp_ns, Ordering::Relaxed);
+            // What is stamped ahead of time is as old as its coming: it must not pass for fresh until then.
+            newest_ns.store(stamp_ns.min(os::now_ns()), Ordering::Relaxed);
         }
         if let Some(consumer) = &self.consumer {
-            consumer.signal();
+            // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
+            unsafe { told::signal(consumer) };
         }
     }
 }
@@ -385,6 +400,7 @@ pub(super) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outco
         return INVALID_ARGUMENT;
     }
     let Some(frame) = cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan())) else {
+        cell.exhausted.fetch_add(1, Ordering::Relaxed);
         return EXHAUSTED;
     };
     let lent = Loan {
@@ -457,6 +473,9 @@ impl OutCell {
     }
 }
 
+/// Frames of the largest pool.
+const MOST_SLOTS: u32 = 4096;
+
 pub(super) unsafe extern "C" fn reserve(ctx: *mut c_void, max_bytes: u64, slots: u32) -> Outcome {
     let cell = out_cell(ctx);
     if context::stepping() {
@@ -466,7 +485,11 @@ pub(super) unsafe extern "C" fn reserve(ctx: *mut c_void, max_bytes: u64, slots:
     if !shape.frame && !shape.unknown {
         return FAILED;
     }
-    cell.reserve(max_bytes as usize, slots.clamp(2, 4096) as usize)
+    if slots > MOST_SLOTS {
+        log::error!("a pool of {slots} frames cannot be made: one has at most {MOST_SLOTS}");
+        return INVALID_ARGUMENT;
+    }
+    cell.reserve(max_bytes as usize, slots.max(2) as usize)
 }
 
 pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {

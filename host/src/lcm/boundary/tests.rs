@@ -4,7 +4,10 @@
 
 mod commands;
 mod dynamic;
+mod limits;
 mod mistakes;
 mod puppet;
+mod sentences;
 mod streams;
+mod told;
 mod world;

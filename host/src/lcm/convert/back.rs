@@ -29,6 +29,8 @@ pub fn command(command: &model::Command) -> String {
         doc: arg.doc.clone(),
         ty: described(&arg.ty, &mut types),
         unit: arg.unit.clone(),
+        // Its fields have it.
+        frame: String::new(),
         min: arg.min,
         max: arg.max,
     });
@@ -45,6 +47,7 @@ pub fn command(command: &model::Command) -> String {
         arg,
         ret,
         ret_unit: command.ret_unit.clone(),
+        ret_frame: String::new(),
         overflow: overflow.into(),
     };
     text(json!(command), &types)
@@ -72,13 +75,27 @@ fn described(ty: &model::Type, types: &mut Vec<wire::NamedType>) -> wire::Type {
             wire::Type::Ref { name: e.name.clone() }
         }
         model::Type::Struct(s) => {
-            if types.iter().all(|t| t.name != s.name) {
-                let fields = s.fields.iter().map(|f| field(f, types)).collect();
-                types.push(wire::NamedType { fields, ..named(&s.name, &s.doc, s.size, s.align) });
-            }
-            wire::Type::Ref { name: s.name.clone() }
+            let fields = s.fields.iter().map(|f| field(f, types)).collect();
+            let name = add(wire::NamedType { fields, ..named(&s.name, &s.doc, s.size, s.align) }, types);
+            wire::Type::Ref { name }
         }
     }
+}
+
+/// What the type is called from now on: an argument and a result of one type may be in two coordinate frames, and each is
+/// described as it is.
+fn add(mut ty: wire::NamedType, types: &mut Vec<wire::NamedType>) -> String {
+    let plain = ty.name.clone();
+    let mut number = 1;
+    while let Some(other) = types.iter().find(|t| t.name == ty.name) {
+        if *other == ty {
+            return ty.name;
+        }
+        number += 1;
+        ty.name = format!("{plain} ({number})");
+    }
+    types.push(ty);
+    types[types.len() - 1].name.clone()
 }
 
 fn named(name: &str, doc: &str, size: usize, align: usize) -> wire::NamedType {

@@ -1,4 +1,5 @@
-//! A class whose units nobody can read is refused with its name, the place and what was probably meant.
+//! A class whose units nobody can read is refused with its name, the place and what was probably meant; so is one whose
+//! execution or defaults no Create could accept.
 #![allow(clippy::unwrap_used)]
 
 use serde_json::json;
@@ -39,4 +40,20 @@ fn an_unknown_unit_refuses_the_class_and_a_known_one_does_not() {
         why.contains("did you mean `N`?"),
         "a description that is written later is held to the same: {why}"
     );
+}
+
+#[test]
+fn a_class_that_no_create_could_accept_is_refused_when_it_is_listed() {
+    let refused = |key: &str, value: serde_json::Value| {
+        let mut class = class();
+        class[key] = value;
+        let mut manifest = manifest("mN");
+        manifest.classes = vec![serde_json::from_value(class).unwrap()];
+        classes(&manifest, "").unwrap_err()
+    };
+    let why = refused("execution", json!({ "model": "on_signal", "period_ns": 250_000_000 }));
+    assert_eq!(why, "class sensor: execution.rate_hz: a rate means nothing to model on_signal");
+    let gain = json!({ "type": "number", "minimum": 3, "maximum": 1, "default": 5 });
+    let why = refused("config", json!({ "type": "object", "properties": { "gain": gain } }));
+    assert!(why.starts_with("class sensor: its own defaults are not valid: gain: 5 is above 1"), "{why}");
 }

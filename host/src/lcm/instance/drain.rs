@@ -2,16 +2,14 @@
 //!
 //! Invariant: every entry that carries a reply is answered once; component code runs only for the holder of the entry lock.
 
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 
 use trocar_plugin_api::abi::{
-    DISABLED, EXECUTED, ErrBuf, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK, STATUS_PANICKED,
-    Status,
+    DISABLED, EXECUTED, ErrBuf, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK, STATUS_PANICKED, Status,
 };
 use trocar_rt::mailbox::EntryHead;
 
-use super::super::boundary::{EntryError, as_bytes, outcome_of, sentence, text_in};
+use super::super::boundary::{EntryError, as_bytes, outcome_of, sentence, text_in, write_err};
 use super::super::inbox::{ENTRY_EVENT, Inbox};
 use super::super::supervise::Entry;
 use super::super::{context, pending};
@@ -64,7 +62,7 @@ impl Instance {
             let run = |head: EntryHead, payload: &[u8]| {
                 let Some(target) = inbox.targets.get(head.index as usize) else { return };
                 match (head.kind, target.get()) {
-                    (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, NOT_ACTIVE),
+                    (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, self.turned_away()),
                     (ENTRY_EVENT, Some(handler)) => {
                         self.deliver(entered, handler, payload);
                         // Without a step after it nobody else would.
@@ -72,7 +70,9 @@ impl Instance {
                             self.publish_state(entered);
                         }
                     }
-                    (_, Some(_)) if head.reply == 0 && !self.is_active() => inbox.refuse(head, NOT_ACTIVE),
+                    (_, Some(_)) if head.reply == 0 && !self.is_active() => {
+                        inbox.refuse(head, self.turned_away())
+                    }
                     (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
                     // Queued for a command that is not in the description any more.
                     (_, None) => inbox.refuse(head, DISABLED),
@@ -116,7 +116,7 @@ impl Instance {
         let mut err = entered.err_buf();
         let status = entered.on_event(handler, payload.as_ptr(), &raw mut err);
         self.watch.leave(watched);
-        if status < STATUS_OK {
+        if status != STATUS_OK {
             self.handler_failed(entered, status, &mut err);
         }
     }
@@ -136,7 +136,7 @@ impl Instance {
         let outcome = if self.is_active() {
             self.command_inside(entered, command, payload.as_ptr(), ret.cast(), &raw mut err)
         } else {
-            NOT_ACTIVE
+            self.turned_away()
         };
         if running.is_some() {
             // Whoever gets the answer may read at once, also of others that ran inside this command.
@@ -173,7 +173,7 @@ impl Instance {
         let mut own = entered.err_buf();
         let err = if err.is_null() { &raw mut own } else { err };
         let before = context::swap_component(Arc::as_ptr(&self.host));
-        let watched = self.watch.begin(Entry::Command, 0);
+        let watched = self.watch.begin_command(command);
         let status = entered.command(command, arg, ret, err);
         self.watch.leave(watched);
         context::swap_component(before);
@@ -183,13 +183,15 @@ impl Instance {
         } else if !pending::later(self) {
             self.publish_state(entered);
         }
-        if status >= STATUS_OK { EXECUTED } else { outcome_of(status) }
+        if status == STATUS_OK { EXECUTED } else { outcome_of(status) }
     }
 
     #[cold]
     fn command_panicked(&self, entered: &mut Entered<'_>, err: *mut ErrBuf) {
         let error = EntryError { status: STATUS_PANICKED, text: sentence(err) };
         self.fail(entered, "command", &error);
+        // Making it safe may have failed as well, and said so in the same place.
+        write_err(err, error.text.as_bytes());
     }
 
     /// Runs what was queued while somebody was inside a passive component.
@@ -206,27 +208,19 @@ impl Instance {
             self.wake();
             return;
         }
-        for _ in 0..ROUNDS {
-            if !self.signalled.swap(false, Ordering::AcqRel) {
-                return;
-            }
-            if let Some(mut entered) = self.object.try_enter() {
-                self.drain(&mut entered);
-                self.pay_safe(&mut entered);
-            } else if !self.leave_mark() {
-                return;
-            }
-        }
-        if self.has_signal() {
+        let work = |mut entered: Entered<'_>| {
+            self.drain(&mut entered);
+            self.pay_safe(&mut entered);
+        };
+        let free = || self.object.is_free();
+        if self.signalled.serve(ROUNDS, || self.object.try_enter(), free, work) {
             // Also where this is its own thread, which may be on its way to rest.
             context::wake(&self.waker);
         }
     }
 
-    /// Marks that something is there for whoever is inside, who looks when leaving; true when nobody is any more. Each side
-    /// changes the mark and never only reads it: whoever comes second sees what the first did before.
+    /// Leaves the mark that something is there for whoever is inside; true when nobody is any more.
     pub(super) fn leave_mark(&self) -> bool {
-        self.signalled.swap(true, Ordering::AcqRel);
-        self.object.is_free()
+        self.signalled.leave(|| self.object.is_free())
     }
 }

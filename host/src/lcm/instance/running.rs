@@ -4,15 +4,17 @@
 //! each time noted in `watch`.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicPtr, Ordering};
 
 use trocar_model::{Execution, ExecutionModel, OnFailure, Safety};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick, WOULD_BLOCK};
 use trocar_rt::os;
 use trocar_rt::wake::Waker;
 
-use super::super::context;
+use super::super::boundary::HostContext;
+use super::super::context::{self, ExecutorId};
 use super::super::executor::{Pace, SLOW_NS};
+use super::super::pending;
 use super::super::supervise::{Entry, Misdeed, Suspicion};
 use super::{Entered, Instance, Misuse};
 
@@ -32,6 +34,8 @@ pub(super) struct Terms {
     on_grid: bool,
     /// Frames pass it unchanged when its step has failed.
     bypass: bool,
+    /// Steps on a stream of somebody else.
+    filter: bool,
 }
 
 impl Terms {
@@ -52,11 +56,39 @@ impl Terms {
             called_back: execution.model == Some(ExecutionModel::OnCallback),
             on_grid: matches!(pace, Pace::Grid { period_ns, .. } if period_ns <= SLOW_NS),
             bypass: execution.on_failure == Some(OnFailure::Bypass),
+            filter: execution.stream_of.is_some(),
         }
     }
 
     pub(super) fn period_ns(&self) -> u64 {
         self.period_ns
+    }
+}
+
+/// What a thread of a device was doing when it came in; a thread of this LCM, when a component's code is the device.
+pub(super) struct Outer {
+    component: AtomicPtr<HostContext>,
+    stepping: bool,
+    /// Of the component it came into.
+    watched: u64,
+}
+
+impl Outer {
+    /// Goes on with it, out of the component of `host`.
+    fn resume(self, host: &Arc<HostContext>) {
+        // Left in another order than entered: what came before may be gone.
+        let mine = std::ptr::eq(context::swap_component(std::ptr::null()), Arc::as_ptr(host));
+        let stepping = mine && self.stepping;
+        if mine {
+            context::swap_component(self.component.into_inner());
+        }
+        if !stepping {
+            pending::publish();
+        }
+        context::set_stepping(stepping);
+        if !stepping {
+            context::flush_wakes();
+        }
     }
 }
 
@@ -89,6 +121,15 @@ impl Instance {
         self.terms.bypass
     }
 
+    /// What becomes of its frames when it has failed, if there are any.
+    pub(super) fn on_failure(&self) -> Option<&'static str> {
+        match (self.bypasses(), self.terms.filter) {
+            (true, _) => Some("frames pass it unchanged until Reset (on_failure bypass)"),
+            (false, true) => Some("its branch stands still until Reset (on_failure stop_branch)"),
+            (false, false) => None,
+        }
+    }
+
     pub(in crate::lcm) fn is_actuator(&self) -> bool {
         self.info.safety == Safety::Actuator
     }
@@ -102,16 +143,35 @@ impl Instance {
     /// Something is there for this component: marks it and wakes its thread, unless that is awake or looks by itself.
     pub(in crate::lcm) fn signal(&self) {
         if context::executor() == self.executor_id() {
-            // Awake already.
-            self.signalled.store(true, Ordering::Release);
+            // Awake already. Of one that runs in others' threads it is not the only one that takes the mark.
+            let shared = self.is_passive() || self.is_called_back();
+            if shared {
+                self.signalled.set();
+            } else {
+                self.signalled.set_here();
+            }
             return;
         }
         // In one order with the gate: either this sees that it steps no more, or its thread, on its way to rest, sees the mark.
-        self.signalled.swap(true, Ordering::SeqCst);
+        self.signalled.set();
         if self.is_passive() || (self.terms.on_grid && self.is_active()) {
             return;
         }
         self.wake();
+    }
+
+    /// Signalled from here that is one plain store, or has to be looked at by its caller at once: nothing to put off.
+    pub(in crate::lcm) fn signals_itself(&self) -> bool {
+        self.is_passive() || context::executor() == self.executor_id()
+    }
+
+    /// The thread that will tell it at the end of its turn, or told it last; 0 = none.
+    pub(in crate::lcm) fn teller(&self) -> ExecutorId {
+        self.teller.load(Ordering::Relaxed)
+    }
+
+    pub(in crate::lcm) fn set_teller(&self, teller: ExecutorId) {
+        self.teller.store(teller, Ordering::Relaxed);
     }
 
     /// Wakes the watchdog of its process.
@@ -127,12 +187,12 @@ impl Instance {
     }
 
     pub(in crate::lcm) fn has_signal(&self) -> bool {
-        self.signalled.load(Ordering::SeqCst)
+        self.signalled.is_set()
     }
 
     /// True once after each signal.
     pub(in crate::lcm) fn take_signal(&self) -> bool {
-        self.has_signal() && self.signalled.swap(false, Ordering::Acquire)
+        self.signalled.take_if_set()
     }
 
     /// Marks this component as the one whose code runs on this thread, inside `entry`, while `f` runs.
@@ -248,22 +308,24 @@ impl Instance {
         let inner = entered.inner();
         inner.cycle += 1;
         inner.last_begin_ns = now_ns;
-        inner.in_callback = true;
-        self.watch.begin(Entry::Callback, now_ns);
-        context::swap_component(Arc::as_ptr(&self.host));
+        inner.in_callback = Some(Outer {
+            component: AtomicPtr::new(context::swap_component(Arc::as_ptr(&self.host)).cast_mut()),
+            stepping: context::stepping(),
+            watched: self.watch.begin(Entry::Callback, now_ns),
+        });
+        // A callback is a step: waiting is not allowed in it, and whom it wakes is woken after it.
+        context::set_stepping(true);
         // Left again by `callback_leave`.
         let _stays_inside = std::mem::ManuallyDrop::new(entered);
         EXECUTED
     }
 
-    /// It leaves again: runs what was queued meanwhile and publishes. Real-time.
+    /// It leaves again: runs what was queued meanwhile, publishes, and wakes whom that concerns. Real-time.
     pub(in crate::lcm) fn callback_leave(&self) {
         let Some(entered) = self.object.adopt() else { return };
         let mut entered = std::mem::ManuallyDrop::new(entered);
         // Inside by another way: a leave without its enter opens nothing.
-        if !std::mem::take(&mut entered.inner().in_callback) {
-            return;
-        }
+        let Some(outer) = entered.inner().in_callback.take() else { return };
         let mut entered = std::mem::ManuallyDrop::into_inner(entered);
         self.take_signal();
         self.drain(&mut entered);
@@ -271,17 +333,17 @@ impl Instance {
         self.publish_row(&mut entered, end_ns);
         let begin_ns = entered.inner().last_begin_ns;
         self.stats.record(begin_ns, end_ns, 0);
-        context::swap_component(std::ptr::null());
-        self.watch.leave(0);
+        self.watch.leave(outer.watched);
         self.pay_safe(&mut entered);
         drop(entered);
         self.left_by_device();
+        outer.resume(&self.host);
     }
 
     /// What came after the drain, while its thread found somebody inside, is that thread's again.
     fn left_by_device(&self) {
-        // Changed and not only read: see `leave_mark`.
-        if self.signalled.swap(false, Ordering::AcqRel) {
+        // Changed and not only read: see `Mark`.
+        if self.signalled.take() {
             self.signal();
         }
     }

@@ -27,8 +27,9 @@ impl Instance {
 
     /// Sets state and fault text without a word; answers how it stood, for [`Instance::tell_change`].
     pub(super) fn shut(&self, state: State, fault: &str) -> (State, String) {
-        let before = self.gate.swap(pack(state), Ordering::SeqCst);
+        // State and reason change together: whoever comes second writes both.
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.gate.swap(pack(state), Ordering::SeqCst);
         (unpack(before), std::mem::replace(&mut *text, fault.to_owned()))
     }
 
@@ -62,10 +63,12 @@ impl Instance {
     /// Sets the state when it is still `from`; tells the world and answers true if it was.
     pub(in crate::lcm) fn set_state_from(&self, from: State, state: State, fault: &str) -> bool {
         let (from, to) = (pack(from), pack(state));
+        let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
         if self.gate.compare_exchange(from, to, Ordering::SeqCst, Ordering::Relaxed).is_err() {
             return false;
         }
-        *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = fault.to_owned();
+        fault.clone_into(&mut text);
+        drop(text);
         self.tell_standing();
         true
     }
@@ -157,13 +160,31 @@ impl Instance {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Threads that came into being during one of its entries, with their names.
-    pub(in crate::lcm) fn note_brood(&self, threads: impl Iterator<Item = (i32, String)>) {
+    /// Threads that came into being during one of its entries, with their names; `lasts`: and may live until `destroy`.
+    pub(in crate::lcm) fn note_brood(&self, threads: impl Iterator<Item = (i32, String)>, lasts: bool) {
+        let threads = threads.map(|(tid, name)| (tid, (name, lasts)));
         self.brood.lock().unwrap_or_else(PoisonError::into_inner).extend(threads);
     }
 
     pub(in crate::lcm) fn brood(&self) -> BTreeMap<i32, String> {
-        self.brood.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
+        brood.iter().map(|(tid, (name, _))| (*tid, name.clone())).collect()
+    }
+
+    /// A thread of its own that may live until `destroy`.
+    pub(in crate::lcm) fn lasts(&self, tid: i32) -> bool {
+        let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
+        brood.get(&tid).is_some_and(|(_, lasts)| *lasts)
+    }
+
+    /// Threads that cannot be its own: they were there before it was made. Told once; kept with when each began.
+    pub(in crate::lcm) fn set_elders(&self, threads: impl FnOnce() -> BTreeMap<i32, u64>) {
+        self.elders.get_or_init(threads);
+    }
+
+    /// When a thread that was there before it was made began; `None` of one that came after.
+    pub(in crate::lcm) fn elder(&self, tid: i32) -> Option<u64> {
+        self.elders.get()?.get(&tid).copied()
     }
 
     /// A required port lost its connection, or has one again.

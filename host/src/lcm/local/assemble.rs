@@ -2,13 +2,15 @@
 //!
 //! Invariant: no lock is held while component code runs or is waited for; what half exists after a refusal is taken back.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
-use trocar_model::{ComponentId, Execution, ExecutionModel, Refusal, State, StopReason, Verb, allowed};
-use trocar_plugin_api::abi::NOT_ACTIVE;
+use trocar_model::{
+    ComponentId, Execution, ExecutionModel, Health, Refusal, State, StopReason, Verb, allowed,
+};
 use trocar_rt::os;
 
 use super::super::Report;
@@ -18,15 +20,26 @@ use super::super::lifecycle::{
     Entry as Done, component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure,
     undo_start,
 };
-use super::super::supervise::{Entry, LEAVE_NS, Manners, Ward, give_up, left_behind};
+use super::super::supervise::{Entry, LEAVE_NS, Manners, Ward, give_up, left_behind, outlasts_stop};
 use super::{LocalLcm, Slot};
 
 fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refusal {
     Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why }
 }
 
-/// Longest wait for a component that is being removed, before its thread is left behind.
+/// Refused while an end it requires has lost its connection: it would be stopped again as soon as that is seen.
+fn still_connected(instance: &Instance) -> Result<(), Refusal> {
+    let ports: Vec<String> = instance.missing().into_iter().map(|(port, _)| port).collect();
+    if ports.is_empty() { Ok(()) } else { Err(Refusal::Unconnected { id: instance.id.clone(), ports }) }
+}
+
+/// Longest wait for a component that is being removed, before its thread is left behind; and for one that is being stopped,
+/// from when it was found unresponsive.
 const HUNG: Duration = Duration::from_secs(1);
+/// Why one that is removed is not destroyed.
+const STRAYS: &str = "threads of its own still run";
+/// Between two looks whether it still is.
+const LOOK: Duration = Duration::from_millis(10);
 /// A moment on the monotonic clock that does not come, ns.
 const NEVER_NS: u64 = u64::MAX / 4;
 
@@ -37,8 +50,14 @@ impl LocalLcm {
         component: Box<trocar_model::Component>,
         deadline: Instant,
     ) -> Result<Report, Refusal> {
-        if self.held().components.contains_key(&id) {
-            return Err(Refusal::ComponentExists { id });
+        {
+            let held = self.held();
+            if held.closed {
+                return Err(Refusal::ProcessLost { process: self.hub.process.clone() });
+            }
+            if held.components.contains_key(&id) {
+                return Err(Refusal::ComponentExists { id });
+            }
         }
         let Some(classes) = self.classes.clone() else {
             return Err(Refusal::NotImplemented {
@@ -73,13 +92,27 @@ impl LocalLcm {
                 slot.instance.set_thread_warnings(slot.executor.settings.warnings());
                 self.lock_pools(&slot.instance);
                 let report = slot.instance.report(true);
-                self.held().components.insert(id, slot.clone());
+                let closed = {
+                    let mut held = self.held();
+                    if !held.closed {
+                        held.components.insert(id, slot.clone());
+                    }
+                    held.closed
+                };
+                if closed {
+                    self.abandon(&slot, executor.1);
+                    return Err(Refusal::ProcessLost { process: self.hub.process.clone() });
+                }
                 self.reorder(&slot);
                 Ok(report)
             }
             Ok(Err((entry, e))) => {
                 self.abandon(&slot, executor.1);
-                Err(component_error(&id, entry, e))
+                // There is none that could be in FAULT; what panicked is told as everywhere.
+                if e.panicked() {
+                    return Err(component_error(&id, entry, e));
+                }
+                Err(Refusal::ComponentRefused { id, entry, text: e.text })
             }
             Err(refusal) => {
                 self.abandon(&slot, executor.1);
@@ -178,10 +211,18 @@ impl LocalLcm {
         let config = slot.config.clone();
         let entry = match verb {
             Verb::Stop => return self.stop(&slot, deadline).await,
+            Verb::Remove => {
+                slot.instance.set_going(true);
+                return self.stop(&slot, deadline).await;
+            }
             Verb::Resume => Entry::Resume,
             Verb::Reset => Entry::Create,
-            Verb::Start | Verb::Configure | Verb::Remove => Entry::Start,
+            Verb::Start | Verb::Configure => Entry::Start,
         };
+        let moves = matches!(verb, Verb::Start | Verb::Resume);
+        if moves && slot.instance.is_actuator() {
+            still_connected(&slot.instance)?;
+        }
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             let from = instance.state();
             let done = match verb {
@@ -207,6 +248,12 @@ impl LocalLcm {
             return Err(wrong_state(id, stands, verb, "it failed before this came to its turn".into()));
         };
         match done {
+            // Stopped again at once: nobody may be told that it runs.
+            Ok(()) if moves && slot.instance.state() == State::Stopped(StopReason::PeerLost) => {
+                still_connected(&slot.instance)?;
+                let why = "what it requires went away while it was being set in motion".to_owned();
+                Err(wrong_state(id, slot.instance.state(), verb, why))
+            }
             Ok(()) => {
                 slot.executor.waker.notify();
                 self.lock_pools(&slot.instance);
@@ -223,26 +270,40 @@ impl LocalLcm {
             slot.instance.stopped(StopReason::Requested);
         }
         // At once: its thread may be inside somebody else, and nothing that waits will be run any more.
-        slot.instance.refuse_queued(NOT_ACTIVE);
+        slot.instance.refuse_queued(slot.instance.turned_away());
         let work = |instance: &Instance, entered: &mut Entered<'_>| match instance.state() {
             // Never started, or a start that came too late was taken back.
             State::Created | State::Ready => Ok(()),
             _ => stop(instance, entered),
         };
-        let done = self.inside(slot, Entry::Stop, deadline, work).await;
+        let done = tokio::select! {
+            biased;
+            done = self.inside(slot, Entry::Stop, deadline, work) => done,
+            () = hangs(slot) => {
+                let (process, what) = (self.hub.process.clone(), format!("stop of {}", slot.instance.id));
+                Err(Refusal::LcmTimeout { process, what })
+            }
+        };
         match done {
             Ok(Ok(())) => Ok(slot.instance.report(false)),
             Ok(Err((entry, e))) => Err(component_error(&slot.instance.id, entry, e)),
             Err(refusal) => {
-                let holder = self.holder_of(slot);
-                let whose = holder.map_or("its own code".to_owned(), |id| format!("the code of {id}"));
-                let why = format!("stop: it did not come back; its thread is inside {whose}");
+                let why = format!("stop: it did not come back; its thread is inside {}", self.held_by(slot));
                 slot.instance.set_state(State::Fault, &why);
                 if slot.instance.is_actuator() {
                     give_up(&Ward::new(slot.instance.clone(), slot.executor.clone()));
                 }
                 Err(refusal)
             }
+        }
+    }
+
+    /// In whose code the thread of a component is that does not come back.
+    fn held_by(&self, slot: &Slot) -> String {
+        match (self.holder_of(slot), slot.instance.watch.busy()) {
+            (Some(id), _) => format!("the code of {id}"),
+            (None, Some(busy)) => format!("its own code ({})", busy.entry.name()),
+            (None, None) => "its own code".to_owned(),
         }
     }
 
@@ -259,8 +320,7 @@ impl LocalLcm {
     /// What to say of threads that a removed component left running, after some time to end.
     async fn leftovers(&self, slot: &Slot) -> Option<String> {
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        let others = self.held().components.values().map(|s| s.executor.tid()).collect::<Vec<_>>();
-        let executors = others.into_iter().chain([slot.executor.tid()]).collect();
+        let executors = self.executor_threads(slot);
         let until = Instant::now() + Duration::from_nanos(LEAVE_NS);
         loop {
             let left = left_behind(&ward, &executors);
@@ -269,7 +329,10 @@ impl LocalLcm {
             }
             if Instant::now() >= until {
                 let (id, n, left) = (&slot.instance.id, left.len(), left.join(", "));
-                let text = format!("{id} is removed, and {n} of its own threads still run: {left}");
+                let text = format!(
+                    "{id} is removed, and {n} of its own threads still run: {left}; what they may use is kept until the \
+                     process ends"
+                );
                 log::warn!("{text}");
                 return Some(text);
             }
@@ -277,21 +340,29 @@ impl LocalLcm {
         }
     }
 
+    /// Threads of this host's own that components run on.
+    fn executor_threads(&self, slot: &Slot) -> BTreeSet<i32> {
+        let held = self.held();
+        held.components.values().map(|s| s.executor.tid()).chain([slot.executor.tid()]).collect()
+    }
+
     pub(super) async fn destroy(&self, id: &ComponentId, deadline: Instant) -> Result<Report, Refusal> {
         let slot = self.slot(id)?;
         let mut report = slot.instance.report(false);
+        slot.instance.set_going(true);
         let patience = deadline.min(Instant::now() + HUNG);
         let number = slot.instance.number;
         let (tell, told) = oneshot::channel();
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
+        let executors = self.executor_threads(&slot);
         // Done whenever its thread comes to it, also long after its remover has given up.
         slot.executor.submit(move |crew| {
             crew.members.retain(|m| m.instance.number != number);
-            end(&ward.instance, crew.members.is_empty());
+            end(&ward, &executors, crew.members.is_empty());
             // Else its remover looks for them, and gives them time to end.
             let late = tell.send(()).is_err();
             if late && !left_behind(&ward, &[ward.executor.tid()].into()).is_empty() {
-                ward.instance.hub.bury(ward.instance.clone(), "threads of its own still run");
+                ward.instance.hub.bury(ward.instance.clone(), STRAYS);
             }
         });
         let done = tokio::time::timeout_at(patience.into(), told).await.is_ok();
@@ -311,7 +382,7 @@ impl LocalLcm {
         slot.instance.look_at_ports();
         if done && let Some(left) = self.leftovers(&slot).await {
             // They may hold what the host gave it.
-            self.hub.bury(slot.instance, "threads of its own still run");
+            self.hub.bury(slot.instance, STRAYS);
             report.warnings.push(left);
         }
         Ok(report)
@@ -320,8 +391,7 @@ impl LocalLcm {
     /// A component that is removed although its thread does not come back; what is to be said of that.
     fn leave_behind(&self, slot: &Slot) -> String {
         let (instance, id) = (&slot.instance, &slot.instance.id);
-        let whose = self.holder_of(slot).map_or("its own code".to_owned(), |id| format!("the code of {id}"));
-        let why = format!("its thread has not come back out of {whose}");
+        let why = format!("its thread has not come back out of {}", self.held_by(slot));
         if instance.is_actuator() && instance.set_state_from(State::Active, State::Fault, &why) {
             give_up(&Ward::new(instance.clone(), slot.executor.clone()));
         }
@@ -332,8 +402,34 @@ impl LocalLcm {
     }
 }
 
-/// Stops and destroys one that is removed, on its own thread. `alone`: nobody else runs there.
-fn end(instance: &Arc<Instance>, alone: bool) {
+/// Ends when it has been unresponsive for so long that nobody should wait for it any more.
+async fn hangs(slot: &Slot) {
+    let mut since = None;
+    loop {
+        if slot.instance.watch.health() != Health::Unresponsive {
+            since = None;
+        } else if since.get_or_insert_with(Instant::now).elapsed() >= HUNG {
+            return;
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}
+
+/// Threads that use the instance still run after it was stopped, and some time to end where nobody else waits for this one.
+fn outlasts(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) -> bool {
+    let until = Instant::now() + Duration::from_nanos(if alone { LEAVE_NS } else { 0 });
+    while outlasts_stop(ward, executors) {
+        if Instant::now() >= until {
+            return true;
+        }
+        std::thread::sleep(LOOK);
+    }
+    false
+}
+
+/// Stops and destroys one that is removed, on its own thread; one whose threads still run is not destroyed but kept. `alone`: nobody else runs there.
+fn end(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) {
+    let instance = &ward.instance;
     // A caller's thread, or one of its device, may be inside. Others on this thread are not to wait for that for ever.
     let until_ns = if alone { NEVER_NS } else { os::now_ns() + HUNG.as_nanos() as u64 };
     let Some(mut entered) = instance.object.enter_until(until_ns) else {
@@ -349,7 +445,11 @@ fn end(instance: &Arc<Instance>, alone: bool) {
         }
         instance.pay_safe(&mut entered);
         instance.close();
-        instance.destroy(&mut entered);
+        if outlasts(ward, executors, alone) {
+            instance.hub.bury(instance.clone(), STRAYS);
+        } else {
+            instance.destroy(&mut entered);
+        }
     });
     manners.after(instance, Entry::Destroy);
     // Whoever queued something meanwhile is answered.

@@ -14,7 +14,7 @@ use super::super::system;
 use super::hygiene::left_behind;
 use super::roster::Ward;
 use super::safe::give_up;
-use super::watch::{Busy, Misdeed};
+use super::watch::{Busy, Entry, Misdeed};
 
 /// An overrun is shown at least this long, so that health does not flicker, ns.
 const OVERRUN_SHOWN_NS: u64 = 1_000_000_000;
@@ -83,9 +83,14 @@ impl Charge {
         Charge { ward, ..self }
     }
 
-    pub(super) fn note(&mut self) {
-        self.entries = self.ward.instance.watch.entries();
-        self.commands = self.ward.instance.counters.commands();
+    /// Entries and commands begun so far, for [`Charge::note`].
+    pub(super) fn counts(&self) -> (u64, u64) {
+        (self.ward.instance.watch.entries(), self.ward.instance.counters.commands())
+    }
+
+    /// Up to here it has been looked at. Counted before the look: what began during it belongs to the next one, too.
+    pub(super) fn note(&mut self, counts: (u64, u64)) {
+        (self.entries, self.commands) = counts;
     }
 
     /// Ran a command since the last look.
@@ -130,10 +135,15 @@ impl Charge {
             None => self.health(now_ns),
         };
         let before = instance.watch.health();
+        let runs = self.inside.as_ref().is_none_or(|i| i.busy.entry.runs());
+        if health == Health::Unresponsive && before != health && !runs {
+            // Whoever makes, starts or ends it waits, and may look why.
+            instance.keep_warning(&why);
+        }
         instance.set_health(health, &why);
         if health == Health::Unresponsive && before != health {
             // Its maker, starter or ender is waiting for it already.
-            if instance.is_actuator() && self.inside.as_ref().is_none_or(|i| i.busy.entry.runs()) {
+            if instance.is_actuator() && runs {
                 instance.set_state_from(State::Active, State::Fault, &why);
                 give_up(&self.ward);
             }
@@ -206,11 +216,8 @@ impl Charge {
             counted_ns = counted_ns.saturating_sub(waited_ns.saturating_sub(from));
         }
         (counted_ns >= allowed_ns).then(|| {
-            let (lasted, patience) = (lasted_ns / 1_000_000, patience_ns / 1_000_000);
-            format!(
-                "it has not come back out of its {} for {lasted} ms ({patience} ms allowed)",
-                busy.entry.name()
-            )
+            let (inside, allowed) = (inside_of(&self.ward, busy), short(patience_ns));
+            format!("it has not come back out of its {inside}, which may take {allowed}")
         })
     }
 
@@ -260,12 +267,32 @@ impl Charge {
         }
         match self.overrun_ns {
             Some(at) if now_ns.saturating_sub(at) < OVERRUN_SHOWN_NS => {
-                let period_us = instance.period_ns() as f64 * 1e-3;
-                (Health::Overrun, format!("a cycle takes longer than its period ({period_us} us)"))
+                let period = short(instance.period_ns());
+                (Health::Overrun, format!("a cycle takes longer than its period ({period})"))
             }
             _ => (Health::Ok, "it runs as it should again".into()),
         }
     }
+}
+
+/// The entry it is in; a command by its name.
+fn inside_of(ward: &Ward, busy: Busy) -> String {
+    let (entry, instance) = (busy.entry.name(), &ward.instance);
+    if busy.entry != Entry::Command {
+        return entry.to_owned();
+    }
+    let ports = instance.ports();
+    let mut all = ports.provided.iter().flat_map(|i| i.commands.iter().map(move |c| (i, c)));
+    match all.nth(instance.watch.command() as usize) {
+        Some((interface, command)) => format!("{entry} {}/{}", interface.name, command.name),
+        None => entry.to_owned(),
+    }
+}
+
+/// "33.333 ms", "500 µs".
+fn short(ns: u64) -> String {
+    let (scale, unit) = if ns < 1_000_000 { (1e3, "µs") } else { (1e6, "ms") };
+    format!("{} {unit}", (ns as f64 / scale * 1e3).round() / 1e3)
 }
 
 /// Which of its sources are silent or gone.

@@ -1,14 +1,21 @@
 //! Whether component code left its thread and its process as it found them: signal mask, rounding mode, working directory,
 //! threads.
 //!
-//! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it is named.
+//! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it is named, and
+//! while an entry looks after its manners itself (`Watch::mind`), what is found belongs to it and not to the watchdog.
+
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
+use std::sync::{Mutex, PoisonError};
 
+use trocar_model::Health;
 use trocar_rt::os::{self, Hygiene};
 
+use super::super::executor;
 use super::super::instance::Instance;
 use super::super::realtime;
 use super::roster::Ward;
@@ -20,9 +27,32 @@ const MASKS_NS: u64 = 1_000_000_000;
 /// How long those are looked at one by one of whom one may have done something, ns.
 const SUSPECTED_NS: u64 = 10_000_000_000;
 
+/// Where this process belongs: its working directory when components were first looked after. The lock guards the word only.
+static HOME: Mutex<Option<PathBuf>> = Mutex::new(None);
+
+/// Where the process is, and where it belongs; `None` where that cannot be told.
+fn whereabouts() -> Option<(PathBuf, PathBuf)> {
+    let now = std::env::current_dir().ok()?;
+    let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
+    let home = home.get_or_insert_with(|| now.clone()).clone();
+    Some((now, home))
+}
+
+/// Brings the process back to where it belongs, or lets it belong where it is; answers what came of it.
+fn go_home(now: PathBuf, home: &PathBuf) -> String {
+    match std::env::set_current_dir(home) {
+        Ok(()) => "which was put back".to_owned(),
+        Err(e) => {
+            *HOME.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
+            format!("which could not be put back to {}: {e}", home.display())
+        }
+    }
+}
+
 /// How a thread and its process stood before an entry.
 pub(in crate::lcm) struct Manners {
     thread: Hygiene,
+    /// Where the process was then; elsewhere than at home it was by somebody else's doing.
     directory: Option<PathBuf>,
     /// Empty while the component runs: its threads are not to wait for this look.
     threads: BTreeSet<i32>,
@@ -32,11 +62,12 @@ pub(in crate::lcm) struct Manners {
 const HOUSE: [&str; 3] = ["trocar", "tokio", realtime::HELPER];
 
 impl Manners {
-    /// Looks before an entry of the component; not from a step.
+    /// Looks before an entry of the component; not from a step. Until [`Manners::after`], the watchdog leaves it alone.
     pub(in crate::lcm) fn before(instance: &Instance) -> Manners {
+        instance.watch.mind();
         Manners {
             thread: os::thread_hygiene(),
-            directory: std::env::current_dir().ok(),
+            directory: whereabouts().map(|(now, _)| now),
             threads: if instance.is_active() { BTreeSet::new() } else { threads() },
         }
     }
@@ -44,6 +75,7 @@ impl Manners {
     /// Looks after it: puts back and says what was changed.
     pub(in crate::lcm) fn after(self, instance: &Instance, entry: Entry) {
         let now = os::thread_hygiene();
+        let lasts = matches!(entry, Entry::Create | Entry::Configure);
         let entry = entry.name();
         if now.rounding != self.thread.rounding {
             os::reset_rounding(self.thread.rounding);
@@ -55,20 +87,20 @@ impl Manners {
             instance.warn(&format!("{entry}: it changed the signal mask of its thread, which was put back"));
         }
         if !self.threads.is_empty() {
+            instance.set_elders(|| self.threads.iter().map(|tid| (*tid, began(*tid))).collect());
             let born = threads().into_iter().filter(|tid| !self.threads.contains(tid));
             let named = born.map(|tid| (tid, thread_name(tid)));
-            instance.note_brood(named.filter(|(_, name)| !HOUSE.iter().any(|house| name.starts_with(house))));
+            let own = named.filter(|(_, name)| !HOUSE.iter().any(|house| name.starts_with(house)));
+            instance.note_brood(own, lasts);
         }
-        let directory = std::env::current_dir().ok();
-        if let Some(before) = &self.directory
-            && directory.as_ref() != Some(before)
+        if let Some((now, home)) = whereabouts()
+            && now != home
+            && self.directory.is_some_and(|before| before != now)
         {
-            let put_back = match std::env::set_current_dir(before) {
-                Ok(()) => "which was put back".to_owned(),
-                Err(e) => format!("which could not be put back to {}: {e}", before.display()),
-            };
+            let put_back = go_home(now, &home);
             instance.warn(&format!("{entry}: it changed the working directory of the process, {put_back}"));
         }
+        instance.watch.mind();
     }
 }
 
@@ -91,10 +123,11 @@ impl Suspicion {
     pub(in crate::lcm) fn after(self, instance: &Instance) {
         if os::thread_hygiene().sigmask != self.sigmask {
             os::set_sigmask(self.sigmask);
-            instance.watch.misdeed(Misdeed::Signals);
+            instance.watch.find_out(Misdeed::Signals);
         }
-        if self.directory.is_some() && std::env::current_dir().ok() != self.directory {
-            instance.watch.misdeed(Misdeed::Directory);
+        // Back at home, it was the watchdog that went there meanwhile.
+        if whereabouts().is_some_and(|(now, home)| now != home && self.directory.is_some_and(|b| b != now)) {
+            instance.watch.find_out(Misdeed::Directory);
         }
     }
 }
@@ -102,16 +135,22 @@ impl Suspicion {
 /// What the watchdog knows of the process and its threads from earlier looks.
 #[derive(Default)]
 pub(super) struct Premises {
-    directory: Option<PathBuf>,
     masks_ns: u64,
     /// Until when somebody is suspected, ns; 0 = nobody is.
     suspected_ns: u64,
 }
 
 impl Premises {
-    /// One look. `busy` are those that were inside since the last look, the ones with commands first.
-    pub(super) fn look(&mut self, now_ns: u64, wards: &[&Ward], busy: &[&Ward]) {
-        let mut suspects = self.directory(busy);
+    /// One look. `busy`, asked after it, are those that were inside since the last look that answered true, the ones with commands first.
+    /// False: somebody is inside who looks for himself, so nothing is said yet.
+    pub(super) fn look<'a>(
+        &mut self,
+        now_ns: u64,
+        wards: &[&'a Ward],
+        busy: impl FnOnce() -> Vec<&'a Ward>,
+    ) -> bool {
+        let directory = look_at_directory(wards, busy);
+        let mut suspects = directory == Found::Several;
         if now_ns.saturating_sub(self.masks_ns) >= MASKS_NS {
             self.masks_ns = now_ns;
             suspects |= wards.iter().filter(|ward| mask(ward, wards)).count() > 0;
@@ -122,56 +161,104 @@ impl Premises {
             self.suspected_ns = 0;
             wards.iter().for_each(|ward| ward.instance.watch.suspect(false));
         }
+        directory != Found::TooEarly
     }
+}
 
-    /// True when several are suspected.
-    fn directory(&mut self, busy: &[&Ward]) -> bool {
-        let Ok(now) = std::env::current_dir() else { return false };
-        let before = self.directory.get_or_insert_with(|| now.clone());
-        if *before == now {
-            return false;
-        }
-        let put_back = match std::env::set_current_dir(&*before) {
-            Ok(()) => "which was put back".to_owned(),
-            Err(e) => {
-                let text = format!("which could not be put back to {}: {e}", before.display());
-                *before = now;
-                text
-            }
-        };
-        accuse(busy, &format!("the working directory of the process was changed, {put_back}"))
+/// What a look came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Found {
+    /// All is as it was, or there was no doubt whose doing it is.
+    Settled,
+    /// Several may have done it, and were told.
+    Several,
+    /// Somebody looks for himself; asked again when he is done.
+    TooEarly,
+}
+
+fn look_at_directory<'a>(wards: &[&'a Ward], busy: impl FnOnce() -> Vec<&'a Ward>) -> Found {
+    let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+    let Some((now, home)) = whereabouts().filter(|(now, home)| now != home) else { return Found::Settled };
+    let hang = match minding(wards, &before) {
+        Minding::Nobody => None,
+        Minding::Looks => return Found::TooEarly,
+        Minding::Hang(stuck) => Some(stuck),
+    };
+    let put_back = go_home(now, &home);
+    let what = format!("the working directory of the process was changed, {put_back}");
+    if accuse(&hang.unwrap_or_else(busy), &what, Misdeed::Directory) {
+        Found::Several
+    } else {
+        Found::Settled
+    }
+}
+
+/// Who looks after his manners himself.
+enum Minding<'a> {
+    Nobody,
+    /// At least one who will come to it.
+    Looks,
+    /// These, and all of them do not come back.
+    Hang(Vec<&'a Ward>),
+}
+
+/// Who does, or did since the words in `before` were taken.
+fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
+    let now: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+    let inside: Vec<&Ward> =
+        wards.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
+    if now != before || inside.iter().any(|w| w.instance.watch.health() != Health::Unresponsive) {
+        Minding::Looks
+    } else if inside.is_empty() {
+        Minding::Nobody
+    } else {
+        Minding::Hang(inside)
     }
 }
 
 /// Says to those it may have been what was done; alone under suspicion, it was that one. True when there are several: should
-/// it happen again, they are looked at one by one, unless one of them has been found out already.
-fn accuse(suspects: &[&Ward], what: &str) -> bool {
-    let names: Vec<String> = suspects.iter().map(|w| w.instance.id.to_string()).collect();
-    match suspects {
-        [] => log::warn!("{what}, by no component that was seen running"),
+/// it happen again, they are looked at one by one. Who is looked at already would have been found out, so it was another.
+fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
+    if suspects.is_empty() {
+        log::warn!("{what}, by no component that was seen running");
+        return false;
+    }
+    // All are asked, so that nothing found now is taken for something found later.
+    if suspects.iter().filter(|w| w.instance.watch.takes_found_out(misdeed)).count() > 0 {
+        return true;
+    }
+    let (known, others): (Vec<&Ward>, Vec<&Ward>) =
+        suspects.iter().partition(|w| w.instance.watch.is_suspected());
+    match others.as_slice() {
+        [] => return true,
         [ward] => ward.instance.warn(what),
-        _ if suspects.iter().any(|w| w.instance.watch.is_suspected()) => return true,
         _ => {
-            suspects.iter().for_each(|w| w.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
-            suspects.iter().for_each(|w| w.instance.watch.suspect(true));
+            let names: Vec<String> = others.iter().map(|w| w.instance.id.to_string()).collect();
+            others.iter().for_each(|w| w.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
+            others.iter().for_each(|w| w.instance.watch.suspect(true));
             return true;
         }
     }
-    false
+    !known.is_empty()
 }
 
 /// Looks at the signal mask of one component's thread, as the kernel shows it; true when several are suspected.
 fn mask(ward: &Ward, wards: &[&Ward]) -> bool {
     let executor = &ward.executor;
-    let (Some(now), Some(own)) = (blocked(executor.tid()), executor.settings.hygiene()) else { return false };
-    if now == own.sigmask
-        || wards
-            .iter()
-            .find(|w| w.executor.id == executor.id)
-            .is_some_and(|w| w.instance.number != ward.instance.number)
-    {
+    let members: Vec<&Ward> = wards.iter().copied().filter(|w| w.executor.id == executor.id).collect();
+    if members.first().is_some_and(|first| first.instance.number != ward.instance.number) {
         return false;
     }
+    let before: Vec<u64> = members.iter().map(|w| w.instance.watch.minded()).collect();
+    let (Some(now), Some(own)) = (blocked(executor.tid()), executor.settings.hygiene()) else { return false };
+    if now == own.sigmask {
+        return false;
+    }
+    let suspects = match minding(&members, &before) {
+        Minding::Nobody => members,
+        Minding::Looks => return false,
+        Minding::Hang(stuck) => stuck,
+    };
     if executor.settings.mask_due.swap(true, Ordering::AcqRel) {
         // Asked for already: it hangs, and would only find more of the same when it comes back.
         return false;
@@ -181,8 +268,7 @@ fn mask(ward: &Ward, wards: &[&Ward]) -> bool {
         os::set_sigmask(own.sigmask);
         settings.settings.mask_due.store(false, Ordering::Release);
     });
-    let suspects: Vec<&Ward> = wards.iter().copied().filter(|w| w.executor.id == executor.id).collect();
-    accuse(&suspects, "the signal mask of its thread was changed, which was put back")
+    accuse(&suspects, "the signal mask of its thread was changed, which was put back", Misdeed::Signals)
 }
 
 /// Signals a thread of this process blocks, bit 0 = signal 1.
@@ -193,8 +279,19 @@ fn blocked(tid: i32) -> Option<u64> {
 }
 
 /// Names of threads that run in this process and were started by the component's own code: they bear the name of its thread,
-/// as new threads do, or came into being during one of its entries.
+/// as new threads do, or came into being during one of its entries. What was there before it was made is not its own: it may
+/// be of one removed that had its name.
 pub(in crate::lcm) fn left_behind(ward: &Ward, executors: &BTreeSet<i32>) -> Vec<String> {
+    own_threads(ward, executors).into_iter().map(|(_, name)| name).collect()
+}
+
+/// One of those that `stop` should have ended still runs, as far as can be told: what was started by `create` or `configure`
+/// may be for `destroy` to end.
+pub(in crate::lcm) fn outlasts_stop(ward: &Ward, executors: &BTreeSet<i32>) -> bool {
+    own_threads(ward, executors).iter().any(|(tid, _)| !ward.instance.lasts(*tid))
+}
+
+fn own_threads(ward: &Ward, executors: &BTreeSet<i32>) -> Vec<(i32, String)> {
     let own = ward.executor.name.as_str();
     let noted = ward.instance.brood();
     // A thread without a name of its own belongs to the one whose name it bears.
@@ -203,10 +300,10 @@ pub(in crate::lcm) fn left_behind(ward: &Ward, executors: &BTreeSet<i32>) -> Vec
         |tid: i32, name: &String| name == own || noted.get(&tid) == Some(name) && !others.contains(name);
     threads()
         .into_iter()
-        .filter(|tid| !executors.contains(tid))
+        .filter(|tid| !executors.contains(tid) && !executor::is_executor(*tid))
+        .filter(|tid| ward.instance.elder(*tid).is_none_or(|when| when != began(*tid)))
         .map(|tid| (tid, thread_name(tid)))
         .filter(|(tid, name)| !name.is_empty() && is_own(*tid, name))
-        .map(|(_, name)| name)
         .collect()
 }
 
@@ -214,6 +311,14 @@ pub(in crate::lcm) fn left_behind(ward: &Ward, executors: &BTreeSet<i32>) -> Vec
 fn threads() -> BTreeSet<i32> {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     tasks.filter_map(|t| t.file_name().to_str()?.parse().ok()).collect()
+}
+
+/// When a thread of this process began, in ticks since boot, so that a number given again can be told apart; 0 when it is gone.
+fn began(tid: i32) -> u64 {
+    let text = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
+    // The name before the last parenthesis may hold anything; the 20th word after it is the time.
+    let after = text.rfind(')').map_or("", |at| &text[at + 1..]);
+    after.split_ascii_whitespace().nth(19).and_then(|word| word.parse().ok()).unwrap_or(0)
 }
 
 /// Name of a thread of this process; empty when it is gone.

@@ -10,7 +10,7 @@ mod watch;
 mod watchdog;
 
 pub(super) use charge::LEAVE_NS;
-pub(super) use hygiene::{Manners, Suspicion, left_behind};
+pub(super) use hygiene::{Manners, Suspicion, left_behind, outlasts_stop};
 pub(super) use roster::{Roster, Ward};
 pub(super) use safe::give_up;
 pub(super) use watch::{Entry, Misdeed, Watch};

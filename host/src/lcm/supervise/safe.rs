@@ -1,7 +1,8 @@
 //! Making a component safe whose own thread is not to be had: it hangs, or somebody else hangs on it.
 //!
-//! Invariant: from another thread only classes that declare `make_safe` callable from any; on a thread of its own, since it
-//! may hang too. The component's own thread does it once more when it is back.
+//! Invariant: from another thread only classes that declare `make_safe` callable from any: that entry then touches nothing
+//! but what is made for several threads (a Rust class cannot do otherwise: it runs a handle apart from the component). On a
+//! thread of its own, since it may hang too. The component's own thread does it once more when it is back.
 
 use std::sync::Arc;
 use std::thread;

@@ -94,9 +94,15 @@ pub(in crate::lcm) struct Watch {
     busy: AtomicU64,
     /// Entries begun, so that two looks at the same word can be told apart.
     entries: AtomicU64,
+    /// Number of the command that runs, or ran last.
+    command: AtomicU32,
     overruns: AtomicU64,
     stops: AtomicU64,
     misdeeds: AtomicU32,
+    /// Those among them that were found while it was suspected.
+    found_out: AtomicU32,
+    /// Looks at its manners begun and ended: odd while one of its entries looks after them itself.
+    minded: AtomicU64,
     /// It is one of several that may have done something: looked at after each of its steps.
     suspected: AtomicBool,
     /// Found stuck while it could move something: its own thread makes it safe when it comes back.
@@ -115,6 +121,17 @@ pub(in crate::lcm) struct Busy {
 }
 
 impl Watch {
+    /// As [`Watch::begin`], for one of its commands.
+    pub(in crate::lcm) fn begin_command(&self, command: u32) -> u64 {
+        self.command.store(command, Ordering::Relaxed);
+        self.begin(Entry::Command, 0)
+    }
+
+    /// Number of the command that runs; of one that just ended where none does.
+    pub(super) fn command(&self) -> u32 {
+        self.command.load(Ordering::Relaxed)
+    }
+
     /// Notes that `entry` begins; hands back what was noted before, for [`Watch::leave`]. `since_ns` 0 = not known here.
     pub(in crate::lcm) fn begin(&self, entry: Entry, since_ns: u64) -> u64 {
         let before = self.busy.load(Ordering::Relaxed);
@@ -166,7 +183,29 @@ impl Watch {
         self.misdeeds.fetch_or(what as u32, Ordering::Relaxed);
     }
 
+    /// An entry begins, or has ended, to look after the component's manners itself. Before its first look, after its last.
+    pub(super) fn mind(&self) {
+        self.minded.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// Odd: whatever is found now belongs to the entry that looks; the same word in two looks: nothing began or ended.
+    pub(super) fn minded(&self) -> u64 {
+        self.minded.load(Ordering::SeqCst)
+    }
+
+    /// Notes a misdeed that was found because it was suspected.
+    pub(super) fn find_out(&self, what: Misdeed) {
+        self.found_out.fetch_or(what as u32, Ordering::Relaxed);
+        self.misdeed(what);
+    }
+
+    /// True when it was found out since this was asked last.
+    pub(super) fn takes_found_out(&self, what: Misdeed) -> bool {
+        self.found_out.fetch_and(!(what as u32), Ordering::Relaxed) & what as u32 != 0
+    }
+
     pub(super) fn suspect(&self, suspected: bool) {
+        self.found_out.store(0, Ordering::Relaxed);
         self.suspected.store(suspected, Ordering::Relaxed);
     }
 

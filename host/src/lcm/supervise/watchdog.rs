@@ -110,15 +110,20 @@ impl Rounds {
     /// The process and its threads: what components should have left as it was.
     fn look_around(&mut self, now_ns: u64) {
         let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
-        let mut busy: Vec<&Ward> = self.charges.iter().filter(|c| c.commanded()).map(|c| &c.ward).collect();
-        if busy.is_empty() {
-            busy = self.charges.iter().filter(|c| c.entered()).map(|c| &c.ward).collect();
-        }
-        self.premises.look(now_ns, &wards, &busy);
+        let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
+        let busy = || -> Vec<&Ward> {
+            let those = |is: fn(&Charge) -> bool| self.charges.iter().filter(move |c| is(c)).map(|c| &c.ward);
+            let commanded: Vec<&Ward> = those(Charge::commanded).collect();
+            if commanded.is_empty() { those(Charge::entered).collect() } else { commanded }
+        };
+        let settled = self.premises.look(now_ns, &wards, busy);
         let executors: BTreeSet<i32> = wards.iter().map(|w| w.executor.tid()).collect();
-        for charge in &mut self.charges {
+        for (charge, counts) in self.charges.iter_mut().zip(counts) {
             charge.look_behind(now_ns, &executors);
-            charge.note();
+            // Those that may have done what is not settled yet stay known.
+            if settled {
+                charge.note(counts);
+            }
         }
     }
 

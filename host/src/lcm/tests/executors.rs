@@ -1,7 +1,8 @@
 //! Where threads come from: every execution model steps as it says, in the order it says.
 
-use std::sync::Mutex;
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, mpsc};
 use std::thread;
 
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Tick, WOULD_BLOCK};
@@ -340,4 +341,70 @@ async fn nothing_runs_inside_a_component_whose_steps_are_calls_of_its_device() {
     let refused = world.apply(Change::Create { id, component }).await.unwrap_err();
     assert!(refused.to_string().contains("no step to run in"), "{refused}");
     world.end().await;
+}
+
+/// Tells when it is inside its command, and stays there until it is told to go on.
+struct Held {
+    named: Arc<Named>,
+    gate: Mutex<(mpsc::Sender<()>, mpsc::Receiver<()>)>,
+}
+
+impl Held {
+    /// Itself, what it tells, and what it waits for.
+    fn new(named: Arc<Named>) -> (Arc<Held>, mpsc::Receiver<()>, mpsc::Sender<()>) {
+        let ((tell, told), (go, gone)) = (mpsc::channel(), mpsc::channel());
+        (Arc::new(Held { named, gate: Mutex::new((tell, gone)) }), told, go)
+    }
+}
+
+impl Behaviour for Held {
+    fn step(&self, tick: &Tick, own: &Own) -> Result<(), String> {
+        self.named.step(tick, own)
+    }
+    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+        let gate = self.gate.lock().unwrap();
+        gate.0.send(()).unwrap();
+        gate.1.recv().map_err(|e| e.to_string())
+    }
+}
+
+/// `inner` runs inside `host`, which is the head itself or a filter of it. While a command of `inner` is run in a cycle that
+/// has asked `host` already, there comes one for `host`. Once in many rounds the thread is not asleep yet, and runs `inner`
+/// between two cycles.
+async fn commands_in_the_middle_of_cycles(process: &'static str, head: Execution, host: &str) {
+    let (world, log) = (World::new(process), log());
+    let ports = || class(ctl(), Safety::None);
+    let named = ["head", "filter", "inner"].map(|n| Named::new(n, &log));
+    let around = if host == "head" { named[0].clone() } else { named[1].clone() };
+    world.create_as("head", ports(), head, named[0].clone()).await;
+    if host == "filter" {
+        world.create_as("filter", ports(), stream_of(&world.id("head")), named[1].clone()).await;
+    }
+    let (inner, inside_it, goes_on) = Held::new(named[2].clone());
+    world.create_as("inner", ports(), inside(ExecutionModel::ExecIn, &world.id(host)), inner).await;
+    for name in BTreeSet::from(["head", "inner", host]) {
+        world.start(name).await;
+    }
+    for round in 1..=20 {
+        world.send("inner").await;
+        inside_it.recv().unwrap();
+        world.send(host).await;
+        goes_on.send(()).unwrap();
+        eventually("a step of both", || around.steps() == round && named[2].steps() == round).await;
+    }
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_comes_after_a_head_was_asked_in_a_cycle_is_stepped_for_in_the_next_one() {
+    let head = model(ExecutionModel::OnSignal);
+    commands_in_the_middle_of_cycles("x_late_head", head, "head").await;
+    let stream = Execution { threads: Some(2), ..model(ExecutionModel::Stream) };
+    commands_in_the_middle_of_cycles("x_late_stream", stream, "head").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_comes_after_a_filter_was_asked_in_a_cycle_is_stepped_for_in_the_next_one() {
+    let head = Execution { period_ns: Some(1_000_000), ..model(ExecutionModel::Stream) };
+    commands_in_the_middle_of_cycles("x_late_filter", head, "filter").await;
 }

@@ -2,6 +2,11 @@
 
 use std::env;
 use std::process::Command as Process;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use trocar_plugin_api::abi::Tick;
 
 use super::super::boundary::fake::Own;
 use super::*;
@@ -27,6 +32,45 @@ impl Behaviour for Strays {
     }
 }
 
+/// Counts its steps.
+#[derive(Default)]
+struct Settled(AtomicU64);
+
+impl Behaviour for Settled {
+    fn step(&self, _: &Tick, _: &Own) -> Result<(), String> {
+        self.0.fetch_add(1, Ordering::SeqCst);
+        Ok(())
+    }
+}
+
+/// Goes elsewhere in `start` and stays inside until the other one has stepped so often that the watchdog has looked.
+struct Lingers(Arc<Settled>);
+
+impl Behaviour for Lingers {
+    fn start(&self) -> Result<(), String> {
+        env::set_current_dir("/").map_err(|e| e.to_string())?;
+        let until = self.0.0.load(Ordering::SeqCst) + 200;
+        while self.0.0.load(Ordering::SeqCst) < until {
+            std::thread::yield_now();
+        }
+        Ok(())
+    }
+}
+
+/// Goes elsewhere in `start` and says so; comes back when the test lets go.
+struct Hangs(Mutex<(Sender<()>, Receiver<()>)>);
+
+impl Behaviour for Hangs {
+    fn start(&self) -> Result<(), String> {
+        env::set_current_dir("/").map_err(|e| e.to_string())?;
+        let door = self.0.lock().unwrap();
+        let _ = door.0.send(());
+        // The test lets go, or has ended.
+        let _ = door.1.recv();
+        Ok(())
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn the_process_whose_directory_is_changed() {
     if env::var_os(CHILD).is_none() {
@@ -34,8 +78,26 @@ async fn the_process_whose_directory_is_changed() {
     }
     let home = env::current_dir().unwrap();
     let world = World::new("p_dir");
-    world.create("settled", periodic(1000), Arc::new(Strays(""))).await;
+    let settled = Arc::new(Settled::default());
+    world.create("settled", periodic(1000), settled.clone()).await;
     world.start("settled").await;
+    let info = || class(plain(false, false), Safety::None);
+    let signalled = || model(ExecutionModel::OnSignal);
+    world.create_as("lingers", info(), signalled(), Arc::new(Lingers(settled))).await;
+    world.start("lingers").await;
+    assert!(env::current_dir().is_ok_and(|now| now == home), "put back when its start has ended");
+    let own = "start: it changed the working directory of the process, which was put back";
+    assert_eq!(world.report("lingers").await.warnings, [own], "while it is inside, it is its own finding");
+    let ((inside, came), (open, door)) = (channel(), channel());
+    world.create_as("hangs", info(), signalled(), Arc::new(Hangs(Mutex::new((inside, door))))).await;
+    tokio::join!(world.start("hangs"), async {
+        eventually("it is inside", || came.try_recv().is_ok()).await;
+        let others = "the working directory of the process was changed, which was put back";
+        let named = |r: &Report| r.warnings.iter().any(|w| w == others);
+        world.eventually("naming who hangs elsewhere", "hangs", named).await;
+        assert!(env::current_dir().is_ok_and(|now| now == home), "put back while it hangs");
+        drop(open);
+    });
     for entry in ["start", "command"] {
         let info = class(ctl(), Safety::None);
         world.create_as(entry, info, model(ExecutionModel::OnSignal), Arc::new(Strays(entry))).await;

@@ -142,7 +142,20 @@ async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
     assert!(report.warnings.iter().any(|w| w.contains("of its own threads still run")), "{report:?}");
     assert!(gone.upgrade().is_some());
     assert_eq!(world.lcm.buried(), 1);
+    assert!(!brood.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
     brood.child.lock().unwrap().take();
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_thread_of_configure_may_be_ended_by_destroy() {
+    let world = World::new("rm_early");
+    let brood = Arc::new(Brood { early: true, ..Brood::default() });
+    world.create("c", periodic(1000), brood.clone()).await;
+    world.start("c").await;
+    world.apply(destroy(&world, "c")).await.unwrap();
+    assert!(brood.destroyed.load(Ordering::SeqCst));
+    assert_eq!(world.lcm.buried(), 0);
     world.end().await;
 }
 
@@ -150,10 +163,26 @@ async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
 #[derive(Default)]
 struct Brood {
     child: std::sync::Mutex<Option<std::sync::mpsc::Sender<()>>>,
+    /// Starts it when it is configured: then it may live until it is destroyed.
+    early: bool,
+    destroyed: std::sync::atomic::AtomicBool,
 }
 
 impl Behaviour for Brood {
+    fn configure(&self, _: &str) -> Result<(), String> {
+        if self.early { self.raise() } else { Ok(()) }
+    }
     fn start(&self) -> Result<(), String> {
+        if self.early { Ok(()) } else { self.raise() }
+    }
+    fn destroyed(&self) {
+        self.destroyed.store(true, Ordering::SeqCst);
+        self.child.lock().unwrap().take();
+    }
+}
+
+impl Brood {
+    fn raise(&self) -> Result<(), String> {
         let (end, ended) = std::sync::mpsc::channel::<()>();
         std::thread::spawn(move || ended.recv());
         *self.child.lock().unwrap() = Some(end);

@@ -317,11 +317,13 @@ async fn commands_that_a_disconnect_throws_out_and_those_a_full_queue_refused_ar
     let said =
         "commands it sent to f_thrown/b never ran: 2 so far were still queued when it stopped or was cut off";
     world.eventually("a word about it", "a", |r| r.warnings.iter().any(|w| w == said)).await;
+    let later = world.run("a", Verb::Stop).await.unwrap();
+    assert_eq!(later.warnings, Vec::<String>::new(), "an answer repeats what was told before");
     let detail = world.lcm.detail(world.id("b")).await.unwrap();
     assert_eq!(
         (detail.commands_rejected, detail.events_dropped),
-        (2, 0),
-        "the connection's end forgets nothing"
+        (4, 0),
+        "the connection's end forgets nothing, and counts what never ran"
     );
     open.send(()).unwrap();
     world.end().await;

@@ -322,6 +322,16 @@ async fn an_actuator_that_loses_what_it_requires_is_made_safe_and_stopped_and_ot
     let lost = State::Stopped(StopReason::PeerLost);
     world.eventually("STOPPED{peer_lost}", "arm", |r| r.state == lost).await;
     eventually("made safe", || arm.made_safe() == 1).await;
+    for verb in [Verb::Resume, Verb::Start] {
+        let refusal = world.run("arm", verb).await.unwrap_err();
+        assert!(
+            matches!(&refusal, Refusal::Unconnected { ports, .. } if ports == &["in"]),
+            "{verb}: {refusal}"
+        );
+        assert_eq!(world.report("arm").await.state, lost, "a {verb} that is refused changes nothing");
+    }
+    world.connect(4, "arm/in", "source/out", ConnectOptions::default()).await;
+    assert_eq!(world.run("arm", Verb::Resume).await.unwrap().state, State::Active);
     let report = world.eventually("STALE_INPUT", "watcher", |r| r.health == Health::StaleInput).await;
     assert_eq!(report.state, State::Active, "Disconnect changes nobody's state");
     world.connect(3, "watcher/in", "source/out", ConnectOptions::default()).await;

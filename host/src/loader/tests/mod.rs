@@ -6,6 +6,7 @@
 mod bad_files;
 mod good_files;
 mod hostile;
+mod tables;
 mod watching;
 
 use std::path::{Path, PathBuf};

@@ -4,15 +4,40 @@
 //! value beside it is not valid.
 //!
 //! Coordinate frames: a standard pose is in the frame that its interface names (`docs/INTERFACES.md`). Where two frames
-//! could be confused, wrap the pose into a payload of your own and tag it; Connect then compares the tags:
+//! could be confused, say at the port in which one it is; Connect compares what both ends say:
 //! ```
 //! use trocar_sdk::{data::Pose, prelude::*};
-//! #[derive(Payload, Clone, Copy, Default)]
-//! #[repr(C)]
-//! struct Target {
+//! #[derive(Component)]
+//! struct Guide {
+//!     #[input]
 //!     #[frame("retina")]
-//!     tip: Pose,
+//!     goal: In<Pose>,
 //! }
+//! impl Component for Guide {}
+//! ```
+//! It is said of the fields that hold coordinates: arrays of floating point numbers in structs. Where there are none, the
+//! plugin does not compile:
+//! ```compile_fail,E0080
+//! use trocar_sdk::{data::JointState, prelude::*};
+//! #[derive(Component)]
+//! struct Guide {
+//!     #[input]
+//!     #[frame("retina")]
+//!     joints: In<JointState>,
+//! }
+//! impl Component for Guide {}
+//! ```
+//! ```compile_fail,E0080
+//! use trocar_sdk::{data::Pose, prelude::*};
+//! #[derive(Component)]
+//! #[component(provides("ctl"))]
+//! struct Guide {}
+//! #[provides("ctl")]
+//! impl Guide {
+//!     #[command]
+//!     fn aim(&mut self, #[frame("retina")] goal: f64) {}
+//! }
+//! impl Component for Guide {}
 //! ```
 
 mod basic;

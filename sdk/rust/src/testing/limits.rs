@@ -36,8 +36,13 @@ pub(crate) fn check(arg: &Arg, bytes: &[u8]) -> Result<(), String> {
 
 fn within(arg: &Arg, name: &str, number: f64) -> Result<(), String> {
     let unit = if arg.unit.is_empty() { String::new() } else { format!(" {}", arg.unit) };
+    let limits = match (arg.min, arg.max) {
+        (Some(min), Some(max)) => format!("{min} to {max}{unit}"),
+        (Some(min), None) => format!("from {min}{unit} up"),
+        (_, max) => format!("up to {}{unit}", max.unwrap_or(f64::INFINITY)),
+    };
     match (arg.min, arg.max) {
-        _ if number.is_nan() => Err(format!("{name} NaN is not a number within the limits{unit}")),
+        _ if number.is_nan() => Err(format!("{name} NaN is not a number; the limits are {limits}")),
         (Some(min), _) if number < min => Err(format!("{name} {number} is below minimum {min}{unit}")),
         (_, Some(max)) if number > max => Err(format!("{name} {number} is above maximum {max}{unit}")),
         _ => Ok(()),

@@ -146,6 +146,7 @@ impl Types {
                     name: i.name.to_string(),
                     doc: i.doc.to_string(),
                     ty: self.port(i.ty),
+                    frame: i.frame.to_string(),
                     optional: i.optional,
                     fifo: i.fifo,
                 })
@@ -153,7 +154,12 @@ impl Types {
             outputs: class
                 .outputs
                 .iter()
-                .map(|o| m::Output { name: o.name.to_string(), doc: o.doc.to_string(), ty: self.port(o.ty) })
+                .map(|o| m::Output {
+                    name: o.name.to_string(),
+                    doc: o.doc.to_string(),
+                    ty: self.port(o.ty),
+                    frame: o.frame.to_string(),
+                })
                 .collect(),
             required: class
                 .required
@@ -198,6 +204,7 @@ impl Types {
             arg: f.arg.map(|ty| self.of(ty)),
             ret: f.ret.map(|ty| self.of(ty)),
             unit: f.unit.to_string(),
+            frame: f.frame.to_string(),
             optional: f.optional,
             any: f.any,
         }
@@ -208,6 +215,7 @@ impl Types {
             name: h.name.to_string(),
             doc: h.doc.to_string(),
             payload: h.payload.map(|ty| self.of(ty)),
+            frame: h.frame.to_string(),
             optional: h.optional,
             direct: h.direct,
         }
@@ -223,11 +231,13 @@ impl Types {
                 doc: a.doc.to_string(),
                 ty: self.of(a.ty),
                 unit: a.unit.to_string(),
+                frame: a.frame.to_string(),
                 min: a.min.parse().ok(),
                 max: a.max.parse().ok(),
             }),
             ret: c.ret.map(|ty| self.of(ty)),
             ret_unit: c.ret_unit.to_string(),
+            ret_frame: c.ret_frame.to_string(),
             overflow: c.overflow.to_string(),
         }
     }
@@ -238,6 +248,7 @@ impl Types {
             doc: e.doc.to_string(),
             payload: e.payload.map(|ty| self.of(ty)),
             unit: e.unit.to_string(),
+            frame: e.frame.to_string(),
         }
     }
 }

@@ -45,7 +45,7 @@
 //! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; `expect_outputs`, `expect_events`, `expect_calls` |
 //! | play the peers | `answer`, `emit`, `command`, `read`; `fail`, `overflow`, `exhaust`, `connect_output`, `connect_function`, `lose_peer` |
 //! | tie untyped ports | `connect_as`, `connect_as_frames`, `connect_as_command`; `push` and `answer` do so by themselves |
-//! | live through a life | `configure`, `start`, `stop`, `resume`, `make_safe`, `reset`, `snapshot`, `restore` |
+//! | live through a life | `life`, `configure`, `start`, `stop`, `resume`, `make_safe`, `reset`, `snapshot`, `restore` |
 //! | play the system | `answer_service`, `services`, `reply`, `threads`, `refuse_callbacks`, `callbacks` |
 //! | read what was logged | `logs`, `expect_log` |
 //! | prove | `assert_no_alloc` with [`count_allocations!`], [`assert_implements`] |
@@ -75,7 +75,7 @@ mod wired;
 
 pub use crate::count_allocations;
 pub use alloc::CountingAllocator;
-pub use bench::{Bench, Failure};
+pub use bench::{Bench, Failure, Life};
 pub use logs::LogLine;
 pub(crate) use logs::keep;
 pub use manifest::{assert_implements, assert_implements_as, field_list};

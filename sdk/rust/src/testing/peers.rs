@@ -2,7 +2,7 @@
 //!
 //! Invariant: types are checked against the description before a byte is moved.
 
-use super::bench::{Bench, Done, Failure};
+use super::bench::{Bench, Done, Failure, Life};
 use super::limits;
 use super::member_cells::Answer;
 use super::shape::{Member, Of};
@@ -40,7 +40,7 @@ impl<C: Class> Bench<C> {
             self.functions[at].get().connected = false;
         }
         self.history.note(self.now().ns(), format!("peer of {interface} lost"));
-        if C::DESC.safety == Safety::Actuator {
+        if C::DESC.safety == Safety::Actuator && self.life() == Life::Active {
             self.halt()?;
         }
         Ok(())
@@ -106,21 +106,24 @@ impl<C: Class> Bench<C> {
     /// Executes a command; `command` or `interface/command`. `()` stands for no argument and for no result.
     ///
     /// # Errors
-    /// The component's sentence; or that the argument is not within its declared limits, and then it was not entered.
+    /// The component's sentence; after a panic it is in FAULT. Or that it is not ACTIVE, or the argument not within its
+    /// declared limits, and then it was not entered.
     #[track_caller]
     pub fn command<A: Value, R: Value>(&mut self, command: &str, arg: A) -> Result<R, Failure> {
         let m = self.command_of::<A, R>(command, false);
         self.history.note(self.now().ns(), format!("command {}", m.path));
         within(&m, &arg)?;
+        self.allow_active(&m.path)?;
         let (f, mut ret) = (self.table.command, R::blank());
         let (id, result) = (m.id as u32, ret.ptr_mut());
-        self.enter(|this, err| match f {
+        let done = self.enter(|this, err| match f {
             // SAFETY: a live instance; argument and result have the types of the description, checked above.
             Some(f) => unsafe { f(this, id, arg.ptr(), result, err) },
             None => abi::STATUS_UNSUPPORTED,
-        })?;
+        });
+        let done = self.survived(&format!("command {}", m.path), done);
         self.reply_all();
-        Ok(ret)
+        done.map(|()| ret)
     }
 
     /// Executes a read on the row published last.
@@ -153,20 +156,22 @@ impl<C: Class> Bench<C> {
     /// Lets the connected peer emit an event of a required interface; `event` or `interface/event`.
     ///
     /// # Errors
-    /// The component's sentence.
+    /// The component's sentence; after a panic it is in FAULT. Or that it is not ACTIVE: then no handler runs.
     #[track_caller]
     pub fn emit<T: Value>(&mut self, event: &str, payload: T) -> Done {
         let m = self.shape.member(Of::Handlers, event);
         self.shape.expect_type("handler", event, m.arg.as_ref(), T::DESC);
         self.history.note(self.now().ns(), format!("peer emits {}", m.path));
+        self.allow_active(&m.path)?;
         let (f, id) = (self.table.on_event, m.id as u32);
-        self.enter(|this, err| match f {
+        let done = self.enter(|this, err| match f {
             // SAFETY: a live instance; the payload has the type of the description, checked above.
             Some(f) => unsafe { f(this, id, payload.ptr(), err) },
             None => abi::STATUS_UNSUPPORTED,
-        })?;
+        });
+        let done = self.survived(&format!("handler {}", m.path), done);
         self.reply_all();
-        Ok(())
+        done
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: replies are delivered between entries, never from within one, as a host does.
 
-use super::bench::{Bench, Done};
+use super::bench::{Bench, Done, Failure, Life};
 use crate::component::Class;
 use serde_json::{Value as Json, json};
 use std::sync::PoisonError;
@@ -26,7 +26,7 @@ impl<C: Class> Bench<C> {
     }
 
     /// Lets a fake system answer the services of one verb ("" for every other): the response, or why it is refused. The
-    /// reply is delivered after the entry that asked.
+    /// reply is delivered when the entry that asked is over; that of a device's callback, after the next entry.
     pub fn answer_service(&mut self, verb: &str, f: impl FnMut(&Json) -> Result<Json, String> + 'static) {
         self.repliers.retain(|r| r.verb != verb);
         self.repliers.push(Replier { verb: verb.to_string(), answer: Box::new(f) });
@@ -36,18 +36,23 @@ impl<C: Class> Bench<C> {
     /// Answers one service by its token.
     ///
     /// # Errors
-    /// The component refused the reply.
+    /// The component refused the reply, or is in FAULT and gets none.
     pub fn reply(&mut self, token: u64, reply: &str) -> Done {
         let (f, bytes) = (self.table.on_service, Bytes { ptr: reply.as_ptr(), len: reply.len() });
         self.history.note(self.now().ns(), format!("reply {reply}"));
+        if self.life() == Life::Fault {
+            let reason = "the component is in FAULT: a host hands it no reply".to_string();
+            return Err(Failure { status: abi::STATUS_FAILED, reason });
+        }
         // SAFETY: a live instance; the text lives through the call.
-        self.enter(|this, _| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, token, bytes) }))
+        let done = self.enter(|this, _| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, token, bytes) }));
+        self.survived("on_service", done)
     }
 
     /// Answers what the fake system can answer; a reply may ask for more.
     #[track_caller]
     pub(crate) fn reply_all(&mut self) {
-        if self.repliers.is_empty() {
+        if self.repliers.is_empty() || self.life() == Life::Fault {
             return;
         }
         for _ in 0..MAX_ROUNDS {

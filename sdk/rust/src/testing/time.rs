@@ -24,7 +24,9 @@ impl<C: Class> Bench<C> {
     }
 
     /// # Errors
-    /// The component's sentence; as in a host, it was made safe and is in FAULT now.
+    /// The component's sentence; as in a host, it was made safe and is in FAULT now. Or that it is not ACTIVE: then no time
+    /// passes, and nothing is stepped.
+    #[track_caller]
     pub fn try_step(&mut self) -> Done {
         self.late_step(0)
     }
@@ -33,7 +35,9 @@ impl<C: Class> Bench<C> {
     ///
     /// # Errors
     /// As `try_step`.
+    #[track_caller]
     pub fn late_step(&mut self, late_ns: u64) -> Done {
+        self.allow_active("step")?;
         let period_ns = self.grid_ns();
         let deadline_ns = self.host.deadline_ns.fetch_add(period_ns, Ordering::Relaxed) + period_ns;
         let now_ns = self.host.now_ns.load(Ordering::Relaxed).max(deadline_ns) + late_ns;
@@ -55,8 +59,9 @@ impl<C: Class> Bench<C> {
         // SAFETY: a live instance; the tick lives through the call.
         let done = self.enter(|this, err| f.map_or(abi::STATUS_OK, |f| unsafe { f(this, &tick, err) }));
         self.host.in_step.store(false, Ordering::Relaxed);
+        let done = done.map_err(|e| self.failed("step", e));
         self.reply_all();
-        done.map_err(|e| self.failed(e))
+        done
     }
 
     /// Leaves out `cycles` deadlines, as a host does after an overrun: they are counted and not stepped.

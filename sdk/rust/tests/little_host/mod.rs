@@ -92,6 +92,11 @@ impl<C: Class> LittleHost<C> {
         host
     }
 
+    /// The instance, for a test that calls the table itself.
+    pub(crate) fn this(&self) -> *mut c_void {
+        self.this
+    }
+
     fn make_cells(&mut self) {
         fn cells(n: usize) -> Vec<Box<Cell>> {
             (0..n).map(|_| Box::default()).collect()

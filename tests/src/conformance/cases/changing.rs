@@ -94,7 +94,7 @@ pub fn a_component_changes_its_ports_itself(way: &Way) {
     lab.invoke("server/ctl/rename", Some(json!("")), false).expect("it may");
     await_ports(&lab, &["ctl", "system"]);
     let lost = lab.perform(asking(way, 5.0));
-    assert!([Outcome::Unbound, Outcome::Disabled].contains(&lost.only()), "{lost:?}");
+    assert_eq!(lost.only(), Outcome::Unbound, "{lost:?}");
     assert_eq!(lab.count("server", "puts"), 1);
 }
 
@@ -119,7 +119,8 @@ pub fn ports_of_a_configuration_survive_a_reset(way: &Way) {
 
 pub fn calls_of_ports_that_come_and_go_are_each_answered_and_none_runs_twice(way: &Way) {
     let lab = shelf(way, &["left"]);
-    let fitting = ["DISABLED", "PEER_LOST", "PORT_NOT_FOUND", "INTERFACE_NOT_FOUND", "MEMBER_NOT_FOUND"];
+    // Between the look at the description and the call it may go, or there was nothing to be seen.
+    let fitting = ["DISABLED", "INTERFACE_NOT_FOUND"];
     std::thread::scope(|scope| {
         let changing = scope.spawn(|| {
             for round in 0..20 {

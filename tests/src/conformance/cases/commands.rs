@@ -2,7 +2,7 @@
 
 use trocar_sdk::Outcome;
 
-use super::super::{Call, Function, Lab, Way};
+use super::super::{Call, Function, Lab, Reach, Way};
 
 /// What is executed or queued without an answer, and how often each is in the server's counts.
 const SENT: [Function; 6] = [
@@ -98,7 +98,17 @@ pub fn several_threads_of_a_client_use_one_function_at_once(way: &Way) {
     let arrived = sent.count(Outcome::Queued) + sent.count(Outcome::Executed);
     assert_eq!(arrived + sent.count(Outcome::QueueFull), 400, "{sent:?}");
     lab.await_count("server", "pokes", |n| n == arrived);
-    if !way.deployment.client_leads() {
+    if way.deployment.reach() == Reach::Thread {
+        // The thread that would run them waits for those that call.
+        let called = lab.perform(Call::call(Function::Poke, 0.0).from_threads(4).times(2).within_ms(10));
+        assert_eq!(
+            (called.only(), called.total(), called.may_still_run),
+            (Outcome::Deadline, 8, 0),
+            "{called:?}"
+        );
+        assert_eq!(lab.perform(Call::call(Function::Poke, 0.0)).only(), Outcome::Executed);
+        assert_eq!(lab.count("server", "pokes"), arrived + 1, "none of them ran");
+    } else {
         let called = lab.perform(Call::call(Function::Poke, 0.0).from_threads(4).times(50));
         assert_eq!(called.count(Outcome::Executed), 200, "{called:?}");
         lab.await_count("server", "pokes", |n| n == arrived + 200);

@@ -5,7 +5,7 @@ use trocar::model::{Refusal, State};
 use trocar_sdk::Outcome;
 
 use super::super::world::id;
-use super::super::{Function, Lab, Way};
+use super::super::{Call, Function, Lab, Reach, Way};
 use super::commands::waiting;
 
 fn configure(lab: &Lab, patch: Value) -> Result<(), Refusal> {
@@ -57,14 +57,12 @@ pub fn settings_change_under_load_and_each_answer_is_of_one_of_them(way: &Way) {
                 configure(&lab, json!({ "factor": factor })).expect("factor is live");
             }
         });
+        // From a thread that may wait for whoever is inside a server without a thread of its own.
+        let from = u32::from(way.deployment.reach() != Reach::Thread);
         while !changing.is_finished() {
-            let answer = lab.perform(waiting(way, Function::Twice, 1.0));
-            match answer.only() {
-                Outcome::Executed => assert!([2.0, 3.0].contains(&answer.value), "{answer:?}"),
-                // Somebody is inside a server that has no thread of its own, and a step does not wait for him.
-                Outcome::WouldBlock if way.deployment.inline() => {}
-                _ => panic!("{answer:?}"),
-            }
+            let answer = lab.perform(Call::call(Function::Twice, 1.0).from_threads(from));
+            assert_eq!(answer.only(), Outcome::Executed, "{answer:?}");
+            assert!([2.0, 3.0].contains(&answer.value), "{answer:?}");
         }
         changing.join().expect("each change was made");
     });

@@ -130,8 +130,8 @@ pub fn stop_makes_safe_and_resume_keeps_what_start_makes_anew(way: &Way) {
     assert_eq!(lab.count("server", "starts"), 2, "Start is a fresh start");
 }
 
-/// The server's step goes wrong; what is known of it afterwards.
-fn fault(way: &Way, on_step: &str) -> String {
+/// The server's step goes wrong, where it has one; what is known of it afterwards.
+fn fault(way: &Way, on_step: &str) -> Option<String> {
     let lab = Lab::pair_with(way, json!({ "on_step": on_step }));
     lab.connect("client/peer", "server/ctl");
     lab.start("client");
@@ -141,24 +141,32 @@ fn fault(way: &Way, on_step: &str) -> String {
         lab.invoke(member, None, true).expect("both take commands");
     }
     if !way.deployment.server_steps() {
-        return String::new();
+        lab.await_count("server", "pokes", |n| n == 1);
+        assert_eq!((lab.count("server", "steps"), lab.count("server", "safed")), (0, 0));
+        assert_eq!(
+            lab.stands("server"),
+            Some((State::Active, Health::Ok)),
+            "without a step nothing goes wrong in it"
+        );
+        return None;
     }
     lab.await_state("server", State::Fault);
     // It is said to be in FAULT first, then made safe.
     lab.await_count("server", "safed", |n| n == 1);
     assert_eq!(lab.stands("client").map(|s| s.0), Some(State::Active), "nobody else changed");
     assert_eq!(lab.perform(waiting(way, Function::Poke, 0.0)).only(), Outcome::NotActive);
-    lab.graph().components[&id("server")].fault.clone()
+    Some(lab.graph().components[&id("server")].fault.clone())
 }
 
 pub fn a_step_that_fails_is_a_fault_with_its_sentence(way: &Way) {
-    let text = fault(way, "fail");
-    assert!(!way.deployment.server_steps() || text.contains("failed on request"), "{text}");
+    let expected = way.deployment.server_steps().then(|| "step: failed on request".to_owned());
+    assert_eq!(fault(way, "fail"), expected);
 }
 
 pub fn a_step_that_panics_is_a_fault_with_its_sentence(way: &Way) {
     let text = fault(way, "panic");
-    assert!(!way.deployment.server_steps() || text.contains("step panics on request"), "{text}");
+    assert_eq!(text.is_some(), way.deployment.server_steps());
+    assert!(text.is_none_or(|t| t.starts_with("step: ") && t.contains("step panics on request")));
 }
 
 pub fn a_command_that_does_not_come_back_is_unresponsive_and_the_host_goes_on(way: &Way) {

@@ -11,13 +11,14 @@ pub mod lifecycle;
 pub mod loss;
 pub mod outcomes;
 pub mod payloads;
+pub mod rows;
 pub mod streams;
 pub mod untyped;
 
 use trocar::model::{Execution, ExecutionModel};
 
 /// A thread of its own, for components beside client and server.
-fn own_thread() -> Execution {
+pub(super) fn own_thread() -> Execution {
     Execution { model: Some(ExecutionModel::OnSignal), ..Execution::default() }
 }
 

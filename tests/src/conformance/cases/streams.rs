@@ -1,7 +1,7 @@
 //! Samples: latest value, bounded queues with exact gap counts, staleness, rewiring.
 
 use serde_json::json;
-use trocar::model::{ConnectOptions, Queue};
+use trocar::model::{ConnectOptions, Health, Queue, State};
 
 use super::super::{Lab, Samples, Way};
 use crate::eventually;
@@ -93,15 +93,42 @@ pub fn one_output_feeds_many_inputs_each_at_its_own_pace(way: &Way) {
 }
 
 pub fn a_sample_older_than_the_connection_allows_is_stale(way: &Way) {
-    let options = ConnectOptions { max_age_ns: Some(1_000_000), ..ConnectOptions::default() };
+    let options = ConnectOptions { max_age_ns: Some(20_000_000), ..ConnectOptions::default() };
     let lab = flowing(way, "latest", options);
-    publish(&lab, 1);
-    eventually("the sample is stale", || match lab.samples("look") {
-        seen if seen.stale == 1 => Ok(()),
-        seen => Err(format!("{seen:?}")),
+    let until = |what: &str, health, doing: &dyn Fn()| {
+        eventually(what, || {
+            doing();
+            let now = lab.stands("client");
+            if now == Some((State::Active, health)) { Ok(()) } else { Err(format!("{now:?}")) }
+        });
+    };
+    until("nothing that ever came is too old as well", Health::StaleInput, &|| ());
+    for _ in 0..2 {
+        until("the client is well", Health::Ok, &|| publish(&lab, 1));
+        let newest = lab.count("server", "samples") as f64;
+        until("the client has stale input", Health::StaleInput, &|| ());
+        let seen = lab.samples("look");
+        // It is still shown, so that the component chooses.
+        assert_eq!((seen.last, seen.stale), (newest, 1), "{seen:?}");
+    }
+    eventually("a sample that is looked at in time is not stale", || {
+        publish(&lab, 1);
+        let seen = lab.samples("look");
+        if (seen.fresh, seen.stale) == (1, 0) { Ok(()) } else { Err(format!("{seen:?}")) }
     });
-    // It is still shown, so that the component chooses.
-    assert_eq!(lab.samples("look").last, 1.0);
+    until("the client has stale input again", Health::StaleInput, &|| ());
+    lab.disconnect("client/latest", "server/value_out");
+    until("without a connection nothing is too old", Health::Ok, &|| ());
+}
+
+pub fn a_slow_consumer_misses_what_its_queue_cannot_hold_and_knows_how_much(way: &Way) {
+    let lab = flowing(way, "fifo", fifo(2, true));
+    for round in 1..=50_u32 {
+        publish(&lab, 3);
+        let (seen, newest) = (lab.samples("collect"), f64::from(3 * round));
+        assert_eq!((seen.count, seen.gaps, seen.first, seen.last), (2, 1, newest - 1.0, newest), "{seen:?}");
+    }
+    assert_eq!((dropped(&lab), lab.count("server", "samples")), (50, 150));
 }
 
 pub fn a_cut_stream_shows_nothing_and_a_new_one_starts_afresh(way: &Way) {

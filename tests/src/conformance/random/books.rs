@@ -11,7 +11,7 @@ use trocar::model::{ConnectOptions, Queue, Request, State, Target};
 use trocar_sdk::Outcome;
 
 use super::super::world::{PATIENCE, id, port};
-use super::super::{Call, Function, Lab, Samples};
+use super::super::{Call, Function, Lab, Language, Samples};
 use super::ops::{CLIENTS, SERVERS, own_thread};
 use crate::eventually;
 
@@ -163,6 +163,52 @@ impl Resources {
             let fits = now.threads <= self.threads + SLACK && now.files <= self.files + SLACK;
             if fits { Ok(()) } else { Err(format!("{self:?} before, {now:?} now: {:?}", open_files())) }
         });
+    }
+}
+
+/// Memory of this process after each seed.
+#[derive(Default)]
+pub(super) struct Growth {
+    /// Resident, kB.
+    kb: Vec<u64>,
+}
+
+/// Seeds from which on a growth can be told from what is made once and kept.
+const ENOUGH: usize = 200;
+/// What a thousand seeds may leave behind, kB: pages of the allocator's, spread over threads that come and go.
+const LEFT_KB: u64 = 4096;
+
+impl Growth {
+    pub(super) fn look(&mut self) {
+        let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or_default();
+        self.kb.push(line.trim().trim_end_matches("kB").trim().parse().unwrap_or_default());
+    }
+
+    /// Compares the least of the last quarter with the least of the second: what is kept for good lifts both.
+    ///
+    /// # Panics
+    /// It has grown by more than the allocator explains.
+    pub(super) fn judge(&self, language: Language) {
+        let seeds = self.kb.len();
+        if seeds < ENOUGH {
+            return;
+        }
+        let least = |quarter: usize| {
+            let part = &self.kb[seeds * quarter / 4..seeds * (quarter + 1) / 4];
+            part.iter().copied().min().unwrap_or_default()
+        };
+        let (then, now) = (least(1), least(3));
+        let allowed = LEFT_KB * (seeds as u64).div_ceil(1000);
+        println!(
+            "{language:?}: {seeds} seeds, {then} kB resident in the second quarter, {now} kB in the last"
+        );
+        // What the thread sanitizer keeps of threads that have ended is not the host's.
+        assert!(
+            cfg!(feature = "tsan") || now <= then + allowed,
+            "{language:?}: {then} kB became {now} kB over {} seeds",
+            seeds / 2
+        );
     }
 }
 

@@ -1,6 +1,7 @@
 //! Random interleavings: by seed, control and calls at the same time, then the books are checked.
 //!
 //! Invariant: what is asked follows from the seed alone; a failure prints it, and `TROCAR_SEED=n` asks the same again.
+//! `TROCAR_SEEDS=n` plays that many times as many seeds as usual.
 
 mod books;
 mod ops;
@@ -11,7 +12,7 @@ use std::panic::{self, AssertUnwindSafe};
 
 use super::{Lab, Language};
 use crate::skip;
-use books::Resources;
+use books::{Growth, Resources};
 
 /// Plays these seeds in one host, or only the one of `TROCAR_SEED`.
 ///
@@ -21,18 +22,26 @@ pub fn interleave(language: Language, seeds: std::ops::Range<u64>) {
     if let Some(why) = language.missing() {
         return skip(&why);
     }
-    let seeds: Vec<u64> = match env::var("TROCAR_SEED") {
-        Ok(one) => vec![one.parse().unwrap_or_else(|e| panic!("TROCAR_SEED={one}: {e}"))],
-        Err(_) => seeds.collect(),
+    let number = |name: &str| {
+        let text = env::var(name).ok()?;
+        Some(text.parse::<u64>().unwrap_or_else(|e| panic!("{name}={text}: {e}")))
+    };
+    let seeds: Vec<u64> = match (number("TROCAR_SEED"), number("TROCAR_SEEDS")) {
+        (Some(one), _) => vec![one],
+        // A multiple keeps the ranges of the languages apart.
+        (None, Some(times)) => (seeds.start * times..seeds.end * times).collect(),
+        (None, None) => seeds.collect(),
     };
     let lab = Lab::new(language);
     lab.open_gate();
     // Taken after the first one, which makes what is made once and kept.
     let mut before = None;
+    let mut growth = Growth::default();
     for seed in seeds {
         let played = panic::catch_unwind(AssertUnwindSafe(|| {
             play::play(&lab, seed);
             before.get_or_insert_with(Resources::now).await_again();
+            growth.look();
         }));
         if let Err(why) = played {
             eprintln!("seed {seed}, {language:?}: TROCAR_SEED={seed} asks the same again");
@@ -50,4 +59,5 @@ pub fn interleave(language: Language, seeds: std::ops::Range<u64>) {
             panic::resume_unwind(why);
         }
     }
+    growth.judge(language);
 }

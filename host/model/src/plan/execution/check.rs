@@ -5,7 +5,9 @@
 
 use super::able;
 use crate::refusal::duration;
-use crate::{ComponentId, Execution, ExecutionModel, Refusal, SystemGraph};
+use crate::{
+    ClassInfo, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph, Type, defaults, validate,
+};
 
 /// Limits of a period, ns.
 const PERIOD_NS: (u64, u64) = (1_000, 3_600_000_000_000);
@@ -27,15 +29,41 @@ const HISTORY_BYTES: usize = 256 << 20;
 /// A setting and what is wrong with it.
 type Fault = (&'static str, String);
 
-/// Everything that may be wrong with an execution but a cycle. `row_bytes`: one row of the component's state table.
+/// What a class gives its components, execution and defaults, that no Create could accept; what a Create may still add, a
+/// rate or a thread to run in, is not missed.
+pub fn class_fault(class: &ClassInfo) -> Option<String> {
+    let defaults = defaults(&class.config_schema);
+    let mut wrong = validate(&class.config_schema, &defaults).into_iter();
+    if let Some(wrong) = wrong.find(|v| defaults.pointer(&v.pointer).is_some()) {
+        return Some(format!("its own defaults are not valid: {}", wrong.message));
+    }
+    let execution = &class.execution;
+    let open = execution.model == Some(ExecutionModel::Periodic) && execution.period_ns.is_none();
+    let checked = if open { Ok(()) } else { grid(execution) };
+    let checked = checked
+        .and_then(|()| scheduling(execution))
+        .and_then(|()| stream(execution))
+        .and_then(|()| step(execution))
+        .and_then(|()| history(execution, row_bytes(class)));
+    checked.err().map(|(field, why)| format!("execution.{field}: {why}"))
+}
+
+/// Bytes of one row of its components' state tables.
+fn row_bytes(class: &ClassInfo) -> usize {
+    class.ports.state.as_ref().map_or(0, Type::size)
+}
+
+/// Everything that may be wrong with an execution but a cycle.
 pub(in crate::plan) fn check(
     graph: &SystemGraph,
     verb: &str,
     id: &ComponentId,
+    class: &ClassInfo,
     execution: &Execution,
-    row_bytes: usize,
 ) -> Result<(), Refusal> {
+    let row_bytes = row_bytes(class);
     let checked = host(graph, id, execution)
+        .and_then(|()| called_back(class, execution))
         .and_then(|()| grid(execution))
         .and_then(|()| scheduling(execution))
         .and_then(|()| stream(execution))
@@ -87,6 +115,20 @@ fn host(graph: &SystemGraph, id: &ComponentId, execution: &Execution) -> Result<
     }
 }
 
+/// Only a class that hands its threads' calls over can be run by them.
+fn called_back(class: &ClassInfo, execution: &Execution) -> Result<(), Fault> {
+    let [asked, offered] =
+        [execution.model, class.execution.model].map(|m| m == Some(ExecutionModel::OnCallback));
+    if !asked || offered {
+        return Ok(());
+    }
+    let why = format!(
+        "on_callback is for classes that a device calls back; `{}` is none and would never run",
+        class.name
+    );
+    Err(("model", why))
+}
+
 /// A setting that belongs to the thread, not to a component that only runs in it.
 fn misplaced(execution: &Execution) -> Option<(&'static str, &'static str)> {
     if execution.period_ns.is_some() {
@@ -106,16 +148,22 @@ fn misplaced(execution: &Execution) -> Option<(&'static str, &'static str)> {
     }
 }
 
+/// What is wrong with the length of a period, ns.
+pub fn period_fault(period_ns: u64) -> Option<String> {
+    let (low, high) = PERIOD_NS;
+    let [asked, least, most] = [period_ns, low, high].map(duration);
+    (!(low..=high).contains(&period_ns)).then(|| format!("a period of {asked} is outside {least} to {most}"))
+}
+
 fn grid(execution: &Execution) -> Result<(), Fault> {
     let model = execution.model.map_or("nothing", ExecutionModel::name);
     let has_grid = execution.model.is_some_and(ExecutionModel::has_grid);
+    if let Some(why) = execution.period_ns.filter(|_| has_grid).and_then(period_fault) {
+        return Err(("rate_hz", why));
+    }
     match execution.period_ns {
         Some(_) if !has_grid => {
             return Err(("rate_hz", format!("a rate means nothing to model {model}")));
-        }
-        Some(period) if !(PERIOD_NS.0..=PERIOD_NS.1).contains(&period) => {
-            let (low, high) = (duration(PERIOD_NS.0), duration(PERIOD_NS.1));
-            return Err(("rate_hz", format!("a period of {} is outside {low} to {high}", duration(period))));
         }
         None if execution.model == Some(ExecutionModel::Periodic) => {
             return Err(("rate_hz", "model periodic needs a rate in Hz".to_owned()));
@@ -157,8 +205,12 @@ fn scheduling(execution: &Execution) -> Result<(), Fault> {
     if passive && !execution.cpus.is_empty() {
         return Err(("cpus", "a passive component (model none) has no thread".to_owned()));
     }
-    match execution.cpus.iter().find(|cpu| **cpu > CPU) {
-        Some(cpu) => Err(("cpus", format!("{cpu} is no number of a processor, 0 to {CPU}"))),
+    if let Some(cpu) = execution.cpus.iter().find(|cpu| **cpu > CPU) {
+        return Err(("cpus", format!("{cpu} is no number of a processor, 0 to {CPU}")));
+    }
+    let twice = execution.cpus.iter().enumerate().find(|(at, cpu)| execution.cpus[..*at].contains(cpu));
+    match twice {
+        Some((_, cpu)) => Err(("cpus", format!("processor {cpu} is named twice"))),
         None => Ok(()),
     }
 }

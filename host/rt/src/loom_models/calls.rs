@@ -1,0 +1,148 @@
+//! What a call and a read rest on: rows of state, reply cells, replaced bindings.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use loom::thread;
+
+use super::model;
+use crate::cell::BindingCell;
+use crate::reply::{Reply, ReplyPool};
+use crate::state::state_table;
+
+fn row(n: u64) -> [u8; 16] {
+    let mut row = [0; 16];
+    row[..8].copy_from_slice(&n.to_ne_bytes());
+    row[8..].copy_from_slice(&(!n).to_ne_bytes());
+    row
+}
+
+#[test]
+fn loom_a_state_reader_gets_whole_rows_or_none() {
+    model(|| {
+        let (mut writer, reader) = state_table(16, 3);
+        let thread = thread::spawn(move || {
+            for n in 0..4 {
+                writer.publish(n, n, |out| out.copy_from_slice(&row(n)));
+            }
+        });
+        let mut out = [0; 16];
+        if let Some(info) = reader.row(0, &mut out).ok().or_else(|| reader.delayed(1, &mut out).ok()) {
+            assert_eq!((info.stamp_ns, info.tick, out), (info.row, info.row, row(info.row)), "torn row");
+        }
+        thread.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_caller_is_answered_or_gives_up_and_the_cell_is_free_again() {
+    model(|| {
+        let pool = ReplyPool::new(1, 1, 0);
+        let ticket = pool.acquire().unwrap();
+        let (server, token) = (Arc::clone(&pool), ticket.token());
+        let thread = thread::spawn(move || match server.begin(token, -1) {
+            Some(running) => {
+                running.finish(7, |ret, _| {
+                    ret[0] = 42;
+                    0
+                });
+                true
+            }
+            None => false,
+        });
+        let mut got = 0;
+        let reply = ticket.wait(1, |ret, _| got = ret[0]);
+        let began = thread.join().unwrap();
+        match reply {
+            Reply::Done(status) => assert_eq!((status, got, began), (7, 42, true)),
+            Reply::DeadlineNotStarted => assert!(!began, "given up and run all the same"),
+            Reply::DeadlineMayRun => assert!(began, "nobody has begun it"),
+        }
+        assert_eq!(pool.in_use(), 0, "after {reply:?}");
+        assert!(pool.begin(token, -1).is_none(), "an old token must fit nothing");
+    });
+}
+
+/// A value whose reads and whose end loom orders.
+struct Tracked(loom::cell::UnsafeCell<u32>, Arc<AtomicUsize>);
+
+impl Tracked {
+    fn new(number: u32, drops: &Arc<AtomicUsize>) -> Box<Self> {
+        Box::new(Self(loom::cell::UnsafeCell::new(number), Arc::clone(drops)))
+    }
+
+    fn number(&self) -> u32 {
+        // SAFETY: written only by the drop; loom fails the model when that is not ordered after this read.
+        self.0.with(|n| unsafe { *n })
+    }
+}
+
+// SAFETY: loom checks the order of all accesses, which is what the model is about.
+unsafe impl Sync for Tracked {}
+
+impl Drop for Tracked {
+    fn drop(&mut self) {
+        // SAFETY: as for `number`.
+        self.0.with_mut(|n| unsafe { *n = 0 });
+        self.1.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn loom_a_replaced_binding_is_dropped_after_its_callers_left() {
+    model(|| {
+        let drops = Arc::default();
+        let cell = Arc::new(BindingCell::new(Tracked::new(1, &drops)));
+        let callers: Vec<_> = (0..2)
+            .map(|_| {
+                let cell = Arc::clone(&cell);
+                thread::spawn(move || {
+                    let guard = cell.enter();
+                    assert_ne!(guard.number(), 0, "dropped under a caller");
+                })
+            })
+            .collect();
+        cell.swap(Tracked::new(2, &drops));
+        cell.reclaim();
+        callers.into_iter().for_each(|t| t.join().unwrap());
+        assert_eq!(cell.reclaim(), 0);
+        assert_eq!(drops.load(Ordering::Relaxed), 1);
+        assert_eq!(cell.enter().number(), 2);
+    });
+}
+
+/// A cell given up and used again while the first call's server may still be at it: each caller gets its own answer or none.
+#[test]
+fn loom_a_cell_used_again_after_a_deadline_carries_the_second_answer_only() {
+    model(|| {
+        let pool = ReplyPool::new(1, 1, 0);
+        let first = pool.acquire().unwrap();
+        let (server, token) = (Arc::clone(&pool), first.token());
+        let thread = thread::spawn(move || {
+            if let Some(running) = server.begin(token, -1) {
+                running.finish(1, |ret, _| {
+                    ret[0] = 1;
+                    0
+                });
+            }
+        });
+        let mut got = 0;
+        match first.wait(1, |ret, _| got = ret[0]) {
+            Reply::Done(status) => assert_eq!((status, got), (1, 1)),
+            Reply::DeadlineNotStarted | Reply::DeadlineMayRun => assert_eq!(got, 0),
+        }
+        // Not while the first server is still at it.
+        if let Some(second) = pool.acquire() {
+            assert_ne!(second.token(), token);
+            let running = pool.begin(second.token(), -1).unwrap();
+            running.finish(2, |ret, _| {
+                ret[0] = 2;
+                0
+            });
+            let reply = second.wait(u64::MAX, |ret, _| got = ret[0]);
+            assert_eq!((reply, got), (Reply::Done(2), 2));
+        }
+        thread.join().unwrap();
+        assert_eq!(pool.in_use(), 0);
+    });
+}

@@ -1,0 +1,270 @@
+//! Whose turn it is to change which part of the system.
+//!
+//! Invariant: no two requests under way touch the same component, nor do two make connections; those that would go in the
+//! order they came. A plan is made in the step that takes its part, so nothing it rests on changes before it is done.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use tokio::sync::watch;
+use trocar_model::{
+    Change, ComponentId, Pattern, Plan, Refusal, Request, SystemGraph, Target, Verb, Which, host_of,
+};
+
+use super::Gcm;
+use super::execute::id_of;
+use super::manager::lock;
+
+/// What a request touches.
+#[derive(Clone, Debug, Default)]
+struct Part {
+    ids: BTreeSet<ComponentId>,
+    /// Not resolved yet: only of a request that waits.
+    globs: Vec<Pattern>,
+    /// Makes connections or shares threads: whether that closes a circle depends on all others.
+    wires: bool,
+}
+
+impl Part {
+    /// What the requests name.
+    fn named(graph: &SystemGraph, requests: &[Request]) -> Part {
+        let mut part = Part::default();
+        for request in requests {
+            match request {
+                Request::Create { id, execution, .. } => {
+                    part.ids.insert(id.clone());
+                    part.ids.extend(host_of(execution));
+                }
+                Request::Remove { id, .. } => _ = part.ids.insert(id.clone()),
+                Request::Configure { id, execution, .. } => {
+                    part.ids.insert(id.clone());
+                    part.ids.extend(execution.as_ref().and_then(host_of));
+                }
+                Request::Start { targets }
+                | Request::Stop { targets }
+                | Request::Resume { targets }
+                | Request::Reset { targets } => {
+                    for target in targets {
+                        match target {
+                            Target::One(id) => _ = part.ids.insert(id.clone()),
+                            Target::Glob(pattern) => part.globs.push(pattern.clone()),
+                        }
+                    }
+                }
+                Request::Connect { client, server, .. } => {
+                    part.ids.extend([client.component.clone(), server.component.clone()]);
+                    part.wires = true;
+                }
+                Request::Disconnect { which: Which::Pair { client, server } } => {
+                    part.ids.extend([client.component.clone(), server.component.clone()]);
+                }
+                Request::Disconnect { which: Which::Id(number) } => {
+                    let ends = graph.connections.get(number).map(|c| [&c.client, &c.server]);
+                    part.ids.extend(ends.into_iter().flatten().map(|end| end.component.clone()));
+                }
+            }
+        }
+        part
+    }
+
+    /// What their plan touches besides; its globs are resolved.
+    fn planned(mut self, plan: &Plan) -> Part {
+        self.globs.clear();
+        // Taking away alone is never taken back; among other things it may have to be connected again.
+        let takes_away = |change: &Change| match change {
+            Change::Disconnect { .. } | Change::Destroy { .. } => true,
+            Change::Run { verb, .. } => *verb == Verb::Stop,
+            _ => false,
+        };
+        let only_takes_away = plan.changes.iter().all(takes_away);
+        for change in &plan.changes {
+            self.ids.insert(id_of(change).clone());
+            match change {
+                Change::Connect { connection: c } => {
+                    self.ids.insert(c.server.component.clone());
+                    self.wires = true;
+                }
+                Change::Disconnect { connection: c } => {
+                    self.ids.insert(c.server.component.clone());
+                    self.wires |= !only_takes_away;
+                }
+                Change::Create { component, .. } => {
+                    let host = host_of(&component.execution);
+                    self.wires |= host.is_some();
+                    self.ids.extend(host);
+                }
+                Change::Destroy { .. } | Change::Configure { .. } | Change::Run { .. } => {}
+            }
+        }
+        self
+    }
+
+    fn meets(&self, other: &Part) -> bool {
+        let matched = |globs: &[Pattern], ids: &BTreeSet<ComponentId>| {
+            globs.iter().any(|glob| ids.iter().any(|id| glob.matches(id)))
+        };
+        self.wires && other.wires
+            || !self.ids.is_disjoint(&other.ids)
+            || !self.globs.is_empty() && !other.globs.is_empty()
+            || matched(&self.globs, &other.ids)
+            || matched(&other.globs, &self.ids)
+    }
+}
+
+/// What others want of a request that is being carried out.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Marks {
+    /// Components the plan, or undoing it, sets in motion.
+    pub(super) moving: BTreeSet<ComponentId>,
+    /// Stops given meanwhile.
+    pub(super) stops: Vec<Target>,
+    /// Components that are to be removed whatever becomes of the request.
+    pub(super) removed: BTreeSet<ComponentId>,
+}
+
+/// A request that waits or is being carried out.
+#[derive(Debug)]
+struct Entry {
+    number: u64,
+    part: Part,
+    under_way: bool,
+    marks: Marks,
+    /// The change it waits for now: "Start host/robot".
+    doing: String,
+}
+
+#[derive(Default)]
+struct List {
+    /// In the order of arrival.
+    entries: Vec<Entry>,
+    next: u64,
+}
+
+/// The requests that wait or are being carried out.
+#[derive(Default)]
+pub(super) struct Turns {
+    list: Mutex<List>,
+    /// Notified when one ends or is marked.
+    news: watch::Sender<()>,
+}
+
+impl Turns {
+    pub(super) fn news(&self) -> watch::Receiver<()> {
+        self.news.subscribe()
+    }
+
+    /// Tells those being carried out something; true when one of them is concerned, as `tell` says.
+    pub(super) fn mark(&self, mut tell: impl FnMut(&mut Marks) -> bool) -> bool {
+        let mut concerned = false;
+        for entry in lock(&self.list).entries.iter_mut().filter(|e| e.under_way) {
+            concerned |= tell(&mut entry.marks);
+        }
+        self.news.send_replace(());
+        concerned
+    }
+
+    fn queue(&self, part: Part) -> Turn<'_> {
+        let mut list = lock(&self.list);
+        let number = list.next;
+        list.next += 1;
+        let (marks, doing) = (Marks::default(), "another request".to_owned());
+        list.entries.push(Entry { number, part, under_way: false, marks, doing });
+        Turn { turns: self, number }
+    }
+}
+
+/// A place in the list; given back when dropped.
+pub(super) struct Turn<'a> {
+    turns: &'a Turns,
+    number: u64,
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        lock(&self.turns.list).entries.retain(|e| e.number != self.number);
+        self.turns.news.send_replace(());
+    }
+}
+
+impl Turn<'_> {
+    pub(super) fn news(&self) -> watch::Receiver<()> {
+        self.turns.news()
+    }
+
+    /// Looks at, or changes, what others want of it.
+    pub(super) fn marks<R>(&self, look: impl FnOnce(&mut Marks) -> R) -> R {
+        let mut list = lock(&self.turns.list);
+        match list.entries.iter_mut().find(|e| e.number == self.number) {
+            Some(entry) => look(&mut entry.marks),
+            // Not while this exists.
+            None => look(&mut Marks::default()),
+        }
+    }
+
+    /// What it waits for from now on, for those that wait for it.
+    pub(super) fn doing(&self, what: String) {
+        if let Some(entry) = lock(&self.turns.list).entries.iter_mut().find(|e| e.number == self.number) {
+            entry.doing = what;
+        }
+    }
+
+    /// Plans and takes the part, when nobody else has any of it or came earlier; else what it waits for.
+    fn take(
+        &self,
+        named: &Part,
+        plan: impl FnOnce() -> Result<(Arc<SystemGraph>, Plan), Refusal>,
+    ) -> Result<Result<(Arc<SystemGraph>, Plan), Refusal>, String> {
+        let mut list = lock(&self.turns.list);
+        let first = |part: &Part, list: &List| {
+            let mut others = list.entries.iter().filter(|e| e.number != self.number);
+            let before = others.find(|e| (e.under_way || e.number < self.number) && e.part.meets(part));
+            before.map(|e| e.doing.clone())
+        };
+        if let Some(doing) = first(named, &list) {
+            return Err(doing);
+        }
+        let (graph, plan) = match plan() {
+            Ok(planned) => planned,
+            Err(refusal) => return Ok(Err(refusal)),
+        };
+        let part = named.clone().planned(&plan);
+        let doing = first(&part, &list);
+        if let Some(entry) = list.entries.iter_mut().find(|e| e.number == self.number) {
+            entry.under_way = doing.is_none();
+            entry.part = part;
+        }
+        doing.map_or(Ok(Ok((graph, plan))), Err)
+    }
+}
+
+impl Gcm {
+    /// The turn to do what `plan` makes of the graph.
+    ///
+    /// # Errors
+    /// What `plan` refuses; LcmTimeout when others took all the time.
+    pub(super) async fn turn(
+        &self,
+        requests: &[Request],
+        deadline: Instant,
+        plan: impl Fn(&SystemGraph) -> Result<Plan, Refusal>,
+    ) -> Result<(Turn<'_>, Arc<SystemGraph>, Plan), Refusal> {
+        let named = Part::named(&self.graph(), requests);
+        let turn = self.inner.turns.queue(named.clone());
+        let mut news = turn.news();
+        loop {
+            news.mark_unchanged();
+            let now = || {
+                let graph = self.graph();
+                plan(&graph).map(|plan| (graph, plan))
+            };
+            let behind = match turn.take(&named, now) {
+                Ok(planned) => return planned.map(|(graph, plan)| (turn, graph, plan)),
+                Err(behind) => behind,
+            };
+            if tokio::time::timeout_at(deadline.into(), news.changed()).await.is_err() {
+                return Err(self.busy(requests, &behind));
+            }
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! The end of a host: devices safe first, then everything else, whichever way the host comes to it.
+//!
+//! Invariant: a thread made with the host does it, on a clock of its own. Ending therefore needs no runtime, no new thread, and
+//! nobody who waits for it.
+
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+use super::{HostError, StateDir};
+use crate::control::Server;
+use crate::lcm::LocalLcm;
+use crate::loader::WatchHandle;
+
+/// How long components may take to stand still at the end.
+pub(super) const SHUTDOWN: Duration = Duration::from_secs(5);
+/// How long whoever drops a host waits for its end: components that hang are given up before.
+const DROPPED: Duration = Duration::from_secs(10);
+
+/// What is to be ended, as far as it was started.
+pub(super) struct Running {
+    pub(super) lcm: Option<Arc<LocalLcm>>,
+    pub(super) uplink: Option<JoinHandle<()>>,
+    pub(super) server: Option<Server>,
+    pub(super) watch: Option<WatchHandle>,
+    pub(super) announced: Option<JoinHandle<()>>,
+    pub(super) state: Arc<StateDir>,
+}
+
+/// How open calls of the port end.
+#[derive(Clone, Copy)]
+enum How {
+    /// They get a moment, so that a caller can see the end happen.
+    Orderly,
+    /// At once: whoever would carry them on may stand still until this is over.
+    Abrupt,
+}
+
+/// The way to the thread that ends a host.
+pub(super) struct Ending {
+    running: Arc<Mutex<Running>>,
+    order: mpsc::Sender<How>,
+    ended: watch::Receiver<bool>,
+    /// Closed with the thread, which sends nothing.
+    alive: Mutex<mpsc::Receiver<()>>,
+}
+
+impl Ending {
+    /// # Errors
+    /// The machine gives no more threads.
+    pub(super) fn prepare(state: Arc<StateDir>) -> Result<Ending, HostError> {
+        let threads = |e: std::io::Error| HostError::Threads { because: e.to_string() };
+        let nothing = Running { lcm: None, uplink: None, server: None, watch: None, announced: None, state };
+        let running = Arc::new(Mutex::new(nothing));
+        let (order, ordered) = mpsc::channel();
+        let (tell, ended) = watch::channel(false);
+        let (life, alive) = mpsc::channel::<()>();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().map_err(threads)?;
+        let theirs = running.clone();
+        let end = move || {
+            let _life = life;
+            let how = ordered.recv().unwrap_or(How::Abrupt);
+            runtime.block_on(end(&theirs, how));
+            tell.send_replace(true);
+        };
+        thread::Builder::new().name("trocar-end".into()).spawn(end).map_err(threads)?;
+        Ok(Ending { running, order, ended, alive: Mutex::new(alive) })
+    }
+
+    pub(super) fn running(&self) -> MutexGuard<'_, Running> {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn has_ended(&self) -> bool {
+        *self.ended.borrow()
+    }
+
+    /// Ends it and waits; any number of times, from anywhere.
+    pub(super) async fn end(&self) {
+        // A thread that has ended has nobody listening.
+        let _ = self.order.send(How::Orderly);
+        // An error means the same: the thread is gone.
+        let _ = self.ended.clone().wait_for(|ended| *ended).await;
+    }
+
+    /// As `end`, for a thread that may be one of a runtime's, and not for ever.
+    pub(super) fn end_now(&mut self) {
+        let _ = self.order.send(How::Abrupt);
+        let alive = self.alive.get_mut().unwrap_or_else(PoisonError::into_inner);
+        if alive.recv_timeout(DROPPED) == Err(RecvTimeoutError::Timeout) {
+            log::error!(
+                "the dropped host has not ended within {} s and is left to end by itself",
+                DROPPED.as_secs()
+            );
+        }
+    }
+}
+
+async fn end(running: &Mutex<Running>, how: How) {
+    let (lcm, uplink, server, watch, announced, state) = {
+        let mut r = running.lock().unwrap_or_else(PoisonError::into_inner);
+        let r = &mut *r;
+        let state = r.state.clone();
+        (r.lcm.take(), r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)
+    };
+    if let Some(task) = &announced {
+        task.abort();
+    }
+    if let Some(lcm) = lcm {
+        lcm.shutdown(SHUTDOWN).await;
+    }
+    if let Some(task) = uplink {
+        task.abort();
+        if matches!(how, How::Orderly) {
+            // Aborted is what it is meant to be; a runtime that stands still does not come to it.
+            let _ = tokio::time::timeout(Duration::from_secs(1), task).await;
+        }
+    }
+    if let Some(server) = server {
+        match how {
+            How::Orderly => server.shutdown().await,
+            How::Abrupt => server.cut(),
+        }
+    }
+    // Joins the watching thread.
+    drop(watch);
+    state.release();
+}

@@ -1,0 +1,187 @@
+//! What is bounded stays bounded and is counted: drains, queues that are cut, pools of frames.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::thread::{ThreadId, current};
+
+use serde_json::{Value, json};
+use trocar_model::ConnectOptions;
+use trocar_plugin_api::abi::*;
+
+use super::commands::{POKE, client, server};
+use super::puppet::*;
+use super::world::*;
+
+/// Where a command finds the client that floods its server.
+type Flooder = Arc<OnceLock<&'static Stage>>;
+
+/// A first step or event that waits for a word of the test.
+fn gate() -> (impl Fn() + Send + Sync, Receiver<()>, Sender<()>) {
+    let (begun, heard) = channel();
+    let (go, wait) = channel::<()>();
+    let wait = Mutex::new(Some(wait));
+    let pass = move || {
+        if let Some(wait) = wait.lock().unwrap().take() {
+            let _ = begun.send(());
+            // The test lets go, or has ended.
+            let _ = wait.recv();
+        }
+    };
+    (pass, heard, go)
+}
+
+#[test]
+fn a_client_that_sends_one_more_for_each_command_that_runs_keeps_its_server_from_no_step() {
+    let world = World::new("rounds");
+    let (pass, heard, go) = gate();
+    let (ran, flooder) = (Arc::new(AtomicU64::new(0)), Flooder::default());
+    let (counted, who) = (ran.clone(), flooder.clone());
+    let step = move |stage: &Stage| {
+        stage.note(counted.load(Ordering::SeqCst));
+        pass();
+        STATUS_OK
+    };
+    let command = move |_: &Stage, _: u32, _: u64| {
+        if ran.fetch_add(1, Ordering::SeqCst) < 40 {
+            assert_eq!(who.get().unwrap().send(POKE, 0), QUEUED);
+        }
+        Ok(0)
+    };
+    let script = Script { step: Some(Box::new(step)), command: Some(Box::new(command)), ..Script::default() };
+    let server = world.active("server", &server(), on_signal(), script);
+    let client = world.active("client", &client(false), on_signal(), Script::default());
+    world.connect("client/peer", "server/ctl");
+    flooder.set(client).unwrap_or_else(|_| panic!("set once"));
+    world.instance("server").signal();
+    heard.recv().unwrap();
+    (0..3).for_each(|_| assert_eq!(client.send(POKE, 0), QUEUED));
+    go.send(()).unwrap();
+    eventually("the flood's end", || server.seen().last() == Some(&43));
+    let steps = server.seen();
+    // What was there, and once what came meanwhile: twice three, then a step.
+    assert_eq!(steps[..4], [0, 6, 12, 18], "{steps:?}");
+}
+
+#[test]
+fn a_caller_of_a_passive_server_that_is_flooded_comes_back_and_the_servers_own_thread_goes_on() {
+    let world = World::new("passive-rounds");
+    let (flooder, over) = (Flooder::default(), Arc::new(AtomicBool::new(false)));
+    let ran: Arc<Mutex<Vec<ThreadId>>> = Arc::default();
+    let (who, threads, ends) = (flooder.clone(), ran.clone(), over.clone());
+    let command = move |_: &Stage, _: u32, _: u64| {
+        threads.lock().unwrap().push(current().id());
+        if !ends.load(Ordering::SeqCst) {
+            let _ = who.get().unwrap().send(POKE, 0);
+        }
+        Ok(0)
+    };
+    let script = Script { command: Some(Box::new(command)), ..Script::default() };
+    world.active("server", &server(), passive(), script);
+    let client = world.active("client", &client(false), on_signal(), Script::default());
+    world.connect("client/peer", "server/ctl");
+    flooder.set(client).unwrap_or_else(|_| panic!("set once"));
+    assert_eq!(client.send(POKE, 0), EXECUTED, "and it came back");
+    let here = |threads: &[ThreadId]| threads.iter().filter(|id| **id == current().id()).count();
+    // Its own, then twice what was there and once what came meanwhile.
+    assert_eq!(here(&ran.lock().unwrap()), 5);
+    eventually("the others, on another thread", || ran.lock().unwrap().len() > 100);
+    assert_eq!(here(&ran.lock().unwrap()), 5, "nobody else's commands later on");
+    over.store(true, Ordering::SeqCst);
+}
+
+#[test]
+fn events_that_are_queued_when_their_connection_is_cut_are_counted_as_lost() {
+    let world = World::new("cut-events");
+    let (pass, heard, go) = gate();
+    let on_event = move |stage: &Stage, _: u32, payload: u64| {
+        pass();
+        stage.note(payload);
+        STATUS_OK
+    };
+    let script = Script { on_event: Some(Box::new(on_event)), ..Script::default() };
+    let observer = world.active("observer", &client(false), on_signal(), script);
+    let server = world.active("server", &server(), on_signal(), Script::default());
+    let options = ConnectOptions { mailbox: Some(2), ..ConnectOptions::default() };
+    let connection = world.connection("observer/peer", "server/ctl", options);
+    world.apply(trocar_model::Change::Connect { connection: connection.clone() }).unwrap();
+    assert_eq!(server.emit(0, 1), EXECUTED);
+    heard.recv().unwrap();
+    assert_eq!([2, 3, 4].map(|n| server.emit(0, n)), [EXECUTED, EXECUTED, QUEUE_FULL]);
+    world.cut(&connection);
+    assert_eq!(server.emit(0, 5), UNBOUND, "nobody is there, nothing is lost");
+    assert_eq!(world.instance("observer").queue_losses(), [0, 3], "two thrown out, one that found no room");
+    go.send(()).unwrap();
+    eventually("the event that had begun", || observer.seen() == [1]);
+    let lost = world.instance("observer").queue_losses();
+    assert_eq!(lost, [0, 3], "one that ran is not lost");
+}
+
+fn frames(max_bytes: usize) -> Value {
+    json!({"outputs": [{"name": "video", "type": {"frame": "u64", "format": "image", "max_bytes": max_bytes}}]})
+}
+
+#[test]
+fn frames_that_no_slot_was_left_for_are_counted_whatever_pool_comes_next() {
+    let world = World::new("exhausted");
+    let source = world.active("source", &frames(64), on_signal(), Script::default());
+    let sink =
+        json!({"inputs": [{"name": "video", "type": {"frame": "u64", "format": "image", "max_bytes": 64}}]});
+    let sink = world.active("sink", &sink, on_signal(), Script::default());
+    world.connect("sink/video", "source/video");
+    let slot = source.output(0);
+    let loan = || {
+        let mut loan = no_loan();
+        // SAFETY: a slot of this instance, and room for a loan.
+        let outcome = unsafe { (slot.loan)(slot.ctx, &raw mut loan) };
+        (outcome, loan)
+    };
+    let mut lent: Vec<Loan> = Vec::new();
+    let refused = loop {
+        match loan() {
+            (EXECUTED, loan) => lent.push(loan),
+            (refused, _) => break refused,
+        }
+    };
+    assert_eq!((refused, lent.len()), (EXHAUSTED, 8));
+    assert_eq!(source.frame(0, 1, b"no room"), EXHAUSTED);
+    let dropped = || world.instance("source").described.now().slots.output(0).exhausted();
+    assert_eq!(dropped(), 2);
+    // SAFETY: a slot of this instance.
+    assert_eq!(unsafe { (slot.reserve)(slot.ctx, 64, 2) }, EXECUTED, "another pool");
+    assert_eq!(source.frame(0, 2, b"room"), EXECUTED);
+    assert_eq!(dropped(), 2, "what was refused before is not forgotten");
+    let (a, b, c) = (loan(), loan(), loan());
+    assert_eq!((a.0, b.0, c.0), (EXECUTED, EXHAUSTED, EXHAUSTED), "one is at the sink");
+    assert_eq!(dropped(), 4);
+    assert_eq!(sink.next(0, 8).unwrap().bytes, b"room");
+    for mut loan in lent.into_iter().chain([a.1]) {
+        // SAFETY: a loan of this output, whichever of its pools it is from.
+        unsafe { (slot.cancel)(slot.ctx, &raw mut loan) };
+    }
+    assert_eq!(loan().0, EXECUTED);
+}
+
+#[test]
+fn a_sample_stamped_ahead_of_time_does_not_hide_that_nothing_comes_after_it() {
+    let world = World::new("ahead");
+    let plain = json!({"name": "x", "type": {"plain": "u64"}});
+    let source = world.active("source", &json!({"outputs": [plain]}), on_signal(), Script::default());
+    world.active("sink", &json!({"inputs": [plain]}), on_signal(), Script::default());
+    const MAX_AGE_NS: u64 = 1_000_000_000;
+    let options = ConnectOptions { max_age_ns: Some(MAX_AGE_NS), ..ConnectOptions::default() };
+    let connection = world.connection("sink/x", "source/x", options);
+    world.apply(trocar_model::Change::Connect { connection }).unwrap();
+    let write = |stamp_ns: u64| {
+        let slot = source.output(0);
+        // SAFETY: a slot of this instance, a value of its size.
+        unsafe { (slot.write)(slot.ctx, (&raw const stamp_ns).cast(), stamp_ns) }
+    };
+    let stale = |at_ns| world.instance("sink").stale_inputs(at_ns);
+    for ahead in [trocar_rt::now_ns() + 3_600_000_000_000, u64::MAX] {
+        assert_eq!(write(ahead), EXECUTED);
+        let now_ns = trocar_rt::now_ns();
+        assert!(stale(now_ns).is_empty(), "it has just come");
+        assert_eq!(stale(now_ns + MAX_AGE_NS + 1), ["x"], "nothing came for longer than max_age");
+    }
+}

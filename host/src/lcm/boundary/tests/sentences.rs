@@ -1,0 +1,16 @@
+//! What a plugin writes into an error buffer, and how long it says that is.
+
+use trocar_plugin_api::abi::ErrBuf;
+
+use super::super::sentence;
+
+#[test]
+fn a_sentence_longer_than_its_buffer_ends_where_that_does_and_shows_no_padding() {
+    let mut room = [0u8; 16];
+    room[..7].copy_from_slice(b"too\x1bhot");
+    let mut err = ErrBuf { ptr: room.as_mut_ptr(), cap: room.len(), len: 1 << 40 };
+    assert_eq!(sentence(&raw mut err), "too\\u{1b}hot");
+    err.len = 3;
+    assert_eq!(sentence(&raw mut err), "too");
+    assert_eq!(sentence(std::ptr::null_mut()), "");
+}

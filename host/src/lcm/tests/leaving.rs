@@ -1,0 +1,60 @@
+//! Nothing is kept of what is refused or gone: threads end, and what was asked of them is let go of.
+
+use std::sync::mpsc::{TryRecvError, channel};
+
+use super::*;
+
+struct Idle;
+
+impl Behaviour for Idle {}
+
+/// Names of this process's threads.
+fn threads() -> Vec<String> {
+    let tasks = std::fs::read_dir("/proc/self/task").unwrap().flatten();
+    let names = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("comm")).ok());
+    names.map(|name| name.trim().to_owned()).collect()
+}
+
+fn component() -> Box<Component> {
+    let info = class(Ports::default(), Safety::None);
+    Box::new(Component {
+        ports: Arc::new(info.ports.clone()),
+        class: Arc::new(info),
+        config: serde_json::json!({}),
+        execution: periodic(1000),
+        state: State::Created,
+        health: Health::Ok,
+        fault: String::new(),
+    })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_that_could_not_be_created_leaves_no_thread_and_its_name_is_free() {
+    let world = World::new("lv_refused");
+    // Nobody has said what it does, so it is not made.
+    let id = world.id("lv-ghost");
+    for _ in 0..3 {
+        let refused =
+            world.apply(Change::Create { id: id.clone(), component: component() }).await.unwrap_err();
+        assert!(matches!(refused, Refusal::ComponentRefused { entry: "create", .. }), "{refused:?}");
+    }
+    eventually("its threads have ended", || !threads().iter().any(|name| name == "lv-ghost")).await;
+    world.create("lv-ghost", periodic(1000), Arc::new(Idle)).await;
+    world.start("lv-ghost").await;
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn work_for_a_thread_that_has_ended_is_let_go_of_at_once() {
+    let world = World::new("lv_ended");
+    world.create("c", periodic(1000), Arc::new(Idle)).await;
+    let instance = world.lcm.instance(&world.id("c")).unwrap();
+    let executor = world.lcm.executor_of(&instance).unwrap();
+    world.apply(Change::Destroy { id: world.id("c"), component: component() }).await.unwrap();
+    let task = format!("/proc/self/task/{}", executor.tid());
+    eventually("its thread has ended", || !std::path::Path::new(&task).exists()).await;
+    let (tell, told) = channel::<()>();
+    executor.submit(move |_| drop(tell));
+    assert_eq!(told.try_recv(), Err(TryRecvError::Disconnected), "whoever asked would wait for ever");
+    world.end().await;
+}

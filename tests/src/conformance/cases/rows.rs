@@ -1,0 +1,98 @@
+//! Rows of a component's state from outside: the newest, earlier ones, and the values at a time; in the process and over
+//! gRPC.
+
+use serde_json::json;
+use tonic::transport::Channel;
+use trocar::lcm::When;
+use trocar_proto::v1::interact_service_client::InteractServiceClient;
+use trocar_proto::v1::read_request::Row;
+use trocar_proto::v1::{ReadRequest, ReadResponse};
+
+use super::super::world::block_on;
+use super::super::{Lab, Way};
+
+/// Rows that are looked for, newest first: stamp, tick, value.
+type Known = Vec<(u64, u64, f64)>;
+
+/// Writes 10, 20, … 50, and finds the row of each.
+fn five(lab: &Lab) -> Known {
+    for value in 1..=5_u32 {
+        let write = lab.invoke("server/ctl/write", Some(json!(10.0 * f64::from(value))), false);
+        write.unwrap_or_else(|refusal| panic!("{refusal}"));
+    }
+    let mut known = Known::new();
+    for k in 0..200 {
+        let Ok(row) = lab.row_at("server", When::Delayed(k)) else { break };
+        let value = row.value["value"].as_f64().unwrap_or_default();
+        // The first row that shows it; a step after it shows it again.
+        if known.last().is_some_and(|(_, _, newer)| *newer == value) {
+            known.pop();
+        }
+        known.push((row.stamp_ns, row.seq, value));
+    }
+    let values: Vec<f64> = known.iter().map(|(_, _, value)| *value).collect();
+    assert_eq!(values, [50.0, 40.0, 30.0, 20.0, 10.0, 0.0]);
+    assert!(known.windows(2).all(|w| w[0].0 > w[1].0 && w[0].1 >= w[1].1), "newer is later: {known:?}");
+    known
+}
+
+pub fn each_row_is_found_by_its_time_its_tick_and_its_distance(way: &Way) {
+    let lab = Lab::running(way);
+    let known = five(&lab);
+    let value = |when| {
+        let row = lab.row_at("server", when).unwrap_or_else(|refusal| panic!("{when:?}: {refusal}"));
+        row.value["value"].as_f64().unwrap_or_default()
+    };
+    assert_eq!(value(When::Newest), 50.0);
+    for (stamp_ns, tick, expected) in &known {
+        assert_eq!(value(When::Time(*stamp_ns)), *expected, "at {stamp_ns} ns");
+        assert_eq!(value(When::Nearest(*stamp_ns)), *expected, "near {stamp_ns} ns");
+        let found = lab.row_at("server", When::Tick(*tick)).unwrap_or_else(|refusal| panic!("{refusal}"));
+        assert_eq!(found.seq, *tick);
+    }
+    // Between two rows a time is answered by what lies between them.
+    let ((late, _, high), (early, _, low)) = (known[1], known[2]);
+    let middle = value(When::Time(early + (late - early) / 2));
+    assert!(middle >= low && middle <= high, "{middle} between {low} and {high}");
+    for (when, why) in [
+        (When::Delayed(100_000), "not there yet"),
+        (When::Tick(u64::MAX), "not there yet"),
+        (When::Time(u64::MAX), "not there yet"),
+        (When::Time(1), "no such row"),
+    ] {
+        let refused = lab.row_at("server", when).expect_err("there is none");
+        assert_eq!(refused.reason(), "ARGUMENT_INVALID", "{when:?}: {refused}");
+        assert!(refused.to_string().contains(why), "{when:?}: {refused}");
+    }
+}
+
+pub fn rows_are_the_same_over_grpc(way: &Way) {
+    let lab = Lab::listening(way);
+    let known = five(&lab);
+    let (stamp_ns, tick, expected) = known[2];
+    for (row, when) in [
+        (None, When::Newest),
+        (Some(Row::AtNs(stamp_ns)), When::Time(stamp_ns)),
+        (Some(Row::NearestNs(stamp_ns + 1)), When::Nearest(stamp_ns + 1)),
+        (Some(Row::Tick(tick)), When::Tick(tick)),
+        (Some(Row::Delayed(2)), When::Delayed(2)),
+    ] {
+        let far = read(&lab, row).unwrap_or_else(|status| panic!("{when:?}: {status}"));
+        let near = lab.row_at("server", when).unwrap_or_else(|refusal| panic!("{when:?}: {refusal}"));
+        assert_eq!((far.encoded, far.stamp_ns, far.seq), (near.encoded, near.stamp_ns, near.seq), "{when:?}");
+    }
+    let far = read(&lab, Some(Row::AtNs(stamp_ns))).unwrap_or_else(|status| panic!("{status}"));
+    assert_eq!((far.stamp_ns, expected), (stamp_ns, 30.0));
+    let refused = read(&lab, Some(Row::Tick(u64::MAX))).expect_err("there is none");
+    assert_eq!(refused.code(), tonic::Code::InvalidArgument, "{refused}");
+    assert!(refused.message().contains("not there yet"), "{refused}");
+}
+
+fn read(lab: &Lab, row: Option<Row>) -> Result<ReadResponse, tonic::Status> {
+    block_on(async {
+        let channel = Channel::from_shared(format!("http://{}", lab.address())).expect("a good address");
+        let channel = channel.connect().await.expect("the host answers");
+        let request = ReadRequest { path: "host/server".into(), row };
+        Ok(InteractServiceClient::new(channel).read(request).await?.into_inner())
+    })
+}
