@@ -162,13 +162,29 @@ pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     }
 }
 
-/// Destroy, create, configure: an instance that failed is not trusted.
-pub(super) fn reset(instance: &Instance, entered: &mut Entered<'_>, config: Option<&str>) -> Entry {
+/// Destroy, create, configure: an instance that failed is not trusted. Where `outlasted` says that its own threads still run
+/// once it is stopped, it is left to them instead of destroyed.
+pub(super) fn reset(
+    instance: &Instance,
+    entered: &mut Entered<'_>,
+    config: Option<&str>,
+    outlasted: impl FnOnce() -> bool,
+) -> Entry {
     if instance.is_active() {
         stop(instance, entered)?;
     }
-    instance.destroy(entered);
+    let kept = outlasted();
+    if kept {
+        entered.abandon();
+    } else {
+        instance.destroy(entered);
+    }
     instance.clear_warnings();
+    if kept {
+        instance.warn(
+            "reset: threads of its own still run, so the instance that was is not destroyed but kept until the process ends",
+        );
+    }
     let again = make(instance, entered).and_then(|()| match config {
         Some(json) => {
             entered.configure(json).map_err(|e| ("configure", e))?;

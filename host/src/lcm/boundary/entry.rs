@@ -316,6 +316,11 @@ impl<T> Entered<'_, T> {
         true
     }
 
+    /// Leaves the instance to the end of the process: somebody else may still use it.
+    pub(in crate::lcm) fn abandon(&mut self) {
+        self.object.this.store(ptr::null_mut(), Ordering::SeqCst);
+    }
+
     pub(in crate::lcm) fn configure(&mut self, json: &str) -> Result<(), EntryError> {
         let this = self.made()?;
         match entry!(self.object.table, configure) {

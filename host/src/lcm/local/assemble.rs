@@ -223,6 +223,8 @@ impl LocalLcm {
         if moves && slot.instance.is_actuator() {
             still_connected(&slot.instance)?;
         }
+        let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
+        let (executors, alone) = (self.executor_threads(&slot), self.is_alone(&slot));
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             let from = instance.state();
             let done = match verb {
@@ -230,7 +232,9 @@ impl LocalLcm {
                 Verb::Start | Verb::Resume if from == State::Fault => return (from, None),
                 Verb::Start => start(instance, entered),
                 Verb::Resume => resume(instance, entered),
-                Verb::Reset => reset(instance, entered, config.as_deref()),
+                Verb::Reset => {
+                    reset(instance, entered, config.as_deref(), || outlasts(&ward, &executors, alone))
+                }
                 Verb::Stop | Verb::Configure | Verb::Remove => Ok(()),
             };
             (from, Some(done))
@@ -344,6 +348,11 @@ impl LocalLcm {
     fn executor_threads(&self, slot: &Slot) -> BTreeSet<i32> {
         let held = self.held();
         held.components.values().map(|s| s.executor.tid()).chain([slot.executor.tid()]).collect()
+    }
+
+    /// Nobody else runs on its thread.
+    fn is_alone(&self, slot: &Slot) -> bool {
+        self.held().components.values().filter(|s| s.executor.id == slot.executor.id).count() == 1
     }
 
     pub(super) async fn destroy(&self, id: &ComponentId, deadline: Instant) -> Result<Report, Refusal> {

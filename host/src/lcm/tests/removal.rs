@@ -148,6 +148,20 @@ async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn threads_that_outlive_a_reset_keep_the_instance_that_was() {
+    let world = World::new("rm_reset");
+    let brood = Arc::new(Brood::default());
+    world.create("c", periodic(1000), brood.clone()).await;
+    world.start("c").await;
+    world.run("c", Verb::Stop).await.unwrap();
+    let report = world.run("c", Verb::Reset).await.unwrap();
+    assert!(!brood.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
+    assert!(report.warnings.iter().any(|w| w.contains("threads of its own still run")), "{report:?}");
+    brood.child.lock().unwrap().take();
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_thread_of_configure_may_be_ended_by_destroy() {
     let world = World::new("rm_early");
     let brood = Arc::new(Brood { early: true, ..Brood::default() });
