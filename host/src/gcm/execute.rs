@@ -110,7 +110,7 @@ impl Gcm {
             }
             plan_all(graph, requests)
         };
-        let (turn, graph, plan) = match self.turn(requests, deadline, decide).await {
+        let (claim, graph, plan) = match self.claim_part(requests, deadline, decide).await {
             // It went with the request that had made it.
             Err(Refusal::ComponentNotFound { id, .. }) if forced == Some(&id) => {
                 return Ok(Executed { revision: self.graph().revision, ..Executed::default() });
@@ -121,7 +121,7 @@ impl Gcm {
         if options.validate_only || done.plan.changes.is_empty() {
             return Ok(done);
         }
-        let carrying = Carrying::begin(self, turn, &done.plan);
+        let carrying = Carrying::begin(self, claim, &done.plan);
         self.all_or_nothing(&carrying, &mut done, deadline).await?;
         done.revision = self.accepted();
         Ok(done)

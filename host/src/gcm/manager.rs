@@ -10,11 +10,11 @@ use std::time::Instant;
 use tokio::sync::watch;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 
+use super::claims::Claims;
 use super::ids::{Ids, IdsError};
 use super::lines::Lines;
 use super::requests::Answers;
 use super::sessions::Sessions;
-use super::turns::Turns;
 
 /// How a GCM is set up.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +34,7 @@ pub(super) struct Inner {
     graph: watch::Sender<Arc<SystemGraph>>,
     pub(super) sessions: Mutex<Sessions>,
     /// Everything that changes the graph but Stop.
-    pub(super) turns: Turns,
+    pub(super) claims: Claims,
     pub(super) answers: Mutex<Answers>,
     lines: Arc<Lines>,
 }
@@ -51,7 +51,7 @@ impl Gcm {
                 ids: Ids::open(config.state.as_deref())?,
                 graph: watch::channel(Arc::new(graph)).0,
                 sessions: Mutex::default(),
-                turns: Turns::default(),
+                claims: Claims::default(),
                 answers: Mutex::default(),
                 lines: Arc::default(),
             }),

@@ -4,6 +4,7 @@
 
 mod audit;
 mod awaiting;
+mod claims;
 mod execute;
 mod ids;
 mod lines;
@@ -13,7 +14,6 @@ mod requests;
 mod sessions;
 mod stop;
 mod text;
-mod turns;
 
 #[cfg(test)]
 pub(crate) mod fake;

@@ -11,32 +11,32 @@ use trocar_model::{
 };
 
 use super::Gcm;
+use super::claims::Claim;
 use super::execute::{Executed, HUNG, UNDO, id_of};
 use super::requests::Answer;
 use super::text;
-use super::turns::Turn;
 use crate::lcm::Report;
 
 /// A change set being carried out.
 pub(super) struct Carrying<'a> {
     gcm: &'a Gcm,
-    turn: Turn<'a>,
+    claim: Claim<'a>,
 }
 
 impl<'a> Carrying<'a> {
-    pub(super) fn begin(gcm: &'a Gcm, turn: Turn<'a>, plan: &Plan) -> Carrying<'a> {
+    pub(super) fn begin(gcm: &'a Gcm, claim: Claim<'a>, plan: &Plan) -> Carrying<'a> {
         let moves = |change: &&Change| {
             matches!(change, Change::Run { from: State::Active, .. } | Change::Run { to: State::Active, .. })
         };
         let moving: BTreeSet<_> = plan.changes.iter().filter(moves).map(|c| id_of(c).clone()).collect();
-        turn.marks(|marks| marks.moving = moving);
-        Carrying { gcm, turn }
+        claim.marks(|marks| marks.moving = moving);
+        Carrying { gcm, claim }
     }
 
     /// One change. What a Stop named meanwhile is not set in motion, or not left so; what hangs and is to be stopped or
     /// removed is not waited for.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
-        self.turn.doing(text::asked(change));
+        self.claim.doing(text::asked(change));
         let Change::Run { id, verb, to: State::Active, .. } = change else {
             return tokio::select! {
                 biased;
@@ -77,7 +77,7 @@ impl<'a> Carrying<'a> {
     }
 
     fn not_stopped(&self, id: &ComponentId, verb: Verb) -> Result<(), Refusal> {
-        if !self.turn.marks(|marks| marks.stops.iter().any(|target| names(target, id))) {
+        if !self.claim.marks(|marks| marks.stops.iter().any(|target| names(target, id))) {
             return Ok(());
         }
         let state = State::Stopped(StopReason::Requested);
@@ -94,7 +94,7 @@ impl<'a> Carrying<'a> {
             Change::Configure { id, .. } => (id, Verb::Configure, false),
             _ => return std::future::pending().await,
         };
-        let (mut graphs, mut marked) = (self.gcm.watch(), self.turn.news());
+        let (mut graphs, mut marked) = (self.gcm.watch(), self.claim.news());
         loop {
             let hung = graphs.borrow_and_update().components.get(id).map(|c| (c.state, c.health));
             marked.mark_unchanged();
@@ -105,7 +105,7 @@ impl<'a> Carrying<'a> {
                 return refusal;
             }
             if let Some((state, Health::Unresponsive)) = hung
-                && self.turn.marks(|marks| marks.removed.contains(id))
+                && self.claim.marks(|marks| marks.removed.contains(id))
             {
                 let why = format!("it hangs and is being removed while this {verb} was being carried out");
                 return Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why };
@@ -135,7 +135,7 @@ impl Gcm {
             return first;
         }
         // What was being started gives up at the mark; OK is said when it has, and again over what was not seen.
-        let _turn = self.turn(requests, deadline, |_| Ok(Plan::default())).await?;
+        let _claim = self.claim_part(requests, deadline, |_| Ok(Plan::default())).await?;
         let second = self.stop_now(requests, false, deadline).await;
         match (first, second) {
             (Ok(first), Ok(second)) => Ok(joined(first, second)),
@@ -151,7 +151,7 @@ impl Gcm {
             _ => &[],
         });
         let targets: Vec<Target> = targets.cloned().collect();
-        self.inner.turns.mark(|marks| {
+        self.inner.claims.mark(|marks| {
             marks.stops.extend(targets.iter().cloned());
             marks.moving.iter().any(|id| targets.iter().any(|target| names(target, id)))
         })
@@ -182,7 +182,7 @@ impl Gcm {
         if let Some(id) = alone {
             self.graph().component(id)?;
         }
-        self.inner.turns.mark(|marks| {
+        self.inner.claims.mark(|marks| {
             marks.removed.extend(ids.iter().copied().cloned());
             false
         });

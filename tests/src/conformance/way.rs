@@ -76,6 +76,10 @@ fn model(model: ExecutionModel) -> Execution {
     Execution { model: Some(model), ..Execution::default() }
 }
 
+fn inside_client(model: ExecutionModel) -> Execution {
+    Execution { model: Some(model), inside: Some("host/client".into()), ..Execution::default() }
+}
+
 /// Each has its own thread.
 pub struct OtherThread;
 
@@ -129,11 +133,7 @@ impl Deployment for ExecIn {
         model(ExecutionModel::OnSignal)
     }
     fn server(&self) -> Execution {
-        Execution {
-            model: Some(ExecutionModel::ExecIn),
-            inside: Some("host/client".into()),
-            ..Execution::default()
-        }
+        inside_client(ExecutionModel::ExecIn)
     }
     fn client_leads(&self) -> bool {
         true
@@ -154,11 +154,7 @@ impl Deployment for ExecOut {
         model(ExecutionModel::OnSignal)
     }
     fn server(&self) -> Execution {
-        Execution {
-            model: Some(ExecutionModel::ExecOut),
-            inside: Some("host/client".into()),
-            ..Execution::default()
-        }
+        inside_client(ExecutionModel::ExecOut)
     }
     fn client_leads(&self) -> bool {
         true

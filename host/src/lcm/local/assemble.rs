@@ -436,7 +436,8 @@ fn outlasts(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) -> bool {
     false
 }
 
-/// Stops and destroys one that is removed, on its own thread; one whose threads still run is not destroyed but kept. `alone`: nobody else runs there.
+/// Stops and destroys one that is removed, on its own thread; one whose threads still run is not destroyed but kept. `alone`:
+/// nobody else runs there.
 fn end(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) {
     let instance = &ward.instance;
     // A caller's thread, or one of its device, may be inside. Others on this thread are not to wait for that for ever.

@@ -39,6 +39,16 @@ pub enum Situation {
     Withdrawn,
 }
 
+// The list below has each of them, in this order.
+const _: () = {
+    let mut at = 0;
+    while at < Situation::ALL.len() {
+        assert!(Situation::ALL[at] as usize == at);
+        at += 1;
+    }
+    assert!(at == Withdrawn as usize + 1);
+};
+
 impl Situation {
     pub const ALL: [Situation; 16] = [
         ACommand,

@@ -1,4 +1,4 @@
-//! Whose turn it is to change which part of the system.
+//! Which part of the system a request has to itself while it is planned and done.
 //!
 //! Invariant: no two requests under way touch the same component, nor do two make connections; those that would go in the
 //! order they came. A plan is made in the step that takes its part, so nothing it rests on changes before it is done.
@@ -143,13 +143,13 @@ struct List {
 
 /// The requests that wait or are being carried out.
 #[derive(Default)]
-pub(super) struct Turns {
+pub(super) struct Claims {
     list: Mutex<List>,
     /// Notified when one ends or is marked.
     news: watch::Sender<()>,
 }
 
-impl Turns {
+impl Claims {
     pub(super) fn news(&self) -> watch::Receiver<()> {
         self.news.subscribe()
     }
@@ -164,37 +164,37 @@ impl Turns {
         concerned
     }
 
-    fn queue(&self, part: Part) -> Turn<'_> {
+    fn queue(&self, part: Part) -> Claim<'_> {
         let mut list = lock(&self.list);
         let number = list.next;
         list.next += 1;
         let (marks, doing) = (Marks::default(), "another request".to_owned());
         list.entries.push(Entry { number, part, under_way: false, marks, doing });
-        Turn { turns: self, number }
+        Claim { claims: self, number }
     }
 }
 
 /// A place in the list; given back when dropped.
-pub(super) struct Turn<'a> {
-    turns: &'a Turns,
+pub(super) struct Claim<'a> {
+    claims: &'a Claims,
     number: u64,
 }
 
-impl Drop for Turn<'_> {
+impl Drop for Claim<'_> {
     fn drop(&mut self) {
-        lock(&self.turns.list).entries.retain(|e| e.number != self.number);
-        self.turns.news.send_replace(());
+        lock(&self.claims.list).entries.retain(|e| e.number != self.number);
+        self.claims.news.send_replace(());
     }
 }
 
-impl Turn<'_> {
+impl Claim<'_> {
     pub(super) fn news(&self) -> watch::Receiver<()> {
-        self.turns.news()
+        self.claims.news()
     }
 
     /// Looks at, or changes, what others want of it.
     pub(super) fn marks<R>(&self, look: impl FnOnce(&mut Marks) -> R) -> R {
-        let mut list = lock(&self.turns.list);
+        let mut list = lock(&self.claims.list);
         match list.entries.iter_mut().find(|e| e.number == self.number) {
             Some(entry) => look(&mut entry.marks),
             // Not while this exists.
@@ -204,7 +204,7 @@ impl Turn<'_> {
 
     /// What it waits for from now on, for those that wait for it.
     pub(super) fn doing(&self, what: String) {
-        if let Some(entry) = lock(&self.turns.list).entries.iter_mut().find(|e| e.number == self.number) {
+        if let Some(entry) = lock(&self.claims.list).entries.iter_mut().find(|e| e.number == self.number) {
             entry.doing = what;
         }
     }
@@ -215,7 +215,7 @@ impl Turn<'_> {
         named: &Part,
         plan: impl FnOnce() -> Result<(Arc<SystemGraph>, Plan), Refusal>,
     ) -> Result<Result<(Arc<SystemGraph>, Plan), Refusal>, String> {
-        let mut list = lock(&self.turns.list);
+        let mut list = lock(&self.claims.list);
         let first = |part: &Part, list: &List| {
             let mut others = list.entries.iter().filter(|e| e.number != self.number);
             let before = others.find(|e| (e.under_way || e.number < self.number) && e.part.meets(part));
@@ -239,27 +239,27 @@ impl Turn<'_> {
 }
 
 impl Gcm {
-    /// The turn to do what `plan` makes of the graph.
+    /// The right to do what `plan` makes of the graph.
     ///
     /// # Errors
     /// What `plan` refuses; LcmTimeout when others took all the time.
-    pub(super) async fn turn(
+    pub(super) async fn claim_part(
         &self,
         requests: &[Request],
         deadline: Instant,
         plan: impl Fn(&SystemGraph) -> Result<Plan, Refusal>,
-    ) -> Result<(Turn<'_>, Arc<SystemGraph>, Plan), Refusal> {
+    ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
         let named = Part::named(&self.graph(), requests);
-        let turn = self.inner.turns.queue(named.clone());
-        let mut news = turn.news();
+        let claim = self.inner.claims.queue(named.clone());
+        let mut news = claim.news();
         loop {
             news.mark_unchanged();
             let now = || {
                 let graph = self.graph();
                 plan(&graph).map(|plan| (graph, plan))
             };
-            let behind = match turn.take(&named, now) {
-                Ok(planned) => return planned.map(|(graph, plan)| (turn, graph, plan)),
+            let behind = match claim.take(&named, now) {
+                Ok(planned) => return planned.map(|(graph, plan)| (claim, graph, plan)),
                 Err(behind) => behind,
             };
             if tokio::time::timeout_at(deadline.into(), news.changed()).await.is_err() {
