@@ -10,6 +10,7 @@ pub mod contracts;
 pub mod desc;
 #[cfg(feature = "layout")]
 pub mod layout;
+pub mod limits;
 #[cfg(feature = "manifest")]
 pub mod manifest;
 pub mod note;

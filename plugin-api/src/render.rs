@@ -2,12 +2,15 @@
 //!
 //! Invariant: the same bytes whether called to count (`N = 0`) or to fill; each struct or enum appears once in `types`.
 
+mod out;
+
 use crate::abi::{ABI_MAJOR, ABI_MINOR};
 use crate::desc::{
     ArgDesc, ClassDesc, CommandDesc, ConfigFieldDesc, InputDesc, OutputDesc, PluginDesc, PortType,
     ProvidedDesc, RequiredDesc, TypeDesc, TypeKind,
 };
 use crate::types::Types;
+use out::Out;
 
 /// The manifest and its length. Call with `N = 0` for the length, then with that `N`; the text is padded with spaces
 /// to a multiple of 4 bytes.
@@ -28,107 +31,7 @@ pub const fn render_description<const N: usize>(class: &ClassDesc) -> ([u8; N], 
     (out.buf, out.len)
 }
 
-struct Out<const N: usize> {
-    buf: [u8; N],
-    len: usize,
-}
-
 impl<const N: usize> Out<N> {
-    const fn byte(&mut self, b: u8) {
-        if N > 0 {
-            self.buf[self.len] = b;
-        }
-        self.len += 1;
-    }
-
-    const fn raw(&mut self, text: &str) {
-        let bytes = text.as_bytes();
-        let mut i = 0;
-        while i < bytes.len() {
-            self.byte(bytes[i]);
-            i += 1;
-        }
-    }
-
-    const fn text(&mut self, text: &str) {
-        let bytes = text.as_bytes();
-        self.byte(b'"');
-        let mut i = 0;
-        while i < bytes.len() {
-            match bytes[i] {
-                b'"' | b'\\' => {
-                    self.byte(b'\\');
-                    self.byte(bytes[i]);
-                }
-                b'\n' => self.raw("\\n"),
-                b'\t' => self.raw("\\t"),
-                c if c < 0x20 => {
-                    self.raw("\\u00");
-                    self.byte(b"0123456789abcdef"[(c >> 4) as usize]);
-                    self.byte(b"0123456789abcdef"[(c & 15) as usize]);
-                }
-                c => self.byte(c),
-            }
-            i += 1;
-        }
-        self.byte(b'"');
-    }
-
-    const fn number(&mut self, n: u64) {
-        if n >= 10 {
-            self.number(n / 10);
-        }
-        self.byte(b'0' + (n % 10) as u8);
-    }
-
-    const fn signed(&mut self, n: i64) {
-        if n < 0 {
-            self.byte(b'-');
-        }
-        self.number(n.unsigned_abs());
-    }
-
-    /// `"key":` preceded by a comma unless it is the first of its object.
-    const fn key(&mut self, key: &str, first: bool) {
-        if !first {
-            self.byte(b',');
-        }
-        self.text(key);
-        self.byte(b':');
-    }
-
-    const fn pair(&mut self, key: &str, value: &str, first: bool) {
-        self.key(key, first);
-        self.text(value);
-    }
-
-    /// Like `pair`, but leaves the key out when the value is empty.
-    const fn pair_opt(&mut self, key: &str, value: &str) {
-        if !value.is_empty() {
-            self.pair(key, value, false);
-        }
-    }
-
-    const fn flag(&mut self, key: &str, value: bool) {
-        if value {
-            self.key(key, false);
-            self.raw("true");
-        }
-    }
-
-    const fn literal_opt(&mut self, key: &str, json: &str) {
-        if !json.is_empty() {
-            self.key(key, false);
-            self.raw(json);
-        }
-    }
-
-    const fn comma(&mut self, i: usize) {
-        if i > 0 {
-            self.byte(b',');
-        }
-    }
-
     const fn plugin(&mut self, p: &PluginDesc) {
         self.raw("{\"trocar\":1,\"abi\":[");
         self.number(ABI_MAJOR as u64);

@@ -5,6 +5,7 @@
 use crate::desc::{
     ClassDesc, InputDesc, OutputDesc, PortType, ProvidedDesc, RequiredDesc, TypeDesc, TypeKind,
 };
+use crate::limits::Sentence;
 
 /// Most distinct structs and enums one plugin may name.
 const MAX_TYPES: usize = 256;
@@ -14,7 +15,7 @@ pub(crate) struct Types {
     pub(crate) len: usize,
 }
 
-const fn same_text(a: &str, b: &str) -> bool {
+pub(crate) const fn same_text(a: &str, b: &str) -> bool {
     let (a, b) = (a.as_bytes(), b.as_bytes());
     if a.len() != b.len() {
         return false;
@@ -36,11 +37,46 @@ const fn named(ty: &TypeDesc) -> Option<&'static str> {
     }
 }
 
-const fn field_count(ty: &TypeDesc) -> usize {
-    match &ty.kind {
-        TypeKind::Struct { fields, .. } => fields.len(),
-        TypeKind::Enum { values, .. } => values.len(),
-        _ => 0,
+/// One description in all that a manifest says of a type but its doc comments.
+const fn same(a: &TypeDesc, b: &TypeDesc) -> bool {
+    if a.size != b.size || a.align != b.align {
+        return false;
+    }
+    match (&a.kind, &b.kind) {
+        (TypeKind::Prim(a), TypeKind::Prim(b)) => *a as u8 == *b as u8,
+        (TypeKind::Array { item: a, n }, TypeKind::Array { item: b, n: m })
+        | (TypeKind::List { item: a, n }, TypeKind::List { item: b, n: m }) => *n == *m && same(a, b),
+        (TypeKind::Text { n }, TypeKind::Text { n: m }) => *n == *m,
+        (
+            TypeKind::Enum { name, repr, values },
+            TypeKind::Enum { name: other_name, repr: other_repr, values: others },
+        ) => {
+            let mut i = 0;
+            while i < values.len() && values.len() == others.len() {
+                if !same_text(values[i].0, others[i].0) || values[i].1 != others[i].1 {
+                    return false;
+                }
+                i += 1;
+            }
+            same_text(name, other_name) && *repr as u8 == *other_repr as u8 && values.len() == others.len()
+        }
+        (TypeKind::Struct { name, fields, .. }, TypeKind::Struct { name: other, fields: others, .. }) => {
+            if !same_text(name, other) || fields.len() != others.len() {
+                return false;
+            }
+            let mut i = 0;
+            while i < fields.len() {
+                let (f, g) = (&fields[i], &others[i]);
+                let texts =
+                    same_text(f.name, g.name) && same_text(f.unit, g.unit) && same_text(f.frame, g.frame);
+                if f.at != g.at || !texts || !same(f.ty, g.ty) {
+                    return false;
+                }
+                i += 1;
+            }
+            true
+        }
+        _ => false,
     }
 }
 
@@ -58,10 +94,11 @@ impl Types {
                         && let Some(other_name) = named(other)
                         && same_text(other_name, name)
                     {
-                        assert!(
-                            other.size == ty.size && field_count(other) == field_count(ty),
-                            "two different payload types of this plugin have the same name"
-                        );
+                        if !same(other, ty) {
+                            let sentence =
+                                Sentence::of("two different payload types of this plugin are called `");
+                            sentence.text(name).text("`: rename one").fail();
+                        }
                         return;
                     }
                     i += 1;

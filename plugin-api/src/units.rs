@@ -124,6 +124,9 @@ fn suggestion(name: &str) -> String {
     let habit = HABITS.iter().find(|(habit, _)| *habit == lower || *habit == singular);
     let same = PREFIXED.iter().chain(&PLAIN).find(|s| s.to_lowercase() == lower);
     let bare = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    // A letter too often: `mmm`.
+    let once = name.chars().next().filter(|first| name.chars().skip(1).all(|c| c == *first));
+    let shorter = once.and_then(|c| name.strip_suffix(c)).filter(|shorter| known(shorter));
     // Two units side by side: `Nmm`.
     let split = name.char_indices().skip(1).map(|(at, _)| name.split_at(at));
     let product = split.filter(|(a, b)| known(a) && known(b)).map(|(a, b)| format!("{a}.{b}")).next();
@@ -131,7 +134,7 @@ fn suggestion(name: &str) -> String {
         (Some((_, unit)), _) => Some((*unit).to_string()),
         (None, Some(unit)) => Some((*unit).to_string()),
         _ if bare != name && known(bare) => Some(format!("{bare}^{}", &name[bare.len()..])),
-        _ => product,
+        _ => shorter.map(str::to_string).or(product),
     };
     match meant {
         Some(unit) => format!("; did you mean `{unit}`?"),
@@ -159,6 +162,7 @@ mod tests {
             ("newton", "`N`"),
             ("Newtons", "`N`"),
             ("Nmm", "`N.mm`"),
+            ("mmm", "`mm`"),
             ("mm2", "`mm^2`"),
             ("hz", "`Hz`"),
             ("furlong", "known are"),

@@ -12,6 +12,16 @@
 
 namespace trocar {
 
+// Whether an image lies in `size` bytes from `offset` on, as a frame's header, a peer's word, says: `height` rows, `stride`
+// bytes apart, of `width` pixels of `pixel` bytes. Without overflow, whatever the numbers; ask it before touching a row.
+constexpr bool image_fits(uint64_t size, uint32_t width, uint32_t height, uint32_t stride, uint32_t pixel,
+                          uint64_t offset = 0) {
+    const uint64_t row = uint64_t(width) * pixel;
+    if (row == 0 || height == 0 || stride < row || offset > size || row > size - offset) return false;
+    // The last row needs no gap behind it.
+    return uint64_t(height - 1) * stride <= size - offset - row;
+}
+
 template <class H> class FrameOut;
 
 // An input of frames with the header H; unbound until the host ties it.

@@ -95,6 +95,14 @@ impl Lab {
         self.number(gauge, "ns")
     }
 
+    /// Waits until a listener has heard so many events.
+    pub(crate) fn heard(&self, name: &str, all: f64) {
+        eventually(&format!("{name} has heard {all}"), || {
+            let now = self.number(name, "heard");
+            if now >= all { Ok(()) } else { Err(format!("{now}")) }
+        });
+    }
+
     pub(crate) fn wait(&self, name: &str, field: &str, more: f64) {
         let until = self.number(name, field) + more;
         eventually(&format!("{name}: {field} is {until}"), || {

@@ -120,7 +120,30 @@ impl Probe {
 
 impl Component for Probe {}
 
-const PLUGIN: StaticPlugin = static_plugin!(name = "changing", Rack, Probe);
+#[derive(Config)]
+struct Cameras {
+    /// Names of the cameras.
+    #[config(default = [])]
+    cameras: Vec<String>,
+}
+
+/// Any number of cameras, each with frames of a gigabyte.
+#[derive(Component)]
+#[component(model = "none")]
+struct Wall {
+    #[output(name = "{}_video", format = "gray8", max_bytes = 1_073_741_824)]
+    videos: Many<Out<Frame<Stamp>>>,
+    #[config]
+    cfg: Cameras,
+}
+
+impl Component for Wall {
+    fn configure(&mut self) -> Result {
+        self.videos.set(&self.cfg.cameras)
+    }
+}
+
+const PLUGIN: StaticPlugin = static_plugin!(name = "changing", Rack, Probe, Wall);
 
 struct Lab {
     runtime: Runtime,
@@ -212,4 +235,18 @@ fn untyped_ports_take_the_type_of_what_they_are_connected_to() {
     assert_eq!(lab.invoke("lab/rack/ctl/look", Value::Null), Ok(json!(7.5)));
     lab.invoke("lab/rack/ctl/say", json!(-4.0)).unwrap();
     assert_eq!(lab.invoke("lab/probe/ctl/see", Value::Null), Ok(json!(-4.0)));
+}
+
+#[test]
+fn a_configuration_that_needs_more_frames_than_there_is_memory_for_is_refused_with_how_much_that_is() {
+    let lab = Lab::new();
+    let cameras: Vec<String> = (0..2000).map(|n| format!("c{n}")).collect();
+    let create = |cameras: &[String]| {
+        lab.runtime.block_on(lab.host.create("lab/wall", "wall", json!({"cameras": cameras})))
+    };
+    let refused = create(&cameras).expect_err("no machine has that much").to_string();
+    for said in ["lab/wall", "c0_video", "17179", "bytes of memory are available"] {
+        assert!(refused.contains(said), "{said}: {refused}");
+    }
+    create(&[]).map(|_| ()).unwrap();
 }

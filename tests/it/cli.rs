@@ -2,12 +2,15 @@
 //!
 //! Promise: every mistake gets one clear sentence with the remedy and the right exit code, and leaves nothing half made.
 
-use std::fs;
+mod not_started;
+mod plugins;
+mod taken;
+mod words;
+
 use std::net::TcpListener;
-use std::process::Command;
 
 use serde_json::json;
-use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number, skip};
+use trocar_tests::{HostProcess, Trocar, World, eventually, number};
 
 const OK: i32 = 0;
 const REFUSED: i32 = 1;
@@ -96,101 +99,6 @@ fn a_refusal_has_exit_code_1_its_reason_and_a_remedy() {
     assert_eq!(refusal["reason"], "COMPONENT_NOT_FOUND", "{refusal}");
     trocar.run(&["create", "host/server", "Server", "--config", "{"]).ends_with(USAGE).says("JSON");
     trocar.run(&["create", "server", "Server"]).ends_with(REFUSED).says("process/component");
-}
-
-#[test]
-fn a_taken_port_names_the_way_out() {
-    let world = World::new();
-    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = taken.local_addr().unwrap().to_string();
-    for serving in ["host", "gcm"] {
-        let mut args = vec![serving, "--listen", &address, "--state"];
-        let state = world.path(serving).display().to_string();
-        args.push(&state);
-        let plugins = world.plugins().display().to_string();
-        if serving == "host" {
-            args.extend(["--plugins", &plugins]);
-        }
-        Trocar::new(&world).run(&args).ends_with(REFUSED).says(&address).says("--gcm");
-    }
-}
-
-#[test]
-fn listening_beyond_loopback_is_refused_as_long_as_there_is_no_tls() {
-    let world = World::new();
-    let plugins = world.plugins().display().to_string();
-    Trocar::new(&world)
-        .run(&["host", "--listen", "0.0.0.0:0", "--plugins", &plugins])
-        .ends_with(REFUSED)
-        .says("127.0.0.1")
-        .says("SSH tunnel");
-}
-
-#[test]
-fn a_missing_plugin_directory_is_named() {
-    let world = World::new();
-    let missing = world.path("nowhere").display().to_string();
-    let state = world.state().display().to_string();
-    Trocar::new(&world)
-        .run(&["host", "--listen", "127.0.0.1:0", "--plugins", &missing, "--state", &state])
-        .ends_with(REFUSED)
-        .says(&missing);
-    assert!(!world.path("nowhere").exists(), "nothing is half made");
-}
-
-#[test]
-fn a_state_directory_that_cannot_be_written_is_named() {
-    let world = World::new();
-    // A path below a plain file: refused for root too, whom permissions do not stop.
-    world.write("file", "not a directory");
-    let state = world.path("file/state").display().to_string();
-    let plugins = world.plugins().display().to_string();
-    Trocar::new(&world)
-        .run(&["host", "--listen", "127.0.0.1:0", "--plugins", &plugins, "--state", &state])
-        .ends_with(REFUSED)
-        .says(&state);
-}
-
-#[test]
-fn a_state_directory_in_use_names_the_process_that_has_it() {
-    let world = World::new();
-    let host = HostProcess::start(&world);
-    let state = world.state().join("host").display().to_string();
-    let plugins = world.plugins().display().to_string();
-    Trocar::new(&world)
-        .run(&["host", "--listen", "127.0.0.1:0", "--plugins", &plugins, "--state", &state])
-        .ends_with(REFUSED)
-        .says(&host.pid().to_string());
-}
-
-/// The cache of plugin files lies in the state directory: there a noexec mount is met.
-#[test]
-fn a_state_directory_mounted_noexec_is_named_as_the_reason() {
-    let world = World::with_plugins(&["sine"]);
-    let mount = world.path("noexec");
-    fs::create_dir(&mount).unwrap();
-    // A mount namespace of its own, so that nothing is left on the machine.
-    let mounted = format!("mount -t tmpfs -o noexec,size=64m tmpfs '{}'", mount.display());
-    let probe = Command::new("unshare").args(["--mount", "sh", "-c", &mounted]).output();
-    if !probe.as_ref().is_ok_and(|o| o.status.success()) {
-        skip("a noexec mount needs unshare(1) and the right to mount");
-        return;
-    }
-    let script = format!(
-        "{mounted} && exec timeout 30 '{}' host --listen 127.0.0.1:0 --plugins '{}' --state '{}'",
-        Built::trocar().display(),
-        world.plugins().display(),
-        mount.join("state").display(),
-    );
-    let output = Command::new("unshare")
-        .args(["--mount", "sh", "-c", &script])
-        .env_remove("TROCAR_GCM")
-        .output()
-        .unwrap();
-    let text =
-        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert_eq!(output.status.code(), Some(REFUSED), "{text}");
-    assert!(text.contains("noexec") && text.contains("--state"), "the reason and the way out: {text}");
 }
 
 #[test]
@@ -316,10 +224,8 @@ fn execution_settings_are_given_changed_and_shown() {
     host.grpcurl().await_class("host", "echo");
     let trocar = Trocar::at(&world, host.address());
     trocar.run(&["create", "host/e", "echo", "--model", "periodic", "--rate-hz", "200"]).ends_with(OK);
-    trocar
-        .run(&["configure", "host/e", "--rate-hz", "500", "--catch-up", "3", "--max-step", "20ms"])
-        .ends_with(OK);
-    trocar.run(&["describe", "host/e"]).says("500 Hz").says("catch-up 3").says("max step 20 ms");
+    trocar.run(&["configure", "host/e", "--rate-hz", "500", "--catch-up", "3"]).ends_with(OK);
+    trocar.run(&["describe", "host/e"]).says("500 Hz").says("catch-up 3");
     trocar.run(&["configure", "host/e", "--on-failure", "stop-branch"]).ends_with(REFUSED).says("on_failure");
     trocar.run(&["create", "host/after", "echo", "--model", "exec_out", "--inside", "host/e"]).ends_with(OK);
     trocar.run(&["ls"]).ends_with(OK).says("after host/e");
@@ -386,7 +292,7 @@ fn one_end_of_a_connection_is_enough_to_cut_it_and_unknown_ends_list_what_exists
     trocar.run(&["connect", "host/client/Required", "host/server/Provided"]).ends_with(OK);
     let again = trocar.run(&["connect", "host/client/Required", "host/server/Provided"]);
     again.ends_with(REFUSED).says("--replace");
-    trocar.run(&["disconnect", "host/client/Reqired"]).ends_with(REFUSED).says("host/client/Required");
+    trocar.run(&["disconnect", "host/client/Reqired"]).ends_with(REFUSED).says("`Required`");
     trocar.run(&["disconnect", "host/client/Required"]).ends_with(OK).says("host/client");
     trocar.run(&["disconnect", "host/client/Required"]).ends_with(REFUSED).says("no connections");
     trocar
@@ -395,40 +301,6 @@ fn one_end_of_a_connection_is_enough_to_cut_it_and_unknown_ends_list_what_exists
         .says("too many parts (5, not 4)");
     trocar.run(&["logs", "host/nobody"]).ends_with(REFUSED).says("host/client");
     trocar.run(&["logs", "nobody"]).ends_with(REFUSED).says("no process `nobody`");
-}
-
-#[test]
-fn a_file_name_cannot_command_the_terminal() {
-    let world = World::with_plugins(&["sine"]);
-    fs::write(world.plugins().join("lib\u{1b}[31mred.so"), "").unwrap();
-    let host = HostProcess::start_with(&world, "host", &["--lock-memory"]);
-    host.grpcurl().await_class("host", "sine");
-    let trocar = Trocar::at(&world, host.address());
-    let output = eventually("the bad file is listed", || {
-        let output = trocar.run(&["plugin", "ls"]);
-        if output.stdout.contains("refused") { Ok(output) } else { Err(output.stdout) }
-    });
-    assert!(!output.stdout.contains('\u{1b}') && output.stdout.contains("red.so"), "{output:#?}");
-}
-
-#[test]
-fn a_class_is_checked_against_the_contract_of_a_standard_device() {
-    let world = World::new();
-    let trocar = Trocar::new(&world);
-    let robot = Built::plugin("eyerobot").display().to_string();
-    let check = |contract: &str| trocar.run(&["plugin", "check", &robot, "--as", contract]);
-    check("arm").ends_with(OK).says("eyerobot/eyerobot");
-    check("camera").ends_with(REFUSED).says("does not fulfil").says("`image` is missing");
-    let as_json = trocar.run(&["plugin", "check", &robot, "--as", "camera", "--class", "eyerobot", "--json"]);
-    let as_json = as_json.ends_with(REFUSED).json();
-    assert_eq!(as_json["reason"], "CONTRACT_NOT_FULFILLED", "{as_json}");
-    assert!(as_json["classes"][0]["violations"].as_array().is_some_and(|v| !v.is_empty()), "{as_json}");
-    check("leg").ends_with(USAGE).says("force_sensor");
-    trocar
-        .run(&["plugin", "check", &robot, "--as", "arm", "--class", "leg"])
-        .ends_with(REFUSED)
-        .says("eyerobot");
-    trocar.run(&["plugin", "check", "nowhere.so", "--as", "arm"]).ends_with(REFUSED).says("nowhere.so");
 }
 
 #[test]
@@ -441,13 +313,4 @@ fn a_live_table_into_a_pipe_is_plain_text() {
         .says("COMPONENT")
         .says("host/robot");
     assert!(!output.stdout.contains('\u{1b}'), "{}", output.stdout);
-}
-
-#[test]
-fn inspect_shows_a_plugin_without_running_it() {
-    let world = World::new();
-    let file = Built::plugin("example").display().to_string();
-    Trocar::new(&world).run(&["plugin", "inspect", &file]).ends_with(OK).says("Server").says("Provided");
-    let text = world.write("plain.so", "this is no library").display().to_string();
-    Trocar::new(&world).run(&["plugin", "inspect", &text]).ends_with(REFUSED).says("plain.so");
 }

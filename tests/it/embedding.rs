@@ -2,6 +2,10 @@
 //!
 //! Promise: a linked class is a class like any other; everything grpcurl can ask, the program can ask without gRPC.
 
+mod bench;
+mod limits;
+mod optional;
+
 use std::time::Duration;
 
 use serde_json::json;

@@ -98,6 +98,26 @@ fn connect_what_it_requires(world: &World, host: &HostProcess) {
 }
 
 #[test]
+fn the_cpp_plugin_of_both_pages_is_found_good_by_the_shown_check() {
+    let world = World::new();
+    let block = |page: &str| {
+        let text = fs::read_to_string(repository().join("docs").join(page)).unwrap();
+        text.split("```cpp\n").nth(1).unwrap().split("\n```").next().unwrap().to_owned()
+    };
+    world.write("gauge.cpp", [block("C_PLUGINS.md"), block("PLUGIN_GUIDE.md")].join("\n"));
+    let file = world.path("libtrocar_gauge.so");
+    let compiled = Command::new(env::var_os("CXX").unwrap_or_else(|| "c++".into()))
+        .args(["-std=c++17", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-I"])
+        .arg(repository().join("sdk/c"))
+        .arg("-o")
+        .args([&file, &world.path("gauge.cpp")])
+        .output()
+        .unwrap();
+    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    Trocar::new(&world).run(&["plugin", "check", file.to_str().unwrap()]).ends_with(0).says("gauge");
+}
+
+#[test]
 fn plugin_new_overwrites_nothing_and_checks_the_name() {
     let world = World::new();
     fs::create_dir(world.path("taken")).unwrap();

@@ -9,8 +9,8 @@ use jsonschema::ValidationError;
 use jsonschema::error::{TypeKind, ValidationErrorKind};
 use serde_json::{Map, Value};
 
-use crate::nearest;
 use crate::refusal::brief as cut;
+use crate::{Unit, nearest};
 
 /// One thing that is wrong with a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -87,7 +87,27 @@ pub fn validate(schema: &Value, config: &Value) -> Vec<Violation> {
 
 /// Why `schema` is no JSON Schema; none when it is one.
 pub fn schema_fault(schema: &Value) -> Option<String> {
-    jsonschema::validator_for(schema).err().map(|e| e.to_string())
+    // The validator knows that a wrong type is none of several schemas, and not what was meant.
+    let wrong = || jsonschema::validator_for(schema).err().map(|e| e.to_string());
+    odd_type(schema, "").or_else(wrong)
+}
+
+/// The first type that JSON does not have.
+fn odd_type(schema: &Value, path: &str) -> Option<String> {
+    const TYPES: [&str; 7] = ["number", "integer", "string", "boolean", "array", "object", "null"];
+    let said = match schema.get("type") {
+        Some(Value::Array(several)) => several.iter().collect(),
+        said => Vec::from_iter(said),
+    };
+    if let Some(odd) = said.into_iter().filter_map(Value::as_str).find(|said| !TYPES.contains(said)) {
+        let hint = nearest(&cut(odd), TYPES).map_or(String::new(), |near| format!("did you mean {near}? "));
+        let place = if path.is_empty() { String::new() } else { format!("setting {path}: ") };
+        return Some(format!("{place}`{}` is no type; {hint}There are {}", cut(odd), TYPES.join(", ")));
+    }
+    let inside = properties(schema).into_iter().flatten().find_map(|(key, sub)| {
+        odd_type(sub, &if path.is_empty() { key.clone() } else { format!("{path}.{key}") })
+    });
+    inside.or_else(|| odd_type(schema.get("items")?, path))
 }
 
 /// Settings that `patch` takes away (null) and that neither `config` nor the schema has, sorted as in [`validate`].
@@ -201,7 +221,10 @@ fn violations(schema: &Value, error: &ValidationError<'_>) -> Vec<Violation> {
             let limit = brief(limit);
             one(format!("{name}: {value}{unit} is not above {limit}{unit}"))
         }
-        ValidationErrorKind::Type { kind } => one(format!("{name}: {value} is not {}{unit}", kinds(kind))),
+        ValidationErrorKind::Type { kind } => {
+            let within = if unit.is_empty() { "" } else { " in" };
+            one(format!("{name}: {value} is not {}{within}{unit}", kinds(kind)))
+        }
         ValidationErrorKind::Enum { options } => {
             let options: Vec<String> = options.as_array().into_iter().flatten().map(brief).collect();
             one(format!("{name}: {value} is none of {}", options.join(", ")))
@@ -227,7 +250,8 @@ fn missing(pointer: &str, parent: Option<&Value>, key: &str) -> Vec<Violation> {
     let schema = parent.and_then(|p| p.get("properties")).and_then(|p| p.get(key));
     let text =
         |of: &str| schema.and_then(|s| s.get(of)).and_then(Value::as_str).unwrap_or_default().to_owned();
-    let what = [text("type") + &schema.map(unit_of).unwrap_or_default(), text("description")];
+    let unit = schema.map(unit_of).filter(|unit| !unit.is_empty()).map(|unit| format!(" in{unit}"));
+    let what = [text("type") + &unit.unwrap_or_default(), text("description")];
     let what: Vec<&str> = what.iter().map(|s| s.trim()).filter(|s| !s.is_empty()).collect();
     let what = if what.is_empty() { String::new() } else { format!(" ({})", what.join("; ")) };
     let message = format!("{} is missing{what}", dotted(&pointer));
@@ -248,7 +272,8 @@ fn unknown(pointer: &str, parent: Option<&Value>, key: &str) -> Violation {
 /// " Hz", or nothing.
 fn unit_of(schema: &Value) -> String {
     match schema.get("unit").and_then(Value::as_str) {
-        Some(unit) if !unit.is_empty() => format!(" {unit}"),
+        // `1` is no unit, and "30 1" reads as two numbers.
+        Some(unit) if !Unit::same(unit, "") => format!(" {unit}"),
         _ => String::new(),
     }
 }

@@ -3,6 +3,10 @@
 //! Invariant: decided before anything runs and by values alone; the planner and the LCM use the same answer, so what is
 //! planned can be done.
 
+mod idle;
+
+pub use idle::idle_connection;
+
 use crate::refusal::ADAPTABLE;
 use crate::{
     Command, CommandKind, ConnectOptions, Function, Handler, Input, Output, PortId, PortType, Ports,
@@ -249,7 +253,15 @@ impl Ends<'_> {
             None => Ok(()),
             Some(difference) => {
                 let hint = if adaptable { ADAPTABLE } else { "" };
-                Err(self.type_mismatch(what, format!("{difference}{hint}")))
+                // Which two structs, before in what they differ.
+                let named = match (client, server) {
+                    (Type::Struct(a), Type::Struct(b)) if a.name != b.name => {
+                        format!("it is {} here and {} there: ", a.name, b.name)
+                    }
+                    (Type::Struct(a), Type::Struct(_)) => format!("both are {}, but ", a.name),
+                    _ => String::new(),
+                };
+                Err(self.type_mismatch(what, format!("{named}{difference}{hint}")))
             }
         }
     }

@@ -31,7 +31,7 @@ pub use class::{
 pub use config::{
     Violation, complete, defaults, live_only, live_settings, merge, schema_fault, unknown_nulls, validate,
 };
-pub use connect::{Binding, Link, Port, bindings};
+pub use connect::{Binding, Link, Port, bindings, idle_connection};
 pub use graph::{
     Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph,
 };

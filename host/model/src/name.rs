@@ -40,7 +40,9 @@ fn fault(segment: &str, at: usize) -> Option<String> {
         let other = c.is_ascii_digit() || c == '.' || c == '-';
         let fits = letter || (other && i > 0);
         if !fits {
-            let rule = if i == 0 {
+            let rule = if c == '*' {
+                "a * stands for several, and one name is meant here"
+            } else if i == 0 {
                 "a name begins with a letter or _"
             } else {
                 "a name holds letters, digits, _ . -"
@@ -119,7 +121,17 @@ impl PortId {
     /// # Errors
     /// [`Refusal::BadPath`].
     pub fn parse(text: &str) -> Result<PortId, Refusal> {
-        let [process, component, port] = parts(text, ["process", "component", "port"])?;
+        let [process, component, port] =
+            parts(text, ["process", "component", "port"]).map_err(|refusal| match ComponentId::parse(text) {
+                Ok(id) => {
+                    let why = format!(
+                        "it names a component, not one of its ports: `trocar describe {id}` shows them; wanted \
+                         process/component/port"
+                    );
+                    Refusal::BadPath { text: text.to_owned(), why }
+                }
+                Err(_) => refusal,
+            })?;
         Ok(PortId { component: ComponentId { process, component }, port })
     }
 

@@ -85,6 +85,12 @@ pub enum Refusal {
         member: MemberId,
         known: Vec<String>,
     },
+    /// The member is there, but is something else than what was asked of it: `is` "a read command", `wanted` "an event".
+    WrongKind {
+        member: MemberId,
+        is: String,
+        wanted: String,
+    },
     ConnectionNotFound {
         asked: String,
         known: Vec<String>,
@@ -144,6 +150,7 @@ pub enum Refusal {
     /// Start or Resume while required ends are open.
     Unconnected {
         id: ComponentId,
+        verb: Verb,
         ports: Vec<String>,
     },
     ConfigInvalid {
@@ -164,6 +171,18 @@ pub enum Refusal {
     ComponentFault {
         id: ComponentId,
         text: String,
+    },
+    /// There is no memory for the frames of these outputs: `bytes` were asked for, `why` says what there is.
+    NoMemory {
+        id: ComponentId,
+        outputs: Vec<String>,
+        bytes: u64,
+        why: String,
+    },
+    /// The machine gives no thread for it.
+    NoThread {
+        id: ComponentId,
+        why: String,
     },
     InUse {
         id: ComponentId,

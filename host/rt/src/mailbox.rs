@@ -1,12 +1,13 @@
 //! The bounded mailbox of one client at one server: any thread pushes, the server's thread drains.
 //!
 //! An entry belongs to whoever moved its slot's sequence to *busy*, and whoever does so ends by queueing or
-//! taking an entry, so a drain that stops at a busy slot is always followed by a notification or by room.
+//! taking an entry, so a drain that stops at a busy slot is always followed by a notification: of the push, or of
+//! whoever threw entries out.
 //! Every head that is dropped is handed to exactly one caller, so that its reply can be answered.
 
 use crate::buf::{AlignedBuf, copy, round_up};
 use crate::exclusive::TryCell;
-use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Shared, spin_loop, yield_now};
+use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Shared, pause_while, rest, spin_loop};
 
 /// What an entry is, apart from its payload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,6 +69,11 @@ pub struct MailboxStats {
 
 /// Attempts of a push against other threads before it answers `Full`.
 const ATTEMPTS: usize = if cfg!(loom) { 6 } else { 256 };
+/// How long whoever empties the mailbox looks at an entry that another thread is just copying, ns: many times what a copy
+/// takes, unless that thread was suspended over it.
+const COPYING_NS: u64 = 5_000;
+/// Then `close` sleeps between two looks, ns: twice as long each time, from the shorter to the longer.
+const RESTS_NS: std::ops::RangeInclusive<u64> = 20_000..=1_000_000;
 /// Set in `tail` when the mailbox is closed: no push can claim a position any more.
 const CLOSED: u64 = 1 << 63;
 
@@ -304,11 +310,13 @@ impl Mailbox {
     }
 
     /// Hands the heads of what is queued now to `refuse` instead of running it; those that a newer one superseded go to
-    /// `skip`. Any thread, never waits, also while a drain is inside an entry: then that drain does not find them any more. An
-    /// entry that is just being pushed or taken stays, with all behind it, for its own notification.
+    /// `skip`. Any thread, also while a drain is inside an entry: then that drain does not find them any more. An entry that is
+    /// just being pushed or taken is looked at for `COPYING_NS`, not waited for: then it stays, with all behind it, for its own
+    /// notification. Beside a drain, whoever calls this meets the server's mark afterwards, and where the mailbox is not empty
+    /// then, sets it: the drain may have left what came behind an entry that was in hand here.
     pub fn throw_out(&self, mut refuse: impl FnMut(EntryHead), mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
-        while let Claim::Mine(at) = self.claim_oldest(end) {
+        while let Claim::Mine(at) = self.claim_patiently(end) {
             // SAFETY: the slot of `at` is owned by this thread until `release`.
             let head = unsafe { *self.slot(at).body.exclusive() }.head;
             let superseded = self.newest_of(head.index) > at + 1;
@@ -322,12 +330,14 @@ impl Mailbox {
         }
     }
 
-    /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's thread:
-    /// may yield until a push that is just copying is done.
+    /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's thread: sleeps
+    /// until a push that is just copying is done, so that one which was suspended gets a processor whatever their
+    /// priorities are.
     pub fn close(&self, mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.fetch_or(CLOSED, Ordering::AcqRel) & !CLOSED;
+        let mut rest_ns = *RESTS_NS.start();
         loop {
-            match self.claim_oldest(end) {
+            match self.claim_patiently(end) {
                 Claim::Mine(at) => {
                     // SAFETY: the slot of `at` is owned by this thread until `release`.
                     let dropped = unsafe { *self.slot(at).body.exclusive() }.head;
@@ -335,7 +345,11 @@ impl Mailbox {
                     count(&self.theirs.0.skipped);
                     skip(dropped);
                 }
-                Claim::InWork => yield_now(),
+                // By the clock: a push that looked for sleepers would cost every push.
+                Claim::InWork => {
+                    rest(rest_ns);
+                    rest_ns = (2 * rest_ns).min(*RESTS_NS.end());
+                }
                 Claim::Empty => return,
             }
         }
@@ -426,6 +440,16 @@ impl Mailbox {
         }
     }
 
+    /// As `claim_oldest`, for managers and failures: an entry in another thread's hands is looked at a little longer.
+    fn claim_patiently(&self, end: u64) -> Claim {
+        let claim = self.claim_oldest(end);
+        let Claim::InWork = claim else { return claim };
+        let at = self.theirs.0.head.load(Ordering::Acquire);
+        let is_ready = || self.slot(at).sequence.load(Ordering::Acquire) == phase(at, READY);
+        pause_while(COPYING_NS, || !is_ready() && self.theirs.0.head.load(Ordering::Acquire) == at);
+        self.claim_oldest(end)
+    }
+
     /// Gives an owned oldest slot to the push of one round later.
     fn release(&self, at: u64) {
         self.theirs.0.head.store(at + 1, Ordering::Release);
@@ -485,6 +509,53 @@ fn count(counter: &AtomicU64) {
 unsafe impl Send for Mailbox {}
 // SAFETY: as above.
 unsafe impl Sync for Mailbox {}
+
+#[cfg(all(test, not(loom)))]
+mod tests {
+    use std::sync::mpsc;
+
+    use super::*;
+
+    /// Longest wait for what should happen at once.
+    const PATIENCE_NS: u64 = 10_000_000_000;
+
+    fn sleeps(tid: i32) -> bool {
+        let stat = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
+        stat.rsplit_once(") ").is_some_and(|(_, rest)| rest.starts_with('S'))
+    }
+
+    /// A push that was suspended under a thread of higher priority would never come on while that one spins.
+    #[test]
+    fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_afterwards() {
+        let mail = Mailbox::new(2, 8, 0);
+        let head = EntryHead { reply: 7, ..EntryHead::default() };
+        assert!(mail.claim_tail(0), "a push that was suspended here");
+        let (tell, told) = mpsc::channel();
+        std::thread::scope(|scope| {
+            let closer = scope.spawn(|| {
+                // SAFETY: asks for the number of the calling thread.
+                tell.send(unsafe { libc::gettid() }).expect("the test listens");
+                let mut dropped = Vec::new();
+                mail.close(|head| dropped.push(head));
+                dropped
+            });
+            let tid = told.recv().expect("the thread begins");
+            // Asleep at each of several looks in a row; whoever spins or yields is ready to run.
+            let (mut asleep, until) = (0, crate::os::now_ns() + PATIENCE_NS);
+            while asleep < 50 && crate::os::now_ns() < until {
+                asleep = if sleeps(tid) { asleep + 1 } else { 0 };
+            }
+            let left = closer.is_finished();
+            // Also where it fails, or the test would not end.
+            mail.fill(0, head, &[0; 8], Overflow::Reject);
+            assert!(!left, "it leaves the entry behind");
+            assert_eq!(asleep, 50, "it keeps its processor from the push it waits for");
+            assert_eq!(closer.join().expect("it closes"), [head]);
+        });
+        assert!(mail.is_empty());
+        assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
+    }
+}
 
 #[cfg(all(test, loom))]
 mod models {

@@ -46,6 +46,12 @@ impl Mark {
         self.is_set() && self.take()
     }
 
+    /// Leaves the mark as it is and comes into one order with those who set it: who set it before brought what is seen from now
+    /// on, and who sets it later sees what the caller did before. For whoever takes something from all who might bring more.
+    pub fn meet(&self) {
+        self.0.fetch_or(false, Ordering::SeqCst);
+    }
+
     /// Leaves the mark for whoever is inside, who looks at it when leaving; true when nobody is any more, and the one who
     /// asked has to try again. `is_free` loads the lock with Acquire.
     pub fn leave(&self, is_free: impl FnOnce() -> bool) -> bool {

@@ -8,14 +8,14 @@ pub(crate) use loom::{
     hint::spin_loop,
     sync::Mutex,
     sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering},
-    thread::{JoinHandle, yield_now},
+    thread::JoinHandle,
 };
 #[cfg(not(loom))]
 pub(crate) use std::{
     hint::spin_loop,
     sync::Mutex,
     sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering},
-    thread::{JoinHandle, yield_now},
+    thread::JoinHandle,
 };
 
 /// Starts a thread with a stack of 1 MiB.
@@ -41,6 +41,18 @@ pub(crate) fn pause_while(ns: u64, busy: impl Fn() -> bool) {
 /// Spinning ends early for loom, which looks at the sleep behind it.
 #[cfg(loom)]
 pub(crate) fn pause_while(_ns: u64, _busy: impl Fn() -> bool) {}
+
+/// Sleeps for `ns`: for what takes longer than that only when its thread was suspended.
+#[cfg(not(loom))]
+pub(crate) fn rest(ns: u64) {
+    crate::os::sleep_until(crate::os::now_ns() + ns);
+}
+
+/// To loom a sleep is that the others go on.
+#[cfg(loom)]
+pub(crate) fn rest(_ns: u64) {
+    loom::thread::yield_now();
+}
 
 /// Keeps two words that different threads write from sharing a cache line.
 #[repr(align(64))]

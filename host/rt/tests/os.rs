@@ -54,3 +54,31 @@ fn locking_memory_is_refused_where_it_would_break_later_threads() {
     // Whatever the answer was, threads can still be made and memory mapped.
     std::thread::spawn(|| vec![1u8; 16 << 20].len()).join().unwrap();
 }
+
+#[test]
+fn a_thread_that_sleeps_is_told_from_one_that_runs() {
+    let (tell, told) = std::sync::mpsc::channel();
+    let (wake, woken) = std::sync::mpsc::channel::<()>();
+    let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let end = stop.clone();
+    let thread = std::thread::spawn(move || {
+        // SAFETY: it asks for a number and has no conditions.
+        tell.send(unsafe { libc::gettid() }).unwrap();
+        woken.recv().unwrap();
+        while !end.load(std::sync::atomic::Ordering::Relaxed) {}
+    });
+    let tid = told.recv().unwrap();
+    while os::is_ready(tid) {
+        std::thread::yield_now();
+    }
+    let slept_at = os::thread_ran_ns(tid).expect("it is there");
+    assert_eq!(os::thread_ran_ns(tid), Some(slept_at), "who sleeps does not run");
+    wake.send(()).unwrap();
+    while os::thread_ran_ns(tid).is_some_and(|ran| ran < slept_at + 1_000_000) {
+        std::thread::yield_now();
+    }
+    assert!(os::is_ready(tid), "it runs, or waits for a processor");
+    stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    thread.join().unwrap();
+    assert_eq!(os::thread_ran_ns(i32::MAX - 1), None, "nobody has this number");
+}

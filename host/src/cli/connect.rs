@@ -26,7 +26,7 @@ pub(super) struct ConnectArgs {
     /// Keep the latest value only.
     #[arg(long)]
     pub(super) latest: bool,
-    /// Older samples are stale, e.g. 5ms.
+    /// Older samples are stale, e.g. 5ms; unset: of an actuator three periods of its source, of others none.
     #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
     pub(super) max_age: Option<u64>,
     /// Default deadline of waiting calls, e.g. 100ms.
@@ -89,7 +89,14 @@ async fn cut(args: &DisconnectArgs, session: &Session) -> Result<Cut, Failure> {
         (Ok(id), None) => Ok(Cut::Id(id)),
         (Err(_), Some(server)) => Ok(Cut::Pair { client: args.which.clone(), server: server.clone() }),
         (Ok(_), Some(_)) => Err(Failure::usage("a connection id stands alone", "trocar disconnect ID")),
-        (Err(_), None) => only_one(&args.which, &session.list().await?.connections),
+        (Err(_), None) => {
+            let found = only_one(&args.which, &session.list().await?.connections);
+            if found.is_err() {
+                // A name that is not there is told as such.
+                session.path(&args.which).await?;
+            }
+            found
+        }
     }
 }
 
@@ -107,7 +114,8 @@ fn only_one(port: &str, connections: &[ConnectionView]) -> Result<Cut, Failure> 
             let help = if all.is_empty() {
                 "there are no connections".to_owned()
             } else {
-                format!("there are {}; `trocar ls` lists all", listed(&all))
+                let (is, s) = if all.len() == 1 { ("is", "") } else { ("are", "s") };
+                format!("there {is} connection{s} {}; `trocar ls` lists all", listed(&all))
             };
             Err(Failure::refused("CONNECTION_NOT_FOUND", format!("nothing is connected to {port}"), help))
         }

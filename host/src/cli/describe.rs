@@ -96,7 +96,7 @@ impl Page {
 
     /// A name with its documentation dimmed behind it.
     fn entry(&mut self, indent: usize, what: &str, doc: &str) {
-        let doc = style::paint(&one_line(doc), style::DIM, self.colour);
+        let doc = style::paint(&out::one_line(doc), style::DIM, self.colour);
         self.line(indent, format!("{what}  {doc}").trim_end());
     }
 
@@ -105,7 +105,9 @@ impl Page {
         if !c.fault.is_empty() {
             self.line(1, &format!("fault: {}", out::harmless(&c.fault)));
         }
-        self.entry(1, &format!("class {}", c.class), class.map_or("", |k| &k.doc));
+        let mut made_of = format!("class {}", c.class);
+        push(&mut made_of, ", version ", class.map_or("", |k| &k.version));
+        self.entry(1, &made_of, class.map_or("", |k| &k.doc));
         let thread =
             if c.execution.thread.is_empty() { String::new() } else { format!(", {}", c.execution.thread) };
         self.line(1, &format!("health {}, runs {}{thread}", c.health, c.rate()));
@@ -253,7 +255,7 @@ impl Page {
 
     fn members<'m>(&mut self, doc: &str, members: impl Iterator<Item = &'m MemberView>) {
         if !doc.is_empty() {
-            let doc = style::paint(&one_line(doc), style::DIM, self.colour);
+            let doc = style::paint(&out::one_line(doc), style::DIM, self.colour);
             self.line(1, &doc);
         }
         for m in members {
@@ -312,11 +314,6 @@ fn options(o: &OptionsView) -> String {
         said.push_str(", adapted");
     }
     said
-}
-
-/// Documentation comes with the line breaks of its source.
-fn one_line(doc: &str) -> String {
-    out::harmless(&doc.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }
 
 /// `name: type [unit] range`.

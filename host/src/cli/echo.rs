@@ -8,16 +8,18 @@ use super::failure::{Done, Exit};
 use super::session::Session;
 use super::{out, units};
 
-/// Follows outputs, events and states: `trocar echo host/robot/arm/operating_state`.
+/// Follows outputs, events and lifecycle states: `trocar echo host/robot/arm/operating_state`.
+///
+/// A row of a component's state table, its newest values, is shown by --delayed 0 and the other flags of that group.
 #[derive(Args, Debug)]
 pub(super) struct EchoArgs {
-    /// process/component (its state), …/interface/event, or …/output.
+    /// process/component (its lifecycle state and health, as they change), …/interface/event, or …/output.
     #[arg(value_name = "PATH", required = true)]
     paths: Vec<String>,
     /// Most items per second of an output, Hz.
     #[arg(long, default_value = "10", value_name = "HZ", value_parser = units::parse_rate, allow_negative_numbers = true)]
     rate_hz: f64,
-    /// End after this many items.
+    /// End after this many items; of a component one item is how it stands, the next a change.
     #[arg(long, short = 'n', value_name = "N")]
     count: Option<u64>,
     #[command(flatten)]

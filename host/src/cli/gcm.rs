@@ -12,8 +12,14 @@ use super::session::Session;
 use super::{hosting, logging, out, session};
 use crate::host::{Host, StateChoice, StopRequest, state_home};
 
-/// Runs a GCM that hosts attach to: `trocar host --gcm ADDR`.
+const EXAMPLES: &str = "\
+Example:
+  trocar gcm
+  trocar host --name left --gcm 127.0.0.1:50551 --listen 127.0.0.1:0   # in another terminal";
+
+/// Runs a GCM without components, for several hosts: `trocar host --gcm ADDR`.
 #[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct GcmArgs {
     /// Address to listen on; port 0 takes a free one.
     #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
@@ -21,7 +27,7 @@ pub(super) struct GcmArgs {
     /// Where it keeps its state [default: trocar/gcm in the user's state directory].
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
-    /// Forget what an earlier run left in the state directory.
+    /// Forget what an earlier run left in the state directory; only counters go on.
     #[arg(long)]
     fresh: bool,
 }
@@ -38,6 +44,7 @@ pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
     let stop = StopRequest::listen();
     let host = Host::start_gcm(&args.listen, &state, args.fresh).await?;
     logging::to_file(host.state_dir().path());
+    logging::to_readers(host.own_lines());
     if session.json() {
         let line = json!({
             "listening": hosting::address(&host),

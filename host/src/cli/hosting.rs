@@ -14,13 +14,21 @@ use super::{logging, out, session};
 use crate::host::{Host, HostConfig, HostError, StateChoice, StopRequest, state_home};
 use crate::loader::Trust;
 
-/// Runs a host: an LCM with plugin directories, and a GCM of its own unless --gcm names one ($TROCAR_GCM does not count).
+const EXAMPLES: &str = "\
+Examples:
+  trocar host --plugins DIR
+      A host that is a whole system by itself; `trocar ls` and `trocar create` find it.
+  trocar host --name left --gcm 127.0.0.1:50551 --listen 127.0.0.1:0
+      One more host under the GCM that is there already: its components are left/NAME.";
+
+/// Runs a host: loads plugins and runs components, with a GCM of its own unless --gcm names another.
 #[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct HostArgs {
     /// Name of the process, the first part of its components' paths.
     #[arg(long, default_value = "host", value_parser = name)]
     name: Name,
-    /// Directory of plugin files, watched; may be given several times [default: ./plugins, else the program's own].
+    /// Directory of plugin files, watched; may be given several times [default: ./plugins, else where this program lies].
     #[arg(long, value_name = "DIR")]
     plugins: Vec<PathBuf>,
     /// Address to listen on; port 0 takes a free one.
@@ -29,7 +37,7 @@ pub(super) struct HostArgs {
     /// Where it keeps its state [default: trocar/NAME in the user's state directory].
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
-    /// Forget what an earlier run left in the state directory.
+    /// Forget what an earlier run left in the state directory; only counters go on.
     #[arg(long)]
     fresh: bool,
     /// Which plugin files are taken: dev (your own and root's) or allowlist:FILE (sha256 listed).
@@ -57,6 +65,7 @@ pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
     let stop = StopRequest::listen();
     let host = config.clone().start().await?;
     logging::to_file(host.state_dir().path());
+    logging::to_readers(host.own_lines());
     say_listening(&config, &host, session);
     until_stopped(host, stop).await
 }

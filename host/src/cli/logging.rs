@@ -13,16 +13,41 @@ use log::{Level, LevelFilter, Log, Metadata, Record};
 
 use super::logs::clock;
 use super::out::paragraph;
+use crate::lcm::LogLine;
 
 /// Size at which a file becomes the old one, bytes; two are kept.
 const ROTATE_BYTES: u64 = 4 << 20;
 const FILE: &str = "trocar.log";
 
-static LOGGER: Logger = Logger { shown: Mutex::new(LevelFilter::Warn), file: Mutex::new(None) };
+/// Lines of the start that are kept for [`to_readers`].
+const EARLY: usize = 200;
+
+static LOGGER: Logger = Logger {
+    shown: Mutex::new(LevelFilter::Warn),
+    file: Mutex::new(None),
+    readers: Mutex::new(Readers::Early(Vec::new())),
+};
 
 struct Logger {
     shown: Mutex<LevelFilter>,
     file: Mutex<Option<Rotating>>,
+    readers: Mutex<Readers>,
+}
+
+/// Where lines go for those who ask with `trocar logs`; until that is known they are kept.
+enum Readers {
+    Early(Vec<LogLine>),
+    Told(Box<dyn Fn(LogLine) + Send>),
+}
+
+impl Readers {
+    fn tell(&mut self, line: LogLine) {
+        match self {
+            Readers::Told(tell) => tell(line),
+            Readers::Early(kept) if kept.len() < EARLY => kept.push(line),
+            Readers::Early(_) => {}
+        }
+    }
 }
 
 struct Rotating {
@@ -48,6 +73,15 @@ pub(super) fn to_file(dir: &Path) {
         Ok(file) => *LOGGER.file.lock().unwrap_or_else(PoisonError::into_inner) = Some(file),
         Err(e) => log::warn!("no log file: {}: {e}", path.display()),
     }
+}
+
+/// From now on the process's own lines can be read like those of its components; those since the start, too.
+pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + 'static) {
+    let mut readers = LOGGER.readers.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Readers::Early(kept) = &mut *readers {
+        std::mem::take(kept).into_iter().for_each(&tell);
+    }
+    *readers = Readers::Told(Box::new(tell));
 }
 
 impl Rotating {
@@ -87,6 +121,17 @@ impl Log for Logger {
         }
         if let Some(file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
             let _ = file.write(&line);
+        }
+        // What components say is told by their LCM.
+        if record.target() != "component" {
+            let line = LogLine {
+                wall_ns: now,
+                level: record.level() as u32,
+                path: String::new(),
+                target: record.target().to_owned(),
+                message: said,
+            };
+            self.readers.lock().unwrap_or_else(PoisonError::into_inner).tell(line);
         }
     }
 

@@ -8,7 +8,7 @@ use super::failure::{Done, Exit};
 use super::out;
 use super::session::Session;
 
-/// Shows what components and hosts log.
+/// Shows what components and hosts log: also what was asked of the system and what came of it, and refused plugin files.
 #[derive(Args, Debug)]
 pub(super) struct LogsArgs {
     /// Only this process, component or glob.
@@ -17,6 +17,9 @@ pub(super) struct LogsArgs {
     /// Go on with what comes.
     #[arg(long, short)]
     follow: bool,
+    /// Only the newest N lines, and with --follow what comes after them; without it all that are kept, 1000 at most.
+    #[arg(long, short = 'n', value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    last: Option<u32>,
     /// Most detailed level shown.
     #[arg(long, value_enum, default_value_t = Level::Info)]
     level: Level,
@@ -33,7 +36,7 @@ enum Level {
 
 pub(super) async fn run(args: LogsArgs, session: &Session) -> Done {
     let level = format!("{:?}", args.level).to_lowercase();
-    let mut lines = session.logs(&args.path, &level, args.follow).await?;
+    let mut lines = session.logs(&args.path, &level, args.follow, args.last).await?;
     while let Some(line) = lines.next().await? {
         if session.json() {
             session.print_json(&line)?;

@@ -26,11 +26,13 @@ pub(super) async fn run(args: LsArgs, session: &Session) -> Done {
     if session.json() {
         return session.print_json(&view);
     }
-    out::text(&render(&view, style::stdout()));
+    // A component or a glob does not ask for what else its process could make.
+    let with_classes = !args.path.contains(['/', '*']);
+    out::text(&render(&view, with_classes, style::stdout()));
     Ok(Exit::Ok)
 }
 
-fn render(view: &SystemView, colour: bool) -> String {
+fn render(view: &SystemView, with_classes: bool, colour: bool) -> String {
     let mut text = String::new();
     let mut part = |title: &str, table: &Table| {
         if !table.is_empty() {
@@ -45,7 +47,9 @@ fn render(view: &SystemView, colour: bool) -> String {
     part("Processes", &processes(view));
     part("Components", &components(view));
     part("Connections", &connections(view));
-    part("Classes", &classes(view));
+    if with_classes {
+        part("Classes", &classes(view));
+    }
     text.push_str(&format!("\nrevision {}\n", view.revision));
     text
 }
@@ -166,7 +170,7 @@ mod tests {
             }],
             connections: Vec::new(),
         };
-        let text = render(&view, false);
+        let text = render(&view, true, false);
         assert!(text.contains("FAULT: panicked at src/lib.rs:3"), "{text}");
         assert!(!text.contains("Connections"), "{text}");
         assert!(text.ends_with("revision 7\n"), "{text}");
@@ -179,7 +183,7 @@ mod tests {
             components: vec![ComponentView { state: "FAULT".into(), fault, ..ComponentView::default() }],
             ..SystemView::default()
         };
-        let text = render(&view, false);
+        let text = render(&view, true, false);
         assert!(text.contains(&format!("FAULT: {}…", "µ".repeat(FAULT))), "{text}");
         assert!(text.lines().all(|line| line.chars().count() < 200), "{text}");
     }

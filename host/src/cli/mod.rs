@@ -43,7 +43,7 @@ mod watch;
 
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use failure::{Done, Exit, Failure};
 use session::Session;
@@ -51,6 +51,9 @@ use session::Session;
 /// Component-based software for computer-assisted intervention.
 ///
 /// First steps: `trocar demo`, then `trocar ls` in another terminal.
+///
+/// A host is a process that loads plugins and runs components of their classes. A GCM (Global Component Manager) decides what
+/// is created, connected and started, and answers the other subcommands; a host has one of its own unless told of another.
 #[derive(Parser, Debug)]
 #[command(
     name = "trocar",
@@ -66,14 +69,22 @@ struct Cli {
     command: Command,
 }
 
+/// Where flags that every subcommand takes stand in its help.
+const LAST: usize = 900;
+
+/// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse it in a clear
+/// sentence, and do not offer it.
+const ASK_NO_GCM: [&str; 6] = ["demo", "run", "gcm", "doctor", "completions", "schema"];
+const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
+
 /// Flags every subcommand takes.
 #[derive(Args, Debug)]
 struct Global {
-    /// Address of the GCM [default: $TROCAR_GCM or 127.0.0.1:50551; `host` has its own unless this is given].
-    #[arg(long, global = true, value_name = "ADDR")]
+    /// Address of the GCM to ask [default: $TROCAR_GCM or 127.0.0.1:50551].
+    #[arg(long, global = true, value_name = "ADDR", display_order = LAST)]
     gcm: Option<String>,
     /// Answers and errors as JSON on stdout.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, display_order = LAST)]
     json: bool,
 }
 
@@ -111,7 +122,7 @@ enum Command {
 
 /// The program: parses, does, prints, answers the exit code.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let cli = match command().try_get_matches().and_then(|typed| Cli::from_arg_matches(&typed)) {
         Ok(cli) => cli,
         Err(e) => return refused_by_clap(&e),
     };
@@ -208,10 +219,13 @@ fn refused_by_clap(e: &clap::Error) -> ExitCode {
     let sentence = sentence.join(" ");
     let line = |start: &str| text.lines().find_map(|l| l.trim().strip_prefix(start)).map(str::to_owned);
     let usage = line("Usage: ").map(|u| format!("usage: {u}"));
-    let more = format!("see `{} --help`", asked_for(std::env::args().skip(1)));
+    let asked = asked_for(std::env::args().skip(1));
+    let all = asked == "trocar stop" && e.kind() == ErrorKind::MissingRequiredArgument;
+    let all = all.then(|| "everything: `trocar stop --all`".to_owned());
+    let more = format!("see `{asked} --help`");
     // Clap's advice for whoever means a flag as a value helps nobody here.
     let tip = line("tip: ").filter(|tip| !tip.starts_with("to pass "));
-    let help: Vec<String> = [tip, usage, Some(more)].into_iter().flatten().collect();
+    let help: Vec<String> = [tip, all, usage, Some(more)].into_iter().flatten().collect();
     Failure::usage(middle_cut(sentence.trim_start_matches("error: ")), help.join("; ")).print(json);
     ExitCode::from(Exit::Usage as u8)
 }
@@ -242,14 +256,30 @@ fn middle_cut(sentence: &str) -> String {
     format!("{head}… ({} characters left out) …{tail}", all - HEAD - TAIL)
 }
 
-/// The tree, for completions and for the test of the surface.
+/// The tree: what is parsed, completed, and compared with the surface's golden file.
 pub fn command() -> clap::Command {
-    Cli::command()
+    let gcm = |help: &'static str| {
+        clap::Arg::new("gcm").long("gcm").value_name("ADDR").display_order(LAST).help(help)
+    };
+    let unused = |sub: clap::Command| sub.arg(gcm("Not used here").global(true).hide(true));
+    let of_host = gcm("Attach to the GCM at this address instead of having one; $TROCAR_GCM does not count");
+    let of_plugin = |sub: clap::Command| match PLUGIN_ASKS_NO_GCM.contains(&sub.get_name()) {
+        true => unused(sub),
+        false => sub,
+    };
+    Cli::command().mut_subcommands(|sub| match sub.get_name() {
+        "host" => sub.arg(of_host.clone()),
+        "plugin" => sub.mut_subcommands(of_plugin),
+        name if ASK_NO_GCM.contains(&name) => unused(sub),
+        _ => sub,
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{asked_for, command, middle_cut};
+    use clap::FromArgMatches;
+
+    use super::{Cli, asked_for, command, middle_cut};
 
     #[test]
     fn a_usage_error_points_to_the_subcommand() {
@@ -257,6 +287,28 @@ mod tests {
         assert_eq!(named("--json plugin inspect --nonsense"), "trocar plugin inspect");
         assert_eq!(named("create host/a --rate-hz"), "trocar create");
         assert_eq!(named("lss"), "trocar");
+    }
+
+    #[test]
+    fn a_gcm_is_offered_where_one_is_asked_and_taken_before_or_after_any_subcommand() {
+        let shown = |line: &str| {
+            let error = command().try_get_matches_from(line.split(' ')).expect_err("help is no match");
+            error.to_string().contains("--gcm <ADDR>")
+        };
+        assert!(shown("trocar ls --help") && shown("trocar plugin ls --help") && shown("trocar host --help"));
+        for line in ["trocar run --help", "trocar demo --help", "trocar plugin check --help"] {
+            assert!(!shown(line), "{line} offers --gcm");
+        }
+        for line in [
+            "trocar --gcm a:1 run f",
+            "trocar run f --gcm a:1",
+            "trocar host --gcm a:1",
+            "trocar ls --gcm a:1",
+        ] {
+            let typed = command().try_get_matches_from(line.split(' ')).expect(line);
+            let cli = Cli::from_arg_matches(&typed).expect(line);
+            assert_eq!(cli.global.gcm.as_deref(), Some("a:1"), "{line}");
+        }
     }
 
     #[test]

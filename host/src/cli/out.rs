@@ -36,3 +36,8 @@ pub(super) fn say(text: &str) {
 pub(super) fn complain(kind: &str, text: &str) {
     eprintln!("{kind}: {}", paragraph(text));
 }
+
+/// Documentation, which comes with the line breaks of its source, as one harmless line.
+pub(super) fn one_line(doc: &str) -> String {
+    harmless(&doc.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
+}

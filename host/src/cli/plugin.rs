@@ -121,7 +121,7 @@ fn inspect(file: &Path, session: &Session) -> Done {
         seen.machine
     ));
     out::line(&format!("sha256 {}", seen.hash));
-    out::text(&out::lines(&describe(&seen.manifest)));
+    out::text(&describe(&seen.manifest));
     if !seen.needed.is_empty() {
         out::say(&format!("needs {}", seen.needed.join(", ")));
     }
@@ -133,9 +133,11 @@ fn inspect(file: &Path, session: &Session) -> Done {
 
 fn describe(m: &Manifest) -> String {
     let [major, minor] = m.abi;
-    let mut text = format!("plugin {} {}  ABI {major}.{minor}  {}\n", m.name, m.version, m.built_with);
+    let said = out::one_line;
+    let (name, version, built_with) = (said(&m.name), said(&m.version), said(&m.built_with));
+    let mut text = format!("plugin {name} {version}  ABI {major}.{minor}  {built_with}\n");
     if !m.doc.is_empty() {
-        text.push_str(&format!("{}\n", m.doc));
+        text.push_str(&format!("{}\n", said(&m.doc)));
     }
     for class in &m.classes {
         text.push_str(&describe_class(&m.name, class));
@@ -144,9 +146,12 @@ fn describe(m: &Manifest) -> String {
 }
 
 fn describe_class(plugin: &str, c: &Class) -> String {
-    let mut text = format!("class {plugin}/{}  {}\n", c.name, c.doc.trim());
+    let head =
+        format!("class {}/{}  {}", out::one_line(plugin), out::one_line(&c.name), out::one_line(&c.doc));
+    let mut text = format!("{}\n", head.trim_end());
     let mut line = |kind: &str, name: &str, doc: &str| {
-        text.push_str(format!("  {kind} {name}  {}", doc.trim()).trim_end());
+        let (name, doc) = (out::one_line(name), out::one_line(doc));
+        text.push_str(format!("  {kind} {name}  {doc}").trim_end());
         text.push('\n');
     };
     for p in &c.inputs {

@@ -20,15 +20,22 @@ use crate::system_file::{BadSet, SystemFile, TrustSpec};
 /// How long a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
 
-/// Runs a system file: GCM and host in one process.
+const EXAMPLES: &str = "\
+Example:
+  trocar run system.json --set host/robot.seed=8 --seconds 10
+Ctrl-C stops it, devices safe first; nothing is kept for the next run.";
+
+/// Runs a system file: one host with a GCM of its own, and in it the components and connections of the file.
 #[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct RunArgs {
     /// The system file (`trocar schema system` describes it).
     file: PathBuf,
-    /// Another value for one setting: process/component.key=value; may be given several times.
+    /// Another value for one setting, JSON or plain text: process/component.key=value; may be given several times.
     #[arg(long = "set", value_name = "ASSIGNMENT")]
     sets: Vec<String>,
-    /// Plugin directories instead of the file's; may be given several times.
+    /// Plugin directory instead of the file's; may be given several times [where neither: ./plugins, else where this program
+    /// lies].
     #[arg(long, value_name = "DIR")]
     plugins: Vec<PathBuf>,
     /// Address to listen on; port 0 takes a free one.
@@ -55,6 +62,7 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     let config = config(&file, &base, args.plugins, args.listen)?;
     let mut stop = StopRequest::listen();
     let mut host = config.start().await?;
+    logging::to_readers(host.own_lines());
     let done = live(&mut host, &file, args.seconds, session, &mut stop).await;
     host.shutdown().await;
     done

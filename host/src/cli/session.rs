@@ -87,28 +87,30 @@ impl Session {
     }
 
     pub(super) async fn describe(&self, path: &str, class: bool) -> Result<DescribeView, Failure> {
-        let ask = match class {
-            true => v1::DescribeRequest { class: path.to_owned(), ..v1::DescribeRequest::default() },
-            false => v1::DescribeRequest { path: path.to_owned(), ..v1::DescribeRequest::default() },
-        };
-        match self.client().await?.gcm.describe(ask).await {
-            Ok(answer) => Ok(convert::description(path, answer.get_ref())),
-            Err(s) => {
-                let failure = self.failed(&s);
-                if class || !failure.reason.ends_with("_NOT_FOUND") {
-                    return Err(failure);
-                }
-                // Of what exists the path is tried first: a class is what stands under no such path.
-                self.class(path).await.ok_or(failure)
-            }
+        if class {
+            return self.class(path).await;
         }
+        let failure = match self.path(path).await {
+            Err(failure) if failure.reason.ends_with("_NOT_FOUND") => failure,
+            answered => return answered,
+        };
+        // Of what exists the path is tried first: a class is what stands under no such path.
+        self.class(path).await.map_err(|other| nor_a_class(path, failure, &other))
+    }
+
+    /// What stands under a path.
+    pub(super) async fn path(&self, path: &str) -> Result<DescribeView, Failure> {
+        self.described(path, v1::DescribeRequest { path: path.to_owned(), ..Default::default() }).await
     }
 
     /// The class of this name, if a plugin has one.
-    async fn class(&self, name: &str) -> Option<DescribeView> {
-        let ask = v1::DescribeRequest { class: name.to_owned(), ..v1::DescribeRequest::default() };
-        let answer = self.client().await.ok()?.gcm.describe(ask).await.ok()?;
-        Some(convert::description(name, answer.get_ref()))
+    async fn class(&self, name: &str) -> Result<DescribeView, Failure> {
+        self.described(name, v1::DescribeRequest { class: name.to_owned(), ..Default::default() }).await
+    }
+
+    async fn described(&self, what: &str, ask: v1::DescribeRequest) -> Result<DescribeView, Failure> {
+        let answer = self.client().await?.gcm.describe(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(convert::description(what, answer.get_ref()))
     }
 
     pub(super) async fn invoke(
@@ -205,11 +207,34 @@ impl Session {
         path: &str,
         level: &str,
         follow: bool,
+        last: Option<u32>,
     ) -> Result<Follow<'_, v1::LogsResponse, LogView>, Failure> {
-        let ask = v1::LogsRequest { path: path.to_owned(), level: level.to_owned(), follow };
+        let ask = v1::LogsRequest {
+            path: path.to_owned(),
+            level: level.to_owned(),
+            follow,
+            last: last.unwrap_or(0),
+        };
         let stream = self.client().await?.interact.logs(ask).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(Follow { session: self, stream, view: convert::log_line })
     }
+}
+
+/// Whoever wrote `plugin/Clas` with a plugin that exists meant a class.
+fn nor_a_class(path: &str, no_path: Failure, no_class: &Failure) -> Failure {
+    let Some((plugin, _)) = path.split_once('/') else { return no_path };
+    let known = no_class.metadata.get("known").map_or("", String::as_str);
+    let of_plugin: Vec<&str> =
+        known.split(',').filter(|class| class.split('/').next() == Some(plugin)).collect();
+    if of_plugin.is_empty() || no_path.reason != "PROCESS_NOT_FOUND" {
+        return no_path;
+    }
+    let message = format!(
+        "{}; nor has plugin `{plugin}` a class of this name: there is {}",
+        no_path.message,
+        of_plugin.join(", ")
+    );
+    Failure { message, ..no_path }
 }
 
 /// A stream of answers, each turned into what is shown.

@@ -54,12 +54,12 @@ pub(super) struct ResetArgs {
     of: PathArgs,
 }
 
-/// Removes components.
+/// Removes components; one that is ACTIVE is stopped first, and what it moves made safe. All or nothing.
 #[derive(Args, Debug)]
 pub(super) struct RmArgs {
     #[command(flatten)]
     of: PathArgs,
-    /// Stop and disconnect first.
+    /// Also what is connected, or has others in its thread: disconnect and stop those first.
     #[arg(long)]
     force: bool,
 }
@@ -132,13 +132,40 @@ async fn stop_without_gcm(session: &Session, why: Failure) -> Done {
 }
 
 pub(super) async fn remove(args: RmArgs, session: &Session) -> Done {
-    let mut whole = Outcome::default();
-    for path in &args.of.paths {
-        let one = session.remove(path, args.force, &args.of.mutation).await?;
-        whole.revision = one.revision;
-        whole.plan.extend(one.plan);
-        whole.warnings.extend(one.warnings);
-        whole.skipped.extend(one.skipped);
+    let mutation = &args.of.mutation;
+    let paths = named(&args.of.paths, session).await?;
+    let mut outcome = session.remove(&paths, args.force, mutation).await?;
+    if !session.json() && !mutation.dry_run {
+        // What goes cannot say any more what became of it first.
+        outcome.plan.iter().filter_map(|line| line.strip_prefix("- stop ")).for_each(|what| {
+            out::say(&format!("stopped {what}"));
+        });
+        // How they stood when they went says nothing about what is there.
+        outcome.components.clear();
     }
-    show(session, &whole, args.of.mutation.dry_run, &format!("removed {}", args.of.paths.join(", ")))
+    show(session, &outcome, mutation.dry_run, &format!("removed {}", paths.join(", ")))
+}
+
+/// The components that paths and globs name, each once.
+async fn named(asked: &[String], session: &Session) -> Result<Vec<String>, Failure> {
+    let mut paths: Vec<String> = Vec::new();
+    for path in asked {
+        let found = match path.contains('*') {
+            true => session.list_of(path).await?.components.into_iter().map(|c| c.path).collect(),
+            false => vec![path.clone()],
+        };
+        found.into_iter().for_each(|path| {
+            if !paths.contains(&path) {
+                paths.push(path);
+            }
+        });
+    }
+    if paths.is_empty() {
+        return Err(Failure::refused(
+            "NOTHING_MATCHES",
+            "there are no components",
+            "nothing is left to remove",
+        ));
+    }
+    Ok(paths)
 }

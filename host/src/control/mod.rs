@@ -5,6 +5,7 @@
 mod attach;
 mod convert;
 mod deadline;
+mod occupant;
 mod serve;
 mod server;
 mod services;

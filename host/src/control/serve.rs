@@ -4,6 +4,7 @@
 //! and idle time.
 
 use std::fmt;
+use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,7 +14,7 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 use tonic::transport::server::TcpIncoming;
-use trocar_model::Name;
+use trocar_model::{Name, Refusal};
 use trocar_proto::FILE_DESCRIPTOR_SET;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
 use trocar_proto::v1::gcm_service_server::GcmServiceServer;
@@ -21,6 +22,7 @@ use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use super::attach::{AttachEdge, MAX_MESSAGE};
+use super::occupant::{self, Occupant};
 use super::server::Edge;
 use crate::gcm::{Gcm, Lines};
 use crate::lcm::{Lcm, News};
@@ -43,15 +45,19 @@ pub struct ServeConfig {
 
 /// Why a port cannot be served.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ServeError {
-    pub because: String,
-    /// What to do.
-    pub help: String,
+pub enum ServeError {
+    /// The address cannot be listened on; `help` says what to do.
+    Unusable { because: String, help: String },
+    /// A process of this name listens there already.
+    Exists(Refusal),
 }
 
 impl fmt::Display for ServeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.because)
+        match self {
+            ServeError::Unusable { because, .. } => f.write_str(because),
+            ServeError::Exists(refusal) => write!(f, "{refusal}"),
+        }
     }
 }
 
@@ -74,13 +80,13 @@ impl Server {
     /// # Errors
     /// The address is malformed, taken, or not a loopback address.
     pub async fn start(config: ServeConfig) -> Result<Server, ServeError> {
-        let listener = bind(&config.listen).await?;
+        let listener = bind(&config.listen, config.local.as_ref().map(|(name, _)| name)).await?;
         let addr = listener.local_addr().map_err(|e| unusable(&config.listen, &e))?;
         let (lines, logging) = lines(config.gcm.as_ref(), config.local.as_ref());
         let edge =
             Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by, lines };
         let (open, closing) = watch::channel(());
-        let router = routes(edge, config.gcm, closing).await.map_err(|because| ServeError {
+        let router = routes(edge, config.gcm, closing).await.map_err(|because| ServeError::Unusable {
             because,
             help: "rebuild trocar: its service descriptions are damaged".into(),
         })?;
@@ -126,21 +132,31 @@ impl Server {
     }
 }
 
-async fn bind(listen: &str) -> Result<TcpListener, ServeError> {
-    let addrs = tokio::net::lookup_host(listen).await.map_err(|e| ServeError {
+/// `own` is the name of this process, which a GCM has not.
+async fn bind(listen: &str, own: Option<&Name>) -> Result<TcpListener, ServeError> {
+    let addrs = tokio::net::lookup_host(listen).await.map_err(|e| ServeError::Unusable {
         because: format!("\"{listen}\" is not an address to listen on: {e}"),
         help: "give HOST:PORT, for example --listen 127.0.0.1:50551 (port 0 takes a free one)".into(),
     })?;
     let addrs: Vec<SocketAddr> = addrs.collect();
     if let Some(open) = addrs.iter().find(|a| !is_loopback(a.ip())) {
-        return Err(ServeError {
+        return Err(ServeError::Unusable {
             because: format!(
                 "{open} can be reached from other machines, and calls are not authenticated yet"
             ),
             help: "listen on 127.0.0.1 or [::1]; reach it from elsewhere through an SSH tunnel".into(),
         });
     }
-    TcpListener::bind(&addrs[..]).await.map_err(|e| unusable(listen, &e))
+    match TcpListener::bind(&addrs[..]).await {
+        Ok(listener) => Ok(listener),
+        Err(e) => match addrs.last() {
+            // The error is that of the last address tried.
+            Some(addr) if e.kind() == ErrorKind::AddrInUse => {
+                Err(taken(*addr, own, &occupant::ask(*addr).await))
+            }
+            _ => Err(unusable(listen, &e)),
+        },
+    }
 }
 
 fn is_loopback(ip: IpAddr) -> bool {
@@ -148,21 +164,45 @@ fn is_loopback(ip: IpAddr) -> bool {
 }
 
 fn unusable(listen: &str, e: &std::io::Error) -> ServeError {
-    if e.kind() == std::io::ErrorKind::AddrInUse {
-        return ServeError {
-            because: format!(
-                "{listen} is taken: a host or GCM that runs already, or another program, listens there"
-            ),
-            help: format!(
-                "`trocar ls --gcm {listen}` tells which; if a GCM runs there, attach to it under another name with --gcm \
-                 {listen} --listen 127.0.0.1:0; else listen elsewhere: --listen 127.0.0.1:0 takes a free port"
-            ),
-        };
-    }
-    ServeError {
+    ServeError::Unusable {
         because: format!("{listen} cannot be listened on: {e}"),
         help: "choose another address with --listen".into(),
     }
+}
+
+fn taken(addr: SocketAddr, own: Option<&Name>, occupant: &Occupant) -> ServeError {
+    if let (Some(own), Some(there)) = (own, occupant.process())
+        && own.as_str() == there.name
+    {
+        let (process, endpoint, pid) = (own.clone(), there.endpoint.clone(), there.pid);
+        return ServeError::Exists(Refusal::ProcessExists { process, endpoint, pid });
+    }
+    let who = match occupant {
+        Occupant::Host(p) => format!("the host `{}` (pid {}), which has a GCM of its own", p.name, p.pid),
+        Occupant::Managed { by, process: Some(p) } => {
+            format!("the host `{}` (pid {}), which the GCM at {by} manages", p.name, p.pid)
+        }
+        Occupant::Managed { by, process: None } => format!("a host of the GCM at {by}"),
+        Occupant::Gcm => "a GCM".to_owned(),
+        Occupant::Stranger => format!(
+            "a program that does not answer as trocar does within {} ms",
+            occupant::PATIENCE.as_millis()
+        ),
+    };
+    let gcm = match occupant {
+        Occupant::Host(_) | Occupant::Gcm => Some(addr.to_string()),
+        Occupant::Managed { by, .. } => Some(by.clone()),
+        Occupant::Stranger => None,
+    };
+    let elsewhere = "listen elsewhere: --listen 127.0.0.1:0 takes a free port";
+    let help = match gcm {
+        Some(gcm) => format!(
+            "`trocar ls --gcm {gcm}` shows what runs there, and `trocar host --gcm {gcm} --listen 127.0.0.1:0 --name NAME` \
+             joins it; else end it, or {elsewhere}"
+        ),
+        None => format!("`ss -ltnp 'sport = :{}'` names it: end it, or {elsewhere}", addr.port()),
+    };
+    ServeError::Unusable { because: format!("{addr} is taken by {who}"), help }
 }
 
 /// The log lines this port shows, and who keeps them.

@@ -6,7 +6,8 @@
 use std::time::{Duration, Instant};
 
 use trocar_model::{
-    Change, ComponentId, Name, Plan, Refusal, Request, Skipped, SystemGraph, Verb, brief, inverse, plan_all,
+    Change, ComponentId, Name, Plan, Refusal, Request, Safety, Skipped, State, SystemGraph, Verb, brief,
+    inverse, plan_all,
 };
 
 use super::manager::lock;
@@ -39,7 +40,7 @@ pub struct ExecuteOptions {
 }
 
 /// What an accepted request did.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct Executed {
     pub revision: u64,
     pub plan: Plan,
@@ -51,6 +52,20 @@ pub struct Executed {
 impl Executed {
     pub fn skipped(&self) -> &[Skipped] {
         &self.plan.skipped
+    }
+}
+
+/// What was done, one line per change; whole components would be pages.
+impl std::fmt::Debug for Executed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let warnings: Vec<&String> = self.reports.iter().flat_map(|r| &r.warnings).collect();
+        f.debug_struct("Executed")
+            .field("revision", &self.revision)
+            .field("plan", &text::lines(&self.plan))
+            .field("skipped", &self.plan.skipped)
+            .field("failed", &self.failed)
+            .field("warnings", &warnings)
+            .finish()
     }
 }
 
@@ -123,6 +138,13 @@ impl Gcm {
         }
         let carrying = Carrying::begin(self, claim, &done.plan);
         self.all_or_nothing(&carrying, &mut done, deadline).await?;
+        for (id, port) in bereft(&graph, &done.plan) {
+            if let Some(report) = done.reports.iter_mut().rev().find(|report| report.id == id) {
+                report.warnings.push(format!(
+                    "it runs and requires {port}, which nothing is connected to any more: it is made safe and stopped"
+                ));
+            }
+        }
         done.revision = self.accepted();
         Ok(done)
     }
@@ -195,6 +217,31 @@ impl Gcm {
         self.cut_off(loose);
         Ok(report)
     }
+}
+
+/// Actuators that run in `graph` and have lost something they require when the plan is done, with what that is.
+fn bereft<'p>(graph: &'p SystemGraph, plan: &'p Plan) -> impl Iterator<Item = (ComponentId, Name)> + 'p {
+    let later = |at: usize, is: &dyn Fn(&Change) -> bool| plan.changes[at + 1..].iter().any(is);
+    let cut = plan.changes.iter().enumerate().filter_map(|(at, change)| match change {
+        Change::Disconnect { connection } => Some((at, &connection.client)),
+        _ => None,
+    });
+    cut.filter_map(move |(at, client)| {
+        let component = graph.components.get(&client.component)?;
+        let port = client.port.as_str();
+        let required = component.ports.inputs.iter().any(|p| p.name == port && !p.optional)
+            || component.ports.required.iter().any(|p| p.name == port && !p.optional);
+        let runs = component.state == State::Active && component.class.safety == Safety::Actuator;
+        let replaced =
+            later(at, &|c| matches!(c, Change::Connect { connection } if connection.client == *client));
+        let stopped = plan.changes.iter().any(|c| match c {
+            Change::Run { id, verb: Verb::Stop | Verb::Remove, .. } | Change::Destroy { id, .. } => {
+                *id == client.component
+            }
+            _ => false,
+        });
+        (required && runs && !replaced && !stopped).then(|| (client.component.clone(), client.port.clone()))
+    })
 }
 
 fn given_up() -> Refusal {

@@ -56,7 +56,7 @@ pub enum HostError {
         addr: String,
         because: String,
     },
-    /// The GCM does not take this process.
+    /// The GCM does not take this process, or a process of its name runs at its address.
     Refused(Refusal),
 }
 
@@ -92,7 +92,7 @@ impl HostError {
     pub fn help(&self) -> String {
         match self {
             HostError::StateInUse { .. } | HostError::StateHeld { .. } => {
-                "stop that process, or give this one its own directory: --state DIR".into()
+                "stop that process, or run this one beside it: --state DIR --listen 127.0.0.1:0".into()
             }
             HostError::StateUnwritable { .. } => {
                 "choose a directory you may write to: --state DIR (or set XDG_STATE_HOME)".into()
@@ -182,7 +182,10 @@ impl From<StoreError> for HostError {
 
 impl From<ServeError> for HostError {
     fn from(e: ServeError) -> Self {
-        HostError::Listen { because: e.because, help: e.help }
+        match e {
+            ServeError::Unusable { because, help } => HostError::Listen { because, help },
+            ServeError::Exists(refusal) => HostError::Refused(refusal),
+        }
     }
 }
 

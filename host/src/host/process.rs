@@ -5,7 +5,7 @@
 
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinHandle;
@@ -17,7 +17,8 @@ use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
 use crate::control::{GcmServices, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
-use crate::lcm::{Lcm, LcmConfig, LocalLcm};
+use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine};
+use crate::loader::{CatalogChange, PluginEntry, PluginError};
 
 /// A running process of a system.
 ///
@@ -102,7 +103,16 @@ impl Host {
         self.ending.running().lcm = Some(lcm.clone());
         let changed = Arc::downgrade(&lcm);
         self.ending.running().watch = store.map(|store| {
-            store.watch(move |_| {
+            let refused = |reason: &PluginError| log::warn!("plugin file refused: {reason}");
+            for entry in store.list() {
+                if let PluginEntry::Refused { reason, .. } = &entry {
+                    refused(reason);
+                }
+            }
+            store.watch(move |change| {
+                if let CatalogChange::Refused { reason, .. } = change {
+                    refused(reason);
+                }
                 if let Some(lcm) = changed.upgrade() {
                     lcm.catalog_changed();
                 }
@@ -178,6 +188,21 @@ impl Host {
     /// Its LCM; a GCM process has none.
     pub fn lcm(&self) -> Option<&Arc<LocalLcm>> {
         self.lcm.as_ref()
+    }
+
+    /// Where the program's own log lines are kept for `Logs`, under the name of its process.
+    pub(crate) fn own_lines(&self) -> impl Fn(LogLine) + Send + use<> {
+        let gcm = self.gcm.as_ref().map(|gcm| gcm.lines().clone());
+        let lcm = self.lcm.as_ref().map(Arc::downgrade);
+        let path = self.lcm.as_ref().map_or_else(|| "gcm".to_owned(), |lcm| lcm.process().to_string());
+        move |line| {
+            let line = LogLine { path: path.clone(), ..line };
+            match (&gcm, lcm.as_ref().and_then(Weak::upgrade)) {
+                (Some(lines), _) => lines.keep(line),
+                (None, Some(lcm)) => lcm.tell_line(line),
+                (None, None) => {}
+            }
+        }
     }
 
     /// Its state directory.

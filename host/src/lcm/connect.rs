@@ -259,7 +259,7 @@ fn streams(
     let stats = writer.counters();
     let described: Arc<str> = back::port(&ty).into();
     let max_age_ns = connection.options.max_age_ns.unwrap_or(0);
-    let link = Arc::new(InLink::new(reader, max_age_ns, described.clone(), adapt));
+    let link = Arc::new(InLink::new(reader, depth, max_age_ns, described.clone(), adapt));
     in_cell.connect(Some(link.clone()));
     let newest_ns = (max_age_ns > 0).then(|| link.newest_ns.clone());
     let out = Arc::new(OutLink::new(connection.id.0, writer, Some(client.clone()), newest_ns));

@@ -302,7 +302,11 @@ fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command,
         "qualified_read" => (K::QualifiedRead, true, true),
         "void_return" => (K::VoidReturn, false, true),
         "write_return" => (K::WriteReturn, true, true),
-        other => return Err(format!("kind \"{other}\" is not a command kind")),
+        other => {
+            return Err(format!(
+                "kind \"{other}\" is not one of void, write, read, qualified_read, void_return, write_return"
+            ));
+        }
     };
     if wants_arg != command.arg.is_some() || wants_ret != command.ret.is_some() {
         return Err(format!("a {} command has the wrong argument or result", command.kind));

@@ -5,7 +5,8 @@
 
 use std::sync::Arc;
 
-use trocar_plugin_api::abi::Tick;
+use trocar_model::State;
+use trocar_plugin_api::abi::{NOT_ACTIVE, Tick};
 use trocar_rt::executor::{Cycle, Pace};
 use trocar_rt::turn;
 
@@ -66,14 +67,17 @@ fn serve_signalled(members: &[Member], pace: Pace) {
         if steps && !child && pace == Pace::Signal {
             continue;
         }
-        // The mark of a filter also means that a frame is there; its step takes it.
-        if !steps || member.follow != Follow::Input {
-            instance.take_signal();
-        }
         if !served {
             context::set_stepping(true);
         }
         served = true;
+        if bypass(instance) {
+            continue;
+        }
+        // The mark of a filter also means that a frame is there; its step takes it.
+        if !steps || member.follow != Follow::Input {
+            instance.take_signal();
+        }
         instance.serve();
     }
     if served {
@@ -121,7 +125,8 @@ fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
         let due = is_due(members, at, by_signal);
         let member = &members[at];
         if due {
-            now_ns = step(member, cycle, now_ns);
+            let on_grid = cycle.period_ns > 0 && goes_with_thread(members, at);
+            now_ns = step(member, cycle, on_grid, now_ns);
             stepped = true;
         } else if member.instance.has_signal() && !steps_for_signal(member, by_signal) {
             unstepped(member);
@@ -135,6 +140,23 @@ fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
 fn steps_for_signal(member: &Member, by_signal: bool) -> bool {
     let follows = member.follow == Follow::Input || by_signal && member.follow == Follow::Thread;
     follows && member.instance.is_active() && !member.instance.is_called_back()
+}
+
+/// Whether its steps are its thread's cycles: not those of a filter, nor of what runs inside one.
+fn goes_with_thread(members: &[Member], at: usize) -> bool {
+    let mut follow = members[at].follow;
+    // As deep as there are members; should two name each other, it is no deeper.
+    for _ in members {
+        match follow {
+            Follow::Thread => return true,
+            Follow::Input => return false,
+            Follow::Member(number) => match members.iter().find(|m| m.instance.number == number) {
+                Some(around) => follow = around.follow,
+                None => return false,
+            },
+        }
+    }
+    false
 }
 
 /// Whether the member at `at` steps in this cycle; asked once, so that all around it get the same answer.
@@ -165,29 +187,33 @@ fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
 
 /// A member something is there for although it does not step: its queue is run or answered; frames may pass it.
 fn unstepped(member: &Member) {
-    let instance = &member.instance;
-    if !instance.take_signal() {
-        return;
+    if !bypass(&member.instance) && member.instance.take_signal() {
+        member.instance.serve();
     }
-    if instance.bypasses() && instance.state() == trocar_model::State::Fault {
-        if let Some(mut entered) = instance.object.try_enter() {
-            boundary::bypass(instance, &mut entered);
-        }
-        instance.refuse_queued(trocar_plugin_api::abi::NOT_ACTIVE);
-        return;
-    }
-    instance.serve();
 }
 
-/// One step with its timing; answers when it ended, ns.
-fn step(member: &Member, cycle: &Cycle, begin_ns: u64) -> u64 {
+/// Lets frames pass one that has failed where it says so, and answers what is queued for it; false of any other.
+fn bypass(instance: &Instance) -> bool {
+    if !instance.bypasses() || instance.state() != State::Fault {
+        return false;
+    }
+    // Before the look at the frames: what comes after it leaves its mark again, and so may what is left over.
+    instance.take_signal();
+    if let Some(mut entered) = instance.object.try_enter() {
+        boundary::bypass(instance, &mut entered);
+    }
+    instance.refuse_queued(NOT_ACTIVE);
+    true
+}
+
+/// One step with its timing; answers when it ended, ns. `on_grid`: whether periods that its thread leaves out are its own.
+fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
     let instance = &*member.instance;
     // Somebody inside means a control entry still runs; this cycle is left out and counted.
     let Some(mut entered) = instance.object.try_enter() else {
-        instance.stats.record_skipped(1 + cycle.skipped);
+        instance.stats.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
         return begin_ns;
     };
-    let on_grid = member.follow != Follow::Input && cycle.period_ns > 0;
     let inner = entered.inner();
     let fresh = inner.last_begin_ns == 0;
     // What was left out before its start is not its own.

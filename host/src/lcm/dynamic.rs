@@ -13,7 +13,8 @@ use trocar_rt::mailbox::Mailbox;
 use trocar_rt::reply::ReplyPool;
 
 use super::boundary::{
-    ERR_BYTES, EntryError, EventCell, Slots, same, same_input, same_output, same_provided, same_required,
+    ERR_BYTES, EntryError, EventCell, NoRoom, Slots, same, same_input, same_output, same_provided,
+    same_required,
 };
 use super::context;
 use super::convert;
@@ -42,8 +43,12 @@ pub(super) struct PortSet {
 }
 
 impl PortSet {
-    pub(super) fn new(ports: Ports, before: Option<&PortSet>) -> PortSet {
-        let slots = Slots::new(&ports, before.map(|b| (&*b.ports, &b.slots)));
+    /// Everything for `ports`; what stays of `before` is taken over.
+    ///
+    /// # Errors
+    /// There is no memory for the frames of an output.
+    pub(super) fn new(ports: Ports, before: Option<&PortSet>) -> Result<PortSet, NoRoom> {
+        let slots = Slots::new(&ports, before.map(|b| (&*b.ports, &b.slots)))?;
         let mut commands = Vec::new();
         for interface in &ports.provided {
             for new in &interface.commands {
@@ -78,7 +83,7 @@ impl PortSet {
             };
             ports.outputs.iter().position(fits).map(|output| (0, output))
         });
-        PortSet { ports: Arc::new(ports), slots, commands, handlers, external, bypass, max_ret }
+        Ok(PortSet { ports: Arc::new(ports), slots, commands, handlers, external, bypass, max_ret })
     }
 
     /// Words a result of any of its commands needs.
@@ -145,12 +150,14 @@ struct Life {
 }
 
 impl Described {
-    pub(super) fn new(ports: Ports) -> Described {
-        Described {
-            now: BindingCell::new(Box::new(Arc::new(PortSet::new(ports, None)))),
+    /// # Errors
+    /// As for [`PortSet::new`].
+    pub(super) fn new(ports: Ports) -> Result<Described, NoRoom> {
+        Ok(Described {
+            now: BindingCell::new(Box::new(Arc::new(PortSet::new(ports, None)?))),
             wished: AtomicBool::new(false),
             life: Mutex::new(Life::default()),
-        }
+        })
     }
 
     pub(super) fn now(&self) -> Arc<PortSet> {
@@ -211,11 +218,13 @@ impl Instance {
     }
 
     /// Passes on what a filter that failed would have worked on: its first input, to its first output of that type.
-    /// Component's thread only; real-time.
+    /// What is left then is taken up without a new sample. Component's thread only; real-time.
     pub(super) fn bypass(&self) {
         let set = self.described.now.enter();
-        if let Some((input, output)) = set.bypass {
-            set.slots.input(input).bypass(set.slots.output(output));
+        if let Some((input, output)) = set.bypass
+            && set.slots.input(input).bypass(set.slots.output(output))
+        {
+            self.signal();
         }
     }
 
@@ -249,11 +258,14 @@ impl Instance {
 /// `describe` or `bind` failed, or the description contradicts itself; the ports are as before.
 pub(super) fn describe(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     let described = entered.describe(convert::MAX_DESCRIPTION).map_err(|e| failed("describe", e))?;
+    let lies = |text| ("describe", EntryError::new(STATUS_FAILED, text));
     let ports = match described {
-        Some(text) => convert::description(&text, &instance.info)
-            .map_err(|text| ("describe", EntryError { status: STATUS_FAILED, text }))?,
+        Some(text) => convert::description(&text, &instance.info).map_err(lies)?,
         None => instance.info.ports.clone(),
     };
+    if let Some((entry, what)) = entered.lacks(&ports) {
+        return Err(lies(format!("it has {what}, but the entry `{entry}` of its class is null")));
+    }
     take_over(instance, entered, ports)
 }
 
@@ -264,7 +276,8 @@ pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entr
     let own = if *now.ports == instance.info.ports {
         now
     } else {
-        Arc::new(PortSet::new(instance.info.ports.clone(), Some(&now)))
+        let ports = instance.info.ports.clone();
+        Arc::new(PortSet::new(ports, Some(&now)).map_err(|e| ("bind", EntryError::no_room(e)))?)
     };
     let mut life = instance.described.life();
     life.fresh = !Arc::ptr_eq(&own, &instance.described.now());
@@ -291,7 +304,11 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     if same && !described.life().fresh {
         return Ok(());
     }
-    let new = if same { before.clone() } else { Arc::new(PortSet::new(ports, Some(&before))) };
+    let new = if same {
+        before.clone()
+    } else {
+        Arc::new(PortSet::new(ports, Some(&before)).map_err(|e| ("describe", EntryError::no_room(e)))?)
+    };
     described.life().kept.push(new.clone());
     entered.bind(new.slots.table()).map_err(|e| failed("bind", e))?;
     let mut life = described.life();

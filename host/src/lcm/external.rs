@@ -26,6 +26,7 @@ use super::boundary::{
 };
 use super::connect;
 use super::convert::back;
+use super::dynamic::PortSet;
 use super::instance::Instance;
 use super::local::LocalLcm;
 use super::rows;
@@ -42,14 +43,51 @@ const LOOK: Duration = Duration::from_millis(5);
 const DEFAULT_RATE_HZ: f64 = 30.0;
 
 /// Carries out one call; reads are answered from the published row.
+///
+/// # Errors
+/// Each outcome of a call that is not EXECUTED or QUEUED, by its name.
 pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Reply, Refusal> {
     let set = instance.described.now();
+    invoke_by(instance, call, set).await
+}
+
+/// As `invoke`, by ports that were looked up already. Where others took their place before anything was queued, nothing was
+/// executed: it looks again, within the deadline of the whole call.
+pub(super) async fn invoke_by(
+    instance: Arc<Instance>,
+    call: Invoke,
+    mut set: Arc<PortSet>,
+) -> Result<Reply, Refusal> {
+    let allowed_ns = if call.deadline_ns == 0 { DEFAULT_DEADLINE_NS } else { call.deadline_ns };
+    let until_ns = os::now_ns().saturating_add(allowed_ns);
+    loop {
+        let left_ns = until_ns.saturating_sub(os::now_ns());
+        let done = attempt(&instance, &call, &set, left_ns.max(1)).await;
+        let now = instance.described.now();
+        let changed = !Arc::ptr_eq(&set, &now) && !instance.is_closed();
+        match done {
+            Err(Refusal::PeerLost { .. }) if changed && left_ns > 0 => set = now,
+            Err(Refusal::Deadline { member, may_still_run, .. }) => {
+                return Err(Refusal::Deadline { member, after_ns: allowed_ns, may_still_run });
+            }
+            done => return done,
+        }
+    }
+}
+
+/// One way to the command, by the ports of `set`.
+async fn attempt(
+    instance: &Arc<Instance>,
+    call: &Invoke,
+    set: &PortSet,
+    deadline_ns: u64,
+) -> Result<Reply, Refusal> {
     let (id, command) = find_command(&set.ports, &call.member)?;
     let arg = argument(&call.member, &command, &call.arg)?;
     let ret = command.ret.clone();
-    let (send, deadline_ns, member) = (call.send, call.deadline_ns, call.member.clone());
+    let (send, member) = (call.send, call.member.clone());
     let unit = command.ret_unit.clone();
-    let target = connect::target(&instance, &set, id, &set.external, id, deadline_ns);
+    let target = connect::target(instance, set, id, &set.external, id, deadline_ns);
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match &target {
         // Never waits: answered here.
@@ -59,26 +97,25 @@ pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Repl
                 FnBinding::Command(command) => command.answer(&arg, ret_bytes, send, deadline_ns),
                 FnBinding::Read(_) | FnBinding::Unbound => Answer::unbound(),
             });
-            let allowed_ns = if deadline_ns == 0 { DEFAULT_DEADLINE_NS } else { deadline_ns };
             // What is queued ends by itself. What runs in this call's own thread may not.
-            match tokio::time::timeout(Duration::from_nanos(allowed_ns).saturating_add(GRACE), calling).await
-            {
+            let patience = Duration::from_nanos(deadline_ns).saturating_add(GRACE);
+            match tokio::time::timeout(patience, calling).await {
                 Ok(answer) => answer
                     .map_err(|e| Refusal::Internal { text: format!("calling {member} panicked: {e}") })?,
                 Err(_) => {
-                    return Err(Refusal::Deadline { member, after_ns: allowed_ns, may_still_run: true });
+                    return Err(Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: true });
                 }
             }
         }
     };
     match answer.outcome {
         EXECUTED | QUEUED => {}
-        refused => return Err(refusal(&instance, member, refused, answer, deadline_ns)),
+        refused => return Err(refusal(instance, member, refused, answer, deadline_ns)),
     }
     let executed = answer.outcome == EXECUTED;
     let value = match (&ret, executed) {
         (Some(ty), true) => {
-            Some(decode(ty, &answer.value).map_err(|e| misfit_of(&instance, member.clone(), &e))?)
+            Some(decode(ty, &answer.value).map_err(|e| misfit_of(instance, member.clone(), &e))?)
         }
         _ => None,
     };
@@ -141,13 +178,21 @@ fn find_command(ports: &Ports, member: &MemberId) -> Result<(usize, Command), Re
         });
     };
     let commands = &ports.provided[interface].commands;
+    let events = &ports.provided[interface].events;
     match commands.iter().position(|c| c.name == member.member.as_str()) {
+        None if events.iter().any(|e| e.name == member.member.as_str()) => {
+            Err(wrong_kind(member, "an event".to_owned(), "a command"))
+        }
         Some(i) => Ok((ports.first_command(interface) + i, commands[i].clone())),
         None => Err(Refusal::MemberNotFound {
             member: member.clone(),
             known: commands.iter().map(|c| c.name.clone()).collect(),
         }),
     }
+}
+
+fn wrong_kind(member: &MemberId, is: String, wanted: &str) -> Refusal {
+    Refusal::WrongKind { member: member.clone(), is, wanted: wanted.to_owned() }
 }
 
 /// The argument as exact bytes of the command's type, within its declared range.
@@ -219,10 +264,11 @@ fn state_row(instance: &Instance, when: When) -> Result<Sample, Refusal> {
     let ports = instance.ports();
     let mut sample =
         Sample { value: json!({}), encoded: Vec::new(), stamp_ns: 0, age_ns: 0, seq: 0, frame_bytes: 0 };
+    let misfit = |e: &ValueError| not_shown(instance, "show its state", e);
     if let Some(ty) = &ports.state
-        && let Some(row) = rows::read(&instance.rows, ty, &instance.id, when)?
+        && let Some(row) = rows::read(&instance.rows, ty, &instance.id, when, misfit)?
     {
-        sample.value = decode(ty, &row.bytes).map_err(|e| not_shown(instance, "show its state", &e))?;
+        sample.value = decode(ty, &row.bytes).map_err(|e| misfit(&e))?;
         sample.stamp_ns = row.stamp_ns;
         sample.age_ns = os::now_ns().saturating_sub(row.stamp_ns);
         sample.seq = row.tick;
@@ -399,6 +445,10 @@ fn event_of(instance: &Instance, member: &MemberId) -> Result<(Arc<EventCell>, O
         });
     };
     let events = &ports.provided[interface].events;
+    let commands = &ports.provided[interface].commands;
+    if let Some(command) = commands.iter().find(|c| c.name == member.member.as_str()) {
+        return Err(wrong_kind(member, format!("a {} command", command.kind.name()), "an event"));
+    }
     let Some(i) = events.iter().position(|e| e.name == member.member.as_str()) else {
         return Err(Refusal::MemberNotFound {
             member: member.clone(),

@@ -21,7 +21,7 @@ use trocar_rt::wake::Waker;
 
 use self::running::Terms;
 use super::boundary::LoadedClass;
-use super::boundary::{EntryError, HostContext, Object, SharedTable};
+use super::boundary::{EntryError, HostContext, NoRoom, Object, SharedTable};
 use super::context::ExecutorId;
 use super::dynamic::Described;
 use super::executor::Executor;
@@ -230,6 +230,8 @@ pub(super) struct Instance {
 }
 
 impl Instance {
+    /// # Errors
+    /// There is no memory for the frames of its outputs.
     pub(super) fn new(
         number: u32,
         id: ComponentId,
@@ -238,14 +240,14 @@ impl Instance {
         hub: Arc<Hub>,
         execution: &Execution,
         executor: &Executor,
-    ) -> Arc<Self> {
+    ) -> Result<Arc<Self>, NoRoom> {
         let ports = &info.ports;
         let state_bytes = ports.state.as_ref().map_or(0, trocar_model::Type::size);
         let kept = execution.history.map_or(STATE_ROWS, |rows| rows as usize);
         let (writer, rows) = state_table(state_bytes, kept);
         let (status, status_rows) = state_table(system::MAX_BYTES, STATUS_ROWS);
         let terms = Terms::of(execution, executor.pace);
-        let described = Described::new(ports.clone());
+        let described = Described::new(ports.clone())?;
         let now = described.now();
         let host = HostContext::new(number, &hub);
         let instance = Arc::new(Instance {
@@ -296,7 +298,7 @@ impl Instance {
         let _ = instance.host.instance.set(Arc::downgrade(&instance));
         instance.hub.desk.enter(&instance);
         instance.publish_status();
-        instance
+        Ok(instance)
     }
 
     pub(super) fn executor_id(&self) -> ExecutorId {

@@ -3,7 +3,7 @@
 //! Invariant: an entry that fails leaves the component in FAULT, safe; one that refuses leaves it as it was.
 
 use trocar_model::{ComponentId, Refusal, State, StopReason};
-use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED};
+use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED, STATUS_INVALID};
 
 use super::boundary::EntryError;
 use super::dynamic;
@@ -13,6 +13,11 @@ use super::instance::{Entered, Instance};
 pub(super) type Entry = Result<(), (&'static str, EntryError)>;
 
 pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryError) -> Refusal {
+    if e.refused()
+        && let Some(no_room) = e.no_room
+    {
+        return no_room.refusal(id);
+    }
     // Who refused to run is in FAULT all the same: see `run`.
     if e.refused() && !matches!(entry, "start" | "resume" | "stop") {
         Refusal::ComponentRefused { id: id.clone(), entry, text: e.text }
@@ -36,11 +41,12 @@ pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
 }
 
 /// The configuration, then the ports that go with it. Refused: the component goes on as before; anything else ends trust. Who
-/// stands as it does, other than in FAULT, was asked before.
+/// stands as it does, other than in FAULT, was asked before; so was the configuration it had until now.
 pub(super) fn configure(
     instance: &Instance,
     entered: &mut Entered<'_>,
     json: &str,
+    before: Option<&str>,
     to_state: State,
 ) -> Entry {
     let from = instance.state();
@@ -53,6 +59,9 @@ pub(super) fn configure(
         }
     }
     if let Err((entry, e)) = dynamic::describe(instance, entered) {
+        if e.no_room.is_some() && goes_back(instance, entered, before) {
+            return Err((entry, EntryError { status: STATUS_INVALID, ..e }));
+        }
         instance.fail(entered, entry, &e);
         return Err((entry, e));
     }
@@ -64,8 +73,17 @@ pub(super) fn configure(
     Err(("configure", too_late(instance.state())))
 }
 
+/// Takes the configuration it had before, and the ports that go with it. What never had one is as good as before: it has to
+/// be configured before it runs.
+fn goes_back(instance: &Instance, entered: &mut Entered<'_>, before: Option<&str>) -> bool {
+    match before {
+        None => instance.state() == State::Created,
+        Some(json) => entered.configure(json).is_ok() && dynamic::describe(instance, entered).is_ok(),
+    }
+}
+
 fn too_late(stands: State) -> EntryError {
-    EntryError { status: STATUS_FAILED, text: format!("it took so long that it is {stands}") }
+    EntryError::new(STATUS_FAILED, format!("it took so long that it is {stands}"))
 }
 
 pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
@@ -125,7 +143,7 @@ pub(super) fn undo_configure(
     match before {
         None => _ = instance.set_state_from(State::Ready, state, ""),
         Some(json) if instance.state() != State::Fault => {
-            if let Err((entry, e)) = configure(instance, entered, json, state)
+            if let Err((entry, e)) = configure(instance, entered, json, None, state)
                 && e.refused()
             {
                 instance.fail(entered, entry, &e);

@@ -20,8 +20,8 @@ use trocar_rt::os;
 
 use self::ports::Follower;
 use super::api::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
-    When,
+    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report, Sample,
+    Selection, When,
 };
 use super::classes::Classes;
 use super::connect::Wired;
@@ -195,6 +195,7 @@ impl LocalLcm {
             }
         }
         self.follower.stop();
+        self.drop_left(deadline).await;
         self.watchdog.stop();
         self.hub.logs.close();
         let thread = self.log_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -220,6 +221,11 @@ impl LocalLcm {
     #[cfg(test)]
     pub(super) fn buried(&self) -> usize {
         self.hub.buried()
+    }
+
+    /// A line of the process itself, for whoever reads the log.
+    pub(crate) fn tell_line(&self, line: LogLine) {
+        let _ = self.hub.news.send(News::Log(line));
     }
 
     pub(super) fn news_receiver(&self) -> broadcast::Receiver<News> {

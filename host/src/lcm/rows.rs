@@ -3,7 +3,7 @@
 //! Invariant: never waits and never enters the instance; a time between two rows is answered by
 //! [`trocar_model::interpolate`], a time outside the kept rows is refused and never guessed.
 
-use trocar_model::{ComponentId, Refusal, Type, interpolate};
+use trocar_model::{ComponentId, Refusal, Type, ValueError, interpolate};
 use trocar_rt::state::{Miss, RowInfo, StateReader};
 
 use super::api::When;
@@ -20,12 +20,14 @@ pub(super) struct Row {
 /// Nothing while no row was published and the newest is asked for.
 ///
 /// # Errors
-/// ArgumentInvalid where that row is not there, not there any more, or not there yet.
+/// ArgumentInvalid where that row is not there, not there any more, or not there yet; what `misfit` says of rows that the
+/// component made and that have nothing in between.
 pub(super) fn read(
     rows: &StateReader,
     ty: &Type,
     id: &ComponentId,
     when: When,
+    misfit: impl Fn(&ValueError) -> Refusal,
 ) -> Result<Option<Row>, Refusal> {
     let mut bytes = vec![0; ty.size()];
     let whole = |info: RowInfo, bytes| Row { bytes, stamp_ns: info.stamp_ns, tick: info.tick };
@@ -39,7 +41,7 @@ pub(super) fn read(
             return match rows.around(stamp_ns, &mut bytes, &mut after) {
                 Ok(around) => {
                     let between = interpolate(ty, &bytes, &after, around.fraction);
-                    let bytes = between.map_err(|e| Refusal::Internal { text: format!("{id}: {e}") })?;
+                    let bytes = between.map_err(|e| misfit(&e))?;
                     Ok(Some(Row { bytes, stamp_ns, tick: around.before.tick }))
                 }
                 Err(miss) => Err(refusal(rows, id, when, miss)),
@@ -100,9 +102,14 @@ mod tests {
         reader
     }
 
+    fn misfit(e: &ValueError) -> Refusal {
+        let id = ComponentId::parse("host/robot").unwrap();
+        Refusal::ComponentRefused { id, entry: "show its state", text: e.to_string() }
+    }
+
     fn ask(rows: &StateReader, when: When) -> Result<(f64, u64, u64), Refusal> {
         let id = ComponentId::parse("host/robot").unwrap();
-        let row = read(rows, &NUMBER, &id, when)?.unwrap();
+        let row = read(rows, &NUMBER, &id, when, misfit)?.unwrap();
         Ok((f64::from_le_bytes(row.bytes.try_into().unwrap()), row.stamp_ns, row.tick))
     }
 
@@ -141,7 +148,7 @@ mod tests {
         }
         let none = table(0);
         let id = ComponentId::parse("host/robot").unwrap();
-        assert!(read(&none, &NUMBER, &id, When::Newest).unwrap().is_none());
+        assert!(read(&none, &NUMBER, &id, When::Newest, misfit).unwrap().is_none());
         assert!(ask(&none, When::Delayed(0)).unwrap_err().to_string().contains("no row was published yet"));
     }
 }

@@ -4,6 +4,7 @@
 mod allocations;
 mod callbacks;
 mod executors;
+mod filters;
 mod going;
 mod governed;
 mod leaving;

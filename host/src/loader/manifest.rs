@@ -1,7 +1,8 @@
 //! From the bytes of the note to a manifest every later reader may rely on.
 //!
-//! Invariant: after `read`, names are plain and unique, every type reference resolves without a cycle, and every field
-//! lies inside its struct. The ABI version is looked at before anything else, so a newer manifest is never "not understood".
+//! Invariant: after `read`, names are plain and unique, every type reference resolves without a cycle, every field
+//! lies inside its struct, and a host lists every class. The ABI version is looked at before anything else, so a newer
+//! manifest is never "not understood".
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -11,6 +12,7 @@ use trocar_plugin_api::manifest::{Class, Command, Manifest, PortType, Type};
 use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
 
 use super::{Fault, keys};
+use crate::lcm::convert;
 
 /// Longest plugin or class name, bytes.
 const MAX_NAME: usize = 64;
@@ -70,7 +72,8 @@ fn check(manifest: &Manifest) -> Result<(), String> {
         check_name("class", &class.name)?;
         check_class(class, &mut types).map_err(|e| format!("class `{}`: {e}", class.name))?;
     }
-    Ok(())
+    // What a host makes of it when it lists the classes: whoever looks at the file gets the host's own verdict.
+    convert::classes(manifest, "").map(drop)
 }
 
 fn check_name(what: &str, name: &str) -> Result<(), String> {
@@ -143,7 +146,11 @@ fn check_command<'a>(command: &'a Command, types: &mut Types<'a>) -> Result<(), 
         "write" => (true, false),
         "read" | "void_return" => (false, true),
         "qualified_read" | "write_return" => (true, true),
-        other => return Err(format!("`{other}` is no command kind")),
+        other => {
+            return Err(format!(
+                "`{other}` is no command kind; there are void, write, read, qualified_read, void_return, write_return"
+            ));
+        }
     };
     if command.arg.is_some() != arg || command.ret.is_some() != ret {
         return Err(format!("its argument and result do not fit the kind `{}`", command.kind));

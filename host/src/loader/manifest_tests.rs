@@ -15,12 +15,18 @@ fn good() -> Value {
             {"name": "Mode", "size": 1, "align": 1, "enum": "u8", "values": [{"name": "on", "value": 1}]}],
         "classes": [{
             "name": "low_pass",
+            "config": setting(json!({"type": "number"})),
             "inputs": [{"name": "raw", "type": {"plain": {"ref": "Force"}}}, {"name": "spy", "type": "any"}],
             "provided": [{"name": "ctl", "commands": [
                 {"name": "set", "kind": "write", "arg": {"type": {"ref": "Mode"}}},
                 {"name": "value", "kind": "read", "ret": {"ref": "Force"}}]}]
         }]
     })
+}
+
+/// A schema with the one setting `gain`.
+fn setting(gain: Value) -> Value {
+    json!({"type": "object", "properties": {"gain": gain}})
 }
 
 /// What is said when the value at `pointer` is replaced.
@@ -55,6 +61,29 @@ fn what_is_wrong_is_named() {
         ("/classes/0/inputs/1/name", json!("raw"), "`raw` is there twice"),
         ("/classes/0/provided/0/commands/0/kind", json!("read"), "do not fit the kind"),
         ("/classes/0/provided/0/commands/0/kind", json!("shout"), "no command kind"),
+        (
+            "/classes/0/provided/0/commands/0/kind",
+            json!("vod"),
+            "there are void, write, read, qualified_read",
+        ),
+        // What only the listing of the classes finds.
+        ("/classes/0/inputs/1/name", json!("system"), "may not be named system"),
+        ("/types/0/fields/1/unit", json!("newton"), "did you mean `N`?"),
+        (
+            "/classes/0/config",
+            setting(json!({"type": "number", "default": "x"})),
+            "its own defaults are not valid",
+        ),
+        (
+            "/classes/0/config",
+            setting(json!({"type": "number", "maximum": 400, "default": 5000})),
+            "gain: 5000 is above 400",
+        ),
+        (
+            "/classes/0/config",
+            setting(json!({"type": "nmber"})),
+            "setting gain: `nmber` is no type; did you mean number?",
+        ),
         ("/trocar", json!(2), "format 2"),
     ] {
         let text = refusal(pointer, value);

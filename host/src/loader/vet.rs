@@ -30,7 +30,9 @@ const REPORT_LIMIT: u64 = 64 << 10;
 /// # Errors
 /// The sentence a host would refuse it with.
 pub fn try_file(file: &Path, exe: &Path) -> Result<(), PluginError> {
-    vet(exe, file, VET_LIMIT).map_err(|fault| PluginError::Refused { file: file.to_path_buf(), fault })
+    // A name without a slash would be looked for among the libraries of the system.
+    let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_path_buf());
+    vet(exe, &whole, VET_LIMIT).map_err(|fault| PluginError::Refused { file: file.to_path_buf(), fault })
 }
 
 /// Runs `exe __vet file` and turns what happened into a verdict.

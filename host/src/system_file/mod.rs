@@ -215,7 +215,9 @@ impl SystemFile {
             | Refusal::WrongState { id, .. }
             | Refusal::Unconnected { id, .. }
             | Refusal::ComponentRefused { id, .. }
-            | Refusal::ComponentFault { id, .. } => Some(component(id)),
+            | Refusal::ComponentFault { id, .. }
+            | Refusal::NoMemory { id, .. }
+            | Refusal::NoThread { id, .. } => Some(component(id)),
             Refusal::InterfaceNotFound { port: asked, .. } => port(asked),
             Refusal::WrongDirection { client, server, .. }
             | Refusal::AlreadyConnected { client, server }

@@ -26,7 +26,8 @@ impl fmt::Display for Problem {
         }
         write!(f, "{}:{}:{}: ", self.file, self.line, self.column)?;
         if !self.pointer.is_empty() {
-            write!(f, "{}: ", self.pointer)?;
+            // `~1` is for programs.
+            write!(f, "{}: ", self.pointer.replace("~1", "/").replace("~0", "~"))?;
         }
         f.write_str(&self.what)
     }

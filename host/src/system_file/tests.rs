@@ -87,7 +87,7 @@ fn an_unknown_key_is_refused_with_its_place_and_the_nearest_name() {
     assert!(p.help.contains("did you mean \"class\"?"), "{}", p.help);
     assert_eq!(
         p.to_string(),
-        "system.json:8:22: /components/host~1robot/clas: unknown key \"clas\" in a component"
+        "system.json:8:22: /components/host/robot/clas: unknown key \"clas\" in a component"
     );
 }
 

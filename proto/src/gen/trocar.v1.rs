@@ -1182,7 +1182,8 @@ pub struct ReadResponse {
     /// Its age, ns.
     #[prost(uint64, tag = "4")]
     pub age_ns: u64,
-    /// Its number since Start.
+    /// Its number: of a row since the component was created or made anew (Start does not begin again), of a sample the
+    /// output's own count.
     #[prost(uint64, tag = "5")]
     pub seq: u64,
     /// Bytes of the frame behind the header; 0 for plain samples.
@@ -1263,6 +1264,9 @@ pub struct LogsRequest {
     /// True: go on with what comes; false: end after what there is.
     #[prost(bool, tag = "3")]
     pub follow: bool,
+    /// Only so many of the newest lines there are; 0 = all that are kept (1000 at most).
+    #[prost(uint32, tag = "4")]
+    pub last: u32,
 }
 /// One item of Logs.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -1436,7 +1440,7 @@ pub mod interact_service_client {
                 .insert(GrpcMethod::new("trocar.v1.InteractService", "Read"));
             self.inner.unary(req, path, codec).await
         }
-        /// Sends an event or sample in the name of a component.
+        /// Sends an event or sample in the name of a component. Not in this version: NOT_IMPLEMENTED.
         pub async fn emit(
             &mut self,
             request: impl tonic::IntoRequest<super::EmitRequest>,
@@ -1533,7 +1537,7 @@ pub mod interact_service_server {
             &self,
             request: tonic::Request<super::ReadRequest>,
         ) -> std::result::Result<tonic::Response<super::ReadResponse>, tonic::Status>;
-        /// Sends an event or sample in the name of a component.
+        /// Sends an event or sample in the name of a component. Not in this version: NOT_IMPLEMENTED.
         async fn emit(
             &self,
             request: tonic::Request<super::EmitRequest>,
@@ -3024,7 +3028,7 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Apply"));
             self.inner.unary(req, path, codec).await
         }
-        /// Swaps a running component for one of another class or version.
+        /// Swaps a running component for one of another class or version. Not in this version: NOT_IMPLEMENTED.
         pub async fn replace(
             &mut self,
             request: impl tonic::IntoRequest<super::ReplaceRequest>,
@@ -3049,7 +3053,7 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Replace"));
             self.inner.unary(req, path, codec).await
         }
-        /// Moves a component to another process.
+        /// Moves a component to another process. Not in this version: NOT_IMPLEMENTED.
         pub async fn r#move(
             &mut self,
             request: impl tonic::IntoRequest<super::MoveRequest>,
@@ -3192,12 +3196,12 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::ApplyRequest>,
         ) -> std::result::Result<tonic::Response<super::ApplyResponse>, tonic::Status>;
-        /// Swaps a running component for one of another class or version.
+        /// Swaps a running component for one of another class or version. Not in this version: NOT_IMPLEMENTED.
         async fn replace(
             &self,
             request: tonic::Request<super::ReplaceRequest>,
         ) -> std::result::Result<tonic::Response<super::ReplaceResponse>, tonic::Status>;
-        /// Moves a component to another process.
+        /// Moves a component to another process. Not in this version: NOT_IMPLEMENTED.
         async fn r#move(
             &self,
             request: tonic::Request<super::MoveRequest>,

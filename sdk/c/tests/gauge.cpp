@@ -221,6 +221,14 @@ void frames_are_lent_forwarded_and_described() {
 
 TROCAR_PLUGIN(trocar::class_<Gauge>("gauge"))
 
+static_assert(trocar::image_fits(14, 2, 2, 8, 3) && !trocar::image_fits(13, 2, 2, 8, 3), "the last row has no gap");
+static_assert(!trocar::image_fits(99, 2, 2, 5, 3) && !trocar::image_fits(99, 0, 2, 5, 3), "rows lie apart, and have pixels");
+static_assert(!trocar::image_fits(99, 65536, 65536, 65536, 1), "a product beyond 32 bits");
+static_assert(!trocar::image_fits(99, UINT32_MAX, UINT32_MAX, UINT32_MAX, UINT32_MAX), "nor beyond 64");
+static_assert(!trocar::image_fits(UINT64_MAX / 2, 1, UINT32_MAX, UINT32_MAX, 1, 9), "all of it counts");
+static_assert(trocar::image_fits(8, 2, 2, 2, 1, 4) && !trocar::image_fits(8, 2, 2, 2, 1, 5), "the right image");
+static_assert(!trocar::image_fits(8, 2, 2, 2, 1, UINT64_MAX), "an offset beyond all bytes");
+
 void values() {
     trocar::Text<16> text = {};
     expect(text.set("0123456789abcdef") && text.set("abc") && text.view() == "abc", "a text is what was set last");

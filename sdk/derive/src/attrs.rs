@@ -2,9 +2,11 @@
 //!
 //! Invariant: numbers of attributes stay text (`0.1` is never rounded through a float on its way to the manifest).
 
-use proc_macro2::{Span, TokenStream};
+use proc_macro2::{Ident, Span, TokenStream};
 use quote::quote_spanned;
+use syn::ext::IdentExt;
 use syn::{Attribute, Expr, ExprLit, ExprUnary, Lit, LitStr, Meta, UnOp};
+use trocar_plugin_api::limits;
 
 /// The doc comment, one leading space removed per line, without blank lines at the ends.
 pub(crate) fn docs(attrs: &[Attribute]) -> String {
@@ -82,13 +84,18 @@ pub(crate) fn snake(name: &str) -> String {
     out
 }
 
-/// Interface, port and class names: letters, digits, `_` and `-`, so that `process/component/port` stays unambiguous.
+/// Names of classes, interfaces, ports and members, so that `process/component/port` stays unambiguous.
 pub(crate) fn check_name(name: &str, span: Span) -> syn::Result<()> {
-    let good = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '_' | '-'));
-    if good {
-        return Ok(());
+    limits::name_fault(name).map_or(Ok(()), |why| Err(syn::Error::new(span, why)))
+}
+
+/// The name that an identifier gives, `type` for `r#type`.
+pub(crate) fn name_of(ident: &Ident) -> syn::Result<String> {
+    let name = ident.unraw().to_string();
+    match limits::name_fault(&name) {
+        None => Ok(name),
+        Some(why) => Err(syn::Error::new(ident.span(), format!("{why}; or give it one, name = \"…\""))),
     }
-    Err(syn::Error::new(span, format!("`{name}` is not a name: use letters, digits, `_` and `-`")))
 }
 
 /// A unit; an unknown one is a mistake at compile time.
@@ -134,7 +141,14 @@ pub(crate) fn number(expr: &Expr) -> syn::Result<String> {
         Expr::Lit(ExprLit { lit: Lit::Int(n), .. }) => Ok(n.base10_digits().to_string()),
         Expr::Lit(ExprLit { lit: Lit::Float(n), .. }) => {
             let digits = n.base10_digits();
-            Ok(if digits.ends_with('.') { format!("{digits}0") } else { digits.to_string() })
+            if !digits.parse::<f64>().is_ok_and(f64::is_finite) {
+                return Err(syn::Error::new_spanned(expr, "this number is larger than any f64"));
+            }
+            // JSON has neither `1.` nor `00.5`.
+            let digits = if digits.ends_with('.') { format!("{digits}0") } else { digits.to_string() };
+            let whole = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
+            let zeros = digits[..whole.saturating_sub(1)].chars().take_while(|c| *c == '0').count();
+            Ok(digits[zeros..].to_string())
         }
         Expr::Unary(ExprUnary { op: UnOp::Neg(_), expr, .. }) => Ok(format!("-{}", number(expr)?)),
         _ => Err(wrong()),
@@ -193,11 +207,19 @@ mod tests {
             ("1.", "1.0"),
             ("-2", "-2"),
             ("1_000.5", "1000.5"),
+            ("00.5", "0.5"),
+            ("0012.0", "12.0"),
+            ("0.0", "0.0"),
+            ("1e3", "1e3"),
             ("None", "null"),
             ("[1, \"a\\\"\"]", "[1,\"a\\\"\"]"),
         ] {
             let expr: Expr = syn::parse_str(rust).expect(rust);
             assert_eq!(json(&expr).expect(rust), want);
         }
+        let endless: Expr = syn::parse_str("1e999").expect("a literal");
+        assert!(
+            number(&endless).expect_err("JSON has no infinity").to_string().contains("larger than any f64")
+        );
     }
 }

@@ -4,9 +4,11 @@
 
 use crate::attrs;
 use proc_macro2::Span;
+use syn::ext::IdentExt;
 use syn::meta::ParseNestedMeta;
 use syn::spanned::Spanned;
 use syn::{DeriveInput, Expr, LitStr};
+use trocar_plugin_api::limits::{MAX_STEP_NS, MODELS_WITH_RATE, PERIOD_NS};
 
 const MODELS: [&str; 6] = ["periodic", "continuous", "on_signal", "on_callback", "stream", "none"];
 
@@ -16,6 +18,8 @@ pub(crate) struct ClassAttr {
     pub(crate) doc: String,
     pub(crate) model: String,
     pub(crate) period_ns: u64,
+    /// Where the class says its rate.
+    rate: Option<Span>,
     pub(crate) max_step_ns: u64,
     /// Variant of `desc::Safety`.
     pub(crate) safety: &'static str,
@@ -29,19 +33,35 @@ pub(crate) struct ClassAttr {
 
 impl ClassAttr {
     pub(crate) fn of(input: &DeriveInput) -> syn::Result<ClassAttr> {
-        let mut class = ClassAttr {
-            name: attrs::snake(&input.ident.to_string()),
-            doc: attrs::docs(&input.attrs),
-            safety: "None",
-            ..ClassAttr::default()
-        };
+        let mut class = ClassAttr { doc: attrs::docs(&input.attrs), safety: "None", ..ClassAttr::default() };
         for attr in input.attrs.iter().filter(|a| a.path().is_ident("component")) {
             attr.parse_nested_meta(|meta| class.setting(meta))?;
         }
         if class.model.is_empty() {
             class.model = if class.period_ns > 0 { "periodic" } else { "on_signal" }.to_string();
         }
-        if class.model == "periodic" && class.period_ns == 0 {
+        if class.name.is_empty() {
+            class.name = attrs::snake(&input.ident.unraw().to_string());
+            attrs::check_name(&class.name, input.ident.span()).map_err(|e| {
+                let why = format!("{e}; or give the class one, #[component(name = \"…\")]");
+                syn::Error::new(input.ident.span(), why)
+            })?;
+        }
+        let model = &class.model;
+        if let Some(rate) = class.rate.filter(|_| !MODELS_WITH_RATE.contains(&model.as_str())) {
+            let (has, with) = (model.as_str(), MODELS_WITH_RATE.join(" or "));
+            let why = match has {
+                "continuous" => "it steps again at once",
+                "on_signal" => "it steps when something arrives",
+                "on_callback" => "its device says when it runs",
+                _ => "it has no thread of its own",
+            };
+            return Err(syn::Error::new(
+                rate,
+                format!("a rate means nothing to model {has}, {why}: remove rate_hz, or say model {with}"),
+            ));
+        }
+        if model == "periodic" && class.period_ns == 0 {
             return Err(syn::Error::new_spanned(
                 &input.ident,
                 "a periodic class needs its rate: #[component(rate_hz = 1000)]",
@@ -61,21 +81,27 @@ impl ClassAttr {
             "rate_hz" => {
                 let expr = meta.value()?.parse::<Expr>()?;
                 let rate: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
-                if !(rate > 0.0 && rate <= 1e9) {
-                    return Err(syn::Error::new_spanned(expr, "rate_hz is above 0 Hz and at most 1e9 Hz"));
+                let period_ns = (1e9 / rate).round();
+                if !(PERIOD_NS.0 as f64..=PERIOD_NS.1 as f64).contains(&period_ns) {
+                    return Err(syn::Error::new_spanned(
+                        expr,
+                        "rate_hz is at most 1e6 Hz (a period of 1 µs) and at least 1/3600 Hz (a period of 1 h)",
+                    ));
                 }
-                self.period_ns = (1e9 / rate).round() as u64;
+                self.period_ns = period_ns as u64;
+                self.rate = Some(meta.path.span());
             }
             "max_step_ms" => {
                 let expr = meta.value()?.parse::<Expr>()?;
                 let ms: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
-                if !(ms > 0.0 && ms <= 3.6e6) {
+                let ns = (1e6 * ms).ceil();
+                if !(MAX_STEP_NS.0 as f64..=MAX_STEP_NS.1 as f64).contains(&ns) {
                     return Err(syn::Error::new_spanned(
                         expr,
-                        "max_step_ms is above 0 ms and at most 3.6e6 ms",
+                        "max_step_ms is at least 0.1 ms and at most 3.6e6 ms (1 h)",
                     ));
                 }
-                self.max_step_ns = (1e6 * ms).ceil() as u64;
+                self.max_step_ns = ns as u64;
             }
             "model" => {
                 let model = meta.value()?.parse::<LitStr>()?;

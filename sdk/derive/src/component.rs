@@ -34,6 +34,9 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
     let many = many::items(name, &fields, &provided, &required);
     let checks = many::checks(name, &provided);
     let frames = frames(&fields);
+    let limits = quote_spanned! { name.span() =>
+        const _: () = ::trocar_sdk::__private::check_class(<#name as ::trocar_sdk::Class>::DESC);
+    };
     let fallbacks = fallbacks(name, &provided, &required);
     let state_name = format_ident!("{name}State");
     Ok(quote! {
@@ -42,6 +45,7 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
             #fallbacks
             #checks
             #frames
+            #limits
             unsafe impl ::trocar_sdk::Class for #name {
                 const DESC: &'static ::trocar_sdk::__private::ClassDesc = &#desc;
                 type State = #state_name;

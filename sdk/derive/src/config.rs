@@ -2,9 +2,12 @@
 //!
 //! Invariant: the schema is written from the type's tokens, because const strings cannot be built from generics.
 
+mod fit;
+
 use crate::attrs;
 use proc_macro2::TokenStream;
 use quote::quote;
+use syn::ext::IdentExt;
 use syn::{Data, DeriveInput, Expr, Field, Fields, GenericArgument, PathArguments, Type};
 
 #[derive(Default)]
@@ -37,10 +40,11 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
     let mut unset = Vec::new();
     for (i, field) in fields.iter().enumerate() {
         let Some(ident) = &field.ident else { continue };
-        let text = ident.to_string();
+        let text = ident.unraw().to_string();
         let doc = attrs::docs(&field.attrs);
         let mut s = settings(field)?;
-        possible(field, &s)?;
+        fit::kinds(field, &s)?;
+        fit::possible(field, &s)?;
         let schema = schema(&field.ty, &mut s)?;
         let Settings { live, min, max, unit, default, .. } = s;
         descs.push(quote! {
@@ -98,67 +102,6 @@ fn settings(field: &Field) -> syn::Result<Settings> {
     Ok(s)
 }
 
-/// Refuses limits that no value lies within, and a default outside of them: nobody could configure such a class.
-fn possible(field: &Field, s: &Settings) -> syn::Result<()> {
-    let whole = leaf(&field.ty).and_then(|name| integer_limits(&name)).unwrap_or_default();
-    let limit = |text: &str, of_type: &str| {
-        let text = if text.is_empty() { of_type } else { text };
-        text.parse::<f64>().ok()
-    };
-    let (min, max) = (limit(&s.min, whole.0), limit(&s.max, whole.1));
-    if let (Some(low), Some(high)) = (min, max)
-        && low > high
-    {
-        let why = format!("min {low} is above max {high}: no value would be taken");
-        return Err(syn::Error::new_spanned(field, why));
-    }
-    let Some(given) = &s.given else { return Ok(()) };
-    for item in items_of(given) {
-        let Some(number) = attrs::number(item).ok().and_then(|text| text.parse::<f64>().ok()) else {
-            continue;
-        };
-        let why = match (min, max) {
-            (Some(min), _) if number < min => format!("the default {number} is below min {min}"),
-            (_, Some(max)) if number > max => format!("the default {number} is above max {max}"),
-            _ => continue,
-        };
-        return Err(syn::Error::new_spanned(item, why));
-    }
-    let Some(choice) = s.choice.as_ref().filter(|_| !matches!(given, Expr::Array(_) | Expr::Path(_))) else {
-        return Ok(());
-    };
-    let allowed = items_of(choice).into_iter().map(attrs::json).collect::<syn::Result<Vec<_>>>()?;
-    let same = |one: &String| match (one.parse::<f64>(), s.default.parse::<f64>()) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => *one == s.default,
-    };
-    if allowed.iter().any(same) {
-        return Ok(());
-    }
-    let why = format!("the default {} is not one of {}", s.default, allowed.join(", "));
-    Err(syn::Error::new_spanned(given, why))
-}
-
-/// The items of a written list; anything else is one item.
-fn items_of(expr: &Expr) -> Vec<&Expr> {
-    match expr {
-        Expr::Array(items) => items.elems.iter().collect(),
-        one => vec![one],
-    }
-}
-
-/// The innermost type of a list or option.
-fn leaf(ty: &Type) -> Option<String> {
-    match ty {
-        Type::Array(array) => leaf(&array.elem),
-        Type::Path(path) => {
-            let last = path.path.segments.last()?;
-            inner(&last.arguments).map_or_else(|| Some(last.ident.to_string()), leaf)
-        }
-        _ => None,
-    }
-}
-
 /// The inside of the field's schema object. Limits of list items move into `items`; those of plain numbers stay in `s`.
 fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
     let enumeration = |s: &Settings| {
@@ -187,7 +130,15 @@ fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
                     Ok(format!("\"type\":\"array\",\"items\":{items}"))
                 }
                 "Option" => {
-                    let inside = schema(inner(&last.arguments).ok_or_else(|| unknown(ty))?, s)?;
+                    let of = inner(&last.arguments).ok_or_else(|| unknown(ty))?;
+                    if is_option(of) {
+                        return Err(syn::Error::new_spanned(ty, "one Option is enough: JSON has one null"));
+                    }
+                    // Of a list the choice is that of its items.
+                    if !s.one_of.is_empty() && !is_list(of) {
+                        s.one_of.insert_str(s.one_of.len() - 1, ",null");
+                    }
+                    let inside = schema(of, s)?;
                     if s.default.is_empty() {
                         s.default = "null".to_string();
                     }
@@ -199,7 +150,7 @@ fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
                     Ok(format!("\"type\":[{first},\"null\"]{rest}"))
                 }
                 name => {
-                    let (min, max) = integer_limits(name).ok_or_else(|| unknown(ty))?;
+                    let (min, max) = fit::integer_limits(name).ok_or_else(|| unknown(ty))?;
                     if s.min.is_empty() {
                         s.min = min.to_string();
                     }
@@ -215,7 +166,10 @@ fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
 }
 
 fn items(ty: &Type, s: &mut Settings) -> syn::Result<String> {
+    // A default is the whole field's, also when an item may be null.
+    let default = std::mem::take(&mut s.default);
     let inside = schema(ty, s)?;
+    s.default = default;
     let mut limits = String::new();
     for (key, value) in [("minimum", std::mem::take(&mut s.min)), ("maximum", std::mem::take(&mut s.max))] {
         if !value.is_empty() {
@@ -226,6 +180,15 @@ fn items(ty: &Type, s: &mut Settings) -> syn::Result<String> {
     Ok(format!("{{{inside}{limits}}}"))
 }
 
+fn is_option(ty: &Type) -> bool {
+    matches!(ty, Type::Path(p) if p.path.segments.last().is_some_and(|s| s.ident == "Option"))
+}
+
+fn is_list(ty: &Type) -> bool {
+    matches!(ty, Type::Array(_))
+        || matches!(ty, Type::Path(p) if p.path.segments.last().is_some_and(|s| s.ident == "Vec"))
+}
+
 fn inner(arguments: &PathArguments) -> Option<&Type> {
     match arguments {
         PathArguments::AngleBracketed(args) => args.args.iter().find_map(|a| match a {
@@ -234,21 +197,6 @@ fn inner(arguments: &PathArguments) -> Option<&Type> {
         }),
         _ => None,
     }
-}
-
-/// JSON text of the smallest and largest value; 64-bit types are limited by JSON itself, except below by zero.
-fn integer_limits(name: &str) -> Option<(&'static str, &'static str)> {
-    Some(match name {
-        "u8" => ("0", "255"),
-        "u16" => ("0", "65535"),
-        "u32" => ("0", "4294967295"),
-        "u64" | "usize" => ("0", ""),
-        "i8" => ("-128", "127"),
-        "i16" => ("-32768", "32767"),
-        "i32" => ("-2147483648", "2147483647"),
-        "i64" | "isize" => ("", ""),
-        _ => return None,
-    })
 }
 
 fn unknown(ty: &Type) -> syn::Error {
@@ -274,13 +222,38 @@ mod tests {
             ("#[config(min = 1, max = 3, default = 5.0)] x: f64", "the default 5 is above max 3"),
             ("#[config(min = -1.5, default = -2)] x: Option<f64>", "the default -2 is below min -1.5"),
             ("#[config(max = 3, default = [1, 2, 4])] x: [f64; 3]", "the default 4 is above max 3"),
+            (
+                "#[config(max = 3, default = [[1, 2], [3, 4]])] x: [[f64; 2]; 2]",
+                "the default 4 is above max 3",
+            ),
             ("#[config(default = 300)] x: u8", "the default 300 is above max 255"),
-            ("#[config(default = -1)] x: Vec<usize>", "the default -1 is below min 0"),
+            ("#[config(default = [-1])] x: Vec<usize>", "the default -1 is below min 0"),
             ("#[config(min = 300)] x: u8", "min 300 is above max 255"),
             (
                 "#[config(one_of = [\"bm\", \"sgm\"], default = \"gm\")] x: String",
                 "the default \"gm\" is not one of \"bm\", \"sgm\"",
             ),
+            (
+                "#[config(one_of = [\"a\"], default = [\"a\", \"b\"])] x: Vec<String>",
+                "the default \"b\" is not one of",
+            ),
+            ("#[config(default = \"fast\")] x: f64", "this field is a f64: a number is wanted"),
+            ("#[config(default = 5.5)] x: u32", "this field is a u32: a whole number is wanted"),
+            ("#[config(default = 5.0)] x: i64", "this field is a i64: a whole number is wanted"),
+            ("#[config(default = 99999999999999999999)] x: u64", "this field is a u64"),
+            ("#[config(default = 1)] x: bool", "true or false is wanted"),
+            ("#[config(default = 1)] x: Option<String>", "text in quotation marks is wanted"),
+            ("#[config(default = 1.0)] x: [f64; 3]", "the default of this field is a list"),
+            ("#[config(default = [1, 2])] x: [f64; 3]", "the default has 2 items, the field 3"),
+            ("#[config(default = [1, true])] x: Vec<f64>", "a number is wanted"),
+            ("#[config(default = None)] x: f64", "a number is wanted"),
+            ("#[config(min = 1)] x: String", "min and max are for numbers, not for String"),
+            ("#[config(one_of = \"a\")] x: String", "one_of is a list"),
+            ("#[config(one_of = [])] x: String", "one_of names nothing"),
+            ("#[config(one_of = [true])] x: bool", "remove one_of"),
+            ("#[config(one_of = [1])] x: String", "text in quotation marks is wanted"),
+            ("#[config(max = 1e999)] x: f64", "larger than any f64"),
+            ("x: Option<Option<f64>>", "one Option is enough"),
         ] {
             assert!(said(field).contains(why), "{field}: {}", said(field));
         }
@@ -295,8 +268,32 @@ mod tests {
             "#[config(one_of = [1, 2], default = 1.0)] x: f64",
             "#[config(one_of = [\"a,b\", \"c\"], default = \"a,b\")] x: String",
             "#[config(min = 1)] x: u64",
+            "#[config(default = 18446744073709551615)] x: u64",
+            "#[config(default = [[1, 2], [3, 4]])] x: [[f64; 2]; 2]",
+            "#[config(default = [None, 1.0])] x: Vec<Option<f64>>",
+            "#[config(one_of = [\"a\"], default = None)] x: Option<String>",
         ] {
             assert_eq!(said(field), "", "{field}");
         }
+    }
+
+    #[test]
+    fn what_is_left_out_is_a_value_of_the_schema() {
+        let schema_and_default = |field: &str| {
+            let input: DeriveInput = syn::parse_str(&format!("struct Cfg {{ {field} }}")).expect(field);
+            let Data::Struct(data) = &input.data else { panic!("{field}") };
+            let field = data.fields.iter().next().expect("one field");
+            let mut s = settings(field).expect("settings");
+            let schema = schema(&field.ty, &mut s).expect("schema");
+            (schema, s.default)
+        };
+        let (schema, default) = schema_and_default("#[config(one_of = [\"a\"])] x: Option<String>");
+        assert_eq!(
+            (schema.as_str(), default.as_str()),
+            ("\"type\":[\"string\",\"null\"],\"enum\":[\"a\",null]", "null")
+        );
+        let (schema, default) = schema_and_default("x: Vec<Option<f64>>");
+        let items = "\"type\":\"array\",\"items\":{\"type\":[\"number\",\"null\"]}";
+        assert_eq!((schema.as_str(), default.as_str()), (items, ""));
     }
 }

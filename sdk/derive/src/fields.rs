@@ -10,6 +10,7 @@ use syn::punctuated::Punctuated;
 use syn::{
     Attribute, Data, DeriveInput, Field, Fields, GenericArgument, LitInt, LitStr, Meta, PathArguments, Type,
 };
+use trocar_plugin_api::limits::{MAX_FIFO, MAX_FRAME};
 
 pub(crate) struct Port {
     pub(crate) ident: Ident,
@@ -96,20 +97,29 @@ impl ComponentFields {
                 many: one.is_some(),
                 doc: attrs::docs(&field.attrs),
                 frame,
-                set: named_by(set, ident),
+                set,
+            };
+            let named = |mut port: Port| -> syn::Result<Port> {
+                if port.set.name.is_empty() {
+                    port.set.name = attrs::name_of(ident)?;
+                }
+                port.set.span.get_or_insert_with(|| ident.span());
+                Ok(port)
             };
             match key.as_str() {
                 "input" => {
                     let allowed = ["name", "optional", "fifo", "format", "max_bytes"];
-                    out.inputs.push(repeated(port(settings(attr, &allowed)?))?);
+                    out.inputs.push(repeated(port(settings(attr, &allowed)?)).and_then(named)?);
                 }
                 "output" => {
-                    out.outputs.push(repeated(port(settings(attr, &["name", "format", "max_bytes"])?))?);
+                    let allowed = ["name", "format", "max_bytes"];
+                    out.outputs.push(repeated(port(settings(attr, &allowed)?)).and_then(named)?);
                 }
                 "required" => {
-                    out.functions.push(port(settings(attr, &["name", "interface", "optional", "unit"])?))
+                    let allowed = ["name", "interface", "optional", "unit"];
+                    out.functions.push(named(port(settings(attr, &allowed)?))?);
                 }
-                "event" => out.events.push(port(event_settings(attr)?)),
+                "event" => out.events.push(named(port(event_settings(attr)?))?),
                 "names" => out.names.push((ident.clone(), interfaces(attr)?)),
                 "state" => out.state.push(Described::of(field, ident)?),
                 "config" => {
@@ -147,14 +157,6 @@ fn misplaced(field: &Field, role: &str) -> syn::Result<()> {
         return Err(syn::Error::new_spanned(attr, why));
     }
     Ok(())
-}
-
-fn named_by(mut set: PortSettings, ident: &Ident) -> PortSettings {
-    if set.name.is_empty() {
-        set.name = ident.to_string();
-    }
-    set.span.get_or_insert_with(|| ident.span());
-    set
 }
 
 /// The SDK's own handle, by the name it has there.
@@ -257,10 +259,18 @@ fn setting(set: &mut PortSettings, meta: &ParseNestedMeta<'_>, allowed: &[&str])
         "unit" => set.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?,
         "format" => set.format = text(false)?,
         "optional" => set.optional = true,
-        "fifo" => set.fifo = meta.value()?.parse::<LitInt>()?.base10_parse()?,
-        _ => set.max_bytes = meta.value()?.parse::<LitInt>()?.base10_parse()?,
+        "fifo" => set.fifo = at_most(meta, MAX_FIFO, "samples wait in an input")?,
+        _ => set.max_bytes = at_most(meta, MAX_FRAME, "bytes are in a frame")?,
     }
     Ok(())
+}
+
+fn at_most(meta: &ParseNestedMeta<'_>, most: usize, what: &str) -> syn::Result<usize> {
+    let number = meta.value()?.parse::<LitInt>()?;
+    match number.base10_parse::<usize>() {
+        Ok(n) if n <= most => Ok(n),
+        _ => Err(syn::Error::new(number.span(), format!("at most {most} {what}"))),
+    }
 }
 
 #[cfg(test)]

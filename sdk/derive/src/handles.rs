@@ -15,11 +15,12 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
     let many = attrs::is_many(&args.name.value());
     let class = item.self_ty.clone();
     let (mut descs, mut calls, mut frames) = (Vec::new(), Vec::new(), Vec::new());
+    let mut names: Vec<String> = Vec::new();
     for inner in &mut item.items {
         let ImplItem::Fn(f) = inner else { continue };
         let Some(at) = f.attrs.iter().position(|a| a.path().is_ident("on")) else { continue };
         let attr = f.attrs.remove(at);
-        let (mut name, mut optional, mut direct) = (f.sig.ident.to_string(), false, args.direct);
+        let (mut name, mut optional, mut direct) = (String::new(), false, args.direct);
         if !matches!(attr.meta, Meta::Path(_)) {
             attr.parse_nested_meta(|meta| {
                 if meta.path.is_ident("optional") {
@@ -36,6 +37,14 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
                 Ok(())
             })?;
         }
+        if name.is_empty() {
+            name = attrs::name_of(&f.sig.ident)?;
+        }
+        if names.contains(&name) {
+            let why = format!("`{name}` is used twice: names within an interface differ");
+            return Err(syn::Error::new_spanned(&f.sig.ident, why));
+        }
+        names.push(name.clone());
         let doc = attrs::docs(&f.attrs);
         let mut inputs = f.sig.inputs.iter_mut();
         if !matches!(inputs.next(), Some(FnArg::Receiver(r)) if r.reference.is_some()) {

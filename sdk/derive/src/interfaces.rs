@@ -8,6 +8,7 @@ use crate::class::ClassAttr;
 use crate::fields::{ComponentFields, Port};
 use proc_macro2::{Ident, Span};
 use quote::format_ident;
+use trocar_plugin_api::limits::RESERVED_NAME;
 
 /// An interface with the ports that belong to it.
 pub(crate) struct Interface<'a> {
@@ -180,6 +181,10 @@ pub(crate) fn unique_names(
     });
     let mut seen: Vec<String> = Vec::new();
     for (name, span) in ports.chain(named) {
+        if name == RESERVED_NAME {
+            let why = format!("every component has an interface `{name}` already: choose another name");
+            return Err(syn::Error::new(span, why));
+        }
         if attrs::is_many(&name) && name == "{}" {
             // Two lists may be called `{}` alone; the names themselves are compared when they are set.
             continue;

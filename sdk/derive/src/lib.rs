@@ -8,15 +8,18 @@ mod attrs;
 mod class;
 mod component;
 mod config;
+mod failed;
 mod fields;
 mod handles;
 mod interfaces;
 mod many;
 mod payload;
 mod provides;
+#[cfg(test)]
+mod refused;
 
 use proc_macro::TokenStream;
-use syn::parse_macro_input;
+use syn::{DeriveInput, ItemImpl, parse_macro_input};
 
 /// Makes a `#[repr(C)]` struct a payload: plain old data without padding, described field by field.
 ///
@@ -24,7 +27,8 @@ use syn::parse_macro_input;
 /// for headers of frames.
 #[proc_macro_derive(Payload, attributes(unit, frame, format))]
 pub fn derive_payload(input: TokenStream) -> TokenStream {
-    done(payload::derive(parse_macro_input!(input)))
+    let input: DeriveInput = parse_macro_input!(input);
+    done(payload::derive(input.clone()), || failed::payload(&input))
 }
 
 /// Makes a struct the configuration of a component.
@@ -32,7 +36,8 @@ pub fn derive_payload(input: TokenStream) -> TokenStream {
 /// Field attribute: `#[config(live, min = 0.1, max = 400.0, unit = "Hz", default = 50.0, one_of = ["a", "b"])]`.
 #[proc_macro_derive(Config, attributes(config))]
 pub fn derive_config(input: TokenStream) -> TokenStream {
-    done(config::derive(parse_macro_input!(input)))
+    let input: DeriveInput = parse_macro_input!(input);
+    done(config::derive(input.clone()), || failed::config(&input))
 }
 
 /// Makes a struct a component class.
@@ -46,22 +51,38 @@ pub fn derive_config(input: TokenStream) -> TokenStream {
     attributes(component, input, output, required, event, state, config, host, names, unit, frame)
 )]
 pub fn derive_component(input: TokenStream) -> TokenStream {
-    done(component::derive(parse_macro_input!(input)))
+    let input: DeriveInput = parse_macro_input!(input);
+    done(component::derive(input.clone()), || failed::component(&input))
 }
 
 /// The commands of one provided interface: `#[provides("ctl")] impl LowPass { #[command] … #[read] … }`. `#[frame("retina")]` on
 /// a method is the coordinate frame of its result, on a parameter that of the argument.
 #[proc_macro_attribute]
 pub fn provides(args: TokenStream, item: TokenStream) -> TokenStream {
-    done(provides::expand(parse_macro_input!(args), parse_macro_input!(item)))
+    let item: ItemImpl = parse_macro_input!(item);
+    done(syn::parse(args).and_then(|args| provides::expand(args, item.clone())), || {
+        failed::methods(item.clone())
+    })
 }
 
 /// The event handlers of one required interface: `#[handles("robot")] impl Guide { #[on] fn … }`.
 #[proc_macro_attribute]
 pub fn handles(args: TokenStream, item: TokenStream) -> TokenStream {
-    done(handles::expand(parse_macro_input!(args), parse_macro_input!(item)))
+    let item: ItemImpl = parse_macro_input!(item);
+    done(syn::parse(args).and_then(|args| handles::expand(args, item.clone())), || {
+        failed::methods(item.clone())
+    })
 }
 
-fn done(result: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
-    result.unwrap_or_else(|e| e.to_compile_error()).into()
+/// What was made, or the message and what stands in for it.
+fn done(
+    result: syn::Result<proc_macro2::TokenStream>,
+    instead: impl Fn() -> proc_macro2::TokenStream,
+) -> TokenStream {
+    let failed = |e: syn::Error| {
+        let mut tokens = e.to_compile_error();
+        tokens.extend(instead());
+        tokens
+    };
+    result.unwrap_or_else(failed).into()
 }

@@ -5,6 +5,7 @@
 use crate::attrs;
 use proc_macro2::{Ident, TokenStream};
 use quote::{format_ident, quote, quote_spanned};
+use syn::ext::IdentExt;
 use syn::{Data, DeriveInput, Field, Fields, Type};
 
 /// One described field.
@@ -29,7 +30,7 @@ impl Described {
 
     fn desc(&self, owner: &Ident) -> TokenStream {
         let Described { ident, ty, unit, frame, doc } = self;
-        let name = ident.to_string();
+        let name = ident.unraw().to_string();
         quote! {
             ::trocar_sdk::__private::FieldDesc {
                 name: #name,
@@ -51,8 +52,14 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
             "a payload has no parameters: its manifest entry is one fixed layout",
         ));
     }
-    if !is_repr_c(&input) {
+    if !has_repr(&input, "C") {
         return Err(syn::Error::new_spanned(name, "a payload is `#[repr(C)]`: add it above the struct"));
+    }
+    if has_repr(&input, "packed") {
+        return Err(syn::Error::new_spanned(
+            name,
+            "a payload is not `packed`: each field lies at a multiple of its alignment; put larger fields first",
+        ));
     }
     let Data::Struct(data) = &input.data else {
         return Err(syn::Error::new_spanned(
@@ -77,7 +84,7 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
 
 /// The `Payload` implementation of a struct whose described fields are `fields`.
 pub(crate) fn implement(name: &Ident, doc: &str, format: &str, fields: &[Described]) -> TokenStream {
-    let text = name.to_string();
+    let text = name.unraw().to_string();
     let descs = fields.iter().map(|f| f.desc(name));
     let stamp = fields.iter().find(|f| f.ident == "stamp" && is_stamp(&f.ty)).map(|f| {
         let ident = &f.ident;
@@ -121,17 +128,25 @@ fn padding_checks(name: &Ident, fields: &[Described]) -> TokenStream {
         "field layout has padding at the end of `{name}`: fill it up to a multiple of its alignment with a named `[u8; N]` field"
     );
     out.extend(quote_spanned! { name.span() => assert!(::core::mem::size_of::<#name>() == #end, #tail); });
+    let align = format!("`{name}` is aligned to more than 8 bytes: leave `align(…)` away");
+    out.extend(quote_spanned! { name.span() => assert!(::core::mem::align_of::<#name>() <= 8, #align); });
     quote! { const _: () = { #out }; }
 }
 
-fn is_repr_c(input: &DeriveInput) -> bool {
+fn has_repr(input: &DeriveInput, wanted: &str) -> bool {
     input.attrs.iter().filter(|a| a.path().is_ident("repr")).any(|a| {
-        let mut c = false;
+        let mut found = false;
         let _ = a.parse_nested_meta(|meta| {
-            c |= meta.path.is_ident("C");
+            found |= meta.path.is_ident(wanted);
+            // `align(8)`, `packed(1)`: the number is the compiler's business.
+            if meta.input.peek(syn::token::Paren) {
+                let inside;
+                syn::parenthesized!(inside in meta.input);
+                inside.parse::<TokenStream>()?;
+            }
             Ok(())
         });
-        c
+        found
     })
 }
 

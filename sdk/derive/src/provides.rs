@@ -6,6 +6,7 @@
 use crate::attrs::{self, Frame};
 use proc_macro2::{Ident, TokenStream};
 use quote::{format_ident, quote, quote_spanned};
+use syn::ext::IdentExt;
 use syn::parse::{Parse, ParseStream};
 use syn::{Attribute, Expr, FnArg, ImplItem, ItemImpl, LitStr, Meta, Pat, ReturnType, Type};
 
@@ -85,7 +86,12 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
         if let ImplItem::Fn(f) = inner
             && let Some((attr, is_read)) = take_attr(&mut f.attrs)
         {
-            commands.push(command(&attr, is_read, many, f)?);
+            let new = command(&attr, is_read, many, f)?;
+            if commands.iter().any(|c: &Command| c.name == new.name) {
+                let why = format!("`{}` is used twice: names within an interface differ", new.name);
+                return Err(syn::Error::new_spanned(&f.sig.ident, why));
+            }
+            commands.push(new);
         }
     }
     let class = &item.self_ty;
@@ -138,7 +144,7 @@ fn take_attr(attrs: &mut Vec<Attribute>) -> Option<(Attribute, bool)> {
 fn command(attr: &Attribute, is_read: bool, many: bool, f: &mut syn::ImplItemFn) -> syn::Result<Command> {
     let mut c = Command {
         method: f.sig.ident.clone(),
-        name: f.sig.ident.to_string(),
+        name: String::new(),
         doc: attrs::docs(&f.attrs),
         is_read,
         many,
@@ -180,6 +186,9 @@ fn command(attr: &Attribute, is_read: bool, many: bool, f: &mut syn::ImplItemFn)
             }
             Ok(())
         })?;
+    }
+    if c.name.is_empty() {
+        c.name = attrs::name_of(&f.sig.ident)?;
     }
     let mut inputs = f.sig.inputs.iter_mut();
     let first_is_right = match inputs.next() {
@@ -234,7 +243,7 @@ pub(crate) fn argument<'a>(
         ty => (ty.clone(), false),
     };
     let name = match &*typed.pat {
-        Pat::Ident(p) => p.ident.to_string().trim_start_matches('_').to_string(),
+        Pat::Ident(p) => p.ident.unraw().to_string().trim_start_matches('_').to_string(),
         _ => String::new(),
     };
     let mut arg = Argument {
@@ -262,6 +271,12 @@ pub(crate) fn argument<'a>(
             }
             Ok(())
         })?;
+    }
+    if let (Ok(min), Ok(max)) = (arg.min.parse::<f64>(), arg.max.parse::<f64>())
+        && min > max
+    {
+        let why = format!("min {min} is above max {max}: no value would be taken");
+        return Err(syn::Error::new_spanned(&typed.pat, why));
     }
     typed.attrs.retain(|a| !a.path().is_ident("arg"));
     Ok(Some(arg))

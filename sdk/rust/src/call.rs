@@ -14,6 +14,13 @@ use trocar_plugin_api::desc::{CommandDesc, CommandKind, HandlerDesc, TypeDesc};
 ///
 /// # Safety
 /// `DESC` is none exactly for zero-sized `()`, and the pointers point to a value of the described type.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no payload: a command, function or event cannot carry it",
+    label = "not plain data of a fixed layout",
+    note = "instead of `bool` write `Flag`, of `String` `Text<N>`, of `Vec<T>` `List<T, N>`, of an enum `named_values!`, of \
+            `usize` `u64`",
+    note = "a struct of one's own needs `#[derive(Payload, Clone, Copy)] #[repr(C)]`"
+)]
 pub unsafe trait Value: Copy + Send + Sync + 'static {
     const DESC: Option<&'static TypeDesc>;
     /// A value to be written over.

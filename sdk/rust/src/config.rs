@@ -110,11 +110,18 @@ pub fn known(object: &JsonObject, fields: &[ConfigFieldDesc]) -> Result {
 
 /// One field of the object, or its default.
 pub fn field<T: ConfigField>(object: &JsonObject, desc: &ConfigFieldDesc) -> Result<T> {
-    let Some(value) = object.get(desc.name) else {
-        if desc.default.is_empty() {
+    let default;
+    let value = match object.get(desc.name) {
+        Some(given) => given,
+        None if desc.default.is_empty() => {
             return Err(format!("{}: is required and has no default", desc.name).into());
         }
-        return Ok(unset(desc));
+        // A host refuses a class whose defaults are not valid: here they are judged as what is given.
+        None => {
+            default = serde_json::from_str(desc.default)
+                .map_err(|e| format!("{}: its default {} is no JSON: {e}", desc.name, desc.default))?;
+            &default
+        }
     };
     let read =
         T::read(value).map_err(|wanted| format!("{}: {value} is not {wanted}{}", desc.name, size(desc)))?;
@@ -141,7 +148,8 @@ fn size(desc: &ConfigFieldDesc) -> String {
 }
 
 fn limits(at: &str, value: &Value, schema: &JsonObject, unit: &str) -> Result {
-    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+    // `1` is no unit, and "30 1" reads as two numbers.
+    let unit = if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") };
     let number = |key: &str| schema.get(key).and_then(Value::as_f64);
     if let Some(n) = value.as_f64() {
         if let Some(min) = number("minimum").filter(|min| n < *min) {

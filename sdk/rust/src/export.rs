@@ -95,6 +95,7 @@ macro_rules! __trocar_tables {
             unload: $unload,
             classes: CLASSES,
         };
+        const _: () = p::check_plugin(&PLUGIN);
         #[allow(long_running_const_eval)]
         const LEN: usize = p::render::<0>(&PLUGIN).1;
         #[allow(long_running_const_eval)]

@@ -85,6 +85,7 @@ pub mod __private {
     pub use trocar_plugin_api::desc::*;
     #[cfg(feature = "layout")]
     pub use trocar_plugin_api::export_layout;
+    pub use trocar_plugin_api::limits::{check_class, check_plugin};
     pub use trocar_plugin_api::note::Note;
     pub use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR, render, render_description};
 

@@ -35,6 +35,11 @@ pub unsafe trait Flow {
 
 /// The manifest's port type of a field; the field's own `format` wins over the header's.
 pub const fn port_type<P: Flow>(format: &'static str, max_bytes: usize) -> PortType {
+    let plain = !matches!(P::KIND, PortKind::Frame { .. });
+    assert!(
+        !plain || (format.is_empty() && max_bytes == 0),
+        "format and max_bytes are settings of a port of frames"
+    );
     match P::KIND {
         PortKind::Plain(ty) => PortType::Plain(ty),
         PortKind::Frame { header, format: own } => {

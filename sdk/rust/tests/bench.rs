@@ -490,5 +490,27 @@ fn a_wrong_type_is_said_with_both_sides() {
     let told = failure(|| bench.push("x", 1.0f64));
     assert_eq!(told, "input `x` has type Scalar, the test uses f64");
     let told = failure(|| drop(bench.outputs::<f64>("z")));
-    assert_eq!(told, "no output `z`; there are y");
+    assert_eq!(told, "no output `z`; there is y");
+}
+
+#[test]
+fn a_wrong_name_is_blamed_on_the_line_of_the_test_with_the_nearest_name() {
+    let mut bench = bench();
+    let told = failure(|| drop(bench.calls::<f64>("robot/hodl")));
+    assert_eq!(told, "no function `robot/hodl`, did you mean `robot/hold`?; there is robot/hold");
+    let told = failure(|| drop(bench.events::<f64>("dne")));
+    assert!(told.starts_with("no event `dne`, did you mean `ctl/done`?; there"), "{told}");
+    let (me, (send, place)) = (std::thread::current().id(), std::sync::mpsc::channel());
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        if std::thread::current().id() == me {
+            let _ = send.send(info.location().map(|at| at.file().to_string()));
+        }
+        before(info);
+    }));
+    let _told = failure(|| bench.push("z", 1.0));
+    let _told = failure(|| drop(bench.outputs::<f64>("z")));
+    for _ in 0..2 {
+        assert_eq!(place.recv().unwrap().as_deref(), Some(file!()));
+    }
 }

@@ -211,7 +211,7 @@ fn the_bench_refuses_a_wrong_type() {
 }
 
 #[test]
-#[should_panic(expected = "no command `ad`; there are math/reset, math/add")]
+#[should_panic(expected = "no command `ad`, did you mean `math/add`?; there are math/reset, math/add")]
 fn the_bench_lists_what_exists() {
     let _ = bench().command::<f64, ()>("ad", 1.0);
 }

@@ -124,3 +124,23 @@ fn schemas_say_types_limits_and_choices() {
     assert_eq!(schemas[3], (r#""type":"integer""#, "-128", "127"));
     assert_eq!(schemas[4], (r#""type":["number","null"]"#, "0.5", ""));
 }
+
+#[test]
+fn a_default_that_is_not_valid_is_refused_as_if_it_were_given() {
+    use trocar_sdk::__private::{ConfigFieldDesc, JsonObject, config_field};
+    let limit = |default: &'static str| ConfigFieldDesc {
+        name: "limit",
+        doc: "",
+        schema: "\"type\":\"number\"",
+        unit: "mm",
+        min: "0",
+        max: "10",
+        default,
+        live: true,
+    };
+    let said = |default| config_field::<f64>(&JsonObject::new(), &limit(default)).map_err(|e| e.to_string());
+    assert_eq!(said("\"x\"").unwrap_err(), "limit: \"x\" is not a number");
+    assert_eq!(said("20").unwrap_err(), "limit: 20 mm is above 10 mm");
+    assert!(said("x").unwrap_err().starts_with("limit: its default x is no JSON"));
+    assert_eq!(said("5").unwrap(), 5.0);
+}

@@ -17,6 +17,38 @@ fn docs(ty: &TypeDesc) -> (&'static str, &'static str, Vec<&'static str>) {
     }
 }
 
+/// Gives the names of all structs of `trocar_sdk::data` to a macro.
+macro_rules! all_payloads {
+    ($to:ident) => {
+        $to!(
+            JointState,
+            JointConfiguration,
+            Pose,
+            Twist,
+            Wrench,
+            CartesianState,
+            ArmState,
+            OperatingState,
+            Transform,
+            CameraGeometry,
+            ImageHeader,
+            StereoHeader,
+            Spectrometer,
+            SpectraHeader,
+            AScanHeader,
+            Distance,
+            TrackedTools,
+            ToolPose,
+            ForceRange,
+            InputState,
+            InputLayout,
+            ButtonEvent,
+            Scalar,
+            Message
+        )
+    };
+}
+
 #[test]
 fn the_tables_describe_every_payload_field_by_field_as_the_structs_do() {
     macro_rules! compare {
@@ -34,32 +66,89 @@ fn the_tables_describe_every_payload_field_by_field_as_the_structs_do() {
             assert!(compared.contains(&p.name), "{} is in the tables and not compared here", p.name);
         }};
     }
-    compare!(
-        JointState,
-        JointConfiguration,
-        Pose,
-        Twist,
-        Wrench,
-        CartesianState,
-        ArmState,
-        OperatingState,
-        Transform,
-        CameraGeometry,
-        ImageHeader,
-        StereoHeader,
-        Spectrometer,
-        SpectraHeader,
-        AScanHeader,
-        Distance,
-        TrackedTools,
-        ToolPose,
-        ForceRange,
-        InputState,
-        InputLayout,
-        ButtonEvent,
-        Scalar,
-        Message
-    );
+    all_payloads!(compare);
+}
+
+/// What an author in C reads of a payload in `docs/INTERFACES.md`: its fields with their types, in the order of the page.
+struct Page {
+    text: String,
+}
+
+impl Page {
+    fn section(&self, name: &str) -> &str {
+        let section =
+            self.text.split(&format!("\n### `{name}`\n")).nth(1).unwrap_or_else(|| panic!("no {name}"));
+        section.split("\n### ").next().unwrap()
+    }
+
+    fn fields(&self, name: &str) -> Vec<(&str, &str)> {
+        let cells = |row: &'_ str| -> Option<(usize, usize, usize, usize)> {
+            let ticks: Vec<usize> = row.match_indices('`').map(|(at, _)| at).take(4).collect();
+            ticks.try_into().ok().map(|[a, b, c, d]: [usize; 4]| (a + 1, b, c + 1, d))
+        };
+        let rows = self.section(name).lines().filter(|line| line.starts_with("| `"));
+        rows.map(|row| cells(row).map(|(a, b, c, d)| (&row[a..b], &row[c..d])).unwrap()).collect()
+    }
+
+    /// Bytes by the table of types in `docs/C_PLUGINS.md`.
+    fn size(&self, ty: &str) -> usize {
+        let inside = |head: &str| ty.strip_prefix(head)?.strip_suffix(']');
+        let list = |inside: &str| {
+            let (item, n) = inside.rsplit_once(';').unwrap();
+            self.size(item) * n.parse::<usize>().unwrap()
+        };
+        match ty {
+            "bool" | "u8" | "i8" => 1,
+            "u16" | "i16" => 2,
+            "u32" | "i32" | "f32" => 4,
+            "u64" | "i64" | "f64" | "stamp" => 8,
+            _ => match (inside("list["), inside("text["), inside("[")) {
+                (Some(inside), ..) => 8 + list(inside),
+                (_, Some(n), _) => 8 + n.parse::<usize>().unwrap(),
+                (.., Some(inside)) => list(inside),
+                _ => match self.section(ty).trim_start().lines().find_map(named_values) {
+                    Some(repr) => self.size(repr),
+                    None => self.fields(ty).iter().map(|(_, ty)| self.size(ty)).sum(),
+                },
+            },
+        }
+    }
+}
+
+/// The integer of a line such as "A u32: `OFF` = 0, `ON` = 1."
+fn named_values(line: &str) -> Option<&str> {
+    let (repr, values) = line.strip_prefix("A ")?.split_once(": `")?;
+    values.contains("` = ").then_some(repr)
+}
+
+#[test]
+fn the_page_lists_the_fields_of_payloads_where_they_lie_in_memory() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/INTERFACES.md");
+    let page = Page { text: std::fs::read_to_string(path).unwrap() };
+    let compare = |desc: &TypeDesc| {
+        let TypeKind::Struct { name, fields, .. } = &desc.kind else { panic!("a struct") };
+        let mut at = 0;
+        let by_page: Vec<(&str, usize)> = page
+            .fields(name)
+            .into_iter()
+            .map(|(field, ty)| {
+                let begin = at;
+                at += page.size(ty);
+                (field, begin)
+            })
+            .collect();
+        let in_memory: Vec<(&str, usize)> = fields.iter().map(|f| (f.name, f.at)).collect();
+        assert_eq!((by_page, at), (in_memory, desc.size), "{name}");
+    };
+    let mut compared = 0;
+    macro_rules! each {
+        ($($ty:ident),*) => {$(
+            compare(data::$ty::DESC);
+            compared += 1;
+        )*};
+    }
+    all_payloads!(each);
+    assert_eq!(compared, PAYLOADS.iter().filter(|p| p.repr.is_empty()).count());
 }
 
 /// Line breaks of a doc comment are not part of it.

@@ -3,7 +3,9 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use trocar_plugin_api::manifest::Manifest;
+use trocar_plugin_api::contracts::{leaves_of, size_of_type};
+use trocar_plugin_api::manifest::{Manifest, NamedType, Type};
+use trocar_sdk::serde_json;
 
 fn c_dir() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../c")
@@ -38,13 +40,81 @@ fn repeated_interfaces_of_a_cpp_component_have_commands_reads_and_handlers() {
     assert!(done.status.success(), "{said}\n{}", String::from_utf8_lossy(&done.stderr));
 }
 
+/// The fenced blocks of one language of a page of the documentation.
+fn blocks(page: &str, language: &str) -> Vec<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs").join(page);
+    let text = std::fs::read_to_string(path).unwrap();
+    let of = |rest: &str| rest.split("\n```").next().unwrap().to_string();
+    text.split(&format!("\n```{language}\n")).skip(1).map(of).collect()
+}
+
 #[test]
-fn its_manifest_is_a_note_of_the_library() {
-    let options = ["-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wl,--gc-sections"];
-    let file = std::fs::read(compiled("gauge.cpp", "libgauge.so", &options)).unwrap();
+fn the_cpp_of_both_pages_is_one_plugin_that_the_shown_command_compiles() {
+    let (mut source, component) = (blocks("C_PLUGINS.md", "cpp"), blocks("PLUGIN_GUIDE.md", "cpp"));
+    assert_eq!((source.len(), component.len()), (1, 1), "a further block is not covered here");
+    source.extend(component);
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cpp_pages");
+    std::fs::create_dir_all(&dir).unwrap();
+    std::fs::write(dir.join("gauge.cpp"), source.join("\n")).unwrap();
+    let shell = blocks("C_PLUGINS.md", "sh").remove(0);
+    let words: Vec<String> = shell
+        .lines()
+        .next()
+        .unwrap()
+        .split_whitespace()
+        .map(
+            |word| {
+                if word == "sdk/c" { c_dir().display().to_string() } else { word.replace("NAME", "gauge") }
+            },
+        )
+        .collect();
+    assert_eq!(words[0], "g++");
+    let compiler = std::env::var_os("CXX").unwrap_or_else(|| "c++".into());
+    let done = Command::new(compiler)
+        .args(["-Wall", "-Wextra", "-Werror"])
+        .args(&words[1..])
+        .current_dir(&dir)
+        .output();
+    let done = done.unwrap();
+    assert!(done.status.success(), "{words:?}:\n{}", String::from_utf8_lossy(&done.stderr));
+    let manifest = manifest_of(&dir.join("libtrocar_gauge.so"));
+    assert_eq!((manifest.name.as_str(), manifest.classes[0].inputs[0].name.as_str()), ("gauge", "x"));
+}
+
+#[test]
+fn the_types_shown_for_a_manifest_are_read_as_such() {
+    let shown = blocks("C_PLUGINS.md", "json").concat();
+    let types: Vec<NamedType> =
+        serde_json::Deserializer::from_str(&shown).into_iter().collect::<Result<_, _>>().unwrap();
+    let [force, mode] = types.as_slice() else { panic!("{types:?}") };
+    assert_eq!(leaves_of(&types, &Type::Ref { name: "Force".into() }, "").unwrap().len(), force.fields.len());
+    let of_fields =
+        |ty: &NamedType| ty.fields.iter().map(|f| size_of_type(&types, &f.ty).unwrap()).sum::<usize>();
+    assert_eq!((of_fields(force), force.fields[1].frame.as_str()), (force.size, "sensor"));
+    assert_eq!((mode.repr.as_deref(), mode.values.len()), (Some("u8"), 2));
+    // No key of theirs is lost on the way.
+    for (ty, shown) in
+        types.iter().zip(serde_json::Deserializer::from_str(&shown).into_iter::<serde_json::Value>())
+    {
+        let shown = shown.unwrap();
+        let read = serde_json::to_value(ty).unwrap();
+        let known = ["name", "doc", "size", "align", "fields", "enum", "values"];
+        assert!(shown.as_object().unwrap().keys().all(|key| known.contains(&key.as_str())), "{shown}");
+        assert_eq!(read["size"], shown["size"]);
+    }
+}
+
+fn manifest_of(library: &Path) -> Manifest {
+    let file = std::fs::read(library).unwrap();
     let owner = b"\x01\0\0\0TROCAR\0\0";
     let at = file.windows(owner.len()).position(|w| w == owner).expect("the note is in the file");
     let size = u32::from_le_bytes(file[at - 4..at].try_into().unwrap()) as usize;
-    let manifest = Manifest::parse(&file[at + owner.len()..at + owner.len() + size]).unwrap();
+    Manifest::parse(&file[at + owner.len()..at + owner.len() + size]).unwrap()
+}
+
+#[test]
+fn its_manifest_is_a_note_of_the_library() {
+    let options = ["-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wl,--gc-sections"];
+    let manifest = manifest_of(&compiled("gauge.cpp", "libgauge.so", &options));
     assert_eq!((manifest.name.as_str(), manifest.classes[0].doc.as_str()), ("cpp_gauge", "\"adds\" µ up"));
 }

@@ -4,12 +4,13 @@
 use std::path::{Path, PathBuf};
 
 /// Compiled files the guide may quote.
-const SOURCES: [&str; 6] = [
+const SOURCES: [&str; 7] = [
     "plugins/filters/src/low_pass.rs",
     "plugins/filters/src/low_pass/tests.rs",
     "plugins/example/src/server.rs",
     "sdk/rust/tests/guide_examples.rs",
     "sdk/rust/tests/guide_devices.rs",
+    "sdk/rust/tests/guide_members.rs",
     "tests/it/plugin_guide/embedded.rs",
 ];
 

@@ -20,7 +20,7 @@ use little_host::LittleHost;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use trocar_sdk::data::{ImageHeader, Pose, Wrench};
+use trocar_sdk::data::{ImageHeader, PixelFormat, Pose, Wrench};
 use trocar_sdk::serde_json::{Value, json};
 use trocar_sdk::testing::Bench;
 use trocar_sdk::{Place, ServiceReply, StaticPlugin, prelude::*, static_plugin};
@@ -99,15 +99,18 @@ impl Component for Negative {
     }
     fn step(&mut self, _: &Tick) -> Result {
         let Some(image) = self.image.next() else { return Ok(()) };
-        let (stride, from) = (image.header().stride as usize, image.bytes());
+        let Ok(from) = image.image() else { return Ok(()) }; // Its header promises more than its bytes hold.
+        let row = from.row(0).len();
         let mut negative = self.negative.loan()?;
-        *negative.header_mut() = *image.header();
-        let to = negative.bytes_mut().get_mut(..from.len()).ok_or("the image is larger than 1080p")?;
-        self.host.par_rows(to, stride, |rows, part| {
-            let from = &from[rows.start * stride..];
-            part.iter_mut().zip(from).for_each(|(to, from)| *to = 255 - *from);
+        *negative.header_mut() = ImageHeader { stride: row as u32, ..*image.header() };
+        let bytes = row * from.height() as usize;
+        let to = negative.bytes_mut().get_mut(..bytes).ok_or("the image is larger than 1080p")?;
+        self.host.par_rows(to, row, |rows, part| {
+            for (y, to) in rows.zip(part.chunks_mut(row)) {
+                to.iter_mut().zip(from.row(y as u32)).for_each(|(to, from)| *to = 255 - *from);
+            }
         })?;
-        negative.commit(from.len(), image.stamp());
+        negative.commit(bytes, image.stamp());
         Ok(())
     }
 }
@@ -254,10 +257,16 @@ fn each_example_is_a_class_of_the_plugin() {
     let names: Vec<&str> = manifest.classes.iter().map(|c| c.name.as_str()).collect();
     assert_eq!(names, ["arms", "negative", "builder", "watch", "gripper", "nano"]);
     let mut negative = Bench::<Negative>::new("{}");
-    let header = ImageHeader { stride: 2, ..ImageHeader::default() };
-    negative.push_frame("image", header, &[0, 255, 1, 254]);
+    let header =
+        ImageHeader { width: 2, height: 2, stride: 3, format: PixelFormat::GRAY8, ..ImageHeader::default() };
+    negative.push_frame("image", header, &[0, 255, 99, 1, 254]);
     negative.step(1);
-    assert_eq!(negative.frames::<ImageHeader>("negative")[0].1, [255, 0, 254, 1]);
+    let (made, bytes, _) = negative.frames::<ImageHeader>("negative").remove(0);
+    assert_eq!((made.stride, bytes.as_slice()), (2, &[255, 0, 254, 1][..]));
+    let lie = ImageHeader { height: u32::MAX, ..header };
+    negative.push_frame("image", lie, &[0; 5]);
+    negative.step(1);
+    assert!(negative.frames::<ImageHeader>("negative").is_empty(), "a frame without what its header says");
 }
 
 #[test]

@@ -18,6 +18,8 @@ const NOT_YET: &[(&str, &str)] = &[
     ("PROCESS_EXISTS", "a host meets it when it attaches: deployment.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
     ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),
+    ("NO_MEMORY", "it needs frames that no machine has the memory for: changing_ports.rs"),
+    ("NO_THREAD", "it needs a machine that is out of threads"),
     ("PEER_LOST", "it needs a caller who is waiting: a_caller_whose_component_is_taken_away_gets_an_answer"),
 ];
 
@@ -117,6 +119,10 @@ rows! {
         Stage::new(&["example"]).with(&[("s", "Server"), ("c", "Client")])
             .refuses_connect("c/Required", "s/Provide");
 
+    an_event_that_is_called "INVALID_ARGUMENT" "WRONG_KIND" ["SetPointReached", "is an event, not a command"]
+        Stage::new(&["example"]).with(&[("s", "Server")]).started("s")
+            .refuses_invoke("host/s/Provided/SetPointReached", json!(1));
+
     a_missing_command_of_an_interface "NOT_FOUND" "MEMBER_NOT_FOUND" ["Writ", "Write"]
         Stage::new(&["example"]).with(&[("s", "Server")]).started("s")
             .refuses_invoke("host/s/Provided/Writ", json!(1));
@@ -167,6 +173,17 @@ rows! {
 
     start_with_open_ends "FAILED_PRECONDITION" "UNCONNECTED" ["raw"]
         Stage::new(&["filters"]).with(&[("f", "low_pass")]).refuses("GcmService/Start", json!({ "path": "host/f" }));
+
+    an_actuator_that_was_cut_off_does_not_resume "FAILED_PRECONDITION" "UNCONNECTED" ["cannot resume", "drive"] {
+        let stage = Stage::new(&["fixture_conform"]).with(&[("s", "Server"), ("a", "Arm")])
+            .connected("a/drive", "s/ctl").connected("a/set_point", "s/value_out").started("s").started("a");
+        stage.grpc.stop("host/a");
+        let cut = json!({ "client": "host/a/drive", "server": "host/s/ctl" });
+        stage.grpc.ok("GcmService/Disconnect", cut);
+        let refused = stage.refuses("GcmService/Resume", json!({ "path": "host/a" }));
+        assert_eq!(stage.grpc.state("host/a"), "STOPPED");
+        refused
+    };
 
     a_configuration_that_breaks_the_schema "INVALID_ARGUMENT" "CONFIG_INVALID" ["cutoff_hz", "400 Hz"] {
         let body = json!({ "path": "host/f", "class": "low_pass", "config": { "cutoff_hz": 1000, "limit": "high" } });

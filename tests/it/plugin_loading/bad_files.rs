@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::json;
-use trocar_tests::{Built, HostProcess, World, eventually, replace_in, repository, skip};
+use trocar_tests::{Built, HostProcess, Trocar, World, eventually, replace_in, repository, skip};
 
 use super::refused_file;
 
@@ -261,4 +261,21 @@ fn compile(world: &World, source: &str, args: &[&str]) {
     let made = Command::new("cc").arg(file).args(args).current_dir(world.path("")).output();
     let made = made.unwrap_or_else(|e| panic!("cc: {e}"));
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+}
+
+#[test]
+fn what_a_host_refuses_of_a_class_is_refused_by_check_and_inspect_with_the_same_words() {
+    let bytes = replace_in(&good(), b"\"unit\":\"Hz\"", b"\"unit\":\"hz\"");
+    let words = ["`hz` is no unit", "did you mean `Hz`?"];
+    refused_when_listed(|_, bad| fs::write(bad, &bytes).unwrap(), "PLUGIN_BAD_FILE", &words);
+    let world = World::new();
+    let file = world.path("libodd.so");
+    fs::write(&file, &bytes).unwrap();
+    for verb in ["check", "inspect"] {
+        let told = Trocar::new(&world).run(&["plugin", verb, &file.display().to_string()]);
+        assert_ne!(told.code, 0, "{verb}: {told:?}");
+        for word in words {
+            assert!(told.stderr.contains(word), "{verb} does not say {word:?}: {told:?}");
+        }
+    }
 }

@@ -66,7 +66,7 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
         cpus: if asked.cpus.is_empty() && !passive { class.cpus.clone() } else { asked.cpus.clone() },
         catch_up: asked.catch_up.or(class.catch_up.filter(|_| grid)),
         threads: asked.threads.or(class.threads.filter(|_| stream)),
-        max_step_ns: asked.max_step_ns.or(class.max_step_ns),
+        max_step_ns: asked.max_step_ns.or(class.max_step_ns.filter(|_| !grid)),
         history: asked.history.or(class.history),
         on_failure: asked.on_failure.or(class.on_failure.filter(|_| stream)),
     }

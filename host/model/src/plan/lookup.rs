@@ -80,9 +80,9 @@ impl SystemGraph {
         self.connections.values().find(|c| c.client == *port)
     }
 
-    /// "3: host/bscan/robot → host/robot/arm", for refusals.
+    /// "3: host/robot/arm → host/bscan/robot", server first as data flows, for refusals.
     pub(super) fn connection_list(&self) -> Vec<String> {
-        self.connections.values().map(|c| format!("{}: {} → {}", c.id.0, c.client, c.server)).collect()
+        self.connections.values().map(|c| format!("{}: {} → {}", c.id.0, c.server, c.client)).collect()
     }
 
     /// The components `targets` mean, in the order of their paths; true = named, not only matched by a glob.

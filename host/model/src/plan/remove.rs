@@ -20,7 +20,7 @@ impl Planner {
         let used = !connections.is_empty() || !riders.is_empty();
         if used && !force {
             let wires =
-                connections.iter().map(|c| format!("connection {} ({} → {})", c.id.0, c.client, c.server));
+                connections.iter().map(|c| format!("connection {} ({} → {})", c.id.0, c.server, c.client));
             let threads = riders.iter().map(|r| format!("{r}, which runs in its thread"));
             return Err(Refusal::InUse { id: id.clone(), by: wires.chain(threads).collect() });
         }

@@ -86,7 +86,7 @@ impl Planner {
         if matches!(verb, Verb::Start | Verb::Resume) {
             let ports = open_ends(&self.graph, id, component);
             if !ports.is_empty() {
-                return Err(Refusal::Unconnected { id: id.clone(), ports });
+                return Err(Refusal::Unconnected { id: id.clone(), verb, ports });
             }
         }
         if verb != Verb::Reset

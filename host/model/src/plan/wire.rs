@@ -77,7 +77,13 @@ impl Planner {
         let Some(connection) = found.cloned() else {
             let asked = match which {
                 Which::Id(id) => id.0.to_string(),
-                Which::Pair { client, server } => format!("{client} → {server}"),
+                Which::Pair { client, server } => {
+                    // A name that is not there is told as such, and so are ends the wrong way round.
+                    let (a, b) =
+                        (self.graph.component(&client.component)?, self.graph.component(&server.component)?);
+                    directions(&a.ports, client, &b.ports, server)?;
+                    format!("from {server} to {client}")
+                }
             };
             return Err(Refusal::ConnectionNotFound { asked, known: self.graph.connection_list() });
         };

@@ -53,6 +53,7 @@ impl Refusal {
             Refusal::NothingMatches { .. } => (NotFound, "NOTHING_MATCHES"),
             Refusal::InterfaceNotFound { .. } => (NotFound, "INTERFACE_NOT_FOUND"),
             Refusal::MemberNotFound { .. } => (NotFound, "MEMBER_NOT_FOUND"),
+            Refusal::WrongKind { .. } => (InvalidArgument, "WRONG_KIND"),
             Refusal::ManagedElsewhere { .. } => (FailedPrecondition, "MANAGED_ELSEWHERE"),
             Refusal::PluginNotFound { .. } => (NotFound, "PLUGIN_NOT_FOUND"),
             Refusal::ConnectionNotFound { .. } => (NotFound, "CONNECTION_NOT_FOUND"),
@@ -70,6 +71,8 @@ impl Refusal {
             Refusal::ArgumentInvalid { .. } => (InvalidArgument, "ARGUMENT_INVALID"),
             Refusal::ComponentRefused { .. } => (FailedPrecondition, "COMPONENT_REFUSED"),
             Refusal::ComponentFault { .. } => (Internal, "COMPONENT_FAULT"),
+            Refusal::NoMemory { .. } => (ResourceExhausted, "NO_MEMORY"),
+            Refusal::NoThread { .. } => (ResourceExhausted, "NO_THREAD"),
             Refusal::InUse { .. } => (FailedPrecondition, "IN_USE"),
             Refusal::PluginAbi { .. } => (FailedPrecondition, "PLUGIN_ABI"),
             Refusal::PluginUntrusted { .. } => (FailedPrecondition, "PLUGIN_UNTRUSTED"),
@@ -115,6 +118,7 @@ impl Refusal {
             NothingMatches { pattern, known } => m.put("pattern", pattern).known(pattern, known),
             InterfaceNotFound { port, known } => m.put("port", port).known(port.port.as_str(), known),
             MemberNotFound { member, known } => m.put("member", member).known(member.member.as_str(), known),
+            WrongKind { member, is, wanted } => m.put("member", member).put("is", is).put("wanted", wanted),
             ManagedElsewhere { at } => m.put("gcm", at),
             PluginNotFound { name, known } => m.put("name", name).known(name, known),
             ConnectionNotFound { asked, known } => m.put("asked", asked).list("known", known),
@@ -139,13 +143,17 @@ impl Refusal {
             WrongState { id, state, verb, allowed, .. } => {
                 m.put("component", id).put("state", state).put("verb", verb).list("allowed", allowed)
             }
-            Unconnected { id, ports } => m.put("component", id).list("ports", ports),
+            Unconnected { id, verb, ports } => m.put("component", id).put("verb", verb).list("ports", ports),
             ConfigInvalid { id, .. } => m.put("component", id),
             ArgumentInvalid { what, field, .. } => m.put("what", what).put("field", field),
             ComponentRefused { id, entry, text } => {
                 m.put("component", id).put("entry", entry).put("text", text)
             }
             ComponentFault { id, text } => m.put("component", id).put("text", text),
+            NoMemory { id, outputs, bytes, why } => {
+                m.put("component", id).list("outputs", outputs).put("bytes", bytes).put("why", why)
+            }
+            NoThread { id, why } => m.put("component", id).put("why", why),
             InUse { id, by } => m.put("component", id).list("by", by),
             PluginAbi { file, text } | PluginUntrusted { file, text } | PluginBadFile { file, text } => {
                 m.put("file", file).put("text", text)

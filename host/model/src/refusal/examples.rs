@@ -65,11 +65,16 @@ fn naming() -> Vec<Refusal> {
             member: member("host/robot/arm/servo_jo"),
             known: texts(&["hold", "measured_cp", "servo_jp"]),
         },
+        Refusal::WrongKind {
+            member: member("host/robot/arm/measured_cp"),
+            is: "a read command".into(),
+            wanted: "an event".into(),
+        },
         Refusal::ManagedElsewhere { at: "127.0.0.1:50551".into() },
         Refusal::PluginNotFound { name: "eyerobt".into(), known: texts(&["eyerobot", "filters"]) },
         Refusal::ConnectionNotFound {
             asked: "7".into(),
-            known: texts(&["3: host/bscan/robot → host/robot/arm"]),
+            known: texts(&["3: host/robot/arm → host/bscan/robot"]),
         },
     ]
 }
@@ -126,7 +131,7 @@ fn changing() -> Vec<Refusal> {
             allowed: crate::allowed(State::Fault),
             why: String::new(),
         },
-        Refusal::Unconnected { id: id("host/bscan"), ports: texts(&["robot", "ascan"]) },
+        Refusal::Unconnected { id: id("host/bscan"), verb: Verb::Start, ports: texts(&["robot", "ascan"]) },
         Refusal::ConfigInvalid {
             id: id("host/filter"),
             violations: vec![Violation { pointer: "/cutoff_hz".into(), message: below.into() }],
@@ -137,7 +142,14 @@ fn changing() -> Vec<Refusal> {
             text: "port /dev/ttyUSB1 is busy".into(),
         },
         Refusal::ComponentFault { id: robot.clone(), text: "panic in step: index out of bounds".into() },
-        Refusal::InUse { id: robot, by: texts(&["connection 3 (host/bscan/robot → host/robot/arm)"]) },
+        Refusal::NoMemory {
+            id: id("host/camera"),
+            outputs: texts(&["left", "right"]),
+            bytes: 17_179_869_184,
+            why: "8392286208 bytes of memory are available, an eighth of which must stay free".into(),
+        },
+        Refusal::NoThread { id: id("host/camera"), why: "Resource temporarily unavailable".into() },
+        Refusal::InUse { id: robot, by: texts(&["connection 3 (host/robot/arm → host/bscan/robot)"]) },
         Refusal::PluginAbi {
             file: "libtrocar_old.so".into(),
             text: "it speaks ABI 2, this host speaks ABI 1".into(),

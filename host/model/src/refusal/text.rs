@@ -123,6 +123,7 @@ impl Display for Refusal {
                     choices(member.member.as_str(), known)
                 )
             }
+            WrongKind { member, is, wanted } => write!(f, "`{member}` is {is}, not {wanted}"),
             ManagedElsewhere { at } => write!(f, "this process is managed by the GCM at {at}"),
             PluginNotFound { name, known } => {
                 write!(
@@ -133,7 +134,12 @@ impl Display for Refusal {
                 )
             }
             ConnectionNotFound { asked, known } => {
-                write!(f, "there is no connection {}{}", brief(asked), choices(asked, known))
+                write!(f, "there is no connection {}", brief(asked))?;
+                match known.as_slice() {
+                    [] => f.write_str("; there are none"),
+                    [one] => write!(f, "; there is connection {one}"),
+                    several => write!(f, "; there are connections {}", list(several)),
+                }
             }
             WrongDirection { client, client_is, server, server_is } => write!(
                 f,
@@ -180,8 +186,9 @@ impl Display for Refusal {
                 let others: Vec<_> = allowed.iter().filter(|other| *other != verb).collect();
                 if others.is_empty() { Ok(()) } else { write!(f, "; allowed are {}", list(&others)) }
             }
-            Unconnected { id, ports } => {
-                write!(f, "`{id}` cannot start: not connected {} {}", is_are(ports.len()), list(ports))
+            Unconnected { id, verb, ports } => {
+                let verb = verb.to_string().to_lowercase();
+                write!(f, "`{id}` cannot {verb}: not connected {} {}", is_are(ports.len()), list(ports))
             }
             ConfigInvalid { id, violations } => {
                 let messages = violations.iter().take(MOST).map(|v| v.message.as_str());
@@ -195,10 +202,20 @@ impl Display for Refusal {
             ArgumentInvalid { what, why, .. } => write!(f, "{why} ({what})"),
             ComponentRefused { id, entry, text } => write!(f, "`{id}` refused to {entry}: {text}"),
             ComponentFault { id, text } => write!(f, "`{id}` is in FAULT: {text}"),
+            NoMemory { id, outputs, bytes, why } => {
+                write!(f, "`{id}` asks for {bytes} bytes for the frames of {}: {why}", list(outputs))
+            }
+            NoThread { id, why } => write!(f, "the machine gives no thread for `{id}`: {why}"),
             InUse { id, by } => write!(f, "`{id}` is in use by {}", list(by)),
-            PluginAbi { file, text } => write!(f, "plugin `{file}` does not fit this host: {text}"),
-            PluginUntrusted { file, text } => write!(f, "plugin `{file}` is not trusted: {text}"),
-            PluginBadFile { file, text } => write!(f, "`{file}` is not a usable plugin: {text}"),
+            PluginAbi { file, text } => {
+                write!(f, "plugin `{file}` does not fit this host: {}", without_file(file, text))
+            }
+            PluginUntrusted { file, text } => {
+                write!(f, "plugin `{file}` is not trusted: {}", without_file(file, text))
+            }
+            PluginBadFile { file, text } => {
+                write!(f, "`{file}` is not a usable plugin: {}", without_file(file, text))
+            }
             RevisionConflict { expected, actual } => {
                 write!(
                     f,
@@ -274,8 +291,8 @@ impl Refusal {
         use Refusal::*;
         match self {
             BadPath { .. } => "Write a path as process/component/interface/command, as far as it is needed, without a \
-                slash in front. Names begin with a letter or _ and hold letters, digits, _ . and -; where several \
-                components are meant, * stands for any part of a name and ** for everything below."
+                slash in front. Names begin with a letter or _ and hold letters, digits, _ . and -. Start, Stop, Resume, Reset \
+                and List also take patterns: * is any part of a name, ** everything below."
                 .into(),
             ProcessNotFound { process, .. } => format!(
                 "Use one of the processes listed by `trocar ls`, or start it: `trocar host --name {process} --plugins DIR`."
@@ -284,9 +301,10 @@ impl Refusal {
                 "Start the process again (`trocar host --name {process}`); its components come back STOPPED and wait \
                 for Resume."
             ),
-            ProcessExists { .. } => {
-                "Give this process another name (`--name`), or end the other one first.".into()
-            }
+            ProcessExists { pid, .. } => format!(
+                "Use the one that runs, or end it first (`kill {pid}`). A second one beside it needs an address of its own \
+                 (`--listen 127.0.0.1:0`) and, under the same GCM, another name (`--name`)."
+            ),
             ClassNotFound { ambiguous, .. } if !ambiguous.is_empty() => {
                 "Write the class with its plugin in front, as plugin/class.".into()
             }
@@ -306,6 +324,8 @@ impl Refusal {
             MemberNotFound { member, .. } => {
                 format!("`trocar describe {}` shows the commands and events.", member.port.component)
             }
+            WrongKind { member, is, .. } if is.ends_with("command") => format!("Call it: `trocar call {member}`."),
+            WrongKind { member, .. } => format!("Follow it: `trocar echo {member}`."),
             ManagedElsewhere { at } => format!("Ask there: `--gcm {at}`, or grpcurl with that address."),
             PluginNotFound { .. } => "`trocar plugin ls` lists every plugin and why a file was refused.".into(),
             ConnectionNotFound { .. } => "`trocar ls` lists the connections with their numbers.".into(),
@@ -325,8 +345,8 @@ impl Refusal {
                 "Nothing is left to do; to change its options connect with `--replace`, to undo it `trocar disconnect {id}`."
             ),
             CommandMissing { server, .. } => format!(
-                "Connect to an interface that offers it (`trocar describe {}`), or make the function optional in the \
-                client's class.",
+                "Connect to an interface that offers it (`trocar describe {}`), or make the function (or handler) optional \
+                in the client's class.",
                 server.component
             ),
             CommandKindMismatch { .. } => "Declare the function in the client's class with the argument and result the \
@@ -365,13 +385,20 @@ impl Refusal {
                     has the details."
                 )
             }
+            NoMemory { id, .. } => format!(
+                "Give the outputs a smaller max_bytes (in the plugin, or in the configuration of `{id}` if it decides), or \
+                give the process more memory: end others, raise the limit of its container or of `ulimit -v`."
+            ),
+            NoThread { .. } => "Remove components, let several share a thread (stream_of, inside), or raise the limits of \
+                `ulimit -u` and of its container; `trocar doctor` shows them."
+                .into(),
             InUse { .. } => "Disconnect or remove those first, or remove with `--force`, which disconnects.".into(),
             PluginAbi { .. } => "Rebuild the plugin with the trocar-sdk of this host's version.".into(),
             PluginUntrusted { .. } => "Install a copy that the trust mode of this process accepts, or change the mode; \
                 `trocar plugin inspect FILE` shows hash, owner and permissions."
                 .into(),
-            PluginBadFile { .. } => "Build or copy the file again; `trocar plugin inspect FILE` checks it without running \
-                it."
+            PluginBadFile { .. } => "Correct and build it again, or copy it again; `trocar plugin check FILE` says the same \
+                without a host."
                 .into(),
             RevisionConflict { .. } => "Read the graph again and decide anew; leave out expected_revision to act on \
                 whatever is there."
@@ -429,4 +456,11 @@ impl Refusal {
             Internal { .. } => "Please report it with the log; nothing was changed on purpose.".into(),
         }
     }
+}
+
+/// What is wrong with a file, which the sentence has named already.
+fn without_file<'a>(file: &str, text: &'a str) -> &'a str {
+    let name = file.rsplit('/').next().unwrap_or(file);
+    let rest = text.strip_prefix(file).or_else(|| text.strip_prefix(name));
+    rest.and_then(|rest| rest.strip_prefix(": ")).unwrap_or(text)
 }

@@ -68,7 +68,7 @@ fn a_number_outside_its_limits_is_told_with_its_unit() {
 
 #[test]
 fn a_wrong_kind_and_a_wrong_choice_say_what_is_wanted() {
-    assert_eq!(one(json!({"port": "x", "cutoff_hz": "high"})).1, "cutoff_hz: \"high\" is not a number Hz");
+    assert_eq!(one(json!({"port": "x", "cutoff_hz": "high"})).1, "cutoff_hz: \"high\" is not a number in Hz");
     assert_eq!(
         one(json!({"port": "x", "mode": "quick"})).1,
         "mode: \"quick\" is none of \"fast\", \"exact\""
@@ -202,4 +202,24 @@ fn a_running_component_that_refuses_a_setting_is_not_said_to_allow_configure() {
     let refusal = refused(&graph, &Request::Configure { id: id("host/robot"), patch, execution: None });
     let text = refusal.to_string();
     assert!(text.ends_with("(live settings: limit); allowed are Stop, Reset, Remove"), "{text}");
+}
+
+#[test]
+fn the_unit_one_is_not_written_behind_a_number() {
+    let schema = json!({ "type": "object", "properties": { "gain": { "type": "number", "maximum": 5, "unit": "1" } } });
+    let said = |gain: Value| trocar_model::validate(&schema, &json!({ "gain": gain })).remove(0).message;
+    assert_eq!(said(json!(30)), "gain: 30 is above 5");
+    assert_eq!(said(json!("a")), "gain: \"a\" is not a number");
+}
+
+#[test]
+fn a_type_that_json_does_not_have_is_named_with_those_it_has() {
+    let inside = json!({ "type": "object", "properties": { "b": { "type": "array", "items": { "type": ["nmber", "null"] } } } });
+    let schema = json!({ "type": "object", "properties": { "a": inside } });
+    assert_eq!(
+        trocar_model::schema_fault(&schema).unwrap(),
+        "setting a.b: `nmber` is no type; did you mean number? There are number, integer, string, boolean, array, object, null"
+    );
+    let odd = json!({ "type": "object", "minProperties": "few" });
+    assert!(trocar_model::schema_fault(&odd).is_some(), "the validator is asked as well");
 }

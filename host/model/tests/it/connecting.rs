@@ -78,6 +78,47 @@ fn a_missing_command_lists_what_is_offered_unless_the_function_is_optional() {
 }
 
 #[test]
+fn a_connection_in_which_nothing_optional_is_found_says_what_is_there() {
+    let optional = |name: &str| Function { optional: true, ..function(name, None, None) };
+    let said = |functions: Vec<Function>, handlers: Vec<Handler>| {
+        let client = Ports { required: vec![required("r", functions, handlers)], ..Ports::default() };
+        let commands = ["hold", "move"].map(|c| command(c, CommandKind::Void, None, None)).to_vec();
+        let events = vec![event("moved", None)];
+        let server = Ports { provided: vec![provided("p", commands, events)], ..Ports::default() };
+        idle_connection(&client, &port("a/c/r"), &server, &port("a/s/p"))
+    };
+    assert_eq!(
+        said(vec![optional("hold_w")], vec![]).unwrap(),
+        "`a/c/r` finds nothing optional of its own in `a/s/p`, so nothing passes through this connection: it looks for \
+         `hold_w` (did you mean `hold`?), and there are hold, move, moved"
+    );
+    let partly = said(vec![function("move", None, None), optional("zoom")], vec![]).unwrap();
+    assert!(partly.starts_with("`a/c/r` finds nothing optional of its own in `a/s/p`: it looks for `zoom`"));
+    let deaf = said(vec![], vec![Handler { optional: true, ..handler("mover", None) }]).unwrap();
+    assert!(deaf.contains("`mover` (did you mean `moved`?)"), "{deaf}");
+    assert_eq!(
+        said(vec![optional("zoom"), optional("hold")], vec![]),
+        None,
+        "one says that it is the right one"
+    );
+    assert_eq!(said(vec![function("hold", None, None)], vec![]), None);
+    assert_eq!(said(vec![], vec![]), None);
+}
+
+#[test]
+fn a_mismatch_of_two_structs_names_them() {
+    let scalar = structure("Scalar", 8, vec![field("x", 0, f64_type(), "")]);
+    let text = stream(PortType::Plain(force("N")), PortType::Plain(scalar), false).unwrap_err().to_string();
+    assert!(
+        text.ends_with("differ: it is Force here and Scalar there: field `stamp` is missing there"),
+        "{text}"
+    );
+    let text =
+        stream(PortType::Plain(force("N")), PortType::Plain(force("mN")), false).unwrap_err().to_string();
+    assert!(text.contains("differ: both are Force, but field `f[…]` has unit N here"), "{text}");
+}
+
+#[test]
 fn an_untyped_function_takes_the_type_of_its_command() {
     let any = Function { any: true, ..function("f", None, None) };
     assert!(
@@ -195,7 +236,7 @@ fn disconnect_goes_by_number_or_by_pair_and_lists_what_there_is() {
     assert_eq!(plan(&graph, &Request::Disconnect { which: pair }).unwrap().changes.len(), 1);
     let refusal = refused(&graph, &Request::Disconnect { which: Which::Id(ConnectionId(9)) });
     assert_eq!(refusal.reason(), "CONNECTION_NOT_FOUND");
-    assert!(refusal.to_string().contains("1: host/controller/robot → host/robot/arm"), "{refusal}");
+    assert!(refusal.to_string().contains("1: host/robot/arm → host/controller/robot"), "{refusal}");
 }
 
 #[test]

@@ -68,6 +68,12 @@ fn every_setting_is_refused_outside_its_limits_with_field_value_and_limits() {
         ),
         (
             "eyerobot",
+            Execution { max_step_ns: Some(5_000_000), ..e() },
+            "max_step",
+            "it is for a component without a period",
+        ),
+        (
+            "eyerobot",
             Execution { cpus: vec![4096], ..e() },
             "cpus",
             "4096 is no number of a processor, 0 to 4095",

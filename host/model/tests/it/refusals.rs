@@ -170,3 +170,11 @@ fn an_output_without_a_sample_says_how_its_component_stands_and_what_sets_it_goi
     assert!(none(State::Stopped(StopReason::Requested)).help().ends_with("`trocar resume host/s`."));
     assert!(none(State::Fault).help().ends_with("`trocar reset host/s`."));
 }
+
+#[test]
+fn a_refused_plugin_file_is_named_once() {
+    for text in ["/p/libx.so: has no manifest", "libx.so: has no manifest", "has no manifest"] {
+        let refusal = Refusal::PluginBadFile { file: "/p/libx.so".into(), text: text.into() };
+        assert_eq!(refusal.to_string(), "`/p/libx.so` is not a usable plugin: has no manifest");
+    }
+}

@@ -14,7 +14,7 @@ fn a_connected_component_is_in_use_by_its_connections_at_either_end() {
     for path in ["host/robot", "host/controller"] {
         let refusal = refused(&graph, &remove(path, false));
         let Refusal::InUse { by, .. } = &refusal else { panic!("{refusal}") };
-        assert!(by[0].starts_with("connection 1 (host/controller/robot → host/robot/arm)"), "{by:?}");
+        assert!(by[0].starts_with("connection 1 (host/robot/arm → host/controller/robot)"), "{by:?}");
     }
 }
 

@@ -212,9 +212,11 @@ fn what_lost_an_end_it_requires_is_not_resumed_until_that_is_connected_again() {
     done(&mut graph, &[start(&["host/robot", "host/controller"])]);
     done(&mut graph, &[Request::Remove { id: id("host/robot"), force: true }]);
     set_state(&mut graph, "host/controller", State::Stopped(StopReason::PeerLost));
-    for request in [resume(&["host/controller"]), start(&["host/controller"])] {
+    for (request, asked) in [(resume(&["host/controller"]), "resume"), (start(&["host/controller"]), "start")]
+    {
         let refusal = refused(&graph, &request);
         assert!(matches!(&refusal, Refusal::Unconnected { ports, .. } if ports == &["robot"]), "{refusal}");
+        assert!(refusal.to_string().contains(&format!("cannot {asked}:")), "{refusal}");
     }
     let again = [
         create("host/robot", "eyerobot"),

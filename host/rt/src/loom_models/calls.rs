@@ -7,8 +7,11 @@ use loom::thread;
 
 use super::model;
 use crate::cell::BindingCell;
+use crate::mailbox::{EntryHead, Mailbox, Overflow, Push};
+use crate::mark::Mark;
 use crate::reply::{Reply, ReplyPool};
 use crate::state::state_table;
+use crate::sync::AtomicBool;
 
 fn row(n: u64) -> [u8; 16] {
     let mut row = [0; 16];
@@ -144,5 +147,63 @@ fn loom_a_cell_used_again_after_a_deadline_carries_the_second_answer_only() {
         }
         thread.join().unwrap();
         assert_eq!(pool.in_use(), 0);
+    });
+}
+
+/// What a caller and whoever stops its server have in common while that one's thread is held up and drains nothing.
+struct HeldUp {
+    active: AtomicBool,
+    mark: Mark,
+    mail: Mailbox,
+    replies: Arc<ReplyPool>,
+}
+
+impl HeldUp {
+    /// As a call of a command is queued; its answer, when it is known before the caller waits.
+    fn call(&self, token: u64) {
+        if !self.active.load(Ordering::SeqCst) {
+            self.replies.fail(token, NOT_ACTIVE);
+            return;
+        }
+        let head = EntryHead { reply: token, ..EntryHead::default() };
+        assert_eq!(self.mail.push(head, &[], Overflow::Reject), Push::Queued);
+        self.mark.set();
+        if !self.active.load(Ordering::SeqCst) {
+            self.replies.fail(token, NOT_ACTIVE);
+        }
+    }
+
+    fn stop(&self) {
+        self.active.swap(false, Ordering::SeqCst);
+        self.mark.meet();
+        let refuse = |head: EntryHead| {
+            self.replies.fail(head.reply, NOT_ACTIVE);
+        };
+        self.mail.throw_out(refuse, refuse);
+    }
+}
+
+const NOT_ACTIVE: i32 = 5;
+
+/// Without the caller's second look, or without the mark between stop and throwing out, a call can be in the queue of a server
+/// whose thread nobody can wait for, and sleep there until its deadline.
+#[test]
+fn loom_a_call_that_meets_the_stop_of_its_server_is_answered_although_nobody_drains() {
+    model(|| {
+        let (replies, mark) = (ReplyPool::new(1, 0, 0), Mark::default());
+        let ticket = replies.acquire().unwrap();
+        let shared = HeldUp {
+            active: AtomicBool::new(true),
+            mark,
+            mail: Mailbox::new(2, 0, 0),
+            replies: replies.clone(),
+        };
+        let shared = Arc::new(shared);
+        let (theirs, token) = (Arc::clone(&shared), ticket.token());
+        let caller = thread::spawn(move || theirs.call(token));
+        shared.stop();
+        caller.join().unwrap();
+        assert!(!replies.fail(token, -1), "it still waits");
+        assert_eq!(ticket.wait(u64::MAX, |_, _| ()), Reply::Done(NOT_ACTIVE));
     });
 }

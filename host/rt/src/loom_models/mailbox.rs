@@ -7,6 +7,7 @@ use loom::thread;
 
 use super::{Plain, model, model_within};
 use crate::mailbox::{EntryHead, Mailbox, Overflow, Push};
+use crate::mark::Mark;
 use crate::wake::Waker;
 
 #[test]
@@ -236,5 +237,41 @@ fn loom_what_is_thrown_out_during_a_drain_is_run_or_refused_once() {
         assert_eq!(sums.load(Ordering::Relaxed), 0x01_01_00, "heads found, one byte each");
         assert!(mail.is_empty());
         assert_eq!(mail.push(head(0, 3), &[], Overflow::Reject), Push::Queued, "it takes more afterwards");
+    });
+}
+
+/// A drain that meets an entry in the hands of whoever throws out goes to sleep over those behind it: that one tells its
+/// server of what it leaves. Without the mark in between, it may not see what the drain has left to it.
+#[test]
+fn loom_what_is_pushed_behind_a_throwing_out_does_not_stay_without_a_mark() {
+    model(|| {
+        let server = Arc::new((Mailbox::new(2, 0, 0), Mark::default()));
+        assert_eq!(server.0.push(head(0, 1), &[], Overflow::Reject), Push::Queued);
+        server.1.set();
+        let (theirs, ours) = (Arc::clone(&server), Arc::clone(&server));
+        let manager = thread::spawn(move || {
+            let (mail, mark) = &*theirs;
+            mail.throw_out(|_| {}, |_| {});
+            mark.meet();
+            if !mail.is_empty() {
+                mark.set();
+            }
+        });
+        let client = thread::spawn(move || {
+            let (mail, mark) = &*ours;
+            assert_eq!(mail.push(head(0, 2), &[], Overflow::Reject), Push::Queued);
+            mark.set();
+        });
+        let (mail, mark) = &*server;
+        let look = || {
+            if mark.take_if_set() {
+                mail.drain(|_, _| {}, |_| {});
+            }
+        };
+        look();
+        manager.join().unwrap();
+        client.join().unwrap();
+        look();
+        assert!(mail.is_empty(), "queued, and the server sleeps");
     });
 }

@@ -44,19 +44,28 @@ fn free_memory() -> usize {
     usize::try_from(pages).unwrap_or(0).saturating_mul(usize::try_from(bytes).unwrap_or(0))
 }
 
+/// Refuses what does not fit into the memory that is available now, with a sentence that says how much that is.
+///
+/// # Errors
+/// It does not fit.
+pub fn room_for(len: usize) -> io::Result<()> {
+    // Without this check fallocate goes on taking pages until the kernel kills processes, anybody's.
+    let available = available_memory();
+    if len <= available - available / RESERVE {
+        return Ok(());
+    }
+    Err(io::Error::new(
+        io::ErrorKind::OutOfMemory,
+        format!(
+            "{len} bytes do not fit: {available} bytes of memory are available, an eighth of which must stay \
+             free; use fewer or smaller slots"
+        ),
+    ))
+}
+
 impl Memory {
     pub(super) fn new(len: usize) -> io::Result<Self> {
-        // Without this check fallocate goes on taking pages until the kernel kills processes, anybody's.
-        let available = available_memory();
-        if len > available - available / RESERVE {
-            return Err(io::Error::new(
-                io::ErrorKind::OutOfMemory,
-                format!(
-                    "a frame pool of {len} bytes does not fit: {available} bytes of memory are available, an \
-                     eighth of which must stay free; use fewer or smaller slots"
-                ),
-            ));
-        }
+        room_for(len)?;
         let flags = libc::MFD_CLOEXEC | libc::MFD_ALLOW_SEALING;
         // SAFETY: the name is a C string, the rest are flags.
         let fd = unsafe { libc::memfd_create(c"trocar-pool".as_ptr(), flags) };

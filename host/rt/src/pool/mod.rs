@@ -16,6 +16,7 @@ pub use frame::{Frame, FrameMut};
 use crate::buf::round_up;
 use crate::os::OsError;
 use memory::Memory;
+pub use memory::room_for;
 use slots::Slots;
 
 /// A pool of equal slots.
@@ -59,6 +60,11 @@ impl FramePool {
             max_bytes,
             stride,
         }))
+    }
+
+    /// Bytes a pool takes; `None` for no slots or more bytes than an address can reach.
+    pub fn bytes(slots: u32, header_bytes: usize, max_bytes: usize) -> Option<usize> {
+        Self::size(slots, header_bytes, max_bytes).map(|(_, total)| total)
     }
 
     /// Bytes of a slot and of the pool; `None` for no slots or more bytes than an address can reach.

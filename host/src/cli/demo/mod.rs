@@ -29,8 +29,15 @@ const TRY: &str = "host/robot/arm/measured_js";
 /// Threads, caches and the robot's first motion settle before figures are taken.
 const SETTLE: Duration = Duration::from_millis(500);
 
-/// Runs a small surgical system: a robot at 1 kHz and stereo video, on simulated devices and real images.
+const EXAMPLES: &str = "\
+While it runs, in another terminal:
+  trocar ls
+  trocar describe host/robot
+  trocar call host/robot/arm/measured_js";
+
+/// Runs a small surgical system: a simulated robot at 1 kHz and stereo video of real images, with a live table.
 #[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct DemoArgs {
     /// End after measuring for this many seconds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=86_400))]
@@ -38,7 +45,7 @@ pub(super) struct DemoArgs {
     /// Directory of left*/right* images [default: tests/data/chessboard of the sources].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Plugin directories [default: the program's own]; may be given several times.
+    /// Plugin directory; may be given several times [default: where this program lies].
     #[arg(long, value_name = "DIR")]
     plugins: Vec<PathBuf>,
     /// Address to listen on; port 0 takes a free one.
@@ -80,6 +87,7 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     let config = run::config(&file, Path::new(""), plugins, args.listen)?;
     let mut stop = StopRequest::listen();
     let host = config.start().await?;
+    logging::to_readers(host.own_lines());
     let done = match run::bring_up(&host, &file, &mut stop).await {
         Ok(true) => show(&host, args.seconds, session, &mut stop).await,
         Ok(false) => Ok(Exit::Interrupted),

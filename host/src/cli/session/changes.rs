@@ -70,21 +70,28 @@ impl Session {
         })
     }
 
+    /// Removes all of them, or none.
     pub(in crate::cli) async fn remove(
         &self,
-        path: &str,
+        paths: &[String],
         force: bool,
         m: &MutationArgs,
     ) -> Result<Outcome, Failure> {
-        let ask = v1::RemoveRequest {
-            path: path.to_owned(),
-            force,
+        let one = |path: &String| v1::Step {
+            step: Some(v1::step::Step::Remove(v1::RemoveRequest {
+                path: path.clone(),
+                force,
+                ..v1::RemoveRequest::default()
+            })),
+        };
+        let ask = v1::ApplyRequest {
+            steps: paths.iter().map(one).collect(),
             validate_only: m.dry_run,
             expected_revision: m.expected_revision,
-            ..v1::RemoveRequest::default()
+            ..v1::ApplyRequest::default()
         };
         let a =
-            self.client().await?.gcm.remove(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
+            self.client().await?.gcm.apply(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
     }
 

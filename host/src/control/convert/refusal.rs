@@ -48,6 +48,7 @@ refusals! {
     NothingMatches { pattern, known }
     InterfaceNotFound { port, known }
     MemberNotFound { member, known }
+    WrongKind { member, is, wanted }
     ConnectionNotFound { asked, known }
     WrongDirection { client, client_is, server, server_is }
     AlreadyConnected { client, server }
@@ -58,11 +59,13 @@ refusals! {
     FormatMismatch { client, server, wants, has }
     SyncCycle { path }
     WrongState { id, state, verb, allowed, why }
-    Unconnected { id, ports }
+    Unconnected { id, verb, ports }
     ConfigInvalid { id, violations }
     ArgumentInvalid { what, why, field }
     ComponentRefused { id, entry, text }
     ComponentFault { id, text }
+    NoMemory { id, outputs, bytes, why }
+    NoThread { id, why }
     InUse { id, by }
     PluginAbi { file, text }
     PluginUntrusted { file, text }
@@ -173,7 +176,7 @@ macro_rules! words {
 words!(State, Verb);
 
 /// Words the refusals use for entries of a component and for kinds of ends.
-const WORDS: [&str; 17] = [
+const WORDS: [&str; 19] = [
     "create",
     "configure",
     "describe",
@@ -187,6 +190,8 @@ const WORDS: [&str; 17] = [
     "call",
     "handle",
     "run",
+    "show its state",
+    "show an output",
     "an input",
     "an output",
     "a required interface",

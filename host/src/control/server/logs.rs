@@ -91,17 +91,21 @@ impl Wanted {
     }
 }
 
-/// The stream of lines; it ends after those kept unless they are to be followed.
+/// The stream of lines, of those kept the `last` ones, 0 = all; it ends after those kept unless they are to be followed.
 pub(super) fn stream(
     lines: &Lines,
     wanted: Wanted,
     follow: bool,
+    last: u32,
 ) -> ReceiverStream<Result<v1::LogsResponse, Status>> {
     let (kept, mut live) = lines.tail();
     let (tell, told) = mpsc::channel(WAITING);
     tokio::spawn(async move {
         let mut skipped = 0;
-        for line in kept.into_iter().filter(|line| wanted.wants(line)) {
+        let kept: Vec<LogLine> = kept.into_iter().filter(|line| wanted.wants(line)).collect();
+        let newest = if last == 0 { kept.len() } else { kept.len().min(last as usize) };
+        let older = kept.len() - newest;
+        for line in kept.into_iter().skip(older) {
             if tell.send(Ok(response(line, 0))).await.is_err() {
                 return;
             }

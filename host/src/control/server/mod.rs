@@ -3,6 +3,7 @@
 mod gcm;
 mod interact;
 mod logs;
+mod part;
 mod plugin;
 mod wait;
 mod watch;

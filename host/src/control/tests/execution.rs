@@ -29,18 +29,22 @@ async fn every_setting_arrives_and_is_shown_again() {
         cpus: vec![1],
         catch_up: Some(3),
         threads: Some(4),
-        max_step: seconds(0, 20_000_000),
         ..Default::default()
     };
     let mut gcm = s.gcm();
     gcm.create(v1::CreateRequest { execution: Some(lead.clone()), ..create("host/lead") }).await.unwrap();
     let want = v1::Execution { period: seconds(0, 10_000_000), phase: None, ..lead };
     assert_eq!(shown(&s, "host/lead").await, want);
-    let rider =
-        v1::Execution { stream_of: "host/lead".into(), on_failure: "bypass".into(), ..Default::default() };
+    let rider = v1::Execution {
+        stream_of: "host/lead".into(),
+        on_failure: "bypass".into(),
+        max_step: seconds(0, 20_000_000),
+        ..Default::default()
+    };
     gcm.create(v1::CreateRequest { execution: Some(rider), ..create("host/rider") }).await.unwrap();
     let rider = shown(&s, "host/rider").await;
     assert_eq!((rider.model.as_str(), rider.on_failure.as_str()), ("stream", "bypass"));
+    assert_eq!(rider.max_step, seconds(0, 20_000_000));
     let inside = v1::Execution { model: "exec_out".into(), inside: "host/lead".into(), ..Default::default() };
     gcm.create(v1::CreateRequest { execution: Some(inside), ..create("host/inside") }).await.unwrap();
     assert_eq!(shown(&s, "host/inside").await.model, "exec_out");

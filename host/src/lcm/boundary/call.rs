@@ -4,6 +4,7 @@
 //! under its lock) and never re-entered; whoever would, is queued or answered WOULD_BLOCK.
 
 use std::ffi::c_void;
+use std::io::Write;
 use std::sync::Arc;
 
 use trocar_plugin_api::abi::{
@@ -19,10 +20,11 @@ use super::super::context;
 use super::super::inbox::{ENTRY_COMMAND, Inbox, Position};
 use super::super::instance::{Entered, Instance, Misuse};
 use super::super::pending;
+use super::entry::Unexplained;
 use super::options;
 use super::range::RangeCheck;
 use super::read::ReadTarget;
-use super::told;
+use super::{text_in, told};
 
 /// Deadline of a blocking call that names none, ns.
 pub(in crate::lcm) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
@@ -183,13 +185,27 @@ pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> 
     super::tell(sink, &cell.binding.enter().described)
 }
 
-/// The outcome a status of `command` or `read` means to the caller.
-pub(in crate::lcm) fn outcome_of(status: Status) -> Outcome {
-    match status {
-        STATUS_OK => EXECUTED,
-        trocar_plugin_api::abi::STATUS_INVALID => INVALID_ARGUMENT,
-        _ => FAILED,
+/// The outcome a status of `command` or `read` means to the caller, who is told the number where the plugin says no more.
+pub(in crate::lcm) fn outcome_of(status: Status, err: *mut ErrBuf) -> Outcome {
+    if status == STATUS_OK {
+        return EXECUTED;
     }
+    explain(status, err);
+    if status == trocar_plugin_api::abi::STATUS_INVALID { INVALID_ARGUMENT } else { FAILED }
+}
+
+#[cold]
+fn explain(status: Status, err: *mut ErrBuf) {
+    // SAFETY: null or a buffer the caller lends for the call.
+    if unsafe { err.as_ref() }.is_none_or(|err| !text_in(err).is_empty()) {
+        return;
+    }
+    let mut room = [0; 64];
+    let mut rest = &mut room[..];
+    // What has no room is left out.
+    let _ = write!(rest, "{}", Unexplained(status));
+    let said = 64 - rest.len();
+    write_err(err, &room[..said]);
 }
 
 impl CommandTarget {
@@ -337,7 +353,7 @@ impl CommandTarget {
         WOULD_BLOCK
     }
 
-    fn queue(
+    pub(super) fn queue(
         &self,
         arg: *const u8,
         ret: *mut u8,
@@ -385,6 +401,11 @@ impl CommandTarget {
         self.signal();
         self.server.drain_if_passive();
         let Some(ticket) = ticket else { return QUEUED };
+        if !self.server.is_active() || self.server.is_closed() {
+            // Stopped since it was asked, perhaps on a thread that is held up: whoever stopped it may have looked into the
+            // queue before this was there.
+            self.inbox.replies.fail(ticket.token(), self.server.turned_away());
+        }
         let ret_bytes = self.ret_bytes;
         let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
         let reply = ticket.wait(os::now_ns().saturating_add(deadline_ns), |value, text| {

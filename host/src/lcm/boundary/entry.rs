@@ -5,9 +5,11 @@
 
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
+use std::fmt;
 use std::ptr;
 use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
+use trocar_model::Ports as Described;
 use trocar_plugin_api::abi::{
     Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_FAILED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status,
     Tick,
@@ -16,15 +18,30 @@ use trocar_rt::os;
 
 use super::super::context;
 use super::hot::{Hot, StateCopy, entry};
+use super::needs;
+use super::ports::NoRoom;
 
 /// A failed entry: its status and its sentence.
 #[derive(Clone, Debug)]
 pub(in crate::lcm) struct EntryError {
     pub(in crate::lcm) status: Status,
     pub(in crate::lcm) text: String,
+    /// The host could not give what it asked for.
+    pub(in crate::lcm) no_room: Option<Box<NoRoom>>,
 }
 
 impl EntryError {
+    pub(in crate::lcm) fn new(status: Status, text: impl Into<String>) -> Self {
+        EntryError { status, text: text.into(), no_room: None }
+    }
+
+    pub(in crate::lcm) fn no_room(no_room: NoRoom) -> Self {
+        EntryError {
+            no_room: Some(Box::new(no_room.clone())),
+            ..Self::new(STATUS_FAILED, no_room.to_string())
+        }
+    }
+
     pub(in crate::lcm) fn panicked(&self) -> bool {
         self.status == trocar_plugin_api::abi::STATUS_PANICKED
     }
@@ -48,12 +65,20 @@ fn guarded(mut err: ErrBuf, f: impl FnOnce(*mut ErrBuf) -> Status) -> Result<(),
 #[cold]
 fn failed(status: Status, err: *mut ErrBuf) -> EntryError {
     let text = super::sentence(err);
-    let text = match text.is_empty() {
-        true if status > STATUS_OK => format!("status {status}, which this ABI does not have"),
-        true => format!("status {status} without a reason"),
-        false => text,
-    };
-    EntryError { status, text }
+    let text = if text.is_empty() { Unexplained(status).to_string() } else { text };
+    EntryError::new(status, text)
+}
+
+/// A status that came without a sentence.
+pub(super) struct Unexplained(pub(super) Status);
+
+impl fmt::Display for Unexplained {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            status if status > STATUS_OK => write!(f, "status {status}, which this ABI does not have"),
+            status => write!(f, "status {status} without a reason"),
+        }
+    }
 }
 
 /// What an entry is answered that nobody is there for.
@@ -274,7 +299,7 @@ impl<T> Entered<'_, T> {
     /// The instance, where there is one.
     fn made(&self) -> Result<*mut c_void, EntryError> {
         let this = self.this();
-        if this.is_null() { Err(EntryError { status: STATUS_FAILED, text: GONE.into() }) } else { Ok(this) }
+        if this.is_null() { Err(EntryError::new(STATUS_FAILED, GONE)) } else { Ok(this) }
     }
 
     /// An empty error buffer, used by one entry at a time: an instance is not re-entered.
@@ -286,10 +311,7 @@ impl<T> Entered<'_, T> {
     /// Makes the instance.
     pub(in crate::lcm) fn create(&mut self, host: *const HostTable, name: &str) -> Result<(), EntryError> {
         let Some(create) = entry!(self.object.table, create) else {
-            return Err(EntryError {
-                status: STATUS_UNSUPPORTED,
-                text: "the class has no create entry".into(),
-            });
+            return Err(EntryError::new(STATUS_UNSUPPORTED, "the class has no create entry"));
         };
         let mut made = ptr::null_mut();
         guarded(self.err_buf(), |err| {
@@ -351,13 +373,16 @@ impl<T> Entered<'_, T> {
         match unsafe { describe(this, &raw const sink) } {
             STATUS_UNSUPPORTED => Ok(None),
             status if status != STATUS_OK => {
-                Err(EntryError { status, text: format!("status {status} without a reason") })
+                Err(EntryError::new(status, format!("status {status} without a reason")))
             }
-            _ if text.cut => {
-                Err(EntryError { status: STATUS_FAILED, text: format!("it writes more than {most} bytes") })
-            }
+            _ if text.cut => Err(EntryError::new(STATUS_FAILED, format!("it writes more than {most} bytes"))),
             _ => Ok(Some(text.bytes)),
         }
+    }
+
+    /// The entry its class leaves null although these ports need it, and what of them does.
+    pub(in crate::lcm) fn lacks(&self, ports: &Described) -> Option<(&'static str, String)> {
+        needs::lacking(self.object.table, ports)
     }
 
     pub(in crate::lcm) fn start(&mut self) -> Result<(), EntryError> {

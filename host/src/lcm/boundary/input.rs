@@ -22,12 +22,11 @@ use trocar_rt::timing::Histogram;
 use super::super::context;
 use super::output::OutCell;
 
-/// Samples that pass a failed filter per cycle, so that a flood from another thread cannot keep the cycle from its end.
-const PASSED_BY: usize = 64;
-
 /// The consumer's end of one connection.
 pub(in crate::lcm) struct InLink {
     reader: UnsafeCell<StreamReader>,
+    /// Samples that may wait.
+    depth: usize,
     /// Older samples are stale, ns; 0 = never.
     max_age_ns: u64,
     /// Stamp of the newest sample written, at first the time of connecting; kept where there is a `max_age`.
@@ -65,6 +64,7 @@ impl InLink {
     /// `adapt`: the copy plan and the bytes of the input's type, where the output's layout is another.
     pub(in crate::lcm) fn new(
         reader: StreamReader,
+        depth: usize,
         max_age_ns: u64,
         described: Arc<str>,
         adapt: Option<(Vec<CopyRun>, usize)>,
@@ -76,6 +76,7 @@ impl InLink {
         });
         InLink {
             reader: UnsafeCell::new(reader),
+            depth,
             max_age_ns,
             newest_ns: Arc::new(AtomicU64::new(os::now_ns())),
             latency: Histogram::new(),
@@ -165,19 +166,24 @@ impl InCell {
         self.link.enter().as_ref().is_some_and(|link| link.is_stale(now_ns))
     }
 
-    /// Passes samples not seen yet on to `output` unchanged, at most [`PASSED_BY`]. Component's thread only; real-time.
-    pub(in crate::lcm) fn bypass(&self, output: &OutCell) {
+    /// Passes samples not seen yet on to `output` unchanged: as many as can wait at once, so that a flood from another thread
+    /// cannot keep the cycle from its end. True when there may be more. Component's thread only; real-time.
+    pub(in crate::lcm) fn bypass(&self, output: &OutCell) -> bool {
         let mut view = std::mem::MaybeUninit::uninit();
-        for _ in 0..PASSED_BY {
+        let mut passed = 0;
+        loop {
             if self.show(view.as_mut_ptr(), StreamReader::next) != IN_SAMPLE {
-                return;
+                return false;
             }
             // SAFETY: IN_SAMPLE says that the view was written.
             let stamp_ns = unsafe { view.assume_init_ref() }.stamp_ns;
             // SAFETY: component's thread only.
-            if let Some(link) = unsafe { &*self.held.get() } {
-                // SAFETY: as above.
-                unsafe { link.pass_on(output, stamp_ns, true) };
+            let Some(link) = (unsafe { &*self.held.get() }) else { return false };
+            // SAFETY: as above.
+            unsafe { link.pass_on(output, stamp_ns, true) };
+            passed += 1;
+            if passed >= link.depth {
+                return true;
             }
         }
     }

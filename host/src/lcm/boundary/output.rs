@@ -3,8 +3,9 @@
 //! Invariant: an output never waits for a reader; every write counts, read or not, so a gap at a reader is what it missed.
 
 use std::ffi::c_void;
+use std::io;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use trocar_model::PortType;
 use trocar_plugin_api::abi::{
@@ -191,21 +192,26 @@ impl OutCell {
     }
 
     /// (Re)makes the pool; not from `step`.
-    pub(in crate::lcm) fn reserve(&self, max_bytes: usize, slots: usize) -> Outcome {
-        let Shape { bytes, unknown, .. } = self.shape();
-        if unknown {
-            return UNBOUND;
-        }
-        match FramePool::new(slots as u32, bytes, max_bytes) {
-            Ok(pool) => {
-                self.change_pool(Some(pool));
-                EXECUTED
-            }
-            Err(e) => {
-                log::error!("a pool of {slots} frames of {max_bytes} bytes cannot be made: {e}");
-                EXHAUSTED
-            }
-        }
+    ///
+    /// # Errors
+    /// There is no memory for it.
+    pub(super) fn make_pool(&self, max_bytes: usize, slots: u32) -> io::Result<()> {
+        let pool = FramePool::new(slots, self.shape().bytes, max_bytes)?;
+        self.change_pool(Some(pool));
+        Ok(())
+    }
+
+    /// Says of the component whose code runs here, and whose output this is, that it got no pool.
+    fn tell_refused(&self, asked: &str) {
+        // SAFETY: null, or the context of the instance that is being called on this very thread.
+        let running = unsafe { context::component().as_ref() }.and_then(|host| host.instance.get());
+        let Some(instance) = running.and_then(Weak::upgrade) else {
+            log::error!("{asked}");
+            return;
+        };
+        let set = instance.described.now();
+        let name = set.slots.output_of(self).map_or("an output", |i| set.ports.outputs[i].name.as_str());
+        instance.warn(&format!("{name}: {asked}"));
     }
 
     /// Another pool, or none, lends from now on. The one before stays at least until the next [`OutCell::reclaim`].
@@ -485,11 +491,21 @@ pub(super) unsafe extern "C" fn reserve(ctx: *mut c_void, max_bytes: u64, slots:
     if !shape.frame && !shape.unknown {
         return FAILED;
     }
+    if shape.unknown {
+        return UNBOUND;
+    }
+    let asked = format!("a pool of {slots} frames of {max_bytes} bytes cannot be made");
     if slots > MOST_SLOTS {
-        log::error!("a pool of {slots} frames cannot be made: one has at most {MOST_SLOTS}");
+        cell.tell_refused(&format!("{asked}: one has at most {MOST_SLOTS} frames"));
         return INVALID_ARGUMENT;
     }
-    cell.reserve(max_bytes as usize, slots.max(2) as usize)
+    match cell.make_pool(max_bytes as usize, slots.max(2)) {
+        Ok(()) => EXECUTED,
+        Err(e) => {
+            cell.tell_refused(&format!("{asked}: {e}"));
+            EXHAUSTED
+        }
+    }
 }
 
 pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {

@@ -4,11 +4,13 @@
 //! Invariant: cells and slots never move and live as long as a table that holds them; positions are the description's. A
 //! port that stays from one description to the next keeps its cell and its slot, and with them all that is connected.
 
+use std::fmt;
 use std::sync::Arc;
 
-use trocar_model::{PortType, Ports as Described, Type};
+use trocar_model::{ComponentId, Output, PortType, Ports as Described, Refusal, Type};
 use trocar_plugin_api::abi::{EventSlot, FnSlot, InSlot, OutSlot, Ports};
 use trocar_rt::os::OsError;
+use trocar_rt::pool::{self, FramePool};
 
 use super::call::{self, FnCell};
 use super::event::{self, EventCell};
@@ -17,7 +19,7 @@ use super::output::{self, OutCell};
 use super::same::{self, same_input, same_output};
 
 /// Frames in the pool of an output whose manifest names a size but no count.
-const DEFAULT_POOL: usize = 8;
+const DEFAULT_POOL: u32 = 8;
 
 /// A cell and the slot that points to it.
 struct Port<C, S> {
@@ -66,14 +68,74 @@ fn size_of_slot<T>() -> u32 {
     size_of::<T>() as u32
 }
 
-fn new_output(ty: &PortType) -> Port<OutCell, OutSlot> {
-    let cell = OutCell::new(ty);
-    if let PortType::Frame { max_bytes, .. } = ty
-        && *max_bytes > 0
-    {
-        cell.reserve(*max_bytes, DEFAULT_POOL);
+/// Frames of outputs that there is no memory for.
+#[derive(Clone, Debug)]
+pub(in crate::lcm) struct NoRoom {
+    pub(in crate::lcm) outputs: Vec<String>,
+    /// All that was asked for.
+    pub(in crate::lcm) bytes: u64,
+    /// What there is.
+    pub(in crate::lcm) why: String,
+}
+
+/// Outputs a sentence names.
+const NAMED: usize = 3;
+
+impl fmt::Display for NoRoom {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let named = self.outputs.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+        write!(f, "it asks for {} bytes for the frames of {named}", self.bytes)?;
+        match self.outputs.len().saturating_sub(NAMED) {
+            0 => {}
+            more => write!(f, " and {more} more")?,
+        }
+        write!(f, ": {}", self.why)
     }
-    Port::new(cell, |ctx| OutSlot {
+}
+
+impl NoRoom {
+    pub(in crate::lcm) fn refusal(self, id: &ComponentId) -> Refusal {
+        Refusal::NoMemory { id: id.clone(), outputs: self.outputs, bytes: self.bytes, why: self.why }
+    }
+}
+
+/// Bytes the pool of an output takes that is made with it; 0 without one.
+fn pool_bytes(ty: &PortType) -> usize {
+    match ty {
+        PortType::Frame { header, max_bytes, .. } if *max_bytes > 0 => {
+            FramePool::bytes(DEFAULT_POOL, header.size(), *max_bytes).unwrap_or(usize::MAX)
+        }
+        _ => 0,
+    }
+}
+
+/// All of them or none: looked at together before the first page is taken.
+fn room_for<'a>(outputs: impl Iterator<Item = &'a Output>) -> Result<(), NoRoom> {
+    let pools: Vec<(&Output, usize)> =
+        outputs.map(|o| (o, pool_bytes(&o.ty))).filter(|(_, n)| *n > 0).collect();
+    let bytes = pools.iter().fold(0usize, |sum, (_, n)| sum.saturating_add(*n));
+    if bytes == 0 {
+        return Ok(());
+    }
+    pool::room_for(bytes).map_err(|e| NoRoom {
+        outputs: pools.iter().map(|(o, _)| o.name.clone()).collect(),
+        bytes: bytes as u64,
+        why: e.to_string(),
+    })
+}
+
+fn new_output(output: &Output) -> Result<Port<OutCell, OutSlot>, NoRoom> {
+    let cell = OutCell::new(&output.ty);
+    if let PortType::Frame { max_bytes, .. } = output.ty
+        && max_bytes > 0
+    {
+        cell.make_pool(max_bytes, DEFAULT_POOL).map_err(|e| NoRoom {
+            outputs: vec![output.name.clone()],
+            bytes: pool_bytes(&output.ty) as u64,
+            why: e.to_string(),
+        })?;
+    }
+    Ok(Port::new(cell, |ctx| OutSlot {
         struct_size: size_of_slot::<OutSlot>(),
         flags: 0,
         ctx,
@@ -85,7 +147,7 @@ fn new_output(ty: &PortType) -> Port<OutCell, OutSlot> {
         reserve: output::reserve,
         type_of: output::type_of,
         write_bytes: output::write_bytes,
-    })
+    }))
 }
 
 fn new_input() -> Port<InCell, InSlot> {
@@ -123,19 +185,25 @@ fn new_event(payload: Option<&Type>) -> Port<EventCell, EventSlot> {
 }
 
 impl Slots {
-    /// Slots for `ports`; those that `stays` finds among the ports of an earlier description are taken over from it.
-    pub(in crate::lcm) fn new(ports: &Described, before: Option<(&Described, &Slots)>) -> Self {
-        let outputs: Vec<Port<OutCell, OutSlot>> = ports
+    /// Slots for `ports`; those of an earlier description that stay are taken over from it.
+    ///
+    /// # Errors
+    /// There is no memory for the frames of an output.
+    pub(in crate::lcm) fn new(
+        ports: &Described,
+        before: Option<(&Described, &Slots)>,
+    ) -> Result<Self, NoRoom> {
+        let stays = |new: &Output| {
+            let (old, slots) = before?;
+            let i = old.outputs.iter().position(|o| same_output(o, new))?;
+            slots.outputs.get(i).cloned()
+        };
+        room_for(ports.outputs.iter().filter(|new| stays(new).is_none()))?;
+        let outputs = ports
             .outputs
             .iter()
-            .map(|new| {
-                let kept = before.and_then(|(old, slots)| {
-                    let i = old.outputs.iter().position(|o| same_output(o, new))?;
-                    slots.outputs.get(i).cloned()
-                });
-                kept.unwrap_or_else(|| new_output(&new.ty))
-            })
-            .collect();
+            .map(|new| stays(new).map_or_else(|| new_output(new), Ok))
+            .collect::<Result<Vec<_>, _>>()?;
         let inputs: Vec<Port<InCell, InSlot>> = ports
             .inputs
             .iter()
@@ -171,7 +239,7 @@ impl Slots {
         }
         // The plugin knows only its own events; the system interface's, which come last, are the host's to emit.
         let own_events = events.len() - ports.provided.last().map_or(0, |p| p.events.len());
-        Self::with_ports(outputs, inputs, functions, events, own_events)
+        Ok(Self::with_ports(outputs, inputs, functions, events, own_events))
     }
 
     fn with_ports(
@@ -208,6 +276,11 @@ impl Slots {
 
     pub(in crate::lcm) fn output(&self, i: usize) -> &Arc<OutCell> {
         &self.outputs[i].cell
+    }
+
+    /// Which output a cell is.
+    pub(super) fn output_of(&self, cell: &OutCell) -> Option<usize> {
+        self.outputs.iter().position(|port| std::ptr::eq(&*port.cell, cell))
     }
 
     pub(in crate::lcm) fn input(&self, i: usize) -> &Arc<InCell> {

@@ -134,7 +134,7 @@ fn read_copy<const N: usize>(
     if status == STATUS_PANICKED {
         panicked(server, command, err);
     }
-    (outcome_of(status), info.stamp_ns)
+    (outcome_of(status, err), info.stamp_ns)
 }
 
 /// A read has no instance that could be distrusted: its caller is told, and it is counted; the watchdog tells the world.

@@ -42,10 +42,17 @@ impl Instance {
         lost
     }
 
-    /// Answers everything queued, unexecuted.
+    /// Answers everything queued, unexecuted; after whatever ended it was noted.
     pub(in crate::lcm) fn refuse_queued(&self, outcome: Outcome) {
-        for inbox in self.inboxes.enter().iter() {
-            inbox.refuse_all(outcome);
+        // A call is queued, marked, and then looks once more whether it may be: either it is found here or it sees why not.
+        self.signalled.meet();
+        let inboxes = self.inboxes.enter();
+        inboxes.iter().for_each(|inbox| inbox.refuse_all(outcome));
+        // What came behind an entry that was just in hand here may have been left by its own thread: see `throw_out`.
+        self.signalled.meet();
+        if inboxes.iter().any(|inbox| !inbox.mailbox.is_empty()) {
+            self.signalled.set();
+            self.wake();
         }
     }
 
@@ -90,7 +97,7 @@ impl Instance {
     #[cold]
     fn handler_failed(&self, entered: &mut Entered<'_>, status: Status, err: &mut ErrBuf) {
         if status == STATUS_PANICKED {
-            self.fail(entered, "on_event", &EntryError { status, text: sentence(err) });
+            self.fail(entered, "on_event", &EntryError::new(status, sentence(err)));
         } else {
             self.counters.failed(Misuse::HandlerFailed, text_in(err));
         }
@@ -179,19 +186,29 @@ impl Instance {
         context::swap_component(before);
         self.counters.command();
         if status == STATUS_PANICKED {
-            self.command_panicked(entered, err);
+            self.command_panicked(entered, command, err);
         } else if !pending::later(self) {
             self.publish_state(entered);
         }
-        if status == STATUS_OK { EXECUTED } else { outcome_of(status) }
+        if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }
     }
 
     #[cold]
-    fn command_panicked(&self, entered: &mut Entered<'_>, err: *mut ErrBuf) {
-        let error = EntryError { status: STATUS_PANICKED, text: sentence(err) };
-        self.fail(entered, "command", &error);
+    fn command_panicked(&self, entered: &mut Entered<'_>, command: u32, err: *mut ErrBuf) {
+        let error = EntryError::new(STATUS_PANICKED, sentence(err));
+        let entry =
+            self.command_name(command).map_or_else(|| "command".into(), |name| format!("command {name}"));
+        self.fail(entered, &entry, &error);
         // Making it safe may have failed as well, and said so in the same place.
         write_err(err, error.text.as_bytes());
+    }
+
+    /// `interface/command` of the command at this position, as its ports are now.
+    pub(in crate::lcm) fn command_name(&self, command: u32) -> Option<String> {
+        let ports = self.ports();
+        let mut all = ports.provided.iter().flat_map(|i| i.commands.iter().map(move |c| (i, c)));
+        let (interface, command) = all.nth(command as usize)?;
+        Some(format!("{}/{}", interface.name, command.name))
     }
 
     /// Runs what was queued while somebody was inside a passive component.

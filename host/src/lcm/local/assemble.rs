@@ -28,9 +28,9 @@ fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refus
 }
 
 /// Refused while an end it requires has lost its connection: it would be stopped again as soon as that is seen.
-fn still_connected(instance: &Instance) -> Result<(), Refusal> {
+fn still_connected(instance: &Instance, verb: Verb) -> Result<(), Refusal> {
     let ports: Vec<String> = instance.missing().into_iter().map(|(port, _)| port).collect();
-    if ports.is_empty() { Ok(()) } else { Err(Refusal::Unconnected { id: instance.id.clone(), ports }) }
+    if ports.is_empty() { Ok(()) } else { Err(Refusal::Unconnected { id: instance.id.clone(), verb, ports }) }
 }
 
 /// Longest wait for a component that is being removed, before its thread is left behind; and for one that is being stopped,
@@ -83,6 +83,15 @@ impl LocalLcm {
         let class_info = component.class.clone();
         let made =
             Instance::new(number, id.clone(), class_info, class, self.hub.clone(), &execution, &executor.0);
+        let made = match made {
+            Ok(made) => made,
+            Err(no_room) => {
+                if executor.1 {
+                    executor.0.close();
+                }
+                return Err(no_room.refusal(&id));
+            }
+        };
         self.roster.add(Ward::new(made.clone(), executor.0.clone()));
         self.hub.logs.name(number, Some(&id));
         let slot = Slot { instance: made, executor: executor.0, execution, config: None };
@@ -157,7 +166,7 @@ impl LocalLcm {
         }
         Executor::spawn(id.component.as_str(), execution, &self.memory)
             .map(|e| (e, true))
-            .map_err(|e| Refusal::Internal { text: format!("no thread for {id}: {e}") })
+            .map_err(|e| Refusal::NoThread { id: id.clone(), why: e.to_string() })
     }
 
     pub(super) async fn configure(
@@ -174,12 +183,12 @@ impl LocalLcm {
             return Ok(slot.instance.report(true));
         }
         let json = to.to_string();
-        let (given, before) = (json.clone(), slot.config.clone());
+        let (given, before, former) = (json.clone(), slot.config.clone(), slot.config.clone());
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             // It may have failed, or have been stopped, while this waited for its turn.
             let stands = instance.state();
             let fits = stands == from_state && stands != State::Fault;
-            (stands, fits.then(|| configure(instance, entered, &given, to_state)))
+            (stands, fits.then(|| configure(instance, entered, &given, former.as_deref(), to_state)))
         };
         let undo =
             move |instance: &Instance, entered: &mut Entered<'_>, (from, done): (State, Option<Done>)| {
@@ -221,7 +230,7 @@ impl LocalLcm {
         };
         let moves = matches!(verb, Verb::Start | Verb::Resume);
         if moves && slot.instance.is_actuator() {
-            still_connected(&slot.instance)?;
+            still_connected(&slot.instance, verb)?;
         }
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
         let (executors, alone) = (self.executor_threads(&slot), self.is_alone(&slot));
@@ -254,7 +263,7 @@ impl LocalLcm {
         match done {
             // Stopped again at once: nobody may be told that it runs.
             Ok(()) if moves && slot.instance.state() == State::Stopped(StopReason::PeerLost) => {
-                still_connected(&slot.instance)?;
+                still_connected(&slot.instance, verb)?;
                 let why = "what it requires went away while it was being set in motion".to_owned();
                 Err(wrong_state(id, slot.instance.state(), verb, why))
             }

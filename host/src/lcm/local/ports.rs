@@ -6,6 +6,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use trocar_model::{ComponentId, State};
 use trocar_rt::os;
@@ -23,6 +24,8 @@ const LOOK_NS: u64 = 1_000_000_000;
 const SOON_NS: u64 = 10_000_000;
 /// How long a job waits for whoever is inside a component that runs in others' threads, ns.
 const PATIENCE_NS: u64 = 1_000_000_000;
+/// How long a process that shuts down waits for cycles that may look at what was cut.
+const CYCLES: Duration = Duration::from_millis(200);
 
 /// The thread that follows changing ports.
 pub(in crate::lcm) struct Follower {
@@ -89,11 +92,41 @@ impl LocalLcm {
             instance.queues().iter().for_each(|inbox| inbox.tell_toll(&instance));
             in_use += instance.reclaim();
         }
+        in_use += self.reclaim_leaving();
+        in_use > 0
+    }
+
+    /// Drops what removed components still hold of wires that were cut, where nobody looks at it any more; in how many
+    /// somebody does.
+    fn reclaim_leaving(&self) -> usize {
         let mut leaving = std::mem::take(&mut self.held().leaving);
         leaving.retain(|instance| instance.reclaim() > 0);
-        in_use += leaving.len();
+        let in_use = leaving.len();
         self.held().leaving.append(&mut leaving);
-        in_use > 0
+        in_use
+    }
+
+    /// Waits for the cycles that may still look at what was cut. Nobody comes by later: two components that were connected to
+    /// each other would keep each other for ever.
+    pub(super) async fn drop_left(&self, deadline: Instant) {
+        let until = deadline.min(Instant::now() + CYCLES);
+        loop {
+            match self.reclaim_leaving() {
+                0 => return,
+                in_use if Instant::now() >= until => {
+                    log::warn!(
+                        "a cycle that does not end still uses what {in_use} removed components were connected to"
+                    );
+                    return;
+                }
+                _ => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        }
+    }
+
+    #[cfg(test)]
+    pub(in crate::lcm) fn is_followed(&self) -> bool {
+        !self.follower.closing.load(Ordering::Acquire)
     }
 
     /// Locks frame pools into memory where the process asked for it and is not locked as a whole.

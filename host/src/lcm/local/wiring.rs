@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
-use trocar_model::{Connection, Refusal};
+use trocar_model::{Connection, Refusal, idle_connection};
 
 use super::super::connect::Wired;
 use super::super::cycle::Member;
@@ -24,6 +24,7 @@ impl LocalLcm {
         let server = self.slot(&connection.server.component)?;
         let id = connection.id.0;
         let (from, to) = (server.instance.clone(), client.instance.clone());
+        let ends = (connection.client.clone(), connection.server.clone());
         let connect = move || Wired::connect(&connection, &to, &from);
         let wired = between_cycles(&client, &server, deadline, connect).await?;
         if wired.required {
@@ -31,7 +32,10 @@ impl LocalLcm {
         }
         self.held().links.insert(id, Arc::new(wired));
         self.reorder(&client);
-        Ok(client.instance.report(false))
+        let (to, from) = (client.instance.described.now(), server.instance.described.now());
+        let mut report = client.instance.report(false);
+        report.warnings.extend(idle_connection(&to.ports, &ends.0, &from.ports, &ends.1));
+        Ok(report)
     }
 
     /// Cuts a connection between two cycles of the thread its ends share, if they do.

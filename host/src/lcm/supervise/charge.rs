@@ -20,6 +20,8 @@ use super::watch::{Busy, Entry, Misdeed};
 const OVERRUN_SHOWN_NS: u64 = 1_000_000_000;
 /// Longest stay in an entry that makes, starts or ends a component, ns; its own patience when that is longer.
 const LIFECYCLE_NS: u64 = 1_000_000_000;
+/// Longest wait for a processor that is no excuse any more while it lasts, ns: whoever starves that long is stuck, too.
+const STARVED_NS: u64 = 1_000_000_000;
 /// So much before its patience ends a component counts as unresponsive, ns, or a fiftieth of it when that is less: the
 /// world hears of it within the patience, not after it.
 const AHEAD_NS: u64 = 1_000_000;
@@ -60,6 +62,25 @@ struct Inside {
     late_ns: u64,
     /// How long its thread had waited for a processor when it began to last long, ns.
     waited_ns: Option<u64>,
+    /// What its thread had run, ns, since when it is seen to be ready without having run any more, ns.
+    ready: Option<(u64, u64)>,
+}
+
+impl Inside {
+    /// How long its thread has been kept from running since it began to last long, ns. A wait under way counts, too: the
+    /// kernel adds it up only when it is over.
+    fn kept_ns(&mut self, tid: i32, now_ns: u64) -> u64 {
+        let waited_ns = waited_ns(tid);
+        let over_ns = waited_ns.saturating_sub(*self.waited_ns.get_or_insert(waited_ns));
+        // Whoever sleeps in between must run first, so ready at both looks and not run means ready all the time.
+        let ran_ns = if os::is_ready(tid) { os::thread_ran_ns(tid) } else { None };
+        let since_ns = match (self.ready, ran_ns) {
+            (Some((before_ns, since_ns)), Some(ran_ns)) if before_ns == ran_ns => since_ns,
+            _ => now_ns,
+        };
+        self.ready = ran_ns.map(|ran_ns| (ran_ns, since_ns));
+        over_ns + now_ns.saturating_sub(since_ns).min(STARVED_NS)
+    }
 }
 
 impl Charge {
@@ -199,7 +220,7 @@ impl Charge {
         };
         if self.inside.as_ref().is_none_or(|i| i.busy != busy) {
             let since_ns = if busy.since_ns == 0 { now_ns } else { busy.since_ns };
-            self.inside = Some(Inside { busy, since_ns, ends_ns: 0, late_ns, waited_ns: None });
+            self.inside = Some(Inside { busy, since_ns, ends_ns: 0, late_ns, waited_ns: None, ready: None });
         }
         let tid = self.ward.executor.tid();
         let inside = self.inside.as_mut()?;
@@ -211,9 +232,7 @@ impl Charge {
         // Where the watchdog could not run, neither could it, perhaps.
         let mut counted_ns = lasted_ns.saturating_sub(late_ns - inside.late_ns);
         if counted_ns > patience_ns / 2 {
-            let waited_ns = waited_ns(tid);
-            let from = *inside.waited_ns.get_or_insert(waited_ns);
-            counted_ns = counted_ns.saturating_sub(waited_ns.saturating_sub(from));
+            counted_ns = counted_ns.saturating_sub(inside.kept_ns(tid, now_ns));
         }
         (counted_ns >= allowed_ns).then(|| {
             let (inside, allowed) = (inside_of(&self.ward, busy), short(patience_ns));
@@ -281,10 +300,8 @@ fn inside_of(ward: &Ward, busy: Busy) -> String {
     if busy.entry != Entry::Command {
         return entry.to_owned();
     }
-    let ports = instance.ports();
-    let mut all = ports.provided.iter().flat_map(|i| i.commands.iter().map(move |c| (i, c)));
-    match all.nth(instance.watch.command() as usize) {
-        Some((interface, command)) => format!("{entry} {}/{}", interface.name, command.name),
+    match instance.command_name(instance.watch.command()) {
+        Some(name) => format!("{entry} {name}"),
         None => entry.to_owned(),
     }
 }
@@ -298,7 +315,10 @@ fn short(ns: u64) -> String {
 /// Which of its sources are silent or gone.
 fn stale(ward: &Ward, now_ns: u64) -> Option<String> {
     let instance = &ward.instance;
-    let missing: Vec<String> = instance.missing().into_iter().map(|(port, _)| port).collect();
+    // What is only rewired is not without a source.
+    let gone = |since: u64| now_ns.saturating_sub(since) >= REWIRE_NS;
+    let missing: Vec<String> =
+        instance.missing().into_iter().filter(|(_, since)| gone(*since)).map(|(port, _)| port).collect();
     if !missing.is_empty() {
         return Some(format!("nothing is connected any more to {}", missing.join(", ")));
     }

@@ -20,6 +20,8 @@ use super::roster::{Roster, Ward};
 const LOOK_NS: (u64, u64) = (1_000_000, 10_000_000);
 /// Least time between two looks per component, so that looking stays cheap with many of them, ns.
 const LOOK_EACH_NS: u64 = 10_000;
+/// Waking up takes up to this long, ns: of the hundreds of looks in one patience it must not add up to a pardon.
+const WAKING_NS: u64 = 250_000;
 
 /// The watchdog of one LCM.
 pub(in crate::lcm) struct Watchdog {
@@ -82,7 +84,7 @@ impl Rounds {
                 return;
             }
             let now_ns = os::now_ns();
-            self.late_ns += now_ns.saturating_sub(next_ns);
+            self.late_ns += now_ns.saturating_sub(next_ns + WAKING_NS);
             if let Some(wards) = roster.news(&mut self.edition) {
                 self.take(wards);
             }

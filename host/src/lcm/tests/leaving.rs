@@ -58,3 +58,34 @@ async fn work_for_a_thread_that_has_ended_is_let_go_of_at_once() {
     assert_eq!(told.try_recv(), Err(TryRecvError::Disconnected), "whoever asked would wait for ever");
     world.end().await;
 }
+
+/// Whoever looked at a wire when it was cut holds the component behind it, and that one may hold the first: a circle nobody
+/// drops any more once nobody looks after it.
+#[tokio::test(flavor = "multi_thread")]
+async fn components_that_were_connected_to_each_other_are_gone_with_their_process_although_a_cycle_was_under_way()
+ {
+    let world = World::new("lv_circle");
+    let ports = || Ports { required: requires_ctl().required, ..ctl() };
+    for name in ["a", "b"] {
+        world.create_as(name, class(ports(), Safety::None), periodic(1000), Arc::new(Idle)).await;
+    }
+    world.connect(1, "a/peer", "b/ctl", ConnectOptions::default()).await;
+    world.connect(2, "b/peer", "a/ctl", ConnectOptions::default()).await;
+    let kept = ["a", "b"].map(|name| Arc::downgrade(&world.lcm.instance(&world.id(name)).unwrap()));
+    let (begun, began) = channel();
+    let lcm = Arc::downgrade(&world.lcm);
+    // As a cycle of another thread: it begins before the cut and ends when nobody follows any more what was cut.
+    let cycle = std::thread::spawn(move || {
+        trocar_rt::turn::run(|| {
+            begun.send(()).unwrap();
+            while lcm.upgrade().is_some_and(|lcm| lcm.is_followed()) {
+                std::thread::yield_now();
+            }
+        });
+    });
+    began.recv().unwrap();
+    world.end().await;
+    cycle.join().unwrap();
+    let left = || kept.iter().map(std::sync::Weak::strong_count).sum::<usize>();
+    eventually("both are dropped", || left() == 0).await;
+}

@@ -45,6 +45,7 @@ mod device;
 mod image;
 mod motion;
 mod oct;
+mod view;
 
 pub use basic::{Message, Scalar};
 pub use device::{
@@ -57,3 +58,4 @@ pub use motion::{
     OperatingState, Pose, Transform, Twist, Wrench,
 };
 pub use oct::{AScanHeader, Distance, SampleFormat, SpectraHeader, Spectrometer};
+pub use view::{BadFrame, ImageView, LinesView};

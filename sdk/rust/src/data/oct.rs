@@ -1,6 +1,7 @@
 //! Payloads of optical coherence tomography: spectra, A-scans, the spectrometer, and distances measured with it.
 //!
-//! Invariant: a frame holds whole lines only: `lines` times `samples` values, line after line, in the machine's byte order.
+//! Invariant: a frame holds whole lines only: `lines` times `samples` values, line after line, in the machine's byte order;
+//! `FrameView::lines` checks it.
 
 use crate as trocar_sdk;
 use trocar_sdk::{Flag, Payload, Stamp, named_values};

@@ -99,6 +99,8 @@ pub struct Bench<C: Class> {
     life: Life,
     /// Which entry put it in FAULT, and why.
     fault: String,
+    /// Each `make_safe` that refused.
+    warnings: Vec<String>,
     counting: bool,
     class: PhantomData<C>,
 }
@@ -150,6 +152,7 @@ impl<C: Class> Bench<C> {
             made_safe: 0,
             life: Life::Created,
             fault: String::new(),
+            warnings: Vec::new(),
             counting: false,
             class: PhantomData,
         };
@@ -170,7 +173,7 @@ impl<C: Class> Bench<C> {
     pub fn assert_no_alloc(&mut self, f: impl FnOnce(&mut Self)) {
         assert!(
             alloc::installed(),
-            "nothing counts allocations here: put `trocar_sdk::count_allocations!();` into the test module"
+            "nothing counts allocations here: put `trocar_sdk::testing::count_allocations!();` into the test module"
         );
         alloc::take();
         self.counting = true;

@@ -124,7 +124,7 @@ impl Shape {
                     there.join(", ")
                 )
             }
-            None => panic!("no {what} `{name}`; there are {}", there.join(", ")),
+            None => panic!("{}", unknown(what, name, &there)),
         }
     }
 
@@ -179,8 +179,47 @@ pub(crate) fn header(ty: &PortType) -> Option<&Type> {
 
 #[track_caller]
 fn place<'a>(what: &str, name: &str, names: impl Iterator<Item = &'a str> + Clone) -> usize {
-    let at = names.clone().position(|n| n == name);
-    at.unwrap_or_else(|| panic!("no {what} `{name}`; there are {}", names.collect::<Vec<_>>().join(", ")))
+    match names.clone().position(|n| n == name) {
+        Some(at) => at,
+        // Not in a closure, which would be blamed instead of the test.
+        None => panic!("{}", unknown(what, name, &names.map(str::to_string).collect::<Vec<_>>())),
+    }
+}
+
+/// What was asked for, what was probably meant, and what there is.
+fn unknown(what: &str, name: &str, there: &[String]) -> String {
+    let asked = |full: &String| if name.contains('/') { full.clone() } else { last_part(full) };
+    let slip = |full: &&String| {
+        let (distance, longer) = (distance(name, &asked(full)), name.len().max(asked(full).len()));
+        distance <= (longer / 3).max(usize::from(longer > 1))
+    };
+    let near = there.iter().filter(slip).min_by_key(|full| distance(name, &asked(full)));
+    let hint = near.map_or(String::new(), |near| format!(", did you mean `{near}`?"));
+    match there {
+        [] => format!("no {what} `{name}`; the class has none"),
+        [one] => format!("no {what} `{name}`{hint}; there is {one}"),
+        several => format!("no {what} `{name}`{hint}; there are {}", several.join(", ")),
+    }
+}
+
+/// `set_gain` of `control/set_gain`.
+fn last_part(full: &str) -> String {
+    full.rsplit('/').next().unwrap_or(full).to_string()
+}
+
+/// Letters to change, add or leave out between two names.
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut left_above = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.iter().enumerate() {
+            let above = row[j + 1];
+            row[j + 1] = (left_above + usize::from(x != *y)).min(above + 1).min(row[j] + 1);
+            left_above = above;
+        }
+    }
+    row[b.len()]
 }
 
 /// `Force`, `f64`, `[f64; 3]`.

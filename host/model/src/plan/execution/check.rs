@@ -68,6 +68,7 @@ pub(in crate::plan) fn check(
         .and_then(|()| scheduling(execution))
         .and_then(|()| stream(execution))
         .and_then(|()| step(execution))
+        .and_then(|()| step_without_period(execution))
         .and_then(|()| history(execution, row_bytes));
     checked.map_err(|(field, why)| {
         let field = format!("execution.{field}");
@@ -242,6 +243,20 @@ fn step(execution: &Execution) -> Result<(), Fault> {
             let (low, high) = (duration(MAX_STEP_NS.0), duration(MAX_STEP_NS.1));
             Err(("max_step", format!("{} is outside {low} to {high}", duration(ns))))
         }
+        _ => Ok(()),
+    }
+}
+
+/// With a period of its own, five of them or 50 ms are the longest stay, whatever max_step says.
+fn step_without_period(execution: &Execution) -> Result<(), Fault> {
+    let grid = execution.stream_of.is_none() && execution.model.is_some_and(ExecutionModel::has_grid);
+    match execution.max_step_ns {
+        Some(_) if grid => Err((
+            "max_step",
+            "it is for a component without a period; one that has a period may stay inside for five of them, or 50 ms if \
+             that is longer"
+                .to_owned(),
+        )),
         _ => Ok(()),
     }
 }

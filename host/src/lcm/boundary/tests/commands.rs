@@ -183,6 +183,36 @@ fn a_caller_is_answered_when_its_server_is_removed_or_its_connection_cut_in_the_
     assert_eq!(client.ask(TWICE, 3).outcome, UNBOUND);
 }
 
+/// Its caller saw it ACTIVE, then it was stopped and what was queued was answered, and only then the caller came to the queue.
+#[test]
+fn a_call_that_comes_to_the_queue_after_its_server_was_stopped_is_answered_although_its_thread_is_held_up() {
+    let world = World::new("overtaken");
+    let client = world.active("client", &client(false), on_signal(), Script::default());
+    let (script, heard, go) = held_up();
+    world.active("server", &server(), on_signal(), script);
+    world.connect("client/peer", "server/ctl");
+    assert_eq!(client.send(POKE, 0), QUEUED);
+    heard.recv().unwrap();
+    std::thread::scope(|scope| {
+        let waiting = scope.spawn(|| client.ask(TWICE, 1));
+        let queue = || world.instance("server").queues().iter().any(|i| !i.mailbox.is_empty());
+        eventually("the first call waits", queue);
+        let stop = scope.spawn(|| world.run("server", Verb::Stop));
+        assert_eq!(waiting.join().unwrap().outcome, NOT_ACTIVE);
+        let instance = world.instance("server");
+        let set = instance.described.now();
+        let target = crate::lcm::connect::target(&instance, &set, TWICE, &set.external, TWICE, 0);
+        let crate::lcm::boundary::FnBinding::Command(twice) = &target else { panic!("it is a command") };
+        let (arg, mut ret) = (2u64, 0u64);
+        let (arg, ret) = ((&raw const arg).cast(), (&raw mut ret).cast());
+        // Longer than the test would wait, were it not answered.
+        let overtaken = twice.queue(arg, ret, MODE_CALL, 3_000_000_000, None);
+        go.send(()).unwrap();
+        assert_eq!(overtaken, NOT_ACTIVE);
+        stop.join().unwrap().unwrap();
+    });
+}
+
 #[test]
 fn a_step_never_waits_for_another_thread_but_calls_its_own() {
     let world = World::new("step");

@@ -9,7 +9,8 @@ use trocar_plugin_api::abi::*;
 use super::commands::{POKE, SET, TWICE, client, obeys, server};
 use super::puppet::*;
 use super::world::*;
-use crate::lcm::News;
+use crate::lcm::external::invoke_by;
+use crate::lcm::{Invoke, News, Payload};
 
 /// `arms` interfaces like the server's own, in front of it or behind it.
 fn arms(names: &[&str]) -> Value {
@@ -68,7 +69,9 @@ fn what_was_queued_for_a_port_that_stays_is_executed_and_for_one_that_went_is_di
     let ports = trocar_model::Ports::clone(&instance.ports());
     let mut fewer = ports.clone();
     fewer.provided.remove(0);
-    let set = std::sync::Arc::new(crate::lcm::dynamic::PortSet::new(fewer, Some(&instance.described.now())));
+    let set = std::sync::Arc::new(
+        crate::lcm::dynamic::PortSet::new(fewer, Some(&instance.described.now())).unwrap(),
+    );
     std::thread::scope(|scope| {
         let (kept, lost) = {
             // While somebody is inside, calls wait in their queues.
@@ -134,6 +137,69 @@ fn reset_keeps_the_ports_of_the_configuration_and_what_is_connected_to_them() {
     world.run("robot", Verb::Start).unwrap();
     assert_eq!(caller.ask(TWICE, 5).ret, 10);
     assert_eq!(robot().counts()[3], 2, "the fresh instance was bound to both interfaces");
+}
+
+#[test]
+fn a_call_from_outside_that_looked_up_ports_that_then_changed_looks_again() {
+    let world = World::new("again");
+    let robot = world.create("robot", &arms(&["ctl", "left"]), on_signal(), obeys());
+    world.configure("robot").unwrap();
+    world.run("robot", Verb::Start).unwrap();
+    let instance = world.instance("robot");
+    let call = |path: &str| {
+        let member = trocar_model::MemberId::parse(&format!("again/robot/{path}")).unwrap();
+        let arg = Payload::Json(json!(4));
+        Invoke { member, arg, send: false, deadline_ns: PATIENCE.as_nanos() as u64 }
+    };
+    let looked_up = instance.described.now();
+    let change = |names: &[&str]| {
+        world.describes("robot", description("robot", &arms(names)));
+        world.configure("robot").unwrap();
+    };
+    change(&["left", "right"]);
+    let ask = |path: &str| world.wait(invoke_by(instance.clone(), call(path), looked_up.clone()));
+    assert_eq!(ask("left/twice").unwrap().value, Some(json!(8)), "by the place it has now");
+    assert_eq!(robot().seen(), [TWICE as u64]);
+    let refusal = ask("ctl/twice").unwrap_err();
+    assert!(matches!(refusal, Refusal::Disabled { .. }), "what went is named so: {refusal}");
+}
+
+#[test]
+fn ports_that_an_entry_is_missing_for_are_refused_by_their_names_and_the_old_ones_stay() {
+    let world = World::new("mute");
+    let interface = |commands: Value, events: Value| json!({"provided": [{"name": "ctl", "commands": commands, "events": events}]});
+    let required = |member: Value| {
+        let mut interface = member;
+        interface["name"] = json!("peer");
+        json!({"required": [interface]})
+    };
+    let cases = [
+        (json!({"inputs": [{"name": "x", "type": {"plain": "u64"}}]}), "the input x", "bind"),
+        (json!({"outputs": [{"name": "y", "type": {"plain": "u64"}}]}), "the output y", "bind"),
+        (required(json!({"functions": [{"name": "go"}]})), "the function peer/go", "bind"),
+        (interface(json!([]), json!([{"name": "done"}])), "the event ctl/done", "bind"),
+        (interface(json!([{"name": "go", "kind": "void"}]), json!([])), "the command ctl/go", "command"),
+        (
+            interface(json!([{"name": "at", "kind": "read", "ret": "u64"}]), json!([])),
+            "the read ctl/at",
+            "read",
+        ),
+        (required(json!({"handlers": [{"name": "done"}]})), "the event handler peer/done", "on_event"),
+    ];
+    for (ports, named, entry) in cases {
+        world.try_create(MUTE, &json!({}), on_signal(), Script::default()).unwrap();
+        world.describes(MUTE, String::new());
+        world.configure(MUTE).unwrap();
+        world.describes(MUTE, description(MUTE, &ports));
+        let refusal = world.configure(MUTE).unwrap_err().to_string();
+        assert!(refusal.contains(named) && refusal.contains(&format!("`{entry}`")), "{ports}: {refusal}");
+        let instance = world.instance(MUTE);
+        assert_eq!((instance.state(), instance.ports().provided.len()), (State::Fault, 1), "{ports}");
+        world.remove(MUTE);
+    }
+    world.try_create(MUTE, &json!({}), on_signal(), Script::default()).unwrap();
+    world.describes(MUTE, description(MUTE, &json!({})));
+    world.configure(MUTE).unwrap();
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{ThreadId, current};
 
 use serde_json::{Value, json};
-use trocar_model::ConnectOptions;
+use trocar_model::{ConnectOptions, Refusal, State, Verb};
 use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, client, server};
@@ -160,6 +160,82 @@ fn frames_that_no_slot_was_left_for_are_counted_whatever_pool_comes_next() {
         unsafe { (slot.cancel)(slot.ctx, &raw mut loan) };
     }
     assert_eq!(loan().0, EXECUTED);
+}
+
+/// Frames of a gigabyte at so many outputs that no machine has the memory.
+fn too_many_frames() -> Value {
+    let output = |n| json!({"name": format!("video{n}"), "type": {"frame": "u64", "format": "image", "max_bytes": 1 << 30}});
+    json!({"outputs": (0..5000).map(output).collect::<Vec<_>>()})
+}
+
+/// The refusal says how much was asked for and how much there is.
+fn says_how_much(refusal: &Refusal) {
+    let Refusal::NoMemory { outputs, bytes, why, .. } = refusal else { panic!("{refusal}") };
+    assert_eq!((outputs.len(), refusal.code()), (5000, trocar_model::Code::ResourceExhausted));
+    assert!(*bytes >= 5000 << 33 && why.contains("bytes of memory are available"), "{bytes}: {why}");
+}
+
+#[test]
+fn frames_that_there_is_no_memory_for_are_refused_by_create_and_leave_nothing() {
+    let world = World::new("no-room");
+    let refusal = world.try_create("camera", &too_many_frames(), on_signal(), Script::default()).unwrap_err();
+    says_how_much(&refusal);
+    assert!(world.lcm.instance(&world.id("camera")).is_err());
+    world.try_create("camera", &frames(64), on_signal(), Script::default()).unwrap();
+}
+
+#[test]
+fn a_configuration_whose_frames_have_no_room_is_taken_back_and_one_that_is_wished_for_is_a_fault() {
+    let world = World::new("no-room-later");
+    let huge = json!({"types": types(), "class": class("camera", &too_many_frames())}).to_string();
+    let (configured, camera) = (Arc::new(AtomicU64::new(0)), world.id("camera"));
+    let (count, text, id) = (configured.clone(), huge.clone(), camera.clone());
+    // The first and the third configuration ask for too much.
+    let configure = move |_: &Stage| {
+        let too_much = matches!(count.fetch_add(1, Ordering::SeqCst), 0 | 2);
+        *script_of(&id).described.lock().unwrap() = if too_much { text.clone() } else { String::new() };
+        STATUS_OK
+    };
+    let script = Script { configure: Some(Box::new(configure)), ..Script::default() };
+    let stage = world.create("camera", &frames(64), on_signal(), script);
+    says_how_much(&world.configure("camera").unwrap_err());
+    assert_eq!(world.instance("camera").state(), State::Created);
+    world.configure("camera").unwrap();
+    world.run("camera", Verb::Start).unwrap();
+    says_how_much(&world.configure("camera").unwrap_err());
+    assert_eq!(configured.load(Ordering::SeqCst), 4, "it was given its former configuration again");
+    assert_eq!((world.instance("camera").state(), stage().counts()[0]), (State::Active, 1));
+    world.describes("camera", huge);
+    assert_eq!(stage().ports_changed(), QUEUED);
+    eventually("FAULT", || world.instance("camera").state() == State::Fault);
+    let fault = world.instance("camera").report(false).fault;
+    let says = |part: &str| assert!(fault.contains(part), "{part}: {fault}");
+    ["describe", "video0, video1, video2 and 4997 more", "are available"].into_iter().for_each(says);
+}
+
+#[test]
+fn a_pool_a_component_asks_for_and_does_not_get_is_told_with_the_output_and_the_bytes() {
+    let world = World::new("no-room-asked");
+    let outcomes = Arc::new(Mutex::new(Vec::new()));
+    let told = outcomes.clone();
+    let configure = move |stage: &Stage| {
+        let slot = stage.output(0);
+        let ask = |bytes, slots| {
+            // SAFETY: a slot of this instance.
+            unsafe { (slot.reserve)(slot.ctx, bytes, slots) }
+        };
+        told.lock().unwrap().extend([ask(1 << 40, 4096), ask(1, 4097), ask(64, 2)]);
+        STATUS_OK
+    };
+    let script = Script { configure: Some(Box::new(configure)), ..Script::default() };
+    world.try_create("camera", &frames(64), on_signal(), script).unwrap();
+    let warnings = world.configure("camera").unwrap().warnings;
+    assert_eq!(*outcomes.lock().unwrap(), [EXHAUSTED, INVALID_ARGUMENT, EXECUTED]);
+    let says = |parts: &[&str]| {
+        assert!(warnings.iter().any(|w| parts.iter().all(|p| w.contains(p))), "{parts:?}: {warnings:?}");
+    };
+    says(&["video:", "4096 frames of 1099511627776 bytes", "are available"]);
+    says(&["video:", "4097 frames", "at most 4096"]);
 }
 
 #[test]

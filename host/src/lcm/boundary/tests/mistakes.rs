@@ -263,6 +263,28 @@ fn a_read_that_panics_is_told_to_its_caller_and_named_and_the_component_goes_on(
 }
 
 #[test]
+fn a_state_that_is_no_value_of_its_type_is_refused_by_component_field_and_reason_at_any_time() {
+    use crate::lcm::{Lcm, When};
+    let world = World::new("no-value");
+    let robot = world.active("robot", &json!({"state": {"ref": "Named"}}), on_signal(), Script::default());
+    // The length of a text of which there are 8 bytes.
+    robot.state.store(99, std::sync::atomic::Ordering::SeqCst);
+    world.run("robot", trocar_model::Verb::Stop).unwrap();
+    world.run("robot", trocar_model::Verb::Resume).unwrap();
+    let rows = &world.instance("robot").rows;
+    let stamp = |k| rows.delayed(k, &mut [0; 16]).unwrap().stamp_ns;
+    let between = stamp(1) + (stamp(0) - stamp(1)) / 2;
+    for when in [When::Newest, When::Delayed(0), When::Nearest(stamp(0)), When::Time(between)] {
+        let until = std::time::Instant::now() + PATIENCE;
+        let refusal = world.wait(world.lcm.read("no-value/robot".into(), when, until)).unwrap_err();
+        assert_eq!(refusal.reason(), "COMPONENT_REFUSED", "{when:?}: {refusal}");
+        let text = refusal.to_string();
+        let says = |part: &str| assert!(text.contains(part), "{when:?}: {part}: {text}");
+        ["no-value/robot", "/label", "its length says 99"].into_iter().for_each(says);
+    }
+}
+
+#[test]
 fn frame_pools_are_locked_into_memory_once_or_it_is_said_why_not() {
     let world = World::new("locked");
     let source = json!({"outputs": [{"name": "out", "type": frames("u64")}]});

@@ -193,6 +193,31 @@ static TABLE: Table = Table(ClassTable {
     extension: None,
 });
 
+/// Of a class with neither ports nor state.
+static MUTE_TABLE: Table = Table(ClassTable {
+    struct_size: size_of::<ClassTable>() as u32,
+    flags: 0,
+    name: Bytes { ptr: null(), len: 0 },
+    create: Some(create),
+    destroy: Some(destroy),
+    configure: Some(configure),
+    describe: Some(describe),
+    bind: None,
+    start: Some(plain),
+    stop: Some(plain),
+    resume: Some(plain),
+    make_safe: Some(plain),
+    step: Some(step),
+    command: None,
+    read: None,
+    on_event: None,
+    on_service: None,
+    state_copy: Some(state_copy),
+    snapshot: None,
+    restore: None,
+    extension: None,
+});
+
 struct Table(ClassTable);
 // SAFETY: immutable; its name points nowhere.
 unsafe impl Sync for Table {}
@@ -201,6 +226,14 @@ unsafe impl Sync for Table {}
 pub(super) fn loaded_class() -> LoadedClass {
     // SAFETY: a static table.
     unsafe { LoadedClass::new(&raw const TABLE.0, Arc::new(())) }
+}
+
+/// Name of the class whose table has no entries for ports.
+pub(super) const MUTE: &str = "mute";
+
+pub(super) fn mute_class() -> LoadedClass {
+    // SAFETY: a static table.
+    unsafe { LoadedClass::new(&raw const MUTE_TABLE.0, Arc::new(())) }
 }
 
 /// Says what the instance of this name will do; before it is created.

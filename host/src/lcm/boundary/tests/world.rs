@@ -24,8 +24,8 @@ impl Classes for Puppets {
         Vec::new()
     }
 
-    fn load(&self, _: &ClassInfo) -> Result<LoadedClass, Refusal> {
-        Ok(loaded_class())
+    fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal> {
+        Ok(if class.name == MUTE { mute_class() } else { loaded_class() })
     }
 
     fn plugins(&self) -> Vec<PluginInfo> {
@@ -41,6 +41,7 @@ pub(super) fn types() -> Value {
         {"name": "Ab", "size": 16, "align": 8, "fields": [field("a", 0, "N"), field("b", 8, "m")]},
         {"name": "Ba", "size": 24, "align": 8,
             "fields": [field("b", 0, "m"), field("c", 8, "s"), field("a", 16, "N")]},
+        {"name": "Named", "size": 16, "align": 8, "fields": [{"name": "label", "at": 0, "type": {"text": 8}}]},
     ])
 }
 
@@ -48,7 +49,9 @@ pub(super) fn types() -> Value {
 pub(super) fn class(name: &str, ports: &Value) -> Value {
     let mut class = ports.clone();
     class["name"] = json!(name);
-    class["state"] = json!("u64");
+    if class["state"].is_null() {
+        class["state"] = json!("u64");
+    }
     class["execution"] = json!({"model": "on_signal"});
     class
 }
@@ -64,6 +67,11 @@ pub(super) struct World {
 pub(super) const PATIENCE: Duration = Duration::from_secs(30);
 
 impl World {
+    /// Runs `f` to its end.
+    pub(super) fn wait<F: Future>(&self, f: F) -> F::Output {
+        self.runtime.block_on(f)
+    }
+
     /// `process` tells tests of one program apart.
     pub(super) fn new(process: &str) -> World {
         let runtime =
@@ -107,6 +115,18 @@ impl World {
         execution: Execution,
         script: Script,
     ) -> impl Fn() -> &'static Stage + use<> {
+        self.try_create(name, ports, execution, script).unwrap();
+        let id = self.id(name);
+        move || stage_of(&id)
+    }
+
+    pub(super) fn try_create(
+        &self,
+        name: &str,
+        ports: &Value,
+        execution: Execution,
+        script: Script,
+    ) -> Result<Report, Refusal> {
         let manifest: Manifest = serde_json::from_value(json!({
             "trocar": 1, "abi": [1, 1], "name": "puppets", "version": "1",
             "types": types(), "classes": [class(name, ports)],
@@ -124,8 +144,7 @@ impl World {
             health: Health::Ok,
             fault: String::new(),
         });
-        self.apply(Change::Create { id: id.clone(), component }).unwrap();
-        move || stage_of(&id)
+        self.apply(Change::Create { id, component })
     }
 
     /// What `describe` writes from now on.

@@ -66,7 +66,8 @@ impl<C: Class> Bench<C> {
     /// `stop` and then `make_safe`, as a host does; nothing where it does not run.
     ///
     /// # Errors
-    /// The component's sentence.
+    /// The component's sentence when it is in FAULT then. Where nothing moves, a `make_safe` that refuses is no more than one
+    /// of the [`Bench::warnings`]: the component is STOPPED.
     #[track_caller]
     pub fn stop(&mut self) -> Done {
         if !self.is_active() {
@@ -74,9 +75,9 @@ impl<C: Class> Bench<C> {
         }
         self.set_life(Life::Stopped);
         self.plain("stop", self.table.stop).map_err(|e| self.failed("stop", e))?;
-        self.make_safe()?;
+        let safe = self.make_safe();
         self.reply_all();
-        Ok(())
+        safe.or_else(|e| if self.life == Life::Fault { Err(e) } else { Ok(()) })
     }
 
     /// # Errors
@@ -115,14 +116,21 @@ impl<C: Class> Bench<C> {
     pub fn make_safe(&mut self) -> Done {
         self.made_safe += 1;
         let done = self.plain("make_safe", self.table.make_safe);
-        if let Err(e) = &done
-            && (e.panicked() || C::DESC.safety == Safety::Actuator)
-            && self.life != Life::Fault
-        {
-            self.fault = format!("make_safe: {}", e.reason);
-            self.set_life(Life::Fault);
+        if let Err(e) = &done {
+            let text = format!("make_safe: {}", e.reason);
+            if e.panicked() || C::DESC.safety == Safety::Actuator {
+                self.fault =
+                    if self.fault.is_empty() { text.clone() } else { format!("{}; {text}", self.fault) };
+                self.set_life(Life::Fault);
+            }
+            self.warnings.push(text);
         }
         done
+    }
+
+    /// What a host would show beside the component's state since it was made or reset: each `make_safe` that refused.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
     }
 
     /// # Errors
@@ -163,6 +171,7 @@ impl<C: Class> Bench<C> {
         self.this = create::<C>(&self.host_table);
         self.set_life(Life::Created);
         self.cycle = 0;
+        self.warnings.clear();
         self.describe();
         self.bind();
         self.publish();

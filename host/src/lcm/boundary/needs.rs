@@ -1,0 +1,42 @@
+//! Which entries of a class table a description makes necessary.
+//!
+//! Invariant: as the loader asks a manifest (`loader/table.rs`), asked of ports that came later; the system interface, which
+//! stands last, is answered by the host and needs none.
+
+use trocar_model::{CommandKind, Ports};
+use trocar_plugin_api::abi::ClassTable;
+
+use super::hot::entry;
+
+/// The first entry that is null although something in `ports` needs it, and what that is.
+pub(super) fn lacking(table: *const ClassTable, ports: &Ports) -> Option<(&'static str, String)> {
+    let own = &ports.provided[..ports.provided.len().saturating_sub(1)];
+    let commands = || own.iter().flat_map(|p| p.commands.iter().map(move |c| (p, c)));
+    let is_read = |kind| matches!(kind, CommandKind::Read | CommandKind::QualifiedRead);
+    let member = |read: bool, what: &str| {
+        commands()
+            .find(|(_, c)| is_read(c.kind) == read)
+            .map(|(p, c)| format!("{what} {}/{}", p.name, c.name))
+    };
+    let slot = || {
+        let input = ports.inputs.first().map(|p| format!("the input {}", p.name));
+        let output = || ports.outputs.first().map(|p| format!("the output {}", p.name));
+        let mut functions = ports.required.iter().flat_map(|r| r.functions.iter().map(move |f| (r, f)));
+        let mut events = own.iter().flat_map(|p| p.events.iter().map(move |e| (p, e)));
+        input
+            .or_else(output)
+            .or_else(|| functions.next().map(|(r, f)| format!("the function {}/{}", r.name, f.name)))
+            .or_else(|| events.next().map(|(p, e)| format!("the event {}/{}", p.name, e.name)))
+    };
+    let handler = || {
+        let mut handlers = ports.required.iter().flat_map(|r| r.handlers.iter().map(move |h| (r, h)));
+        handlers.next().map(|(r, h)| format!("the event handler {}/{}", r.name, h.name))
+    };
+    let null = |name, is_null: bool, what: &dyn Fn() -> Option<String>| {
+        is_null.then(what).flatten().map(|what| (name, what))
+    };
+    null("bind", entry!(table, bind).is_none(), &slot)
+        .or_else(|| null("command", entry!(table, command).is_none(), &|| member(false, "the command")))
+        .or_else(|| null("read", entry!(table, read).is_none(), &|| member(true, "the read")))
+        .or_else(|| null("on_event", entry!(table, on_event).is_none(), &handler))
+}

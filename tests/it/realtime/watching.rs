@@ -1,0 +1,180 @@
+//! What the watchdog tells of steps that are too long, and of one that does not end.
+//!
+//! Promise: told in time, judged by the cycles that another component executed meanwhile in the same process; counted
+//! exactly; the manager answers all the time, and nobody else misses a cycle.
+
+use serde_json::{Value, json};
+use trocar_tests::{Bystander, eventually, number};
+
+use super::{Scene, accounts_for_every_period, says};
+
+/// Rounds of which the machine may spoil all but one.
+const ROUNDS: usize = 5;
+/// Period of the watched component in cycles of the metronome, 1 kHz.
+const PERIOD: u64 = 100;
+
+/// `host/p` with a period of 100 ms beside a metronome of 1 kHz whose rows reach back 16 s.
+fn watched(slow_periods: f64) -> Scene {
+    let scene = Scene::new();
+    let metronome = json!({ "rate_hz": 1000, "history": 16_384, "priority": 50 });
+    scene.pace("host/metronome", metronome, json!({}));
+    scene.pace("host/p", json!({ "rate_hz": 10 }), json!({ "slow_periods": slow_periods }));
+    scene.grpc.create("host/key", "key", json!({}));
+    scene.grpc.start("host/key");
+    scene.until("host/metronome", "steps", 1);
+    scene
+}
+
+impl Scene {
+    /// Steps the metronome had executed at this time.
+    fn beats(&self, at_ns: u64) -> u64 {
+        let row =
+            self.ask("host/metronome", "nearest_ns", at_ns).unwrap_or_else(|e| panic!("{at_ns} ns: {e}"));
+        number(&row["json"]["steps"])
+    }
+
+    /// Waits until a slow step and the one after it are over; answers when the slow one began and the next one did, ns.
+    fn after_slow(&self, slow_steps: u64) -> (u64, u64) {
+        let row = eventually("the step after the slow one", || {
+            let row = self.newest("host/p")["json"].clone();
+            let over = number(&row["next_began_ns"]) != 0 && number(&row["late"]) >= slow_steps;
+            if over { Ok(row) } else { Err(row) }
+        });
+        (number(&row["slow_began_ns"]), number(&row["next_began_ns"]))
+    }
+}
+
+#[test]
+fn an_overrun_is_told_within_the_period_after_it_and_before_the_next_cycle() {
+    let scene = watched(2.5);
+    let words = "a cycle takes longer than its period (100 ms)";
+    let mut rounds = Vec::new();
+    for round in 1..=ROUNDS {
+        scene.until_health("host/p", "OK");
+        let mut events = scene.follow("host/p", "warning");
+        scene.grpc.invoke("host/p/ctl/slow", json!(1));
+        let told_ns = number(&events.until(words, |item| says(item, words))["stampNs"]);
+        let (began_ns, next_ns) = scene.after_slow(round as u64);
+        assert!(
+            told_ns > began_ns + PERIOD * 1_000_000,
+            "not before it took longer: {told_ns} of {began_ns}"
+        );
+        let beats = scene.beats(told_ns) - scene.beats(began_ns);
+        let good = told_ns < next_ns && beats <= 2 * PERIOD;
+        rounds.push(format!(
+            "told after {beats} cycles of 1 ms, the next step {} ns later",
+            next_ns as i64 - told_ns as i64
+        ));
+        if good {
+            return;
+        }
+    }
+    panic!("an overrun is not told within one period:\n{}", rounds.join("\n"));
+}
+
+#[test]
+fn a_hang_is_unresponsive_within_five_periods_and_the_manager_answers_all_the_while() {
+    let scene = watched(1.5);
+    let words = "it has not come back out of its step, which may take 500 ms";
+    let mut rounds = Vec::new();
+    for round in 1..=ROUNDS {
+        scene.until_health("host/p", "OK");
+        let executed = number(&scene.stats("host/p")["executed"]);
+        let mut events = scene.follow("host/p", "warning");
+        scene.grpc.invoke("host/p/ctl/hang", Value::Null);
+        let told_ns = number(&events.until(words, |item| says(item, words))["stampNs"]);
+
+        let stuck = scene.grpc.component("host/p");
+        assert_eq!(stuck["health"], "HEALTH_UNRESPONSIVE", "{stuck}");
+        assert_eq!(
+            stuck["state"], "COMPONENT_STATE_ACTIVE",
+            "it moves nothing, so it is not in FAULT: {stuck}"
+        );
+        assert!(number(&stuck["stats"]["executed"]) >= executed, "{stuck}");
+        assert_eq!(scene.listed("host/p")["health"], "HEALTH_UNRESPONSIVE");
+        let stands = scene.newest("host/p");
+        scene.grpc.ok("GcmService/Describe", json!({ "path": "host/p/ctl/poke" }));
+        let other = format!("host/other-{round}");
+        scene.pace(&other, json!({ "rate_hz": 100 }), json!({}));
+        scene.until(&other, "steps", 5);
+        scene.grpc.ok("GcmService/Remove", json!({ "path": other, "force": true }));
+        assert_eq!(scene.newest("host/p")["seq"], stands["seq"], "it published nothing meanwhile");
+
+        scene.grpc.invoke("host/key/ctl/release", Value::Null);
+        let (began_ns, _) = scene.after_slow(round as u64);
+        assert!(told_ns > began_ns + 4 * PERIOD * 1_000_000, "not long before: {told_ns} of {began_ns}");
+        let beats = scene.beats(told_ns) - scene.beats(began_ns);
+        rounds.push(format!("told after {beats} cycles of 1 ms"));
+        if beats <= 5 * PERIOD {
+            scene.until_health("host/p", "OK");
+            return;
+        }
+    }
+    panic!("a hang is not told within five periods:\n{}", rounds.join("\n"));
+}
+
+#[test]
+fn overruns_by_half_a_period_and_by_nine_are_counted_exactly_and_nobody_else_misses_a_cycle() {
+    for (slow_periods, times) in [(1.5, 6), (10.0, 3)] {
+        let scene = Scene::new();
+        let bystander = Bystander::start(&scene.grpc, "s");
+        let mut slow = 0;
+        scene.pace("host/p", json!({ "rate_hz": 20 }), json!({ "slow_periods": slow_periods }));
+        bystander.undisturbed_by(&format!("steps of {slow_periods} periods"), || {
+            for _ in 0..times {
+                slow += 1;
+                scene.grpc.invoke("host/p/ctl/slow", json!(1));
+                scene.until("host/p", "late", slow);
+                scene.until_health("host/p", "OVERRUN");
+            }
+        });
+        scene.until_health("host/p", "OK");
+        scene.grpc.stop("host/p");
+        accounts_for_every_period(&scene, "host/p");
+        let row = scene.newest("host/p")["json"].clone();
+        let (overruns, late, perhaps) =
+            (number(&scene.stats("host/p")["overruns"]), number(&row["late"]), number(&row["perhaps_late"]));
+        // The host reads its clock a moment after the component; only in a moment of the machine's do they differ.
+        assert!(overruns >= late && overruns <= perhaps, "{late} to {perhaps} were late: {overruns}, {row}");
+        assert!(late >= slow, "{slow} slow steps: {row}");
+        let skipped = number(&scene.stats("host/p")["skipped"]);
+        let least = slow * (slow_periods as u64).saturating_sub(1);
+        assert!(skipped >= least, "each left out {} at least: {skipped}", slow_periods as u64 - 1);
+    }
+}
+
+#[test]
+fn a_step_of_ten_periods_of_what_moves_nothing_is_overrun_then_unresponsive_then_well_again() {
+    let scene = watched(10.0);
+    let mut events = scene.follow("host/p", "warning");
+    let mut well = scene.follow("host/p", "status");
+    scene.grpc.invoke("host/p/ctl/slow", json!(1));
+    let overrun = events.until("the overrun", |item| says(item, "a cycle takes longer than its period"));
+    let stuck = events.until("the hang", |item| says(item, "it has not come back out of its step"));
+    let again = well.until("its end", |item| says(item, "it runs as it should again"));
+    let stamps = [overrun, stuck, again].map(|item| number(&item["stampNs"]));
+    assert!(stamps.is_sorted(), "in this order: {stamps:?}");
+    let (began_ns, next_ns) = scene.after_slow(1);
+    assert!(began_ns < stamps[0] && stamps[1] < next_ns, "both while it lasted: {stamps:?}");
+    assert_eq!(scene.grpc.state("host/p"), "ACTIVE", "what moves nothing is not in FAULT");
+}
+
+#[test]
+fn a_hang_costs_nobody_else_a_cycle_and_every_period_of_it_is_skipped() {
+    let scene = Scene::new();
+    let bystander = Bystander::start(&scene.grpc, "s");
+    scene.pace("host/p", json!({ "rate_hz": 200 }), json!({}));
+    scene.grpc.create("host/key", "key", json!({}));
+    scene.grpc.start("host/key");
+    bystander.undisturbed_by("a hang and its end", || {
+        scene.hang("host/p");
+        scene.grpc.invoke("host/key/ctl/release", Value::Null);
+        scene.until_health("host/p", "OK");
+    });
+    scene.grpc.stop("host/p");
+    accounts_for_every_period(&scene, "host/p");
+    let stats = scene.stats("host/p");
+    // 50 ms without progress are ten periods of 5 ms.
+    assert!(number(&stats["skipped"]) >= 8 && number(&stats["overruns"]) >= 1, "{stats}");
+    assert!(scene.host.printed().contains("host/p"), "the log names it");
+}
