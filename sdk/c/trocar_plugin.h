@@ -197,7 +197,7 @@ typedef struct trocar_in {
 typedef struct trocar_call_opts {
     uint32_t struct_size;
     uint32_t mode;
-    /* Relative, ns; 0 = the connection's default (1 s unless set). */
+    /* Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. */
     uint64_t deadline_ns;
     /* Where the reason goes; may be null. */
     trocar_err *err;

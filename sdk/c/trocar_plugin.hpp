@@ -88,7 +88,7 @@ template <class A = None, class R = None> class Function {
   public:
     // Never waits: the way from step.
     trocar_outcome send(const A &arg = {}) { return ask(arg, nullptr, nullptr); }
-    // Waits for the result, at most deadline_ns (0 = the connection's own).
+    // Waits for the result, at most deadline_ns (0 = the connection's own, never more than an hour).
     trocar_outcome call(const A &arg, R &ret, uint64_t deadline_ns = 0) {
         trocar_call_opts opts = {};
         opts.struct_size = sizeof opts;

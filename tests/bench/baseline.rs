@@ -57,72 +57,98 @@ pub(crate) fn copy(bytes: usize) -> f64 {
     median((0..RUNS).map(|_| run()).collect())
 }
 
+/// Words a bare ring holds.
+const SLOTS: usize = 256;
+
+/// One end of a bare ring of words, none of which is 0; each word passes with one store and one load.
+struct End {
+    ring: Arc<[AtomicU64; SLOTS]>,
+    at: usize,
+}
+
+impl End {
+    /// The end that puts and the end that takes.
+    fn pair() -> (End, End) {
+        let ring = Arc::new([const { AtomicU64::new(0) }; SLOTS]);
+        (End { ring: ring.clone(), at: 0 }, End { ring, at: 0 })
+    }
+
+    /// False when the ring is full.
+    fn put(&mut self, word: u64) -> bool {
+        let slot = &self.ring[self.at % SLOTS];
+        let room = slot.load(Ordering::Acquire) == 0;
+        if room {
+            slot.store(word, Ordering::Release);
+            self.at += 1;
+        }
+        room
+    }
+
+    fn take(&mut self) -> Option<u64> {
+        let slot = &self.ring[self.at % SLOTS];
+        let word = slot.load(Ordering::Acquire);
+        if word == 0 {
+            return None;
+        }
+        slot.store(0, Ordering::Release);
+        self.at += 1;
+        Some(word)
+    }
+}
+
 /// A word put into a ring for a thread that takes it out, both busy; ns per word.
 pub(crate) fn ring(words: u64) -> f64 {
-    const SLOTS: u64 = 256;
-    let ring: Arc<Vec<AtomicU64>> = Arc::new((0..SLOTS).map(|_| AtomicU64::new(0)).collect());
-    let taker = {
-        let ring = ring.clone();
-        thread::spawn(move || {
-            for i in 1..=words {
-                let slot = &ring[(i % SLOTS) as usize];
-                while slot.load(Ordering::Acquire) != i {
-                    std::hint::spin_loop();
-                }
-                slot.store(0, Ordering::Release);
+    let (mut put, mut take) = End::pair();
+    let taker = thread::spawn(move || {
+        for _ in 0..words {
+            while take.take().is_none() {
+                std::hint::spin_loop();
             }
-        })
-    };
+        }
+    });
     let began = Instant::now();
     for i in 1..=words {
-        let slot = &ring[(i % SLOTS) as usize];
-        while slot.load(Ordering::Acquire) != 0 {
+        while !put.put(i) {
             std::hint::spin_loop();
         }
-        slot.store(i, Ordering::Release);
     }
     taker.join().expect("the taking thread does not panic");
     began.elapsed().as_nanos() as f64 / words as f64
 }
 
-/// A word handed to a sleeping thread through a futex and back, median ns for both ways: what any queued call has to pay.
+/// A word put into a ring for a thread that sleeps on a futex, and back through another ring, median ns for both ways: what
+/// any queued call has to pay.
 pub(crate) fn ping_pong(trips: u64) -> f64 {
-    let (there, back) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
-    let stop = Arc::new(AtomicBool::new(false));
+    let ((mut ask, mut asked), (mut answer, mut answered)) = (End::pair(), End::pair());
     let caller = thread::current();
-    let server = {
-        let (there, back, stop) = (there.clone(), back.clone(), stop.clone());
-        thread::spawn(move || {
-            let mut seen = 0;
-            while !stop.load(Ordering::Acquire) {
-                let now = there.load(Ordering::Acquire);
-                if now == seen {
-                    thread::park();
-                    continue;
-                }
-                seen = now;
-                back.store(now, Ordering::Release);
-                caller.unpark();
-            }
-        })
-    };
-    let trip = |i: u64| {
+    let server = thread::spawn(move || {
+        let mut left = trips;
+        while left > 0 {
+            let Some(word) = asked.take() else {
+                thread::park();
+                continue;
+            };
+            // There is never more than one on its way.
+            answer.put(word);
+            caller.unpark();
+            left -= 1;
+        }
+    });
+    let mut trip = |i: u64| {
         // Each time when the other one has gone to sleep, as for a component.
         let rested = Instant::now();
         while rested.elapsed() < REST {
             std::hint::spin_loop();
         }
         let began = Instant::now();
-        there.store(i, Ordering::Release);
+        ask.put(i);
         server.thread().unpark();
-        while back.load(Ordering::Acquire) != i {
+        while answered.take() != Some(i) {
             thread::park();
         }
         began.elapsed().as_nanos() as f64
     };
-    let ns = median((1..=trips).map(trip).collect());
-    stop.store(true, Ordering::Release);
-    server.thread().unpark();
+    let ns = median((1..=trips).map(&mut trip).collect());
     server.join().expect("the echoing thread does not panic");
     ns
 }

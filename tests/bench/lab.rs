@@ -95,20 +95,16 @@ impl Lab {
         self.number(gauge, "ns")
     }
 
-    /// Waits until a listener has heard so many events.
-    pub(crate) fn heard(&self, name: &str, all: f64) {
-        eventually(&format!("{name} has heard {all}"), || {
-            let now = self.number(name, "heard");
-            if now >= all { Ok(()) } else { Err(format!("{now}")) }
+    /// Waits until a number of a state row is at least this.
+    pub(crate) fn wait_until(&self, name: &str, field: &str, least: f64) {
+        eventually(&format!("{name}: {field} is {least}"), || {
+            let now = self.number(name, field);
+            if now >= least { Ok(()) } else { Err(format!("{now}")) }
         });
     }
 
     pub(crate) fn wait(&self, name: &str, field: &str, more: f64) {
-        let until = self.number(name, field) + more;
-        eventually(&format!("{name}: {field} is {until}"), || {
-            let now = self.number(name, field);
-            if now >= until { Ok(()) } else { Err(format!("{now}")) }
-        });
+        self.wait_until(name, field, self.number(name, field) + more);
     }
 
     /// What an embedding program would await.

@@ -1,10 +1,10 @@
-//! The conformance suite, for every way to connect two components of one process and every language.
+//! The conformance suite, for every way to connect two components of one process, every language, and one calling the other.
 //!
 //! Promise: a component cannot tell where its peer runs or what it is written in; what may happen is the same.
 
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
-    ExecIn, ExecOut, Lab, Language, OtherThread, Passive, SameStream, Way, cases,
+    ExecIn, ExecOut, Lab, Language, Languages, OtherThread, Passive, SameStream, Way, cases,
 };
 use trocar_tests::skip;
 
@@ -17,7 +17,7 @@ macro_rules! tests {
             #[test]
             fn $case() {
                 let way = $way;
-                if let Some(why) = way.language.missing() {
+                if let Some(why) = way.languages.missing() {
                     return skip(&why);
                 }
                 let _told = way.told_in_a_failure();
@@ -29,11 +29,14 @@ macro_rules! tests {
 
 /// One module per way; its list is the list of all cases.
 macro_rules! conform {
-    ($($module:ident: $deployment:ident, $language:ident;)+) => {
+    ($($module:ident: $deployment:ident, $client:ident calls $server:ident;)+) => {
         $(mod $module {
             use super::*;
             tests! {
-                Way { deployment: &$deployment, language: Language::$language };
+                Way {
+                    deployment: &$deployment,
+                    languages: Languages { client: Language::$client, server: Language::$server },
+                };
                 cases commands:
                     every_kind_that_is_sent_arrives_once,
                     every_kind_that_is_sent_from_a_step_arrives_once,
@@ -52,6 +55,8 @@ macro_rules! conform {
                     a_full_queue_gives_up_its_oldest_where_the_command_says_so,
                     the_latest_wins_where_the_command_says_so,
                     a_call_that_was_not_begun_by_its_deadline_never_runs,
+                    a_call_without_a_deadline_has_that_of_its_connection,
+                    a_call_without_any_deadline_ends_all_the_same,
                     a_call_that_was_begun_by_its_deadline_may_still_run,
                     a_command_that_panics_has_failed_and_puts_only_its_server_in_fault;
                 cases events:
@@ -82,7 +87,10 @@ macro_rules! conform {
                     a_frame_arrives_where_it_was_made,
                     a_frame_that_two_have_is_nobody_s_to_change,
                     a_filter_changes_a_frame_in_place,
+                    a_queue_of_frames_gives_up_its_oldest_before_their_pool_is_empty,
+                    a_queue_that_keeps_its_oldest_frames_takes_no_more_before_their_pool_is_empty,
                     an_exhausted_pool_is_a_counted_drop,
+                    a_branch_that_takes_no_frames_costs_the_others_none,
                     the_threads_of_a_stream_work_on_slices_at_the_same_time,
                     a_filter_that_failed_is_bypassed_where_its_stream_says_so,
                     a_filter_that_failed_stops_its_branch_and_no_other;
@@ -103,6 +111,7 @@ macro_rules! conform {
                     a_call_whose_server_is_removed_is_told_so_and_never_runs,
                     a_call_whose_server_is_stopped_finds_it_not_active,
                     a_call_that_waits_in_a_server_that_goes_into_fault_is_answered,
+                    a_client_that_is_removed_while_its_call_waits_is_answered_and_the_call_never_runs,
                     rewiring_while_calls_go_on_loses_none_and_answers_each;
                 cases configuring:
                     a_live_setting_changes_while_the_component_runs,
@@ -141,6 +150,10 @@ macro_rules! conform {
                     of_a_busy_server_in_a_command,
                     of_a_full_queue,
                     of_what_was_begun_and_does_not_come_back,
+                    of_what_was_begun_when_the_connection_is_cut,
+                    of_what_was_begun_when_the_server_is_stopped,
+                    of_what_was_begun_when_the_server_is_removed,
+                    of_what_was_begun_and_panics,
                     when_the_connection_is_cut,
                     when_the_server_is_stopped,
                     when_the_server_is_removed,
@@ -154,21 +167,25 @@ macro_rules! conform {
 }
 
 conform! {
-    other_thread_rust: OtherThread, Rust;
-    other_thread_cpp: OtherThread, Cpp;
-    other_thread_linked: OtherThread, Linked;
-    same_stream_rust: SameStream, Rust;
-    same_stream_cpp: SameStream, Cpp;
-    same_stream_linked: SameStream, Linked;
-    exec_in_rust: ExecIn, Rust;
-    exec_in_cpp: ExecIn, Cpp;
-    exec_in_linked: ExecIn, Linked;
-    exec_out_rust: ExecOut, Rust;
-    exec_out_cpp: ExecOut, Cpp;
-    exec_out_linked: ExecOut, Linked;
-    passive_rust: Passive, Rust;
-    passive_cpp: Passive, Cpp;
-    passive_linked: Passive, Linked;
+    other_thread_rust: OtherThread, Rust calls Rust;
+    other_thread_cpp: OtherThread, Cpp calls Cpp;
+    other_thread_linked: OtherThread, Linked calls Linked;
+    same_stream_rust: SameStream, Rust calls Rust;
+    same_stream_cpp: SameStream, Cpp calls Cpp;
+    same_stream_linked: SameStream, Linked calls Linked;
+    exec_in_rust: ExecIn, Rust calls Rust;
+    exec_in_cpp: ExecIn, Cpp calls Cpp;
+    exec_in_linked: ExecIn, Linked calls Linked;
+    exec_out_rust: ExecOut, Rust calls Rust;
+    exec_out_cpp: ExecOut, Cpp calls Cpp;
+    exec_out_linked: ExecOut, Linked calls Linked;
+    passive_rust: Passive, Rust calls Rust;
+    passive_cpp: Passive, Cpp calls Cpp;
+    passive_linked: Passive, Linked calls Linked;
+    other_thread_rust_to_cpp: OtherThread, Rust calls Cpp;
+    other_thread_cpp_to_rust: OtherThread, Cpp calls Rust;
+    same_stream_rust_to_cpp: SameStream, Rust calls Cpp;
+    same_stream_cpp_to_rust: SameStream, Cpp calls Rust;
 }
 
 #[test]
@@ -184,6 +201,23 @@ fn every_situation_has_its_case() {
             let case = situation.case();
             assert!(cases.contains(&case), "{way}: {situation:?} is not played: {case} is not in the list");
         }
+    }
+}
+
+#[test]
+fn where_client_and_server_differ_in_language_each_is_of_its_own() {
+    let (rust, cpp) = (Language::Rust, Language::Cpp);
+    for (client, server) in [(rust, cpp), (cpp, rust)] {
+        let languages = Languages { client, server };
+        if let Some(why) = languages.missing() {
+            return skip(&why);
+        }
+        let lab = Lab::pair(&Way { deployment: &OtherThread, languages });
+        let mut made: Vec<String> = lab.graph().components.values().map(|c| c.class.full_name()).collect();
+        made.sort();
+        let mut expected = [format!("{}/Client", client.plugin()), format!("{}/Server", server.plugin())];
+        expected.sort();
+        assert_eq!(made, expected);
     }
 }
 

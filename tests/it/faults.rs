@@ -3,8 +3,12 @@
 //! Promise: its fault stays its own: the host lives, the others miss no cycle, and Reset brings it back.
 
 mod entries;
+mod hangs;
 mod manners;
+mod reads;
 mod refusals;
+mod told;
+mod ways;
 
 use serde_json::{Value, json};
 use trocar_tests::{Bystander, Grpcurl, HostProcess, World, eventually};
@@ -27,8 +31,8 @@ impl Scene {
         Self { grpc, bystander, host, _world: world }
     }
 
-    fn remove(&self) {
-        self.grpc.ok("GcmService/Remove", json!({ "path": "host/c", "force": true }));
+    fn remove(&self) -> Value {
+        self.grpc.ok("GcmService/Remove", json!({ "path": "host/c", "force": true }))
     }
 
     /// Makes the chaos component and starts it, whatever comes of it.

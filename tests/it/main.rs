@@ -3,6 +3,7 @@
 //! Invariant: run by `./tests/run`, which builds and fetches what they need; without it they fail and say so.
 #![allow(clippy::unwrap_used)]
 
+mod adapting;
 mod arrows;
 mod changing_ports;
 mod cli;

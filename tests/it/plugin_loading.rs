@@ -5,6 +5,8 @@
 
 #[path = "plugin_loading/bad_files.rs"]
 mod bad_files;
+#[path = "plugin_loading/hardware.rs"]
+mod hardware;
 
 use std::fs;
 use std::ops::Range;

@@ -7,6 +7,8 @@ mod book;
 mod classes;
 mod trap;
 
+use std::cell::RefCell;
+
 use serde_json::json;
 use trocar::Host;
 use trocar::host::HostError;
@@ -22,13 +24,15 @@ struct Scene {
     host: Host,
     number: u64,
     watch: &'static Watch,
+    /// What has to have happened: components and their counts that are not 0 in the end.
+    evidence: RefCell<Vec<(String, &'static str)>>,
 }
 
 impl Scene {
     async fn new() -> Result<Scene, HostError> {
         let host = Host::builder().name("host").plugin(classes::CLASSES).start().await?;
         let (number, watch) = book::watch();
-        Ok(Scene { host, number, watch })
+        Ok(Scene { host, number, watch, evidence: RefCell::default() })
     }
 
     /// A component whose thread is watched.
@@ -54,7 +58,33 @@ impl Scene {
         for input in ["latest", "queue"] {
             self.connect(&format!("{client}/{input}"), &format!("{server}/out")).await?;
         }
-        self.connect(&format!("{client}/peer"), &format!("{server}/ctl")).await
+        self.connect(&format!("{client}/peer"), &format!("{server}/ctl")).await?;
+        self.bridge(client, server, server).await?;
+        self.connect(&format!("{client}/any_peer"), &format!("{server}/ctl")).await?;
+        self.proved_by(client, &["at_once", "adapted"]);
+        self.proved_by(server, &["added"]);
+        self.adapted(client, server).await
+    }
+
+    /// `client` hands on what it gets from `server` without knowing its type.
+    async fn bridge(&self, client: &str, server: &str, to: &str) -> Done {
+        self.connect(&format!("{client}/any"), &format!("{server}/out")).await?;
+        self.connect(&format!("{to}/back"), &format!("{client}/any_out")).await?;
+        self.proved_by(to, &["came_back"]);
+        Ok(())
+    }
+
+    async fn adapted(&self, client: &str, server: &str) -> Done {
+        let options = ConnectOptions { adapt: true, ..ConnectOptions::default() };
+        let (client, server) = (format!("host/{client}/turned"), format!("host/{server}/pair"));
+        self.host.connect_with(&client, &server, options).await?;
+        Ok(())
+    }
+
+    /// These counts of a component must not be 0 in the end.
+    fn proved_by(&self, component: &str, counts: &[&'static str]) {
+        let component = format!("host/{component}");
+        self.evidence.borrow_mut().extend(counts.iter().map(|count| (component.clone(), *count)));
     }
 
     /// Starts all, lets the steps pass and looks at the book; how many threads were watched.
@@ -72,6 +102,11 @@ impl Scene {
             });
         });
         passed.await.unwrap();
+        for (component, count) in self.evidence.take() {
+            let row = self.host.read(&component).await?.value;
+            let counted = row["done"][count].as_f64().unwrap_or_default();
+            assert!(counted > 0.0, "in {STEPS} steps {what}, `{count}` of {component} stayed 0: {row}");
+        }
         self.host.shutdown().await;
         if let Some(why) = watch.untrapped() {
             skip(&format!("system calls in steps {what}: this kernel tells nobody of them ({why})"));
@@ -105,6 +140,9 @@ async fn a_periodic_component_with_others_inside_its_steps_and_one_on_another_th
     scene.pair("after", "before").await?;
     scene.pair("head", "other").await?;
     scene.pair("other", "after").await?;
+    // In one thread calls are answered, and direct handlers run inside `emit`.
+    scene.proved_by("before", &["any_called"]);
+    scene.proved_by("after", &["any_called"]);
     scene.proves_pure("of periodic, exec_in and exec_out", book::SLEEP_AND_WAKE).await?;
     Ok(())
 }
@@ -137,6 +175,15 @@ async fn a_device_thread_that_calls_back() -> Done {
     scene.watched("device", "device", model(ExecutionModel::OnCallback)).await?;
     scene.beside("woken", "worker", model(ExecutionModel::OnSignal)).await?;
     scene.connect("woken/queue", "device/out").await?;
+    scene.bridge("device", "woken", "woken").await?;
+    scene.adapted("device", "woken").await?;
+    // Entered by the device's own thread: a handler that runs at once, and a command by an untyped function.
+    scene.beside("ear", "worker", model(ExecutionModel::None)).await?;
+    scene.connect("ear/peer", "device/ctl").await?;
+    scene.beside("sum", "worker", model(ExecutionModel::None)).await?;
+    scene.connect("device/any_peer", "sum/ctl").await?;
+    scene.proved_by("ear", &["at_once"]);
+    scene.proved_by("sum", &["added"]);
     scene.proves_pure("of on_callback", book::SLEEP_AND_WAKE).await?;
     Ok(())
 }
@@ -153,6 +200,14 @@ async fn a_stream_whose_filters_share_their_work_between_threads() -> Done {
     scene.connect("filter/frame", "camera/frame").await?;
     scene.connect("second/frame", "filter/frame_out").await?;
     scene.connect("branch/frame", "filter/frame_out").await?;
+    let aside = Execution { stream_of: Some("host/camera".into()), ..model(ExecutionModel::Stream) };
+    scene.beside("aside", "worker", aside.clone()).await?;
+    scene.beside("behind", "worker", aside).await?;
+    scene.connect("aside/peer", "camera/ctl").await?;
+    scene.connect("aside/any_peer", "camera/ctl").await?;
+    scene.adapted("aside", "camera").await?;
+    scene.bridge("aside", "camera", "behind").await?;
+    scene.proved_by("aside", &["at_once", "adapted", "any_called"]);
     let threads = scene.proves_pure("of a stream with three threads and a branch", book::AND_TEAM).await?;
     assert!(threads > 1, "only the stream's first thread was seen at work");
     Ok(())
@@ -164,6 +219,12 @@ async fn a_passive_component_in_its_callers_step() -> Done {
     scene.watched("caller", "worker", periodic()).await?;
     scene.beside("passive", "worker", model(ExecutionModel::None)).await?;
     scene.connect("caller/peer", "passive/ctl").await?;
+    scene.connect("caller/any_peer", "passive/ctl").await?;
+    scene.beside("ear", "worker", model(ExecutionModel::None)).await?;
+    scene.connect("ear/peer", "caller/ctl").await?;
+    scene.proved_by("caller", &["any_called"]);
+    scene.proved_by("passive", &["added"]);
+    scene.proved_by("ear", &["at_once"]);
     scene.proves_pure("that call a passive component", book::SLEEP_AND_WAKE).await?;
     Ok(())
 }
@@ -177,6 +238,11 @@ async fn a_component_whose_peer_does_not_run_and_has_full_queues() -> Done {
     let options = ConnectOptions { mailbox: Some(2), ..ConnectOptions::default() };
     scene.host.connect_with("host/head/peer", "host/stuck/ctl", options).await?;
     scene.connect("idle/queue", "head/out").await?;
+    scene.connect("head/any_peer", "stuck/ctl").await?;
+    scene.connect("idle/back", "head/any_out").await?;
+    scene.connect("head/any", "idle/out").await?;
+    scene.adapted("idle", "head").await?;
+    scene.adapted("head", "idle").await?;
     scene.host.start("host/head").await?;
     scene.runs_pure("beside components that do not run", book::SLEEP_AND_WAKE).await?;
     Ok(())
@@ -194,7 +260,12 @@ async fn a_component_whose_connections_are_replaced_while_it_steps() -> Done {
         let options = ConnectOptions { replace: true, ..ConnectOptions::default() };
         scene.host.connect_with("host/head/peer", "host/other/ctl", options.clone()).await?;
         scene.host.connect_with("host/head/latest", "host/other/out", options.clone()).await?;
-        scene.host.connect_with("host/other/queue", "host/head/out", options).await?;
+        scene.host.connect_with("host/other/queue", "host/head/out", options.clone()).await?;
+        scene.host.connect_with("host/head/any", "host/other/out", options.clone()).await?;
+        scene.host.connect_with("host/head/any_peer", "host/other/ctl", options.clone()).await?;
+        scene.host.connect_with("host/other/back", "host/head/any_out", options.clone()).await?;
+        let adapt = ConnectOptions { adapt: true, ..options };
+        scene.host.connect_with("host/head/turned", "host/other/pair", adapt).await?;
         scene.host.read("host/head").await?;
     }
     scene.runs_pure("while its connections are replaced and its state is read", book::AND_ORDERS).await?;

@@ -4,11 +4,12 @@
 //! but by what came before what.
 
 mod models;
+mod priority;
 mod queues;
 mod refusals;
+pub(crate) mod rights;
 mod rows;
 mod streams;
-mod told;
 mod watching;
 
 use serde_json::{Value, json};

@@ -15,6 +15,7 @@ pub struct Trocar {
     gcm: Option<String>,
     dir: PathBuf,
     state_home: PathBuf,
+    prepare: fn(&mut Command),
 }
 
 /// What one command left.
@@ -30,7 +31,7 @@ impl Trocar {
     /// In the world's directory, with no GCM named.
     #[must_use]
     pub fn new(world: &World) -> Self {
-        Self { gcm: None, dir: world.path(""), state_home: world.path("xdg-state") }
+        Self { gcm: None, dir: world.path(""), state_home: world.path("xdg-state"), prepare: |_| () }
     }
 
     /// Aimed at a served address.
@@ -45,6 +46,13 @@ impl Trocar {
         self
     }
 
+    /// With its command prepared: limits, rights.
+    #[must_use]
+    pub fn prepared(mut self, prepare: fn(&mut Command)) -> Self {
+        self.prepare = prepare;
+        self
+    }
+
     pub fn run<S: AsRef<OsStr>>(&self, args: &[S]) -> Output {
         let mut command = Command::new(Built::trocar());
         command.args(args).current_dir(&self.dir).stdin(Stdio::null());
@@ -52,6 +60,7 @@ impl Trocar {
         if let Some(gcm) = &self.gcm {
             command.env("TROCAR_GCM", gcm);
         }
+        (self.prepare)(&mut command);
         let output = command.output().unwrap_or_else(|e| panic!("cannot start trocar: {e}"));
         Output {
             code: output.status.code().unwrap_or(-1),

@@ -29,13 +29,24 @@ impl HostProcess {
     /// The same with more arguments, and a name of its own for process and state directory.
     #[must_use]
     pub fn start_with(world: &World, name: &str, more: &[&str]) -> Self {
+        Self::start_prepared(world, name, more, |_| ())
+    }
+
+    /// The same, its command prepared: limits, rights.
+    #[must_use]
+    pub fn start_prepared(
+        world: &World,
+        name: &str,
+        more: &[&str],
+        prepare: impl FnOnce(&mut Command),
+    ) -> Self {
         let mut args: Vec<OsString> =
             ["host", "--name", name, "--listen", "127.0.0.1:0", "--plugins"].map(OsString::from).to_vec();
         args.push(world.plugins().into());
         args.push("--state".into());
         args.push(world.state().join(name).into());
         args.extend(more.iter().map(OsString::from));
-        Self::spawn(world, name, &args)
+        Self::spawn_prepared(world, name, &args, prepare)
     }
 
     /// `trocar gcm` alone.
@@ -50,18 +61,28 @@ impl HostProcess {
     /// Any serving subcommand; waits for the address it prints.
     #[must_use]
     pub fn spawn(world: &World, name: &str, args: &[OsString]) -> Self {
+        Self::spawn_prepared(world, name, args, |_| ())
+    }
+
+    fn spawn_prepared(
+        world: &World,
+        name: &str,
+        args: &[OsString],
+        prepare: impl FnOnce(&mut Command),
+    ) -> Self {
         let (stdout, stderr) = (world.path(&format!("{name}.out")), world.path(&format!("{name}.err")));
         let file = |path: &Path| File::create(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        let child = Command::new(Built::trocar())
+        let mut command = Command::new(Built::trocar());
+        command
             .args(args)
             .env_remove("TROCAR_GCM")
             .env("XDG_STATE_HOME", world.path("xdg-state"))
             .current_dir(world.path(""))
             .stdin(Stdio::null())
             .stdout(file(&stdout))
-            .stderr(file(&stderr))
-            .spawn()
-            .unwrap_or_else(|e| panic!("cannot start trocar: {e}"));
+            .stderr(file(&stderr));
+        prepare(&mut command);
+        let child = command.spawn().unwrap_or_else(|e| panic!("cannot start trocar: {e}"));
         let mut host = Self { child, name: name.to_owned(), stdout, stderr, address: String::new() };
         host.address = eventually(&format!("{name} prints the address it listens on"), || {
             if let Ok(Some(status)) = host.child.try_wait() {

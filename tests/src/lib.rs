@@ -2,6 +2,7 @@
 //!
 //! Invariant: a test owns all it touches (port 0, temporary directories, children killed by their handle) and waits only
 //! through [`eventually`].
+#![forbid(unsafe_code)]
 
 mod built;
 mod cli;

@@ -40,6 +40,8 @@ pub enum Change {
     },
     Disconnect {
         connection: Connection,
+        /// The change after it connects the same client end to another source: what requires it is only rewired.
+        replaced: bool,
     },
 }
 
@@ -59,10 +61,13 @@ pub struct Plan {
 
 /// The plan that undoes `plan`.
 pub fn inverse(plan: &Plan) -> Plan {
-    Plan { changes: plan.changes.iter().rev().map(undo).collect(), skipped: Vec::new() }
+    let before = |at: usize| at.checked_sub(1).map(|at| &plan.changes[at]);
+    let undone = plan.changes.iter().enumerate().rev().map(|(at, change)| undo(change, before(at)));
+    Plan { changes: undone.collect(), skipped: Vec::new() }
 }
 
-fn undo(change: &Change) -> Change {
+/// `before`: the change it came after.
+fn undo(change: &Change, before: Option<&Change>) -> Change {
     match change.clone() {
         Change::Create { id, component } => Change::Destroy { id, component },
         Change::Destroy { id, component } => Change::Create { id, component },
@@ -70,8 +75,14 @@ fn undo(change: &Change) -> Change {
             Change::Configure { id, from: to, to: from, from_state: to_state, to_state: from_state }
         }
         Change::Run { id, from, to, .. } => Change::Run { id, verb: way_back(to, from), from: to, to: from },
-        Change::Connect { connection } => Change::Disconnect { connection },
-        Change::Disconnect { connection } => Change::Connect { connection },
+        Change::Connect { connection } => {
+            // Taken back, a replacement is one again.
+            let replaced = before.is_some_and(
+                |b| matches!(b, Change::Disconnect { connection: old, replaced: true } if old.client == connection.client),
+            );
+            Change::Disconnect { connection, replaced }
+        }
+        Change::Disconnect { connection, .. } => Change::Connect { connection },
     }
 }
 

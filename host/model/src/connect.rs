@@ -7,7 +7,7 @@ mod idle;
 
 pub use idle::idle_connection;
 
-use crate::refusal::ADAPTABLE;
+use crate::refusal::{ADAPTABLE, scattered};
 use crate::{
     Command, CommandKind, ConnectOptions, Function, Handler, Input, Output, PortId, PortType, Ports,
     Provided, Refusal, Required, Type, Unit,
@@ -216,14 +216,19 @@ impl Ends<'_> {
                 } else if adapt && a.can_adapt(b) {
                     Ok(true)
                 } else {
-                    self.same("samples".to_owned(), a, b, a.can_adapt(b)).map(|()| false)
+                    let hint = match a.can_adapt(b) {
+                        true => ADAPTABLE.to_owned(),
+                        false if a.is_scattered(b) => scattered(),
+                        false => String::new(),
+                    };
+                    self.same("samples".to_owned(), a, b, &hint).map(|()| false)
                 }
             }
             (
                 PortType::Frame { header: a, format, max_bytes },
                 PortType::Frame { header: b, format: has, max_bytes: most },
             ) => {
-                self.same("frame header".to_owned(), a, b, false)?;
+                self.same("frame header".to_owned(), a, b, "")?;
                 if format != has {
                     return Err(self.format(format!("frames of {format:?}"), format!("frames of {has:?}")));
                 }
@@ -248,11 +253,10 @@ impl Ends<'_> {
         Refusal::FormatMismatch { client: self.client.clone(), server: self.server.clone(), wants, has }
     }
 
-    fn same(&self, what: String, client: &Type, server: &Type, adaptable: bool) -> Result<(), Refusal> {
+    fn same(&self, what: String, client: &Type, server: &Type, hint: &str) -> Result<(), Refusal> {
         match client.first_difference(server) {
             None => Ok(()),
             Some(difference) => {
-                let hint = if adaptable { ADAPTABLE } else { "" };
                 // Which two structs, before in what they differ.
                 let named = match (client, server) {
                     (Type::Struct(a), Type::Struct(b)) if a.name != b.name => {
@@ -275,7 +279,7 @@ impl Ends<'_> {
     ) -> Result<(), Refusal> {
         match (client, server) {
             (None, None) => Ok(()),
-            (Some(a), Some(b)) => self.same(what, a, b, false),
+            (Some(a), Some(b)) => self.same(what, a, b, ""),
             (Some(a), None) => Err(missing(&a.title(), "none")),
             (None, Some(b)) => Err(missing("none", &b.title())),
         }

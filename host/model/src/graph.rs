@@ -133,7 +133,7 @@ impl SystemGraph {
                 self.next_connection = self.next_connection.max(connection.id.0 + 1);
                 self.connections.insert(connection.id, connection.clone());
             }
-            Change::Disconnect { connection } => {
+            Change::Disconnect { connection, .. } => {
                 self.connections.remove(&connection.id);
             }
         }

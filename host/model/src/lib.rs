@@ -10,6 +10,7 @@ mod change;
 mod class;
 mod config;
 mod connect;
+mod copies;
 mod frame;
 mod graph;
 mod loose;
@@ -32,6 +33,7 @@ pub use config::{
     Violation, complete, defaults, live_only, live_settings, merge, schema_fault, unknown_nulls, validate,
 };
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
+pub use copies::{CopyRun, MAX_COPIES};
 pub use graph::{
     Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph,
 };
@@ -41,6 +43,6 @@ pub use plan::{class_fault, host_of, period_fault, plan, plan_all};
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};
-pub use types::{CopyRun, EnumType, Field, Prim, StructType, Type};
+pub use types::{EnumType, Field, Prim, StructType, Type};
 pub use unit::{Unit, UnitError};
 pub use value::{ValueError, check_range, decode, encode, interpolate};

@@ -9,7 +9,7 @@ mod text;
 
 pub use examples::errors_markdown;
 pub use text::brief;
-pub(crate) use text::{ADAPTABLE, duration};
+pub(crate) use text::{ADAPTABLE, duration, scattered};
 
 use crate::{ComponentId, MemberId, Name, PortId, State, Verb, Violation};
 

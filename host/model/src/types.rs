@@ -121,17 +121,6 @@ impl Prim {
     }
 }
 
-/// A run of bytes to copy from the server's sample into the client's.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CopyRun {
-    /// Offset in the server's sample, bytes.
-    pub from: usize,
-    /// Offset in the client's sample, bytes.
-    pub to: usize,
-    /// Bytes.
-    pub len: usize,
-}
-
 impl Type {
     /// Bytes of one value. Saturates where a description is absurd; such a type cannot be encoded.
     pub fn size(&self) -> usize {
@@ -238,19 +227,6 @@ impl Type {
         Some(found.unwrap_or_else(|| format!("{} here and {} there", self.canonical(), server.canonical())))
     }
 
-    /// A client of this type can be fed by name from `server`'s: see [`Type::copy_plan`].
-    pub fn can_adapt(&self, server: &Type) -> bool {
-        self.copy_plan(server).is_some()
-    }
-
-    /// How to fill a value of this type from one of `server`'s by name: every field exists there with the same kind,
-    /// unit and frame (as in [`Type::accepts`]), only elsewhere. Neighbouring runs are joined. `None` = impossible.
-    pub fn copy_plan(&self, server: &Type) -> Option<Vec<CopyRun>> {
-        let mut plan = Vec::new();
-        copies(self, server, 0, 0, &mut plan)?;
-        Some(plan)
-    }
-
     /// For people: `f64`, `[f64; 3]`, `list of up to 16 f64`, `Force`.
     pub fn title(&self) -> String {
         match self {
@@ -265,49 +241,12 @@ impl Type {
 }
 
 /// Units that mean the same, and frames that do not contradict each other.
-fn agree(a: &Field, b: &Field) -> bool {
+pub(crate) fn agree(a: &Field, b: &Field) -> bool {
     Unit::same(&a.unit, &b.unit) && (a.frame == b.frame || a.frame.is_empty() || b.frame.is_empty())
 }
 
 fn round_up(size: usize, align: usize) -> usize {
     size.div_ceil(align).saturating_mul(align)
-}
-
-/// Most runs a copy plan may have; beyond it a by-name copy is no longer cheap enough for a step.
-const MAX_COPIES: usize = 1024;
-
-fn copies(client: &Type, server: &Type, to: usize, from: usize, plan: &mut Vec<CopyRun>) -> Option<()> {
-    match (client, server) {
-        _ if client.accepts(server) => {
-            let len = client.size();
-            match plan.last_mut() {
-                Some(last) if last.from + last.len == from && last.to + last.len == to => last.len += len,
-                _ => plan.push(CopyRun { from, to, len }),
-            }
-            (plan.len() <= MAX_COPIES).then_some(())
-        }
-        (Type::Array { item: a, n }, Type::Array { item: b, n: m }) if n == m && *n <= MAX_COPIES => {
-            let (a_size, b_size) = (a.size(), b.size());
-            for i in 0..*n {
-                copies(
-                    a,
-                    b,
-                    to.checked_add(i.checked_mul(a_size)?)?,
-                    from.checked_add(i.checked_mul(b_size)?)?,
-                    plan,
-                )?;
-            }
-            Some(())
-        }
-        (Type::Struct(a), Type::Struct(b)) => {
-            for f in &a.fields {
-                let g = b.fields.iter().find(|g| g.name == f.name && agree(f, g))?;
-                copies(&f.ty, &g.ty, to.checked_add(f.at)?, from.checked_add(g.at)?, plan)?;
-            }
-            Some(())
-        }
-        _ => None,
-    }
 }
 
 /// `path` is the dotted name of what is compared, empty at the top.

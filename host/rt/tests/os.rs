@@ -21,6 +21,21 @@ fn a_futex_wait_tells_change_and_time_apart() {
     os::futex_wake(&word, 1);
 }
 
+/// A line of what the kernel tells of the calling thread.
+fn own(name: &str) -> String {
+    let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+    status.lines().find_map(|l| l.strip_prefix(name)).unwrap().trim().to_owned()
+}
+
+/// Policy and priority of the calling thread, as the kernel has them.
+fn scheduling() -> (i32, i32) {
+    let mut param = libc::sched_param { sched_priority: -1 };
+    // SAFETY: 0 is the calling thread, and `param` is a valid place for the answer.
+    assert_eq!(unsafe { libc::sched_getparam(0, &mut param) }, 0);
+    // SAFETY: it asks for a number; 0 is the calling thread.
+    (unsafe { libc::sched_getscheduler(0) }, param.sched_priority)
+}
+
 #[test]
 fn settings_of_a_thread_are_taken_or_refused_with_help() {
     let thread = std::thread::spawn(|| {
@@ -28,16 +43,21 @@ fn settings_of_a_thread_are_taken_or_refused_with_help() {
         os::set_timer_slack_ns(1).unwrap();
         let name = std::fs::read_to_string("/proc/thread-self/comm").unwrap();
         assert_eq!(name.trim_end(), "name-of-a-threa");
-        if let Err(e) = os::set_fifo(10) {
-            assert!(
-                e.to_string().contains("SCHED_FIFO priority 10") && e.to_string().contains("CAP_SYS_NICE")
-            );
+        let before = scheduling();
+        match os::set_fifo(10) {
+            Ok(()) => assert_eq!(scheduling(), (libc::SCHED_FIFO, 10), "granted"),
+            Err(e) => {
+                let said = e.to_string();
+                assert!(said.contains("SCHED_FIFO priority 10") && said.contains("CAP_SYS_NICE"), "{said}");
+                assert_eq!(scheduling(), before, "refused");
+            }
         }
+        let stands = scheduling();
         assert!(os::set_fifo(100).is_err(), "there is no priority 100");
-        let first = std::fs::read_to_string("/proc/thread-self/status").unwrap();
-        let allowed = first.lines().find_map(|l| l.strip_prefix("Cpus_allowed_list:")).unwrap();
-        let cpu = allowed.trim().split(['-', ',']).next().unwrap().parse().unwrap();
+        assert_eq!(scheduling(), stands, "a refusal changes nothing");
+        let cpu: usize = own("Cpus_allowed_list:").split(['-', ',']).next().unwrap().parse().unwrap();
         os::set_affinity(&[cpu]).unwrap();
+        assert_eq!(own("Cpus_allowed_list:"), cpu.to_string());
     });
     thread.join().unwrap();
     for cpus in [&[][..], &[100_000], &[1_000]] {
@@ -48,8 +68,14 @@ fn settings_of_a_thread_are_taken_or_refused_with_help() {
 
 #[test]
 fn locking_memory_is_refused_where_it_would_break_later_threads() {
-    if let Err(e) = os::lock_memory() {
-        assert!(e.to_string().contains("lock all memory"), "{e}");
+    let locked_kib = || own("VmLck:").trim_end_matches(" kB").parse::<u64>().unwrap();
+    let before = locked_kib();
+    match os::lock_memory() {
+        Ok(()) => assert!(locked_kib() > before, "{} KiB before, {} after", before, locked_kib()),
+        Err(e) => {
+            assert!(e.to_string().contains("lock all memory"), "{e}");
+            assert_eq!(locked_kib(), before, "refused");
+        }
     }
     // Whatever the answer was, threads can still be made and memory mapped.
     std::thread::spawn(|| vec![1u8; 16 << 20].len()).join().unwrap();

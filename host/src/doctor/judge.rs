@@ -109,7 +109,8 @@ fn memlock(f: &Facts) -> Finding {
         Some(Limit { soft: Some(_), .. }) if !f.may_lock_all => limited(
             "memlock",
             format!("up to {limit} may be locked"),
-            "stacks and frame pools are locked as far as that reaches; the rest of the process is not",
+            "frame pools and the upper 128 KiB of each thread's stack are locked as far as that reaches; the rest of the \
+             process is not",
             "put `@realtime - memlock unlimited` into /etc/security/limits.d/realtime.conf; for a service: LimitMEMLOCK=infinity",
         ),
         // Locking one page went well, so there is nothing to complain of; how far that reaches is not known.
@@ -298,12 +299,16 @@ mod tests {
         let no = || Err("Operation not permitted".to_owned());
         let some = |n| Some(Limit { soft: Some(n), hard: Some(n) });
         let g = generous();
-        let cases: [(&str, Facts); 9] = [
+        let late = Figures { wake_p99_ns: 800_000, ..g.figures };
+        let cases: [(&str, Facts); 12] = [
             ("priority", Facts { fifo: no(), ..g.clone() }),
             ("memlock", Facts { lock: no(), ..g.clone() }),
             ("memlock", Facts { limits: Limits { locked: some(8 << 20), ..g.limits }, ..g.clone() }),
             ("kernel", Facts { preempt_rt: false, ..g.clone() }),
             ("cpus", Facts { cpus: 1, ..g.clone() }),
+            ("cpus", Facts { governor: "powersave".into(), ..g.clone() }),
+            ("wakes", Facts { figures: late, ..g.clone() }),
+            ("threads", Facts { limits: Limits { threads: some(100), ..g.limits }, ..g.clone() }),
             ("clock", Facts { figures: Figures { clock_read_ns: 900.0, ..g.figures }, ..g.clone() }),
             ("shm", Facts { shm: no(), ..g.clone() }),
             ("inotify", Facts { inotify: no(), ..g.clone() }),

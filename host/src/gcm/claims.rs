@@ -85,7 +85,7 @@ impl Part {
                     self.ids.insert(c.server.component.clone());
                     self.wires = true;
                 }
-                Change::Disconnect { connection: c } => {
+                Change::Disconnect { connection: c, .. } => {
                     self.ids.insert(c.server.component.clone());
                     self.wires |= !only_takes_away;
                 }

@@ -205,8 +205,14 @@ impl Gcm {
         let lcm = self.lcm_of(process)?;
         let asked =
             tokio::time::timeout_at((deadline + GRACE).into(), lcm.apply(change.clone(), deadline)).await;
-        let report = asked
-            .map_err(|_| Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) })??;
+        let timeout = || Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) };
+        let report = match asked.unwrap_or_else(|_| Err(timeout())) {
+            Ok(report) => report,
+            Err(refusal) => {
+                self.hear_out(process).await;
+                return Err(refusal);
+            }
+        };
         let mut loose = Vec::new();
         self.edit(|graph| {
             let revision = graph.revision;
@@ -223,7 +229,7 @@ impl Gcm {
 fn bereft<'p>(graph: &'p SystemGraph, plan: &'p Plan) -> impl Iterator<Item = (ComponentId, Name)> + 'p {
     let later = |at: usize, is: &dyn Fn(&Change) -> bool| plan.changes[at + 1..].iter().any(is);
     let cut = plan.changes.iter().enumerate().filter_map(|(at, change)| match change {
-        Change::Disconnect { connection } => Some((at, &connection.client)),
+        Change::Disconnect { connection, .. } => Some((at, &connection.client)),
         _ => None,
     });
     cut.filter_map(move |(at, client)| {
@@ -276,7 +282,9 @@ pub(super) fn id_of(change: &Change) -> &ComponentId {
         | Change::Destroy { id, .. }
         | Change::Configure { id, .. }
         | Change::Run { id, .. } => id,
-        Change::Connect { connection } | Change::Disconnect { connection } => &connection.client.component,
+        Change::Connect { connection } | Change::Disconnect { connection, .. } => {
+            &connection.client.component
+        }
     }
 }
 

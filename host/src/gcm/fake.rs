@@ -25,6 +25,8 @@ pub(crate) struct FakeLcm {
     /// Every change that was asked, as "Start host/a".
     done: Mutex<Vec<String>>,
     refuse: Mutex<BTreeSet<String>>,
+    /// Changes that put their component in FAULT.
+    fault: Mutex<BTreeSet<String>>,
     /// Changes that wait for [`FakeLcm::release`].
     held: Mutex<BTreeSet<String>>,
     released: watch::Sender<u64>,
@@ -120,6 +122,7 @@ impl FakeLcm {
             states: Mutex::default(),
             done: Mutex::default(),
             refuse: Mutex::default(),
+            fault: Mutex::default(),
             held: Mutex::default(),
             released: watch::Sender::new(0),
             waiting: watch::Sender::default(),
@@ -132,6 +135,11 @@ impl FakeLcm {
     /// "Start host/a" is refused from now on.
     pub(crate) fn refuse(&self, change: &str) {
         self.refuse.lock().unwrap().insert(change.into());
+    }
+
+    /// "Start host/a" ends in FAULT from now on.
+    pub(crate) fn fault_at(&self, change: &str) {
+        self.fault.lock().unwrap().insert(change.into());
     }
 
     /// "Start host/a" hangs until [`FakeLcm::release`].
@@ -237,6 +245,11 @@ impl Lcm for FakeLcm {
         let id = super::execute::id_of(&change).clone();
         if self.refuse.lock().unwrap().contains(&asked) {
             return Err(Refusal::ComponentRefused { id, entry: "start", text: "the cable is out".into() });
+        }
+        if self.fault.lock().unwrap().contains(&asked) {
+            let text = "start: the cable is out".to_owned();
+            self.become_state(&id.to_string(), State::Fault, &text);
+            return Err(Refusal::ComponentFault { id, text });
         }
         let mut states = self.states.lock().unwrap();
         match change {

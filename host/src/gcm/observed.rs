@@ -68,7 +68,10 @@ impl Gcm {
             let Ok(lcm) = self.lcm_of(&connection.client.component.process) else { continue };
             tokio::spawn(async move {
                 let number = connection.id.0;
-                match lcm.apply(Change::Disconnect { connection }, Instant::now() + UNDO).await {
+                match lcm
+                    .apply(Change::Disconnect { connection, replaced: false }, Instant::now() + UNDO)
+                    .await
+                {
                     // It had cut the connection itself.
                     Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
                     Err(refusal) => log::error!("connection {number} cannot be cut: {refusal}"),

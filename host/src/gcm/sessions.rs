@@ -5,8 +5,9 @@
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::sync::broadcast;
+use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_model::{
     Component, ComponentId, Connection, Health, Name, Process, ProcessState, Refusal, SystemGraph,
 };
@@ -15,6 +16,11 @@ use super::Gcm;
 use super::manager::lock;
 use super::observed::{loosen, observe};
 use crate::lcm::{Inventory, Lcm, News, Report};
+
+/// Longest wait until what an LCM has told is entered: it lies here already, unless some of it was lost and is asked again.
+const ENTERED: Duration = Duration::from_millis(500);
+/// Waits for that which may themselves wait.
+const ASKING: usize = 64;
 
 /// What a process says of itself when it registers.
 #[derive(Clone, Debug)]
@@ -62,6 +68,8 @@ pub(super) struct Sessions {
 struct Session {
     epoch: u64,
     lcm: Arc<dyn Lcm>,
+    /// Answered when the news there are then have been entered; closed with the session.
+    asks: mpsc::Sender<oneshot::Sender<()>>,
 }
 
 impl Gcm {
@@ -78,7 +86,8 @@ impl Gcm {
     ) -> Result<Registered, Refusal> {
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
-        let (epoch, back) = self.claim(&who, lcm.clone())?;
+        let (asks, asked) = mpsc::channel(ASKING);
+        let (epoch, back) = self.claim(&who, lcm.clone(), asks)?;
         let mut loose = Vec::new();
         self.edit(|graph| {
             loose = adopt(graph, &who, back, &inventory);
@@ -96,12 +105,17 @@ impl Gcm {
         let word = if back { "is back" } else { "registered" };
         log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
         self.cut_off(loose);
-        tokio::spawn(follow(self.clone(), who.process, epoch, lcm, news));
+        tokio::spawn(follow(self.clone(), who.process, epoch, lcm, news, asked));
         Ok(Registered { epoch, term: self.term(), revision: self.graph().revision })
     }
 
     /// The name is checked and taken in one step. True: the same instance held it last.
-    fn claim(&self, who: &Registration, lcm: Arc<dyn Lcm>) -> Result<(u64, bool), Refusal> {
+    fn claim(
+        &self,
+        who: &Registration,
+        lcm: Arc<dyn Lcm>,
+        asks: mpsc::Sender<oneshot::Sender<()>>,
+    ) -> Result<(u64, bool), Refusal> {
         let mut sessions = lock(&self.inner.sessions);
         let back = sessions.last.get(&who.process) == Some(&who.instance);
         if sessions.live.contains_key(&who.process) && !back {
@@ -114,7 +128,7 @@ impl Gcm {
             });
         }
         let epoch = self.inner.ids.next_epoch().map_err(|e| Refusal::Internal { text: e.to_string() })?;
-        sessions.live.insert(who.process.clone(), Session { epoch, lcm });
+        sessions.live.insert(who.process.clone(), Session { epoch, lcm, asks });
         sessions.last.insert(who.process.clone(), who.instance);
         Ok((epoch, back))
     }
@@ -156,6 +170,22 @@ impl Gcm {
                 known: graph.processes.keys().cloned().collect(),
             }
         })
+    }
+
+    /// Waits until the graph has what the LCM of a process has told so far. An LCM tells its news before it answers, so whoever
+    /// passes on a refusal after this can be sure that the next look shows what came of it: a FAULT, for one.
+    pub async fn hear_out(&self, process: &Name) {
+        let asks = lock(&self.inner.sessions).live.get(process).map(|session| session.asks.clone());
+        let Some(asks) = asks else { return };
+        let entered = async {
+            let (tell, told) = oneshot::channel();
+            // A session that ends meanwhile has nothing more to be entered.
+            if asks.send(tell).await.is_ok() {
+                let _ = told.await;
+            }
+        };
+        // What takes longer is a gap in the news, and is entered when it was asked again.
+        let _ = tokio::time::timeout(ENTERED, entered).await;
     }
 
     fn current(&self, process: &Name, epoch: u64) -> bool {
@@ -208,29 +238,46 @@ fn ends_in(connection: &Connection, process: &Name) -> bool {
     connection.client.component.process == *process || connection.server.component.process == *process
 }
 
-async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news: broadcast::Receiver<News>) {
+async fn follow(
+    gcm: Gcm,
+    process: Name,
+    epoch: u64,
+    lcm: Arc<dyn Lcm>,
+    mut news: broadcast::Receiver<News>,
+    mut asked: mpsc::Receiver<oneshot::Sender<()>>,
+) {
     loop {
-        let heard = news.recv().await;
+        let (heard, tell) = tokio::select! {
+            heard = news.recv() => (Some(heard), None),
+            tell = asked.recv() => match tell {
+                Some(tell) => (None, Some(tell)),
+                // Lost, or replaced.
+                None => return,
+            },
+        };
         if !gcm.current(&process, epoch) {
             return;
         }
-        let (mut lagged, mut loose) = (false, Vec::new());
+        let (mut lagged, mut first) = (false, None);
         match heard {
-            Ok(first) => gcm.edit_if(|graph| {
-                // An LCM tells its news before it answers. So all that is queued now is entered before any later answer
-                // is, and no state that was passed long ago comes back.
-                let mut changed = enter(&gcm, graph, &process, first, &mut loose);
-                for _ in 0..news.len() {
-                    match news.try_recv() {
-                        Ok(next) => changed |= enter(&gcm, graph, &process, next, &mut loose),
-                        Err(e) => lagged |= matches!(e, broadcast::error::TryRecvError::Lagged(_)),
-                    }
-                }
-                changed
-            }),
-            Err(broadcast::error::RecvError::Lagged(_)) => lagged = true,
-            Err(broadcast::error::RecvError::Closed) => return gcm.lost(&process, epoch),
+            Some(Ok(news)) => first = Some(news),
+            Some(Err(broadcast::error::RecvError::Lagged(_))) => lagged = true,
+            Some(Err(broadcast::error::RecvError::Closed)) => return gcm.lost(&process, epoch),
+            None => {}
         }
+        let mut loose = Vec::new();
+        gcm.edit_if(|graph| {
+            // An LCM tells its news before it answers. So all that is queued now is entered before any later answer is,
+            // and no state that was passed long ago comes back.
+            let mut changed = first.is_some_and(|first| enter(&gcm, graph, &process, first, &mut loose));
+            for _ in 0..news.len() {
+                match news.try_recv() {
+                    Ok(next) => changed |= enter(&gcm, graph, &process, next, &mut loose),
+                    Err(e) => lagged |= matches!(e, broadcast::error::TryRecvError::Lagged(_)),
+                }
+            }
+            changed
+        });
         if lagged {
             match lcm.inventory().await {
                 Ok(Inventory { components, classes }) => gcm.edit(|graph| {
@@ -243,6 +290,10 @@ async fn follow(gcm: Gcm, process: Name, epoch: u64, lcm: Arc<dyn Lcm>, mut news
             }
         }
         gcm.cut_off(loose);
+        if let Some(tell) = tell {
+            // Who asked may have given up.
+            let _ = tell.send(());
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod hanging;
+mod hearing;
 mod ports;
 
 use std::future::{Future, ready};

@@ -46,7 +46,7 @@ pub(super) fn line(change: &Change) -> String {
         Change::Connect { connection: c } => {
             format!("+ connect {} → {} (connection {})", c.server, c.client, c.id.0)
         }
-        Change::Disconnect { connection: c } => {
+        Change::Disconnect { connection: c, .. } => {
             format!("- disconnect {} → {} (connection {})", c.server, c.client, c.id.0)
         }
     }
@@ -60,7 +60,7 @@ pub(crate) fn asked(change: &Change) -> String {
         Change::Configure { id, .. } => format!("Configure {id}"),
         Change::Run { id, verb, .. } => format!("{verb} {id}"),
         Change::Connect { connection: c } => format!("Connect {} to {}", c.client, c.server),
-        Change::Disconnect { connection: c } => format!("Disconnect {} from {}", c.client, c.server),
+        Change::Disconnect { connection: c, .. } => format!("Disconnect {} from {}", c.client, c.server),
     }
 }
 

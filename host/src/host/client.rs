@@ -210,7 +210,7 @@ impl Host {
         self.call(path, arg, true, WITHIN).await
     }
 
-    /// [`Host::invoke`] with a deadline of its own.
+    /// [`Host::invoke`] with a deadline of its own; more than an hour counts as an hour.
     ///
     /// # Errors
     /// As [`Host::invoke`].
@@ -220,10 +220,16 @@ impl Host {
 
     async fn call(&self, path: &str, arg: Value, send: bool, within: Duration) -> Result<Reply, Refusal> {
         let member = MemberId::parse(path)?;
-        let lcm = self.lcm_of(&member.port.component.process)?;
+        let process = member.port.component.process.clone();
+        let lcm = self.lcm_of(&process)?;
         let arg = if arg.is_null() { Payload::None } else { Payload::Json(arg) };
         let deadline_ns = u64::try_from(within.as_nanos()).unwrap_or(u64::MAX).max(1);
-        lcm.invoke(Invoke { member, arg, send, deadline_ns }).await
+        let reply = lcm.invoke(Invoke { member, arg, send, deadline_ns }).await;
+        if let (Err(_), Some(gcm)) = (&reply, self.gcm()) {
+            // Who is told that a command panicked finds the component in FAULT.
+            gcm.hear_out(&process).await;
+        }
+        reply
     }
 
     /// Reads without a command: the state row of a component, or the newest sample of an output.

@@ -21,6 +21,7 @@ use super::convert;
 use super::inbox::{Inbox, Position};
 use super::instance::{Entered, Instance};
 use super::lifecycle::Entry;
+use super::supervise::Entry as Inside;
 
 /// Commands from outside that may wait.
 const EXTERNAL_DEPTH: usize = 64;
@@ -257,7 +258,8 @@ impl Instance {
 /// # Errors
 /// `describe` or `bind` failed, or the description contradicts itself; the ports are as before.
 pub(super) fn describe(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    let described = entered.describe(convert::MAX_DESCRIPTION).map_err(|e| failed("describe", e))?;
+    let described = instance.as_running(Inside::Describe, || entered.describe(convert::MAX_DESCRIPTION));
+    let described = described.map_err(|e| failed("describe", e))?;
     let lies = |text| ("describe", EntryError::new(STATUS_FAILED, text));
     let ports = match described {
         Some(text) => convert::description(&text, &instance.info).map_err(lies)?,
@@ -283,7 +285,7 @@ pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entr
     life.fresh = !Arc::ptr_eq(&own, &instance.described.now());
     life.kept.push(own.clone());
     drop(life);
-    entered.bind(own.slots.table()).map_err(|e| ("bind", e))
+    instance.as_running(Inside::Bind, || entered.bind(own.slots.table())).map_err(|e| ("bind", e))
 }
 
 /// Here a refusal is a failure, too: configuration and ports do not go together any more.
@@ -310,7 +312,7 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
         Arc::new(PortSet::new(ports, Some(&before)).map_err(|e| ("describe", EntryError::no_room(e)))?)
     };
     described.life().kept.push(new.clone());
-    entered.bind(new.slots.table()).map_err(|e| failed("bind", e))?;
+    instance.as_running(Inside::Bind, || entered.bind(new.slots.table())).map_err(|e| failed("bind", e))?;
     let mut life = described.life();
     life.kept.retain(|set| Arc::ptr_eq(set, &before));
     life.fresh = false;

@@ -54,7 +54,7 @@ pub(super) struct Executor {
     stop: AtomicBool,
     /// Changed and asked under the lock of `jobs`.
     ended: AtomicBool,
-    pub(super) settings: Settings,
+    pub(super) settings: Arc<Settings>,
     /// As the kernel shows it, and as threads are called that code on it starts without a name of their own.
     pub(super) name: String,
     /// Kernel id of the thread; 0 until it runs.
@@ -101,7 +101,8 @@ impl Executor {
         execution: &Execution,
         memory: &Memory,
     ) -> std::io::Result<Arc<Executor>> {
-        let team = realtime::team(name, execution)?;
+        let settings = Arc::new(Settings::default());
+        let team = realtime::team(name, execution, memory, settings.clone())?;
         let pace = pace_of(execution);
         let executor = Arc::new(Executor {
             id: NEXT.fetch_add(1, Ordering::Relaxed),
@@ -111,7 +112,7 @@ impl Executor {
             has_jobs: AtomicBool::new(false),
             stop: AtomicBool::new(false),
             ended: AtomicBool::new(false),
-            settings: Settings::default(),
+            settings,
             name: name[..name.floor_char_boundary(realtime::NAME_BYTES)].to_owned(),
             tid: AtomicI32::new(0),
         });

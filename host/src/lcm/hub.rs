@@ -9,6 +9,7 @@ use trocar_rt::wake::Waker;
 use super::api::News;
 use super::instance::Instance;
 use super::logs::LogRing;
+use super::reading::Readers;
 use super::services::Desk;
 
 /// News a lagging receiver may miss before it has to ask for the inventory.
@@ -20,6 +21,8 @@ pub(super) struct Hub {
     pub(super) logs: Arc<LogRing>,
     /// Where components ask for services.
     pub(super) desk: Arc<Desk>,
+    /// Threads for reads from outside.
+    pub(super) readers: Arc<Readers>,
     /// Makes the watchdog look now.
     pub(super) watch: Arc<Waker>,
     /// Makes the follower of changing ports look now.
@@ -35,6 +38,7 @@ impl Hub {
             news: broadcast::channel(NEWS_DEPTH).0,
             logs: LogRing::new(),
             desk: Desk::new(),
+            readers: Arc::default(),
             watch: Arc::new(Waker::new()),
             ports: Arc::new(Waker::new()),
             graveyard: Mutex::new(Vec::new()),

@@ -20,6 +20,7 @@ use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
 
 use self::running::Terms;
+pub(super) use self::status::Loss;
 use super::boundary::LoadedClass;
 use super::boundary::{EntryError, HostContext, NoRoom, Object, SharedTable};
 use super::context::ExecutorId;
@@ -29,6 +30,7 @@ use super::gate::{ACTIVE, pack, unpack};
 use super::hub::Hub;
 use super::inbox::Inbox;
 use super::pending::Owed;
+use super::reading::Reading;
 use super::services::Account;
 use super::supervise::{Entry, Watch};
 use super::system;
@@ -52,19 +54,37 @@ pub(super) enum Misuse {
     Overlap,
     /// One of its reads panicked. No instance was entered, so none is distrusted: it is no FAULT.
     ReadPanicked,
+    /// A read asked for from outside has not come back by its caller's deadline. As little a FAULT as a panic.
+    ReadHung,
     /// One of its event handlers answered that it failed.
     HandlerFailed,
 }
 
 impl Misuse {
-    pub(super) const ALL: [Misuse; 6] = [
+    pub(super) const ALL: [Misuse; 7] = [
         Misuse::AskedToWait,
         Misuse::CalledFromStep,
         Misuse::ServiceFromStep,
         Misuse::Overlap,
         Misuse::ReadPanicked,
+        Misuse::ReadHung,
         Misuse::HandlerFailed,
     ];
+
+    /// Of those that come with a reason, the place where the last one is kept.
+    fn words(self) -> Option<usize> {
+        match self {
+            Misuse::ReadPanicked => Some(0),
+            Misuse::HandlerFailed => Some(1),
+            Misuse::ReadHung => Some(2),
+            _ => None,
+        }
+    }
+
+    /// Plugin code went wrong where no instance could be blamed for it: an error, and no FAULT.
+    pub(super) fn is_error(self) -> bool {
+        matches!(self, Misuse::ReadPanicked | Misuse::ReadHung)
+    }
 
     /// What is said of it, before how often it happened.
     pub(super) fn says(self) -> &'static str {
@@ -80,6 +100,7 @@ impl Misuse {
                 "threads of its device that came in while somebody was inside were turned away"
             }
             Misuse::ReadPanicked => "its reads panicked and their callers got FAILED",
+            Misuse::ReadHung => "its reads did not come back in time and their callers got DEADLINE",
             Misuse::HandlerFailed => "its event handlers failed",
         }
     }
@@ -104,8 +125,8 @@ pub(super) struct Counters {
     commands: AtomicU64,
     /// Commands and events lost in full queues of connections that are gone, and those that never ran before they were cut.
     lost_before: [AtomicU64; 2],
-    /// What the last read that panicked and the last handler that failed said.
-    last_words: [LastWords; 2],
+    /// What the last one said, of each misuse that says something.
+    last_words: [LastWords; 3],
 }
 
 impl Counters {
@@ -117,7 +138,7 @@ impl Counters {
     /// Of a misuse that comes with a reason. Real-time.
     pub(super) fn failed(&self, what: Misuse, text: &[u8]) {
         self.misuse(what);
-        let last = &self.last_words[usize::from(what == Misuse::HandlerFailed)];
+        let Some(last) = what.words().map(|at| &self.last_words[at]) else { return };
         // Somebody else is just saying or reading the same.
         if let Ok(mut last) = last.0.try_lock() {
             let text = str::from_utf8(text)
@@ -129,9 +150,8 @@ impl Counters {
 
     /// What was last said with `what`; `None` where nothing ever is.
     pub(super) fn last_words(&self, what: Misuse) -> Option<String> {
-        let told = matches!(what, Misuse::ReadPanicked | Misuse::HandlerFailed);
-        let last = &self.last_words[usize::from(what == Misuse::HandlerFailed)];
-        told.then(|| harmless(&last.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned())
+        let last = &self.last_words[what.words()?];
+        Some(harmless(&last.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned())
     }
 
     /// Only the holder of the entry lock counts, so load and store are enough.
@@ -193,6 +213,8 @@ pub(super) struct Instance {
     pub(super) state_bytes: usize,
     pub(super) counters: Counters,
     pub(super) stats: CycleStats,
+    /// Reads from outside.
+    pub(super) reading: Reading,
     inboxes: BindingCell<Vec<Arc<Inbox>>>,
     /// Managers change the list one after the other.
     editing: Mutex<()>,
@@ -211,7 +233,7 @@ pub(super) struct Instance {
     brood: Mutex<BTreeMap<i32, (String, bool)>>,
     /// Threads that were there before it was made, and when each began.
     elders: OnceLock<BTreeMap<i32, u64>>,
-    /// Required ports whose connection was lost or cut, and when, ns.
+    /// Required ports whose connection was lost or cut, and from when on it counts as lost, ns.
     missing: Mutex<BTreeMap<String, u64>>,
     signalled: Mark,
     /// See [`Instance::teller`].
@@ -267,6 +289,7 @@ impl Instance {
             state_bytes,
             counters: Counters::default(),
             stats: CycleStats::new(terms.period_ns()),
+            reading: Reading::default(),
             inboxes: BindingCell::new(Box::new(vec![now.external.clone()])),
             editing: Mutex::new(()),
             owed: Owed::default(),
@@ -372,7 +395,7 @@ impl Instance {
 
     /// Ends the plugin's instance; one that somebody is still making safe is left, with all it was given.
     pub(super) fn destroy(&self, entered: &mut Entered<'_>) {
-        if !entered.destroy()
+        if !self.as_running(Entry::Destroy, || entered.destroy())
             && let Some(me) = self.me()
         {
             self.hub.bury(me, "another thread is still making it safe");

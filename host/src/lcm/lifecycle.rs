@@ -8,6 +8,7 @@ use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED, STATUS_INVALID};
 use super::boundary::EntryError;
 use super::dynamic;
 use super::instance::{Entered, Instance};
+use super::supervise::Entry as Inside;
 
 /// What an entry came to: the name of the one that failed, and why.
 pub(super) type Entry = Result<(), (&'static str, EntryError)>;
@@ -163,7 +164,7 @@ pub(super) fn tell_ports(instance: &Instance) {
 
 pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     instance.refuse_queued(instance.turned_away());
-    let done = entered.stop();
+    let done = instance.as_running(Inside::Stop, || entered.stop());
     instance.watch.stopped();
     if let Err(e) = done {
         instance.fail(entered, "stop", &e);
@@ -205,7 +206,8 @@ pub(super) fn reset(
     }
     let again = make(instance, entered).and_then(|()| match config {
         Some(json) => {
-            entered.configure(json).map_err(|e| ("configure", e))?;
+            let done = instance.as_running(Inside::Configure, || entered.configure(json));
+            done.map_err(|e| ("configure", e))?;
             dynamic::describe(instance, entered)
         }
         None => dynamic::as_fresh(instance, entered),

@@ -23,6 +23,7 @@ use super::api::{
     Detail, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report, Sample,
     Selection, When,
 };
+use super::calling;
 use super::classes::Classes;
 use super::connect::Wired;
 use super::cycle::Follow;
@@ -340,7 +341,9 @@ fn about(change: &Change) -> &ComponentId {
         | Change::Destroy { id, .. }
         | Change::Configure { id, .. }
         | Change::Run { id, .. } => id,
-        Change::Connect { connection } | Change::Disconnect { connection } => &connection.client.component,
+        Change::Connect { connection } | Change::Disconnect { connection, .. } => {
+            &connection.client.component
+        }
     }
 }
 
@@ -356,13 +359,15 @@ impl Lcm for LocalLcm {
             }
             Change::Run { id, verb, .. } => self.run_verb(&id, verb, deadline).await,
             Change::Connect { connection } => self.wire(connection, deadline).await,
-            Change::Disconnect { connection } => match self.unwire(connection.id.0, deadline).await {
-                Some(wired) => Ok(wired.client.report(false)),
-                None => Err(Refusal::ConnectionNotFound {
-                    asked: connection.id.0.to_string(),
-                    known: self.held().links.keys().map(u64::to_string).collect(),
-                }),
-            },
+            Change::Disconnect { connection, replaced } => {
+                match self.unwire(connection.id.0, replaced, deadline).await {
+                    Some(wired) => Ok(wired.client.report(false)),
+                    None => Err(Refusal::ConnectionNotFound {
+                        asked: connection.id.0.to_string(),
+                        known: self.held().links.keys().map(u64::to_string).collect(),
+                    }),
+                }
+            }
         };
         // What was known before is shown with the component, not again with every answer.
         done.map(|mut report| {
@@ -373,7 +378,7 @@ impl Lcm for LocalLcm {
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
         let instance = self.instance(&call.member.port.component)?;
-        external::invoke(instance, call).await
+        calling::invoke(instance, call).await
     }
 
     async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal> {

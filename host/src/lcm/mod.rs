@@ -3,7 +3,9 @@
 //! Invariant: it never runs component code on its own threads and shares no lock with one that does.
 
 mod api;
+#[allow(unsafe_code, reason = "calls into class tables, and the slots that plugins call")]
 mod boundary;
+mod calling;
 mod classes;
 mod connect;
 mod context;
@@ -21,6 +23,7 @@ mod local;
 mod logs;
 mod order;
 mod pending;
+mod reading;
 mod realtime;
 mod rows;
 mod services;

@@ -18,7 +18,7 @@ pub(super) const HELPER: &str = "+";
 /// Bytes of a thread's name the kernel keeps.
 pub(super) const NAME_BYTES: usize = 15;
 
-/// Bytes of its stack a thread touches and locks when the process could not lock everything.
+/// Bytes of its stack, from the top, that a thread touches and locks when the process could not lock everything.
 const LOCKED_STACK: usize = 128 << 10;
 
 /// How much of the process's memory is locked.
@@ -29,7 +29,7 @@ pub(super) enum Memory {
     Loose,
     /// All of it, future memory too.
     All,
-    /// The stacks of components' threads only, and why not all.
+    /// Frame pools and the upper [`LOCKED_STACK`] of each thread's stack only, and why not all.
     Stacks(String),
 }
 
@@ -73,18 +73,33 @@ impl Settings {
         let realtime = schedule(execution, &mut warnings);
         self.realtime.store(realtime, Ordering::Relaxed);
         self.priority.store(execution.priority.filter(|_| realtime).unwrap_or(0), Ordering::Relaxed);
-        *self.warnings.lock().unwrap_or_else(PoisonError::into_inner) = warnings;
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).extend(warnings);
     }
 
     /// Locks the calling thread's stack where the whole process is not locked but should be.
     pub(super) fn lock(&self, memory: &Memory) {
         let Memory::Stacks(why) = memory else { return };
-        let mut said = format!("only the stack of its thread is locked into memory: {why}");
-        // The pages below this frame are those the entries will use.
-        let stack = std::hint::black_box([0u8; LOCKED_STACK]);
-        if let Err(e) = os::lock_region(stack.as_ptr(), stack.len()) {
-            said = format!("nothing is locked into memory, page faults may delay it: {why}; {e}");
+        self.warn(match lock_stack() {
+            Ok(()) => format!(
+                "only frame pools and the upper {} KiB of each thread's stack are locked into memory: {why}",
+                LOCKED_STACK >> 10
+            ),
+            Err(e) => format!("its stack is not locked into memory, page faults may delay it: {why}; {e}"),
+        });
+    }
+
+    /// The same for a thread that helps; the stream's own thread says why not all is locked.
+    fn lock_helper(&self, helper: usize, memory: &Memory) {
+        if memory.is_in_pieces()
+            && let Err(e) = lock_stack()
+        {
+            self.warn(format!(
+                "the stack of helper thread {helper} is not locked into memory, page faults may delay it: {e}"
+            ));
         }
+    }
+
+    fn warn(&self, said: String) {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner).push(said);
     }
 
@@ -108,6 +123,15 @@ impl Settings {
     }
 }
 
+/// Locks the calling thread's stack below this frame: the pages its entries will use.
+#[inline(never)]
+fn lock_stack() -> Result<(), os::OsError> {
+    let mut stack = [0u8; LOCKED_STACK];
+    // By reference: a copy would lie deeper, and be locked instead of these.
+    std::hint::black_box(&mut stack);
+    os::lock_region(stack.as_ptr(), stack.len())
+}
+
 /// Priority and processors of the calling thread; true when it is a real-time thread now.
 fn schedule(execution: &Execution, warnings: &mut Vec<String>) -> bool {
     let mut realtime = false;
@@ -127,20 +151,27 @@ fn schedule(execution: &Execution, warnings: &mut Vec<String>) -> bool {
     realtime
 }
 
-/// The threads that share the work of a stream; `None` when one is enough. Helpers run as their stream's own thread does.
+/// The threads that share the work of a stream; `None` when one is enough. Helpers run as their stream's own thread does,
+/// whose settings are `of`.
 ///
 /// # Errors
 /// The machine gives no more threads.
-pub(super) fn team(name: &str, execution: &Execution) -> std::io::Result<Option<Arc<Team>>> {
+pub(super) fn team(
+    name: &str,
+    execution: &Execution,
+    memory: &Memory,
+    of: Arc<Settings>,
+) -> std::io::Result<Option<Arc<Team>>> {
     let threads = execution.threads.unwrap_or(1) as usize;
     if threads < 2 {
         return Ok(None);
     }
-    let (name, execution) = (name.to_owned(), execution.clone());
+    let (name, execution, memory) = (name.to_owned(), execution.clone(), memory.clone());
     let team = Team::new(threads, move |helper| {
         os::set_thread_name(&format!("{HELPER}{helper} {name}"));
         // The stream's own thread says what was refused; it asks for the same.
         schedule(&execution, &mut Vec::new());
+        of.lock_helper(helper, &memory);
     })?;
     Ok(Some(Arc::new(team)))
 }
@@ -153,7 +184,11 @@ pub(super) fn thread_id() -> i32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Memory, Settings, thread_id};
+    use std::sync::{Arc, Barrier, Mutex, PoisonError};
+
+    use trocar_model::Execution;
+
+    use super::{HELPER, Memory, Settings, team, thread_id};
 
     #[test]
     fn where_the_memory_cannot_be_locked_the_state_says_what_is_and_why() {
@@ -164,6 +199,57 @@ mod tests {
         settings.lock(&Memory::Stacks("the limit is finite".into()));
         let said = settings.warnings().join(" ");
         assert!(said.contains("locked into memory") && said.contains("the limit is finite"), "{said}");
+    }
+
+    /// Whether the kernel keeps the page of this address in memory.
+    fn is_locked(address: usize) -> Option<bool> {
+        let maps = std::fs::read_to_string("/proc/self/smaps").ok()?;
+        let mut inside = false;
+        for line in maps.lines() {
+            let range = line.split(' ').next().and_then(|range| range.split_once('-'));
+            let ends = range.map(|(from, to)| [from, to].map(|end| usize::from_str_radix(end, 16)));
+            match ends {
+                Some([Ok(from), Ok(to)]) => inside = (from..to).contains(&address),
+                _ if inside && line.starts_with("VmFlags:") => {
+                    return Some(line.split_whitespace().any(|flag| flag == "lo"));
+                }
+                _ => {}
+            }
+        }
+        None
+    }
+
+    #[test]
+    fn the_stack_of_a_helper_is_locked_or_the_state_names_the_helper() {
+        const THREADS: u32 = 3;
+        let settings = Arc::new(Settings::default());
+        let execution = Execution { threads: Some(THREADS), ..Execution::default() };
+        let memory = Memory::Stacks("the limit is finite".into());
+        let team = team("s", &execution, &memory, settings.clone()).unwrap_or_default();
+        let Some(team) = team else { unreachable!("three threads are a team") };
+        let all_here = Barrier::new(THREADS as usize);
+        let helpers = Mutex::new(Vec::new());
+        team.run(THREADS, &|_| {
+            all_here.wait();
+            let mut deep = [0u8; 32 << 10];
+            std::hint::black_box(&mut deep);
+            let name = std::fs::read_to_string("/proc/thread-self/comm").unwrap_or_default();
+            if let Some(helper) = name.strip_prefix(HELPER) {
+                let helper = helper.chars().take_while(char::is_ascii_digit).collect::<String>();
+                let found = (helper, is_locked(deep.as_ptr().addr()));
+                helpers.lock().unwrap_or_else(PoisonError::into_inner).push(found);
+            }
+            0
+        });
+        let helpers = helpers.into_inner().unwrap_or_else(PoisonError::into_inner);
+        assert_eq!(helpers.len() as u32, THREADS - 1, "{helpers:?}");
+        let warnings = settings.warnings();
+        for (helper, locked) in helpers {
+            let named = warnings
+                .iter()
+                .any(|w| w.contains(&format!("helper thread {helper} ")) && w.contains("ulimit -l"));
+            assert_eq!(locked, Some(!named), "helper {helper}: {warnings:?}");
+        }
     }
 
     #[test]

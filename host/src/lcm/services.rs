@@ -225,8 +225,9 @@ fn hand_over(instance: Arc<Instance>, executor: &Arc<Executor>, pending: Pending
             Ok(()) => instance.publish_state(&mut entered),
             Err(e) if e.panicked() => instance.fail(&mut entered, "on_service", &e),
             Err(e) => {
-                instance.say(log::Level::Error, &format!("on_service: {}", e.text));
-                instance.message(system::ERROR, &e.text);
+                let text = format!("on_service: {}", e.text);
+                instance.message(system::ERROR, &text);
+                instance.warn(&text);
                 instance.publish_state(&mut entered);
             }
         }

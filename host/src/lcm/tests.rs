@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod allocations;
+mod answering;
+mod branches;
 mod callbacks;
 mod executors;
 mod filters;
@@ -11,12 +13,13 @@ mod leaving;
 mod manners;
 mod passive;
 mod premises;
+mod reading;
 mod removal;
+mod rewiring;
 mod safety;
 mod services;
 mod standing;
 mod supervision;
-mod syscalls;
 mod telling;
 
 use std::sync::Arc;

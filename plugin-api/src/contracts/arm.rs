@@ -127,6 +127,7 @@ pub const ARM: Contract = Contract {
          answers.",
         "`make_safe` brakes at once; an enabled arm is PAUSED after it.",
     ],
+    tried_by: "assert_behaves_as_arm",
     interfaces: &[
         Interface {
             name: "arm",

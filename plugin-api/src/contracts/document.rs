@@ -26,6 +26,13 @@ A component that fulfils one of these contracts can take the place of any other 
 contract, not against a device. `trocar plugin check FILE --as arm` judges a plugin file,
 `trocar_sdk::testing::assert_implements` a class in its own test, and the same table wrote this page. A class with several
 devices has an interface of another name for each: `--interface arm_left` and `assert_implements_as` judge one of them.
+
+Both judge the shape: interfaces, members, kinds, types, units, overflow policies, outputs and `safety`. What a device does is
+said in prose, under \"The device\", and no look at a file can tell whether it is so: `plugin check` runs nothing.
+`assert_behaves_as_arm` and `assert_behaves_as_camera` run the class on a bench and try each of those rules, and name the one
+that it breaks; the other contracts have no such check. They see what a client sees: not whether a real joint is where its
+encoder says, nor whether a stamp is the time of the exposure.
+
 `latest_wins` is a command's overflow policy: of several that wait only the newest is carried out.
 
 Values are SI. Times are ns of the host's monotonic clock; a stamp of 0 says that the value is not valid. Members marked
@@ -49,6 +56,10 @@ fn section(out: &mut String, c: &Contract) {
     for rule in c.rules {
         let _ = writeln!(out, "- {rule}");
     }
+    let _ = match c.tried_by {
+        "" => writeln!(out, "\nNothing tries these rules: they are for the tests of the device."),
+        by => writeln!(out, "\n`trocar_sdk::testing::{by}` tries each of these rules on a bench."),
+    };
     for interface in c.interfaces {
         self::interface(out, interface);
     }

@@ -47,6 +47,8 @@ pub struct Contract {
     pub threads: &'static str,
     /// What the device does beyond offering the members, one rule each.
     pub rules: &'static [&'static str],
+    /// The function of `trocar_sdk::testing` that tries these rules; empty where there is none.
+    pub tried_by: &'static str,
     pub interfaces: &'static [Interface],
     pub outputs: &'static [Output],
 }

@@ -21,6 +21,7 @@ pub const CAMERA: Contract = Contract {
         "Width, height and format stay the same from Start to Stop and are those of `camera_geometry`.",
         "Rows are `stride` bytes apart; what the header says lies in the frame's bytes.",
     ],
+    tried_by: "assert_behaves_as_camera",
     interfaces: &[Interface {
         name: "camera",
         doc: "What the camera sees and sent.",
@@ -55,6 +56,7 @@ pub const SPECTROMETER: Contract = Contract {
         "Lines the detector took and nobody fetched in time are told by `overrun`, as their number since Start.",
         "Values are what the detector counted: no background is subtracted, nothing is resampled.",
     ],
+    tried_by: "",
     interfaces: &[Interface {
         name: "spectrometer",
         doc: "The detector.",
@@ -91,6 +93,7 @@ pub const TRACKER: Contract = Contract {
         "An old pose is never given for a tool that is not in view.",
         "`tool_lost` and `tool_found` come once for each change.",
     ],
+    tried_by: "",
     interfaces: &[Interface {
         name: "tracker",
         doc: "The tools.",
@@ -133,6 +136,7 @@ pub const FORCE_SENSOR: Contract = Contract {
         "`overload` is true once when a component leaves its range, false once when all are back; values stay as measured.",
         "A sample the sensor could not take has stamp 0.",
     ],
+    tried_by: "",
     interfaces: &[Interface {
         name: "force_sensor",
         doc: "The load.",
@@ -164,6 +168,7 @@ pub const INPUT: Contract = Contract {
         "`button` comes once for each press and each release, in order.",
         "After Start, a button counts as pressed only when it was seen released before: a stuck pedal starts nothing.",
     ],
+    tried_by: "",
     interfaces: &[Interface {
         name: "input",
         doc: "Axes and buttons.",

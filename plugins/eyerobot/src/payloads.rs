@@ -23,10 +23,5 @@ pub(crate) fn configuration(stamp: Stamp, limits: &Limits) -> JointConfiguration
 }
 
 pub(crate) fn joint_state(stamp: Stamp, at: &Measured) -> JointState {
-    JointState {
-        stamp,
-        position: List::of(at.position.as_slice()),
-        velocity: List::of(at.velocity.as_slice()),
-        effort: List::default(),
-    }
+    JointState { stamp, ..JointState::default() }.with_positions(&at.position).with_velocities(&at.velocity)
 }

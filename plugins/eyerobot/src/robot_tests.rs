@@ -3,7 +3,7 @@
 
 use super::*;
 use trocar_sdk::data::JointKind;
-use trocar_sdk::testing::{Bench, Failure, assert_implements, contracts};
+use trocar_sdk::testing::{Bench, Failure, assert_behaves_as_arm, assert_implements, contracts};
 
 trocar_sdk::testing::count_allocations!();
 
@@ -207,6 +207,13 @@ fn a_swapped_arm_stands_where_the_former_one_stood_and_does_not_move_by_itself()
 #[test]
 fn the_robot_fulfils_the_contract_of_arms() {
     assert_implements::<EyeRobot>(&contracts::ARM);
+}
+
+#[test]
+fn the_robot_behaves_as_the_contract_of_arms_says() {
+    for config in ["{}", r#"{"auto_enable": false}"#, r#"{"travel_m": 0.004, "speed_m_s": 0.05}"#] {
+        assert_behaves_as_arm(&mut Bench::<EyeRobot>::new(config), "arm");
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::*;
 use image::{GrayImage, RgbImage};
 use std::path::PathBuf;
 use tempfile::TempDir;
-use trocar_sdk::testing::{Bench, assert_implements, contracts};
+use trocar_sdk::testing::{Bench, assert_behaves_as_camera, assert_implements, contracts};
 
 trocar_sdk::testing::count_allocations!();
 
@@ -120,4 +120,12 @@ fn the_shipped_chessboard_pairs_load() {
 #[test]
 fn the_source_fulfils_the_contract_of_cameras() {
     assert_implements::<ImageSource>(&contracts::CAMERA);
+}
+
+#[test]
+fn the_source_behaves_as_the_contract_of_cameras_says() {
+    let dir = folder();
+    for format in ["as_stored", "rgb8"] {
+        assert_behaves_as_camera(&mut Bench::<ImageSource>::new(config(&dir, format)), "camera");
+    }
 }

@@ -4310,6 +4310,9 @@ pub struct InventoryOrder {}
 /// One step of a plan.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Change {
+    /// With disconnect: the next step connects the same client end to another source.
+    #[prost(bool, tag = "7")]
+    pub replaced: bool,
     /// The step.
     #[prost(oneof = "change::Change", tags = "1, 2, 3, 4, 5, 6")]
     pub change: ::core::option::Option<change::Change>,

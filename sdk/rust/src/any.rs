@@ -3,6 +3,7 @@
 //! Invariant: the host compares sizes with what is connected at that moment, so a connection that changes between two
 //! calls is an answer, never a wrong read. No author needs `unsafe` here.
 
+use crate::aligned;
 use crate::dynamic::{AnyCommand, AnyType};
 use crate::function::{FunctionPort, waiting};
 use crate::host::Host;
@@ -186,7 +187,7 @@ impl AnyFunction {
     }
 
     /// Without waiting and without a result; an empty slice for a command without argument. `InvalidArgument` when the
-    /// size is not the argument's, `Disabled` on a host older than ABI 1.1.
+    /// size is not the argument's, `Disabled` on a host older than ABI 1.1. Allocates nothing: for `step`.
     pub fn send_bytes(&self, arg: &[u8]) -> Outcome {
         self.ask(arg, &mut [], core::ptr::null_mut())
     }
@@ -218,13 +219,19 @@ impl AnyFunction {
         Ok(command.ret.as_ref().and_then(|ty| ty.to_json(&ret)).unwrap_or_default())
     }
 
+    /// As [`AnyFunction::call_bytes`], with the result in `ret`, whose length has to be the result's. Allocates nothing, but
+    /// for the sentence of a peer that refuses: for `step`.
+    ///
+    /// # Errors
+    /// As `call_bytes`, and `InvalidArgument` when the length of `ret` is not the result's; what `ret` holds then is unknown.
+    pub fn call_into(&self, arg: &[u8], ret: &mut [u8]) -> Result<(), CallError> {
+        waiting(Duration::ZERO, |opts| self.ask(arg, ret, opts))
+    }
+
     fn call_as(&self, command: &AnyCommand, arg: &[u8]) -> Result<Vec<u8>, CallError> {
-        let mut ret = vec![0u64; command.ret_size().div_ceil(8)];
-        // SAFETY: any u64 is eight valid bytes; the slice covers a part of the same memory.
-        let bytes =
-            unsafe { core::slice::from_raw_parts_mut(ret.as_mut_ptr().cast::<u8>(), command.ret_size()) };
-        waiting(Duration::ZERO, |opts| self.ask(arg, bytes, opts))?;
-        Ok(bytes.to_vec())
+        let mut ret = vec![0; command.ret_size()];
+        self.call_into(arg, &mut ret)?;
+        Ok(ret)
     }
 
     fn ask(&self, arg: &[u8], ret: &mut [u8], opts: *mut CallOpts) -> Outcome {
@@ -233,17 +240,17 @@ impl AnyFunction {
         if !has_entry(slot.struct_size, offset_of!(FnSlot, call_bytes), ENTRY) {
             return Outcome::Disabled;
         }
-        // The server reads its argument in place, so it begins where any payload may.
-        let mut words = vec![0u64; arg.len().div_ceil(8)];
-        // SAFETY: as many bytes as the words have, at least the argument's.
-        unsafe { core::ptr::copy_nonoverlapping(arg.as_ptr(), words.as_mut_ptr().cast(), arg.len()) };
-        let bytes = Bytes { ptr: words.as_ptr().cast(), len: arg.len() };
-        let (to, len) = match ret.len() {
-            0 => (core::ptr::null_mut(), 0),
-            len => (ret.as_mut_ptr().cast(), len as u64),
-        };
-        // SAFETY: the entry lies inside the slot and compares both sizes; all pointers live through the call.
-        Outcome::from(unsafe { (slot.call_bytes)(slot.ctx, bytes, to, len, opts) })
+        let len = ret.len() as u64;
+        // The server reads its argument and writes its result in place.
+        let called = aligned::writing(ret, |to| {
+            let to = if len > 0 { to.cast() } else { core::ptr::null_mut() };
+            aligned::reading(arg, |from| {
+                let bytes = Bytes { ptr: from, len: arg.len() };
+                // SAFETY: the entry lies inside the slot and compares both sizes; all pointers live through the call.
+                Outcome::from(unsafe { (slot.call_bytes)(slot.ctx, bytes, to, len, opts) })
+            })
+        });
+        called.flatten().unwrap_or(Outcome::InvalidArgument)
     }
 }
 

@@ -173,6 +173,9 @@ impl<H: Payload> Out<Frame<H>> {
 
     /// Makes the pool: `slots` frames of up to `max_bytes`. In `configure` or `start`.
     ///
+    /// A queue of frames never takes the last ones of their pool: a fifo of depth `d` is used to its full depth from a pool of about
+    /// `1.5 d + 1` frames where the oldest give way, of `2 d + 1` where the newest are refused.
+    ///
     /// # Errors
     /// When the host has not the memory for it.
     pub fn reserve(&mut self, max_bytes: usize, slots: u32) -> crate::Result {

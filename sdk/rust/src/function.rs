@@ -62,7 +62,7 @@ impl<A: Value, R: Value> Function<A, R> {
         self.call_within(arg, Duration::ZERO)
     }
 
-    /// Waits for the result, at most for `deadline`; zero means the connection's own.
+    /// Waits for the result, at most for `deadline`; zero means the connection's own, more than an hour counts as an hour.
     ///
     /// # Errors
     /// The outcome and the peer's sentence.

@@ -4,6 +4,7 @@
 //! finite number, or no rotation, is refused with what is wrong, never repaired. Nothing here allocates.
 
 use crate::data::{JointState, Pose, Transform, Twist, Wrench};
+use crate::values::{List, Text};
 use core::fmt;
 use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector6};
 
@@ -86,6 +87,15 @@ impl Pose {
 }
 
 impl Transform {
+    /// The isometry that takes coordinates in `child` to coordinates in `parent`, without a stamp. Names are cut at 32 bytes.
+    pub fn between(
+        parent: impl Into<Text<32>>,
+        child: impl Into<Text<32>>,
+        isometry: Isometry3<f64>,
+    ) -> Transform {
+        Transform { pose: isometry.into(), parent: parent.into(), child: child.into() }
+    }
+
     /// Takes coordinates in `child` to coordinates in `parent`.
     ///
     /// # Errors
@@ -140,7 +150,35 @@ impl Wrench {
     }
 }
 
+/// Joints a [`JointState`] has room for.
+const MOST_JOINTS: usize = 16;
+
 impl JointState {
+    /// This state with the positions of `N` joints, m and rad. More joints than it has room for do not compile.
+    ///
+    /// ```
+    /// use trocar_sdk::data::JointState;
+    /// # use nalgebra::Vector3;
+    /// let state = JointState::default().with_positions(&Vector3::new(0.1, 0.2, 0.3));
+    /// assert_eq!(state.positions::<3>().unwrap().y, 0.2);
+    /// ```
+    #[must_use]
+    pub fn with_positions<const N: usize>(self, m_rad: &SVector<f64, N>) -> JointState {
+        JointState { position: listed(m_rad), ..self }
+    }
+
+    /// This state with the velocities of `N` joints, m/s and rad/s.
+    #[must_use]
+    pub fn with_velocities<const N: usize>(self, m_s_rad_s: &SVector<f64, N>) -> JointState {
+        JointState { velocity: listed(m_s_rad_s), ..self }
+    }
+
+    /// This state with the forces and torques of `N` joints, N and N·m.
+    #[must_use]
+    pub fn with_efforts<const N: usize>(self, n_nm: &SVector<f64, N>) -> JointState {
+        JointState { effort: listed(n_nm), ..self }
+    }
+
     /// Positions of an arm with `N` joints, m and rad.
     ///
     /// # Errors
@@ -164,6 +202,11 @@ impl JointState {
     pub fn efforts<const N: usize>(&self) -> Result<SVector<f64, N>, GeometryError> {
         joints("effort", &self.effort)
     }
+}
+
+fn listed<const N: usize>(values: &SVector<f64, N>) -> List<f64, MOST_JOINTS> {
+    const { assert!(N <= MOST_JOINTS, "a JointState has room for 16 joints") };
+    List::of(values.as_slice())
 }
 
 fn joints<const N: usize>(field: &'static str, values: &[f64]) -> Result<SVector<f64, N>, GeometryError> {

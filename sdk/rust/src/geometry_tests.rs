@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::values::List;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -26,6 +25,32 @@ proptest! {
         let v = Vector6::from(v);
         prop_assert_eq!(Twist::from(v).vector().unwrap(), v);
         prop_assert_eq!(Wrench::from(v).vector().unwrap(), v);
+    }
+
+    #[test]
+    fn joints_survive_the_way_to_a_joint_state_and_back(q in six(), v in six(), f in six()) {
+        let [q, v, f] = [q, v, f].map(Vector6::from);
+        let state = JointState::default().with_positions(&q).with_velocities(&v).with_efforts(&f);
+        prop_assert_eq!(state.positions::<6>().unwrap(), q);
+        prop_assert_eq!(state.velocities::<6>().unwrap(), v);
+        prop_assert_eq!(state.efforts::<6>().unwrap(), f);
+        let only = JointState::default().with_velocities(&v);
+        prop_assert!(only.position.is_empty() && only.effort.is_empty(), "the others stay as they were");
+    }
+
+    #[test]
+    fn a_transform_survives_the_way_to_nalgebra_and_back(v in six(), w in six()) {
+        let isometry = |v: [f64; 6]| {
+            Isometry3::new(Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
+        };
+        let (t, u) = (isometry(v), isometry(w));
+        let eye_from_tool = Transform::between("eye", "tool", t);
+        prop_assert_eq!((eye_from_tool.parent.as_str(), eye_from_tool.child.as_str()), ("eye", "tool"));
+        let back = eye_from_tool.isometry().unwrap();
+        prop_assert!((back.translation.vector - t.translation.vector).norm() == 0.0);
+        prop_assert!(back.rotation.angle_to(&t.rotation) < 1e-7);
+        let chained = Transform::between("world", "tool", u * back).isometry().unwrap();
+        prop_assert!((chained.translation.vector - (u * t).translation.vector).norm() < 1e-9);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 // So that the derives' `::trocar_sdk` means this crate here, too.
 extern crate self as trocar_sdk;
 
+mod aligned;
 mod any;
 mod call;
 mod component;

@@ -278,8 +278,13 @@ unsafe extern "C" fn on_service<C: Class>(this: *mut c_void, token: u64, reply: 
     let no_buffer = core::ptr::null_mut();
     guard(no_buffer, || {
         // SAFETY: a live instance and readable bytes.
-        let (component, reply) = unsafe { (component::<C>(this), slice(reply)) };
-        settle(no_buffer, component.service_reply(token, &String::from_utf8_lossy(reply)))
+        let (component, beside, reply) = unsafe { (component::<C>(this), beside::<C>(this), slice(reply)) };
+        let done = component.service_reply(token, &String::from_utf8_lossy(reply));
+        // There is no buffer for its words.
+        settle(
+            no_buffer,
+            done.inspect_err(|e| log::error!("{}: {}", beside.host.instance_name(), Chain(&**e))),
+        )
     })
 }
 

@@ -4,13 +4,14 @@
 use std::path::{Path, PathBuf};
 
 /// Compiled files the guide may quote.
-const SOURCES: [&str; 7] = [
+const SOURCES: [&str; 8] = [
     "plugins/filters/src/low_pass.rs",
     "plugins/filters/src/low_pass/tests.rs",
     "plugins/example/src/server.rs",
     "sdk/rust/tests/guide_examples.rs",
     "sdk/rust/tests/guide_devices.rs",
     "sdk/rust/tests/guide_members.rs",
+    "sdk/rust/tests/guide_motion.rs",
     "tests/it/plugin_guide/embedded.rs",
 ];
 

@@ -18,7 +18,7 @@ impl Scene {
         stream
     }
 
-    fn await_warning(&self, path: &str, words: &str) {
+    pub(super) fn await_warning(&self, path: &str, words: &str) {
         eventually(&format!("{path} is named with: {words}"), || {
             let component = self.grpc.component(path);
             let found = component["stats"]["warnings"].to_string().contains(words);
@@ -81,9 +81,14 @@ fn a_step_that_changes_the_working_directory_is_named_and_the_directory_put_back
     let directory = || std::fs::read_link(format!("/proc/{}/cwd", scene.host.pid())).unwrap();
     let before = directory();
     scene.bystander.undisturbed_by("a step that changes the directory", || {
-        scene.provoke(json!({ "rude": "cwd", "rude_in": "step" }));
-        scene.await_warning("host/c", "the working directory of the process was changed, which was put back");
+        scene.grpc.create("host/c", "chaos", json!({ "rude": "cwd", "rude_in": "step" }));
+        let mut events = scene.warnings_of("host/c");
+        scene.grpc.start("host/c");
+        let words = "the working directory of the process was changed, which was put back";
+        scene.await_warning("host/c", words);
+        events.until(words, |item| is_warning(item, words));
         assert_eq!(directory(), before);
+        assert_eq!(scene.grpc.state("host/c"), "ACTIVE", "it is named, not punished");
         scene.remove();
     });
 }
@@ -98,6 +103,7 @@ fn threads_that_ignore_stop_are_counted_and_named() {
             round += 1;
             let path = format!("host/brood-{round}");
             scene.grpc.create(&path, "chaos", json!({ "rude": "threads", "rude_in": entry }));
+            let mut events = scene.warnings_of(&path);
             scene.grpc.start(&path);
             if entry == "command" {
                 scene.grpc.invoke(&format!("{path}/ctl/poke"), Value::Null);
@@ -107,7 +113,9 @@ fn threads_that_ignore_stop_are_counted_and_named() {
                 if number(&stats["executed"]) > 1 { Ok(()) } else { Err(stats) }
             });
             scene.grpc.stop(&path);
-            scene.await_warning(&path, "1 of its own threads still run after it was stopped: brood");
+            let words = "1 of its own threads still run after it was stopped: brood";
+            scene.await_warning(&path, words);
+            events.until(words, |item| is_warning(item, words));
             let removed = scene.grpc.ok("GcmService/Remove", json!({ "path": path, "force": true }));
             let said = removed["warnings"].to_string();
             assert!(said.contains("1 of its own threads still run"), "Remove says that it stays: {removed}");

@@ -24,7 +24,23 @@ impl Cfg {
     }
 }
 
-/// Writes, sends, calls, reads, emits, takes and logs in each step.
+/// Two numbers.
+#[derive(Payload, Clone, Copy, Default)]
+#[repr(C)]
+struct Pair {
+    left: f64,
+    right: f64,
+}
+
+/// The same, the other way round: what an `adapt`ing connection makes of a `Pair`.
+#[derive(Payload, Clone, Copy, Default)]
+#[repr(C)]
+struct Turned {
+    right: f64,
+    left: f64,
+}
+
+/// Writes, sends, calls, reads, emits, takes and logs in each step, through ports with a type and without.
 #[derive(Component)]
 #[component(rate_hz = 1000, provides("ctl"), requires("peer"), optional("peer"))]
 struct Worker {
@@ -34,6 +50,19 @@ struct Worker {
     queue: In<Scalar>,
     #[output]
     out: Out<Scalar>,
+    #[input(optional)]
+    turned: In<Turned>,
+    #[output]
+    pair: Out<Pair>,
+    #[input(optional, fifo = 16)]
+    any: AnyIn,
+    #[output]
+    any_out: AnyOut,
+    /// What an `any_out` writes.
+    #[input(optional, fifo = 16)]
+    back: In<Scalar>,
+    #[required(interface = "any_peer", name = "add", optional)]
+    any_call: AnyFunction,
     #[required(interface = "peer", optional)]
     write: Function<f64>,
     #[required(interface = "peer", optional)]
@@ -42,12 +71,17 @@ struct Worker {
     value: Function<(), f64>,
     #[event("ctl")]
     told: Event<f64>,
+    #[event("ctl")]
+    at_once: Event<f64>,
     #[state]
     steps: u64,
     #[state]
     value_now: f64,
     #[state]
     heard: u64,
+    /// What was really done of what is not done in every model.
+    #[state]
+    done: Done,
     #[state]
     row: [f64; 100],
     watch: Option<&'static Watch>,
@@ -74,14 +108,74 @@ impl Worker {
             self.row[3] = value;
         }
         self.told.emit(self.steps as f64);
+        self.at_once.emit(self.steps as f64);
+        self.work_adapted();
+        self.work_untyped();
         if self.steps.is_multiple_of(100) {
             log::info!("step {}", self.steps);
         }
     }
+
+    fn work_adapted(&mut self) {
+        self.pair.write(&Pair { left: self.steps as f64, right: 0.5 });
+        if let Some(turned) = self.turned.fresh() {
+            self.done.adapted += u64::from(turned.right == 0.5);
+        }
+    }
+
+    fn work_untyped(&mut self) {
+        bridge(&mut self.any, &mut self.any_out);
+        self.done.any_called += call_any(&self.any_call);
+        while let Some(sample) = self.back.next() {
+            self.row[4] = sample.value;
+            self.done.came_back += 1;
+        }
+    }
+}
+
+/// Sends on what came, as a bridge would: its bytes, then the sample itself.
+fn bridge(any: &mut AnyIn, out: &mut AnyOut) {
+    while let Some(sample) = any.next() {
+        out.write_bytes(sample.value(), sample.stamp());
+        out.forward(&sample);
+    }
+}
+
+/// Sends and calls with bytes that are not aligned, as those of a packet are not; 1 when the call was answered. From here
+/// to another thread it is refused, which costs nothing either.
+fn call_any(call: &AnyFunction) -> u64 {
+    let mut room = [0; 17];
+    room[1..9].copy_from_slice(&2.5_f64.to_ne_bytes());
+    let (arg, ret) = room.split_at_mut(9);
+    call.send_bytes(&arg[1..]);
+    u64::from(call.call_into(&arg[1..], ret).is_ok())
+}
+
+/// Counts of what worked.
+#[derive(Payload, Clone, Copy, Default)]
+#[repr(C)]
+struct Done {
+    /// Samples of another layout that came.
+    adapted: u64,
+    /// What came from a peer's `any_out`, which has it from its `any`.
+    came_back: u64,
+    /// Calls by `any_call` that were answered.
+    any_called: u64,
+    /// Calls and sends of a peer's `any_call`.
+    added: u64,
+    /// Runs of the direct handler.
+    at_once: u64,
 }
 
 #[provides("ctl")]
 impl Worker {
+    #[command]
+    fn add(&mut self, value: f64) -> f64 {
+        book::inside(|| {
+            self.done.added += 1;
+            self.value_now + value
+        })
+    }
     #[command]
     fn write(&mut self, value: f64) {
         book::inside(|| self.value_now = value);
@@ -101,6 +195,10 @@ impl Worker {
     #[on(optional)]
     fn told(&mut self, _: f64) {
         book::inside(|| self.heard += 1);
+    }
+    #[on(optional, direct)]
+    fn at_once(&mut self, _: f64) {
+        book::inside(|| self.done.at_once += 1);
     }
 }
 
@@ -124,8 +222,18 @@ impl Component for Worker {
 struct Device {
     #[output]
     out: Out<Scalar>,
+    #[input(optional)]
+    turned: In<Turned>,
+    #[input(optional, fifo = 16)]
+    any: AnyIn,
+    #[output]
+    any_out: AnyOut,
+    #[required(interface = "any_peer", name = "add", optional)]
+    any_call: AnyFunction,
     #[event("ctl")]
-    told: Event<u64>,
+    told: Event<f64>,
+    #[event("ctl")]
+    at_once: Event<f64>,
     #[state]
     calls: u64,
     thread: Option<std::thread::JoinHandle<()>>,
@@ -145,8 +253,11 @@ impl Device {
 
 impl Component for Device {
     fn start(&mut self) -> Result {
+        use std::mem::take;
         let (host, watch) = (self.host.clone(), self.cfg.watch().ok_or("it is not watched")?);
-        let (out, told) = (std::mem::take(&mut self.out), std::mem::take(&mut self.told));
+        let (out, told, at_once) = (take(&mut self.out), take(&mut self.told), take(&mut self.at_once));
+        let (mut turned, mut any) = (take(&mut self.turned), take(&mut self.any));
+        let (mut any_out, any_call) = (take(&mut self.any_out), take(&mut self.any_call));
         self.thread = Some(std::thread::spawn(move || {
             let mut calls = 0;
             while !watch.is_done() {
@@ -154,7 +265,13 @@ impl Component for Device {
                     watch.step(|| {
                         calls += 1;
                         out.write(&Scalar { value: calls as f64, ..Scalar::default() });
-                        told.emit(calls);
+                        told.emit(calls as f64);
+                        // Peers that count show what came of it.
+                        if turned.fresh().is_some_and(|turned| turned.right == 0.5) {
+                            at_once.emit(calls as f64);
+                        }
+                        bridge(&mut any, &mut any_out);
+                        call_any(&any_call);
                     });
                 });
                 if entered.is_err() {
@@ -174,21 +291,44 @@ impl Drop for Device {
     }
 }
 
-/// Fills a frame in each step.
+/// Fills a frame in each step, and is to a worker in its stream what another worker is.
 #[derive(Component)]
-#[component(model = "stream", rate_hz = 1000)]
+#[component(model = "stream", rate_hz = 1000, provides("ctl"))]
 struct Camera {
     #[output]
     frame: Out<Frame<ImageHeader>>,
+    #[output]
+    out: Out<Scalar>,
+    #[output]
+    pair: Out<Pair>,
+    #[event("ctl")]
+    at_once: Event<f64>,
     #[state]
     frames: u64,
+    #[state]
+    done: Done,
     watch: Option<&'static Watch>,
     #[config]
     cfg: Cfg,
 }
 
+#[provides("ctl")]
+impl Camera {
+    #[command]
+    fn add(&mut self, value: f64) -> f64 {
+        book::inside(|| {
+            self.done.added += 1;
+            self.frames as f64 + value
+        })
+    }
+}
+
 impl Camera {
     fn shoot(&mut self) -> Result {
+        let value = self.frames as f64;
+        self.out.write(&Scalar { value, ..Scalar::default() });
+        self.pair.write(&Pair { left: value, right: 0.5 });
+        self.at_once.emit(value);
         let mut frame = self.frame.loan()?;
         self.frames += 1;
         frame.header_mut().width = ROW as u32;

@@ -1,11 +1,12 @@
-//! A stream whose filters break, from a system file: one is bypassed, one stops its branch.
+//! Streams of frames from a system file: filters that break, a branch that takes nothing, wires replaced while frames flow.
 //!
-//! Promise: both are in FAULT, named with the frame they broke at, in state, List and events; every frame is accounted for.
+//! Promise: who is in FAULT is named with the frame it broke at, in state, List and events; every frame is accounted for, the
+//! camera never lacks a slot, and a connection says how old its frames were.
 
 use std::cell::Cell;
 
-use serde_json::json;
-use trocar_tests::number;
+use serde_json::{Value, json};
+use trocar_tests::{eventually, number};
 
 use super::{Scene, says};
 
@@ -108,4 +109,87 @@ fn a_broken_filter_that_is_reset_works_on_the_running_stream_again() {
     assert_eq!(scene.count("host/seen", "last"), made);
     assert_eq!(scene.count("host/unseen", "last"), made, "its branch goes on");
     assert_eq!(scene.count("host/trunk", "frames"), made, "the trunk missed none of it");
+}
+
+/// A camera at 200 frames a second, not started, and what else there is.
+fn filmed(others: &[(&str, Value)], connections: &Value) -> Scene {
+    let camera = json!({ "model": "stream", "rate_hz": 200 });
+    let mut components = json!({ "host/camera": { "class": "camera", "execution": camera, "start": false } });
+    for (path, component) in others {
+        components[*path] = component.clone();
+    }
+    Scene::run(&components, connections)
+}
+
+fn of_camera(class: &str) -> Value {
+    json!({ "class": class, "execution": { "stream_of": "host/camera" } })
+}
+
+#[test]
+fn a_branch_whose_screen_takes_no_frames_costs_the_trunk_none() {
+    let wire = |screen: &str, drop_oldest: bool| {
+        let queue = json!({ "fifo": 64, "drop_oldest": drop_oldest });
+        json!({ "client": format!("host/{screen}/frame"), "server": "host/camera/frame", "queue": queue })
+    };
+    let apart =
+        json!({ "class": "screen", "start": false, "execution": { "model": "periodic", "rate_hz": 500 } });
+    let others =
+        [("host/trunk", of_camera("screen")), ("host/oldest", apart.clone()), ("host/newest", apart)];
+    let trunk = json!({ "client": "host/trunk/frame", "server": "host/camera/frame" });
+    let scene = filmed(&others, &json!([wire("oldest", true), wire("newest", false), trunk]));
+    scene.grpc.start("host/camera");
+    scene.until("host/trunk", "last", 100);
+    scene.grpc.stop("host/camera");
+    let made = scene.count("host/camera", "frames");
+    assert_eq!(scene.count("host/camera", "exhausted"), 0);
+    assert_eq!(["frames", "first", "last"].map(|f| scene.count("host/trunk", f)), [made, 1, made]);
+    let trunk = scene.connection("host/trunk/frame");
+    assert_eq!((number(&trunk["passed"]), number(&trunk["dropped"])), (made, 0), "{trunk}");
+    let [half, most] = ["latencyP50Ns", "latencyP99Ns"].map(|field| number(&trunk[field]));
+    assert!(0 < half && half <= most, "how old its frames were: {trunk}");
+    for (screen, ends_with) in [("host/oldest", made), ("host/newest", 3)] {
+        scene.grpc.start(screen);
+        let client = format!("{screen}/frame");
+        let connection = eventually(&format!("{screen} has all that waits"), || {
+            let now = scene.connection(&client);
+            if number(&now["passed"]) + number(&now["dropped"]) == made { Ok(now) } else { Err(now) }
+        });
+        let frames = scene.until(screen, "frames", number(&connection["passed"]));
+        assert_eq!(frames, number(&connection["passed"]), "{connection}");
+        assert!(frames > 1, "a queue of several: {connection}");
+        assert_eq!(
+            (scene.count(screen, "disorder"), scene.count(screen, "last").min(ends_with)),
+            (0, ends_with)
+        );
+    }
+}
+
+#[test]
+fn wires_that_are_replaced_while_frames_flow_cost_nothing_but_a_gap_each() {
+    let others = [("host/filter", of_camera("brittle")), ("host/screen", of_camera("screen"))];
+    let wires = json!([
+        { "client": "host/filter/frame", "server": "host/camera/frame" },
+        { "client": "host/screen/frame", "server": "host/camera/frame" },
+    ]);
+    let scene = filmed(&others, &wires);
+    scene.grpc.start("host/camera");
+    for round in 1..=20 {
+        let last = scene.count("host/screen", "last");
+        scene.until("host/screen", "last", last + 5);
+        let server = if round % 2 == 1 { "host/filter/frame_out" } else { "host/camera/frame" };
+        let request =
+            json!({ "client": "host/screen/frame", "server": server, "options": { "replace": true } });
+        scene.grpc.ok("GcmService/Connect", request);
+    }
+    let last = scene.count("host/screen", "last");
+    // More than the pool has slots: none was lost on the way.
+    scene.until("host/screen", "last", last + 20);
+    scene.grpc.stop("host/camera");
+    let made = scene.count("host/camera", "frames");
+    assert_eq!(scene.count("host/camera", "exhausted"), 0);
+    assert_eq!(scene.count("host/filter", "passed"), made, "the filter's own wire was left alone");
+    let [first, last, disorder, jumps] =
+        ["first", "last", "disorder", "jumps"].map(|field| scene.count("host/screen", field));
+    assert_eq!((first, last, disorder), (1, made, 0));
+    assert!(jumps <= 20, "{jumps} gaps at 20 replacements");
 }

@@ -1,6 +1,6 @@
 //! What the suite's components are written in, and how they reach the host.
 //!
-//! Invariant: the three offer the same classes under different plugin names.
+//! Invariant: the three offer the same classes under different plugin names, so that one's client takes another's server.
 
 use std::env;
 
@@ -25,7 +25,7 @@ pub enum Language {
 }
 
 impl Language {
-    /// The plugin that has the classes.
+    /// The plugin that has its classes.
     #[must_use]
     pub fn plugin(self) -> &'static str {
         match self {
@@ -41,15 +41,52 @@ impl Language {
         if self == Language::Cpp { env::var("TROCAR_NO_CPP").ok() } else { None }
     }
 
-    /// Gives the classes to a host that is to be started; `world` holds the plugin directory.
-    #[must_use]
-    pub fn offer(self, host: HostBuilder, world: &World) -> HostBuilder {
+    fn offer(self, host: HostBuilder, world: &World) -> HostBuilder {
         let file = match self {
             Language::Linked => return host.plugin(LINKED),
             Language::Rust => Built::plugin("fixture_conform"),
             Language::Cpp => Built::cpp_plugin("conform_cpp"),
         };
         world.drop_in(&file);
-        host.plugins(world.plugins()).vet_with(Built::trocar())
+        host
+    }
+}
+
+/// What clients and servers are written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Languages {
+    pub client: Language,
+    pub server: Language,
+}
+
+impl From<Language> for Languages {
+    fn from(both: Language) -> Languages {
+        Languages { client: both, server: both }
+    }
+}
+
+impl Languages {
+    /// The plugin whose class of this name a lab makes. Filters belong to the clients: they take what servers give.
+    #[must_use]
+    pub fn plugin(self, class: &str) -> &'static str {
+        let of_clients = ["Client", "Probe", "Arm", "Through"].contains(&class);
+        if of_clients { self.client.plugin() } else { self.server.plugin() }
+    }
+
+    /// Why the classes cannot be had here.
+    #[must_use]
+    pub fn missing(self) -> Option<String> {
+        self.client.missing().or_else(|| self.server.missing())
+    }
+
+    /// Gives the classes to a host that is to be started; `world` holds the plugin directory.
+    #[must_use]
+    pub fn offer(self, host: HostBuilder, world: &World) -> HostBuilder {
+        let mut host = self.server.offer(host, world);
+        if self.client != self.server {
+            host = self.client.offer(host, world);
+        }
+        let linked = [self.client, self.server].iter().all(|l| *l == Language::Linked);
+        if linked { host } else { host.plugins(world.plugins()).vet_with(Built::trocar()) }
     }
 }

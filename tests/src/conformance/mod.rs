@@ -14,6 +14,6 @@ mod way;
 mod world;
 
 pub use answer::{Answer, Call, Function, Samples};
-pub use language::Language;
+pub use language::{Language, Languages};
 pub use way::{Deployment, ExecIn, ExecOut, OtherThread, Passive, Reach, SameStream, Told, Way};
 pub use world::Lab;

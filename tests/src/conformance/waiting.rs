@@ -63,6 +63,41 @@ pub(super) fn ended(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
     })
 }
 
+/// Does it while `call` is inside the server, in the client's own thread where that runs it.
+pub(super) fn begun(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
+    let caller = Caller::client(lab);
+    let waits = call.wait && way.deployment.reach() == Reach::Queue;
+    let call = if waits { call.from_threads(1) } else { call };
+    lab.close_gate();
+    thread::scope(|scope| {
+        let answer = scope.spawn(|| lab.perform(call));
+        let _opens = lab.opens_at_end();
+        lab.await_waiting();
+        let ending = scope.spawn(|| end(lab, what, &caller));
+        await_begun(lab, what, &caller);
+        lab.open_gate();
+        ending.join().expect("it is carried out");
+        answer.join().expect("the client performs")
+    })
+}
+
+/// Removes the client while `call`, made from a thread of its own, waits; answers what the call came to.
+pub(super) fn leaving(way: &Way, lab: &Lab, call: Call) -> Answer {
+    let reach = way.deployment.reach();
+    let caller = Caller::of(reach, lab);
+    let left = || {
+        thread::scope(|scope| {
+            let answer = scope.spawn(|| caller.calls(call));
+            caller.await_waiting();
+            lab.remove(&caller.name);
+            assert_eq!(lab.stands(&caller.name), None, "it is gone");
+            answer.join().expect("the client performs")
+        })
+    };
+    // Where both share a thread, nobody is inside: that thread waits for the one that calls.
+    if reach == Reach::Thread { left() } else { lab.occupied(left) }
+}
+
 fn end(lab: &Lab, what: While, caller: &Caller<'_>) {
     match what {
         While::Cut => lab.disconnect(&format!("{}/peer", caller.name), "server/ctl"),

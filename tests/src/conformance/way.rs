@@ -4,7 +4,7 @@
 
 use trocar::model::{Execution, ExecutionModel};
 
-use super::Language;
+use super::Languages;
 
 /// How a command of the client gets to the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,15 +47,15 @@ pub trait Deployment: Sync {
     }
 }
 
-/// A deployment and a language: what a case is given.
+/// A deployment and the languages: what a case is given.
 #[derive(Clone, Copy)]
 pub struct Way {
     pub deployment: &'static dyn Deployment,
-    pub language: Language,
+    pub languages: Languages,
 }
 
 impl Way {
-    /// Names deployment and language beside whatever fails until the answer is dropped.
+    /// Names deployment and languages beside whatever fails until the answer is dropped.
     #[must_use]
     pub fn told_in_a_failure(self) -> Told {
         Told(self)
@@ -67,7 +67,7 @@ pub struct Told(Way);
 impl Drop for Told {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            eprintln!("this way: {}, {:?}", self.0.deployment.name(), self.0.language);
+            eprintln!("this way: {}, {:?}", self.0.deployment.name(), self.0.languages);
         }
     }
 }

@@ -16,7 +16,7 @@ use trocar::model::{
     ComponentId, ConnectOptions, Execution, MemberId, PortId, Refusal, Request, Target, Which,
 };
 
-use super::{Answer, Call, Language, Samples, Way};
+use super::{Answer, Call, Languages, Samples, Way};
 use crate::{World, eventually};
 
 /// For calls that are to come back whatever happens: a watchdog, not a claim.
@@ -38,24 +38,24 @@ pub struct Lab {
     host: Option<Host>,
     gcm: Gcm,
     lcm: Arc<LocalLcm>,
-    language: Language,
+    languages: Languages,
     world: World,
 }
 
 impl Lab {
-    /// An empty host that offers the classes in this language.
+    /// An empty host that offers the classes in this language, or these of clients and servers.
     #[must_use]
-    pub fn new(language: Language) -> Lab {
-        Lab::with(language, |host| host)
+    pub fn new(languages: impl Into<Languages>) -> Lab {
+        Lab::with(languages.into(), |host| host)
     }
 
-    fn with(language: Language, more: impl FnOnce(HostBuilder) -> HostBuilder) -> Lab {
+    fn with(languages: Languages, more: impl FnOnce(HostBuilder) -> HostBuilder) -> Lab {
         let world = World::new();
-        let builder = more(language.offer(Host::builder().name("host"), &world));
+        let builder = more(languages.offer(Host::builder().name("host"), &world));
         let host = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
         let gcm = host.gcm().cloned().unwrap_or_else(|| panic!("the host has no GCM"));
         let lcm = host.lcm().cloned().unwrap_or_else(|| panic!("the host has no LCM"));
-        Lab { host: Some(host), gcm, lcm, language, world }
+        Lab { host: Some(host), gcm, lcm, languages, world }
     }
 
     /// `host/client` and `host/server`, not connected, READY.
@@ -67,7 +67,7 @@ impl Lab {
     /// The same, with settings of the server.
     #[must_use]
     pub fn pair_with(way: &Way, server: Value) -> Lab {
-        let lab = Lab::new(way.language);
+        let lab = Lab::new(way.languages);
         let server = lab.gated(server);
         lab.make_pair(way, "Client", "Server", server);
         lab
@@ -76,7 +76,7 @@ impl Lab {
     /// `host/client` and `host/server` of these classes, not connected.
     #[must_use]
     pub fn pair_of(way: &Way, client: &str, server: &str, config: Value) -> Lab {
-        let lab = Lab::new(way.language);
+        let lab = Lab::new(way.languages);
         lab.make_pair(way, client, server, config);
         lab
     }
@@ -105,7 +105,7 @@ impl Lab {
     /// Both connected and ACTIVE, in a host with a gRPC port.
     #[must_use]
     pub fn listening(way: &Way) -> Lab {
-        let lab = Lab::with(way.language, |host| host.listen("127.0.0.1:0"));
+        let lab = Lab::with(way.languages, |host| host.listen("127.0.0.1:0"));
         let server = lab.gated(json!({}));
         lab.make_pair(way, "Client", "Server", server);
         lab.connect("client/peer", "server/ctl");
@@ -190,7 +190,7 @@ impl Lab {
         config: Value,
         execution: Execution,
     ) -> Result<Executed, Refusal> {
-        let class = format!("{}/{class}", self.language.plugin());
+        let class = format!("{}/{class}", self.languages.plugin(class));
         self.ask(Request::Create { id: id(name), class, config: Some(config), execution })
     }
 

@@ -90,7 +90,7 @@ impl Planner {
         let by_default: Vec<bool> = connections.iter().map(is_default).collect();
         for connection in &connections {
             self.spare_actuators(id, connection)?;
-            self.push(Change::Disconnect { connection: connection.clone() });
+            self.push(Change::Disconnect { connection: connection.clone(), replaced: false });
         }
         for (id, component) in moved.iter().rev() {
             if component.state != State::Created {

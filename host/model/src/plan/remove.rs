@@ -30,7 +30,7 @@ impl Planner {
             }
         }
         for connection in connections {
-            self.push(Change::Disconnect { connection });
+            self.push(Change::Disconnect { connection, replaced: false });
         }
         let component = Box::new(self.graph.component(id)?.clone());
         self.push(Change::Destroy { id: id.clone(), component });

@@ -63,7 +63,7 @@ impl Planner {
             });
         }
         if let Some(connection) = old {
-            self.push(Change::Disconnect { connection });
+            self.push(Change::Disconnect { connection, replaced: true });
         }
         self.push(Change::Connect { connection });
         Ok(())
@@ -90,7 +90,7 @@ impl Planner {
         for end in [&connection.client, &connection.server] {
             self.graph.attached(&end.component.process)?;
         }
-        self.push(Change::Disconnect { connection });
+        self.push(Change::Disconnect { connection, replaced: false });
         Ok(())
     }
 }

@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::fmt::{self, Display, Write as _};
 
-use crate::{Refusal, nearest};
+use crate::{MAX_COPIES, Refusal, nearest};
 
 /// Entries of a list that are spelled out.
 const MOST: usize = 12;
@@ -16,6 +16,13 @@ const ECHO: usize = 200;
 
 /// Ends the difference of two types whose fields only moved.
 pub(crate) const ADAPTABLE: &str = "; adapt: true would copy it by name";
+
+/// Ends the difference of two types whose fields only moved, but too many of them.
+pub(crate) fn scattered() -> String {
+    format!(
+        "; adapt: true cannot help, it would have to copy more than {MAX_COPIES} runs of bytes for each sample"
+    )
+}
 
 /// What was sent, cut where it is longer than anybody reads; an answer must fit the header it travels in.
 pub fn brief(text: &str) -> Cow<'_, str> {

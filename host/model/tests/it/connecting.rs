@@ -206,7 +206,11 @@ fn a_client_end_has_one_source_and_replace_rewires_in_one_plan() {
     assert_eq!(refused(&graph, &other).reason(), "ALREADY_CONNECTED");
     let replace = with("host/controller/robot", "host/robot2/arm", options(|o| o.replace = true));
     let plan = plan(&graph, &replace).unwrap();
-    assert!(matches!(plan.changes[..], [Change::Disconnect { .. }, Change::Connect { .. }]), "{plan:?}");
+    let rewires = |plan: &Plan| {
+        matches!(plan.changes[..], [Change::Disconnect { replaced: true, .. }, Change::Connect { .. }])
+    };
+    assert!(rewires(&plan), "the LCM is told that another source follows: {plan:?}");
+    assert!(rewires(&inverse(&plan)), "taken back it is a replacement, too: {plan:?}");
     graph.apply(&plan);
     assert_eq!(graph.source_of(&port("host/controller/robot")).unwrap().server, port("host/robot2/arm"));
 }
@@ -233,7 +237,11 @@ fn a_connection_across_processes_is_not_implemented_but_only_when_it_is_right_ot
 fn disconnect_goes_by_number_or_by_pair_and_lists_what_there_is() {
     let graph = theatre();
     let pair = Which::Pair { client: port("host/log/force"), server: port("host/robot/force") };
-    assert_eq!(plan(&graph, &Request::Disconnect { which: pair }).unwrap().changes.len(), 1);
+    let changes = plan(&graph, &Request::Disconnect { which: pair }).unwrap().changes;
+    assert!(
+        matches!(changes[..], [Change::Disconnect { replaced: false, .. }]),
+        "nothing follows: {changes:?}"
+    );
     let refusal = refused(&graph, &Request::Disconnect { which: Which::Id(ConnectionId(9)) });
     assert_eq!(refusal.reason(), "CONNECTION_NOT_FOUND");
     assert!(refusal.to_string().contains("1: host/robot/arm → host/controller/robot"), "{refusal}");

@@ -1,6 +1,7 @@
 //! Outer tests of the model, by public names only; one file per promise.
 #![allow(clippy::unwrap_used, clippy::result_large_err)]
 
+mod adapting;
 mod agreeing;
 mod configuring;
 mod connecting;

@@ -3,6 +3,7 @@
 use loom::thread;
 
 use super::model;
+use crate::pool::FramePool;
 use crate::stream::{DropPolicy, Meta, Payload, Pushed, Queue, StreamReader, StreamWriter, stream_link};
 
 /// Three samples against a reader that looks twice: order, wholeness and the counts.
@@ -70,5 +71,48 @@ fn loom_a_dropping_queue_never_gives_up_its_newest_sample() {
         assert_eq!(reader.latest().map(|sample| sample.meta.seq), Some(6));
         let stats = writer.stats();
         assert_eq!((stats.pushed, stats.taken + stats.dropped), (6, 6), "{stats:?}");
+    });
+}
+
+/// A push that finds no slot free takes frames out of the queue, down to none, while the reader takes them from the same end.
+#[test]
+fn loom_frames_given_up_for_a_slot_are_taken_by_one_end_and_counted() {
+    model(|| {
+        let pool = FramePool::new(3, 8, 0).unwrap();
+        let queue = Queue::Fifo { depth: 4, drop: DropPolicy::DropOldest };
+        let (writer, mut reader) = stream_link(Payload::Frame, queue);
+        let push = |writer: &StreamWriter, seq: u64| {
+            let mut writing = pool.loan().expect("a slot for each of three frames");
+            writing.parts_mut().0[0] = seq as u8;
+            writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, seq })
+        };
+        assert_eq!((push(&writer, 1), push(&writer, 2)), (Pushed::Queued, Pushed::Queued));
+        let mut last = 0;
+        let mut look = |reader: &mut StreamReader| {
+            let Some(sample) = reader.next() else { return false };
+            assert_eq!(u64::from(sample.data[0]), sample.meta.seq, "another frame's slot");
+            assert!(sample.meta.seq > last, "{} after {last}", sample.meta.seq);
+            last = sample.meta.seq;
+            true
+        };
+        let lent = std::sync::Arc::clone(&pool);
+        let thread = thread::spawn(move || {
+            let mut writing = lent.loan().expect("the third slot");
+            writing.parts_mut().0[0] = 3;
+            assert_ne!(
+                writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, seq: 3 }),
+                Pushed::DroppedNewest
+            );
+            writer
+        });
+        look(&mut reader);
+        look(&mut reader);
+        let writer = thread.join().unwrap();
+        while look(&mut reader) {}
+        assert_eq!(last, 3, "the newest is never given up");
+        let stats = writer.stats();
+        assert_eq!((stats.pushed, stats.taken + stats.dropped), (3, 3), "{stats:?}");
+        drop((reader, writer));
+        assert_eq!(pool.stats().free, 3);
     });
 }

@@ -105,6 +105,11 @@ impl Frame {
         self.0.pool().slots.is_unique(self.0.slot)
     }
 
+    /// Whether at least `n` slots of its pool are free now.
+    pub(crate) fn pool_has_free(&self, n: u64) -> bool {
+        self.0.pool().slots.has_free(n)
+    }
+
     /// The frame for writing in place, or itself when others read it too.
     pub fn try_unique(self) -> Result<FrameMut, Frame> {
         if !self.is_unique() {

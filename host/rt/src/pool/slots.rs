@@ -73,6 +73,15 @@ impl Slots {
         None
     }
 
+    /// Whether at least `n` slots could be taken now: by their bits, which is what a taker goes by, not by the counter.
+    pub(super) fn has_free(&self, n: u64) -> bool {
+        let mut free = 0;
+        self.free.iter().any(|word| {
+            free += u64::from(word.load(Ordering::Relaxed).count_ones());
+            free >= n
+        })
+    }
+
     pub(super) fn share(&self, slot: u32) {
         self.entry(slot).count.fetch_add(1, Ordering::Relaxed);
     }

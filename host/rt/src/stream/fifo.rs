@@ -65,9 +65,33 @@ impl Fifo {
         Writing { free: (0..self.slots() as u32).collect(), tail: 0, returned_head: 0 }
     }
 
+    /// Writer: how many are queued. Until the writer pushes they only become fewer.
+    pub(super) fn queued(&self, writing: &Writing) -> u64 {
+        writing.tail - self.head.0.load(Ordering::Acquire)
+    }
+
     /// Writer: whether a push must drop something. Once false, it stays false until the writer pushes.
     pub(super) fn is_full(&self, writing: &Writing) -> bool {
-        writing.tail - self.head.0.load(Ordering::Acquire) >= self.depth as u64
+        self.queued(writing) >= self.depth as u64
+    }
+
+    /// Writer: while one more would be too many, gives up the oldest place, which `emptied` gets; how many those were. With
+    /// each turn one leaves the queue, to whichever end, so there are at most `depth`.
+    pub(super) fn make_room(
+        &self,
+        writing: &mut Writing,
+        too_many: impl Fn(u64) -> bool,
+        mut emptied: impl FnMut(usize),
+    ) -> u64 {
+        let mut given_up = 0;
+        loop {
+            let head = self.head.0.load(Ordering::Acquire);
+            let queued = writing.tail - head;
+            if queued == 0 || !too_many(queued + 1) {
+                return given_up;
+            }
+            given_up += u64::from(self.give_up(writing, head, &mut emptied));
+        }
     }
 
     /// Writer: a free place to fill. Of depth + 3 places at most depth are queued and two at the reader, so
@@ -89,16 +113,11 @@ impl Fifo {
     pub(super) fn push(&self, writing: &mut Writing, place: usize, emptied: impl FnOnce(usize)) -> bool {
         let head = self.head.0.load(Ordering::Acquire);
         let full = writing.tail - head >= self.depth as u64;
-        // A failure to take it means that the reader took exactly this one, and so made room.
-        let oldest = if full { self.take(head) } else { None };
-        if let Some(oldest) = oldest {
-            emptied(oldest);
-            writing.free.push(oldest as u32);
-        }
+        let dropped = full && self.give_up(writing, head, emptied);
         at(&self.ring, writing.tail).store(place as u32, Ordering::Relaxed);
         writing.tail += 1;
         self.tail.0.store(writing.tail, Ordering::Release);
-        oldest.is_some()
+        dropped
     }
 
     /// Reader: how far the queue reaches now.
@@ -125,6 +144,15 @@ impl Fifo {
         at(&self.returned, reading.returned_tail).store(place as u32, Ordering::Relaxed);
         reading.returned_tail += 1;
         self.returned_tail.0.store(reading.returned_tail, Ordering::Release);
+    }
+
+    /// Writer: takes the place at `head` out of the queue. A failure means that the reader took exactly this one, and so
+    /// made room.
+    fn give_up(&self, writing: &mut Writing, head: u64, emptied: impl FnOnce(usize)) -> bool {
+        let Some(oldest) = self.take(head) else { return false };
+        emptied(oldest);
+        writing.free.push(oldest as u32);
+        true
     }
 
     fn take(&self, head: u64) -> Option<usize> {

@@ -28,7 +28,8 @@ use slots::Slots;
 pub enum Payload {
     /// Up to this many bytes, copied in.
     Plain { bytes: usize },
-    /// Pooled frames, passed by handle. A link keeps up to 2 (latest) or depth + 1 (fifo) of them lent.
+    /// Pooled frames, passed by handle. A link keeps up to 2 (latest) or depth + 1 (fifo) of them lent, a fifo fewer where its
+    /// pool would run out, see [`StreamWriter::push_frame`].
     Frame,
 }
 

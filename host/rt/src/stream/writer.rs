@@ -1,9 +1,12 @@
 //! The output's end of a link.
 //!
-//! One producer at a time is inside; a second one at the same moment is turned away and counted as a drop.
+//! One producer at a time is inside; a second one at the same moment is turned away and counted as a drop. Frames that
+//! wait in a queue leave slots of their pool free, so that the one who makes frames never waits for who does not take them.
 
 use std::sync::Arc;
 
+use super::fifo::{Fifo, Writing};
+use super::slots::Slots;
 use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, tally};
 use crate::exclusive::TryCell;
 use crate::pool::Frame;
@@ -15,7 +18,7 @@ pub enum Pushed {
     Queued,
     /// Queued, and an older unseen sample gave way.
     DroppedOldest,
-    /// The queue is full and keeps the old ones, or another thread was just pushing.
+    /// The queue is full and keeps the old ones, too few slots of the frame's pool are free, or another thread was just pushing.
     DroppedNewest,
     /// Plain bytes to a link of frames, a frame to a link of bytes, or more bytes than a sample has.
     WrongPayload,
@@ -40,8 +43,7 @@ impl StreamWriter {
     #[inline]
     pub fn push(&self, data: &[u8], meta: Meta) -> Pushed {
         let fits = matches!(self.link.payload, Payload::Plain { bytes } if data.len() <= bytes);
-        // SAFETY: `offer` gives a place that the writer owns; the length fits.
-        self.offer(fits, |place| unsafe { self.link.slots.write(place, meta, data) })
+        self.offer(fits, Plain { data, meta })
     }
 
     /// As [`StreamWriter::push`], for a sample that does not leave its thread: a latest link of plain bytes takes it without an
@@ -69,14 +71,12 @@ impl StreamWriter {
         Pushed::Queued
     }
 
-    /// Offers a frame: its handle is passed on, or dropped. Never waits.
+    /// Offers a frame: its handle is passed on, or dropped. Never waits. A queue that drops its oldest keeps at most two frames
+    /// for each free slot of this frame's pool, and gives up older ones until that is so (counted as dropped) or this one is
+    /// alone; one that drops the newest cannot take back what it keeps, so that it takes a second one and more only while
+    /// there is a free slot for each.
     pub fn push_frame(&self, frame: Frame, meta: Meta) -> Pushed {
-        self.offer(self.link.payload == Payload::Frame, |place| {
-            // SAFETY: `offer` gives a place that the writer owns, and this is its only reference.
-            let content = unsafe { self.link.slots.content(place) };
-            content.meta = meta;
-            content.frame = Some(frame);
-        })
+        self.offer(self.link.payload == Payload::Frame, Lent { frame, meta })
     }
 
     /// Whether the reading end still exists.
@@ -95,14 +95,14 @@ impl StreamWriter {
     }
 
     #[inline]
-    fn offer(&self, fits: bool, fill: impl FnOnce(usize)) -> Pushed {
+    fn offer(&self, fits: bool, sample: impl Offered) -> Pushed {
         let counters = &self.link.counters.writer.0;
         if fits
             && self.has_reader()
             && let Some(mut end) = self.end.try_enter()
         {
             tally(&counters.pushed, 1);
-            let pushed = self.put(&mut end, fill);
+            let pushed = self.put(&mut end, sample);
             if pushed != Pushed::Queued {
                 tally(&counters.dropped, 1);
             }
@@ -119,25 +119,35 @@ impl StreamWriter {
     }
 
     #[inline]
-    fn put(&self, end: &mut End, fill: impl FnOnce(usize)) -> Pushed {
+    fn put(&self, end: &mut End, sample: impl Offered) -> Pushed {
+        let slots = &self.link.slots;
         match (&self.link.order, end) {
             (Order::Latest(latest), End::Latest { back }) => {
-                fill(*back);
+                // SAFETY: the writer owns its back place.
+                unsafe { sample.fill(slots, *back) };
                 let (got, unseen) = latest.publish(*back);
                 *back = got;
                 // SAFETY: the place was just taken over by the writer.
-                unsafe { self.link.slots.empty(got) };
+                unsafe { slots.empty(got) };
                 if unseen { Pushed::DroppedOldest } else { Pushed::Queued }
             }
             (Order::Fifo(fifo), End::Fifo(writing)) => {
                 if fifo.drop == DropPolicy::DropNewest && fifo.is_full(writing) {
                     return Pushed::DroppedNewest;
                 }
+                let Some(given_up) = sample.make_room(slots, fifo, writing) else {
+                    return Pushed::DroppedNewest;
+                };
+                if given_up > 1 {
+                    // One of them is counted by who learns of the drop.
+                    tally(&self.link.counters.writer.0.dropped, given_up - 1);
+                }
                 let Some(place) = fifo.free_place(writing) else { return Pushed::DroppedNewest };
-                fill(place);
+                // SAFETY: a free place is the writer's.
+                unsafe { sample.fill(slots, place) };
                 // SAFETY: the oldest place was just taken over by the writer.
-                let dropped = fifo.push(writing, place, |oldest| unsafe { self.link.slots.empty(oldest) });
-                if dropped { Pushed::DroppedOldest } else { Pushed::Queued }
+                let dropped = fifo.push(writing, place, |oldest| unsafe { slots.empty(oldest) });
+                if dropped || given_up > 0 { Pushed::DroppedOldest } else { Pushed::Queued }
             }
             _ => unreachable!("both are made together in `stream_link`"),
         }
@@ -147,5 +157,61 @@ impl StreamWriter {
 impl Drop for StreamWriter {
     fn drop(&mut self) {
         self.link.writer_left.store(true, Ordering::Release);
+    }
+}
+
+/// What a push brings.
+trait Offered {
+    /// Has the queue give up what this sample needs; how many those were, or `None` where it may not be queued.
+    fn make_room(&self, slots: &Slots, fifo: &Fifo, writing: &mut Writing) -> Option<u64>;
+
+    /// # Safety
+    /// As for [`Slots::content`]; the sample is one of this link.
+    unsafe fn fill(self, slots: &Slots, place: usize);
+}
+
+struct Plain<'a> {
+    data: &'a [u8],
+    meta: Meta,
+}
+
+impl Offered for Plain<'_> {
+    #[inline]
+    fn make_room(&self, _: &Slots, _: &Fifo, _: &mut Writing) -> Option<u64> {
+        Some(0)
+    }
+
+    #[inline]
+    unsafe fn fill(self, slots: &Slots, place: usize) {
+        // SAFETY: the caller's promise is the one asked for.
+        unsafe { slots.write(place, self.meta, self.data) };
+    }
+}
+
+struct Lent {
+    frame: Frame,
+    meta: Meta,
+}
+
+impl Offered for Lent {
+    fn make_room(&self, slots: &Slots, fifo: &Fifo, writing: &mut Writing) -> Option<u64> {
+        match fifo.drop {
+            DropPolicy::DropOldest => {
+                let too_many = |queued: u64| !self.frame.pool_has_free(queued.div_ceil(2));
+                // SAFETY: the place was just taken over by the writer.
+                Some(fifo.make_room(writing, too_many, |oldest| unsafe { slots.empty(oldest) }))
+            }
+            DropPolicy::DropNewest => {
+                let queued = fifo.queued(writing);
+                (queued == 0 || self.frame.pool_has_free(queued + 1)).then_some(0)
+            }
+        }
+    }
+
+    unsafe fn fill(self, slots: &Slots, place: usize) {
+        // SAFETY: the caller's promise is the one asked for.
+        let content = unsafe { slots.content(place) };
+        content.meta = self.meta;
+        content.frame = Some(self.frame);
     }
 }

@@ -88,6 +88,7 @@ const VERBS: [(Verb, v1::Verb); 6] = [
 
 pub(crate) fn change_out(change: &Change) -> v1::Change {
     use v1::change::Change as C;
+    let replaced = matches!(change, Change::Disconnect { replaced: true, .. });
     let change = match change {
         Change::Create { id, component } => C::Create(component_out(id, component)),
         Change::Destroy { id, component } => C::Destroy(component_out(id, component)),
@@ -105,13 +106,14 @@ pub(crate) fn change_out(change: &Change) -> v1::Change {
             to: Some(state_out(*to)),
         }),
         Change::Connect { connection } => C::Connect(connection_out(connection)),
-        Change::Disconnect { connection } => C::Disconnect(connection_out(connection)),
+        Change::Disconnect { connection, .. } => C::Disconnect(connection_out(connection)),
     };
-    v1::Change { change: Some(change) }
+    v1::Change { change: Some(change), replaced }
 }
 
 pub(crate) fn change_in(change: v1::Change) -> Result<Change, Refusal> {
     use v1::change::Change as C;
+    let replaced = change.replaced;
     Ok(match change.change.ok_or_else(|| unreadable("change"))? {
         C::Create(c) => component_in(c).map(|(id, c)| Change::Create { id, component: Box::new(c) })?,
         C::Destroy(c) => component_in(c).map(|(id, c)| Change::Destroy { id, component: Box::new(c) })?,
@@ -129,7 +131,7 @@ pub(crate) fn change_in(change: v1::Change) -> Result<Change, Refusal> {
             to: state_in(r.to)?,
         },
         C::Connect(c) => Change::Connect { connection: connection_in(c)? },
-        C::Disconnect(c) => Change::Disconnect { connection: connection_in(c)? },
+        C::Disconnect(c) => Change::Disconnect { connection: connection_in(c)?, replaced },
     })
 }
 
@@ -175,4 +177,28 @@ pub(crate) fn inventory_in(inventory: v1::Inventory) -> Result<Inventory, Refusa
 
 pub(crate) fn classes_in(classes: Vec<v1::ClassInfo>) -> Result<Vec<Arc<trocar_model::ClassInfo>>, Refusal> {
     classes.into_iter().map(|c| back::class(c).map(Arc::new)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn a_disconnect_says_on_the_wire_whether_another_source_follows() {
+        let port = |path: &str| PortId::parse(path).unwrap();
+        let connection = Connection {
+            id: ConnectionId(7),
+            client: port("host/arm/in"),
+            server: port("host/source/out"),
+            options: trocar_model::ConnectOptions::default(),
+        };
+        for replaced in [true, false] {
+            let change = Change::Disconnect { connection: connection.clone(), replaced };
+            assert_eq!(change_in(change_out(&change)).unwrap(), change);
+        }
+        let change = Change::Connect { connection };
+        assert_eq!(change_in(change_out(&change)).unwrap(), change);
+    }
 }

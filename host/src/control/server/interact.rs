@@ -56,11 +56,20 @@ impl Edge {
         let call = Invoke { member: member.clone(), arg, send: r.send, deadline_ns };
         // The LCM keeps the deadline itself; this is for one that does not answer at all.
         let patience = Duration::from_nanos(deadline_ns) + room * 3 / 4;
+        let process = member.port.component.process.clone();
         let reply = tokio::time::timeout(patience, lcm.invoke(call))
             .await
-            .map_err(|_| refuse(Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: true }))?
-            .map_err(refuse)?;
-        Ok(convert::reply(reply))
+            .unwrap_or(Err(Refusal::Deadline { member, after_ns: deadline_ns, may_still_run: true }));
+        match reply {
+            Ok(reply) => Ok(convert::reply(reply)),
+            Err(refusal) => {
+                // Who is told that a command panicked finds the component in FAULT.
+                if let Some(gcm) = &self.gcm {
+                    gcm.hear_out(&process).await;
+                }
+                Err(refuse(refusal))
+            }
+        }
     }
 }
 

@@ -74,7 +74,7 @@ impl CommandTarget {
 }
 
 impl ReadTarget {
-    /// A read from outside; `arg` has the command's argument type. Never waits.
+    /// A read from outside; `arg` has the command's argument type. Waits for nothing; a class's own code may not come back.
     pub(in crate::lcm) fn answer(&self, arg: &[u8], ret_bytes: usize) -> Answer {
         answer(arg, ret_bytes, MODE_CALL, 0, |arg, ret, opts| self.call(arg, ret, Some(opts)))
     }

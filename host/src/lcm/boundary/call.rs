@@ -28,6 +28,8 @@ use super::{text_in, told};
 
 /// Deadline of a blocking call that names none, ns.
 pub(in crate::lcm) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
+/// Longest deadline of a call, ns, as of a connection: whoever asks for more waits an hour.
+const MAX_DEADLINE_NS: u64 = 3_600_000_000_000;
 
 /// What stands behind one function now. Its tag is a byte of its own: quicker to tell than a niche.
 #[repr(u8)]
@@ -185,6 +187,11 @@ pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> 
     super::tell(sink, &cell.binding.enter().described)
 }
 
+/// How long a call that asks for `asked_ns` may wait: 0 is the deadline of its connection.
+pub(in crate::lcm) fn within_ns(asked_ns: u64, connection_ns: u64) -> u64 {
+    if asked_ns == 0 { connection_ns } else { asked_ns.min(MAX_DEADLINE_NS) }
+}
+
 /// The outcome a status of `command` or `read` means to the caller, who is told the number where the plugin says no more.
 pub(in crate::lcm) fn outcome_of(status: Status, err: *mut ErrBuf) -> Outcome {
     if status == STATUS_OK {
@@ -267,10 +274,7 @@ impl CommandTarget {
         opts: Option<&mut CallOpts>,
     ) -> Outcome {
         let server = &*self.server;
-        let deadline_ns = match opts.as_ref() {
-            Some(o) if o.deadline_ns > 0 => o.deadline_ns,
-            _ => self.deadline_ns,
-        };
+        let deadline_ns = within_ns(opts.as_ref().map_or(0, |o| o.deadline_ns), self.deadline_ns);
         let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
         if server.runs_here() {
             if let Some(entered) = server.object.try_enter() {
@@ -438,5 +442,18 @@ pub(in crate::lcm) fn write_err(err: *mut ErrBuf, text: &[u8]) {
         // SAFETY: `ptr` has room for `cap` bytes.
         unsafe { std::ptr::copy_nonoverlapping(text.as_ptr(), err.ptr, n) };
         err.len = n;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{MAX_DEADLINE_NS, within_ns};
+
+    #[test]
+    fn a_call_waits_as_long_as_it_or_its_connection_says_and_never_more_than_an_hour() {
+        assert_eq!(within_ns(0, 20), 20, "it names none");
+        assert_eq!(within_ns(7, 20), 7);
+        assert_eq!(within_ns(MAX_DEADLINE_NS + 1, 20), MAX_DEADLINE_NS);
+        assert_eq!(within_ns(u64::MAX, 20), MAX_DEADLINE_NS);
     }
 }

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use trocar_model::Ports as Described;
 use trocar_plugin_api::abi::{
-    Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_FAILED, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status,
-    Tick,
+    Bytes, ClassTable, ErrBuf, HostTable, Ports, STATUS_FAILED, STATUS_OK, STATUS_PANICKED,
+    STATUS_UNSUPPORTED, Sink, Status, Tick,
 };
 use trocar_rt::os;
 
@@ -43,7 +43,7 @@ impl EntryError {
     }
 
     pub(in crate::lcm) fn panicked(&self) -> bool {
-        self.status == trocar_plugin_api::abi::STATUS_PANICKED
+        self.status == STATUS_PANICKED
     }
 
     /// The entry said no to what it was given and goes on as before.
@@ -76,6 +76,7 @@ impl fmt::Display for Unexplained {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.0 {
             status if status > STATUS_OK => write!(f, "status {status}, which this ABI does not have"),
+            STATUS_PANICKED => f.write_str("panicked (its words are in the log)"),
             status => write!(f, "status {status} without a reason"),
         }
     }
@@ -372,9 +373,7 @@ impl<T> Entered<'_, T> {
         // SAFETY: a live instance of this table, entered by us alone; the sink lives for the call.
         match unsafe { describe(this, &raw const sink) } {
             STATUS_UNSUPPORTED => Ok(None),
-            status if status != STATUS_OK => {
-                Err(EntryError::new(status, format!("status {status} without a reason")))
-            }
+            status if status != STATUS_OK => Err(EntryError::new(status, Unexplained(status).to_string())),
             _ if text.cut => Err(EntryError::new(STATUS_FAILED, format!("it writes more than {most} bytes"))),
             _ => Ok(Some(text.bytes)),
         }

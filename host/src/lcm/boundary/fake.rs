@@ -2,6 +2,8 @@
 //!
 //! Invariant: a panic never crosses the table; it becomes STATUS_PANICKED, as the SDK does it.
 
+mod frames;
+
 use std::collections::HashMap;
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use trocar_model::{ClassInfo, Execution, Refusal, Safety};
 use trocar_plugin_api::abi::{
     Bytes, ClassTable, ErrBuf, HostTable, IN_SAMPLE, Outcome, PARALLEL, Parallel, Ports, STATUS_FAILED,
-    STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, SampleView, Sink, SliceBody, Status, Tick,
+    STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, Sink, SliceBody, Status, Tick,
 };
 
 use super::LoadedClass;
@@ -67,30 +69,26 @@ impl Own {
         }
     }
 
-    /// The next sample of an input of u64: its value and its number.
+    /// The next sample of an input of u64, or of frames with such a header: its value and its number.
     pub(in crate::lcm) fn take(&self, input: usize) -> Option<(u64, u64)> {
-        let mut view = SampleView {
-            struct_size: size_of::<SampleView>() as u32,
-            flags: 0,
-            header: std::ptr::null(),
-            bytes: std::ptr::null(),
-            len: 0,
-            stamp_ns: 0,
-            seq: 0,
-            token: 0,
-        };
-        // SAFETY: the tests' classes have that input, of type u64, and are bound before they run.
+        self.take_words(input).map(|([value], seq)| (value, seq))
+    }
+
+    /// The next sample of an input of so many words, and its number.
+    pub(in crate::lcm) fn take_words<const N: usize>(&self, input: usize) -> Option<([u64; N], u64)> {
+        let mut view = frames::view();
+        // SAFETY: the tests' classes have that input, of that size or of frames with such a header, and are bound before they run.
         unsafe {
             let slot = *(*self.ports).inputs.add(input);
             if ((*slot).next)((*slot).ctx, &raw mut view) != IN_SAMPLE {
                 return None;
             }
-            Some((view.header.cast::<u64>().read(), view.seq))
+            Some((view.header.cast::<[u64; N]>().read(), view.seq))
         }
     }
 
-    /// Writes a plain value of two words to an output.
-    pub(in crate::lcm) fn write_pair(&self, output: usize, value: &[u64; 2]) -> Outcome {
+    /// Writes a plain value of so many words to an output.
+    pub(in crate::lcm) fn write_words<const N: usize>(&self, output: usize, value: &[u64; N]) -> Outcome {
         // SAFETY: as in `write`, for an output of that size.
         unsafe {
             let slot = *(*self.ports).outputs.add(output);
@@ -183,6 +181,16 @@ static BEHAVIOURS: Mutex<Option<HashMap<String, Arc<dyn Behaviour>>>> = Mutex::n
 pub(in crate::lcm) fn behave(path: &str, behaviour: Arc<dyn Behaviour>) {
     let mut all = BEHAVIOURS.lock().unwrap_or_else(PoisonError::into_inner);
     all.get_or_insert_default().insert(path.to_owned(), behaviour);
+}
+
+type Read = Arc<dyn Fn() -> u64 + Send + Sync>;
+
+static READS: Mutex<Option<HashMap<u64, Read>>> = Mutex::new(None);
+
+/// Says what qualified reads with this argument answer, of whichever component: a read has no instance. Unique over all tests.
+pub(in crate::lcm) fn on_read(arg: u64, answer: impl Fn() -> u64 + Send + Sync + 'static) {
+    let mut all = READS.lock().unwrap_or_else(PoisonError::into_inner);
+    all.get_or_insert_default().insert(arg, Arc::new(answer));
 }
 
 struct Fake {
@@ -286,6 +294,28 @@ unsafe extern "C" fn command(
     entry(err, || fake.behaviour.command(id, &fake.own))
 }
 
+/// Qualified reads from u64 to u64.
+unsafe extern "C" fn read(
+    _row: *const c_void,
+    _id: u32,
+    arg: *const c_void,
+    ret: *mut c_void,
+    err: *mut ErrBuf,
+) -> Status {
+    // SAFETY: the tests' reads have an argument of type u64.
+    let arg = unsafe { arg.cast::<u64>().read() };
+    let answer = {
+        let all = READS.lock().unwrap_or_else(PoisonError::into_inner);
+        all.as_ref().and_then(|all| all.get(&arg).cloned())
+    };
+    entry(err, || {
+        let value = answer.ok_or_else(|| format!("nobody said what {arg} is"))?();
+        // SAFETY: and a result of type u64.
+        unsafe { ret.cast::<u64>().write(value) };
+        Ok(())
+    })
+}
+
 unsafe extern "C" fn on_service(this: *mut c_void, token: u64, reply: Bytes) -> Status {
     // SAFETY: the host lends the text for the call.
     let reply = unsafe { std::slice::from_raw_parts(reply.ptr, reply.len) };
@@ -312,7 +342,7 @@ static TABLE: Shared = Shared(ClassTable {
     make_safe: Some(make_safe),
     step: Some(step),
     command: Some(command),
-    read: None,
+    read: Some(read),
     on_event: Some(on_event),
     on_service: Some(on_service),
     state_copy: None,

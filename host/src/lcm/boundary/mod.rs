@@ -26,11 +26,11 @@ pub(super) mod same;
 #[cfg(test)]
 mod tests;
 pub(super) mod told;
-#[cfg(test)]
-pub(super) mod trap;
 
 pub(super) use answer::Answer;
-pub(super) use call::{CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, FnCell, outcome_of, write_err};
+pub(super) use call::{
+    CommandTarget, DEFAULT_DEADLINE_NS, FnBinding, FnCell, outcome_of, within_ns, write_err,
+};
 pub use class::LoadedClass;
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
 pub(super) use event::{EventCell, EventSink, Handler, Tap};

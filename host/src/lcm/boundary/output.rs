@@ -263,6 +263,12 @@ impl OutCell {
         })?
     }
 
+    /// What of its pool is lent now; `None` without a pool.
+    #[cfg(test)]
+    pub(in crate::lcm) fn pool(&self) -> Option<trocar_rt::PoolStats> {
+        self.pools.enter().lends.as_ref().map(|pool| pool.stats())
+    }
+
     /// Frames a loan was refused for, by whichever pool.
     pub(in crate::lcm) fn exhausted(&self) -> u64 {
         self.exhausted.load(Ordering::Relaxed)

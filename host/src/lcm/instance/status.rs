@@ -18,6 +18,25 @@ use super::Instance;
 /// Warnings kept of one component; the oldest gives way.
 const WARNINGS: usize = 16;
 
+/// How a required port came to be without a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::lcm) enum Loss {
+    Cut,
+    /// It was said that another one takes its place next.
+    Replaced,
+}
+
+impl Loss {
+    /// How long it may go on without one before it counts as lost, ns. Whoever cuts and connects in two requests has little
+    /// time; where the second half was announced only its failure, or a manager that died in between, is a loss.
+    fn spared_ns(self) -> u64 {
+        match self {
+            Loss::Cut => 20_000_000,
+            Loss::Replaced => 1_000_000_000,
+        }
+    }
+}
+
 impl Instance {
     /// Sets state and fault text, tells the world.
     pub(in crate::lcm) fn set_state(&self, state: State, fault: &str) {
@@ -187,22 +206,34 @@ impl Instance {
         self.elders.get()?.get(&tid).copied()
     }
 
-    /// A required port lost its connection, or has one again.
-    pub(in crate::lcm) fn set_missing(&self, port: &str, missing: bool) {
+    /// A required port has a connection, again or at last.
+    pub(in crate::lcm) fn connected(&self, port: &str) {
+        self.missing.lock().unwrap_or_else(PoisonError::into_inner).remove(port);
+        self.hub.watch.notify();
+    }
+
+    /// A required port lost its connection.
+    pub(in crate::lcm) fn disconnected(&self, port: &str, how: Loss) {
+        let lost_ns = os::now_ns().saturating_add(how.spared_ns());
         let mut ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
-        if missing {
-            ports.entry(port.to_owned()).or_insert_with(os::now_ns);
-        } else {
-            ports.remove(port);
-        }
+        let missing = ports.entry(port.to_owned()).or_insert(lost_ns);
+        *missing = lost_ns.min(*missing);
         drop(ports);
         self.hub.watch.notify();
     }
 
-    /// Required ports that lost their connection, and when each did, ns.
+    /// What was to take the place of a connection that was taken away could not be made.
+    pub(in crate::lcm) fn not_replaced(&self, port: &str) {
+        let missing = self.missing.lock().unwrap_or_else(PoisonError::into_inner).contains_key(port);
+        if missing {
+            self.disconnected(port, Loss::Cut);
+        }
+    }
+
+    /// Required ports that lost their connection, and from when on each counts as lost, ns.
     pub(in crate::lcm) fn missing(&self) -> Vec<(String, u64)> {
         let ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
-        ports.iter().map(|(port, since)| (port.clone(), *since)).collect()
+        ports.iter().map(|(port, lost_ns)| (port.clone(), *lost_ns)).collect()
     }
 
     /// Emits `status`, `warning` or `error` of the system interface.

@@ -137,7 +137,7 @@ impl LocalLcm {
         // A create that comes back after its caller gave up leaves nothing behind.
         slot.executor.submit(move |_| {
             if let Some(mut entered) = instance.object.try_enter() {
-                instance.as_running(Entry::Destroy, || instance.destroy(&mut entered));
+                instance.destroy(&mut entered);
             }
         });
         if own {

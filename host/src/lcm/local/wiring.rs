@@ -11,6 +11,7 @@ use trocar_model::{Connection, Refusal, idle_connection};
 
 use super::super::connect::Wired;
 use super::super::cycle::Member;
+use super::super::instance::Loss;
 use super::super::order::Place;
 use super::super::{Report, order};
 use super::{LocalLcm, Slot};
@@ -21,25 +22,39 @@ const PATIENCE: Duration = Duration::from_millis(200);
 impl LocalLcm {
     pub(super) async fn wire(&self, connection: Connection, deadline: Instant) -> Result<Report, Refusal> {
         let client = self.slot(&connection.client.component)?;
+        let port = connection.client.port.clone();
+        let wired = self.wire_to(&client, connection, deadline).await;
+        if wired.is_err() {
+            client.instance.not_replaced(port.as_str());
+        }
+        wired
+    }
+
+    async fn wire_to(
+        &self,
+        client: &Slot,
+        connection: Connection,
+        deadline: Instant,
+    ) -> Result<Report, Refusal> {
         let server = self.slot(&connection.server.component)?;
         let id = connection.id.0;
         let (from, to) = (server.instance.clone(), client.instance.clone());
         let ends = (connection.client.clone(), connection.server.clone());
         let connect = move || Wired::connect(&connection, &to, &from);
-        let wired = between_cycles(&client, &server, deadline, connect).await?;
+        let wired = between_cycles(client, &server, deadline, connect).await?;
         if wired.required {
-            client.instance.set_missing(wired.client_port.as_str(), false);
+            client.instance.connected(wired.client_port.as_str());
         }
         self.held().links.insert(id, Arc::new(wired));
-        self.reorder(&client);
+        self.reorder(client);
         let (to, from) = (client.instance.described.now(), server.instance.described.now());
         let mut report = client.instance.report(false);
         report.warnings.extend(idle_connection(&to.ports, &ends.0, &from.ports, &ends.1));
         Ok(report)
     }
 
-    /// Cuts a connection between two cycles of the thread its ends share, if they do.
-    pub(super) async fn unwire(&self, id: u64, deadline: Instant) -> Option<Arc<Wired>> {
+    /// Cuts a connection between two cycles of the thread its ends share, if they do. `replaced`: another one is made next.
+    pub(super) async fn unwire(&self, id: u64, replaced: bool, deadline: Instant) -> Option<Arc<Wired>> {
         let wired = self.held().links.remove(&id)?;
         match (self.slot(&wired.client.id), self.slot(&wired.server.id)) {
             (Ok(client), Ok(server)) => {
@@ -48,7 +63,7 @@ impl LocalLcm {
             }
             _ => wired.disconnect(),
         }
-        self.loosened(&wired);
+        self.loosened(&wired, if replaced { Loss::Replaced } else { Loss::Cut });
         Some(wired)
     }
 
@@ -56,15 +71,15 @@ impl LocalLcm {
     pub(super) fn cut(&self, id: u64) -> Option<Arc<Wired>> {
         let wired = self.held().links.remove(&id)?;
         wired.disconnect();
-        self.loosened(&wired);
+        self.loosened(&wired, Loss::Cut);
         Some(wired)
     }
 
     /// What follows from a cut: the watchdog sees that something is missing.
-    fn loosened(&self, wired: &Wired) {
+    fn loosened(&self, wired: &Wired, how: Loss) {
         if let Ok(client) = self.slot(&wired.client.id) {
             if wired.required {
-                client.instance.set_missing(wired.client_port.as_str(), true);
+                client.instance.disconnected(wired.client_port.as_str(), how);
             }
             self.reorder(&client);
         }

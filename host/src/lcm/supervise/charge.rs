@@ -31,8 +31,6 @@ pub(in crate::lcm) const LEAVE_NS: u64 = 200_000_000;
 
 /// Least time between two tellings of what was refused, failed or lost, ns.
 const TELL_NS: u64 = 1_000_000_000;
-/// A connection that is taken away may be replaced within this time, ns.
-const REWIRE_NS: u64 = 20_000_000;
 /// Longest wait of a component's thread for a caller or device thread inside it, ns.
 const ENTER_NS: u64 = 100_000_000;
 
@@ -183,7 +181,7 @@ impl Charge {
             return;
         }
         let missing = instance.missing();
-        if missing.iter().any(|(_, since)| now_ns.saturating_sub(*since) >= REWIRE_NS) {
+        if missing.iter().any(|(_, lost_ns)| now_ns >= *lost_ns) {
             lose_peer(&self.ward);
         }
     }
@@ -204,7 +202,7 @@ impl Charge {
             if let Some(last) = instance.counters.last_words(what) {
                 often = format!("{often}, the last one: {last}");
             }
-            if what == Misuse::ReadPanicked {
+            if what.is_error() {
                 instance.say(log::Level::Error, &format!("{}{often}", what.says()));
                 instance.message(system::ERROR, &format!("{}{often}", what.says()));
             }
@@ -316,9 +314,8 @@ fn short(ns: u64) -> String {
 fn stale(ward: &Ward, now_ns: u64) -> Option<String> {
     let instance = &ward.instance;
     // What is only rewired is not without a source.
-    let gone = |since: u64| now_ns.saturating_sub(since) >= REWIRE_NS;
-    let missing: Vec<String> =
-        instance.missing().into_iter().filter(|(_, since)| gone(*since)).map(|(port, _)| port).collect();
+    let gone = instance.missing().into_iter().filter(|(_, lost_ns)| now_ns >= *lost_ns);
+    let missing: Vec<String> = gone.map(|(port, _)| port).collect();
     if !missing.is_empty() {
         return Some(format!("nothing is connected any more to {}", missing.join(", ")));
     }

@@ -2,16 +2,25 @@
 //!
 //! Invariant: from another thread only classes that declare `make_safe` callable from any: that entry then touches nothing
 //! but what is made for several threads (a Rust class cannot do otherwise: it runs a handle apart from the component). On a
-//! thread of its own, since it may hang too. The component's own thread does it once more when it is back.
+//! thread of its own, since it may hang too, which another one tells. The component's own thread does it once more when it
+//! is back.
 
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
+use std::time::Duration;
 
-use trocar_plugin_api::abi::NOT_ACTIVE;
+use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED};
 
+use super::super::boundary::EntryError;
 use super::super::instance::Instance;
 use super::super::system;
 use super::roster::Ward;
+
+/// What is said of a `make_safe` that was called from here.
+const OUTSIDE: &str = "make_safe from another thread";
+/// How long it may take before it is said that nobody knows what came of it.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What moves something and does not come on is made safe as soon as anybody can; its state was set before.
 pub(in crate::lcm) fn give_up(ward: &Ward) {
@@ -36,17 +45,37 @@ pub(in crate::lcm) fn give_up(ward: &Ward) {
 
 /// Calls `make_safe` from a new thread.
 fn make_safe_outside(instance: &Arc<Instance>) {
-    let (stuck, name) = (instance.clone(), "trocar-safe".to_owned());
-    let spawned =
-        thread::Builder::new().name(name).spawn(move || match stuck.object.make_safe_from_outside() {
+    let stuck = instance.clone();
+    let (comes_back, ends) = channel::<()>();
+    let spawned = thread::Builder::new().name("trocar-safe".into()).spawn(move || {
+        // Dropped when it is over.
+        let _comes_back = comes_back;
+        match stuck.object.make_safe_from_outside() {
             Ok(()) => {
                 let told = "it was made safe from another thread";
                 log::error!("{}: {told}", stuck.id);
                 stuck.message(system::ERROR, told);
             }
-            Err(e) => stuck.not_made_safe("make_safe from another thread", &e),
-        });
-    if let Err(e) = spawned {
-        log::error!("{}: it is stuck and there is no thread to make it safe from: {e}", instance.id);
+            Err(e) => stuck.not_made_safe(OUTSIDE, &e),
+        }
+    });
+    let (stuck, spawned) = (instance.clone(), spawned.map(drop));
+    let watched = spawned.and_then(|()| {
+        let name = "trocar-safe-look".into();
+        thread::Builder::new().name(name).spawn(move || tell_hang(&stuck, &ends)).map(drop)
+    });
+    if let Err(e) = watched {
+        log::error!(
+            "{}: it is stuck, and a thread to make it safe, or to look after that, is not to be had: {e}",
+            instance.id
+        );
+    }
+}
+
+/// Says so when the other end of `ends` is still there after a time.
+fn tell_hang(stuck: &Instance, ends: &Receiver<()>) {
+    if ends.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+        let text = format!("it has not come back for {} s", PATIENCE.as_secs());
+        stuck.not_made_safe(OUTSIDE, &EntryError::new(STATUS_FAILED, text));
     }
 }

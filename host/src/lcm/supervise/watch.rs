@@ -22,10 +22,12 @@ pub(in crate::lcm) enum Entry {
     MakeSafe,
     Destroy,
     Service,
+    Describe,
+    Bind,
 }
 
 impl Entry {
-    const ALL: [Entry; 12] = [
+    const ALL: [Entry; 14] = [
         Entry::Step,
         Entry::Command,
         Entry::Event,
@@ -38,6 +40,8 @@ impl Entry {
         Entry::MakeSafe,
         Entry::Destroy,
         Entry::Service,
+        Entry::Describe,
+        Entry::Bind,
     ];
 
     pub(in crate::lcm) fn name(self) -> &'static str {
@@ -54,6 +58,8 @@ impl Entry {
             Entry::MakeSafe => "make_safe",
             Entry::Destroy => "destroy",
             Entry::Service => "on_service",
+            Entry::Describe => "describe",
+            Entry::Bind => "bind",
         }
     }
 

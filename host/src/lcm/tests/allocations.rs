@@ -244,44 +244,89 @@ impl Behaviour for Takes {
     }
 }
 
+/// A struct of these fields one after the other; all of them are made of words.
+fn words(fields: &[(&str, &Type)]) -> Type {
+    let mut at = 0;
+    let fields: Vec<Field> = fields
+        .iter()
+        .map(|(name, ty)| {
+            let field = Field {
+                name: (*name).into(),
+                at,
+                unit: String::new(),
+                doc: String::new(),
+                frame: String::new(),
+                ty: (*ty).clone(),
+            };
+            at += ty.size();
+            field
+        })
+        .collect();
+    let (name, doc) = ("Words".to_owned(), String::new());
+    Type::Struct(Arc::new(StructType { name, doc, size: at, align: 8, fields }))
+}
+
 #[tokio::test(flavor = "multi_thread")]
-async fn samples_that_are_adapted_to_another_layout_allocate_nothing() {
+async fn samples_that_are_adapted_to_another_layout_arrive_whole_and_allocate_nothing() {
     let world = World::new("a_adapt");
-    let pair = |names: [&str; 2]| {
-        let field = |(at, name): (usize, &&str)| Field {
-            name: (*name).into(),
-            at: 8 * at,
-            unit: String::new(),
-            doc: String::new(),
-            frame: String::new(),
-            ty: Type::Prim(Prim::U64),
-        };
-        let fields = names.iter().enumerate().map(field).collect();
-        let (name, doc) = (names.concat(), String::new());
-        PortType::Plain(Type::Struct(Arc::new(StructType { name, doc, size: 16, align: 8, fields })))
-    };
+    let pair = |names: [&str; 2]| words(&names.map(|name| (name, &Type::Prim(Prim::U64))));
+    let array = |pair: &Type| Type::Array { item: Box::new(pair.clone()), n: 2 };
+    let list = |pair: &Type| Type::List { item: Box::new(pair.clone()), n: 2 };
+    let (ab, ba) = (pair(["a", "b"]), pair(["b", "a"]));
     let (mut out, mut into) = (plain(false, true), plain(true, false));
-    out.outputs[0].ty = pair(["a", "b"]);
-    into.inputs[0].ty = pair(["b", "a"]);
-    let source = Arc::new(WritesPairs);
-    world.create_as("source", class(out, Safety::None), periodic(20), source).await;
-    let sink = Arc::new(Takes::default());
+    let there = words(&[("tip", &ab), ("edge", &array(&ab)), ("marks", &list(&ab))]);
+    let here = words(&[("marks", &list(&ba)), ("edge", &array(&ba)), ("tip", &ba)]);
+    (out.outputs[0].ty, into.inputs[0].ty) = (PortType::Plain(there), PortType::Plain(here));
+    world.create_as("source", class(out, Safety::None), periodic(20), Arc::new(WritesShape)).await;
+    let sink = Arc::new(TakesShape::default());
     world.create_as("sink", class(into, Safety::None), periodic(20), sink.clone()).await;
     let options = ConnectOptions { adapt: true, ..ConnectOptions::default() };
     world.connect(1, "sink/in", "source/out", options).await;
     world.start("source").await;
     world.start("sink").await;
     without_allocations("that take adapted samples", &sink.watched).await;
-    assert!(sink.taken.load(Ordering::Relaxed) > 0);
+    assert_eq!(*sink.torn.lock().unwrap(), None, "a sample did not arrive as it was written");
+    assert!(sink.taken.load(Ordering::Relaxed) > 0, "samples came");
     world.end().await;
 }
 
-/// Writes a sample of two words.
-struct WritesPairs;
+/// What is written in the n-th cycle: a pair, an array of two, and a list that holds one; as each end has it.
+fn shape(n: u64) -> ([u64; 11], [u64; 11]) {
+    let (a, b) = (|k| 100 * n + k, |k| 100 * n + 50 + k);
+    (
+        [a(0), b(0), a(1), b(1), a(2), b(2), 1, a(3), b(3), 0, 0],
+        [1, b(3), a(3), 0, 0, b(1), a(1), b(2), a(2), b(0), a(0)],
+    )
+}
 
-impl Behaviour for WritesPairs {
+/// Writes a shape.
+struct WritesShape;
+
+impl Behaviour for WritesShape {
     fn step(&self, tick: &Tick, own: &Own) -> Result<(), String> {
-        own.write_pair(0, &[tick.cycle, 1]);
+        own.write_words(0, &shape(tick.cycle).0);
+        Ok(())
+    }
+}
+
+/// Takes shapes, and keeps the first that is none.
+#[derive(Default)]
+struct TakesShape {
+    watched: Watched,
+    taken: AtomicU64,
+    torn: Mutex<Option<[u64; 11]>>,
+}
+
+impl Behaviour for TakesShape {
+    fn step(&self, _: &Tick, own: &Own) -> Result<(), String> {
+        self.watched.count();
+        if let Some((came, _)) = own.take_words::<11>(0) {
+            self.taken.fetch_add(1, Ordering::Relaxed);
+            // Its tip's `a` says which one it is.
+            if came != shape(came[10] / 100).1 {
+                self.torn.lock().unwrap().get_or_insert(came);
+            }
+        }
         Ok(())
     }
 }

@@ -313,7 +313,7 @@ async fn commands_that_a_disconnect_throws_out_and_those_a_full_queue_refused_ar
     let port = |path: &str| PortId::parse(&format!("f_thrown/{path}")).unwrap();
     let (client, server) = (port("a/peer"), port("b/ctl"));
     let connection = Connection { id: ConnectionId(1), client, server, options };
-    world.apply(Change::Disconnect { connection }).await.unwrap();
+    world.apply(Change::Disconnect { connection, replaced: false }).await.unwrap();
     let said =
         "commands it sent to f_thrown/b never ran: 2 so far were still queued when it stopped or was cut off";
     world.eventually("a word about it", "a", |r| r.warnings.iter().any(|w| w == said)).await;
@@ -382,7 +382,8 @@ async fn a_filter_comes_into_a_running_stream_and_goes_again_and_every_frame_arr
         Connection { id: ConnectionId(id), client, server, options }
     };
     let connect = async |connection| world.apply(Change::Connect { connection }).await.unwrap();
-    let disconnect = async |connection| world.apply(Change::Disconnect { connection }).await.unwrap();
+    let disconnect =
+        async |connection| world.apply(Change::Disconnect { connection, replaced: false }).await.unwrap();
     connect(wire(1, "sink/in", "head/out")).await;
     world.start("sink").await;
     world.start("head").await;

@@ -319,7 +319,7 @@ async fn an_actuator_that_loses_what_it_requires_is_made_safe_and_stopped_and_ot
         let (client, server) = (port(&format!("{name}/in")), port("source/out"));
         let id = ConnectionId(number);
         let connection = Connection { id, client, server, options: ConnectOptions::default() };
-        world.apply(Change::Disconnect { connection }).await.unwrap();
+        world.apply(Change::Disconnect { connection, replaced: false }).await.unwrap();
     }
     let lost = State::Stopped(StopReason::PeerLost);
     world.eventually("STOPPED{peer_lost}", "arm", |r| r.state == lost).await;

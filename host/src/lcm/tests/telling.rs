@@ -150,6 +150,42 @@ async fn what_is_stopped_is_made_safe_when_no_step_can_begin_any_more() {
     world.end().await;
 }
 
+/// Hangs in its step, and in what makes it safe; the end of the other side lets go of both.
+struct Seized(Mutex<Receiver<()>>);
+
+impl Seized {
+    fn hang(&self) -> Result<(), String> {
+        // Whoever comes first has it; the other waits for that one.
+        let _ = self.0.lock().unwrap().recv();
+        Ok(())
+    }
+}
+
+impl Behaviour for Seized {
+    fn step(&self, _: &Tick, _: &Own) -> Result<(), String> {
+        self.hang()
+    }
+    fn make_safe(&self) -> Result<(), String> {
+        self.hang()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_hangs_and_cannot_be_made_safe_from_another_thread_either_is_named_with_that() {
+    let world = World::new("tl_seized");
+    let (open, door) = channel();
+    let info = ClassInfo { safe_from_any_thread: true, ..class(ctl(), Safety::Actuator) };
+    world.create_as("arm", info, periodic(1000), Arc::new(Seized(Mutex::new(door)))).await;
+    world.start("arm").await;
+    let words = "make_safe from another thread: it has not come back for 1 s";
+    let report = world.eventually(words, "arm", |r| r.fault.contains(words)).await;
+    assert!(report.fault.contains("its step"), "what it hung in first is still said: {}", report.fault);
+    assert_eq!(report.state, State::Fault);
+    assert!(report.warnings.iter().any(|w| w == words), "{:?}", report.warnings);
+    drop::<Sender<()>>(open);
+    world.end().await;
+}
+
 /// Panics in its command, and cannot be made safe either.
 struct Clumsy;
 

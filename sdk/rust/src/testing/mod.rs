@@ -48,11 +48,12 @@
 //! | live through a life | `life`, `configure`, `start`, `stop`, `resume`, `make_safe`, `reset`, `snapshot`, `restore` |
 //! | play the system | `answer_service`, `services`, `reply`, `threads`, `refuse_callbacks`, `callbacks` |
 //! | read what was logged | `logs`, `expect_log` |
-//! | prove | `assert_no_alloc` with [`count_allocations!`], [`assert_implements`] |
+//! | prove | `assert_no_alloc` with [`count_allocations!`], [`assert_implements`], [`assert_behaves_as_arm`], [`assert_behaves_as_camera`] |
 //!
 //! A failing expectation prints what happened last, with values and times.
 
 mod alloc;
+mod behaves;
 mod bench;
 mod callbacks;
 mod cells;
@@ -75,6 +76,7 @@ mod wired;
 
 pub use crate::count_allocations;
 pub use alloc::CountingAllocator;
+pub use behaves::{assert_behaves_as_arm, assert_behaves_as_camera};
 pub use bench::{Bench, Failure, Life};
 pub use logs::LogLine;
 pub(crate) use logs::keep;

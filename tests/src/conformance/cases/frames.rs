@@ -1,9 +1,11 @@
 //! Frames: never copied, changed in place by a sole owner, bounded by their pool.
 
 use serde_json::{Value, json};
+use trocar::lcm::LinkDetail;
 use trocar::model::{ConnectOptions, Execution, OnFailure, Queue, State};
 
 use super::super::answer::whole;
+use super::super::world::port;
 use super::super::{Lab, Way};
 use crate::eventually;
 
@@ -69,18 +71,110 @@ pub fn a_filter_changes_a_frame_in_place(way: &Way) {
     assert_eq!(frame["at"], lab.row("source")["frame_at"], "no copy on the way");
 }
 
-pub fn an_exhausted_pool_is_a_counted_drop(way: &Way) {
-    let queue = Some(Queue::Fifo { depth: 16, drop_oldest: true });
-    let lab = connected(way, ConnectOptions { queue, ..ConnectOptions::default() });
-    // The pool has four slots, and nobody takes anything.
+fn fifo(depth: usize, drop_oldest: bool) -> ConnectOptions {
+    ConnectOptions { queue: Some(Queue::Fifo { depth, drop_oldest }), ..ConnectOptions::default() }
+}
+
+/// The figures of the connection at this port.
+fn link(lab: &Lab, client_port: &str) -> LinkDetail {
+    let graph = lab.graph();
+    let found = graph.connections.values().find(|c| c.client == port(client_port));
+    let connection = found.unwrap_or_else(|| panic!("{client_port} is not connected")).id.0;
+    let links = lab.links();
+    let link = links.into_iter().find(|l| l.connection == connection);
+    link.unwrap_or_else(|| panic!("connection {connection} has no figures"))
+}
+
+/// Takes what waits at a client; the sequence numbers. The last frame stays in its hands.
+fn rest(lab: &Lab, client: &str) -> Vec<u64> {
+    let take = || {
+        let frame = lab.invoke(&format!("{client}/run/take_frame"), None, false);
+        whole(&frame.unwrap_or_else(|refusal| panic!("{client}: {refusal}")).value.unwrap_or_default()["seq"])
+    };
+    std::iter::from_fn(|| Some(take()).filter(|seq| *seq > 0)).collect()
+}
+
+/// The pool has four slots, and nobody takes anything.
+fn untaken(way: &Way, drop_oldest: bool) -> Lab {
+    let lab = connected(way, fifo(16, drop_oldest));
     publish(&lab, 10);
-    assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (4, 6));
-    for number in 1..=4 {
-        assert_eq!(whole(&taken(&lab)["seq"]), number);
-    }
+    assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (10, 0));
+    lab
+}
+
+pub fn a_queue_of_frames_gives_up_its_oldest_before_their_pool_is_empty(way: &Way) {
+    let lab = untaken(way, true);
+    assert_eq!(link(&lab, "client/frame").dropped, 8);
+    assert_eq!(rest(&lab, "client"), [9, 10], "two frames for each slot that is free");
     lab.own("release_frame");
     publish(&lab, 3);
+    assert_eq!(rest(&lab, "client"), [12, 13]);
+    let link = link(&lab, "client/frame");
+    assert_eq!((link.passed, link.dropped, lab.count("server", "exhausted")), (4, 9, 0), "{link:?}");
+}
+
+pub fn a_queue_that_keeps_its_oldest_frames_takes_no_more_before_their_pool_is_empty(way: &Way) {
+    let lab = untaken(way, false);
+    assert_eq!(link(&lab, "client/frame").dropped, 8);
+    assert_eq!(rest(&lab, "client"), [1, 2], "as many as slots are free");
+    lab.own("release_frame");
+    publish(&lab, 1);
+    assert_eq!(rest(&lab, "client"), [11]);
+    assert_eq!(lab.count("server", "exhausted"), 0);
+}
+
+pub fn an_exhausted_pool_is_a_counted_drop(way: &Way) {
+    let newest = || ConnectOptions { queue: Some(Queue::Latest), ..ConnectOptions::default() };
+    let lab = connected(way, newest());
+    let clients = ["client", "second", "third", "fourth"];
+    for name in &clients[1..] {
+        lab.create(name, "Client", json!({}), super::own_thread());
+        lab.connect_with(&format!("{name}/frame"), "server/frame_out", newest());
+        lab.start(name);
+    }
+    // Each keeps another one of the four slots in its hands.
+    for (name, number) in clients.iter().zip(1..) {
+        publish(&lab, 1);
+        assert_eq!(rest(&lab, name), [number]);
+    }
+    publish(&lab, 6);
+    assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (4, 6));
+    assert_eq!(link(&lab, "fourth/frame").dropped, 3 + 6, "what it missed and what there was no slot for");
+    for name in clients {
+        rest(&lab, name);
+        lab.invoke(&format!("{name}/run/release_frame"), None, false).expect("it lets go");
+    }
+    publish(&lab, 3);
     assert_eq!(lab.count("server", "exhausted"), 6, "slots that were handed back are used again");
+}
+
+pub fn a_branch_that_takes_no_frames_costs_the_others_none(way: &Way) {
+    for drop_oldest in [true, false] {
+        let lab = connected(way, ConnectOptions::default());
+        lab.create("second", "Client", json!({}), super::own_thread());
+        lab.connect_with("second/frame", "server/frame_out", fifo(64, drop_oldest));
+        lab.start("second");
+        publish(&lab, 1);
+        assert_eq!((rest(&lab, "client"), rest(&lab, "second")), (vec![1], vec![1]), "both have it in hands");
+        lab.stop("second");
+        for number in 2..=50 {
+            publish(&lab, 1);
+            assert_eq!(rest(&lab, "client"), [number]);
+        }
+        assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (50, 0));
+        assert_eq!(link(&lab, "client/frame").dropped, 0);
+        lab.resume("second");
+        let kept = rest(&lab, "second");
+        let expected: &[u64] = if drop_oldest { &[49, 50] } else { &[2] };
+        assert_eq!(kept, expected, "beside a frame in the hands of each");
+        let branch = link(&lab, "second/frame");
+        let taken = 1 + kept.len() as u64;
+        assert_eq!(
+            (branch.passed, branch.dropped),
+            (taken, 50 - taken),
+            "each is taken or counted: {branch:?}"
+        );
+    }
 }
 
 /// `source` → `through` in one stream → `host/client`; the filter has this configuration and policy.

@@ -3,7 +3,7 @@
 use std::thread;
 
 use serde_json::json;
-use trocar::model::{ConnectOptions, State};
+use trocar::model::{ConnectOptions, State, StopReason};
 use trocar_sdk::Outcome;
 
 use super::super::waiting::{self, While};
@@ -50,6 +50,21 @@ pub fn a_call_that_waits_in_a_server_that_goes_into_fault_is_answered(way: &Way)
     let lab = waiting_when(way, While::Failed);
     assert_eq!(lab.count("server", "writes"), 0, "it never ran");
     assert_eq!(lab.stands("client").map(|(state, _)| state), Some(State::Active), "nobody else changed");
+}
+
+pub fn a_client_that_is_removed_while_its_call_waits_is_answered_and_the_call_never_runs(way: &Way) {
+    let lab = Lab::running(way);
+    let answer = waiting::leaving(way, &lab, Call::call(Function::Write, 9.0).within_ms(300));
+    // Whoever goes waits for its own call, which has its deadline; a server that rides on its thread is stopped first.
+    let rides = way.deployment.client_leads();
+    let expected = if rides { Outcome::NotActive } else { Outcome::Deadline };
+    assert_eq!((answer.only(), answer.may_still_run), (expected, 0), "{answer:?}");
+    if rides {
+        assert_eq!(lab.stands("server").map(|s| s.0), Some(State::Stopped(StopReason::Requested)));
+    } else {
+        lab.invoke("server/ctl/poke", None, false).expect("the server goes on");
+    }
+    assert_eq!(lab.count("server", "writes"), 0, "it never ran");
 }
 
 pub fn rewiring_while_calls_go_on_loses_none_and_answers_each(way: &Way) {

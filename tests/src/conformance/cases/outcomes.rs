@@ -128,6 +128,29 @@ pub fn a_call_that_was_not_begun_by_its_deadline_never_runs(way: &Way) {
     assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]));
 }
 
+/// What comes of a call that names no deadline of its own while the server cannot take it.
+fn endless(way: &Way, lab: &Lab) -> Answer {
+    crowd(way, lab, Call::call(Function::Write, 9.0).from_threads(1))
+}
+
+pub fn a_call_without_a_deadline_has_that_of_its_connection(way: &Way) {
+    let lab = Lab::pair(way);
+    let options = ConnectOptions { deadline_ns: Some(20_000_000), ..ConnectOptions::default() };
+    lab.connect_with("client/peer", "server/ctl", options);
+    lab.start("server");
+    lab.start("client");
+    let answer = endless(way, &lab);
+    assert_eq!((answer.only(), answer.may_still_run), (Outcome::Deadline, 0), "{answer:?}");
+    assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
+    assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]));
+}
+
+pub fn a_call_without_any_deadline_ends_all_the_same(way: &Way) {
+    let lab = Lab::running(way);
+    let answer = endless(way, &lab);
+    assert_eq!((answer.only(), answer.may_still_run), (Outcome::Deadline, 0), "{answer:?}");
+}
+
 pub fn a_call_that_was_begun_by_its_deadline_may_still_run(way: &Way) {
     let lab = Lab::running(way);
     lab.close_gate();

@@ -37,7 +37,7 @@ fn sent(reach: Reach, situation: Situation) -> Fate {
         (Situation::AFullQueue, _) => Fate::QueueFull,
         // What waits to be run elsewhere has been answered; what becomes of it is counted.
         (_, Reach::Queue) => Fate::Queued,
-        (Situation::Refusing, Reach::Thread | Reach::Caller) => Fate::Failed,
+        (Situation::Refusing | Situation::BegunAndPanics, Reach::Thread | Reach::Caller) => Fate::Failed,
         (Situation::Withdrawn, Reach::Thread) => Fate::Disabled,
         (Situation::AThreadOfItsOwn, Reach::Thread) => Fate::Queued,
         (situation, Reach::Thread | Reach::Caller) if finds_somebody_inside(situation, reach) => Fate::Queued,
@@ -64,8 +64,12 @@ fn called(reach: Reach, situation: Situation) -> Fate {
         // It waits for whoever is inside, not in a queue.
         (Situation::AFullQueue, Reach::Caller) => Fate::TooLate,
         (Situation::BegunAndHeld, Reach::Queue) => Fate::StillRuns,
+        // What was begun is carried to its end, and its caller is told how it ended.
+        (Situation::BegunAndCut | Situation::BegunAndStopped | Situation::BegunAndRemoved, _) => {
+            Fate::Executed
+        }
         (Situation::NotActive, _) => Fate::NotActive,
-        (Situation::Refusing, _) => Fate::Failed,
+        (Situation::Refusing | Situation::BegunAndPanics, _) => Fate::Failed,
         (Situation::Withdrawn, _) => Fate::Disabled,
         (Situation::CutWhileWaiting | Situation::RemovedWhileWaiting, _) => Fate::PeerLost,
         (Situation::StoppedWhileWaiting, _) => Fate::NotActive,

@@ -3,11 +3,11 @@
 //! Invariant: a failure names the situation, the kind and how it was asked; nothing else than [`fate`] says what is right.
 
 use serde_json::json;
-use trocar::model::ConnectOptions;
+use trocar::model::{ConnectOptions, State};
 use trocar_sdk::Outcome;
 
 use super::super::waiting::{self, While};
-use super::super::{Answer, Call, Lab, Reach, Way};
+use super::super::{Answer, Call, Function, Lab, Reach, Way};
 use super::{Fate, Kind, Mode, Situation, fate};
 use crate::eventually;
 
@@ -47,6 +47,10 @@ pub mod cases {
         of_a_busy_server_in_a_command: ABusyServerFromACommand,
         of_a_full_queue: AFullQueue,
         of_what_was_begun_and_does_not_come_back: BegunAndHeld,
+        of_what_was_begun_when_the_connection_is_cut: BegunAndCut,
+        of_what_was_begun_when_the_server_is_stopped: BegunAndStopped,
+        of_what_was_begun_when_the_server_is_removed: BegunAndRemoved,
+        of_what_was_begun_and_panics: BegunAndPanics,
         when_the_connection_is_cut: CutWhileWaiting,
         when_the_server_is_stopped: StoppedWhileWaiting,
         when_the_server_is_removed: RemovedWhileWaiting,
@@ -72,7 +76,7 @@ fn play(way: &Way, situation: Situation) {
         wrong.is_empty(),
         "{situation:?}, {}, {:?}:\n{}",
         way.deployment.name(),
-        way.language,
+        way.languages,
         wrong.join("\n")
     );
 }
@@ -110,7 +114,11 @@ impl<'a> Stage<'a> {
                 lab.start("server");
             }
             Situation::Refusing => mood(&lab, "refuse"),
-            Situation::BegunAndHeld => mood(&lab, "hold"),
+            Situation::BegunAndHeld
+            | Situation::BegunAndCut
+            | Situation::BegunAndStopped
+            | Situation::BegunAndRemoved => mood(&lab, "hold"),
+            Situation::BegunAndPanics => mood(&lab, "panic"),
             _ => {}
         }
         if matches!(
@@ -147,6 +155,10 @@ impl<'a> Stage<'a> {
             Situation::ABusyServerFromACommand => self.busy(|| lab.perform(asked)),
             Situation::AFullQueue => self.full(kind, mode),
             Situation::BegunAndHeld => self.held(asked),
+            Situation::BegunAndCut => self.begun(asked, While::Cut),
+            Situation::BegunAndStopped => self.begun(asked, While::Stopped),
+            Situation::BegunAndRemoved => self.begun(asked, While::Removed),
+            Situation::BegunAndPanics => self.panics(asked),
             Situation::CutWhileWaiting
             | Situation::StoppedWhileWaiting
             | Situation::RemovedWhileWaiting
@@ -199,6 +211,51 @@ impl<'a> Stage<'a> {
         lab.open_gate();
         // Nobody is inside any more when the gate is closed again.
         lab.invoke("server/ctl/poke", None, false).expect("the server is there again");
+        answer
+    }
+
+    /// Something happens to the server while the command is inside it; then all is made as it was.
+    fn begun(&self, asked: Call, what: While) -> Answer {
+        let lab = &self.lab;
+        if asked.what.reads() {
+            return lab.perform(asked);
+        }
+        let ran = || lab.count("server", "pokes") + lab.count("server", "writes");
+        let before = ran();
+        let answer = waiting::begun(self.way, lab, asked, what);
+        if what == While::Removed {
+            lab.create(
+                "server",
+                "Server",
+                lab.gated(json!({ "mood": "hold" })),
+                self.way.deployment.server(),
+            );
+        } else {
+            let counted = [Function::Poke, Function::Write].contains(&asked.what);
+            eventually("what was begun has run, once", || match ran() - before {
+                n if n == u64::from(counted) => Ok(()),
+                n => Err(format!("{:?} ran {n} times", asked.what)),
+            });
+        }
+        if what != While::Stopped {
+            lab.connect("client/peer", "server/ctl");
+        }
+        if what != While::Cut {
+            lab.start("server");
+        }
+        // Nobody is inside any more when the gate is closed again.
+        lab.invoke("server/ctl/poke", None, false).expect("the server is there again");
+        answer
+    }
+
+    fn panics(&self, asked: Call) -> Answer {
+        let may = self.reach() != Reach::Queue || !asked.wait;
+        let answer = self.lab.perform(if may { asked } else { asked.from_threads(1) });
+        if !asked.what.reads() {
+            self.lab.await_state("server", State::Fault);
+            self.lab.reset("server");
+            self.lab.start("server");
+        }
         answer
     }
 

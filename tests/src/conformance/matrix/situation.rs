@@ -3,9 +3,9 @@
 //! Invariant: a situation is about the connection and the server, not about the command; each is played in every way.
 
 use self::Situation::{
-    ABusyServer, ABusyServerFromACommand, ACommand, AFullQueue, AStep, AThreadOfItsOwn, BegunAndHeld,
-    CutWhileWaiting, FailedWhileWaiting, NoConnection, NotActive, OutsideItsLimits, Refusing,
-    RemovedWhileWaiting, StoppedWhileWaiting, Withdrawn,
+    ABusyServer, ABusyServerFromACommand, ACommand, AFullQueue, AStep, AThreadOfItsOwn, BegunAndCut,
+    BegunAndHeld, BegunAndPanics, BegunAndRemoved, BegunAndStopped, CutWhileWaiting, FailedWhileWaiting,
+    NoConnection, NotActive, OutsideItsLimits, Refusing, RemovedWhileWaiting, StoppedWhileWaiting, Withdrawn,
 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +31,14 @@ pub enum Situation {
     AFullQueue,
     /// It has begun, and does not come back before the deadline.
     BegunAndHeld,
+    /// It has begun when its connection is cut, and ends after that.
+    BegunAndCut,
+    /// It has begun when its server is stopped.
+    BegunAndStopped,
+    /// It has begun when its server is removed.
+    BegunAndRemoved,
+    /// It has begun, and panics: its server goes into FAULT in the middle of it.
+    BegunAndPanics,
     CutWhileWaiting,
     StoppedWhileWaiting,
     RemovedWhileWaiting,
@@ -50,7 +58,7 @@ const _: () = {
 };
 
 impl Situation {
-    pub const ALL: [Situation; 16] = [
+    pub const ALL: [Situation; 20] = [
         ACommand,
         AStep,
         AThreadOfItsOwn,
@@ -62,6 +70,10 @@ impl Situation {
         ABusyServerFromACommand,
         AFullQueue,
         BegunAndHeld,
+        BegunAndCut,
+        BegunAndStopped,
+        BegunAndRemoved,
+        BegunAndPanics,
         CutWhileWaiting,
         StoppedWhileWaiting,
         RemovedWhileWaiting,
@@ -84,6 +96,10 @@ impl Situation {
             ABusyServerFromACommand => "of_a_busy_server_in_a_command",
             AFullQueue => "of_a_full_queue",
             BegunAndHeld => "of_what_was_begun_and_does_not_come_back",
+            BegunAndCut => "of_what_was_begun_when_the_connection_is_cut",
+            BegunAndStopped => "of_what_was_begun_when_the_server_is_stopped",
+            BegunAndRemoved => "of_what_was_begun_when_the_server_is_removed",
+            BegunAndPanics => "of_what_was_begun_and_panics",
             CutWhileWaiting => "when_the_connection_is_cut",
             StoppedWhileWaiting => "when_the_server_is_stopped",
             RemovedWhileWaiting => "when_the_server_is_removed",

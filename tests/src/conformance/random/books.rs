@@ -10,6 +10,7 @@ use trocar::lcm::{Inventory, LinkDetail};
 use trocar::model::{ConnectOptions, Queue, Request, State, Target};
 use trocar_sdk::Outcome;
 
+use super::super::answer::whole;
 use super::super::world::{PATIENCE, id, port};
 use super::super::{Call, Function, Lab, Language, Samples};
 use super::ops::{CLIENTS, SERVERS, own_thread};
@@ -56,6 +57,13 @@ pub(super) fn close(lab: &Lab) {
         events_add_up(lab, client, server);
         samples_add_up(lab, client, server);
     }
+    // Whatever a client still holds may be of either server.
+    for client in CLIENTS {
+        let_frames_go(lab, client);
+    }
+    for (client, server) in CLIENTS.iter().zip(SERVERS) {
+        frames_add_up(lab, client, server);
+    }
     for name in CLIENTS.iter().chain(&SERVERS) {
         lab.remove(name);
     }
@@ -86,7 +94,8 @@ fn wire(lab: &Lab, client: &str, server: &str) {
     let queue = Some(Queue::Fifo { depth: 8, drop_oldest: true });
     lab.connect_with(&format!("{client}/peer"), &format!("{server}/ctl"), options.clone());
     let options = ConnectOptions { queue, ..options };
-    lab.connect_with(&format!("{client}/fifo"), &format!("{server}/value_out"), options);
+    lab.connect_with(&format!("{client}/fifo"), &format!("{server}/value_out"), options.clone());
+    lab.connect_with(&format!("{client}/frame"), &format!("{server}/frame_out"), options);
 }
 
 /// The figures of the connection at this client's port.
@@ -132,6 +141,63 @@ fn samples_add_up(lab: &Lab, client: &str, server: &str) {
     assert_eq!(seen.count + seen.gaps, 20, "{seen:?}");
     let dropped = link(lab, &format!("{client}/fifo")).dropped - before;
     assert_eq!(dropped, seen.gaps, "the gaps are the drops: {seen:?}");
+}
+
+/// Slots of a server's pool of frames.
+const SLOTS: u64 = 4;
+
+/// Whatever the play left in hands, in queues or on the way comes back: all slots can be lent at once, again and again.
+fn frames_add_up(lab: &Lab, client: &str, server: &str) {
+    let whole_pool = || {
+        outside(lab, &format!("{server}/ctl/publish_frames"), Some(1.0));
+        outside(lab, &format!("{client}/run/take_frame"), None);
+        // One is in its hands: with the three other slots the queue keeps two frames and leaves one free, with fewer only one.
+        match frames_made(lab, client, server, SLOTS) {
+            (2, _) => Ok(()),
+            (_, told) => Err(told),
+        }
+    };
+    // A cycle under way may still look at what was cut.
+    eventually("every slot of the pool can be lent at once", whole_pool);
+    // More than there is room for: what is not taken has its count.
+    frames_made(lab, client, server, 5 * SLOTS);
+    whole_pool().unwrap_or_else(|told| panic!("a slot has not come back: {told}"));
+}
+
+/// Has frames made and taken: those that were asked for were made or found no slot; made, they were taken or dropped. How
+/// many were taken, and the sums.
+fn frames_made(lab: &Lab, client: &str, server: &str, asked: u64) -> (u64, String) {
+    let figures = || {
+        let link = link(lab, &format!("{client}/frame"));
+        [lab.count(server, "samples"), lab.count(server, "exhausted"), link.passed, link.dropped]
+    };
+    let before = figures();
+    outside(lab, &format!("{server}/ctl/publish_frames"), Some(asked as f64));
+    let seqs = let_frames_go(lab, client);
+    let after = figures();
+    let [made, exhausted, passed, dropped] = [0, 1, 2, 3].map(|i| after[i] - before[i]);
+    let taken = seqs.len() as u64;
+    let told = format!(
+        "{asked} asked of {server}: {made} made, {exhausted} without a slot, {passed} passed, {dropped} dropped; \
+         {client} took {seqs:?}"
+    );
+    assert_eq!(made + exhausted, asked, "each was made or counted: {told}");
+    assert_eq!((passed, passed + dropped), (taken, asked), "each was taken or counted as dropped: {told}");
+    assert!(seqs.is_sorted_by(|a, b| a < b), "in order, and none twice: {told}");
+    (taken, told)
+}
+
+/// Takes all frames there are and hands the last one back, too; their sequence numbers.
+fn let_frames_go(lab: &Lab, client: &str) -> Vec<u64> {
+    let mut seqs = Vec::new();
+    loop {
+        let frame = outside(lab, &format!("{client}/run/take_frame"), None);
+        if whole(&frame["at"]) == 0 {
+            outside(lab, &format!("{client}/run/release_frame"), None);
+            return seqs;
+        }
+        seqs.push(whole(&frame["seq"]));
+    }
 }
 
 fn outside(lab: &Lab, member: &str, arg: Option<f64>) -> serde_json::Value {

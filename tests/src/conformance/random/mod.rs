@@ -5,6 +5,7 @@
 
 mod books;
 mod ops;
+mod parts;
 mod play;
 
 use std::env;
@@ -14,11 +15,12 @@ use super::{Lab, Language};
 use crate::skip;
 use books::{Growth, Resources};
 
-/// Plays these seeds in one host, or only the one of `TROCAR_SEED`.
+/// Plays these seeds, shared out among processes, or only the one of `TROCAR_SEED`, here. `test`: the full name of the test
+/// that asks.
 ///
 /// # Panics
 /// An invariant did not hold; the seed is printed.
-pub fn interleave(language: Language, seeds: std::ops::Range<u64>) {
+pub fn interleave(language: Language, seeds: std::ops::Range<u64>, test: &str) {
     if let Some(why) = language.missing() {
         return skip(&why);
     }
@@ -26,12 +28,17 @@ pub fn interleave(language: Language, seeds: std::ops::Range<u64>) {
         let text = env::var(name).ok()?;
         Some(text.parse::<u64>().unwrap_or_else(|e| panic!("{name}={text}: {e}")))
     };
-    let seeds: Vec<u64> = match (number("TROCAR_SEED"), number("TROCAR_SEEDS")) {
-        (Some(one), _) => vec![one],
-        // A multiple keeps the ranges of the languages apart.
-        (None, Some(times)) => (seeds.start * times..seeds.end * times).collect(),
-        (None, None) => seeds.collect(),
-    };
+    if let Some(one) = number("TROCAR_SEED") {
+        return interleave_here(language, [one]);
+    }
+    let Some((part, parts)) = parts::part() else { return parts::share_out(test) };
+    // A multiple keeps the ranges of the languages apart.
+    let times = number("TROCAR_SEEDS").unwrap_or(1);
+    interleave_here(language, (seeds.start * times..seeds.end * times).filter(|seed| seed % parts == part));
+}
+
+/// Plays these seeds in one host of this process.
+fn interleave_here(language: Language, seeds: impl IntoIterator<Item = u64>) {
     let lab = Lab::new(language);
     lab.open_gate();
     // Taken after the first one, which makes what is made once and kept.

@@ -9,7 +9,7 @@ use trocar_plugin_api::abi::*;
 use super::commands::{POKE, SET, TWICE, client, obeys, server};
 use super::puppet::*;
 use super::world::*;
-use crate::lcm::external::invoke_by;
+use crate::lcm::calling::invoke_by;
 use crate::lcm::{Invoke, News, Payload};
 
 /// `arms` interfaces like the server's own, in front of it or behind it.

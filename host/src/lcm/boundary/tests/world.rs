@@ -194,7 +194,7 @@ impl World {
     }
 
     pub(super) fn cut(&self, connection: &Connection) {
-        self.apply(Change::Disconnect { connection: connection.clone() }).unwrap();
+        self.apply(Change::Disconnect { connection: connection.clone(), replaced: false }).unwrap();
     }
 }
 
