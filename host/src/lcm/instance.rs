@@ -31,6 +31,7 @@ use super::hub::Hub;
 use super::inbox::Inbox;
 use super::pending::Owed;
 use super::reading::Reading;
+use super::realtime::Settings;
 use super::services::Account;
 use super::supervise::{Entry, Watch};
 use super::system;
@@ -226,8 +227,9 @@ pub(super) struct Instance {
     /// Rows behind GetState, each a `ComponentStatus`.
     status: Mutex<StateWriter>,
     status_rows: StateReader,
-    /// Sentences shown with its state: about its thread, then about its manners.
-    thread_warnings: OnceLock<Vec<String>>,
+    /// What the machine granted its thread, and refused it; set once.
+    thread: OnceLock<Arc<Settings>>,
+    /// Sentences shown with its state beside those of its thread.
     warnings: Mutex<Vec<String>>,
     /// Threads its own code may have started.
     brood: Mutex<BTreeMap<i32, (String, bool)>>,
@@ -299,7 +301,7 @@ impl Instance {
             watch: Watch::default(),
             status: Mutex::new(status),
             status_rows,
-            thread_warnings: OnceLock::new(),
+            thread: OnceLock::new(),
             warnings: Mutex::new(Vec::new()),
             brood: Mutex::new(BTreeMap::new()),
             elders: OnceLock::new(),

@@ -325,6 +325,7 @@ fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Inter
             let _ = row;
             #(self.#state = row.#state;)*
         }
+        #[inline]
         fn command(
             &mut self,
             id: u32,
@@ -340,6 +341,7 @@ fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Inter
             let _ = at;
             call.unknown(id)
         }
+        #[inline]
         fn read(
             row: &Self::State,
             id: u32,
@@ -356,6 +358,7 @@ fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Inter
             let _ = at;
             call.unknown(id)
         }
+        #[inline]
         fn on_event(
             &mut self,
             id: u32,

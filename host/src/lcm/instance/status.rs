@@ -4,14 +4,15 @@
 //! is answered from a published row, so that asking costs a step nothing but a copy.
 
 use std::collections::BTreeMap;
-use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 
 use trocar_model::{Health, State};
 use trocar_rt::os;
 
 use super::super::boundary::EntryError;
 use super::super::gate::{pack, unpack};
+use super::super::realtime::Settings;
 use super::super::{News, Report, context, system};
 use super::Instance;
 
@@ -164,14 +165,15 @@ impl Instance {
     }
 
     pub(in crate::lcm) fn warnings(&self) -> Vec<String> {
-        let of_thread = self.thread_warnings.get().into_iter().flatten();
+        // Asked each time: threads that help may still be settling.
+        let of_thread = self.thread.get().map_or_else(Vec::new, |settings| settings.warnings());
         let own = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
-        of_thread.chain(own.iter()).cloned().collect()
+        of_thread.into_iter().chain(own.iter().cloned()).collect()
     }
 
-    /// Says what the machine refused its thread; once.
-    pub(in crate::lcm) fn set_thread_warnings(&self, warnings: Vec<String>) {
-        let _ = self.thread_warnings.set(warnings);
+    /// The settings of its thread; once.
+    pub(in crate::lcm) fn set_thread(&self, settings: Arc<Settings>) {
+        let _ = self.thread.set(settings);
     }
 
     /// Forgets the warnings about an instance that is no more.

@@ -98,7 +98,7 @@ impl LocalLcm {
         let done = self.inside(&slot, Entry::Create, deadline, make).await;
         match done {
             Ok(Ok(())) => {
-                slot.instance.set_thread_warnings(slot.executor.settings.warnings());
+                slot.instance.set_thread(slot.executor.settings.clone());
                 self.lock_pools(&slot.instance);
                 let report = slot.instance.report(true);
                 let closed = {
