@@ -29,7 +29,7 @@ impl Type {
         self.plan(server).ok()
     }
 
-    /// Nothing but the number of runs stands in the way of a [`Type::copy_plan`].
+    /// The number of runs stands in the way, perhaps not alone of a [`Type::copy_plan`].
     pub fn is_scattered(&self, server: &Type) -> bool {
         self.plan(server) == Err(NoPlan::TooMany)
     }

@@ -69,6 +69,11 @@ pub(super) struct Account {
 
 impl Account {
     /// A new instance is ready: replies to what an earlier one asked are dropped from now on.
+    /// How many instances were made so far.
+    pub(super) fn made(&self) -> u32 {
+        self.made.load(Ordering::Acquire)
+    }
+
     pub(super) fn made_anew(&self) {
         self.made.fetch_add(1, Ordering::AcqRel);
     }

@@ -29,7 +29,7 @@ pub(in crate::lcm) enum Loss {
 
 impl Loss {
     /// How long it may go on without one before it counts as lost, ns. Whoever cuts and connects in two requests has little
-    /// time; where the second half was announced only its failure, or a manager that died in between, is a loss.
+    /// time; where the second half was announced, it may also fail and the former connection be put back before that is a loss.
     fn spared_ns(self) -> u64 {
         match self {
             Loss::Cut => 20_000_000,
@@ -222,14 +222,6 @@ impl Instance {
         *missing = lost_ns.min(*missing);
         drop(ports);
         self.hub.watch.notify();
-    }
-
-    /// What was to take the place of a connection that was taken away could not be made.
-    pub(in crate::lcm) fn not_replaced(&self, port: &str) {
-        let missing = self.missing.lock().unwrap_or_else(PoisonError::into_inner).contains_key(port);
-        if missing {
-            self.disconnected(port, Loss::Cut);
-        }
     }
 
     /// Required ports that lost their connection, and from when on each counts as lost, ns.

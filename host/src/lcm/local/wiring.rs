@@ -22,31 +22,17 @@ const PATIENCE: Duration = Duration::from_millis(200);
 impl LocalLcm {
     pub(super) async fn wire(&self, connection: Connection, deadline: Instant) -> Result<Report, Refusal> {
         let client = self.slot(&connection.client.component)?;
-        let port = connection.client.port.clone();
-        let wired = self.wire_to(&client, connection, deadline).await;
-        if wired.is_err() {
-            client.instance.not_replaced(port.as_str());
-        }
-        wired
-    }
-
-    async fn wire_to(
-        &self,
-        client: &Slot,
-        connection: Connection,
-        deadline: Instant,
-    ) -> Result<Report, Refusal> {
         let server = self.slot(&connection.server.component)?;
         let id = connection.id.0;
         let (from, to) = (server.instance.clone(), client.instance.clone());
         let ends = (connection.client.clone(), connection.server.clone());
         let connect = move || Wired::connect(&connection, &to, &from);
-        let wired = between_cycles(client, &server, deadline, connect).await?;
+        let wired = between_cycles(&client, &server, deadline, connect).await?;
         if wired.required {
             client.instance.connected(wired.client_port.as_str());
         }
         self.held().links.insert(id, Arc::new(wired));
-        self.reorder(client);
+        self.reorder(&client);
         let (to, from) = (client.instance.described.now(), server.instance.described.now());
         let mut report = client.instance.report(false);
         report.warnings.extend(idle_connection(&to.ports, &ends.0, &from.ports, &ends.1));

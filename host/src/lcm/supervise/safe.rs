@@ -45,7 +45,7 @@ pub(in crate::lcm) fn give_up(ward: &Ward) {
 
 /// Calls `make_safe` from a new thread.
 fn make_safe_outside(instance: &Arc<Instance>) {
-    let stuck = instance.clone();
+    let (stuck, made) = (instance.clone(), instance.account().made());
     let (comes_back, ends) = channel::<()>();
     let spawned = thread::Builder::new().name("trocar-safe".into()).spawn(move || {
         // Dropped when it is over.
@@ -56,13 +56,13 @@ fn make_safe_outside(instance: &Arc<Instance>) {
                 log::error!("{}: {told}", stuck.id);
                 stuck.message(system::ERROR, told);
             }
-            Err(e) => stuck.not_made_safe(OUTSIDE, &e),
+            Err(e) => not_made_safe(&stuck, made, &e),
         }
     });
     let (stuck, spawned) = (instance.clone(), spawned.map(drop));
     let watched = spawned.and_then(|()| {
         let name = "trocar-safe-look".into();
-        thread::Builder::new().name(name).spawn(move || tell_hang(&stuck, &ends)).map(drop)
+        thread::Builder::new().name(name).spawn(move || tell_hang(&stuck, made, &ends)).map(drop)
     });
     if let Err(e) = watched {
         log::error!(
@@ -73,9 +73,18 @@ fn make_safe_outside(instance: &Arc<Instance>) {
 }
 
 /// Says so when the other end of `ends` is still there after a time.
-fn tell_hang(stuck: &Instance, ends: &Receiver<()>) {
+fn tell_hang(stuck: &Instance, made: u32, ends: &Receiver<()>) {
     if ends.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
         let text = format!("it has not come back for {} s", PATIENCE.as_secs());
-        stuck.not_made_safe(OUTSIDE, &EntryError::new(STATUS_FAILED, text));
+        not_made_safe(stuck, made, &EntryError::new(STATUS_FAILED, text));
+    }
+}
+
+/// Says that instance number `made` did not come to its safe condition; only to the log where another one has its place by now.
+fn not_made_safe(stuck: &Instance, made: u32, e: &EntryError) {
+    if stuck.is_closed() || stuck.account().made() != made {
+        log::error!("{}: {OUTSIDE}, of an instance that is no more: {}", stuck.id, e.text);
+    } else {
+        stuck.not_made_safe(OUTSIDE, e);
     }
 }

@@ -91,6 +91,22 @@ async fn an_active_actuator_is_rewired_twenty_times_however_long_the_halves_lie_
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_replace_that_is_refused_and_taken_back_disturbs_nobody_however_long_that_takes() {
+    let (world, arm) = armed("r_back").await;
+    let connection = wire(&world, 1, "a");
+    world.apply(Change::Disconnect { connection, replaced: true }).await.unwrap();
+    held_up(&arm).await;
+    world.apply(Change::Connect { connection: wire(&world, 2, "nobody") }).await.unwrap_err();
+    held_up(&arm).await;
+    undisturbed(&world, "after the refusal").await;
+    world.apply(Change::Connect { connection: wire(&world, 1, "a") }).await.unwrap();
+    held_up(&arm).await;
+    undisturbed(&world, "with the former connection").await;
+    assert_eq!(arm.made_safe(), 0, "what was refused has changed nothing");
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_replace_whose_second_half_fails_or_never_comes_is_a_lost_peer() {
     let (world, arm) = armed("r_half").await;
     let connection = wire(&world, 1, "a");

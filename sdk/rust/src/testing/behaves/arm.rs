@@ -97,9 +97,9 @@ impl<C: Class> Arm<'_, C> {
 
     fn refuses_bad_goals_whole(&mut self) {
         self.ready();
-        let goal = self.away();
+        let (start, goal) = (self.setpoint(), self.away());
         self.moves("move_jp", &goal);
-        self.steps(5);
+        self.under_way(&start, 0.2);
         let (mut beyond, mut nothing, mut longer) = (goal.clone(), goal.clone(), goal.clone());
         beyond[0] = self.limits.upper[0] + (self.limits.upper[0] - self.limits.lower[0]).max(1.0);
         nothing[0] = f64::NAN;
@@ -129,8 +129,9 @@ impl<C: Class> Arm<'_, C> {
         self.expect(!self.operating().is_busy.get(), || {
             "it is busy with a motion that was pre-empted".into()
         });
+        let start = self.setpoint();
         self.moves("move_jp", &goal);
-        self.steps(20);
+        self.under_way(&start, 0.2);
         self.send("hold", ());
         self.until("`hold` to end the motion", |arm| !arm.operating().is_busy.get());
         self.comes_to_rest();
