@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use tokio::sync::broadcast;
@@ -27,7 +27,14 @@ pub(super) struct LogRing {
     lost: AtomicU64,
     waker: Arc<Waker>,
     stop: AtomicBool,
-    names: Mutex<BTreeMap<u32, ComponentId>>,
+    names: Mutex<Names>,
+}
+
+#[derive(Default)]
+struct Names {
+    known: BTreeMap<u32, ComponentId>,
+    /// Components that are gone: their names are kept for lines they have left in the ring.
+    gone: Vec<u32>,
 }
 
 impl LogRing {
@@ -37,16 +44,33 @@ impl LogRing {
             lost: AtomicU64::new(0),
             waker: Arc::new(Waker::new()),
             stop: AtomicBool::new(false),
-            names: Mutex::new(BTreeMap::new()),
+            names: Mutex::default(),
         })
     }
 
+    fn names(&self) -> MutexGuard<'_, Names> {
+        self.names.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Names a component, or says that it is gone.
     pub(super) fn name(&self, number: u32, id: Option<&ComponentId>) {
-        let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut names = self.names();
         match id {
-            Some(id) => names.insert(number, id.clone()),
-            None => names.remove(&number),
-        };
+            Some(id) => drop(names.known.insert(number, id.clone())),
+            None => names.gone.push(number),
+        }
+        drop(names);
+        self.waker.notify();
+    }
+
+    /// Forgets the names of those that were gone before all lines there are were printed.
+    fn forget(&self, gone: Vec<u32>) {
+        let mut names = self.names();
+        if self.mailbox.is_empty() {
+            gone.iter().for_each(|number| drop(names.known.remove(number)));
+        } else {
+            names.gone.extend(gone);
+        }
     }
 
     /// Any thread. `level` is 1 error … 5 trace.
@@ -88,7 +112,9 @@ impl LogRing {
                 // No receiver is fine: the line is printed already.
                 let _ = news.send(News::Log(line));
             };
+            let gone = std::mem::take(&mut self.names().gone);
             self.mailbox.drain(print, |_| ());
+            self.forget(gone);
             let lost = self.lost.swap(0, Ordering::Relaxed);
             if lost > 0 {
                 log::warn!(
@@ -110,11 +136,11 @@ impl LogRing {
     fn line(&self, process: &str, head: &EntryHead, bytes: &[u8]) -> LogLine {
         let end = (head.reply as usize).min(bytes.len());
         let split = 1 + bytes[0] as usize;
-        let names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        let names = self.names();
         LogLine {
             wall_ns: head.stamp_ns,
             level: head.kind,
-            path: names.get(&head.index).map_or_else(|| process.to_owned(), ComponentId::to_string),
+            path: names.known.get(&head.index).map_or_else(|| process.to_owned(), ComponentId::to_string),
             target: sentence(&bytes[1..split.min(end)]),
             message: sentence(&bytes[split.min(end)..end]),
         }
@@ -133,4 +159,43 @@ fn level(n: u32) -> log::Level {
 
 fn wall_ns() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a ring prints that was told so.
+    fn printed(tell: impl FnOnce(&LogRing)) -> Vec<LogLine> {
+        let (ring, (news, mut told)) = (LogRing::new(), broadcast::channel(64));
+        log::set_max_level(log::LevelFilter::Info);
+        tell(&ring);
+        ring.close();
+        ring.run("host", &news, |_, _, _| ());
+        let lines = std::iter::from_fn(|| told.try_recv().ok());
+        lines.filter_map(|news| if let News::Log(line) = news { Some(line) } else { None }).collect()
+    }
+
+    #[test]
+    fn the_last_words_of_a_component_that_is_gone_are_under_its_own_name() {
+        let id = ComponentId::parse("host/c").unwrap();
+        let lines = printed(|ring| {
+            ring.name(7, Some(&id));
+            ring.push(7, 1, b"chaos", b"it burns");
+            ring.name(7, None);
+            ring.push(7, 1, b"chaos", b"and is gone");
+        });
+        let said: Vec<_> = lines.iter().map(|line| (line.path.as_str(), line.message.as_str())).collect();
+        assert_eq!(said, [("host/c", "it burns"), ("host/c", "and is gone")]);
+    }
+
+    #[test]
+    fn a_name_is_kept_no_longer_than_its_lines() {
+        let ring = LogRing::new();
+        ring.name(7, Some(&ComponentId::parse("host/c").unwrap()));
+        ring.name(7, None);
+        ring.close();
+        ring.run("host", &broadcast::channel(1).0, |_, _, _| ());
+        assert!(ring.names().known.is_empty() && ring.names().gone.is_empty());
+    }
 }
