@@ -40,11 +40,6 @@ impl Scene {
         number(&row["json"]["steps"])
     }
 
-    /// What the machine is to blame for: cycles of 1 ms that the metronome itself came late at most.
-    fn latest(&self) -> u64 {
-        number(&self.stats("host/metronome")["latenessMaxNs"]).div_ceil(1_000_000)
-    }
-
     /// Waits until a slow step and the one after it are over; answers when the slow one began and the next one did, ns.
     fn after_slow(&self, slow_steps: u64) -> (u64, u64) {
         let row = eventually("the step after the slow one", || {
@@ -131,9 +126,8 @@ fn a_hang_is_unresponsive_within_five_periods_and_the_manager_answers_all_the_wh
         let (began_ns, _) = scene.after_slow(round as u64);
         assert!(told_ns > began_ns + 4 * PERIOD * 1_000_000, "not long before: {told_ns} of {began_ns}");
         let beats = scene.beats(told_ns) - scene.beats(began_ns);
-        let late = scene.latest();
-        rounds.push(format!("told after {beats} cycles of 1 ms, which were up to {late} late"));
-        if beats <= 5 * PERIOD + late {
+        rounds.push(format!("told after {beats} cycles of 1 ms"));
+        if beats <= 5 * PERIOD {
             scene.until_health("host/p", "OK");
             return;
         }
@@ -166,9 +160,8 @@ fn what_a_step_may_take_is_five_periods_or_50_ms_and_without_a_period_its_max_st
             let least_ns = began_ns + allowed_ms * 1_000_000 - ahead_ns;
             assert!(told_ns >= least_ns, "{execution}, not before: {told_ns} of {began_ns}");
             let beats = scene.beats(told_ns) - scene.beats(began_ns);
-            let late = scene.latest();
-            rounds.push(format!("told after {beats} cycles of 1 ms, which were up to {late} late"));
-            beats <= allowed_ms + late
+            rounds.push(format!("told after {beats} cycles of 1 ms"));
+            beats <= allowed_ms + 1
         });
         assert!(in_time, "{execution}: not told within {allowed_ms} ms:\n{}", rounds.join("\n"));
         scene.grpc.ok("GcmService/Remove", json!({ "path": path, "force": true }));

@@ -11,7 +11,7 @@ use trocar::model::{ClassInfo, Health, Refusal, State, SystemGraph};
 
 use super::Lab;
 use super::answer::whole;
-use super::world::{PATIENCE, block_on, id};
+use super::world::{PATIENCE, block_on, id, port};
 use crate::eventually;
 
 impl Lab {
@@ -122,5 +122,16 @@ impl Lab {
     #[must_use]
     pub fn links(&self) -> Vec<LinkDetail> {
         block_on(self.lcm().links()).unwrap_or_else(|refusal| panic!("no links: {refusal}"))
+    }
+
+    /// Figures of the connection at this port of a client.
+    #[track_caller]
+    #[must_use]
+    pub fn link(&self, client_port: &str) -> LinkDetail {
+        let graph = self.graph();
+        let found = graph.connections.values().find(|c| c.client == port(client_port));
+        let connection = found.unwrap_or_else(|| panic!("{client_port} is not connected")).id.0;
+        let link = self.links().into_iter().find(|l| l.connection == connection);
+        link.unwrap_or_else(|| panic!("connection {connection} has no figures"))
     }
 }

@@ -1,11 +1,9 @@
 //! Frames: never copied, changed in place by a sole owner, bounded by their pool.
 
 use serde_json::{Value, json};
-use trocar::lcm::LinkDetail;
 use trocar::model::{ConnectOptions, Execution, OnFailure, Queue, State};
 
 use super::super::answer::whole;
-use super::super::world::port;
 use super::super::{Lab, Way};
 use crate::eventually;
 
@@ -75,16 +73,6 @@ fn fifo(depth: usize, drop_oldest: bool) -> ConnectOptions {
     ConnectOptions { queue: Some(Queue::Fifo { depth, drop_oldest }), ..ConnectOptions::default() }
 }
 
-/// The figures of the connection at this port.
-fn link(lab: &Lab, client_port: &str) -> LinkDetail {
-    let graph = lab.graph();
-    let found = graph.connections.values().find(|c| c.client == port(client_port));
-    let connection = found.unwrap_or_else(|| panic!("{client_port} is not connected")).id.0;
-    let links = lab.links();
-    let link = links.into_iter().find(|l| l.connection == connection);
-    link.unwrap_or_else(|| panic!("connection {connection} has no figures"))
-}
-
 /// Takes what waits at a client; the sequence numbers. The last frame stays in its hands.
 fn rest(lab: &Lab, client: &str) -> Vec<u64> {
     let take = || {
@@ -104,18 +92,18 @@ fn untaken(way: &Way, drop_oldest: bool) -> Lab {
 
 pub fn a_queue_of_frames_gives_up_its_oldest_before_their_pool_is_empty(way: &Way) {
     let lab = untaken(way, true);
-    assert_eq!(link(&lab, "client/frame").dropped, 8);
+    assert_eq!(lab.link("client/frame").dropped, 8);
     assert_eq!(rest(&lab, "client"), [9, 10], "two frames for each slot that is free");
     lab.own("release_frame");
     publish(&lab, 3);
     assert_eq!(rest(&lab, "client"), [12, 13]);
-    let link = link(&lab, "client/frame");
+    let link = lab.link("client/frame");
     assert_eq!((link.passed, link.dropped, lab.count("server", "exhausted")), (4, 9, 0), "{link:?}");
 }
 
 pub fn a_queue_that_keeps_its_oldest_frames_takes_no_more_before_their_pool_is_empty(way: &Way) {
     let lab = untaken(way, false);
-    assert_eq!(link(&lab, "client/frame").dropped, 8);
+    assert_eq!(lab.link("client/frame").dropped, 8);
     assert_eq!(rest(&lab, "client"), [1, 2], "as many as slots are free");
     lab.own("release_frame");
     publish(&lab, 1);
@@ -139,7 +127,7 @@ pub fn an_exhausted_pool_is_a_counted_drop(way: &Way) {
     }
     publish(&lab, 6);
     assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (4, 6));
-    assert_eq!(link(&lab, "fourth/frame").dropped, 3 + 6, "what it missed and what there was no slot for");
+    assert_eq!(lab.link("fourth/frame").dropped, 3 + 6, "what it missed and what there was no slot for");
     for name in clients {
         rest(&lab, name);
         lab.invoke(&format!("{name}/run/release_frame"), None, false).expect("it lets go");
@@ -162,12 +150,12 @@ pub fn a_branch_that_takes_no_frames_costs_the_others_none(way: &Way) {
             assert_eq!(rest(&lab, "client"), [number]);
         }
         assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (50, 0));
-        assert_eq!(link(&lab, "client/frame").dropped, 0);
+        assert_eq!(lab.link("client/frame").dropped, 0);
         lab.resume("second");
         let kept = rest(&lab, "second");
         let expected: &[u64] = if drop_oldest { &[49, 50] } else { &[2] };
         assert_eq!(kept, expected, "beside a frame in the hands of each");
-        let branch = link(&lab, "second/frame");
+        let branch = lab.link("second/frame");
         let taken = 1 + kept.len() as u64;
         assert_eq!(
             (branch.passed, branch.dropped),

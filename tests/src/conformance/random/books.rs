@@ -6,12 +6,12 @@ use std::collections::BTreeMap;
 use std::fs;
 
 use serde_json::json;
-use trocar::lcm::{Inventory, LinkDetail};
+use trocar::lcm::Inventory;
 use trocar::model::{ConnectOptions, Queue, Request, State, Target};
 use trocar_sdk::Outcome;
 
 use super::super::answer::whole;
-use super::super::world::{PATIENCE, id, port};
+use super::super::world::{PATIENCE, id};
 use super::super::{Call, Function, Lab, Language, Samples};
 use super::ops::{CLIENTS, SERVERS, own_thread};
 use crate::eventually;
@@ -98,35 +98,25 @@ fn wire(lab: &Lab, client: &str, server: &str) {
     lab.connect_with(&format!("{client}/frame"), &format!("{server}/frame_out"), options);
 }
 
-/// The figures of the connection at this client's port.
-fn link(lab: &Lab, client_port: &str) -> LinkDetail {
-    let graph = lab.graph();
-    let found = graph.connections.values().find(|c| c.client == port(client_port));
-    let connection = found.unwrap_or_else(|| panic!("{client_port} is not connected")).id.0;
-    let links = lab.links();
-    let link = links.into_iter().find(|l| l.connection == connection);
-    link.unwrap_or_else(|| panic!("connection {connection} has no figures"))
-}
-
 fn commands_add_up(lab: &Lab, client: &str, server: &str) {
-    let (before, rejected) = (lab.count(server, "pokes"), link(lab, &format!("{client}/peer")).dropped);
+    let (before, rejected) = (lab.count(server, "pokes"), lab.link(&format!("{client}/peer")).dropped);
     let answer = lab.order(client, Call::send(Function::Poke, 0.0).from_threads(2).times(20), PATIENCE);
     let answer = answer.unwrap_or_else(|refusal| panic!("{client} does not answer: {refusal}"));
     let taken = answer.count(Outcome::Queued) + answer.count(Outcome::Executed);
     let full = answer.count(Outcome::QueueFull);
     assert_eq!(taken + full, 40, "{answer:?}");
     lab.await_count(server, "pokes", |n| n == before + taken);
-    let counted = link(lab, &format!("{client}/peer")).dropped - rejected;
+    let counted = lab.link(&format!("{client}/peer")).dropped - rejected;
     assert_eq!(counted, full, "every refusal is counted");
 }
 
 fn events_add_up(lab: &Lab, client: &str, server: &str) {
     outside(lab, &format!("{client}/run/clear"), None);
-    let before = link(lab, &format!("{client}/peer")).dropped;
+    let before = lab.link(&format!("{client}/peer")).dropped;
     outside(lab, &format!("{server}/ctl/burst"), Some(20.0));
     eventually(&format!("each event of {server} was heard by {client} or counted as lost"), || {
         let (heard, lost) =
-            (lab.count(client, "ticks"), link(lab, &format!("{client}/peer")).dropped - before);
+            (lab.count(client, "ticks"), lab.link(&format!("{client}/peer")).dropped - before);
         if heard + lost == 20 { Ok(()) } else { Err(format!("{heard} heard, {lost} lost")) }
     });
 }
@@ -135,11 +125,11 @@ fn samples_add_up(lab: &Lab, client: &str, server: &str) {
     // Whatever the client saw before, it has now seen the newest.
     outside(lab, &format!("{server}/ctl/publish"), Some(1.0));
     collect(lab, client);
-    let before = link(lab, &format!("{client}/fifo")).dropped;
+    let before = lab.link(&format!("{client}/fifo")).dropped;
     outside(lab, &format!("{server}/ctl/publish"), Some(20.0));
     let seen = collect(lab, client);
     assert_eq!(seen.count + seen.gaps, 20, "{seen:?}");
-    let dropped = link(lab, &format!("{client}/fifo")).dropped - before;
+    let dropped = lab.link(&format!("{client}/fifo")).dropped - before;
     assert_eq!(dropped, seen.gaps, "the gaps are the drops: {seen:?}");
 }
 
@@ -168,7 +158,7 @@ fn frames_add_up(lab: &Lab, client: &str, server: &str) {
 /// many were taken, and the sums.
 fn frames_made(lab: &Lab, client: &str, server: &str, asked: u64) -> (u64, String) {
     let figures = || {
-        let link = link(lab, &format!("{client}/frame"));
+        let link = lab.link(&format!("{client}/frame"));
         [lab.count(server, "samples"), lab.count(server, "exhausted"), link.passed, link.dropped]
     };
     let before = figures();
