@@ -30,6 +30,10 @@ pub struct SystemGraph {
 pub enum ProcessState {
     Attached,
     Lost,
+    /// Its supervisor starts it again, or it is back and its components are being made again.
+    Restarting,
+    /// It ended too often; its supervisor has given it up.
+    Failed,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -43,6 +47,10 @@ pub struct Process {
     pub pid: u32,
     /// Every class its plugin directories offer now.
     pub classes: Vec<Arc<ClassInfo>>,
+    /// How it ended last, as its supervisor told; "" when it never did or nobody tells.
+    pub last_exit: String,
+    /// How often its supervisor started it again.
+    pub restarts: u32,
 }
 
 #[derive(Clone, Debug, PartialEq)]

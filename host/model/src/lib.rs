@@ -39,7 +39,7 @@ pub use graph::{
 };
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
-pub use plan::{class_fault, host_of, period_fault, plan, plan_all};
+pub use plan::{class_fault, host_of, period_fault, plan, plan_all, restore};
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};

@@ -71,6 +71,17 @@ impl Ids {
         Ok(next.next_epoch)
     }
 
+    /// A number that was given out before, by this GCM or one before it, and is kept from now on, too.
+    pub(super) fn not_below(&self, epoch: u64) -> Result<u64, IdsError> {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.next_epoch < epoch {
+            let next = Kept { next_epoch: epoch, ..*kept };
+            self.write(next)?;
+            *kept = next;
+        }
+        Ok(epoch)
+    }
+
     fn write(&self, kept: Kept) -> Result<(), IdsError> {
         let Some(file) = &self.file else { return Ok(()) };
         let temporary = file.with_extension("json.new");

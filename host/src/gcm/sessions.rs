@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_model::{
-    Component, ComponentId, Connection, Health, Name, Process, ProcessState, Refusal, SystemGraph,
+    Component, ComponentId, Connection, Health, Name, Process, ProcessState, Refusal, State, StopReason,
+    SystemGraph,
 };
 
 use super::Gcm;
@@ -30,6 +31,8 @@ pub struct Registration {
     pub pid: u32,
     /// Random, one per incarnation of the process.
     pub instance: u128,
+    /// What this incarnation was given before; 0 = nothing yet.
+    pub epoch: u64,
     /// What it was told to have before; empty for a new process.
     pub slice: Slice,
 }
@@ -47,12 +50,21 @@ impl Registration {
         // Each RandomState has keys of its own, so these are two random halves.
         let half = || u128::from(RandomState::new().hash_one(std::process::id()));
         let instance = half() << 64 | half();
-        Registration { process, endpoint, pid: std::process::id(), instance, slice: Slice::default() }
+        Registration {
+            process,
+            endpoint,
+            pid: std::process::id(),
+            instance,
+            epoch: 0,
+            slice: Slice::default(),
+        }
     }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Registered {
+    /// Of this stream; what a later one of the same process is told apart by.
+    pub session: u64,
     pub epoch: u64,
     pub term: u64,
     pub revision: u64,
@@ -61,20 +73,61 @@ pub struct Registered {
 #[derive(Default)]
 pub(super) struct Sessions {
     live: BTreeMap<Name, Session>,
-    /// Instance that held each name last.
-    last: BTreeMap<Name, u128>,
+    /// Instance that held each name last, and its epoch.
+    last: BTreeMap<Name, (u128, u64)>,
+    /// Number of the newest session.
+    newest: u64,
+    /// How components should stand that are not there, or not yet again: their state in the graph is what was seen last.
+    wanted: BTreeMap<ComponentId, State>,
 }
 
 struct Session {
-    epoch: u64,
+    number: u64,
     lcm: Arc<dyn Lcm>,
     /// Answered when the news there are then have been entered; closed with the session.
     asks: mpsc::Sender<oneshot::Sender<()>>,
 }
 
+impl Sessions {
+    /// The session of a process that is heard.
+    pub(super) fn holder(&self, process: &Name) -> Option<u64> {
+        self.live.get(process).map(|s| s.number)
+    }
+
+    /// Begins to make a process anew: how its components should stand, which is kept until [`Sessions::has_again`].
+    pub(super) fn wanted(&mut self, graph: &SystemGraph, process: &Name) -> BTreeMap<ComponentId, State> {
+        let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+        mine.map(|(id, c)| (id.clone(), *self.wanted.entry(id.clone()).or_insert(c.state))).collect()
+    }
+
+    /// What is not there is to be stopped when it comes back.
+    pub(super) fn keep_stopped(&mut self, ids: impl Iterator<Item = (ComponentId, State)>) {
+        for (id, seen) in ids {
+            let wanted = self.wanted.entry(id).or_insert(seen);
+            if *wanted == State::Active {
+                *wanted = State::Stopped(StopReason::Requested);
+            }
+        }
+    }
+
+    /// What the graph says of this process is true again.
+    pub(super) fn has_again(&mut self, process: &Name) {
+        self.wanted.retain(|id, _| id.process != *process);
+    }
+}
+
+/// What a process is given when its name is free.
+struct Claimed {
+    session: u64,
+    epoch: u64,
+    /// The same instance held it last.
+    back: bool,
+}
+
 impl Gcm {
     /// Takes a process in and follows its news until it is lost. One that comes back (same instance, or with a slice
-    /// from before this GCM) keeps its components.
+    /// from before this GCM) keeps its components and its epoch; another incarnation gets what the last one was to have,
+    /// made anew.
     ///
     /// # Errors
     /// The name is taken by another process that is heard; the epoch cannot be made durable.
@@ -87,39 +140,54 @@ impl Gcm {
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
         let (asks, asked) = mpsc::channel(ASKING);
-        let (epoch, back) = self.claim(&who, lcm.clone(), asks)?;
-        let mut loose = Vec::new();
+        let Claimed { session, epoch, back } = self.claim(&who, lcm.clone(), asks)?;
+        let (mut loose, mut anew) = (Vec::new(), false);
         self.edit(|graph| {
-            loose = adopt(graph, &who, back, &inventory);
+            let empty = who.slice.components.is_empty() && inventory.components.is_empty();
+            anew = !back && empty && graph.components.keys().any(|id| id.process == who.process);
+            if !anew {
+                loose = adopt(graph, &who, back, &inventory);
+            }
+            let before = graph.processes.get(&who.process);
+            let (last_exit, restarts) = before.map(|p| (p.last_exit.clone(), p.restarts)).unwrap_or_default();
             graph.processes.insert(
                 who.process.clone(),
                 Process {
                     epoch,
-                    state: ProcessState::Attached,
+                    state: if anew { ProcessState::Restarting } else { ProcessState::Attached },
                     endpoint: who.endpoint.clone(),
                     pid: who.pid,
                     classes: inventory.classes.clone(),
+                    last_exit,
+                    restarts,
                 },
             );
         });
         let word = if back { "is back" } else { "registered" };
         log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
         self.cut_off(loose);
-        tokio::spawn(follow(self.clone(), who.process, epoch, lcm, news, asked));
-        Ok(Registered { epoch, term: self.term(), revision: self.graph().revision })
+        tokio::spawn(follow(self.clone(), who.process.clone(), session, lcm, news, asked));
+        if anew {
+            tokio::spawn(self.clone().restore(who.process, session));
+        } else {
+            lock(&self.inner.sessions).has_again(&who.process);
+        }
+        Ok(Registered { session, epoch, term: self.term(), revision: self.graph().revision })
     }
 
-    /// The name is checked and taken in one step. True: the same instance held it last.
+    /// The name is checked and taken in one step.
     fn claim(
         &self,
         who: &Registration,
         lcm: Arc<dyn Lcm>,
         asks: mpsc::Sender<oneshot::Sender<()>>,
-    ) -> Result<(u64, bool), Refusal> {
+    ) -> Result<Claimed, Refusal> {
+        // Before the lock: whoever edits the graph may take that one inside.
+        let graph = self.graph();
         let mut sessions = lock(&self.inner.sessions);
-        let back = sessions.last.get(&who.process) == Some(&who.instance);
+        let last = sessions.last.get(&who.process).copied();
+        let back = last.is_some_and(|(instance, _)| instance == who.instance);
         if sessions.live.contains_key(&who.process) && !back {
-            let graph = self.graph();
             let holder = graph.processes.get(&who.process);
             return Err(Refusal::ProcessExists {
                 endpoint: holder.map(|p| p.endpoint.clone()).unwrap_or_default(),
@@ -127,30 +195,45 @@ impl Gcm {
                 process: who.process.clone(),
             });
         }
-        let epoch = self.inner.ids.next_epoch().map_err(|e| Refusal::Internal { text: e.to_string() })?;
-        sessions.live.insert(who.process.clone(), Session { epoch, lcm, asks });
-        sessions.last.insert(who.process.clone(), who.instance);
-        Ok((epoch, back))
+        let known = match last {
+            Some((_, epoch)) if back => epoch,
+            // One that comes from a GCM before this one.
+            None => who.epoch,
+            // Somebody else had the name meanwhile.
+            Some(_) => 0,
+        };
+        let ids = &self.inner.ids;
+        let taken = || sessions.last.iter().any(|(name, (_, epoch))| *name != who.process && *epoch == known);
+        let epoch = if known == 0 || taken() { ids.next_epoch() } else { ids.not_below(known) };
+        let epoch = epoch.map_err(|e| Refusal::Internal { text: e.to_string() })?;
+        sessions.newest += 1;
+        let session = sessions.newest;
+        sessions.live.insert(who.process.clone(), Session { number: session, lcm, asks });
+        sessions.last.insert(who.process.clone(), (who.instance, epoch));
+        Ok(Claimed { session, epoch, back })
     }
 
-    /// A process is gone or silent; its components stay listed as LOST. Ignored for an older epoch.
-    pub fn lost(&self, process: &Name, epoch: u64) {
-        {
+    /// A process is gone or silent; its components stay listed as LOST. Ignored for an older session.
+    pub fn lost(&self, process: &Name, session: u64) {
+        let mut epoch = 0;
+        self.edit(|graph| {
             let mut sessions = lock(&self.inner.sessions);
-            if sessions.live.get(process).is_none_or(|s| s.epoch != epoch) {
+            if sessions.live.get(process).is_none_or(|s| s.number != session) {
                 return;
             }
             sessions.live.remove(process);
-        }
-        self.edit(|graph| {
-            let Some(p) = graph.processes.get_mut(process).filter(|p| p.epoch == epoch) else { return };
+            drop(sessions);
+            let Some(p) = graph.processes.get_mut(process) else { return };
+            epoch = p.epoch;
             p.state = ProcessState::Lost;
             p.classes.clear();
             for (_, component) in graph.components.iter_mut().filter(|(id, _)| id.process == *process) {
                 component.health = Health::Lost;
             }
         });
-        log::warn!("process {process} is lost (epoch {epoch})");
+        if epoch > 0 {
+            log::warn!("process {process} is lost (epoch {epoch})");
+        }
     }
 
     /// The LCM of a process that is heard.
@@ -188,8 +271,8 @@ impl Gcm {
         let _ = tokio::time::timeout(ENTERED, entered).await;
     }
 
-    fn current(&self, process: &Name, epoch: u64) -> bool {
-        lock(&self.inner.sessions).live.get(process).is_some_and(|s| s.epoch == epoch)
+    pub(super) fn current(&self, process: &Name, session: u64) -> bool {
+        lock(&self.inner.sessions).holder(process) == Some(session)
     }
 }
 
@@ -241,7 +324,7 @@ fn ends_in(connection: &Connection, process: &Name) -> bool {
 async fn follow(
     gcm: Gcm,
     process: Name,
-    epoch: u64,
+    session: u64,
     lcm: Arc<dyn Lcm>,
     mut news: broadcast::Receiver<News>,
     mut asked: mpsc::Receiver<oneshot::Sender<()>>,
@@ -255,14 +338,14 @@ async fn follow(
                 None => return,
             },
         };
-        if !gcm.current(&process, epoch) {
+        if !gcm.current(&process, session) {
             return;
         }
         let (mut lagged, mut first) = (false, None);
         match heard {
             Some(Ok(news)) => first = Some(news),
             Some(Err(broadcast::error::RecvError::Lagged(_))) => lagged = true,
-            Some(Err(broadcast::error::RecvError::Closed)) => return gcm.lost(&process, epoch),
+            Some(Err(broadcast::error::RecvError::Closed)) => return gcm.lost(&process, session),
             None => {}
         }
         let mut loose = Vec::new();

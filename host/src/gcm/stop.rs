@@ -151,6 +151,7 @@ impl Gcm {
             _ => &[],
         });
         let targets: Vec<Target> = targets.cloned().collect();
+        self.keep_stopped(&targets);
         self.inner.claims.mark(|marks| {
             marks.stops.extend(targets.iter().cloned());
             marks.moving.iter().any(|id| targets.iter().any(|target| names(target, id)))

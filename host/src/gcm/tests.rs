@@ -4,6 +4,7 @@
 mod hanging;
 mod hearing;
 mod ports;
+mod restarted;
 
 use std::future::{Future, ready};
 use std::pin::Pin;
@@ -242,16 +243,16 @@ async fn a_name_is_taken_once_even_by_two_at_the_same_time() {
 
 #[tokio::test]
 async fn a_lost_process_stays_listed_and_its_name_is_free() {
-    let (gcm, _lcm) = system().await;
+    let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+    let first = register(&gcm, host(), lcm).await.unwrap();
     ask(&gcm, vec![create("host/a")]).await.unwrap();
-    let epoch = gcm.graph().processes[&name("host")].epoch;
-    gcm.lost(&name("host"), epoch - 1);
+    gcm.lost(&name("host"), first.session - 1);
     assert_eq!(
         gcm.graph().processes[&name("host")].state,
         ProcessState::Attached,
-        "an older epoch has no say"
+        "an older session has no say"
     );
-    gcm.lost(&name("host"), epoch);
+    gcm.lost(&name("host"), first.session);
     let graph = gcm.graph();
     assert_eq!(graph.processes[&name("host")].state, ProcessState::Lost);
     assert_eq!(component(&graph, "host/a").health, Health::Lost);
@@ -260,8 +261,7 @@ async fn a_lost_process_stays_listed_and_its_name_is_free() {
     assert_eq!(gcm.lcm_of(&name("hots")).err().unwrap().reason(), "PROCESS_NOT_FOUND");
     assert_eq!(ask(&gcm, vec![start("host/a")]).await.unwrap_err().reason(), "PROCESS_LOST");
     let registered = register(&gcm, host(), FakeLcm::new("host")).await.unwrap();
-    assert!(registered.epoch > epoch);
-    assert!(gcm.graph().components.is_empty(), "another incarnation has nothing of the earlier one");
+    assert!(registered.epoch > first.epoch);
 }
 
 #[tokio::test]
@@ -270,12 +270,13 @@ async fn a_process_that_comes_back_keeps_its_components_as_they_are_now() {
     let who = host();
     let registered = register(&gcm, who.clone(), lcm.clone()).await.unwrap();
     ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
-    gcm.lost(&name("host"), registered.epoch);
+    gcm.lost(&name("host"), registered.session);
     lcm.become_state("host/a", State::Fault, "the cable is out");
-    register(&gcm, who, lcm.clone()).await.unwrap();
+    let again = register(&gcm, who, lcm.clone()).await.unwrap();
+    assert_eq!(again.epoch, registered.epoch, "it is the same incarnation");
     let a = component(&gcm.graph(), "host/a");
     assert_eq!((a.state, a.health), (State::Fault, Health::Ok));
-    gcm.lost(&name("host"), registered.epoch);
+    gcm.lost(&name("host"), registered.session);
     gcm.lcm_of(&name("host")).map(|_| ()).expect("the old session has no say any more");
 }
 

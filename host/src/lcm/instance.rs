@@ -195,6 +195,8 @@ pub(super) struct Inner {
     pub(super) cycle: u64,
     /// Cycles before the last Start.
     pub(super) cycle_at_start: u64,
+    /// It was started since it was made: there is run-time state to go on with.
+    pub(super) started: bool,
     pub(super) last_begin_ns: u64,
     /// A thread of the device is inside: what it was doing before.
     in_callback: Option<running::Outer>,
@@ -283,6 +285,7 @@ impl Instance {
                     ret: vec![0; now.ret_words()],
                     cycle: 0,
                     cycle_at_start: 0,
+                    started: false,
                     last_begin_ns: 0,
                     in_callback: None,
                 },

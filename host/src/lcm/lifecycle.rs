@@ -28,6 +28,7 @@ pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryErr
 }
 
 pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+    entered.inner().started = false;
     entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
     // What the one before it owed is not this one's.
     instance.watch.takes_owed_safe();
@@ -92,10 +93,15 @@ pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     instance.stats.reset(instance.period_ns());
     let inner = entered.inner();
     inner.cycle_at_start = inner.cycle;
+    inner.started = true;
     run(instance, entered, "start", |e| e.start())
 }
 
+/// One that was made anew since it ran last has nothing to go on with: it is started.
 pub(super) fn resume(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+    if !entered.inner().started {
+        return start(instance, entered);
+    }
     run(instance, entered, "resume", |e| e.resume())
 }
 

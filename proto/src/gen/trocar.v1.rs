@@ -674,6 +674,12 @@ pub struct Process {
     /// Classes its plugin directories offer, "plugin/class".
     #[prost(string, repeated, tag = "6")]
     pub classes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// How it ended last, e.g. "killed by SIGSEGV (core dumped)", "ended with code 3"; empty when no supervisor told.
+    #[prost(string, tag = "7")]
+    pub last_exit: ::prost::alloc::string::String,
+    /// How often its supervisor started it again.
+    #[prost(uint32, tag = "8")]
+    pub restarts: u32,
 }
 /// One file of a plugin directory.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -1001,6 +1007,10 @@ pub enum ProcessState {
     Attached = 1,
     /// Its lease ran out or its stream broke.
     Lost = 2,
+    /// It ended and is started again by its supervisor, or it is back and its components are being made again.
+    Restarting = 3,
+    /// It ended too often: its supervisor has given it up.
+    Failed = 4,
 }
 impl ProcessState {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1012,6 +1022,8 @@ impl ProcessState {
             Self::Unspecified => "PROCESS_STATE_UNSPECIFIED",
             Self::Attached => "PROCESS_STATE_ATTACHED",
             Self::Lost => "PROCESS_STATE_LOST",
+            Self::Restarting => "PROCESS_STATE_RESTARTING",
+            Self::Failed => "PROCESS_STATE_FAILED",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1020,6 +1032,8 @@ impl ProcessState {
             "PROCESS_STATE_UNSPECIFIED" => Some(Self::Unspecified),
             "PROCESS_STATE_ATTACHED" => Some(Self::Attached),
             "PROCESS_STATE_LOST" => Some(Self::Lost),
+            "PROCESS_STATE_RESTARTING" => Some(Self::Restarting),
+            "PROCESS_STATE_FAILED" => Some(Self::Failed),
             _ => None,
         }
     }
@@ -4083,6 +4097,39 @@ pub mod gcm_service_server {
         const NAME: &'static str = SERVICE_NAME;
     }
 }
+/// Asks for Tell.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct TellRequest {
+    /// The processes.
+    #[prost(message, repeated, tag = "1")]
+    pub processes: ::prost::alloc::vec::Vec<ProcessFate>,
+}
+/// How a process stands, as its supervisor knows it.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ProcessFate {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// What became of it.
+    #[prost(enumeration = "Fate", tag = "2")]
+    pub fate: i32,
+    /// OS process id of the incarnation that runs, or ended last; 0 = none.
+    #[prost(uint32, tag = "3")]
+    pub pid: u32,
+    /// How it ended last, e.g. "killed by SIGSEGV (core dumped)"; empty when it never did.
+    #[prost(string, tag = "4")]
+    pub last_exit: ::prost::alloc::string::String,
+    /// How often it was started again.
+    #[prost(uint32, tag = "5")]
+    pub restarts: u32,
+}
+/// Answers Tell.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct TellResponse {
+    /// Incarnation of the GCM: another one has to be told everything anew.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
+}
 /// From the LCM.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct AttachRequest {
@@ -4156,6 +4203,9 @@ pub struct Hello {
     /// What it was told to have: a GCM that was restarted learns it from here.
     #[prost(message, optional, tag = "6")]
     pub slice: ::core::option::Option<Slice>,
+    /// The number this incarnation was given before, 0 = none: it keeps it.
+    #[prost(uint64, tag = "7")]
+    pub epoch: u64,
 }
 /// The process was accepted.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4493,6 +4543,51 @@ pub struct Catalog {
     #[prost(message, repeated, tag = "1")]
     pub classes: ::prost::alloc::vec::Vec<ClassInfo>,
 }
+/// What a supervisor knows of a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum Fate {
+    /// Not set.
+    Unspecified = 0,
+    /// It runs.
+    Running = 1,
+    /// It ended and is being started again.
+    Restarting = 2,
+    /// It ended too often and is given up.
+    Failed = 3,
+    /// It ended and is not started again.
+    Ended = 4,
+    /// It was taken down: neither it nor its components belong to the system any more.
+    Dismissed = 5,
+}
+impl Fate {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "FATE_UNSPECIFIED",
+            Self::Running => "FATE_RUNNING",
+            Self::Restarting => "FATE_RESTARTING",
+            Self::Failed => "FATE_FAILED",
+            Self::Ended => "FATE_ENDED",
+            Self::Dismissed => "FATE_DISMISSED",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "FATE_UNSPECIFIED" => Some(Self::Unspecified),
+            "FATE_RUNNING" => Some(Self::Running),
+            "FATE_RESTARTING" => Some(Self::Restarting),
+            "FATE_FAILED" => Some(Self::Failed),
+            "FATE_ENDED" => Some(Self::Ended),
+            "FATE_DISMISSED" => Some(Self::Dismissed),
+            _ => None,
+        }
+    }
+}
 /// A life-cycle verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
@@ -4553,7 +4648,7 @@ pub mod attach_service_client {
     )]
     use tonic::codegen::*;
     use tonic::codegen::http::Uri;
-    /// Where LCMs attach.
+    /// Where LCMs attach, and where whoever supervises their processes tells what became of them.
     #[derive(Debug, Clone)]
     pub struct AttachServiceClient<T> {
         inner: tonic::client::Grpc<T>,
@@ -4649,6 +4744,28 @@ pub mod attach_service_client {
                 .insert(GrpcMethod::new("trocar.v1.AttachService", "Attach"));
             self.inner.streaming(req, path, codec).await
         }
+        /// A supervisor tells how its processes stand. The same may be told any number of times.
+        pub async fn tell(
+            &mut self,
+            request: impl tonic::IntoRequest<super::TellRequest>,
+        ) -> std::result::Result<tonic::Response<super::TellResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AttachService/Tell",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AttachService", "Tell"));
+            self.inner.unary(req, path, codec).await
+        }
     }
 }
 /// Generated server implementations.
@@ -4676,8 +4793,13 @@ pub mod attach_service_server {
             &self,
             request: tonic::Request<tonic::Streaming<super::AttachRequest>>,
         ) -> std::result::Result<tonic::Response<Self::AttachStream>, tonic::Status>;
+        /// A supervisor tells how its processes stand. The same may be told any number of times.
+        async fn tell(
+            &self,
+            request: tonic::Request<super::TellRequest>,
+        ) -> std::result::Result<tonic::Response<super::TellResponse>, tonic::Status>;
     }
-    /// Where LCMs attach.
+    /// Where LCMs attach, and where whoever supervises their processes tells what became of them.
     #[derive(Debug)]
     pub struct AttachServiceServer<T> {
         inner: Arc<T>,
@@ -4798,6 +4920,50 @@ pub mod attach_service_server {
                                 max_encoding_message_size,
                             );
                         let res = grpc.streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.AttachService/Tell" => {
+                    #[allow(non_camel_case_types)]
+                    struct TellSvc<T: AttachService>(pub Arc<T>);
+                    impl<
+                        T: AttachService,
+                    > tonic::server::UnaryService<super::TellRequest> for TellSvc<T> {
+                        type Response = super::TellResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::TellRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AttachService>::tell(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = TellSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
                         Ok(res)
                     };
                     Box::pin(fut)

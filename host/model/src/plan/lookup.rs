@@ -30,12 +30,14 @@ impl SystemGraph {
         let process = self.process(name)?;
         match process.state {
             ProcessState::Attached => Ok(process),
-            ProcessState::Lost => Err(Refusal::ProcessLost { process: name.clone() }),
+            ProcessState::Lost | ProcessState::Restarting | ProcessState::Failed => {
+                Err(Refusal::ProcessLost { process: name.clone() })
+            }
         }
     }
 
     pub(super) fn is_lost(&self, id: &ComponentId) -> bool {
-        self.processes.get(&id.process).is_none_or(|p| p.state == ProcessState::Lost)
+        self.processes.get(&id.process).is_none_or(|p| p.state != ProcessState::Attached)
     }
 
     /// The component, whether its process is lost or not.

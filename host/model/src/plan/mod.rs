@@ -10,12 +10,14 @@ mod create;
 mod execution;
 mod lookup;
 mod remove;
+mod restore;
 mod run;
 mod wire;
 
 use std::collections::BTreeMap;
 
 pub use execution::{class_fault, period_fault};
+pub use restore::restore;
 
 use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph};
 

@@ -140,7 +140,7 @@ fn reason(component: &Component) -> String {
 }
 
 /// Names of the inputs and required interfaces that must be connected and are not.
-fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Vec<String> {
+pub(super) fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Vec<String> {
     let sources = graph.connections.values().map(|c| &c.client).filter(|c| c.component == *id);
     let connected: BTreeSet<&str> = sources.map(|c| c.port.as_str()).collect();
     let inputs = component.ports.inputs.iter().map(|p| (p.name.as_str(), p.optional));
@@ -151,7 +151,10 @@ fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Ve
 
 /// Servers before clients; but whoever lends its thread comes after those who run in it: the head of a stream sets the rest
 /// in motion, and its first sample must find them there. Circles are cut at the first path.
-fn servers_first(graph: &SystemGraph, targets: Vec<(ComponentId, bool)>) -> Vec<(ComponentId, bool)> {
+pub(super) fn servers_first(
+    graph: &SystemGraph,
+    targets: Vec<(ComponentId, bool)>,
+) -> Vec<(ComponentId, bool)> {
     let mut servers: BTreeMap<&ComponentId, BTreeSet<ComponentId>> = BTreeMap::new();
     let host = |id: &ComponentId| graph.components.get(id).and_then(|c| host_of(&c.execution));
     for id in graph.components.keys() {

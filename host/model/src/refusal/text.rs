@@ -305,8 +305,8 @@ impl Refusal {
                 "Use one of the processes listed by `trocar ls`, or start it: `trocar host --name {process} --plugins DIR`."
             ),
             ProcessLost { process } => format!(
-                "Start the process again (`trocar host --name {process}`); its components come back STOPPED and wait \
-                for Resume."
+                "Start the process again (`trocar host --name {process}`, which `trocar up` does by itself); its components \
+                are made anew, and what moves something comes back STOPPED and waits for Resume."
             ),
             ProcessExists { pid, .. } => format!(
                 "Use the one that runs, or end it first (`kill {pid}`). A second one beside it needs an address of its own \

@@ -13,6 +13,7 @@ mod invariants;
 mod paths;
 mod refusals;
 mod removing;
+mod restoring;
 mod running;
 mod scene;
 mod types;

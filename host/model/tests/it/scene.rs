@@ -227,6 +227,8 @@ pub(crate) fn process(classes: Vec<ClassInfo>) -> Process {
         endpoint: String::new(),
         pid: 1,
         classes: classes.into_iter().map(Arc::new).collect(),
+        last_exit: String::new(),
+        restarts: 0,
     }
 }
 

@@ -19,7 +19,7 @@ use trocar_proto::v1::{attach_request, attach_response};
 use self::remote::RemoteLcm;
 use super::convert;
 use super::status::status;
-use crate::gcm::{Gcm, Registered, Registration};
+use crate::gcm::{Gcm, Registered, Registration, Told};
 
 /// Both sides say this often that they are there.
 pub(super) const BEAT: Duration = Duration::from_millis(100);
@@ -56,6 +56,7 @@ impl AttachEdge {
             endpoint: hello.endpoint,
             pid: hello.pid,
             instance: u128::from_be_bytes(instance),
+            epoch: hello.epoch,
             slice: convert::slice_in(hello.slice.unwrap_or_default())?,
         };
         let lcm = RemoteLcm::new(process.clone(), out.clone());
@@ -85,7 +86,7 @@ impl AttachService for AttachEdge {
         let (out, orders) = mpsc::channel(QUEUE);
         let first = match self.take_in(hello, &out).await {
             Ok(attached) => {
-                let Registered { epoch, term, revision } = attached.registered;
+                let Registered { epoch, term, revision, .. } = attached.registered;
                 tokio::spawn(attached.keep(inbound, out.clone(), self.open.clone()));
                 attach_response::Message::Registered(v1::Registered { epoch, term, revision })
             }
@@ -94,6 +95,16 @@ impl AttachService for AttachEdge {
         // Nobody is there any more: the stream's end says the same.
         let _ = out.send(Ok(message(first))).await;
         Ok(Response::new(ReceiverStream::new(orders)))
+    }
+
+    async fn tell(&self, request: Request<v1::TellRequest>) -> Result<Response<v1::TellResponse>, Status> {
+        let told: Result<Vec<Told>, Refusal> =
+            request.into_inner().processes.into_iter().map(convert::told).collect();
+        // All of it is understood, or nothing is entered.
+        for told in told.map_err(|refusal| status(&refusal))? {
+            self.gcm.told(&told);
+        }
+        Ok(Response::new(v1::TellResponse { term: self.gcm.term() }))
     }
 }
 
@@ -147,6 +158,6 @@ impl Attached {
         };
         log::info!("the stream of process {} ended: {why}", self.process);
         self.lcm.close();
-        self.gcm.lost(&self.process, self.registered.epoch);
+        self.gcm.lost(&self.process, self.registered.session);
     }
 }

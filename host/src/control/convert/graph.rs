@@ -2,18 +2,21 @@
 
 use std::collections::BTreeMap;
 
-use trocar_model::{Component, ComponentId, Connection, Name, Process, ProcessState, SystemGraph};
+use trocar_model::{Component, ComponentId, Connection, Name, Process, ProcessState, Refusal, SystemGraph};
 use trocar_proto::v1;
 
 use super::answers::{link, stats};
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
+use crate::gcm::{Fate, Told};
 use crate::lcm::{Detail, LinkDetail, Report};
 
 pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
     let state = match p.state {
         ProcessState::Attached => v1::ProcessState::Attached,
         ProcessState::Lost => v1::ProcessState::Lost,
+        ProcessState::Restarting => v1::ProcessState::Restarting,
+        ProcessState::Failed => v1::ProcessState::Failed,
     };
     v1::Process {
         name: name.to_string(),
@@ -22,7 +25,28 @@ pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
         endpoint: p.endpoint.clone(),
         pid: p.pid,
         classes: p.classes.iter().map(|c| c.full_name()).collect(),
+        last_exit: p.last_exit.clone(),
+        restarts: p.restarts,
     }
+}
+
+/// What a supervisor tells of a process.
+pub(crate) fn told(fate: v1::ProcessFate) -> Result<Told, Refusal> {
+    let process = Name::parse(&fate.process)?;
+    let what = match fate.fate() {
+        v1::Fate::Unspecified => {
+            let (what, why) =
+                (format!("Tell {process}"), "fate is missing: give one of FATE_RUNNING, FATE_RESTARTING, …");
+            return Err(Refusal::ArgumentInvalid { what, why: why.into(), field: "processes.fate".into() });
+        }
+        v1::Fate::Running => Fate::Running,
+        v1::Fate::Restarting => Fate::Restarting,
+        v1::Fate::Failed => Fate::Failed,
+        v1::Fate::Ended => Fate::Ended,
+        v1::Fate::Dismissed => Fate::Dismissed,
+    };
+    let v1::ProcessFate { pid, last_exit, restarts, .. } = fate;
+    Ok(Told { process, fate: what, pid, last_exit, restarts })
 }
 
 pub(crate) fn component(id: &ComponentId, c: &Component, detail: Option<&Detail>) -> v1::Component {

@@ -17,7 +17,7 @@ pub(super) use back::unreadable;
 pub(super) use change::{
     change_in, change_out, classes_in, inventory_in, inventory_out, report_in, slice_in, slice_out,
 };
-pub(super) use graph::{Figures, component, connection, list, process, report};
+pub(super) use graph::{Figures, component, connection, list, process, report, told};
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
 pub(super) use requests::{Common, configure, connect, create, disconnect, remove, steps, targets};

@@ -64,8 +64,9 @@ impl Uplink {
         registration: Registration,
         lcm: Arc<dyn Lcm>,
     ) -> Result<Uplink, UplinkError> {
-        let tie = Tie { addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
+        let mut tie = Tie { addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
         let session = tie.attempt().await?;
+        tie.registration.epoch = session.epoch;
         let (tell, refused) = oneshot::channel();
         Ok(Uplink { task: Some(tokio::spawn(tie.stay(session, tell))), refused })
     }
@@ -107,7 +108,7 @@ struct Tie {
 }
 
 impl Tie {
-    async fn stay(self, mut session: Session, tell: oneshot::Sender<Refusal>) {
+    async fn stay(mut self, mut session: Session, tell: oneshot::Sender<Refusal>) {
         loop {
             let why = session.serve().await;
             log::warn!("the GCM at {} is lost ({why}); dialing again", self.addr);
@@ -127,6 +128,7 @@ impl Tie {
                     Err(e) => log::debug!("{e}"),
                 }
             };
+            self.registration.epoch = session.epoch;
             log::info!("attached to the GCM at {} again", self.addr);
         }
     }

@@ -34,6 +34,8 @@ pub(super) struct Session {
     /// Orders that came before Registered.
     early: Vec<v1::Order>,
     tasks: JoinSet<()>,
+    /// What the GCM calls this incarnation of the process.
+    pub(super) epoch: u64,
 }
 
 impl Session {
@@ -54,6 +56,7 @@ impl Session {
             pid: who.pid,
             inventory: Some(convert::inventory_out(&inventory)),
             slice: Some(convert::slice_out(&who.slice)),
+            epoch: who.epoch,
         };
         let (out, outgoing) = mpsc::channel(QUEUE);
         let unheard = |why: &str| Refused::Unheard(why.to_owned());
@@ -62,10 +65,10 @@ impl Session {
         let stream = client.attach(ReceiverStream::new(outgoing)).await;
         let mut inbound = stream.map_err(|e| unheard(e.message()))?.into_inner();
         let mut early = Vec::new();
-        loop {
+        let epoch = loop {
             let said = inbound.message().await.map_err(|e| unheard(e.message()))?;
             match said.and_then(|said| said.message) {
-                Some(attach_response::Message::Registered(_)) => break,
+                Some(attach_response::Message::Registered(r)) => break r.epoch,
                 Some(attach_response::Message::Refused(info)) => {
                     return Err(Refused::ByGcm(convert::refusal(&info)));
                 }
@@ -73,11 +76,11 @@ impl Session {
                 Some(attach_response::Message::Heartbeat(_)) => {}
                 None => return Err(unheard("the stream ended before the process was registered")),
             }
-        }
+        };
         let (answer, answers) = mpsc::channel(QUEUE);
         let mut tasks = JoinSet::new();
         tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
-        Ok(Session { inbound, out, orders: Orders::new(lcm, told, quiet, answer), early, tasks })
+        Ok(Session { inbound, out, orders: Orders::new(lcm, told, quiet, answer), early, tasks, epoch })
     }
 
     /// Does what the GCM orders until it is lost; answers why.

@@ -287,6 +287,7 @@ impl LocalLcm {
         let work = |instance: &Instance, entered: &mut Entered<'_>| match instance.state() {
             // Never started, or a start that came too late was taken back.
             State::Created | State::Ready => Ok(()),
+            State::Stopped(_) if !entered.inner().started => Ok(()),
             _ => stop(instance, entered),
         };
         let done = tokio::select! {

@@ -1,0 +1,115 @@
+//! What a process gets back that was started again: the components it was to have, made anew, with their connections.
+//!
+//! Invariant: nothing that moves something is put in motion, and nothing that stood still for a reason loses that reason. What
+//! cannot be made again is named with why, and keeps no other from coming back.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use super::run::{open_ends, servers_first};
+use super::{Plan, host_of};
+use crate::{
+    Change, Component, ComponentId, Health, Name, Safety, Skipped, State, StopReason, SystemGraph, Verb,
+};
+
+/// The changes that make anew what `process` was to have; `skipped` is what cannot be made, or not be started. `wanted` says
+/// how components should stand where that is not how they were last seen.
+pub fn restore(graph: &SystemGraph, process: &Name, wanted: &BTreeMap<ComponentId, State>) -> Plan {
+    let mut plan = Plan::default();
+    let mine: BTreeMap<&ComponentId, &Component> =
+        graph.components.iter().filter(|(id, _)| id.process == *process).collect();
+    let mut made = BTreeSet::new();
+    let mut running = Vec::new();
+    for id in owners_first(&mine) {
+        let old = mine[&id];
+        let class = match graph.class(process, &old.class.full_name()) {
+            Ok(class) => class,
+            Err(refusal) => {
+                plan.skipped.push(Skipped { id, why: refusal.to_string() });
+                continue;
+            }
+        };
+        if let Some(owner) = host_of(&old.execution).filter(|o| mine.contains_key(o) && !made.contains(o)) {
+            let why = format!("it runs in the thread of {owner}, which could not be made again");
+            plan.skipped.push(Skipped { id, why });
+            continue;
+        }
+        let was = wanted.get(&id).copied().unwrap_or(old.state);
+        let to = stands(was, old.class.safety);
+        if was == State::Active && to == State::Ready {
+            running.push((id.clone(), false));
+        }
+        let component = Component {
+            ports: Arc::new(class.ports.clone()),
+            class,
+            state: State::Created,
+            health: Health::Ok,
+            fault: String::new(),
+            ..old.clone()
+        };
+        plan.changes.push(Change::Create { id: id.clone(), component: Box::new(component) });
+        if to != State::Created {
+            let config = old.config.clone();
+            let (from_state, to_state) = (State::Created, to);
+            let change =
+                Change::Configure { id: id.clone(), from: config.clone(), to: config, from_state, to_state };
+            plan.changes.push(change);
+        }
+        made.insert(id);
+    }
+    let mut whole = graph.clone();
+    whole.components.retain(|id, _| id.process != *process || made.contains(id));
+    let known = |id: &ComponentId| whole.components.contains_key(id);
+    whole.connections.retain(|_, c| known(&c.client.component) && known(&c.server.component));
+    for connection in whole.connections.values() {
+        if [&connection.client, &connection.server].iter().any(|end| end.component.process == *process) {
+            plan.changes.push(Change::Connect { connection: connection.clone() });
+        }
+    }
+    for (id, _) in servers_first(&whole, running) {
+        let open = open_ends(&whole, &id, &whole.components[&id]);
+        if open.is_empty() {
+            let (from, to) = (State::Ready, State::Active);
+            plan.changes.push(Change::Run { id, verb: Verb::Start, from, to });
+        } else {
+            plan.skipped.push(Skipped {
+                id,
+                why: format!("it is not started: nothing gives it {}", open.join(", ")),
+            });
+        }
+    }
+    plan
+}
+
+/// How it stands once it is made again and before anything is started. A new instance of what had failed is ready, but
+/// nobody has looked at why.
+fn stands(was: State, safety: Safety) -> State {
+    match was {
+        State::Created => State::Created,
+        State::Ready => State::Ready,
+        State::Stopped(reason) => State::Stopped(reason),
+        State::Active | State::Fault if safety == Safety::Actuator => State::Stopped(StopReason::Restarted),
+        State::Active | State::Fault => State::Ready,
+    }
+}
+
+/// Whoever lends its thread comes before those who run in it; a circle is cut at its first path.
+fn owners_first(components: &BTreeMap<&ComponentId, &Component>) -> Vec<ComponentId> {
+    let mut order: Vec<ComponentId> = Vec::with_capacity(components.len());
+    let mut left: Vec<(&ComponentId, Option<ComponentId>)> =
+        components.iter().map(|(id, c)| (*id, host_of(&c.execution))).collect();
+    while !left.is_empty() {
+        let waits: BTreeSet<ComponentId> = left.iter().map(|(id, _)| (*id).clone()).collect();
+        let (later, now): (Vec<_>, Vec<_>) = left
+            .iter()
+            .cloned()
+            .partition(|(id, owner)| owner.as_ref().is_some_and(|o| o != *id && waits.contains(o)));
+        if now.is_empty() {
+            order.extend(later.into_iter().map(|(id, _)| id.clone()));
+            break;
+        }
+        order.extend(now.into_iter().map(|(id, _)| id.clone()));
+        left = later;
+    }
+    order
+}

@@ -1,0 +1,148 @@
+//! What a process gets back that was started again, and what its supervisor tells of it.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use trocar_model::{Health, ProcessState, State, StopReason, SystemGraph};
+
+use super::super::fake::{FakeLcm, id, name};
+use super::super::{Fate, Gcm, GcmConfig, Told};
+use super::{ask, component, create, host, register, start, stop, system};
+
+/// Longer than any test should take; only a broken one waits for it.
+const WATCHDOG: Duration = Duration::from_secs(60);
+
+async fn until(gcm: &Gcm, what: &str, good: impl Fn(&SystemGraph) -> bool) -> Arc<SystemGraph> {
+    let mut graphs = gcm.watch();
+    let seen = tokio::time::timeout(WATCHDOG, graphs.wait_for(|graph| good(graph))).await;
+    seen.unwrap_or_else(|_| panic!("never: {what}; the graph: {:?}", gcm.graph())).unwrap().clone()
+}
+
+fn is(state: ProcessState) -> impl Fn(&SystemGraph) -> bool {
+    move |graph| graph.processes[&name("host")].state == state
+}
+
+fn fate(fate: Fate, pid: u32) -> Told {
+    Told { process: name("host"), fate, pid, last_exit: "was killed by SIGSEGV".into(), restarts: 1 }
+}
+
+/// A GCM whose process `host` has an actuator that ran, and the session of that.
+async fn running() -> (Gcm, Arc<FakeLcm>, u64) {
+    let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+    let session = register(&gcm, host(), lcm.clone()).await.unwrap().session;
+    ask(&gcm, vec![create("host/a"), create("host/b"), start("host/a")]).await.unwrap();
+    (gcm, lcm, session)
+}
+
+#[tokio::test]
+async fn another_incarnation_gets_its_components_back_and_what_moves_waits_for_somebody() {
+    let (gcm, _lcm, session) = running().await;
+    gcm.lost(&name("host"), session);
+    let again = FakeLcm::new("host");
+    register(&gcm, host(), again.clone()).await.unwrap();
+    let graph = until(&gcm, "all is made again", is(ProcessState::Attached)).await;
+    let (a, b) = (component(&graph, "host/a"), component(&graph, "host/b"));
+    assert_eq!((a.state, a.health), (State::Stopped(StopReason::Restarted), Health::Ok));
+    assert_eq!(b.state, State::Ready);
+    assert_eq!(again.state("host/a"), Some(State::Stopped(StopReason::Restarted)));
+    assert!(!again.done().iter().any(|d| d.starts_with("Start")), "{:?}", again.done());
+    ask(&gcm, vec![start("host/a")]).await.unwrap();
+    assert_eq!(again.state("host/a"), Some(State::Active), "somebody who names it may start it");
+}
+
+#[tokio::test]
+async fn what_cannot_be_made_again_is_in_fault_and_the_others_come_back() {
+    let (gcm, _lcm, session) = running().await;
+    gcm.lost(&name("host"), session);
+    let again = FakeLcm::new("host");
+    again.refuse("Create host/a");
+    register(&gcm, host(), again.clone()).await.unwrap();
+    let graph = until(&gcm, "what can be made again", is(ProcessState::Attached)).await;
+    let a = component(&graph, "host/a");
+    assert_eq!(a.state, State::Fault);
+    assert!(a.fault.contains("the cable is out") && a.fault.contains("remove it"), "{}", a.fault);
+    assert_eq!(again.state("host/b"), Some(State::Ready));
+    ask(&gcm, vec![trocar_model::Request::Remove { id: id("host/a"), force: true }]).await.unwrap();
+    assert!(!gcm.graph().components.contains_key(&id("host/a")), "it can be removed");
+}
+
+#[tokio::test]
+async fn a_process_that_dies_again_while_it_gets_its_components_back_loses_none() {
+    let (gcm, _lcm, mut session) = running().await;
+    for _ in 0..3 {
+        gcm.lost(&name("host"), session);
+        let again = FakeLcm::new("host");
+        again.hold("Create host/b");
+        session = register(&gcm, host(), again.clone()).await.unwrap().session;
+        again.hangs("Create host/b").await;
+    }
+    gcm.lost(&name("host"), session);
+    register(&gcm, host(), FakeLcm::new("host")).await.unwrap();
+    let graph = until(&gcm, "all is made again", is(ProcessState::Attached)).await;
+    assert_eq!(component(&graph, "host/a").state, State::Stopped(StopReason::Restarted));
+    assert_eq!(component(&graph, "host/b").state, State::Ready);
+}
+
+#[tokio::test]
+async fn what_is_stopped_while_its_process_is_away_stays_stopped() {
+    let (gcm, _lcm, session) = running().await;
+    gcm.lost(&name("host"), session);
+    ask(&gcm, vec![stop("host/**")]).await.unwrap();
+    register(&gcm, host(), FakeLcm::new("host")).await.unwrap();
+    let graph = until(&gcm, "all is made again", is(ProcessState::Attached)).await;
+    assert_eq!(component(&graph, "host/a").state, State::Stopped(StopReason::Requested));
+}
+
+#[tokio::test]
+async fn a_process_its_supervisor_saw_end_is_lost_at_once() {
+    let (gcm, _lcm) = system().await;
+    gcm.told(&fate(Fate::Restarting, std::process::id() + 1));
+    let process = gcm.graph().processes[&name("host")].clone();
+    assert_eq!(process.state, ProcessState::Attached, "that was another incarnation");
+    assert_eq!((process.last_exit.as_str(), process.restarts), ("was killed by SIGSEGV", 1));
+    gcm.told(&fate(Fate::Restarting, std::process::id()));
+    assert_eq!(gcm.graph().processes[&name("host")].state, ProcessState::Restarting);
+    assert_eq!(gcm.lcm_of(&name("host")).err().unwrap().reason(), "PROCESS_LOST");
+    gcm.told(&fate(Fate::Failed, std::process::id()));
+    assert_eq!(gcm.graph().processes[&name("host")].state, ProcessState::Failed);
+}
+
+#[tokio::test]
+async fn a_process_that_never_came_up_is_listed_with_what_became_of_it() {
+    let gcm = Gcm::start(GcmConfig::default()).await.unwrap();
+    gcm.told(&fate(Fate::Running, 7));
+    assert!(gcm.graph().processes.is_empty(), "it registers by itself");
+    gcm.told(&fate(Fate::Failed, 7));
+    let process = gcm.graph().processes[&name("host")].clone();
+    assert_eq!((process.state, process.epoch), (ProcessState::Failed, 0));
+    gcm.told(&fate(Fate::Dismissed, 7));
+    assert!(gcm.graph().processes.is_empty(), "it was taken down");
+}
+
+#[tokio::test]
+async fn what_is_taken_down_leaves_nothing_in_the_graph() {
+    let (gcm, _lcm, _) = running().await;
+    gcm.told(&fate(Fate::Dismissed, 1));
+    let graph = gcm.graph();
+    assert!(graph.processes.is_empty() && graph.components.is_empty() && graph.connections.is_empty());
+}
+
+#[tokio::test]
+async fn a_process_keeps_its_epoch_through_a_gcm_that_was_restarted() {
+    let first = Gcm::start(GcmConfig::default()).await.unwrap();
+    let who = host();
+    for _ in 0..3 {
+        first.told(&fate(Fate::Dismissed, 0));
+        let other = super::Registration { process: name("other"), ..host() };
+        register(&first, other, FakeLcm::new("other")).await.ok();
+    }
+    let before = register(&first, who.clone(), FakeLcm::new("host")).await.unwrap();
+    let second = Gcm::start(GcmConfig::default()).await.unwrap();
+    let again = super::Registration { epoch: before.epoch, ..who };
+    let after = register(&second, again, FakeLcm::new("host")).await.unwrap();
+    assert_eq!(after.epoch, before.epoch);
+    let deadline = Instant::now() + WATCHDOG;
+    let other = super::Registration { process: name("other"), ..host() };
+    let other = register(&second, other, FakeLcm::new("other")).await.unwrap();
+    assert!(other.epoch > before.epoch && Instant::now() < deadline, "a number is given once: {other:?}");
+}
