@@ -15,6 +15,7 @@ pub mod lcm;
 )]
 pub mod loader;
 mod plain;
+pub mod processes;
 pub mod system_file;
 
 /// Names, states, requests and refusals: what the methods of [`Host`] take and answer.

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::failure::{Done, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
-use crate::host::{Host, StateChoice, StopRequest, state_home};
+use crate::host::{Host, StateChoice, state_home};
 
 const EXAMPLES: &str = "\
 Example:
@@ -30,6 +30,8 @@ pub(super) struct GcmArgs {
     /// Forget what an earlier run left in the state directory; only counters go on.
     #[arg(long)]
     fresh: bool,
+    #[command(flatten)]
+    tie: hosting::Tie,
 }
 
 pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
@@ -41,7 +43,7 @@ pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
     }
     logging::install(log::LevelFilter::Info);
     let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
-    let stop = StopRequest::listen();
+    let stop = args.tie.listen()?;
     let host = Host::start_gcm(&args.listen, &state, args.fresh).await?;
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());

@@ -46,6 +46,27 @@ pub(super) struct HostArgs {
     /// Keep all memory of this process from being swapped out; where that is not allowed it is said and it runs without.
     #[arg(long)]
     lock_memory: bool,
+    #[command(flatten)]
+    tie: Tie,
+}
+
+/// How a process is tied to whoever starts it.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct Tie {
+    /// End, devices safe first, when standard input is closed; wait for a GCM that is not there yet. For supervisors.
+    #[arg(long)]
+    tied: bool,
+}
+
+impl Tie {
+    /// Listens for the end of this process, from whomever it comes.
+    pub(super) fn listen(self) -> Result<StopRequest, Failure> {
+        let stop = StopRequest::listen();
+        if self.tied {
+            stop.tie_to_stdin().map_err(|e| HostError::Threads { because: e.to_string() })?;
+        }
+        Ok(stop)
+    }
 }
 
 pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
@@ -59,11 +80,16 @@ pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
         gcm: session.explicit_gcm().map(str::to_owned),
         trust: trust(&args.trust)?,
         lock_memory: args.lock_memory,
+        await_gcm: args.tie.tied,
         vet_with: std::env::current_exe().ok(),
         ..HostConfig::new(args.name)
     };
-    let stop = StopRequest::listen();
-    let host = config.clone().start().await?;
+    let mut stop = args.tie.listen()?;
+    let host = tokio::select! {
+        host = config.clone().start() => host?,
+        // Nothing was made yet that would not be taken back.
+        () = stop.asked() => return Ok(Exit::Interrupted),
+    };
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
     say_listening(&config, &host, session);

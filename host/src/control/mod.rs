@@ -17,4 +17,4 @@ mod tests;
 
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
-pub use uplink::{Uplink, UplinkError};
+pub use uplink::{Begin, Uplink, UplinkError};

@@ -25,6 +25,8 @@ pub struct HostConfig {
     pub fresh: bool,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,
+    /// Wait for that GCM when it does not answer yet, or still takes an earlier incarnation of this process for alive.
+    pub await_gcm: bool,
     pub trust: Trust,
     /// The `trocar` program that tries plugin files out in a child process; `None`: it is looked for, see
     /// [`HostBuilder::vet_with`].
@@ -44,6 +46,7 @@ impl HostConfig {
             state: StateChoice::Ephemeral,
             fresh: false,
             gcm: None,
+            await_gcm: false,
             trust: Trust::Dev,
             vet_with: None,
             lock_memory: false,

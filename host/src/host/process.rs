@@ -15,7 +15,7 @@ use super::announce::Announcement;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
-use crate::control::{GcmServices, ServeConfig, Server, Uplink};
+use crate::control::{Begin, GcmServices, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine};
 use crate::loader::{CatalogChange, PluginEntry, PluginError};
@@ -147,7 +147,8 @@ impl Host {
                 gcm.register(registration, local, inventory).await?;
             }
             (None, Some(addr)) => {
-                let mut uplink = Uplink::start(addr.clone(), registration, local).await?;
+                let begin = if config.await_gcm { Begin::Patient } else { Begin::AtOnce };
+                let mut uplink = Uplink::start(addr.clone(), registration, local, begin).await?;
                 self.ending.running().uplink = uplink.take_task();
                 self.uplink = Some(uplink);
             }

@@ -674,7 +674,7 @@ pub struct Process {
     /// Classes its plugin directories offer, "plugin/class".
     #[prost(string, repeated, tag = "6")]
     pub classes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How it ended last, e.g. "killed by SIGSEGV (core dumped)", "ended with code 3"; empty when no supervisor told.
+    /// How it ended last, e.g. "was killed by SIGSEGV (core dumped)", "ended with code 3"; empty when no supervisor told.
     #[prost(string, tag = "7")]
     pub last_exit: ::prost::alloc::string::String,
     /// How often its supervisor started it again.
@@ -4116,7 +4116,7 @@ pub struct ProcessFate {
     /// OS process id of the incarnation that runs, or ended last; 0 = none.
     #[prost(uint32, tag = "3")]
     pub pid: u32,
-    /// How it ended last, e.g. "killed by SIGSEGV (core dumped)"; empty when it never did.
+    /// How it ended last, e.g. "was killed by SIGSEGV (core dumped)"; empty when it never did.
     #[prost(string, tag = "4")]
     pub last_exit: ::prost::alloc::string::String,
     /// How often it was started again.

@@ -9,7 +9,7 @@ mod session;
 use std::error::Error;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, oneshot};
 use tokio::task::JoinHandle;
@@ -47,6 +47,18 @@ impl fmt::Display for UplinkError {
 
 impl Error for UplinkError {}
 
+/// How long a process that waits for its GCM takes it that its name is held by what it was before.
+const HELD: Duration = Duration::from_secs(3);
+
+/// What happens when the GCM does not take a process in at the first attempt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Begin {
+    /// That is the answer.
+    AtOnce,
+    /// It dials on until a GCM is there; a name that is taken is asked for a while longer.
+    Patient,
+}
+
 /// A process's tie to its GCM.
 pub struct Uplink {
     /// `None`: somebody else ends it.
@@ -63,9 +75,13 @@ impl Uplink {
         addr: String,
         registration: Registration,
         lcm: Arc<dyn Lcm>,
+        begin: Begin,
     ) -> Result<Uplink, UplinkError> {
         let mut tie = Tie { addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
-        let session = tie.attempt().await?;
+        let session = match begin {
+            Begin::AtOnce => tie.attempt().await?,
+            Begin::Patient => tie.attempts().await?,
+        };
         tie.registration.epoch = session.epoch;
         let (tell, refused) = oneshot::channel();
         Ok(Uplink { task: Some(tokio::spawn(tie.stay(session, tell))), refused })
@@ -130,6 +146,21 @@ impl Tie {
             };
             self.registration.epoch = session.epoch;
             log::info!("attached to the GCM at {} again", self.addr);
+        }
+    }
+
+    /// The first attempts of a process that waits.
+    async fn attempts(&self) -> Result<Session, UplinkError> {
+        let (mut pause, mut since) = (PAUSE.0, None);
+        loop {
+            match self.attempt().await {
+                Err(UplinkError::NoGcm { addr, because }) => log::debug!("no GCM at {addr} yet: {because}"),
+                Err(UplinkError::Refused(Refusal::ProcessExists { .. }))
+                    if since.get_or_insert_with(Instant::now).elapsed() < HELD => {}
+                done => return done,
+            }
+            tokio::time::sleep(pause).await;
+            pause = (pause * 2).min(PAUSE.1);
         }
     }
 

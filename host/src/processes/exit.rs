@@ -1,0 +1,113 @@
+//! How a process ended, in words.
+
+use std::fmt;
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
+
+/// How a process ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Exit {
+    Code(i32),
+    Signal {
+        number: i32,
+        core: bool,
+    },
+    /// It never ran: why.
+    NotStarted(String),
+}
+
+/// Signals by number, as Linux numbers them on x86-64 and aarch64.
+const SIGNALS: [&str; 31] = [
+    "SIGHUP",
+    "SIGINT",
+    "SIGQUIT",
+    "SIGILL",
+    "SIGTRAP",
+    "SIGABRT",
+    "SIGBUS",
+    "SIGFPE",
+    "SIGKILL",
+    "SIGUSR1",
+    "SIGSEGV",
+    "SIGUSR2",
+    "SIGPIPE",
+    "SIGALRM",
+    "SIGTERM",
+    "SIGSTKFLT",
+    "SIGCHLD",
+    "SIGCONT",
+    "SIGSTOP",
+    "SIGTSTP",
+    "SIGTTIN",
+    "SIGTTOU",
+    "SIGURG",
+    "SIGXCPU",
+    "SIGXFSZ",
+    "SIGVTALRM",
+    "SIGPROF",
+    "SIGWINCH",
+    "SIGIO",
+    "SIGPWR",
+    "SIGSYS",
+];
+
+impl Exit {
+    /// It ended as one that was asked to.
+    pub fn is_orderly(&self) -> bool {
+        *self == Exit::Code(0)
+    }
+}
+
+impl From<ExitStatus> for Exit {
+    fn from(status: ExitStatus) -> Self {
+        match (status.code(), status.signal()) {
+            (Some(code), _) => Exit::Code(code),
+            (None, Some(number)) => Exit::Signal { number, core: status.core_dumped() },
+            (None, None) => Exit::NotStarted(status.to_string()),
+        }
+    }
+}
+
+impl fmt::Display for Exit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Exit::Code(code) => write!(f, "ended with code {code}"),
+            Exit::Signal { number, core } => {
+                match usize::try_from(number - 1).ok().and_then(|at| SIGNALS.get(at)) {
+                    Some(name) => write!(f, "was killed by {name}")?,
+                    None => write!(f, "was killed by signal {number}")?,
+                }
+                if *core { f.write_str(" (core dumped)") } else { Ok(()) }
+            }
+            Exit::NotStarted(why) => write!(f, "could not be started: {why}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_reads_as_a_person_would_say_it() {
+        let exits = [
+            Exit::Code(3),
+            Exit::from(ExitStatus::from_raw(11)),
+            Exit::from(ExitStatus::from_raw(0x86)),
+            Exit::from(ExitStatus::from_raw(9)),
+            Exit::from(ExitStatus::from_raw(35)),
+            Exit::NotStarted("no such file".into()),
+        ];
+        let said: Vec<String> = exits.iter().map(ToString::to_string).collect();
+        let wanted = [
+            "ended with code 3",
+            "was killed by SIGSEGV",
+            "was killed by SIGABRT (core dumped)",
+            "was killed by SIGKILL",
+            "was killed by signal 35",
+            "could not be started: no such file",
+        ];
+        assert_eq!(said, wanted);
+        assert!(Exit::from(ExitStatus::from_raw(0)).is_orderly() && !Exit::Code(1).is_orderly());
+    }
+}

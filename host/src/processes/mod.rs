@@ -1,0 +1,16 @@
+//! Supervision of processes: spawned as children, tied to this one's life, started again by policy, given up above it.
+//!
+//! Invariant: no child outlives this process. Each holds the reading end of a pipe as its standard input; the kernel closes
+//! the other end however this process ends, and the child then ends by itself, devices safe first.
+
+mod child;
+mod exit;
+mod keeper;
+mod policy;
+mod supervisor;
+
+pub use child::Program;
+pub use exit::Exit;
+pub use keeper::{Phase, Status};
+pub use policy::{Limits, Policy};
+pub use supervisor::Supervisor;
