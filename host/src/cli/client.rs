@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use tonic::transport::{Channel, Endpoint};
 use tonic_types::StatusExt;
+use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::plugin_service_client::PluginServiceClient;
@@ -14,9 +15,10 @@ use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 /// How long to wait for a connection.
 const CONNECT: Duration = Duration::from_secs(2);
 
-/// The three services of one address.
+/// The services of one address.
 #[derive(Clone, Debug)]
 pub(super) struct Client {
+    pub(super) attach: AttachServiceClient<Channel>,
     pub(super) gcm: GcmServiceClient<Channel>,
     pub(super) interact: InteractServiceClient<Channel>,
     pub(super) plugin: PluginServiceClient<Channel>,
@@ -47,6 +49,7 @@ impl Client {
             .tcp_nodelay(true);
         let channel = endpoint.connect().await.map_err(|e| root_cause(&e))?;
         Ok(Self {
+            attach: AttachServiceClient::new(channel.clone()),
             gcm: GcmServiceClient::new(channel.clone()),
             interact: InteractServiceClient::new(channel.clone()),
             plugin: PluginServiceClient::new(channel),

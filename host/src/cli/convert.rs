@@ -4,12 +4,14 @@
 
 mod describe;
 mod json;
+mod steps;
 
 use serde_json::Value;
 use trocar_proto::v1;
 
 pub(super) use self::describe::description;
 pub(super) use self::json::{from_struct, from_wire, to_struct, to_wire};
+pub(super) use self::steps::{fate, step};
 
 use super::execution::ExecutionArgs;
 use super::view::{
@@ -66,6 +68,8 @@ pub(super) fn process(p: &v1::Process) -> ProcessView {
         endpoint: p.endpoint.clone(),
         pid: p.pid,
         classes: p.classes.clone(),
+        last_exit: p.last_exit.clone(),
+        restarts: p.restarts,
     }
 }
 

@@ -94,6 +94,18 @@ impl Failure {
         Self { metadata, ..Self::new(exit, code, reason, message, help) }
     }
 
+    /// Led back to its place in a system file.
+    pub(super) fn at(mut self, place: &Problem) -> Self {
+        self.message = format!("{}:{}:{}: {}", place.file, place.line, place.column, self.message);
+        let (line, column) = (place.line.to_string(), place.column.to_string());
+        for (key, value) in
+            [("file", &place.file), ("line", &line), ("column", &column), ("pointer", &place.pointer)]
+        {
+            self.metadata.insert(key.to_owned(), value.clone());
+        }
+        self
+    }
+
     /// Prints it: a sentence and a "help:" line on stderr, or one JSON object on stdout.
     pub(super) fn print(&self, json: bool) {
         if json {

@@ -59,7 +59,7 @@ fn plain(text: impl Into<String>) -> (String, anstyle::Style) {
 }
 
 fn processes(view: &SystemView) -> Table {
-    let mut table = Table::new(&["NAME", "STATE", "PID", "EPOCH", "ENDPOINT"]);
+    let mut table = Table::new(&["NAME", "STATE", "PID", "EPOCH", "ENDPOINT", "RESTARTS", "LAST EXIT"]);
     for p in &view.processes {
         let state = (p.state.clone(), style::of_state(&p.state));
         table.styled([
@@ -68,6 +68,8 @@ fn processes(view: &SystemView) -> Table {
             plain(p.pid.to_string()),
             plain(p.epoch.to_string()),
             plain(&p.endpoint),
+            plain(p.restarts.to_string()),
+            plain(shortened(&p.last_exit)),
         ]);
     }
     table

@@ -13,6 +13,7 @@ mod create;
 mod demo;
 mod describe;
 mod doctor;
+mod down;
 mod echo;
 mod execution;
 mod failure;
@@ -36,6 +37,7 @@ mod style;
 mod table;
 mod typed;
 mod units;
+mod up;
 mod vet;
 mod view;
 mod wait;
@@ -93,6 +95,8 @@ struct Global {
 enum Command {
     Demo(demo::DemoArgs),
     Run(run::RunArgs),
+    Up(up::UpArgs),
+    Down(down::DownArgs),
     Host(hosting::HostArgs),
     Gcm(gcm::GcmArgs),
     Ls(ls::LsArgs),
@@ -145,6 +149,8 @@ fn dispatch(cli: Cli) -> Done {
     match cli.command {
         Command::Demo(args) => process(demo::run(args, &session)),
         Command::Run(args) => process(run::run(args, &session)),
+        Command::Up(args) => process(up::run(args, &session)),
+        Command::Down(args) => ask(down::run(args, &session)),
         Command::Host(args) => process(hosting::run(args, &session)),
         Command::Gcm(args) => process(gcm::run(args, &session)),
         Command::Ls(args) => ask(ls::run(args, &session)),

@@ -138,15 +138,11 @@ pub(super) async fn bring_up(
 }
 
 fn placed(file: &SystemFile, refusal: &Refusal) -> Failure {
-    let mut failure = Failure::from(refusal);
-    if let Some(place) = file.locate(refusal) {
-        failure.message = format!("{}:{}:{}: {}", place.file, place.line, place.column, failure.message);
-        failure.metadata.insert("file".to_owned(), place.file);
-        failure.metadata.insert("line".to_owned(), place.line.to_string());
-        failure.metadata.insert("column".to_owned(), place.column.to_string());
-        failure.metadata.insert("pointer".to_owned(), place.pointer);
+    let failure = Failure::from(refusal);
+    match file.locate(refusal) {
+        Some(place) => failure.at(&place),
+        None => failure,
     }
-    failure
 }
 
 fn say_running(host: &Host, file: &SystemFile, session: &Session) {

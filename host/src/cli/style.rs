@@ -43,8 +43,8 @@ pub(super) const PLAIN: Style = Style::new();
 pub(super) fn of_state(word: &str) -> Style {
     match word {
         "ACTIVE" | "ATTACHED" | "OK" => GOOD,
-        "FAULT" | "LOST" | "UNRESPONSIVE" => BAD,
-        "OVERRUN" | "STALE_INPUT" => WARN,
+        "FAULT" | "LOST" | "UNRESPONSIVE" | "FAILED" => BAD,
+        "OVERRUN" | "STALE_INPUT" | "RESTARTING" => WARN,
         w if w.starts_with("STOPPED") => WARN,
         _ => PLAIN,
     }

@@ -18,13 +18,17 @@ pub(super) struct SystemView {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct ProcessView {
     pub(super) name: String,
-    /// ATTACHED or LOST.
+    /// ATTACHED, LOST, RESTARTING or FAILED.
     pub(super) state: String,
     pub(super) epoch: u64,
     pub(super) endpoint: String,
     pub(super) pid: u32,
     /// Full names, `plugin/class`.
     pub(super) classes: Vec<String>,
+    /// How it ended last, as its supervisor told; "" when it never did.
+    pub(super) last_exit: String,
+    /// How often its supervisor started it again.
+    pub(super) restarts: u32,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -4,12 +4,14 @@
 //! the other end however this process ends, and the child then ends by itself, devices safe first.
 
 mod child;
+mod door;
 mod exit;
 mod keeper;
 mod policy;
 mod supervisor;
 
 pub use child::Program;
+pub use door::{Answer, Door};
 pub use exit::Exit;
 pub use keeper::{Phase, Status};
 pub use policy::{Limits, Policy};

@@ -25,20 +25,19 @@ pub struct Limits {
     pub most_backoff: Duration,
 }
 
-impl Default for Limits {
-    fn default() -> Self {
-        Limits {
-            max: 3,
-            within: Duration::from_secs(10),
-            backoff: Duration::from_millis(50),
-            most_backoff: Duration::from_secs(2),
-        }
-    }
+impl Limits {
+    /// Three within ten seconds.
+    pub const DEFAULT: Limits = Limits {
+        max: 3,
+        within: Duration::from_secs(10),
+        backoff: Duration::from_millis(50),
+        most_backoff: Duration::from_secs(2),
+    };
 }
 
 impl Default for Policy {
     fn default() -> Self {
-        Policy::OnFailure(Limits::default())
+        Policy::OnFailure(Limits::DEFAULT)
     }
 }
 
@@ -118,7 +117,7 @@ mod tests {
 
     #[test]
     fn the_pause_has_an_end() {
-        let limits = Limits { max: 100, ..Limits::default() };
+        let limits = Limits { max: 100, ..Limits::DEFAULT };
         let (mut history, now) = (History::new(Policy::OnFailure(limits)), Instant::now());
         let last = (0..100).map(|_| history.ended(&crash(), now)).last();
         assert_eq!(last, Some(Verdict::Restart { after: Duration::from_secs(2) }));

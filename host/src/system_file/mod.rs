@@ -4,7 +4,9 @@
 //! so a system file can never do what single requests cannot.
 
 mod cursor;
+mod isolation;
 mod overrides;
+mod place;
 mod problem;
 mod read;
 mod scan;
@@ -16,7 +18,9 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use trocar_model::{ComponentId, ConnectOptions, Execution, Name, PortId, Refusal, Request, Target};
+use trocar_model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request, Target};
+
+use crate::processes::Policy;
 
 pub use overrides::BadSet;
 pub use problem::Problem;
@@ -51,6 +55,28 @@ pub struct ProcessSpec {
     /// Plugin directories, as written (relative to the file's directory).
     pub plugins: Vec<PathBuf>,
     pub trust: TrustSpec,
+    /// Address it listens on; `None`: a free port.
+    pub listen: Option<String>,
+    /// Where it keeps its state, as written (relative to the file's directory).
+    pub state: Option<PathBuf>,
+    /// Variables of its environment, beside those of whoever starts it.
+    pub env: Vec<(String, String)>,
+    /// What follows when it ends.
+    pub restart: Policy,
+}
+
+impl ProcessSpec {
+    fn new(name: Name) -> ProcessSpec {
+        ProcessSpec {
+            name,
+            plugins: Vec::new(),
+            trust: TrustSpec::default(),
+            listen: None,
+            state: None,
+            env: Vec::new(),
+            restart: Policy::default(),
+        }
+    }
 }
 
 /// Which plugin files a process takes.
@@ -66,6 +92,10 @@ pub enum TrustSpec {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ComponentSpec {
     pub id: ComponentId,
+    /// As the file calls it: another process when it has one of its own.
+    pub written: ComponentId,
+    /// It has a process of its own.
+    pub isolated: bool,
     pub class: String,
     pub config: Option<Value>,
     pub execution: Execution,
@@ -169,64 +199,9 @@ impl SystemFile {
                     node.at,
                     "/processes",
                     format!("the file has {} processes ({}), `run` takes one", all.len(), names.join(", ")),
-                    "a system of several processes is for `trocar up`, which this version does not have yet; name one process and move its components there"
-                        .to_owned(),
+                    "a system of several processes is for `trocar up`".to_owned(),
                 ))
             }
-        }
-    }
-
-    /// Where in the file the thing a refusal is about was written.
-    pub fn locate(&self, refusal: &Refusal) -> Option<Problem> {
-        let pointer = self.pointer_of(refusal)?;
-        let at = self.document.root.nearest_to(&pointer).at;
-        Some(self.document.problem(at, &pointer, refusal.to_string(), refusal.help()))
-    }
-
-    fn pointer_of(&self, refusal: &Refusal) -> Option<String> {
-        let component = |id: &ComponentId| problem::join("/components", &id.to_string());
-        let pair = |client: &PortId, server: &PortId| {
-            let at = self.connections.iter().position(|c| c.client == *client && c.server == *server)?;
-            Some(format!("/connections/{at}"))
-        };
-        let port = |port: &PortId| {
-            self.connections.iter().enumerate().find_map(|(at, c)| {
-                let end = if c.client == *port { "client" } else { "server" };
-                (c.client == *port || c.server == *port).then(|| format!("/connections/{at}/{end}"))
-            })
-        };
-        match refusal {
-            Refusal::ClassNotFound { class, .. } => {
-                let spec = self.components.iter().find(|c| c.class == *class)?;
-                Some(component(&spec.id) + "/class")
-            }
-            Refusal::ConfigInvalid { id, violations } => {
-                let within = violations.first().map_or("", |v| v.pointer.as_str());
-                Some(component(id) + "/config" + within)
-            }
-            Refusal::ComponentNotFound { id, .. } => {
-                let at = self
-                    .connections
-                    .iter()
-                    .position(|c| c.client.component == *id || c.server.component == *id)?;
-                Some(format!("/connections/{at}"))
-            }
-            Refusal::ComponentExists { id }
-            | Refusal::WrongState { id, .. }
-            | Refusal::Unconnected { id, .. }
-            | Refusal::ComponentRefused { id, .. }
-            | Refusal::ComponentFault { id, .. }
-            | Refusal::NoMemory { id, .. }
-            | Refusal::NoThread { id, .. } => Some(component(id)),
-            Refusal::InterfaceNotFound { port: asked, .. } => port(asked),
-            Refusal::WrongDirection { client, server, .. }
-            | Refusal::AlreadyConnected { client, server }
-            | Refusal::ConnectionExists { client, server, .. }
-            | Refusal::CommandMissing { client, server, .. }
-            | Refusal::CommandKindMismatch { client, server, .. }
-            | Refusal::TypeMismatch { client, server, .. }
-            | Refusal::FormatMismatch { client, server, .. } => pair(client, server),
-            _ => None,
         }
     }
 }

@@ -33,11 +33,11 @@ pub(super) fn set(components: &mut [ComponentSpec], assignment: &str) -> Result<
     // A name may hold dots itself, so the longest component that fits is meant.
     let owner = components
         .iter()
-        .map(|c| c.id.to_string())
+        .map(|c| c.written.to_string())
         .filter(|id| target.strip_prefix(id.as_str()).is_some_and(|rest| rest.starts_with('.')))
         .max_by_key(String::len);
     let Some(owner) = owner else {
-        let known: Vec<String> = components.iter().map(|c| c.id.to_string()).collect();
+        let known: Vec<String> = components.iter().map(|c| c.written.to_string()).collect();
         let asked = target.split('.').next().unwrap_or(target);
         let help = match nearest(asked, known.iter().map(String::as_str)) {
             _ if !target.contains('.') => shape(),
@@ -51,7 +51,9 @@ pub(super) fn set(components: &mut [ComponentSpec], assignment: &str) -> Result<
         return Err(bad("an empty key".to_owned(), shape()));
     }
     let value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
-    let Some(component) = components.iter_mut().find(|c| c.id.to_string() == owner) else { return Ok(()) };
+    let Some(component) = components.iter_mut().find(|c| c.written.to_string() == owner) else {
+        return Ok(());
+    };
     let mut place = component.config.get_or_insert_with(|| Value::Object(Map::new()));
     for key in keys {
         if !place.is_object() {

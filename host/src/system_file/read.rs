@@ -3,17 +3,21 @@
 //! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use trocar_model::{ComponentId, ConnectOptions, Execution, ExecutionModel, Name, OnFailure, PortId, Queue};
 
 use super::cursor::{Cursor, Document, did_you_mean};
+use super::isolation::isolate;
 use super::problem::Problem;
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
+use crate::processes::{Limits, Policy};
 
 pub(super) const SYSTEM: &[&str] =
     &["$schema", "version", "processes", "components", "connections", "scenarios"];
-pub(super) const PROCESS: &[&str] = &["plugins", "trust"];
-pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start"];
+pub(super) const PROCESS: &[&str] = &["plugins", "trust", "listen", "state", "env", "restart"];
+pub(super) const RESTART: &[&str] = &["max", "within_s", "backoff_ms", "most_backoff_ms"];
+pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start", "isolation"];
 pub(super) const EXECUTION: &[&str] = &[
     "model",
     "rate_hz",
@@ -47,6 +51,11 @@ pub(super) const MODELS: &[(&str, ExecutionModel)] = &[
 pub(super) const ON_FAILURE: &[(&str, OnFailure)] =
     &[("stop_branch", OnFailure::StopBranch), ("bypass", OnFailure::Bypass)];
 
+pub(super) const POLICIES: &[(&str, Policy)] =
+    &[("never", Policy::Never), ("on_failure", Policy::OnFailure(Limits::DEFAULT))];
+/// True: a process of its own.
+pub(super) const ISOLATIONS: &[(&str, bool)] = &[("none", false), ("process", true)];
+
 const PATH_HELP: &str = "write process/component, e.g. \"host/robot\"";
 const PORT_HELP: &str = "write process/component/port, e.g. \"host/robot/arm\"";
 
@@ -64,9 +73,9 @@ pub(super) fn system(document: Document) -> Result<SystemFile, Problem> {
         ));
     }
     let listed = fields.get("processes").map(processes).transpose()?;
-    let components =
-        fields.get("components").map(|c| components(c, listed.as_deref())).transpose()?.unwrap_or_default();
-    let connections =
+    let written = fields.get("components").map(|c| components(c, listed.as_deref())).transpose()?;
+    let mut components = written.unwrap_or_default();
+    let mut connections =
         fields.get("connections").map(|c| connections(c, &components)).transpose()?.unwrap_or_default();
     if let Some(scenarios) = fields.get("scenarios")
         && let Some((key, _)) = scenarios.entries("scenarios")?.first()
@@ -77,7 +86,8 @@ pub(super) fn system(document: Document) -> Result<SystemFile, Problem> {
             "leave \"scenarios\": {} empty for now",
         ));
     }
-    let processes = listed.unwrap_or_else(|| implied_processes(&components));
+    let mut processes = listed.unwrap_or_else(|| implied_processes(&components));
+    isolate(&document, &mut processes, &mut components, &mut connections)?;
     drop((fields, root));
     Ok(SystemFile { processes, components, connections, document })
 }
@@ -87,11 +97,7 @@ fn implied_processes(components: &[ComponentSpec]) -> Vec<ProcessSpec> {
     let mut processes: Vec<ProcessSpec> = Vec::new();
     for c in components {
         if processes.iter().all(|p| p.name != c.id.process) {
-            processes.push(ProcessSpec {
-                name: c.id.process.clone(),
-                plugins: Vec::new(),
-                trust: TrustSpec::default(),
-            });
+            processes.push(ProcessSpec::new(c.id.process.clone()));
         }
     }
     processes
@@ -114,10 +120,69 @@ fn processes(part: &Cursor<'_>) -> Result<Vec<ProcessSpec>, Problem> {
                 plugins.push(PathBuf::from(item.text()?));
             }
         }
-        let trust = fields.get("trust").map(trust).transpose()?.unwrap_or_default();
-        processes.push(ProcessSpec { name, plugins, trust });
+        let mut env: Vec<(String, String)> = Vec::new();
+        if let Some(part) = fields.get("env") {
+            for (key, value) in part.entries("env")? {
+                if key.text.is_empty() || key.text.contains(['=', '\0']) {
+                    let help = "write NAME: \"value\", without '=' in the name";
+                    return Err(part.key_problem(
+                        key,
+                        format!("{:?} is not the name of a variable", key.text),
+                        help,
+                    ));
+                }
+                let text = value.text()?;
+                if text.contains('\0') {
+                    return Err(value.problem("a value has no NUL character", "leave it out"));
+                }
+                env.push((key.text.clone(), text.to_owned()));
+            }
+        }
+        processes.push(ProcessSpec {
+            name,
+            plugins,
+            trust: fields.get("trust").map(trust).transpose()?.unwrap_or_default(),
+            listen: fields.get("listen").map(listen).transpose()?,
+            state: fields.get("state").map(Cursor::text).transpose()?.map(PathBuf::from),
+            env,
+            restart: fields.get("restart").map(restart).transpose()?.unwrap_or_default(),
+        });
     }
     Ok(processes)
+}
+
+fn listen(value: &Cursor<'_>) -> Result<String, Problem> {
+    let text = value.text()?;
+    let port = text
+        .rsplit_once(':')
+        .and_then(|(host, port)| (!host.is_empty()).then(|| port.parse::<u16>().ok())?);
+    match port {
+        Some(_) => Ok(text.to_owned()),
+        None => Err(value.problem(
+            format!("{text:?} is not an address to listen on"),
+            "write \"127.0.0.1:PORT\"; port 0 takes a free one",
+        )),
+    }
+}
+
+/// `"never"`, `"on_failure"`, or how often and how soon.
+fn restart(value: &Cursor<'_>) -> Result<Policy, Problem> {
+    if let super::scan::Kind::Text(_) = value.node.kind {
+        return value.one_of(POLICIES);
+    }
+    let fields = value.fields("a restart policy (or \"never\", \"on_failure\")", RESTART)?;
+    let time = |key: &str, unit: &str, ns: f64, default: Duration| -> Result<Duration, Problem> {
+        let given = fields.get(key).map(|v| v.positive(unit)).transpose()?;
+        Ok(given.map_or(default, |n| Duration::from_nanos((n * ns).min(1e17) as u64)))
+    };
+    let usual = Limits::DEFAULT;
+    let max = fields.get("max").map(|n| n.whole(0, 1000, "a number of restarts")).transpose()?;
+    Ok(Policy::OnFailure(Limits {
+        max: max.map_or(usual.max, |n| n as u32),
+        within: time("within_s", "s", 1e9, usual.within)?,
+        backoff: time("backoff_ms", "ms", 1e6, usual.backoff)?,
+        most_backoff: time("most_backoff_ms", "ms", 1e6, usual.most_backoff)?,
+    }))
 }
 
 /// `"dev"` or `"allowlist:FILE"`, as on the command line.
@@ -158,7 +223,9 @@ fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>) -> Result<Ve
         let fields = value.fields("a component", COMPONENT)?;
         let config = fields.get("config").map(config).transpose()?;
         components.push(ComponentSpec {
+            written: id.clone(),
             id,
+            isolated: fields.get("isolation").map(|i| i.one_of(ISOLATIONS)).transpose()?.unwrap_or(false),
             class: fields.need("class")?.text()?.to_owned(),
             config,
             execution: fields.get("execution").map(execution).transpose()?.unwrap_or_default(),

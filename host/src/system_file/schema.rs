@@ -8,6 +8,8 @@ use serde_json::{Value, json};
 pub fn system_schema() -> Value {
     let models: Vec<&str> = super::read::MODELS.iter().map(|(name, _)| *name).collect();
     let on_failure: Vec<&str> = super::read::ON_FAILURE.iter().map(|(name, _)| *name).collect();
+    let policies: Vec<&str> = super::read::POLICIES.iter().map(|(name, _)| *name).collect();
+    let isolations: Vec<&str> = super::read::ISOLATIONS.iter().map(|(name, _)| *name).collect();
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "trocar system file",
@@ -51,7 +53,26 @@ pub fn system_schema() -> Value {
                     "trust": {
                         "type": "string", "pattern": "^(dev|allowlist:.+)$", "default": "dev",
                         "description": "dev: your own and root's files. allowlist:FILE: only files whose sha256 the file lists (relative to this file)."
+                    },
+                    "listen": { "type": "string", "default": "127.0.0.1:0", "description": "Address it listens on; port 0 takes a free one. For `trocar up`." },
+                    "state": { "type": "string", "description": "Where it keeps its state, relative to this file. Left out: in the user's state directory. For `trocar up`." },
+                    "env": { "type": "object", "additionalProperties": { "type": "string" }, "description": "Variables of its environment. For `trocar up`." },
+                    "restart": {
+                        "description": "What follows when it ends other than asked. For `trocar up`.",
+                        "default": "on_failure",
+                        "oneOf": [{ "enum": policies }, { "$ref": "#/$defs/restart" }]
                     }
+                }
+            },
+            "restart": {
+                "type": "object",
+                "additionalProperties": false,
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "max": { "type": "integer", "minimum": 0, "maximum": 1000, "default": 3, "description": "Restarts within within_s; after more it is FAILED." },
+                    "within_s": { "type": "number", "exclusiveMinimum": 0, "default": 10, "description": "Time over which restarts are counted, s." },
+                    "backoff_ms": { "type": "number", "exclusiveMinimum": 0, "default": 50, "description": "Pause before the first restart, ms; twice as long before each further one." },
+                    "most_backoff_ms": { "type": "number", "exclusiveMinimum": 0, "default": 2000, "description": "Longest pause, ms." }
                 }
             },
             "component": {
@@ -63,7 +84,8 @@ pub fn system_schema() -> Value {
                     "class": { "type": "string", "description": "plugin/class, or the class alone where it is unique." },
                     "config": { "type": "object", "description": "Configuration; what is left out takes the class's default." },
                     "execution": { "$ref": "#/$defs/execution" },
-                    "start": { "type": "boolean", "default": true, "description": "Start it with the system." }
+                    "start": { "type": "boolean", "default": true, "description": "Start it with the system." },
+                    "isolation": { "enum": isolations, "default": "none", "description": "process: a process of its own, PROCESS.COMPONENT, made like the one it is written under. For `trocar up`." }
                 }
             },
             "execution": {

@@ -1,10 +1,13 @@
 //! Each kind of mistake in a system file, with the place and the help it must answer.
 #![allow(clippy::unwrap_used)]
 
+use std::time::Duration;
+
 use serde_json::json;
 use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request};
 
 use super::{Problem, SystemFile, system_schema};
+use crate::processes::{Limits, Policy};
 
 const GOOD: &str = r#"{
   "version": 1,
@@ -243,6 +246,7 @@ fn the_schema_lists_exactly_the_keys_that_are_read() {
     let parts = [
         ("/properties", super::read::SYSTEM),
         ("/$defs/process/properties", super::read::PROCESS),
+        ("/$defs/restart/properties", super::read::RESTART),
         ("/$defs/component/properties", super::read::COMPONENT),
         ("/$defs/execution/properties", super::read::EXECUTION),
         ("/$defs/connection/properties", super::read::CONNECTION),
@@ -251,4 +255,106 @@ fn the_schema_lists_exactly_the_keys_that_are_read() {
     for (pointer, known) in parts {
         assert_eq!(keys(pointer), sorted(known), "{pointer} of the schema and read.rs differ");
     }
+}
+
+const THREE: &str = r#"{
+  "version": 1,
+  "processes": {
+    "left":  { "listen": "127.0.0.1:4000", "state": "l", "env": { "A": "1" }, "restart": "never" },
+    "right": { "restart": { "max": 5, "within_s": 2.5, "backoff_ms": 10 } },
+    "gui":   {}
+  },
+  "components": {
+    "left/robot": { "class": "eyerobot", "isolation": "process", "config": { "seed": 1 } },
+    "left/log":   { "class": "logger" },
+    "right/eye":  { "class": "image_source" },
+    "right/gray": { "class": "gray", "execution": { "stream_of": "right/eye" } }
+  },
+  "connections": [
+    { "client": "left/log/force", "server": "left/robot/force" },
+    { "client": "right/gray/raw", "server": "right/eye/image" }
+  ]
+}"#;
+
+fn three(part: &str, by: &str) -> Result<SystemFile, Problem> {
+    assert!(THREE.contains(part), "the file has no {part:?}");
+    parse(&THREE.replacen(part, by, 1))
+}
+
+#[test]
+fn what_a_process_is_started_with_is_read() {
+    let file = parse(THREE).unwrap();
+    let [left, right, gui, robot] = file.processes.as_slice() else { panic!("{:?}", file.processes) };
+    assert_eq!(
+        (left.listen.as_deref(), left.env.as_slice()),
+        (Some("127.0.0.1:4000"), &[("A".into(), "1".into())][..])
+    );
+    assert_eq!(left.restart, Policy::Never);
+    let limits = Limits {
+        max: 5,
+        within: Duration::from_millis(2500),
+        backoff: Duration::from_millis(10),
+        ..Limits::DEFAULT
+    };
+    assert_eq!(right.restart, Policy::OnFailure(limits));
+    assert_eq!((gui.restart, &gui.state), (Policy::default(), &None));
+    assert_eq!((robot.name.as_str(), robot.restart), ("left.robot", Policy::Never), "made like its process");
+    assert_eq!(
+        (robot.listen.as_deref(), robot.state.as_deref()),
+        (None, Some(std::path::Path::new("l/robot")))
+    );
+}
+
+#[test]
+fn an_isolated_component_keeps_its_written_name_within_the_file() {
+    let mut file = parse(THREE).unwrap();
+    let robot = file.components.iter().find(|c| c.class == "eyerobot").unwrap();
+    assert_eq!(
+        (robot.id.to_string(), robot.written.to_string()),
+        ("left.robot/robot".into(), "left/robot".into())
+    );
+    assert_eq!(file.connections[0].server.to_string(), "left.robot/robot/force");
+    file.set("left/robot.seed=8").unwrap();
+    let robot = file.components.iter().find(|c| c.class == "eyerobot").unwrap();
+    assert_eq!(robot.config, Some(json!({"seed": 8})));
+    let p = file.locate(&Refusal::ComponentExists { id: robot.id.clone() }).unwrap();
+    assert_eq!(p.pointer, "/components/left~1robot");
+}
+
+#[test]
+fn what_a_process_cannot_be_started_with_is_refused_in_its_place() {
+    let refused = |part: &str, by: &str| three(part, by).unwrap_err();
+    let p = refused("\"127.0.0.1:4000\"", "\"here\"");
+    assert!(p.pointer.ends_with("/left/listen") && p.help.contains("127.0.0.1:PORT"), "{p} / {}", p.help);
+    assert!(refused("\"A\": \"1\"", "\"A=B\": \"1\"").what.contains("name of a variable"));
+    assert!(refused("\"A\": \"1\"", "\"A\": 1").what.contains("expected a text"));
+    assert!(refused("\"never\"", "\"nevr\"").help.contains("did you mean \"never\"?"));
+    assert!(refused("\"max\": 5", "\"max\": -1").what.contains("number of restarts"));
+    assert!(refused("\"max\": 5", "\"maxx\": 5").help.contains("did you mean \"max\"?"));
+    assert!(refused("\"process\"", "\"proces\"").help.contains("did you mean \"process\"?"));
+    let p = refused("\"gui\":", "\"left.robot\":");
+    assert!(p.what.contains("there is one of that name"), "{p}");
+    let p = refused("\"class\": \"image_source\"", "\"class\": \"image_source\", \"isolation\": \"process\"");
+    assert_eq!(p.pointer, "/components/right~1gray/execution/stream_of", "{p}");
+    let p = refused("\"gui\":", "\"right\":");
+    assert!(p.what.contains("duplicate key"), "{p}");
+}
+
+#[test]
+fn a_refusal_from_the_wire_is_led_back_to_its_place() {
+    let file = parse(THREE).unwrap();
+    let told = |reason: &str, values: &[(&str, &str)]| {
+        let values = values.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+        file.locate_told(reason, "no", "do so", &values).map(|p| p.pointer)
+    };
+    assert_eq!(told("NOT_IMPLEMENTED", &[]).unwrap(), "/connections/0", "it is across processes");
+    let class = [("process", "right"), ("class", "gray")];
+    assert_eq!(told("CLASS_NOT_FOUND", &class).unwrap(), "/components/right~1gray/class");
+    let robot = [("component", "left.robot/robot")];
+    assert_eq!(told("CONFIG_INVALID", &robot).unwrap(), "/components/left~1robot/config");
+    assert_eq!(told("COMPONENT_FAULT", &robot).unwrap(), "/components/left~1robot");
+    let ends = [("client", "right/gray/raw"), ("server", "right/eye/image")];
+    assert_eq!(told("TYPE_MISMATCH", &ends).unwrap(), "/connections/1");
+    assert_eq!(told("INTERFACE_NOT_FOUND", &[("port", "right/gray/raw")]).unwrap(), "/connections/1");
+    assert_eq!(told("LCM_TIMEOUT", &[("process", "right")]), None);
 }

@@ -172,7 +172,7 @@ fn with_failures(mut outcome: Outcome, dry_run: bool) -> Outcome {
     outcome
 }
 
-fn outcome(
+pub(super) fn outcome(
     revision: u64,
     plan: Vec<String>,
     components: Vec<v1::ComponentReport>,

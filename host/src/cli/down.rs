@@ -1,0 +1,58 @@
+//! `trocar down FILE|NAME`: takes a system down that `trocar up` keeps.
+//!
+//! Invariant: it answers when everything is down, devices safe first; a system nobody keeps is told apart from one that
+//! does not answer.
+
+use std::path::Path;
+
+use clap::Args;
+use serde_json::json;
+
+use super::failure::{Done, Exit, Failure};
+use super::session::Session;
+use super::{out, up};
+use crate::processes::{Answer, Door};
+
+/// Takes a system down that `trocar up` keeps, devices safe first.
+#[derive(Args, Debug)]
+pub(super) struct DownArgs {
+    /// Its system file, or its name.
+    #[arg(value_name = "FILE|NAME")]
+    system: String,
+}
+
+pub(super) async fn run(args: DownArgs, session: &Session) -> Done {
+    let is_file = args.system.contains('/') || args.system.ends_with(".json");
+    let name = if is_file { up::name_of(None, Path::new(&args.system))? } else { args.system };
+    match Door::ask(&up::directory(&name)).await {
+        Answer::Down => {
+            if session.json() {
+                return session.print_json(&json!({ "name": name, "down": true }));
+            }
+            out::say(&format!("{name} is down"));
+            Ok(Exit::Ok)
+        }
+        Answer::Nobody => Err(Failure::refused("NOT_UP", format!("no system {name} is up"), known().await)),
+        Answer::Unknown(why) => Err(Failure::local(
+            "UNKNOWN",
+            format!("nobody knows whether {name} is down: {why}"),
+            "`trocar ls` tells; its processes end by themselves when `trocar up` has ended",
+        )),
+    }
+}
+
+/// Which systems are up.
+async fn known() -> String {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(up::directories()).into_iter().flatten().flatten() {
+        if Door::is_open(&entry.path()).await {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    if names.is_empty() {
+        "none is up: `trocar up FILE`".to_owned()
+    } else {
+        format!("up are: {}", names.join(", "))
+    }
+}

@@ -1,0 +1,79 @@
+//! What `up` runs: the processes of a system file, and their GCM, as programs of a supervisor.
+//!
+//! Invariant: every path is absolute, so a child finds what the file means wherever it is started.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use crate::cli::failure::Failure;
+use crate::cli::hosting;
+use crate::processes::{Policy, Program};
+use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
+
+/// What the supervisor calls the GCM: no process can be called that.
+pub(super) const GCM: &str = ":gcm";
+
+fn own_program() -> Result<PathBuf, Failure> {
+    std::env::current_exe().map_err(|e| {
+        Failure::local("IO", format!("cannot find this program: {e}"), "start it by its whole path")
+    })
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+pub(super) fn gcm(listen: &str, state: &Path) -> Result<Program, Failure> {
+    Ok(Program {
+        name: GCM.to_owned(),
+        file: own_program()?,
+        args: ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into(),
+        listen: listen.to_owned(),
+        stays: true,
+        env: Vec::new(),
+        policy: Policy::default(),
+    })
+}
+
+/// The processes of a file that lies at `at`; its paths are relative to that.
+pub(super) fn hosts(
+    file: &SystemFile,
+    at: &Path,
+    plugins: &[PathBuf],
+    state: &Path,
+) -> Result<Vec<Program>, Failure> {
+    let base = absolute(at.parent().unwrap_or(Path::new("")));
+    file.processes.iter().map(|process| host(process, &base, plugins, state)).collect()
+}
+
+fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -> Result<Program, Failure> {
+    let name = process.name.as_str();
+    let state = match &process.state {
+        Some(dir) => base.join(dir),
+        None => absolute(&state.join("processes").join(name)),
+    };
+    let mut args: Vec<OsString> = ["host", "--name", name, "--state"].map(OsString::from).into();
+    args.push(state.into());
+    let dirs: Vec<PathBuf> = match (plugins.is_empty(), process.plugins.is_empty()) {
+        (false, _) => plugins.iter().map(|dir| absolute(dir)).collect(),
+        (true, false) => process.plugins.iter().map(|dir| base.join(dir)).collect(),
+        (true, true) => hosting::plugin_dirs(Vec::new()).iter().map(|dir| absolute(dir)).collect(),
+    };
+    for dir in dirs {
+        args.extend(["--plugins".into(), dir.into()]);
+    }
+    if let TrustSpec::AllowList(list) = &process.trust {
+        let mut trust = OsString::from("allowlist:");
+        trust.push(base.join(list));
+        args.extend(["--trust".into(), trust]);
+    }
+    Ok(Program {
+        name: name.to_owned(),
+        file: own_program()?,
+        args,
+        listen: process.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned()),
+        stays: false,
+        env: process.env.clone(),
+        policy: process.restart,
+    })
+}

@@ -1,0 +1,170 @@
+//! How a supervised system is asked to go down: a Unix socket in its state directory.
+//!
+//! Invariant: only the user of the directory can ask, and whoever asks is answered when it is down, not before.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+
+const SOCKET: &str = "door.sock";
+const DOWN: &str = "down\n";
+/// Time to say what one wants.
+const ASK: Duration = Duration::from_secs(2);
+/// Time a system may take to go down.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The door of this system; gone when dropped.
+pub struct Door {
+    path: PathBuf,
+    asked: mpsc::Receiver<UnixStream>,
+    task: JoinHandle<()>,
+}
+
+/// What came of asking.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Answer {
+    Down,
+    /// Nobody is there.
+    Nobody,
+    /// It did not go down, or nobody knows: why.
+    Unknown(String),
+}
+
+impl Door {
+    /// Opens the door of the system whose directory, which the caller holds, this is.
+    ///
+    /// # Errors
+    /// The socket cannot be bound.
+    pub fn open(dir: &Path) -> std::io::Result<Door> {
+        let path = dir.join(SOCKET);
+        // The directory is ours: what lies here is a dead system's.
+        let _ = fs::remove_file(&path);
+        let listener = UnixListener::bind(&path)?;
+        let (tell, asked) = mpsc::channel(16);
+        let task = tokio::spawn(async move {
+            loop {
+                match listener.accept().await {
+                    Ok((stream, _)) => {
+                        tokio::spawn(let_in(stream, tell.clone()));
+                    }
+                    // Out of descriptors: others may free some.
+                    Err(_) => tokio::time::sleep(Duration::from_millis(100)).await,
+                }
+            }
+        });
+        Ok(Door { path, asked, task })
+    }
+
+    /// Waits until somebody wants it down; whom to answer then.
+    pub async fn asked(&mut self) -> UnixStream {
+        match self.asked.recv().await {
+            Some(stream) => stream,
+            // The task lives as long as this does.
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Answers whoever asked that it is done.
+    pub async fn answer(&mut self, first: Option<UnixStream>) {
+        let mut waiting: Vec<UnixStream> = first.into_iter().collect();
+        while let Ok(next) = self.asked.try_recv() {
+            waiting.push(next);
+        }
+        for mut stream in waiting {
+            // It may not want to know any more.
+            let _ = stream.write_all(DOWN.as_bytes()).await;
+        }
+    }
+
+    /// Asks the system of this directory to go down and waits until it is.
+    pub async fn ask(dir: &Path) -> Answer {
+        let mut stream = match UnixStream::connect(dir.join(SOCKET)).await {
+            Ok(stream) => stream,
+            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::ConnectionRefused) => {
+                return Answer::Nobody;
+            }
+            Err(e) => return Answer::Unknown(e.to_string()),
+        };
+        let talk = async {
+            stream.write_all(DOWN.as_bytes()).await?;
+            let mut text = String::new();
+            stream.read_to_string(&mut text).await.map(|_| text)
+        };
+        match tokio::time::timeout(PATIENCE, talk).await {
+            Ok(Ok(text)) if text == DOWN => Answer::Down,
+            Ok(Ok(_)) => Answer::Unknown("it ended before it answered".to_owned()),
+            Ok(Err(e)) => Answer::Unknown(e.to_string()),
+            Err(_) => Answer::Unknown(format!("no answer within {} s", PATIENCE.as_secs())),
+        }
+    }
+
+    /// True when somebody answers there.
+    pub async fn is_open(dir: &Path) -> bool {
+        UnixStream::connect(dir.join(SOCKET)).await.is_ok()
+    }
+}
+
+impl Drop for Door {
+    fn drop(&mut self) {
+        self.task.abort();
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+async fn let_in(mut stream: UnixStream, tell: mpsc::Sender<UnixStream>) {
+    let mut asked = [0; DOWN.len()];
+    let read = tokio::time::timeout(ASK, stream.read_exact(&mut asked)).await;
+    if matches!(read, Ok(Ok(_))) && asked == DOWN.as_bytes() {
+        // It is going down already.
+        let _ = tell.send(stream).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[tokio::test]
+    async fn whoever_asks_is_answered_when_it_is_done() {
+        let dir = tempfile::tempdir().unwrap();
+        assert_eq!(Door::ask(dir.path()).await, Answer::Nobody);
+        let mut door = Door::open(dir.path()).unwrap();
+        assert!(Door::is_open(dir.path()).await);
+        let path = dir.path().to_owned();
+        let asking = tokio::spawn(async move { Door::ask(&path).await });
+        let first = door.asked().await;
+        door.answer(Some(first)).await;
+        assert_eq!(asking.await.unwrap(), Answer::Down);
+    }
+
+    #[tokio::test]
+    async fn a_system_that_dies_first_is_told_apart_from_one_that_is_down() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut door = Door::open(dir.path()).unwrap();
+        let path = dir.path().to_owned();
+        let asking = tokio::spawn(async move { Door::ask(&path).await });
+        drop(door.asked().await);
+        drop(door);
+        assert!(matches!(asking.await.unwrap(), Answer::Unknown(_)));
+        assert_eq!(Door::ask(dir.path()).await, Answer::Nobody, "its socket is gone with it");
+    }
+
+    #[tokio::test]
+    async fn who_says_something_else_is_not_heard() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut door = Door::open(dir.path()).unwrap();
+        let mut stranger = UnixStream::connect(dir.path().join(SOCKET)).await.unwrap();
+        stranger.write_all(b"up up").await.unwrap();
+        let mut text = String::new();
+        assert_eq!(stranger.read_to_string(&mut text).await.unwrap_or(0), 0);
+        assert!(door.asked.try_recv().is_err());
+    }
+}

@@ -1,0 +1,65 @@
+//! `"isolation": "process"`: a component in a process of its own, made as its process would have been.
+//!
+//! Invariant: whoever names such a component in the file means it under its written name; `host/robot` then lives in process
+//! `host.robot`. What shares a thread cannot be taken apart.
+
+use trocar_model::{ComponentId, Name};
+
+use super::cursor::Document;
+use super::problem::{Problem, join};
+use super::{ComponentSpec, ConnectionSpec, ProcessSpec};
+
+pub(super) fn isolate(
+    document: &Document,
+    processes: &mut Vec<ProcessSpec>,
+    components: &mut [ComponentSpec],
+    connections: &mut [ConnectionSpec],
+) -> Result<(), Problem> {
+    let wrong = |id: &ComponentId, key: &str, what: String, help: &str| {
+        let pointer = join("/components", &id.to_string()) + key;
+        let at = document.root.nearest_to(&pointer).at;
+        document.problem(at, &pointer, what, help.to_owned())
+    };
+    let apart: Vec<ComponentId> = components.iter().filter(|c| c.isolated).map(|c| c.id.clone()).collect();
+    for c in components.iter() {
+        for (key, owner) in [("stream_of", &c.execution.stream_of), ("inside", &c.execution.inside)] {
+            let Some(owner) = owner else { continue };
+            let lender = apart.iter().find(|id| id.to_string() == *owner);
+            if c.isolated || lender.is_some() {
+                return Err(wrong(
+                    &c.id,
+                    &format!("/execution/{key}"),
+                    format!(
+                        "{} runs in the thread of {owner}, and one of them has a process of its own",
+                        c.id
+                    ),
+                    "leave the isolation or the shared thread out",
+                ));
+            }
+        }
+    }
+    for id in &apart {
+        let text = format!("{}.{}", id.process, id.component);
+        let name = Name::parse(&text).map_err(|e| {
+            let what = format!("its own process would be called {text:?}: {e}");
+            wrong(id, "/isolation", what, "give component or process a shorter name")
+        })?;
+        if processes.iter().any(|p| p.name == name) {
+            let what = format!("its own process would be called {name}, and there is one of that name");
+            return Err(wrong(id, "/isolation", what, "give that process another name"));
+        }
+        let Some(home) = processes.iter().find(|p| p.name == id.process).cloned() else { continue };
+        let state = home.state.map(|dir| dir.join(id.component.as_str()));
+        processes.push(ProcessSpec { name: name.clone(), listen: None, state, ..home });
+        let lives = ComponentId::new(name, id.component.clone());
+        for c in components.iter_mut().filter(|c| c.id == *id) {
+            c.id = lives.clone();
+        }
+        for end in connections.iter_mut().flat_map(|c| [&mut c.client, &mut c.server]) {
+            if end.component == *id {
+                end.component = lives.clone();
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,114 @@
+//! Where in the file the thing a refusal is about was written.
+//!
+//! Invariant: a refusal leads to the same place whether it comes from this process or over the wire, as reason and values.
+
+use std::collections::BTreeMap;
+
+use trocar_model::{ComponentId, PortId, Refusal};
+
+use super::SystemFile;
+use super::problem::{Problem, join};
+
+impl SystemFile {
+    /// Where in the file the thing a refusal is about was written.
+    pub fn locate(&self, refusal: &Refusal) -> Option<Problem> {
+        let pointer = self.pointer_of(refusal)?;
+        let at = self.document.root.nearest_to(&pointer).at;
+        Some(self.document.problem(at, &pointer, refusal.to_string(), refusal.help()))
+    }
+
+    fn pointer_of(&self, refusal: &Refusal) -> Option<String> {
+        let component = |id: &ComponentId| join("/components", &self.written(id).to_string());
+        let pair = |client: &PortId, server: &PortId| {
+            let at = self.connections.iter().position(|c| c.client == *client && c.server == *server)?;
+            Some(format!("/connections/{at}"))
+        };
+        let port = |port: &PortId| {
+            self.connections.iter().enumerate().find_map(|(at, c)| {
+                let end = if c.client == *port { "client" } else { "server" };
+                (c.client == *port || c.server == *port).then(|| format!("/connections/{at}/{end}"))
+            })
+        };
+        match refusal {
+            Refusal::ClassNotFound { class, .. } => {
+                let spec = self.components.iter().find(|c| c.class == *class)?;
+                Some(component(&spec.id) + "/class")
+            }
+            Refusal::ConfigInvalid { id, violations } => {
+                let within = violations.first().map_or("", |v| v.pointer.as_str());
+                Some(component(id) + "/config" + within)
+            }
+            Refusal::ComponentNotFound { id, .. } => {
+                let at = self
+                    .connections
+                    .iter()
+                    .position(|c| c.client.component == *id || c.server.component == *id)?;
+                Some(format!("/connections/{at}"))
+            }
+            Refusal::ComponentExists { id }
+            | Refusal::WrongState { id, .. }
+            | Refusal::Unconnected { id, .. }
+            | Refusal::ComponentRefused { id, .. }
+            | Refusal::ComponentFault { id, .. }
+            | Refusal::NoMemory { id, .. }
+            | Refusal::NoThread { id, .. } => Some(component(id)),
+            Refusal::InterfaceNotFound { port: asked, .. } => port(asked),
+            Refusal::WrongDirection { client, server, .. }
+            | Refusal::AlreadyConnected { client, server }
+            | Refusal::ConnectionExists { client, server, .. }
+            | Refusal::CommandMissing { client, server, .. }
+            | Refusal::CommandKindMismatch { client, server, .. }
+            | Refusal::TypeMismatch { client, server, .. }
+            | Refusal::FormatMismatch { client, server, .. } => pair(client, server),
+            _ => None,
+        }
+    }
+
+    /// The same for a refusal that came over the wire.
+    pub fn locate_told(
+        &self,
+        reason: &str,
+        message: &str,
+        help: &str,
+        values: &BTreeMap<String, String>,
+    ) -> Option<Problem> {
+        let pointer = self.pointer_told(reason, values)?;
+        let at = self.document.root.nearest_to(&pointer).at;
+        Some(self.document.problem(at, &pointer, message.to_owned(), help.to_owned()))
+    }
+
+    fn pointer_told(&self, reason: &str, values: &BTreeMap<String, String>) -> Option<String> {
+        let value = |key: &str| values.get(key).map(String::as_str);
+        let connection = |at: usize| format!("/connections/{at}");
+        let id = value("component").and_then(|id| ComponentId::parse(id).ok());
+        let component = |id: &ComponentId| join("/components", &self.written(id).to_string());
+        let mut connections = self.connections.iter();
+        match (reason, id) {
+            // Nothing else of a system file is not there yet.
+            ("NOT_IMPLEMENTED", _) => connections
+                .position(|c| c.client.component.process != c.server.component.process)
+                .map(connection),
+            ("CLASS_NOT_FOUND", _) => {
+                let is_it = |p: &str, c: &str| value("process") == Some(p) && value("class") == Some(c);
+                let spec = self.components.iter().find(|c| is_it(c.id.process.as_str(), &c.class))?;
+                Some(component(&spec.id) + "/class")
+            }
+            ("CONFIG_INVALID", Some(id)) => Some(component(&id) + "/config"),
+            (_, Some(id)) => Some(component(&id)),
+            (_, None) => match (value("client"), value("server"), value("port")) {
+                (Some(client), Some(server), _) => connections
+                    .position(|c| c.client.to_string() == client && c.server.to_string() == server)
+                    .map(connection),
+                (.., Some(port)) => connections
+                    .position(|c| c.client.to_string() == port || c.server.to_string() == port)
+                    .map(connection),
+                _ => None,
+            },
+        }
+    }
+
+    /// What the file calls a component.
+    fn written<'a>(&'a self, id: &'a ComponentId) -> &'a ComponentId {
+        self.components.iter().find(|c| c.id == *id).map_or(id, |c| &c.written)
+    }
+}
