@@ -20,6 +20,7 @@ mod fig4;
 mod odd_plugins;
 mod plugin_guide;
 mod plugin_loading;
+mod processes;
 mod purity;
 mod realtime;
 mod sdk_devices;

@@ -16,6 +16,8 @@ use tokio::sync::oneshot;
 
 use super::{Exit, Policy};
 
+/// What a child shows of its log; all of it is in its state directory.
+const LEVEL: &str = "TROCAR_LOG";
 /// Longest first line, bytes.
 const LINE: usize = 1 << 20;
 /// How long a child that was asked to end may take for it.
@@ -58,6 +60,9 @@ impl Child {
     pub(super) fn spawn(program: &Program, listen: &str) -> std::io::Result<Child> {
         let mut command = Command::new(&program.file);
         command.args(&program.args).args(["--json", "--tied", "--listen", listen]);
+        if std::env::var_os(LEVEL).is_none() {
+            command.env(LEVEL, "warn");
+        }
         command.envs(program.env.iter().map(|(name, value)| (name, value)));
         // Its own group: Ctrl-C is for whoever keeps it, who then ends all in order.
         command.process_group(0).kill_on_drop(true);

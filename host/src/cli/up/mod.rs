@@ -17,6 +17,7 @@ use trocar_model::Name;
 use self::programs::GCM;
 use self::telling::Voice;
 use super::failure::{Done, Exit, Failure};
+use super::mutation::{MutationArgs, Outcome};
 use super::session::{self, Session};
 use super::{hosting, logging};
 use crate::gcm::Fate;
@@ -26,6 +27,10 @@ use crate::system_file::SystemFile;
 
 /// How long a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
+/// How often everything is made once more when a process was lost meanwhile.
+const AGAIN: u32 = 5;
+/// Between two looks whether it is back.
+const LOOK: Duration = Duration::from_millis(20);
 /// How long its components may take to stop in order; then their processes stop them all the same.
 const STOP: Duration = Duration::from_secs(5);
 
@@ -190,11 +195,48 @@ impl System {
             self.supervisor.start(host.clone());
         }
         self.serving(&names).await?;
+        let outcome = self.fill(file, &names).await?;
         let Some(session) = &self.session else { return Ok(()) };
-        let outcome = session.apply(&file.requests(), BRING_UP).await.map_err(|f| placed(file, f))?;
         let standing = session.list().await?;
         voice.say_up(&addr, &self.supervisor.statuses().borrow(), &standing, file, &outcome.warnings);
         Ok(())
+    }
+
+    /// Makes everything of the file in its processes. One that crashes, or loses touch, meanwhile is started again by its
+    /// supervisor; then all of it is made once more, until that gives up.
+    async fn fill(&self, file: &SystemFile, names: &[String]) -> Result<Outcome, Failure> {
+        let Some(session) = &self.session else { return Ok(Outcome::default()) };
+        let requests = file.requests();
+        let mut again = 0;
+        loop {
+            let failure = match session.apply(&requests, BRING_UP).await {
+                Ok(outcome) => return Ok(outcome),
+                Err(failure) if failure.reason == "PROCESS_LOST" && again < AGAIN => failure,
+                Err(failure) => return Err(placed(file, failure)),
+            };
+            again += 1;
+            log::warn!("{}; everything is made once more", failure.message);
+            let settle = async {
+                loop {
+                    self.serving(names).await?;
+                    let listed = session.list().await?;
+                    let there = |name: &String| {
+                        listed.processes.iter().any(|p| p.name == *name && p.state == "ATTACHED")
+                    };
+                    if names.iter().all(there) {
+                        break Ok::<_, Failure>(listed);
+                    }
+                    tokio::time::sleep(LOOK).await;
+                }
+            };
+            let listed = tokio::time::timeout(BRING_UP, settle).await.map_err(|_| failure)??;
+            for component in listed.components {
+                let ours = |name: &String| component.path.split('/').next() == Some(name.as_str());
+                if names.iter().any(ours) {
+                    session.remove(&component.path, true, &MutationArgs::default()).await?;
+                }
+            }
+        }
     }
 
     fn names(&self) -> Vec<String> {

@@ -4,14 +4,19 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use crate::cli::failure::Failure;
 use crate::cli::hosting;
-use crate::processes::{Policy, Program};
+use crate::processes::{Limits, Policy, Program};
 use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
 
 /// What the supervisor calls the GCM: no process can be called that.
 pub(super) const GCM: &str = ":gcm";
+
+/// Nobody stands still for want of a GCM, so it is never given up, and is soon back.
+const GCM_LIMITS: Limits =
+    Limits { max: u32::MAX, most_backoff: Duration::from_millis(200), ..Limits::DEFAULT };
 
 fn own_program() -> Result<PathBuf, Failure> {
     std::env::current_exe().map_err(|e| {
@@ -31,7 +36,7 @@ pub(super) fn gcm(listen: &str, state: &Path) -> Result<Program, Failure> {
         listen: listen.to_owned(),
         stays: true,
         env: Vec::new(),
-        policy: Policy::default(),
+        policy: Policy::OnFailure(GCM_LIMITS),
     })
 }
 

@@ -1,0 +1,272 @@
+//! A system of several processes: `trocar up` starts them, keeps them, and takes them down.
+//!
+//! Promise: what crashes comes back, and what moves something then waits for somebody; what cannot come up is named; nothing
+//! outlives `up`, however that ends; losing the GCM stops nothing.
+
+#[path = "processes/refusals.rs"]
+mod refusals;
+#[path = "processes/system.rs"]
+mod system;
+
+use serde_json::{Value, json};
+use system::{System, gone, kill, pid};
+use trocar_tests::{HostProcess, Trocar, World, eventually, number};
+
+const TWO: &str = r#"{
+  "version": 1,
+  "processes": { "left": { "plugins": ["plugins"] }, "right": { "plugins": ["plugins"] } },
+  "components": {
+    "left/s":  { "class": "sine" },
+    "right/s": { "class": "sine" },
+    "right/c": { "class": "chaos" },
+    "right/off": { "class": "sine", "start": false }
+  }
+}"#;
+
+#[test]
+fn everything_of_a_file_comes_up_and_goes_down_with_ctrl_c() {
+    let mut two = System::up(TWO, &[]);
+    let list = two.list();
+    let states: Vec<(&str, &str)> = list["components"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| (c["path"].as_str().unwrap(), c["state"].as_str().unwrap()))
+        .collect();
+    let active = "COMPONENT_STATE_ACTIVE";
+    let wanted = [
+        ("left/s", active),
+        ("right/c", active),
+        ("right/off", "COMPONENT_STATE_READY"),
+        ("right/s", active),
+    ];
+    assert_eq!(states, wanted, "{list}");
+    let pids = two.pids();
+    assert_eq!(pids.len(), 3, "two hosts and their GCM: {pids:?}");
+    let status = two.process.interrupt();
+    assert!(status.success(), "{status}: {}", two.process.printed());
+    assert_eq!(pids.iter().filter(|pid| !gone(**pid)).count(), 0, "it answers when all have ended");
+}
+
+#[test]
+fn a_killed_process_comes_back_with_all_it_had_and_what_moves_waits_for_somebody() {
+    let two = System::up(TWO, &[]);
+    let (left, before) = (two.host("left"), two.host("right"));
+    kill("-KILL", pid(&before));
+    two.await_back("right", &before);
+    let after = two.host("right");
+    assert!(number(&after["epoch"]) > number(&before["epoch"]), "{after}");
+    assert_eq!((after["lastExit"].as_str(), number(&after["restarts"])), (Some("was killed by SIGKILL"), 1));
+    assert_eq!(two.grpc.state("right/s"), "ACTIVE", "a sensor runs again");
+    assert_eq!(two.grpc.state("right/off"), "READY", "what did not run does not run now");
+    let actuator = two.grpc.component("right/c");
+    assert_eq!(actuator["stopReason"], "STOP_REASON_RESTARTED", "{actuator}");
+    assert_eq!(actuator["health"], "HEALTH_OK", "{actuator}");
+    let glob = two.grpc.ok("GcmService/Start", json!({ "path": "right/**" }));
+    assert!(glob["skipped"].to_string().contains("right/c"), "a glob does not set it in motion: {glob}");
+    two.grpc.ok("GcmService/Resume", json!({ "path": "right/c" }));
+    assert_eq!(two.grpc.state("right/c"), "ACTIVE");
+    let steps = number(&two.grpc.component("right/c")["stats"]["executed"]);
+    eventually("it steps", || match number(&two.grpc.component("right/c")["stats"]["executed"]) {
+        now if now > steps => Ok(()),
+        now => Err(now),
+    });
+    assert_eq!(two.host("left"), left, "nobody else was touched");
+    two.trocar().run(&["ls"]).ends_with(0).says("was killed by SIGKILL");
+}
+
+#[test]
+fn what_was_stopped_before_a_crash_is_not_started_after_it() {
+    let two = System::up(TWO, &[]);
+    two.grpc.stop("right/s");
+    let before = two.host("right");
+    kill("-KILL", pid(&before));
+    two.await_back("right", &before);
+    let s = two.grpc.component("right/s");
+    assert_eq!(
+        (s["state"].as_str(), s["stopReason"].as_str()),
+        (Some("COMPONENT_STATE_STOPPED"), Some("STOP_REASON_REQUESTED"))
+    );
+    two.grpc.ok("GcmService/Resume", json!({ "path": "right/s" }));
+    assert_eq!(two.grpc.state("right/s"), "ACTIVE", "it is a new instance, and can be resumed all the same");
+}
+
+#[test]
+fn connections_within_a_process_are_made_again() {
+    let file = r#"{
+      "version": 1,
+      "processes": { "box": { "plugins": ["plugins"] } },
+      "components": { "box/server": { "class": "Server" }, "box/client": { "class": "Client" } },
+      "connections": [ { "client": "box/client/Required", "server": "box/server/Provided" } ]
+    }"#;
+    let one = System::up(file, &[]);
+    let before = one.host("box");
+    let connections = one.list()["connections"].clone();
+    assert_eq!(connections.as_array().map(Vec::len), Some(1), "{connections}");
+    kill("-KILL", pid(&before));
+    one.await_back("box", &before);
+    let list = one.list();
+    assert_eq!(list["connections"][0]["id"], connections[0]["id"], "{list}");
+    assert_eq!(list["connections"][0]["carrier"], connections[0]["carrier"], "its figures are there: {list}");
+    assert_eq!(one.grpc.state("box/client"), "ACTIVE");
+}
+
+#[test]
+fn a_process_that_dies_again_and_again_is_given_up_and_the_others_go_on() {
+    let mut two = System::up(TWO, &[]);
+    let left = two.host("left");
+    let mut last = 0;
+    eventually("right is FAILED", || {
+        let right = two.host("right");
+        if right["state"] == "PROCESS_STATE_FAILED" {
+            return Ok(());
+        }
+        let now = pid(&right);
+        if right["state"] == "PROCESS_STATE_ATTACHED" && now != last {
+            last = now;
+            kill("-KILL", now);
+        }
+        Err(right.to_string())
+    });
+    let right = two.host("right");
+    assert_eq!((right["lastExit"].as_str(), number(&right["restarts"])), (Some("was killed by SIGKILL"), 3));
+    eventually("it is told", || {
+        let printed = two.process.printed();
+        if printed.contains("FAILED") { Ok(()) } else { Err(printed) }
+    });
+    let lost = two.grpc.component("right/s");
+    assert_eq!(lost["health"], "HEALTH_LOST", "{lost}");
+    assert_eq!(two.host("left"), left);
+    assert_eq!(two.grpc.state("left/s"), "ACTIVE");
+    two.trocar().run(&["ls"]).ends_with(0).says("FAILED");
+    assert!(two.process.interrupt().success(), "and it can be taken down");
+}
+
+#[test]
+fn a_process_that_is_not_to_be_restarted_is_not() {
+    let two = System::up(&TWO.replacen("\"right\": {", "\"right\": { \"restart\": \"never\",", 1), &[]);
+    kill("-ABRT", pid(&two.host("right")));
+    eventually("right is FAILED", || match two.host("right") {
+        right if right["state"] == "PROCESS_STATE_FAILED" => Ok(()),
+        right => Err(right.to_string()),
+    });
+    let right = two.host("right");
+    let exit = right["lastExit"].as_str().unwrap_or_default();
+    assert!(exit.starts_with("was killed by SIGABRT") && number(&right["restarts"]) == 0, "{right}");
+}
+
+#[test]
+fn nothing_outlives_an_up_that_is_killed() {
+    let mut two = System::up(TWO, &[]);
+    let pids = two.pids();
+    two.process.kill();
+    for pid in pids {
+        eventually(&format!("{pid} ends by itself"), || if gone(pid) { Ok(()) } else { Err("it runs") });
+    }
+    // Everything is free again: the name, the directories, the port.
+    let address = two.process.address().to_owned();
+    let file = two.world.path("system.json");
+    let args = ["up", file.to_str().unwrap(), "--listen", &address, "--json"];
+    let again = HostProcess::spawn(&two.world, "again", &args.map(Into::into));
+    assert_eq!(again.address(), address);
+}
+
+#[test]
+fn losing_the_gcm_twenty_times_stops_and_restarts_nothing() {
+    let mut two = System::up(TWO, &[]);
+    let before = (two.host("left"), two.host("right"));
+    let count = |path: &str| number(&two.grpc.component(path)["stats"]["executed"]);
+    let paths = ["left/s", "right/s", "right/c"];
+    let mut steps = paths.map(count);
+    for round in 0..20 {
+        let gcm = two.gcm_pid();
+        kill("-KILL", gcm);
+        eventually(&format!("round {round}: both are attached to the next GCM"), || {
+            // The one that dies may take a connection yet.
+            if !gone(gcm) || two.gcm_pid() == gcm {
+                return Err("it lives".to_owned());
+            }
+            let ls = two.trocar().run(&["ls", "--json"]);
+            let processes = if ls.code == 0 { ls.json()["processes"].clone() } else { Value::Null };
+            let attached = |p: &&Value| p["state"] == "ATTACHED";
+            let all = processes.as_array().is_some_and(|all| all.iter().filter(attached).count() == 2);
+            if all { Ok(()) } else { Err(format!("{ls:?}")) }
+        });
+        for (path, steps) in paths.iter().zip(&mut steps) {
+            let now = count(path);
+            assert!(
+                now > *steps,
+                "round {round}: {path} was made anew or stands still: {steps} then {now} steps"
+            );
+            *steps = now;
+            assert_eq!(two.grpc.state(path), "ACTIVE", "round {round}: {path}");
+        }
+    }
+    let after = (two.host("left"), two.host("right"));
+    assert_eq!((pid(&before.0), pid(&before.1)), (pid(&after.0), pid(&after.1)));
+    for (before, after) in [(&before.0, &after.0), (&before.1, &after.1)] {
+        assert_eq!(after["epoch"], before["epoch"], "one incarnation has one epoch: {after}");
+        assert_eq!(number(&after["restarts"]), 0, "{after}");
+    }
+    assert!(two.process.is_alive());
+}
+
+#[test]
+fn a_detached_system_is_taken_down_by_file_or_by_name() {
+    let world = World::with_plugins(&["sine", "fixture_chaos"]);
+    let file = world.write("system.json", TWO);
+    let file = file.to_str().unwrap();
+    for by in [file, "other"] {
+        let named = if by == file { vec![] } else { vec!["--name", "other"] };
+        let args = [&["up", file, "--detach", "--json", "--listen", "127.0.0.1:0"][..], &named].concat();
+        let up = Trocar::new(&world).run(&args).ends_with(0).json();
+        let pids: Vec<u64> = up["processes"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|p| number(&p["pid"]))
+            .chain([number(&up["pid"])])
+            .collect();
+        let second = Trocar::new(&world).run(&args).ends_with(1);
+        assert_eq!(second.json()["reason"], "STATE_IN_USE", "{second:#?}");
+        let unknown =
+            Trocar::new(&world).run(&["down", "nobody"]).ends_with(1).says("no system nobody is up");
+        unknown.says(if by == file { "up are: system" } else { "up are: other" });
+        Trocar::new(&world).run(&["down", by]).ends_with(0).says("is down");
+        assert_eq!(pids.iter().filter(|pid| !gone(**pid)).count(), 0, "{pids:?}");
+    }
+    Trocar::new(&world).run(&["down", file]).ends_with(1).says("none is up");
+}
+
+#[test]
+fn an_isolated_component_dies_alone() {
+    let isolated = TWO.replacen("\"right/s\": { ", "\"right/s\": { \"isolation\": \"process\", ", 1);
+    let two = System::up(&isolated, &[]);
+    let (right, own) = (two.host("right"), two.host("right.s"));
+    assert_eq!(two.grpc.state("right.s/s"), "ACTIVE");
+    kill("-KILL", pid(&own));
+    two.await_back("right.s", &own);
+    assert_eq!(two.grpc.state("right.s/s"), "ACTIVE");
+    assert_eq!(two.host("right"), right, "its neighbours notice nothing");
+    assert_eq!(two.grpc.state("right/c"), "ACTIVE");
+}
+
+#[test]
+fn the_gcm_of_somebody_else_is_left_as_it_was() {
+    let world = World::with_plugins(&["sine", "fixture_chaos"]);
+    let gcm = HostProcess::start_gcm(&world);
+    let file = world.write("system.json", TWO);
+    let args = ["up", file.to_str().unwrap(), "--json", "--gcm", gcm.address()];
+    let mut up = HostProcess::spawn(&world, "up", &args.map(Into::into));
+    assert_eq!(up.address(), gcm.address());
+    let before = gcm.grpcurl().ok("GcmService/List", json!({ "path": "right" }))["processes"][0].clone();
+    kill("-KILL", pid(&before));
+    eventually("right is back", || {
+        let right = gcm.grpcurl().ok("GcmService/List", json!({ "path": "right" }))["processes"][0].clone();
+        let back = right["state"] == "PROCESS_STATE_ATTACHED" && number(&right["restarts"]) == 1;
+        if back { Ok(()) } else { Err(right.to_string()) }
+    });
+    assert!(up.interrupt().success());
+    let list = gcm.grpcurl().ok("GcmService/List", json!({}));
+    assert_eq!((&list["processes"], &list["components"]), (&json!([]), &json!([])), "{list}");
+}

@@ -1,0 +1,151 @@
+//! What cannot come up is named with its place and reason, and leaves nothing running.
+
+use trocar_tests::{HostProcess, Output, Trocar, World};
+
+use super::TWO;
+
+/// `up` of a file that must be refused; nothing of it is left.
+fn refused(world: &World, file: &str, more: &[&str]) -> Output {
+    let path = world.write("system.json", file);
+    let args = [&["up", path.to_str().unwrap(), "--json", "--listen", "127.0.0.1:0"][..], more].concat();
+    let output = Trocar::new(world).run(&args);
+    let left = world.path("xdg-state").to_string_lossy().into_owned();
+    let running = std::fs::read_dir("/proc").unwrap().flatten().filter(|entry| {
+        let line = std::fs::read_to_string(entry.path().join("cmdline")).unwrap_or_default();
+        line.contains(&left)
+    });
+    assert_eq!(running.count(), 0, "something still runs: {output:#?}");
+    output
+}
+
+fn world() -> World {
+    World::with_plugins(&["sine", "example", "fixture_chaos"])
+}
+
+#[test]
+fn a_missing_plugin_directory_is_said_with_the_process_that_wants_it() {
+    let world = world();
+    let file =
+        TWO.replacen("\"right\": { \"plugins\": [\"plugins\"]", "\"right\": { \"plugins\": [\"plugin\"]", 1);
+    let refused = refused(&world, &file, &[]).ends_with(1).json();
+    assert_eq!(refused["reason"], "PLUGIN_DIR", "{refused}");
+    let message = refused["message"].as_str().unwrap_or_default();
+    assert!(message.contains("process right did not come up") && message.contains("plugin"), "{message}");
+}
+
+#[test]
+fn a_taken_port_is_said() {
+    let world = world();
+    let taken = HostProcess::start_gcm(&world);
+    let path = world.write("system.json", TWO);
+    let args = ["up", path.to_str().unwrap(), "--json", "--listen", taken.address()];
+    let output = Trocar::new(&world).run(&args).ends_with(1).json();
+    assert_eq!(
+        (&output["reason"], &output["metadata"]["process"]),
+        (&"LISTEN".into(), &":gcm".into()),
+        "{output}"
+    );
+    let listen = format!("\"right\": {{ \"listen\": \"{}\",", taken.address());
+    let output = Trocar::new(&world)
+        .run(&[
+            "up",
+            world.write("own.json", TWO.replacen("\"right\": {", &listen, 1)).to_str().unwrap(),
+            "--json",
+            "--listen",
+            "127.0.0.1:0",
+        ])
+        .ends_with(1)
+        .json();
+    assert_eq!(
+        (&output["reason"], &output["metadata"]["process"]),
+        (&"LISTEN".into(), &"right".into()),
+        "{output}"
+    );
+}
+
+#[test]
+fn processes_that_are_twice_or_unknown_are_refused_in_their_place() {
+    let world = world();
+    let twice = TWO.replacen("\"left\":", "\"right\":", 1);
+    let output = refused(&world, &twice, &[]).ends_with(1).json();
+    assert_eq!(
+        (&output["reason"], &output["metadata"]["line"]),
+        (&"SYSTEM_FILE".into(), &"3".into()),
+        "{output}"
+    );
+    let unknown = TWO.replacen("\"left/s\":", "\"lefd/s\":", 1);
+    let output = refused(&world, &unknown, &[]).ends_with(1);
+    assert!(output.json()["help"].to_string().contains("left"), "{output:#?}");
+}
+
+#[test]
+fn a_connection_between_processes_is_said_to_be_not_there_yet_in_its_place() {
+    let file = r#"{
+  "version": 1,
+  "processes": { "left": { "plugins": ["plugins"] }, "right": { "plugins": ["plugins"] } },
+  "components": { "left/server": { "class": "Server" }, "right/client": { "class": "Client" } },
+  "connections": [
+    { "client": "right/client/Required", "server": "left/server/Provided" }
+  ]
+}"#;
+    let output = refused(&world(), file, &[]).ends_with(1).json();
+    assert_eq!(
+        (&output["reason"], &output["metadata"]["line"]),
+        (&"NOT_IMPLEMENTED".into(), &"6".into()),
+        "{output}"
+    );
+    let message = output["message"].as_str().unwrap_or_default();
+    assert!(message.contains("`left`") && message.contains("`right`"), "{message}");
+}
+
+#[test]
+fn a_component_that_does_not_start_is_said_and_nothing_stays_up() {
+    let file = TWO.replacen(
+        "\"class\": \"chaos\"",
+        "\"class\": \"chaos\", \"config\": { \"error_in\": \"start\" }",
+        1,
+    );
+    let output = refused(&world(), &file, &[]).ends_with(1).json();
+    assert_eq!(
+        (&output["reason"], &output["metadata"]["line"]),
+        (&"COMPONENT_FAULT".into(), &"7".into()),
+        "{output}"
+    );
+    assert!(output["message"].to_string().contains("chaos in start"), "{output}");
+}
+
+#[test]
+fn what_fails_as_soon_as_it_runs_is_named_and_the_rest_stays_up() {
+    let world = world();
+    let file = TWO.replacen(
+        "\"class\": \"chaos\"",
+        "\"class\": \"chaos\", \"config\": { \"panic_in\": \"step\" }",
+        1,
+    );
+    let path = world.write("system.json", &file);
+    let args = ["up", path.to_str().unwrap(), "--detach", "--json", "--listen", "127.0.0.1:0"];
+    let up = Trocar::new(&world).run(&args);
+    // It may step for the first time only after it was looked at.
+    let named = up.json()["not_active"].to_string();
+    assert!(
+        up.code == 0 && named == "[]" || up.code == 5 && named.contains("right/c") && named.contains("FAULT"),
+        "{up:#?}"
+    );
+    Trocar::new(&world).run(&["down", "system"]).ends_with(0);
+}
+
+#[test]
+fn a_gcm_that_is_not_there_is_said_at_once() {
+    let world = world();
+    let path = world.write("system.json", TWO);
+    let args = ["up", path.to_str().unwrap(), "--json", "--gcm", "127.0.0.1:1"];
+    let output = Trocar::new(&world).run(&args).ends_with(3).json();
+    assert_eq!(output["reason"], "NO_GCM", "{output}");
+}
+
+#[test]
+fn run_says_that_several_processes_are_for_up() {
+    let world = world();
+    let path = world.write("system.json", TWO);
+    Trocar::new(&world).run(&["run", path.to_str().unwrap()]).ends_with(1).says("trocar up");
+}

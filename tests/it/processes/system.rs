@@ -1,0 +1,101 @@
+//! A system file that is up, and its processes by number.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::{Value, json};
+use trocar_tests::{Grpcurl, HostProcess, Trocar, World, eventually, number};
+
+/// `trocar up` in a world of its own.
+pub(super) struct System {
+    pub(super) process: HostProcess,
+    pub(super) grpc: Grpcurl,
+    pub(super) world: World,
+}
+
+impl System {
+    /// Waits until everything is up.
+    pub(super) fn up(file: &str, more: &[&str]) -> System {
+        let world = World::with_plugins(&["sine", "example", "fixture_chaos"]);
+        let path = world.write("system.json", file);
+        let mut args =
+            vec!["up".into(), path.into(), "--listen".into(), "127.0.0.1:0".into(), "--json".into()];
+        args.extend(more.iter().map(Into::into));
+        let process = HostProcess::spawn(&world, "up", &args);
+        let grpc = process.grpcurl();
+        System { process, grpc, world }
+    }
+
+    pub(super) fn trocar(&self) -> Trocar {
+        Trocar::at(&self.world, self.process.address())
+    }
+
+    pub(super) fn list(&self) -> Value {
+        self.grpc.ok("GcmService/List", json!({}))
+    }
+
+    /// A process as the GCM lists it.
+    pub(super) fn host(&self, name: &str) -> Value {
+        let list = self.grpc.ok("GcmService/List", json!({ "brief": true }));
+        let processes = list["processes"].as_array().cloned().unwrap_or_default();
+        let mut found =
+            processes.into_iter().find(|p| p["name"] == name).unwrap_or_else(|| panic!("no {name}: {list}"));
+        // The classes are long and none of these tests' business.
+        found["classes"] = Value::Null;
+        found
+    }
+
+    /// Waits until another incarnation of a process has what the one before had.
+    pub(super) fn await_back(&self, name: &str, before: &Value) {
+        eventually(&format!("{name} is back"), || {
+            let now = self.host(name);
+            let back = now["state"] == "PROCESS_STATE_ATTACHED" && pid(&now) != pid(before);
+            // Its supervisor and itself are two who tell.
+            if back && number(&now["restarts"]) > number(&before["restarts"]) {
+                Ok(())
+            } else {
+                Err(now.to_string())
+            }
+        });
+    }
+
+    /// Its children: the GCM and the hosts.
+    pub(super) fn pids(&self) -> Vec<u64> {
+        children(u64::from(self.process.pid()))
+    }
+
+    pub(super) fn gcm_pid(&self) -> u64 {
+        eventually("a GCM runs", || {
+            let is_gcm = |pid: &u64| command_line(*pid).iter().any(|arg| arg == "gcm");
+            self.pids().into_iter().find(is_gcm).ok_or("none")
+        })
+    }
+}
+
+pub(super) fn pid(process: &Value) -> u64 {
+    number(&process["pid"])
+}
+
+pub(super) fn kill(signal: &str, pid: u64) {
+    let sent = Command::new("kill").args([signal, &pid.to_string()]).status();
+    assert!(sent.is_ok_and(|s| s.success()), "kill {signal} {pid} did not work");
+}
+
+/// It has ended, waited for or not.
+pub(super) fn gone(pid: u64) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    stat.rsplit_once(") ").is_none_or(|(_, rest)| rest.starts_with(['Z', 'X']))
+}
+
+fn command_line(pid: u64) -> Vec<String> {
+    let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+    line.split('\0').map(str::to_owned).collect()
+}
+
+fn children(parent: u64) -> Vec<u64> {
+    let tasks = std::fs::read_dir(Path::new("/proc").join(parent.to_string()).join("task"));
+    let of = |task: std::path::PathBuf| std::fs::read_to_string(task.join("children")).unwrap_or_default();
+    let all: Vec<String> = tasks.into_iter().flatten().flatten().map(|task| of(task.path())).collect();
+    let all = all.iter().flat_map(|children| children.split_whitespace());
+    all.filter_map(|pid| pid.parse().ok()).filter(|pid| !gone(*pid)).collect()
+}
