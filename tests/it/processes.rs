@@ -7,6 +7,8 @@
 mod refusals;
 #[path = "processes/system.rs"]
 mod system;
+#[path = "processes/watching.rs"]
+mod watching;
 
 use serde_json::{Value, json};
 use system::{System, gone, kill, pid};

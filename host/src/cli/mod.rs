@@ -21,6 +21,7 @@ mod figures;
 mod gcm;
 mod graph;
 mod hosting;
+mod hz;
 mod logging;
 mod logs;
 mod ls;
@@ -35,6 +36,7 @@ mod session;
 mod states;
 mod style;
 mod table;
+mod top;
 mod typed;
 mod units;
 mod up;
@@ -113,6 +115,8 @@ enum Command {
     Rm(states::RmArgs),
     Call(call::CallArgs),
     Echo(echo::EchoArgs),
+    Hz(hz::HzArgs),
+    Top(top::TopArgs),
     Wait(wait::WaitArgs),
     Watch(watch::WatchArgs),
     Logs(logs::LogsArgs),
@@ -167,6 +171,8 @@ fn dispatch(cli: Cli) -> Done {
         Command::Rm(args) => ask(states::remove(args, &session)),
         Command::Call(args) => ask(call::run(args, &session)),
         Command::Echo(args) => ask(echo::run(args, &session)),
+        Command::Hz(args) => ask(hz::run(args, &session)),
+        Command::Top(args) => ask(top::run(args, &session)),
         Command::Wait(args) => ask(wait::run(args, &session)),
         Command::Watch(args) => ask(watch::run(args, &session)),
         Command::Logs(args) => ask(logs::run(args, &session)),

@@ -23,6 +23,16 @@ pub(super) fn rate(hz: f64) -> String {
     format!("{} Hz", three(hz))
 }
 
+/// Bytes in a second.
+pub(super) fn bytes_per_s(bytes: f64) -> String {
+    match bytes {
+        b if b < 1e3 => format!("{} B/s", three(b)),
+        b if b < 1e6 => format!("{} kB/s", three(b / 1e3)),
+        b if b < 1e9 => format!("{} MB/s", three(b / 1e6)),
+        b => format!("{} GB/s", three(b / 1e9)),
+    }
+}
+
 /// A rate of a period in ns.
 pub(super) fn rate_of_period(period_ns: u64) -> String {
     if period_ns == 0 { "-".to_owned() } else { rate(1e9 / period_ns as f64) }

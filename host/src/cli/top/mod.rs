@@ -1,0 +1,194 @@
+//! `trocar top`: every process, component and connection, live.
+//!
+//! Invariant: one question to the GCM each interval; a terminal is left as it was found, and a GCM that goes away and comes
+//! back is waited for there. Into a pipe, or with --json, one block or object is printed each interval.
+
+mod rates;
+mod screen;
+
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use tokio::time::MissedTickBehavior;
+
+use self::rates::{Figures, between};
+use self::screen::{Key, Screen};
+use super::failure::{Done, Exit, Failure};
+use super::session::Session;
+use super::view::SystemView;
+use super::{out, style, units};
+
+/// Shows every process, component and connection live; q ends it.
+#[derive(Args, Debug)]
+pub(super) struct TopArgs {
+    /// Only this process, component or glob.
+    #[arg(default_value = "", hide_default_value = true)]
+    path: String,
+    /// Between two looks, from 0.1s.
+    #[arg(long, default_value = "1s", value_name = "TIME", value_parser = interval)]
+    interval: u64,
+    /// What components and connections are sorted by; s changes it.
+    #[arg(long, value_enum, default_value_t = Sort::Path)]
+    sort: Sort,
+    /// End after this many intervals.
+    #[arg(long, short = 'n', value_name = "N")]
+    count: Option<u64>,
+}
+
+/// What rows are sorted by: the largest first, paths from a to z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Sort {
+    /// By path; connections by number.
+    Path,
+    /// What does not run or is not well first.
+    Health,
+    /// Steps or samples per second.
+    Rate,
+    /// Load of components, bytes per second of connections.
+    Load,
+    /// Lateness of components, age of samples.
+    Latency,
+    /// Periods skipped, samples dropped.
+    Drops,
+}
+
+impl Sort {
+    const ALL: [Sort; 6] = [Sort::Path, Sort::Health, Sort::Rate, Sort::Load, Sort::Latency, Sort::Drops];
+
+    fn name(self) -> &'static str {
+        ["path", "health", "rate", "load", "latency", "drops"][self as usize]
+    }
+
+    fn next(self) -> Sort {
+        Sort::ALL[(self as usize + 1) % Sort::ALL.len()]
+    }
+}
+
+fn interval(text: &str) -> Result<u64, String> {
+    match units::parse_time(text)? {
+        ns if (100_000_000..=3_600_000_000_000).contains(&ns) => Ok(ns),
+        _ => Err("an interval is from 0.1s to 60min".to_owned()),
+    }
+}
+
+/// What is shown, and how.
+struct Shown {
+    sort: Sort,
+    reversed: bool,
+    paused: bool,
+    figures: Figures,
+    /// Why there are no newer figures.
+    trouble: Option<String>,
+}
+
+pub(super) async fn run(args: TopArgs, session: &Session) -> Done {
+    let mut last = (Instant::now(), session.list_of(&args.path).await?);
+    let mut screen = (!session.json()).then(Screen::open).flatten();
+    let mut shown =
+        Shown { sort: args.sort, reversed: false, paused: false, figures: Figures::default(), trouble: None };
+    let every = Duration::from_nanos(args.interval);
+    let mut tick = tokio::time::interval(every);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    // The first one is now, and there is nothing to compare with yet.
+    tick.tick().await;
+    let mut left = args.count.unwrap_or(u64::MAX);
+    while left > 0 {
+        let key = tokio::select! {
+            _ = tick.tick() => None,
+            key = screen::next(&mut screen) => Some(key),
+        };
+        match key {
+            Some(Key::Quit) => break,
+            Some(Key::Sort) => shown.sort = shown.sort.next(),
+            Some(Key::Reverse) => shown.reversed = !shown.reversed,
+            Some(Key::Pause) => shown.paused = !shown.paused,
+            None if shown.paused => continue,
+            None => {
+                left -= 1;
+                match session.list_of(&args.path).await {
+                    Ok(now) => shown.take(&mut last, now),
+                    // A person sees it and waits; a script has to know.
+                    Err(failure) if screen.is_some() => shown.trouble = Some(failure.message),
+                    Err(failure) => return Err(failure),
+                }
+            }
+        }
+        shown.sort_rows();
+        print(&shown, screen.as_mut(), session)?;
+    }
+    Ok(Exit::Ok)
+}
+
+impl Shown {
+    fn take(&mut self, last: &mut (Instant, SystemView), now: SystemView) {
+        let at = Instant::now();
+        self.figures = between(&last.1, &now, (at - last.0).as_secs_f64());
+        self.trouble = None;
+        *last = (at, now);
+    }
+
+    fn sort_rows(&mut self) {
+        self.figures.sort(self.sort);
+        if self.reversed {
+            self.figures.components.reverse();
+            self.figures.connections.reverse();
+        }
+    }
+
+    fn head(&self) -> String {
+        let f = &self.figures;
+        let sorted =
+            format!("sorted by {}{}", self.sort.name(), if self.reversed { ", reversed" } else { "" });
+        let paused = if self.paused { "  paused" } else { "" };
+        format!(
+            "revision {}  {} processes  {} components  {} connections  {sorted}{paused}   q quit  s sort  r reverse  space pause",
+            f.revision,
+            f.processes.len(),
+            f.components.len(),
+            f.connections.len()
+        )
+    }
+}
+
+fn print(shown: &Shown, screen: Option<&mut Screen>, session: &Session) -> Result<(), Failure> {
+    if session.json() {
+        return session.print_json(&shown.figures).map(|_| ());
+    }
+    let Some(screen) = screen else {
+        out::text(&(shown.figures.render(false) + "\n"));
+        return Ok(());
+    };
+    let mut text = style::paint(&shown.head(), style::DIM, style::stdout()) + "\n";
+    if let Some(trouble) = &shown.trouble {
+        let said = format!("no newer figures: {}", out::harmless(trouble));
+        text.push_str(&(style::paint(&said, style::BAD, style::stdout()) + "\n"));
+    }
+    text.push_str(&shown.figures.render(style::stdout()));
+    screen.draw(&text);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_way_of_sorting_is_reached_and_named() {
+        let mut sort = Sort::Path;
+        for known in Sort::ALL {
+            assert_eq!(sort, known);
+            assert_eq!(
+                sort.name(),
+                sort.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
+            );
+            sort = sort.next();
+        }
+        assert_eq!(sort, Sort::Path);
+    }
+
+    #[test]
+    fn an_interval_has_limits() {
+        assert_eq!(interval("0.5s"), Ok(500_000_000));
+        assert!(interval("10ms").is_err() && interval("2").is_err());
+    }
+}

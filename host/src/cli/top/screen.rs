@@ -1,0 +1,161 @@
+//! A terminal as a screen: drawn over, and keys at once.
+//!
+//! Invariant: however it ends, the terminal is as it was; nothing drawn is longer or higher than the terminal.
+
+use std::io::{IsTerminal, Read, Write};
+
+use rustix::termios::{self, LocalModes, OptionalActions, Termios};
+use tokio::sync::mpsc;
+
+/// What a key asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Key {
+    Quit,
+    Sort,
+    Reverse,
+    Pause,
+}
+
+impl Key {
+    fn of(byte: u8) -> Option<Key> {
+        match byte {
+            b'q' | b'Q' => Some(Key::Quit),
+            b's' | b'S' => Some(Key::Sort),
+            b'r' | b'R' => Some(Key::Reverse),
+            b' ' | b'p' => Some(Key::Pause),
+            _ => None,
+        }
+    }
+}
+
+/// The other screen of a terminal.
+pub(super) struct Screen {
+    /// `None`: no keys come from here.
+    before: Option<Termios>,
+    keys: mpsc::UnboundedReceiver<Key>,
+}
+
+impl Screen {
+    /// `None`: standard output is no terminal a person looks at.
+    pub(super) fn open() -> Option<Screen> {
+        let out = std::io::stdout();
+        if !out.is_terminal() || std::env::var_os("TERM").is_none_or(|term| term == "dumb") {
+            return None;
+        }
+        let (tell, keys) = mpsc::unbounded_channel();
+        let before = raw();
+        if before.is_some() {
+            // It waits for a key until the process ends.
+            std::thread::Builder::new().name("trocar-keys".into()).spawn(move || read_keys(&tell)).ok();
+        }
+        write("\x1b[?1049h\x1b[?25l");
+        Some(Screen { before, keys })
+    }
+
+    pub(super) fn draw(&mut self, text: &str) {
+        let (rows, columns) = match termios::tcgetwinsize(std::io::stdout()) {
+            Ok(size) if size.ws_row > 0 && size.ws_col > 0 => (size.ws_row.into(), size.ws_col.into()),
+            _ => (24, 80),
+        };
+        write(&format!("\x1b[H{}\x1b[J", fitted(text, rows, columns)));
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        write("\x1b[?25h\x1b[?1049l");
+        if let Some(before) = &self.before {
+            // A terminal that is gone needs nothing.
+            let _ = termios::tcsetattr(std::io::stdin(), OptionalActions::Now, before);
+        }
+    }
+}
+
+/// The next key; never without a screen.
+pub(super) async fn next(screen: &mut Option<Screen>) -> Key {
+    if let Some(screen) = screen
+        && let Some(key) = screen.keys.recv().await
+    {
+        return key;
+    }
+    std::future::pending().await
+}
+
+/// Keys come at once and are not shown; Ctrl-C still ends the program. Answers how it was.
+fn raw() -> Option<Termios> {
+    let stdin = std::io::stdin();
+    let before = termios::tcgetattr(&stdin).ok()?;
+    let mut now = before.clone();
+    now.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+    termios::tcsetattr(&stdin, OptionalActions::Now, &now).ok()?;
+    Some(before)
+}
+
+fn read_keys(tell: &mpsc::UnboundedSender<Key>) {
+    let mut byte = [0];
+    while matches!(std::io::stdin().read(&mut byte), Ok(1)) {
+        if let Some(key) = Key::of(byte[0])
+            && tell.send(key).is_err()
+        {
+            return;
+        }
+    }
+}
+
+fn write(text: &str) {
+    let mut out = std::io::stdout().lock();
+    // A terminal that is gone ends the program by its signal.
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// What fits, each line cleared to its end. Colours take no room, and end with their line.
+fn fitted(text: &str, rows: usize, columns: usize) -> String {
+    let lines: Vec<&str> = text.lines().collect();
+    let hidden = lines.len().saturating_sub(rows);
+    let kept = if hidden > 0 { rows.saturating_sub(1) } else { lines.len() };
+    let mut out: Vec<String> = lines[..kept].iter().map(|line| cut(line, columns) + "\x1b[K").collect();
+    if hidden > 0 {
+        out.push(cut(&format!("… {} more lines", hidden + 1), columns) + "\x1b[K");
+    }
+    out.join("\r\n")
+}
+
+fn cut(line: &str, columns: usize) -> String {
+    let (mut out, mut width, mut escape) = (String::new(), 0, false);
+    for c in line.chars() {
+        match c {
+            '\x1b' => escape = true,
+            _ if escape => escape = c != 'm',
+            _ if width == columns => return out + "\x1b[0m",
+            _ => width += 1,
+        }
+        out.push(c);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_cut_at_the_edge_and_colours_take_no_room() {
+        assert_eq!(cut("abcdef", 3), "abc\x1b[0m");
+        assert_eq!(cut("\x1b[32mabc\x1b[0m", 3), "\x1b[32mabc\x1b[0m");
+        assert_eq!(cut("\x1b[32mabcd\x1b[0m", 3), "\x1b[32mabc\x1b[0m");
+        assert_eq!(cut("µµ", 5), "µµ");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_counted() {
+        let text = fitted("1\n2\n3\n4\n5", 3, 80);
+        let lines: Vec<&str> = text.split("\r\n").collect();
+        assert_eq!(lines, ["1\x1b[K", "2\x1b[K", "… 3 more lines\x1b[K"]);
+        assert_eq!(fitted("1\n2", 3, 80).matches("\r\n").count(), 1);
+    }
+
+    #[test]
+    fn keys_that_mean_nothing_do_nothing() {
+        assert_eq!([b'q', b'x', 0x1b, b' '].map(Key::of), [Some(Key::Quit), None, None, Some(Key::Pause)]);
+    }
+}
