@@ -272,3 +272,63 @@ fn the_gcm_of_somebody_else_is_left_as_it_was() {
     let list = gcm.grpcurl().ok("GcmService/List", json!({}));
     assert_eq!((&list["processes"], &list["components"]), (&json!([]), &json!([])), "{list}");
 }
+
+#[test]
+fn a_process_that_stood_still_goes_on_as_it_was() {
+    let two = System::up(TWO, &[]);
+    let before = two.host("right");
+    kill("-STOP", pid(&before));
+    eventually("it is missed", || match two.host("right") {
+        right if right["state"] == "PROCESS_STATE_LOST" => Ok(()),
+        right => Err(right.to_string()),
+    });
+    assert_eq!(two.grpc.state("left/s"), "ACTIVE");
+    kill("-CONT", pid(&before));
+    eventually("it is heard again", || {
+        let right = two.host("right");
+        if right == before { Ok(()) } else { Err(right.to_string()) }
+    });
+    assert_eq!(two.grpc.state("right/c"), "ACTIVE", "nothing in it was restarted");
+}
+
+#[test]
+fn what_a_process_and_the_gcm_lost_together_is_made_again_from_the_file() {
+    let two = System::up(TWO, &[]);
+    let (left, right) = (two.host("left"), two.host("right"));
+    kill("-KILL", two.gcm_pid());
+    kill("-KILL", pid(&right));
+    eventually("right has all it had", || {
+        let ls = two.trocar().run(&["ls", "right", "--json"]);
+        if ls.code != 0 {
+            return Err(format!("{ls:?}"));
+        }
+        let states: Vec<(String, String)> = ls.json()["components"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|c| (c["path"].as_str().unwrap().to_owned(), c["state"].as_str().unwrap().to_owned()))
+            .collect();
+        let wanted = [("right/c", "READY"), ("right/off", "READY"), ("right/s", "ACTIVE")];
+        let wanted = wanted.map(|(path, state)| (path.to_owned(), state.to_owned()));
+        if states == wanted { Ok(()) } else { Err(format!("{states:?}")) }
+    });
+    assert_eq!(pid(&two.host("left")), pid(&left));
+    assert_eq!(two.grpc.state("left/s"), "ACTIVE", "what has only lost its GCM goes on");
+}
+
+#[test]
+fn a_process_that_is_given_up_by_mistake_comes_back_as_it_was() {
+    let two = System::up(TWO, &[]);
+    let before = two.host("right");
+    let wrong = json!({ "processes": [{ "process": "right", "fate": "FATE_ENDED", "pid": pid(&before) }] });
+    two.grpc.ok("AttachService/Tell", wrong);
+    eventually("it says that it lives", || {
+        let right = two.host("right");
+        if right == before { Ok(()) } else { Err(right.to_string()) }
+    });
+    assert_eq!(two.grpc.state("right/c"), "ACTIVE");
+    let nothing = two.grpc.refused("AttachService/Tell", json!({ "processes": [{ "process": "right" }] }));
+    assert_eq!(nothing.reason, "ARGUMENT_INVALID", "{nothing}");
+    let nameless = two.grpc.refused("AttachService/Tell", json!({ "processes": [{ "process": "a b" }] }));
+    assert_eq!(nameless.reason, "BAD_PATH", "{nameless}");
+}

@@ -85,6 +85,7 @@ pub(super) fn component(c: &v1::Component) -> ComponentView {
         fault: c.fault.clone(),
         config: c.config.as_ref().map_or(Value::Null, from_struct),
         execution,
+        safety: word(c.safety().as_str_name(), "SAFETY_").to_lowercase(),
         stats: stats.map(self::stats).unwrap_or_default(),
         warnings: stats.map(|s| s.warnings.clone()).unwrap_or_default(),
     }

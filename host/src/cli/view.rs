@@ -42,6 +42,8 @@ pub(super) struct ComponentView {
     pub(super) fault: String,
     pub(super) config: Value,
     pub(super) execution: ExecutionView,
+    /// none, sensor or actuator.
+    pub(super) safety: String,
     pub(super) stats: StatsView,
     pub(super) warnings: Vec<String>,
 }

@@ -44,7 +44,7 @@ impl Gcm {
             self.not_made(&skipped.id, &skipped.why);
         }
         for change in &plan.changes {
-            if !self.current(&process, session) {
+            if !self.hears(&process, session) {
                 return;
             }
             if concerns(change, &failed) {
@@ -75,12 +75,12 @@ impl Gcm {
     async fn gone(&self, process: &Name, session: u64) {
         let mut graphs = self.watch();
         // It lives as long as this GCM.
-        let _ = graphs.wait_for(|_| !self.current(process, session)).await;
+        let _ = graphs.wait_for(|_| !self.hears(process, session)).await;
     }
 
     fn attached_again(&self, process: &Name, session: u64) {
         self.edit(|graph| {
-            if self.current(process, session)
+            if self.hears(process, session)
                 && let Some(p) = graph.processes.get_mut(process)
             {
                 p.state = ProcessState::Attached;

@@ -271,7 +271,8 @@ impl Gcm {
         let _ = tokio::time::timeout(ENTERED, entered).await;
     }
 
-    pub(super) fn current(&self, process: &Name, session: u64) -> bool {
+    /// True while that session of the process is the one that counts.
+    pub fn hears(&self, process: &Name, session: u64) -> bool {
         lock(&self.inner.sessions).holder(process) == Some(session)
     }
 }
@@ -338,7 +339,7 @@ async fn follow(
                 None => return,
             },
         };
-        if !gcm.current(&process, session) {
+        if !gcm.hears(&process, session) {
             return;
         }
         let (mut lagged, mut first) = (false, None);

@@ -4,6 +4,7 @@
 //! then nothing is left.
 
 mod detach;
+mod mend;
 mod programs;
 mod telling;
 
@@ -14,6 +15,7 @@ use clap::Args;
 use tokio::net::UnixStream;
 use trocar_model::Name;
 
+use self::mend::Mender;
 use self::programs::GCM;
 use self::telling::Voice;
 use super::failure::{Done, Exit, Failure};
@@ -160,21 +162,30 @@ pub(super) fn directory(name: &str) -> PathBuf {
 }
 
 impl System {
-    /// Brings it up and stays; answers only why it could not come up.
+    /// Brings it up and stays; ends only when it cannot come up, with the reason.
     async fn live(&mut self, gcm: &Gcm, file: &SystemFile, voice: &Voice) -> Failure {
         if let Err(failure) = self.come_up(gcm, file, voice).await {
             return failure;
         }
         self.is_up = true;
+        let Some(session) = &self.session else { return std::future::pending().await };
         let mut all = self.supervisor.statuses();
         let mut before = all.borrow_and_update().clone();
-        // The supervisor lives as long as this does.
-        while all.changed().await.is_ok() {
+        let mut mender = Mender::new(&before);
+        loop {
+            // The supervisor lives as long as this does.
+            if mender.is_due(&before) {
+                let _ = tokio::time::timeout(LOOK, all.changed()).await;
+            } else {
+                let _ = all.changed().await;
+            }
             let now = all.borrow_and_update().clone();
             voice.tell(&before, &now);
             before = now;
+            if mender.is_due(&before) {
+                mender.mend(&before, file, session).await;
+            }
         }
-        std::future::pending().await
     }
 
     async fn come_up(&mut self, gcm: &Gcm, file: &SystemFile, voice: &Voice) -> Result<(), Failure> {

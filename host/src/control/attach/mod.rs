@@ -145,6 +145,10 @@ impl Attached {
                 },
                 _ = open.changed() => break "this port is closing".to_owned(),
                 _ = beat.tick() => {
+                    // As by its supervisor, which may be wrong: then it comes back and says so.
+                    if !self.gcm.hears(&self.process, self.registered.session) {
+                        break "it was given up".to_owned();
+                    }
                     if silent == LEASE {
                         break format!("silent for {} ms", (BEAT * LEASE).as_millis());
                     }

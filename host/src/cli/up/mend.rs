@@ -1,0 +1,148 @@
+//! What nobody remembers but the system file: a process and the GCM that ended together.
+//!
+//! Invariant: a GCM makes anew what a process had, and a process brings along what a GCM had; only what both have lost is
+//! taken from the file, and what moves something is then made, not started.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use trocar_model::{ComponentId, Request, Target};
+
+use super::programs::GCM;
+use crate::cli::failure::Failure;
+use crate::cli::out;
+use crate::cli::session::Session;
+use crate::cli::view::SystemView;
+use crate::processes::{Phase, Status};
+use crate::system_file::SystemFile;
+
+type Statuses = BTreeMap<String, Status>;
+
+/// Time for what is made once more.
+const WITHIN: Duration = Duration::from_secs(60);
+
+/// How often GCM and processes had been started when all was known to be there.
+#[derive(Default)]
+pub(super) struct Mender {
+    seen: BTreeMap<String, u32>,
+}
+
+impl Mender {
+    pub(super) fn new(statuses: &Statuses) -> Mender {
+        Mender { seen: restarts(statuses) }
+    }
+
+    /// True: something was started since, and `mend` is to be asked until it answers true.
+    pub(super) fn is_due(&self, statuses: &Statuses) -> bool {
+        self.seen != restarts(statuses)
+    }
+
+    /// Looks what is missing and makes it again. False: not all is back yet.
+    pub(super) async fn mend(&mut self, statuses: &Statuses, file: &SystemFile, session: &Session) -> bool {
+        let settled = |s: &Status| matches!(s.phase, Phase::Running | Phase::Failed | Phase::Ended);
+        if !statuses.values().all(settled) {
+            return false;
+        }
+        let Ok(listed) = session.list().await else { return false };
+        let runs = |name: &String| statuses[name].phase == Phase::Running;
+        let attached =
+            |name: &String| listed.processes.iter().any(|p| p.name == *name && p.state == "ATTACHED");
+        if !statuses.keys().filter(|name| *name != GCM && runs(name)).all(attached) {
+            return false;
+        }
+        let now = restarts(statuses);
+        let again = |name: &str| now.get(name) != self.seen.get(name);
+        let both: Vec<&str> = if again(GCM) {
+            now.keys().map(String::as_str).filter(|name| *name != GCM && again(name)).collect()
+        } else {
+            Vec::new()
+        };
+        let missing = missing(file, &listed, &both);
+        if !missing.is_empty()
+            && let Err(failure) = make(file, &missing, session).await
+        {
+            let names: Vec<String> = missing.iter().map(ToString::to_string).collect();
+            out::complain(
+                "error",
+                &format!("{} cannot be made again: {}", names.join(", "), failure.message),
+            );
+        }
+        self.seen = now;
+        true
+    }
+}
+
+fn restarts(statuses: &Statuses) -> BTreeMap<String, u32> {
+    statuses.iter().map(|(name, s)| (name.clone(), s.restarts)).collect()
+}
+
+/// What the file has in these processes and the system has not.
+fn missing(file: &SystemFile, listed: &SystemView, processes: &[&str]) -> BTreeSet<ComponentId> {
+    let lost = |id: &ComponentId| {
+        let path = id.to_string();
+        processes.contains(&id.process.as_str()) && listed.components.iter().all(|c| c.path != path)
+    };
+    file.components.iter().map(|c| &c.id).filter(|id| lost(id)).cloned().collect()
+}
+
+/// The requests of the file that concern these, and no Start.
+fn requests(file: &SystemFile, missing: &BTreeSet<ComponentId>) -> Vec<Request> {
+    let concerned = |request: &Request| match request {
+        Request::Create { id, .. } => missing.contains(id),
+        Request::Connect { client, server, .. } => {
+            missing.contains(&client.component) || missing.contains(&server.component)
+        }
+        _ => false,
+    };
+    file.requests().into_iter().filter(concerned).collect()
+}
+
+async fn make(file: &SystemFile, missing: &BTreeSet<ComponentId>, session: &Session) -> Result<(), Failure> {
+    session.apply(&requests(file, missing), WITHIN).await?;
+    let made = session.list().await?;
+    let wanted = |id: &&ComponentId| file.components.iter().any(|c| c.start && c.id == **id);
+    let moves = |id: &ComponentId| {
+        let path = id.to_string();
+        made.components.iter().any(|c| c.path == path && c.safety == "actuator")
+    };
+    let (waiting, starting): (Vec<&ComponentId>, Vec<&ComponentId>) =
+        missing.iter().filter(wanted).partition(|id| moves(id));
+    let targets: Vec<Target> = starting.into_iter().cloned().map(Target::One).collect();
+    if !targets.is_empty() {
+        session.apply(&[Request::Start { targets }], WITHIN).await?;
+    }
+    let text = |ids: Vec<String>| ids.join(", ");
+    let all = text(missing.iter().map(ToString::to_string).collect());
+    let mut said = format!("the GCM and its process had ended together: {all} made again from the file");
+    if !waiting.is_empty() {
+        let waiting = text(waiting.iter().map(ToString::to_string).collect());
+        said.push_str(&format!("; {waiting} can move something and waits for Start"));
+    }
+    out::complain("warning", &said);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::cli::view::ComponentView;
+
+    const FILE: &str = r#"{"version": 1,
+        "components": { "a/x": {"class": "c"}, "a/y": {"class": "c"}, "b/z": {"class": "c"} },
+        "connections": [ {"client": "a/x/i", "server": "a/y/o"}, {"client": "b/z/i", "server": "b/z/o"} ]}"#;
+
+    #[test]
+    fn only_what_both_have_lost_is_taken_from_the_file() {
+        let file = SystemFile::parse("f", FILE.to_owned()).unwrap();
+        let there = |path: &str| ComponentView { path: path.into(), ..ComponentView::default() };
+        let listed = SystemView { components: vec![there("a/y")], ..SystemView::default() };
+        let lost = missing(&file, &listed, &["a"]);
+        assert_eq!(lost.iter().map(ToString::to_string).collect::<Vec<_>>(), ["a/x"], "b is not concerned");
+        let kinds: Vec<bool> =
+            requests(&file, &lost).iter().map(|r| matches!(r, Request::Create { .. })).collect();
+        assert_eq!(kinds, [true, false], "its Create, its connection, and no Start");
+        assert!(missing(&file, &listed, &[]).is_empty());
+    }
+}
