@@ -10,9 +10,11 @@ mod system;
 #[path = "processes/watching.rs"]
 mod watching;
 
+use std::process::{Command, Stdio};
+
 use serde_json::{Value, json};
-use system::{System, gone, kill, pid};
-use trocar_tests::{HostProcess, Trocar, World, eventually, number};
+use system::{System, gone, kill, pid, running_in};
+use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number};
 
 const TWO: &str = r#"{
   "version": 1,
@@ -331,4 +333,65 @@ fn a_process_that_is_given_up_by_mistake_comes_back_as_it_was() {
     assert_eq!(nothing.reason, "ARGUMENT_INVALID", "{nothing}");
     let nameless = two.grpc.refused("AttachService/Tell", json!({ "processes": [{ "process": "a b" }] }));
     assert_eq!(nameless.reason, "BAD_PATH", "{nameless}");
+}
+
+#[test]
+fn a_process_killed_at_any_moment_of_its_start_comes_back_whole() {
+    let restart = "\"right\": { \"restart\": { \"max\": 1000, \"backoff_ms\": 1, \"most_backoff_ms\": 1 },";
+    let two = System::up(&TWO.replacen("\"right\": {", restart, 1), &[]);
+    let seed = fastrand::u64(..);
+    let mut random = fastrand::Rng::with_seed(seed);
+    let first = two.host("right");
+    let mut last = 0;
+    for round in 0..40 {
+        last =
+            eventually(&format!("round {round} of seed {seed}: right runs"), || match two.pid_of("right") {
+                Some(pid) if pid != last => Ok(pid),
+                other => Err(format!("{other:?}")),
+            });
+        // Each look takes some microseconds: from the first instruction to long after it has all its components.
+        let most = 1 << random.u32(1..18);
+        for _ in 0..random.u32(0..most) {
+            std::hint::black_box(gone(last));
+        }
+        kill("-KILL", last);
+    }
+    two.await_back("right", &first);
+    for (path, state) in [("right/s", "ACTIVE"), ("right/off", "READY"), ("right/c", "STOPPED")] {
+        assert_eq!(two.grpc.state(path), state, "seed {seed}: {path} in {}", two.list());
+    }
+    assert_eq!(two.grpc.state("left/s"), "ACTIVE");
+}
+
+#[test]
+fn an_up_that_is_killed_while_it_comes_up_leaves_nothing() {
+    let world = World::with_plugins(&["sine", "fixture_chaos"]);
+    let file = world.write("system.json", TWO);
+    let home = world.path("xdg-state");
+    let seed = fastrand::u64(..);
+    let mut random = fastrand::Rng::with_seed(seed);
+    for round in 0..15 {
+        let mut up = Command::new(Built::trocar())
+            .args(["up", file.to_str().unwrap(), "--listen", "127.0.0.1:0", "--json"])
+            .env("XDG_STATE_HOME", &home)
+            .env_remove("TROCAR_GCM")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let most = 1 << random.u32(1..17);
+        for _ in 0..random.u32(0..most) {
+            std::hint::black_box(gone(up.id().into()));
+        }
+        up.kill().unwrap();
+        up.wait().unwrap();
+        eventually(&format!("round {round} of seed {seed}: all have ended"), || match running_in(&home) {
+            left if left.is_empty() => Ok(()),
+            left => Err(format!("{left:?}")),
+        });
+    }
+    let again = Trocar::new(&world);
+    let args = ["up", file.to_str().unwrap(), "--detach", "--listen", "127.0.0.1:0"];
+    again.run(&args).ends_with(0);
+    again.run(&["down", "system"]).ends_with(0);
 }

@@ -3,18 +3,15 @@
 use trocar_tests::{HostProcess, Output, Trocar, World};
 
 use super::TWO;
+use super::system::running_in;
 
 /// `up` of a file that must be refused; nothing of it is left.
 fn refused(world: &World, file: &str, more: &[&str]) -> Output {
     let path = world.write("system.json", file);
     let args = [&["up", path.to_str().unwrap(), "--json", "--listen", "127.0.0.1:0"][..], more].concat();
     let output = Trocar::new(world).run(&args);
-    let left = world.path("xdg-state").to_string_lossy().into_owned();
-    let running = std::fs::read_dir("/proc").unwrap().flatten().filter(|entry| {
-        let line = std::fs::read_to_string(entry.path().join("cmdline")).unwrap_or_default();
-        line.contains(&left)
-    });
-    assert_eq!(running.count(), 0, "something still runs: {output:#?}");
+    let left = running_in(&world.path("xdg-state"));
+    assert!(left.is_empty(), "{left:?} still run: {output:#?}");
     output
 }
 

@@ -64,6 +64,12 @@ impl System {
         children(u64::from(self.process.pid()))
     }
 
+    /// The process of this name that runs now, attached or not.
+    pub(super) fn pid_of(&self, name: &str) -> Option<u64> {
+        let is_it = |pid: &u64| command_line(*pid).windows(2).any(|two| two == ["--name", name]);
+        self.pids().into_iter().find(is_it)
+    }
+
     pub(super) fn gcm_pid(&self) -> u64 {
         eventually("a GCM runs", || {
             let is_gcm = |pid: &u64| command_line(*pid).iter().any(|arg| arg == "gcm");
@@ -85,6 +91,14 @@ pub(super) fn kill(signal: &str, pid: u64) {
 pub(super) fn gone(pid: u64) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.rsplit_once(") ").is_none_or(|(_, rest)| rest.starts_with(['Z', 'X']))
+}
+
+/// Processes that keep their state in a directory.
+pub(super) fn running_in(home: &Path) -> Vec<u64> {
+    let home = home.to_string_lossy();
+    let all = std::fs::read_dir("/proc").unwrap().flatten();
+    let pids = all.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    pids.filter(|pid| command_line(*pid).iter().any(|arg| arg.contains(&*home)) && !gone(*pid)).collect()
 }
 
 fn command_line(pid: u64) -> Vec<String> {
