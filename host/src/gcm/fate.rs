@@ -41,13 +41,18 @@ impl Gcm {
         if told.fate != Fate::Running {
             let held = lock(&self.inner.sessions).holder(&told.process);
             let graph = self.graph();
-            let is_it = |p: &Process| p.pid == told.pid || told.fate == Fate::Dismissed;
+            let is_it = |p: &Process| p.pid == told.pid;
             if let (Some(session), Some(_)) = (held, graph.processes.get(&told.process).filter(|p| is_it(p)))
             {
                 self.lost(&told.process, session);
             }
         }
         self.edit_if(|graph| {
+            // Another incarnation has come since, or it is somebody else's.
+            let other = |p: &Process| p.state == ProcessState::Attached && p.pid != told.pid;
+            if graph.processes.get(&told.process).is_some_and(other) {
+                return false;
+            }
             if told.fate == Fate::Dismissed {
                 return dismiss(graph, &told.process);
             }
@@ -59,24 +64,18 @@ impl Gcm {
             };
             now.last_exit.clone_from(&told.last_exit);
             now.restarts = told.restarts;
-            // Another incarnation may have come since.
-            if now.state != ProcessState::Attached || now.pid == told.pid {
-                now.state = match told.fate {
-                    Fate::Running | Fate::Dismissed => now.state,
-                    Fate::Restarting => ProcessState::Restarting,
-                    Fate::Failed => ProcessState::Failed,
-                    Fate::Ended => ProcessState::Lost,
-                };
-            }
+            now.state = match told.fate {
+                Fate::Running | Fate::Dismissed => now.state,
+                Fate::Restarting => ProcessState::Restarting,
+                Fate::Failed => ProcessState::Failed,
+                Fate::Ended => ProcessState::Lost,
+            };
             if graph.processes.get(&told.process) == Some(&now) {
                 return false;
             }
             Arc::make_mut(graph).processes.insert(told.process.clone(), now);
             true
         });
-        if told.fate == Fate::Failed {
-            log::error!("process {} failed: it {}", told.process, told.last_exit);
-        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! What cannot come up is named with its place and reason, and leaves nothing running.
 
+use serde_json::{Value, json};
 use trocar_tests::{HostProcess, Output, Trocar, World};
 
 use super::TWO;
@@ -145,4 +146,30 @@ fn run_says_that_several_processes_are_for_up() {
     let world = world();
     let path = world.write("system.json", TWO);
     Trocar::new(&world).run(&["run", path.to_str().unwrap()]).ends_with(1).says("trocar up");
+}
+
+#[test]
+fn a_name_that_somebody_else_has_is_refused_and_that_one_is_left_alone() {
+    let world = world();
+    let gcm = HostProcess::start_gcm(&world);
+    let _other = HostProcess::start_with(&world, "right", &["--gcm", gcm.address()]);
+    let right = || {
+        let mut right =
+            gcm.grpcurl().ok("GcmService/List", json!({ "path": "right", "brief": true }))["processes"][0]
+                .clone();
+        right["classes"] = Value::Null;
+        right
+    };
+    let before = right();
+    let path = world.write("system.json", TWO);
+    let args = ["up", path.to_str().unwrap(), "--json", "--gcm", gcm.address()];
+    let output = Trocar::new(&world).run(&args).ends_with(1).json();
+    assert_eq!(
+        (&output["reason"], &output["metadata"]["process"]),
+        (&"PROCESS_EXISTS".into(), &"right".into()),
+        "{output}"
+    );
+    assert_eq!(right(), before);
+    let all = gcm.grpcurl().ok("GcmService/List", json!({ "brief": true }));
+    assert_eq!(all["processes"].as_array().map(Vec::len), Some(1), "nothing of the file is left: {all}");
 }

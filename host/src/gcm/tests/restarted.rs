@@ -99,6 +99,8 @@ async fn a_process_its_supervisor_saw_end_is_lost_at_once() {
     gcm.told(&fate(Fate::Restarting, std::process::id() + 1));
     let process = gcm.graph().processes[&name("host")].clone();
     assert_eq!(process.state, ProcessState::Attached, "that was another incarnation");
+    gcm.told(&fate(Fate::Running, std::process::id()));
+    let process = gcm.graph().processes[&name("host")].clone();
     assert_eq!((process.last_exit.as_str(), process.restarts), ("was killed by SIGSEGV", 1));
     gcm.told(&fate(Fate::Restarting, std::process::id()));
     assert_eq!(gcm.graph().processes[&name("host")].state, ProcessState::Restarting);
@@ -122,7 +124,9 @@ async fn a_process_that_never_came_up_is_listed_with_what_became_of_it() {
 #[tokio::test]
 async fn what_is_taken_down_leaves_nothing_in_the_graph() {
     let (gcm, _lcm, _) = running().await;
-    gcm.told(&fate(Fate::Dismissed, 1));
+    gcm.told(&fate(Fate::Dismissed, std::process::id() + 1));
+    assert_eq!(gcm.graph().components.len(), 2, "that was somebody else's");
+    gcm.told(&fate(Fate::Dismissed, std::process::id()));
     let graph = gcm.graph();
     assert!(graph.processes.is_empty() && graph.components.is_empty() && graph.connections.is_empty());
 }
