@@ -395,3 +395,14 @@ fn an_up_that_is_killed_while_it_comes_up_leaves_nothing() {
     again.run(&args).ends_with(0);
     again.run(&["down", "system"]).ends_with(0);
 }
+
+#[test]
+fn what_the_file_lets_go_on_by_itself_does() {
+    let file = TWO.replacen("{ \"class\": \"chaos\" }", "{ \"class\": \"chaos\", \"resume\": \"auto\" }", 1);
+    let two = System::up(&file, &[]);
+    let before = two.host("right");
+    kill("-KILL", pid(&before));
+    two.await_back("right", &before);
+    two.grpc.await_state("right/c", "ACTIVE");
+    assert_eq!(two.grpc.state("right/off"), "READY");
+}

@@ -94,6 +94,8 @@ pub struct ComponentSpec {
     pub id: ComponentId,
     /// As the file calls it: another process when it has one of its own.
     pub written: ComponentId,
+    /// When its process was started again, it goes on without being asked.
+    pub resumes: bool,
     /// It has a process of its own.
     pub isolated: bool,
     pub class: String,

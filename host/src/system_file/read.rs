@@ -17,7 +17,7 @@ pub(super) const SYSTEM: &[&str] =
     &["$schema", "version", "processes", "components", "connections", "scenarios"];
 pub(super) const PROCESS: &[&str] = &["plugins", "trust", "listen", "state", "env", "restart"];
 pub(super) const RESTART: &[&str] = &["max", "within_s", "backoff_ms", "most_backoff_ms"];
-pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start", "isolation"];
+pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start", "isolation", "resume"];
 pub(super) const EXECUTION: &[&str] = &[
     "model",
     "rate_hz",
@@ -53,6 +53,8 @@ pub(super) const ON_FAILURE: &[(&str, OnFailure)] =
 
 pub(super) const POLICIES: &[(&str, Policy)] =
     &[("never", Policy::Never), ("on_failure", Policy::OnFailure(Limits::DEFAULT))];
+/// True: without being asked.
+pub(super) const RESUMES: &[(&str, bool)] = &[("manual", false), ("auto", true)];
 /// True: a process of its own.
 pub(super) const ISOLATIONS: &[(&str, bool)] = &[("none", false), ("process", true)];
 
@@ -225,6 +227,7 @@ fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>) -> Result<Ve
         components.push(ComponentSpec {
             written: id.clone(),
             id,
+            resumes: fields.get("resume").map(|r| r.one_of(RESUMES)).transpose()?.unwrap_or(false),
             isolated: fields.get("isolation").map(|i| i.one_of(ISOLATIONS)).transpose()?.unwrap_or(false),
             class: fields.need("class")?.text()?.to_owned(),
             config,

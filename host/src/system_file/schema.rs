@@ -9,6 +9,7 @@ pub fn system_schema() -> Value {
     let models: Vec<&str> = super::read::MODELS.iter().map(|(name, _)| *name).collect();
     let on_failure: Vec<&str> = super::read::ON_FAILURE.iter().map(|(name, _)| *name).collect();
     let policies: Vec<&str> = super::read::POLICIES.iter().map(|(name, _)| *name).collect();
+    let resumes: Vec<&str> = super::read::RESUMES.iter().map(|(name, _)| *name).collect();
     let isolations: Vec<&str> = super::read::ISOLATIONS.iter().map(|(name, _)| *name).collect();
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -85,6 +86,7 @@ pub fn system_schema() -> Value {
                     "config": { "type": "object", "description": "Configuration; what is left out takes the class's default." },
                     "execution": { "$ref": "#/$defs/execution" },
                     "start": { "type": "boolean", "default": true, "description": "Start it with the system." },
+                    "resume": { "enum": resumes, "default": "manual", "description": "When its process was started again: what moves something waits for Resume, or with auto goes on by itself. For `trocar up`." },
                     "isolation": { "enum": isolations, "default": "none", "description": "process: a process of its own, PROCESS.COMPONENT, made like the one it is written under. For `trocar up`." }
                 }
             },

@@ -1,7 +1,8 @@
-//! What nobody remembers but the system file: a process and the GCM that ended together.
+//! What only the system file says of a process that was started again: what is to go on by itself, and, when the GCM had ended
+//! with it, what it had.
 //!
 //! Invariant: a GCM makes anew what a process had, and a process brings along what a GCM had; only what both have lost is
-//! taken from the file, and what moves something is then made, not started.
+//! taken from the file. What moves something is started only where the file says `"resume": "auto"`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -14,7 +15,7 @@ use crate::cli::out;
 use crate::cli::session::Session;
 use crate::cli::view::SystemView;
 use crate::processes::{Phase, Status};
-use crate::system_file::SystemFile;
+use crate::system_file::{ComponentSpec, SystemFile};
 
 type Statuses = BTreeMap<String, Status>;
 
@@ -67,6 +68,10 @@ impl Mender {
                 &format!("{} cannot be made again: {}", names.join(", "), failure.message),
             );
         }
+        let back: Vec<&str> = now.keys().map(String::as_str).filter(|name| again(name)).collect();
+        if let Err(failure) = resume(file, &back, &both, session).await {
+            out::complain("error", &format!("not resumed: {}", failure.message));
+        }
         self.seen = now;
         true
     }
@@ -97,6 +102,43 @@ fn requests(file: &SystemFile, missing: &BTreeSet<ComponentId>) -> Vec<Request> 
     file.requests().into_iter().filter(concerned).collect()
 }
 
+/// Lets go on what the file says goes on by itself.
+async fn resume(
+    file: &SystemFile,
+    processes: &[&str],
+    both: &[&str],
+    session: &Session,
+) -> Result<(), Failure> {
+    let goes_on = |c: &&ComponentSpec| c.resumes && processes.contains(&c.id.process.as_str());
+    if !file.components.iter().any(|c| goes_on(&c)) {
+        return Ok(());
+    }
+    let listed = session.list().await?;
+    let stands = |c: &ComponentSpec, state: &str| {
+        let path = c.id.to_string();
+        listed.components.iter().any(|l| l.path == path && l.state == state)
+    };
+    let those = |state: &str| -> Vec<Target> {
+        let those = file.components.iter().filter(goes_on).filter(|c| stands(c, state));
+        those.map(|c| Target::One(c.id.clone())).collect()
+    };
+    let from_file = |target: &Target| {
+        let Target::One(id) = target else { return false };
+        both.contains(&id.process.as_str()) && file.components.iter().any(|c| c.start && c.id == *id)
+    };
+    let (stopped, ready) = (those("STOPPED{restarted}"), those("READY"));
+    let mut requests = Vec::new();
+    if !stopped.is_empty() {
+        requests.push(Request::Resume { targets: stopped });
+    }
+    // Made from the file, when the GCM had ended with it.
+    let ready: Vec<Target> = ready.into_iter().filter(from_file).collect();
+    if !ready.is_empty() {
+        requests.push(Request::Start { targets: ready });
+    }
+    session.apply(&requests, WITHIN).await.map(|_| ())
+}
+
 async fn make(file: &SystemFile, missing: &BTreeSet<ComponentId>, session: &Session) -> Result<(), Failure> {
     session.apply(&requests(file, missing), WITHIN).await?;
     let made = session.list().await?;
@@ -116,7 +158,7 @@ async fn make(file: &SystemFile, missing: &BTreeSet<ComponentId>, session: &Sess
     let mut said = format!("the GCM and its process had ended together: {all} made again from the file");
     if !waiting.is_empty() {
         let waiting = text(waiting.iter().map(ToString::to_string).collect());
-        said.push_str(&format!("; {waiting} can move something and waits for Start"));
+        said.push_str(&format!("; {waiting} can move something and is not started by that"));
     }
     out::complain("warning", &said);
     Ok(())
