@@ -342,6 +342,7 @@ fn a_process_killed_at_any_moment_of_its_start_comes_back_whole() {
     let seed = fastrand::u64(..);
     let mut random = fastrand::Rng::with_seed(seed);
     let first = two.host("right");
+    let held = two.holds();
     let mut last = 0;
     for round in 0..40 {
         last =
@@ -361,6 +362,10 @@ fn a_process_killed_at_any_moment_of_its_start_comes_back_whole() {
         assert_eq!(two.grpc.state(path), state, "seed {seed}: {path} in {}", two.list());
     }
     assert_eq!(two.grpc.state("left/s"), "ACTIVE");
+    eventually("nothing of the forty stays with `up`", || match two.holds() {
+        (files, threads) if files <= held.0 && threads <= held.1 => Ok(()),
+        now => Err(format!("{now:?} files and threads, {held:?} before")),
+    });
 }
 
 #[test]

@@ -64,6 +64,15 @@ impl System {
         children(u64::from(self.process.pid()))
     }
 
+    /// How many files and threads `up` holds.
+    pub(super) fn holds(&self) -> (usize, usize) {
+        let of = |part: &str| {
+            let entries = std::fs::read_dir(format!("/proc/{}/{part}", self.process.pid()));
+            entries.map_or(0, Iterator::count)
+        };
+        (of("fd"), of("task"))
+    }
+
     /// The process of this name that runs now, attached or not.
     pub(super) fn pid_of(&self, name: &str) -> Option<u64> {
         let is_it = |pid: &u64| command_line(*pid).windows(2).any(|two| two == ["--name", name]);
