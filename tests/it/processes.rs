@@ -10,10 +10,11 @@ mod system;
 #[path = "processes/watching.rs"]
 mod watching;
 
+use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
-use system::{System, gone, kill, pid, running_in};
+use system::{System, children, gone, is_gcm, kill, listening, pid, running_in};
 use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number};
 
 const TWO: &str = r#"{
@@ -410,4 +411,42 @@ fn what_the_file_lets_go_on_by_itself_does() {
     two.await_back("right", &before);
     two.grpc.await_state("right/c", "ACTIVE");
     assert_eq!(two.grpc.state("right/off"), "READY");
+}
+
+#[test]
+fn a_process_that_crashes_while_the_system_comes_up_is_filled_once_more() {
+    let world = World::with_plugins(&["sine", "fixture_chaos"]);
+    let slow = "{ \"class\": \"chaos\", \"config\": { \"slow_start_ms\": 1500 } }";
+    let file = world.write("system.json", TWO.replacen("{ \"class\": \"chaos\" }", slow, 1));
+    let mut up = Command::new(Built::trocar())
+        .args(["up", file.to_str().unwrap(), "--listen", "127.0.0.1:0"])
+        .env("XDG_STATE_HOME", world.path("xdg-state"))
+        .env_remove("TROCAR_GCM")
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let address = eventually("its GCM listens", || {
+        let listens =
+            listening(children(up.id().into()).into_iter().find(|pid| is_gcm(*pid)).ok_or("no GCM")?);
+        listens.ok_or("no port")
+    });
+    let trocar = Trocar::at(&world, &address);
+    let right = eventually("right begins to be filled", || {
+        let ls = trocar.run(&["ls", "right", "--json"]);
+        let pid = if ls.code == 0 { ls.json()["processes"][0]["pid"].as_u64() } else { None };
+        match pid.filter(|_| ls.json()["components"].to_string().contains("right/c")) {
+            Some(pid) => Ok(pid),
+            None => Err(format!("{ls:?}")),
+        }
+    });
+    kill("-KILL", right);
+    let mut line = String::new();
+    BufReader::new(up.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("is up: 2 processes"), "{line:?}");
+    let ls = trocar.run(&["ls", "right", "--json"]).ends_with(0).json();
+    let states: Vec<&str> =
+        ls["components"].as_array().unwrap().iter().filter_map(|c| c["state"].as_str()).collect();
+    assert_eq!(states, ["ACTIVE", "READY", "ACTIVE"], "{ls}");
+    trocar.run(&["down", "system"]).ends_with(0);
+    assert!(up.wait().unwrap().success());
 }

@@ -80,10 +80,7 @@ impl System {
     }
 
     pub(super) fn gcm_pid(&self) -> u64 {
-        eventually("a GCM runs", || {
-            let is_gcm = |pid: &u64| command_line(*pid).iter().any(|arg| arg == "gcm");
-            self.pids().into_iter().find(is_gcm).ok_or("none")
-        })
+        eventually("a GCM runs", || self.pids().into_iter().find(|pid| is_gcm(*pid)).ok_or("none"))
     }
 }
 
@@ -110,12 +107,33 @@ pub(super) fn running_in(home: &Path) -> Vec<u64> {
     pids.filter(|pid| command_line(*pid).iter().any(|arg| arg.contains(&*home)) && !gone(*pid)).collect()
 }
 
+pub(super) fn is_gcm(pid: u64) -> bool {
+    command_line(pid).iter().any(|arg| arg == "gcm")
+}
+
+/// Where a process listens, by the sockets it holds.
+pub(super) fn listening(pid: u64) -> Option<String> {
+    let held: Vec<String> = std::fs::read_dir(format!("/proc/{pid}/fd"))
+        .ok()?
+        .flatten()
+        .filter_map(|fd| std::fs::read_link(fd.path()).ok()?.to_str().map(str::to_owned))
+        .collect();
+    let table = std::fs::read_to_string("/proc/net/tcp").ok()?;
+    table.lines().skip(1).find_map(|line| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let (at, state, inode) = (words.get(1)?, words.get(3)?, words.get(9)?);
+        let is_it = *state == "0A" && held.contains(&format!("socket:[{inode}]"));
+        let port = u16::from_str_radix(at.rsplit_once(':')?.1, 16).ok()?;
+        is_it.then(|| format!("127.0.0.1:{port}"))
+    })
+}
+
 fn command_line(pid: u64) -> Vec<String> {
     let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
     line.split('\0').map(str::to_owned).collect()
 }
 
-fn children(parent: u64) -> Vec<u64> {
+pub(super) fn children(parent: u64) -> Vec<u64> {
     let tasks = std::fs::read_dir(Path::new("/proc").join(parent.to_string()).join("task"));
     let of = |task: std::path::PathBuf| std::fs::read_to_string(task.join("children")).unwrap_or_default();
     let all: Vec<String> = tasks.into_iter().flatten().flatten().map(|task| of(task.path())).collect();

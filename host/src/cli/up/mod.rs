@@ -13,13 +13,13 @@ use std::time::Duration;
 
 use clap::Args;
 use tokio::net::UnixStream;
-use trocar_model::Name;
+use trocar_model::{ComponentId, Name, Request};
 
 use self::mend::Mender;
 use self::programs::GCM;
 use self::telling::Voice;
 use super::failure::{Done, Exit, Failure};
-use super::mutation::{MutationArgs, Outcome};
+use super::mutation::Outcome;
 use super::session::{self, Session};
 use super::{hosting, logging};
 use crate::gcm::Fate;
@@ -241,12 +241,10 @@ impl System {
                 }
             };
             let listed = tokio::time::timeout(BRING_UP, settle).await.map_err(|_| failure)??;
-            for component in listed.components {
-                let ours = |name: &String| component.path.split('/').next() == Some(name.as_str());
-                if names.iter().any(ours) {
-                    session.remove(&component.path, true, &MutationArgs::default()).await?;
-                }
-            }
+            let ids = listed.components.iter().filter_map(|c| ComponentId::parse(&c.path).ok());
+            let ours = ids.filter(|id| names.iter().any(|name| name == id.process.as_str()));
+            let removes: Vec<Request> = ours.map(|id| Request::Remove { id, force: true }).collect();
+            session.apply(&removes, BRING_UP).await?;
         }
     }
 
