@@ -450,3 +450,52 @@ fn a_process_that_crashes_while_the_system_comes_up_is_filled_once_more() {
     trocar.run(&["down", "system"]).ends_with(0);
     assert!(up.wait().unwrap().success());
 }
+
+#[test]
+fn gcm_and_process_killed_at_any_moment_leave_a_whole_system_and_nothing_moves_by_that() {
+    let restart = "\"right\": { \"restart\": { \"max\": 1000, \"backoff_ms\": 1, \"most_backoff_ms\": 1 },";
+    let mut two = System::up(&TWO.replacen("\"right\": {", restart, 1), &[]);
+    let left = two.host("left");
+    let seed = fastrand::u64(..);
+    let mut random = fastrand::Rng::with_seed(seed);
+    let (mut right, mut gcm) = (0, 0);
+    for round in 0..25 {
+        if round == 0 || random.bool() {
+            right = eventually(&format!("round {round} of seed {seed}: right runs"), || {
+                match two.pid_of("right") {
+                    Some(pid) if pid != right => Ok(pid),
+                    other => Err(format!("{other:?}")),
+                }
+            });
+            kill("-KILL", right);
+        } else {
+            gcm = eventually(&format!("round {round} of seed {seed}: a GCM runs"), || match two.gcm_pid() {
+                pid if pid != gcm => Ok(pid),
+                pid => Err(pid),
+            });
+            kill("-KILL", gcm);
+        }
+        let most = 1 << random.u32(1..17);
+        for _ in 0..random.u32(0..most) {
+            std::hint::black_box(gone(two.process.pid().into()));
+        }
+    }
+    eventually(&format!("all of seed {seed} is back"), || {
+        let ls = two.trocar().run(&["ls", "--json"]);
+        if ls.code != 0 {
+            return Err(format!("{ls:?}"));
+        }
+        let state = |path: &str| {
+            let components = ls.json()["components"].as_array().cloned().unwrap_or_default();
+            let found = components.iter().find(|c| c["path"] == path && c["health"] != "LOST");
+            found.and_then(|c| c["state"].as_str().map(str::to_owned)).unwrap_or_default()
+        };
+        let actuator = state("right/c");
+        assert_ne!(actuator, "ACTIVE", "seed {seed}: nobody has let it move");
+        let whole =
+            state("right/s") == "ACTIVE" && state("right/off") == "READY" && state("left/s") == "ACTIVE";
+        if whole && !actuator.is_empty() { Ok(()) } else { Err(format!("{ls:?}")) }
+    });
+    assert_eq!(pid(&two.host("left")), pid(&left), "seed {seed}");
+    assert!(two.process.is_alive());
+}

@@ -59,8 +59,8 @@ impl Mender {
             Vec::new()
         };
         let missing = missing(file, &listed, &both);
-        if !missing.is_empty()
-            && let Err(failure) = make(file, &missing, session).await
+        if !both.is_empty()
+            && let Err(failure) = make(file, &missing, &both, session).await
         {
             let names: Vec<String> = missing.iter().map(ToString::to_string).collect();
             out::complain(
@@ -139,25 +139,38 @@ async fn resume(
     session.apply(&requests, WITHIN).await.map(|_| ())
 }
 
-async fn make(file: &SystemFile, missing: &BTreeSet<ComponentId>, session: &Session) -> Result<(), Failure> {
+/// Makes what is missing in these processes, and starts what only measures there: the GCM may have ended in the middle of
+/// making them anew.
+async fn make(
+    file: &SystemFile,
+    missing: &BTreeSet<ComponentId>,
+    processes: &[&str],
+    session: &Session,
+) -> Result<(), Failure> {
     session.apply(&requests(file, missing), WITHIN).await?;
-    let made = session.list().await?;
-    let wanted = |id: &&ComponentId| file.components.iter().any(|c| c.start && c.id == **id);
-    let moves = |id: &ComponentId| {
-        let path = id.to_string();
-        made.components.iter().any(|c| c.path == path && c.safety == "actuator")
+    let listed = session.list().await?;
+    let here = |c: &&ComponentSpec| c.start && processes.contains(&c.id.process.as_str());
+    let ready = |c: &&ComponentSpec| {
+        let path = c.id.to_string();
+        listed
+            .components
+            .iter()
+            .find(|l| l.path == path && l.state == "READY")
+            .map(|l| l.safety == "actuator")
     };
-    let (waiting, starting): (Vec<&ComponentId>, Vec<&ComponentId>) =
-        missing.iter().filter(wanted).partition(|id| moves(id));
-    let targets: Vec<Target> = starting.into_iter().cloned().map(Target::One).collect();
+    let stands = |moves: bool| file.components.iter().filter(here).filter(move |c| ready(c) == Some(moves));
+    let targets: Vec<Target> = stands(false).map(|c| Target::One(c.id.clone())).collect();
     if !targets.is_empty() {
         session.apply(&[Request::Start { targets }], WITHIN).await?;
     }
     let text = |ids: Vec<String>| ids.join(", ");
-    let all = text(missing.iter().map(ToString::to_string).collect());
-    let mut said = format!("the GCM and its process had ended together: {all} made again from the file");
+    let made = text(missing.iter().map(ToString::to_string).collect());
+    let mut said = format!("the GCM had ended together with {}", processes.join(", "));
+    if !made.is_empty() {
+        said.push_str(&format!(": {made} made again from the file"));
+    }
+    let waiting = text(stands(true).map(|c| c.id.to_string()).collect());
     if !waiting.is_empty() {
-        let waiting = text(waiting.iter().map(ToString::to_string).collect());
         said.push_str(&format!("; {waiting} can move something and is not started by that"));
     }
     out::complain("warning", &said);
