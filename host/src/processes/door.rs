@@ -4,9 +4,12 @@
 
 use std::fs;
 use std::io::ErrorKind;
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, PidfdFlags, getpid, pidfd_open};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::mpsc;
@@ -82,7 +85,7 @@ impl Door {
         }
     }
 
-    /// Asks the system of this directory to go down and waits until it is.
+    /// Asks the system of this directory to go down and waits until it is, its own process too.
     pub async fn ask(dir: &Path) -> Answer {
         let mut stream = match UnixStream::connect(dir.join(SOCKET)).await {
             Ok(stream) => stream,
@@ -91,10 +94,17 @@ impl Door {
             }
             Err(e) => return Answer::Unknown(e.to_string()),
         };
+        // Held before it is asked: its number then stays its own.
+        let process = stream.peer_cred().ok().and_then(|peer| peer.pid()).and_then(held);
         let talk = async {
             stream.write_all(DOWN.as_bytes()).await?;
             let mut text = String::new();
-            stream.read_to_string(&mut text).await.map(|_| text)
+            stream.read_to_string(&mut text).await?;
+            if let Some(process) = process {
+                // It closes the stream before it ends.
+                ended(process).await;
+            }
+            Ok::<_, std::io::Error>(text)
         };
         match tokio::time::timeout(PATIENCE, talk).await {
             Ok(Ok(text)) if text == DOWN => Answer::Down,
@@ -115,6 +125,22 @@ impl Drop for Door {
         self.task.abort();
         let _ = fs::remove_file(&self.path);
     }
+}
+
+/// A handle of another process. `None` for this one, and where the kernel has none.
+fn held(pid: i32) -> Option<OwnedFd> {
+    let pid = Pid::from_raw(pid).filter(|pid| *pid != getpid())?;
+    pidfd_open(pid, PidfdFlags::empty()).ok()
+}
+
+/// Waits until the process of this handle has ended.
+async fn ended(process: OwnedFd) {
+    let limit = Timespec::try_from(PATIENCE).ok();
+    let waiting = tokio::task::spawn_blocking(move || {
+        poll(&mut [PollFd::new(&process, PollFlags::IN)], limit.as_ref())
+    });
+    // At its worst it is seen to be there.
+    let _ = waiting.await;
 }
 
 async fn let_in(mut stream: UnixStream, tell: mpsc::Sender<UnixStream>) {
