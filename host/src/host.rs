@@ -15,5 +15,5 @@ mod state_dir;
 pub use config::{HostBuilder, HostConfig};
 pub use error::HostError;
 pub use process::Host;
-pub use signals::StopRequest;
+pub use signals::{StopRequest, say_to_keeper};
 pub use state_dir::{StateChoice, StateDir, state_home};

@@ -156,23 +156,11 @@ pub(crate) fn ping_pong(trips: u64) -> f64 {
 /// How late a bare loop of sleeps until absolute times begins its turns, ns; ended by `stop`.
 pub(crate) fn sleeper(period_ns: u64, stop: Arc<AtomicBool>) -> thread::JoinHandle<Vec<f64>> {
     thread::spawn(move || {
-        // As exact as the kernel can, like a component's thread.
-        // SAFETY: concerns this thread alone.
-        unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1) };
+        exact_timers();
         let mut late = Vec::with_capacity(1 << 22);
         let mut due = now_ns() + period_ns;
         while !stop.load(Ordering::Acquire) {
-            let (tv_sec, tv_nsec) = ((due / 1_000_000_000) as i64, (due % 1_000_000_000) as i64);
-            let until = libc::timespec { tv_sec, tv_nsec };
-            // SAFETY: the time lives for the call; nobody asks for the rest.
-            unsafe {
-                libc::clock_nanosleep(
-                    libc::CLOCK_MONOTONIC,
-                    libc::TIMER_ABSTIME,
-                    &until,
-                    std::ptr::null_mut(),
-                )
-            };
+            sleep_until(due);
             let late_ns = now_ns().saturating_sub(due);
             late.push(late_ns as f64);
             due += period_ns * (1 + late_ns / period_ns);
@@ -181,8 +169,23 @@ pub(crate) fn sleeper(period_ns: u64, stop: Arc<AtomicBool>) -> thread::JoinHand
     })
 }
 
+/// As exact as the kernel can, like a component's thread.
+pub(crate) fn exact_timers() {
+    // SAFETY: concerns this thread alone.
+    unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1) };
+}
+
+/// Sleeps until a time of the monotonic clock.
+pub(crate) fn sleep_until(due_ns: u64) {
+    let (tv_sec, tv_nsec) = ((due_ns / 1_000_000_000) as i64, (due_ns % 1_000_000_000) as i64);
+    let until = libc::timespec { tv_sec, tv_nsec };
+    let absolute = libc::TIMER_ABSTIME;
+    // SAFETY: the time lives for the call; nobody asks for the rest.
+    unsafe { libc::clock_nanosleep(libc::CLOCK_MONOTONIC, absolute, &until, std::ptr::null_mut()) };
+}
+
 /// The monotonic clock, ns.
-fn now_ns() -> u64 {
+pub(crate) fn now_ns() -> u64 {
     let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: room for one time.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };

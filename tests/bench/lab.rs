@@ -1,11 +1,11 @@
-//! A host inside the benchmark, with the measuring components of a real plugin file.
+//! A host inside the benchmark, with the measuring components of a real plugin file; alone, or as the GCM of other processes.
 
 use std::time::Duration;
 
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 use trocar::Host;
-use trocar::host::HostError;
+use trocar::host::{HostBuilder, HostError};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel, Refusal};
 use trocar_tests::{Built, World, eventually};
 
@@ -15,40 +15,82 @@ const WITHIN: Duration = Duration::from_secs(60);
 pub(crate) struct Lab {
     runtime: Runtime,
     host: Option<Host>,
-    _world: World,
+    /// In front of the names of components: its own process, where there is no other.
+    prefix: &'static str,
+    world: World,
 }
 
 impl Lab {
     pub(crate) fn new() -> Lab {
+        let lab = Lab::with("host/", |builder| builder);
+        lab.await_gauge("");
+        lab
+    }
+
+    /// The GCM of other processes, which listens for them; names begin with their process.
+    pub(crate) fn of_processes() -> Lab {
+        Lab::with("", |builder| builder.listen("127.0.0.1:0"))
+    }
+
+    fn with(prefix: &'static str, more: impl FnOnce(HostBuilder) -> HostBuilder) -> Lab {
         let runtime = Runtime::new().expect("a runtime can be made");
         let world = World::with_plugins(&["fixture_gauge"]);
-        let builder = Host::builder().plugins(world.plugins()).vet_with(Built::trocar());
+        let builder = more(Host::builder().plugins(world.plugins()).vet_with(Built::trocar()));
         let host = runtime.block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
-        let lab = Lab { runtime, host: Some(host), _world: world };
-        // A file counts as finished when it has not changed for a while.
-        eventually("the gauge is offered", || match lab.try_create("first", "gauge", Execution::default()) {
-            Ok(()) => Ok(()),
-            Err(e) => Err(e.to_string()),
+        Lab { runtime, host: Some(host), prefix, world }
+    }
+
+    pub(crate) fn await_gauge(&self, process: &str) {
+        let name = format!("{process}first");
+        self.create_when_offered(&name, "gauge", &Execution::default());
+        self.remove(&name);
+    }
+
+    /// A file counts as finished when it has not changed for a while, and a process may still be about to come.
+    pub(crate) fn create_when_offered(&self, name: &str, class: &str, execution: &Execution) {
+        eventually(&format!("{class} is offered"), || {
+            self.try_create(name, class, json!({}), execution.clone()).map_err(|e| e.to_string())
         });
-        lab.remove("first");
-        lab
+    }
+
+    pub(crate) fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Where it listens.
+    pub(crate) fn address(&self) -> String {
+        self.host().addr().expect("it was told to listen").to_string()
+    }
+
+    fn path(&self, name: &str) -> String {
+        format!("{}{name}", self.prefix)
     }
 
     fn host(&self) -> &Host {
         self.host.as_ref().expect("the host is there until the lab is dropped")
     }
 
-    fn try_create(&self, name: &str, class: &str, execution: Execution) -> Result<(), Refusal> {
-        let path = format!("host/{name}");
-        self.runtime.block_on(self.host().create_with(&path, class, json!({}), execution)).map(drop)
+    fn try_create(
+        &self,
+        name: &str,
+        class: &str,
+        config: Value,
+        execution: Execution,
+    ) -> Result<(), Refusal> {
+        let path = self.path(name);
+        self.runtime.block_on(self.host().create_with(&path, class, config, execution)).map(drop)
     }
 
     pub(crate) fn create(&self, name: &str, class: &str, execution: Execution) {
-        self.try_create(name, class, execution).unwrap_or_else(|e| panic!("{name}: {e}"));
+        self.create_with(name, class, json!({}), execution);
+    }
+
+    pub(crate) fn create_with(&self, name: &str, class: &str, config: Value, execution: Execution) {
+        self.try_create(name, class, config, execution).unwrap_or_else(|e| panic!("{name}: {e}"));
     }
 
     pub(crate) fn remove(&self, name: &str) {
-        let gone = self.runtime.block_on(self.host().remove_forced(&format!("host/{name}")));
+        let gone = self.runtime.block_on(self.host().remove_forced(&self.path(name)));
         gone.unwrap_or_else(|e| panic!("{name}: {e}"));
     }
 
@@ -57,24 +99,32 @@ impl Lab {
     }
 
     pub(crate) fn connect_with(&self, client: &str, server: &str, options: ConnectOptions) {
-        let (client, server) = (format!("host/{client}"), format!("host/{server}"));
+        let (client, server) = (self.path(client), self.path(server));
         let made = self.runtime.block_on(self.host().connect_with(&client, &server, options));
         made.unwrap_or_else(|e| panic!("{client} to {server}: {e}"));
     }
 
     pub(crate) fn start(&self) {
-        self.runtime.block_on(self.host().start("host/**")).unwrap_or_else(|e| panic!("start: {e}"));
+        self.start_only("**");
+    }
+
+    pub(crate) fn start_only(&self, which: &str) {
+        self.runtime.block_on(self.host().start(&self.path(which))).unwrap_or_else(|e| panic!("start: {e}"));
+    }
+
+    pub(crate) fn stop(&self, which: &str) {
+        self.runtime.block_on(self.host().stop(&self.path(which))).unwrap_or_else(|e| panic!("stop: {e}"));
     }
 
     pub(crate) fn invoke(&self, member: &str, arg: Value) -> Value {
-        let member = format!("host/{member}");
+        let member = self.path(member);
         let reply = self.runtime.block_on(self.host().invoke_within(&member, arg, WITHIN));
         reply.unwrap_or_else(|e| panic!("{member}: {e}")).value.unwrap_or_default()
     }
 
     /// The state row of a component.
     pub(crate) fn row(&self, name: &str) -> Value {
-        let row = self.runtime.block_on(self.host().read(&format!("host/{name}")));
+        let row = self.runtime.block_on(self.host().read(&self.path(name)));
         row.unwrap_or_else(|e| panic!("{name}: {e}")).value
     }
 

@@ -1,6 +1,5 @@
-//! The table that is printed: each figure beside a goal and a baseline.
+//! The table that is printed, line by line as it comes: each figure beside a goal and a baseline.
 
-use std::fmt::Write as _;
 use std::time::Instant;
 
 /// What a figure is to be.
@@ -13,15 +12,12 @@ pub(crate) enum Goal {
     Times(f64),
 }
 
-#[derive(Default)]
-pub(crate) struct Table {
-    pub(crate) text: String,
-}
+pub(crate) struct Table;
 
 impl Table {
     pub(crate) fn title(&mut self, title: &str) {
         let head = "| what | median | goal | holds | beside | ratio |\n|---|---|---|---|---|---|\n";
-        let _ = write!(self.text, "\n### {title}\n\n{head}");
+        print!("\n### {title}\n\n{head}");
     }
 
     /// `ns` beside a baseline in ns.
@@ -33,14 +29,18 @@ impl Table {
         };
         let (ns_text, base) = (duration(ns), duration(baseline_ns));
         let ratio = ns / baseline_ns;
-        let _ =
-            writeln!(self.text, "| {what} | {ns_text} | {goal} | {holds} | {beside}: {base} | {ratio:.2} |");
+        println!("| {what} | {ns_text} | {goal} | {holds} | {beside}: {base} | {ratio:.2} |");
     }
 
     /// A count that is to be exactly something.
     pub(crate) fn count(&mut self, what: &str, is: &str, goal: &str, holds: bool, beside: &str) {
         let holds = if goal.is_empty() { "" } else { yes(holds) };
-        let _ = writeln!(self.text, "| {what} | {is} | {goal} | {holds} | {beside} | |");
+        println!("| {what} | {is} | {goal} | {holds} | {beside} | |");
+    }
+
+    /// What could not be measured, and what to do about it.
+    pub(crate) fn missing(&mut self, what: &str, goal: &str, why: &str) {
+        println!("| {what} | not measured | {goal} | | {why} | |");
     }
 }
 

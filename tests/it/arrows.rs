@@ -15,9 +15,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-sdk-derive", &["trocar-plugin-api"]),
     ("trocar-sdk", &["trocar-sdk-derive", "trocar-plugin-api"]),
     ("trocar-rt", &["trocar-plugin-api"]),
-    ("trocar", &["trocar-model", "trocar-rt", "trocar-proto", "trocar-plugin-api"]),
+    ("trocar-links", &["trocar-rt"]),
+    ("trocar", &["trocar-model", "trocar-links", "trocar-rt", "trocar-proto", "trocar-plugin-api"]),
     ("trocar-conform-classes", &["trocar-sdk"]),
-    ("trocar-tests", &["trocar", "trocar-sdk", "trocar-proto", "trocar-conform-classes"]),
+    (
+        "trocar-tests",
+        &["trocar", "trocar-links", "trocar-rt", "trocar-sdk", "trocar-proto", "trocar-conform-classes"],
+    ),
+    ("trocar-torture", &["trocar-proto"]),
 ];
 
 const PLUGINS_MAY: &[&str] = &["trocar-sdk", "trocar-phantom", "trocar-conform-classes"];

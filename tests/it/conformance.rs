@@ -4,7 +4,7 @@
 
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
-    ExecIn, ExecOut, Lab, Language, Languages, OtherThread, Passive, SameStream, Way, cases,
+    ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherThread, Passive, SameStream, Way, cases,
 };
 use trocar_tests::skip;
 
@@ -186,6 +186,10 @@ conform! {
     other_thread_cpp_to_rust: OtherThread, Cpp calls Rust;
     same_stream_rust_to_cpp: SameStream, Rust calls Cpp;
     same_stream_cpp_to_rust: SameStream, Cpp calls Rust;
+    other_process_rust: OtherProcess, Rust calls Rust;
+    other_process_cpp: OtherProcess, Cpp calls Cpp;
+    other_process_linked: OtherProcess, Linked calls Linked;
+    other_process_rust_to_cpp: OtherProcess, Rust calls Cpp;
 }
 
 #[test]

@@ -5,7 +5,7 @@
 
 use serde_json::Value;
 
-use crate::Type;
+use crate::{Queue, Type};
 
 /// One class of one plugin.
 #[derive(Clone, Debug, PartialEq)]
@@ -162,6 +162,13 @@ pub struct Input {
     pub optional: bool,
     /// Default queue depth in samples; 0 = latest value.
     pub fifo: usize,
+}
+
+impl Input {
+    /// How samples wait for it where the connection does not say.
+    pub fn default_queue(&self) -> Queue {
+        if self.fifo > 0 { Queue::Fifo { depth: self.fifo, drop_oldest: true } } else { Queue::Latest }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]

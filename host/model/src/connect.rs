@@ -113,6 +113,11 @@ impl Ports {
 }
 
 impl CommandKind {
+    /// Answered from the published row; the others run inside the server.
+    pub fn is_read(self) -> bool {
+        matches!(self, CommandKind::Read | CommandKind::QualifiedRead)
+    }
+
     pub fn name(self) -> &'static str {
         match self {
             CommandKind::Void => "void",

@@ -2,14 +2,16 @@
 //!
 //! Invariant: every connection's ends exist and fit; an input and a required interface have at most one source; a
 //! refused request leaves the graph untouched. The desired part is what requests made of it; `state`, `health`, `fault`
-//! are what the LCMs last reported.
+//! and `proxies` are what the LCMs last reported.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde_json::Value;
 
-use crate::{Change, ClassInfo, ComponentId, Execution, Health, Name, Plan, PortId, Ports, State};
+use crate::{
+    Change, ClassInfo, ComponentId, End, Execution, Health, Name, Plan, PortId, Ports, Proxy, State,
+};
 
 /// Identifies a connection within one GCM's life; never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -22,6 +24,8 @@ pub struct SystemGraph {
     pub processes: BTreeMap<Name, Process>,
     pub components: BTreeMap<ComponentId, Component>,
     pub connections: BTreeMap<ConnectionId, Connection>,
+    /// Halves of connections between processes, as their LCMs tell.
+    pub proxies: BTreeMap<(ConnectionId, End), Proxy>,
     /// Number the next connection gets; the first is 1, and a change that is undone does not give its number back.
     pub next_connection: u64,
 }
@@ -64,7 +68,7 @@ pub struct Component {
     pub ports: Arc<Ports>,
     pub state: State,
     pub health: Health,
-    /// Why it is in FAULT; empty otherwise.
+    /// Why it is in FAULT, or what of it did not come back when its process was started again; empty otherwise.
     pub fault: String,
 }
 
@@ -92,7 +96,7 @@ pub struct ConnectOptions {
     pub adapt: bool,
     /// Take the place of an existing connection of the client end.
     pub replace: bool,
-    /// Pins the carrier ("inline", "heap"); empty = chosen by the LCM.
+    /// Pins the carrier ("inline", "heap", "memfd"); empty = the best there is.
     pub carrier: String,
 }
 

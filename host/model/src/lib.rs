@@ -17,6 +17,7 @@ mod loose;
 mod name;
 mod nearest;
 mod plan;
+mod proxy;
 mod refusal;
 mod request;
 mod state;
@@ -39,7 +40,8 @@ pub use graph::{
 };
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
-pub use plan::{class_fault, host_of, period_fault, plan, plan_all, restore};
+pub use plan::{Here, class_fault, host_of, open_ends, period_fault, plan, plan_all, restore};
+pub use proxy::{End, Proxy};
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};

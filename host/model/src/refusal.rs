@@ -180,6 +180,12 @@ pub enum Refusal {
         why: String,
     },
     /// The machine gives no thread for it.
+    /// The processes of a connection's ends cannot be linked.
+    Unreachable {
+        client: PortId,
+        server: PortId,
+        why: String,
+    },
     NoThread {
         id: ComponentId,
         why: String,

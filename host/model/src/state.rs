@@ -71,18 +71,20 @@ impl State {
 /// | CREATED | READY | – | same | – | – | gone |
 /// | READY | READY | ACTIVE | same | – | READY | gone |
 /// | ACTIVE | ACTIVE, live settings only | – | STOPPED{requested} | – | READY | gone |
-/// | STOPPED{any} | READY | ACTIVE, a fresh start | same, reason kept | ACTIVE, run-time state kept | READY | gone |
+/// | STOPPED{restarted} | READY | ACTIVE, a fresh start | STOPPED{requested} | ACTIVE, run-time state kept | READY | gone |
+/// | STOPPED{other} | READY | ACTIVE, a fresh start | same, reason kept | ACTIVE, run-time state kept | READY | gone |
 /// | FAULT | – | – | same | – | READY | gone |
 ///
 /// Stop is never refused: where nothing runs it changes nothing, and it keeps the reason of a STOPPED component so that
-/// an interlock is not forgotten. For Remove the answer is the state the component is in when it goes.
+/// an interlock is not forgotten. But what stands only because its process was restarted may be resumed by itself, and is
+/// not once somebody stopped it. For Remove the answer is the state the component is in when it goes.
 pub fn transition(state: State, verb: Verb) -> Option<State> {
     use State::{Active, Created, Fault, Ready, Stopped};
     match (verb, state) {
         (Verb::Configure, Created | Ready | Stopped(_)) => Some(Ready),
         (Verb::Configure, Active) => Some(Active),
         (Verb::Start, Ready | Stopped(_)) => Some(Active),
-        (Verb::Stop, Active) => Some(Stopped(StopReason::Requested)),
+        (Verb::Stop, Active | Stopped(StopReason::Restarted)) => Some(Stopped(StopReason::Requested)),
         (Verb::Resume, Stopped(_)) => Some(Active),
         (Verb::Reset, Ready | Active | Stopped(_) | Fault) => Some(Ready),
         (Verb::Stop | Verb::Remove, other) => Some(other),
@@ -187,6 +189,13 @@ mod tests {
             Some(stopped),
             "an interlock must not turn into a request"
         );
+    }
+
+    #[test]
+    fn what_would_go_on_by_itself_does_not_once_somebody_stopped_it() {
+        let stopped = State::Stopped(StopReason::Restarted);
+        assert_eq!(transition(stopped, Verb::Stop), Some(State::Stopped(StopReason::Requested)));
+        assert!(allowed(stopped).contains(&Verb::Stop), "{:?}", allowed(stopped));
     }
 
     #[test]

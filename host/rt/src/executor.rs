@@ -3,9 +3,11 @@
 //! A deadline is absolute and comes from its number, never from the last cycle, so a grid cannot drift; every
 //! period is run or counted as skipped; and a wake before the deadline serves jobs without moving the cycle.
 
+use std::sync::Arc;
+
 use crate::os;
 use crate::timing::Grid;
-use crate::wake::Waker;
+use crate::wake::{self, Waker};
 
 /// How a thread finds its next cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +59,22 @@ impl Clock for Waker {
 
     fn wait(&self, deadline_ns: Option<u64>) -> bool {
         Waker::wait(self, deadline_ns)
+    }
+}
+
+/// The machine's clock for the owner of a waker and of bells that other processes ring.
+pub struct Bells<'a> {
+    pub own: &'a Waker,
+    pub bells: &'a [Arc<Waker>],
+}
+
+impl Clock for Bells<'_> {
+    fn now_ns(&self) -> u64 {
+        os::now_ns()
+    }
+
+    fn wait(&self, deadline_ns: Option<u64>) -> bool {
+        wake::wait_any(self.own, self.bells, deadline_ns)
     }
 }
 

@@ -4,13 +4,16 @@
 //! taking an entry, so a drain that stops at a busy slot is always followed by a notification: of the push, or of
 //! whoever threw entries out.
 //! Every head that is dropped is handed to exactly one caller, so that its reply can be answered.
+//! Its words may lie where another process can write them: none of them is trusted for an address, a length or an end of a loop.
 
 use crate::buf::{AlignedBuf, copy, round_up};
 use crate::exclusive::TryCell;
-use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Shared, pause_while, rest, spin_loop};
+use crate::region::{AnyBits, Bytes, Layout, Place, Plain, Table, told};
+use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Scope, Shared, pause_while, rest, spin_loop};
 
 /// What an entry is, apart from its payload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
 pub struct EntryHead {
     /// Meaning given by the user of the mailbox (command, event, …).
     pub kind: u32,
@@ -83,11 +86,16 @@ const BUSY: u64 = 2;
 
 /// The sequence of a slot at position `at`. Positions only grow, so no value ever returns.
 const fn phase(at: u64, phase: u64) -> u64 {
-    4 * at + phase
+    at.wrapping_mul(4).wrapping_add(phase)
+}
+
+/// The position behind. Those that another process writes may be anything, and then mean nothing.
+const fn after(at: u64) -> u64 {
+    at.wrapping_add(1)
 }
 
 /// A line of its own, so that an entry with a small payload crosses between two processors by one line.
-#[repr(align(64))]
+#[repr(C, align(64))]
 struct Slot {
     sequence: AtomicU64,
     /// Copy of the head's index that may be read without owning the slot.
@@ -96,32 +104,43 @@ struct Slot {
     small: Shared<[u64; SMALL / 8]>,
 }
 
+// SAFETY: atomic numbers and cells of plain bits.
+unsafe impl Plain for Slot {}
+
 /// Payloads up to this many bytes lie beside the head.
 const SMALL: usize = 16;
 
 #[derive(Clone, Copy, Default)]
+#[repr(C)]
 struct Body {
     head: EntryHead,
-    len: usize,
+    /// Bytes of the payload.
+    len: u64,
 }
+
+// SAFETY: numbers.
+unsafe impl AnyBits for Body {}
 
 /// Bounded, many producers, one consumer.
 pub struct Mailbox {
     depth: u64,
     payload_bytes: usize,
     stride: usize,
-    slots: Box<[Slot]>,
-    payloads: AlignedBuf,
+    slots: Table<Slot>,
+    payloads: Bytes,
     /// Per index: position + 1 of the newest entry pushed with `LatestWins`.
-    newest: Box<[AtomicU64]>,
-    ours: Padded<Clients>,
-    theirs: Padded<Server>,
+    newest: Table<AtomicU64>,
+    ours: Place<Padded<Clients>>,
+    theirs: Place<Padded<Server>>,
+    /// Who else can write all this.
+    scope: Scope,
     /// The server's own copy of the entry it handles, so that the slot is free meanwhile.
     handled: TryCell<AlignedBuf>,
 }
 
 /// The line that pushes write. A push looks at the server's line only when it must: with one client and one
 /// server each has its line to itself for most entries, which is what makes that case fast.
+#[repr(C)]
 struct Clients {
     tail: AtomicU64,
     /// A value that `head` once had. As it only grows, there is at least the room this one leaves.
@@ -132,11 +151,18 @@ struct Clients {
     rejected: AtomicU64,
 }
 
+// SAFETY: atomic numbers.
+unsafe impl Plain for Clients {}
+
 /// The line that the drain writes (and a push that drops the oldest).
+#[repr(C)]
 struct Server {
     head: AtomicU64,
     skipped: AtomicU64,
 }
+
+// SAFETY: atomic numbers.
+unsafe impl Plain for Server {}
 
 enum Claim {
     /// The caller owns the slot of this position.
@@ -150,32 +176,39 @@ impl Mailbox {
     /// A mailbox of `depth` entries (at least 1) with up to `payload_bytes` each, whose commands have the
     /// indices `0..indices`.
     pub fn new(depth: usize, payload_bytes: usize, indices: usize) -> Self {
+        Layout::on_heap(|layout| Self::lay_out(layout, depth, payload_bytes, indices))
+    }
+
+    /// As [`Mailbox::new`], in memory that the other end may have in another process, with the same numbers.
+    pub fn lay_out(layout: &mut Layout, depth: usize, payload_bytes: usize, indices: usize) -> Self {
         let depth = depth.max(1);
         let slots = (depth + 1).next_power_of_two();
         let stride = round_up(payload_bytes, 16);
+        let zero = || AtomicU64::new(0);
         Self {
             depth: depth as u64,
             payload_bytes,
             stride,
-            slots: (0..slots as u64)
-                .map(|at| Slot {
-                    sequence: AtomicU64::new(phase(at, FREE)),
-                    index: AtomicU32::new(0),
-                    body: Shared::new(Body::default()),
-                    small: Shared::new([0; SMALL / 8]),
-                })
-                .collect(),
-            payloads: AlignedBuf::new(if stride > SMALL { stride * slots } else { 0 }),
-            newest: (0..indices).map(|_| AtomicU64::new(0)).collect(),
-            ours: Padded(Clients {
-                tail: AtomicU64::new(0),
-                head_seen: AtomicU64::new(0),
-                high_water: AtomicU64::new(0),
-                replaced: AtomicU64::new(0),
-                gave_way: AtomicU64::new(0),
-                rejected: AtomicU64::new(0),
+            slots: layout.table(slots, |at| Slot {
+                sequence: AtomicU64::new(phase(at as u64, FREE)),
+                index: AtomicU32::new(0),
+                body: Shared::new(Body::default()),
+                small: Shared::new([0; SMALL / 8]),
             }),
-            theirs: Padded(Server { head: AtomicU64::new(0), skipped: AtomicU64::new(0) }),
+            payloads: layout.bytes(if stride > SMALL { stride * slots } else { 0 }),
+            newest: layout.table(indices, |_| zero()),
+            ours: layout.place(|| {
+                Padded(Clients {
+                    tail: zero(),
+                    head_seen: zero(),
+                    high_water: zero(),
+                    replaced: zero(),
+                    gave_way: zero(),
+                    rejected: zero(),
+                })
+            }),
+            theirs: layout.place(|| Padded(Server { head: zero(), skipped: zero() })),
+            scope: layout.scope(),
             handled: TryCell::new(AlignedBuf::new(stride)),
         }
     }
@@ -210,7 +243,7 @@ impl Mailbox {
                     spin_loop();
                 } else if self.claim_tail(tail) {
                     self.fill(tail, head, payload, overflow);
-                    self.raise_high_water(tail + 1 - oldest);
+                    self.raise_high_water(after(tail).wrapping_sub(oldest));
                     return Push::Queued;
                 }
                 continue;
@@ -263,7 +296,7 @@ impl Mailbox {
     /// Puts the new content into the last entry of the mailbox, where that is of the same index.
     fn replace_newest(&self, tail: u64, head: EntryHead, payload: &[u8]) -> Option<EntryHead> {
         let last = self.newest.get(head.index as usize)?.load(Ordering::Acquire).checked_sub(1)?;
-        if last + 1 != tail || !self.claim(last) {
+        if after(last) != tail || !self.claim(last) {
             return None;
         }
         // SAFETY: the slot of `last` is owned by this thread until it is made ready again.
@@ -283,15 +316,16 @@ impl Mailbox {
         let mut handled = 0;
         for _ in 0..2 {
             let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
-            loop {
+            for _ in 0..self.slots.len() {
                 let at = match self.claim_oldest(end) {
                     Claim::Mine(at) => at,
                     Claim::InWork => return handled,
                     Claim::Empty => break,
                 };
                 // SAFETY: the slot of `at` is owned by this thread until `release`.
-                let Body { head, len } = unsafe { *self.slot(at).body.exclusive() };
-                let superseded = self.newest_of(head.index) > at + 1;
+                let Body { head, len } = unsafe { self.slot(at).body.fetch() };
+                let len = (len as usize).min(self.payload_bytes);
+                let superseded = self.newest_of(head.index) > after(at);
                 if !superseded {
                     // SAFETY: both blocks have `stride >= len` bytes here, and the slot is owned.
                     unsafe { copy(self.payload(at), mine.at(0), len) };
@@ -312,14 +346,15 @@ impl Mailbox {
     /// Hands the heads of what is queued now to `refuse` instead of running it; those that a newer one superseded go to
     /// `skip`. Any thread, also while a drain is inside an entry: then that drain does not find them any more. An entry that is
     /// just being pushed or taken is looked at for `COPYING_NS`, not waited for: then it stays, with all behind it, for its own
-    /// notification. Beside a drain, whoever calls this meets the server's mark afterwards, and where the mailbox is not empty
-    /// then, sets it: the drain may have left what came behind an entry that was in hand here.
+    /// notification. Beside a drain, whoever calls this meets the server's mark afterwards, and where an entry is ready then, sets
+    /// it: the drain may have left what came behind an entry that was in hand here.
     pub fn throw_out(&self, mut refuse: impl FnMut(EntryHead), mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
-        while let Claim::Mine(at) = self.claim_patiently(end) {
+        for _ in 0..self.slots.len() {
+            let Claim::Mine(at) = self.claim_patiently(end) else { return };
             // SAFETY: the slot of `at` is owned by this thread until `release`.
             let head = unsafe { *self.slot(at).body.exclusive() }.head;
-            let superseded = self.newest_of(head.index) > at + 1;
+            let superseded = self.newest_of(head.index) > after(at);
             self.release(at);
             if superseded {
                 count(&self.theirs.0.skipped);
@@ -336,7 +371,8 @@ impl Mailbox {
     pub fn close(&self, mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.fetch_or(CLOSED, Ordering::AcqRel) & !CLOSED;
         let mut rest_ns = *RESTS_NS.start();
-        loop {
+        let mut left = self.slots.len();
+        while left > 0 {
             match self.claim_patiently(end) {
                 Claim::Mine(at) => {
                     // SAFETY: the slot of `at` is owned by this thread until `release`.
@@ -344,7 +380,10 @@ impl Mailbox {
                     self.release(at);
                     count(&self.theirs.0.skipped);
                     skip(dropped);
+                    left -= 1;
                 }
+                // Another process may have died in the middle of its push.
+                Claim::InWork if self.scope == Scope::Machine && rest_ns == *RESTS_NS.end() => return,
                 // By the clock: a push that looked for sleepers would cost every push.
                 Claim::InWork => {
                     rest(rest_ns);
@@ -361,6 +400,12 @@ impl Mailbox {
         self.len() == 0
     }
 
+    /// Whether the oldest entry can be taken. One that is just being pushed, or taken, is told of by whoever does so.
+    pub fn has_ready(&self) -> bool {
+        let oldest = self.theirs.0.head.load(Ordering::Acquire);
+        self.slot(oldest).sequence.load(Ordering::Acquire) == phase(oldest, READY)
+    }
+
     #[inline]
     fn len(&self) -> u64 {
         let head = self.theirs.0.head.load(Ordering::Acquire);
@@ -372,12 +417,14 @@ impl Mailbox {
         let pushed = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
         MailboxStats {
             depth: self.depth,
-            queued: self.len(),
-            high_water: self.ours.0.high_water.load(Ordering::Relaxed),
-            pushed: pushed + self.ours.0.replaced.load(Ordering::Relaxed),
-            dropped: self.ours.0.gave_way.load(Ordering::Relaxed)
-                + self.theirs.0.skipped.load(Ordering::Relaxed),
-            rejected: self.ours.0.rejected.load(Ordering::Relaxed),
+            queued: self.len().min(self.depth),
+            high_water: self.ours.0.high_water.load(Ordering::Relaxed).min(self.depth),
+            pushed: told(pushed.wrapping_add(self.ours.0.replaced.load(Ordering::Relaxed))),
+            dropped: told(
+                (self.ours.0.gave_way.load(Ordering::Relaxed))
+                    .wrapping_add(self.theirs.0.skipped.load(Ordering::Relaxed)),
+            ),
+            rejected: told(self.ours.0.rejected.load(Ordering::Relaxed)),
         }
     }
 
@@ -412,7 +459,7 @@ impl Mailbox {
     }
 
     fn claim_tail(&self, tail: u64) -> bool {
-        self.ours.0.tail.compare_exchange(tail, tail + 1, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+        self.ours.0.tail.compare_exchange(tail, after(tail), Ordering::AcqRel, Ordering::Relaxed).is_ok()
     }
 
     /// Takes the right to a queued entry.
@@ -423,10 +470,10 @@ impl Mailbox {
     }
 
     /// Takes the right to the oldest entry before position `end`. Each further turn means that another thread
-    /// took one, so there are at most as many turns as entries.
+    /// took one, so more turns than entries are somebody's game with the words.
     #[inline]
     fn claim_oldest(&self, end: u64) -> Claim {
-        loop {
+        for _ in 0..=self.slots.len() {
             let oldest = self.theirs.0.head.load(Ordering::Acquire);
             if oldest >= end {
                 return Claim::Empty;
@@ -438,6 +485,7 @@ impl Mailbox {
                 return Claim::InWork;
             }
         }
+        Claim::InWork
     }
 
     /// As `claim_oldest`, for managers and failures: an entry in another thread's hands is looked at a little longer.
@@ -452,8 +500,8 @@ impl Mailbox {
 
     /// Gives an owned oldest slot to the push of one round later.
     fn release(&self, at: u64) {
-        self.theirs.0.head.store(at + 1, Ordering::Release);
-        let next_round = at + self.slots.len() as u64;
+        self.theirs.0.head.store(after(at), Ordering::Release);
+        let next_round = at.wrapping_add(self.slots.len() as u64);
         self.slot(at).sequence.store(phase(next_round, FREE), Ordering::Release);
     }
 
@@ -464,7 +512,7 @@ impl Mailbox {
         if overflow == Overflow::LatestWins
             && let Some(newest) = self.newest.get(head.index as usize)
         {
-            newest.fetch_max(at + 1, Ordering::AcqRel);
+            newest.fetch_max(after(at), Ordering::AcqRel);
         }
         self.slot(at).sequence.store(phase(at, READY), Ordering::Release);
     }
@@ -473,7 +521,7 @@ impl Mailbox {
     fn write(&self, at: u64, head: EntryHead, payload: &[u8]) {
         // SAFETY: the slot is owned, and its payload block has `stride >= payload.len()` bytes.
         unsafe {
-            *self.slot(at).body.exclusive() = Body { head, len: payload.len() };
+            *self.slot(at).body.exclusive() = Body { head, len: payload.len() as u64 };
             copy(payload.as_ptr(), self.payload(at), payload.len());
         }
     }
@@ -490,7 +538,7 @@ impl Mailbox {
             return false;
         }
         let old = slot.index.load(Ordering::Relaxed);
-        old == index || self.newest_of(old) > oldest + 1
+        old == index || self.newest_of(old) > after(oldest)
     }
 
     #[inline]

@@ -7,6 +7,7 @@ mod manners;
 use std::fmt;
 use std::sync::atomic::AtomicU32;
 
+pub use crate::sync::Scope;
 pub use manners::{Hygiene, reset_rounding, rounding, set_sigmask, thread_hygiene};
 
 /// Ns of CLOCK_MONOTONIC. Any thread, about 25 ns, no system call.
@@ -49,11 +50,19 @@ pub enum WaitResult {
     TimedOut,
 }
 
+/// A word of one process costs the kernel less to find.
+fn flag(scope: Scope) -> i32 {
+    match scope {
+        Scope::Process => libc::FUTEX_PRIVATE_FLAG,
+        Scope::Machine => 0,
+    }
+}
+
 /// Sleeps while `word` holds `expected`, until a wake or the absolute monotonic deadline in ns.
-pub fn futex_wait(word: &AtomicU32, expected: u32, deadline_ns: Option<u64>) -> WaitResult {
+pub fn futex_wait(word: &AtomicU32, expected: u32, deadline_ns: Option<u64>, scope: Scope) -> WaitResult {
     let until = deadline_ns.map(timespec);
     let until = until.as_ref().map_or(std::ptr::null(), std::ptr::from_ref);
-    let op = libc::FUTEX_WAIT_BITSET | libc::FUTEX_PRIVATE_FLAG;
+    let op = libc::FUTEX_WAIT_BITSET | flag(scope);
     // SAFETY: the word and the time outlive the call; BITSET makes the time absolute on the monotonic clock.
     let rc = unsafe {
         libc::syscall(
@@ -77,11 +86,58 @@ pub fn futex_wait(word: &AtomicU32, expected: u32, deadline_ns: Option<u64>) -> 
 }
 
 /// Wakes up to `n` sleepers on `word`. One system call; never waits.
-pub fn futex_wake(word: &AtomicU32, n: u32) {
+pub fn futex_wake(word: &AtomicU32, n: u32, scope: Scope) {
     let n = i32::try_from(n).unwrap_or(i32::MAX);
-    let op = libc::FUTEX_WAKE | libc::FUTEX_PRIVATE_FLAG;
+    let op = libc::FUTEX_WAKE | flag(scope);
     // SAFETY: the kernel uses the word's address only as a key.
     unsafe { libc::syscall(libc::SYS_futex, word.as_ptr(), op, n) };
+}
+
+/// The kernel cannot sleep on several words at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotAtOnce;
+
+/// Words one thread can sleep on at once.
+pub const MOST_WORDS: usize = 128;
+
+/// Sleeps while every word holds `expected`, until a wake on one of them or the absolute monotonic deadline in ns. At most
+/// [`MOST_WORDS`]; no allocation.
+///
+/// # Errors
+/// The kernel has no futex_waitv (before Linux 5.16), or a sandbox keeps it away.
+pub fn futex_wait_any<'a>(
+    words: impl Iterator<Item = (&'a AtomicU32, Scope)>,
+    expected: u32,
+    deadline_ns: Option<u64>,
+) -> Result<WaitResult, NotAtOnce> {
+    const U32: u32 = 2;
+    let mut all: [std::mem::MaybeUninit<libc::futex_waitv>; MOST_WORDS] =
+        [const { std::mem::MaybeUninit::uninit() }; MOST_WORDS];
+    let mut n = 0;
+    for ((word, scope), place) in words.zip(&mut all) {
+        // SAFETY: a zeroed futex_waitv is one; it has reserved parts that must be 0.
+        let mut one: libc::futex_waitv = unsafe { std::mem::zeroed() };
+        one.val = u64::from(expected);
+        one.uaddr = word.as_ptr().addr() as u64;
+        one.flags = U32 | flag(scope) as u32;
+        place.write(one);
+        n += 1;
+    }
+    let until = deadline_ns.map(timespec);
+    let until = until.as_ref().map_or(std::ptr::null(), std::ptr::from_ref);
+    // SAFETY: the first `n` places were written; words and time outlive the call.
+    let rc =
+        unsafe { libc::syscall(libc::SYS_futex_waitv, all.as_ptr(), n, 0, until, libc::CLOCK_MONOTONIC) };
+    if rc >= 0 {
+        return Ok(WaitResult::Woken);
+    }
+    match errno() {
+        libc::ETIMEDOUT => Ok(WaitResult::TimedOut),
+        libc::EAGAIN => Ok(WaitResult::Changed),
+        // Sandboxes that do not know the call answer EPERM.
+        libc::ENOSYS | libc::EPERM => Err(NotAtOnce),
+        _ => Ok(WaitResult::Woken),
+    }
 }
 
 /// Sleeps until the absolute monotonic time; returns at once when it has passed.

@@ -5,9 +5,10 @@
 
 use std::sync::Arc;
 
-use crate::buf::{AlignedBuf, round_up};
-use crate::os::WaitResult;
-use crate::sync::{AtomicU32, Futex, Ordering, Shared, pause_while};
+use crate::buf::round_up;
+use crate::os::{WaitResult, now_ns};
+use crate::region::{AnyBits, Bytes, Layout, Plain, Table};
+use crate::sync::{AtomicU32, AtomicU64, Futex, Ordering, Scope, Shared, pause_while};
 
 /// What became of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +24,8 @@ pub enum Reply {
 /// How long a caller looks for its answer before it sleeps, ns: about what a server takes to wake up, and the caller
 /// after it.
 const PATIENCE_NS: u64 = 5_000;
+/// Attempts at a word against the other end, and against a machine whose exchanges fail for no reason.
+const ATTEMPTS: usize = if cfg!(loom) { 8 } else { 1000 };
 /// Calls that sleep at once after one whose answer did not come within [`PATIENCE_NS`].
 const IMPATIENT: u32 = 31;
 
@@ -36,6 +39,8 @@ const RUNNING: u32 = 2;
 const DONE: u32 = 3;
 /// The server is at it and the caller has left: the server's end frees the cell.
 const ABANDONED: u32 = 4;
+/// Nobody will answer any more, whatever is still written into the cell: it is not used again.
+const LOST: u32 = 5;
 /// The caller sleeps on the word, or is about to.
 const ASLEEP: u32 = 0b1000;
 const GENERATION: u32 = 4;
@@ -45,26 +50,40 @@ const fn with_phase(word: u32, phase: u32) -> u32 {
 }
 
 #[derive(Clone, Copy, Default)]
+#[repr(C)]
 struct Answer {
     status: i32,
-    text_len: usize,
+    text_len: u32,
 }
 
+// SAFETY: numbers.
+unsafe impl AnyBits for Answer {}
+
+#[repr(C)]
 struct Cell {
     state: Futex,
     answer: Shared<Answer>,
 }
 
+// SAFETY: an atomic number and a cell of plain bits.
+unsafe impl Plain for Cell {}
+
 /// A fixed number of reply cells, shared by the callers of one connection and their server.
 pub struct ReplyPool {
-    cells: Box<[Cell]>,
-    content: AlignedBuf,
+    cells: Table<Cell>,
+    content: Bytes,
+    scope: Scope,
     ret_bytes: usize,
     text_bytes: usize,
     next: AtomicU32,
     /// Calls that are still to sleep at once.
     impatient: AtomicU32,
+    /// What calls are told that were [`LOST`] here, above [`ENDED`]; 0: none was.
+    ended: AtomicU64,
 }
+
+/// Beside a status: there is one.
+const ENDED: u64 = 1 << 32;
 
 // SAFETY: a cell's content is reached by the server in RUNNING and ABANDONED and by the caller in DONE only.
 unsafe impl Send for ReplyPool {}
@@ -75,16 +94,22 @@ impl ReplyPool {
     /// `cells` calls can be waiting at once; each answer has `ret_bytes` of result, 64-byte aligned, and up
     /// to `text_bytes` of text.
     pub fn new(cells: usize, ret_bytes: usize, text_bytes: usize) -> Arc<Self> {
+        Layout::on_heap(|layout| Self::lay_out(layout, cells, ret_bytes, text_bytes))
+    }
+
+    /// As [`ReplyPool::new`], in memory that the other end may have in another process, with the same numbers.
+    pub fn lay_out(layout: &mut Layout, cells: usize, ret_bytes: usize, text_bytes: usize) -> Arc<Self> {
         let stride = round_up(ret_bytes, 64) + round_up(text_bytes, 64);
         Arc::new(Self {
-            cells: (0..cells)
-                .map(|_| Cell { state: Futex::new(FREE), answer: Shared::new(Answer::default()) })
-                .collect(),
-            content: AlignedBuf::new(stride * cells),
+            cells: layout
+                .table(cells, |_| Cell { state: Futex::new(FREE), answer: Shared::new(Answer::default()) }),
+            content: layout.bytes(stride * cells),
+            scope: layout.scope(),
             ret_bytes,
             text_bytes,
             next: AtomicU32::new(0),
             impatient: AtomicU32::new(0),
+            ended: AtomicU64::new(0),
         })
     }
 
@@ -101,6 +126,35 @@ impl ReplyPool {
                 is_free && word.compare_exchange(free, taken, Ordering::Acquire, Ordering::Relaxed).is_ok();
             mine.then(|| Ticket { pool: Arc::clone(self), index, word: taken })
         })
+    }
+
+    /// Answers every call that is under way with `status`: whoever should have answered is gone, or is not listened to any more.
+    /// The callers' process only; any thread; never waits.
+    pub fn end_all(&self, status: i32) {
+        self.ended.store(ENDED | u64::from(status.cast_unsigned()), Ordering::Release);
+        for cell in self.cells.iter() {
+            let word = &cell.state.word;
+            let mut now = word.load(Ordering::Relaxed);
+            // The server may begin and the caller fall asleep in between; more is another process that plays with the word.
+            for _ in 0..ATTEMPTS {
+                if !matches!(now & PHASE, WAITING | RUNNING) {
+                    break;
+                }
+                match word.compare_exchange_weak(
+                    now,
+                    with_phase(now, LOST),
+                    Ordering::Release,
+                    Ordering::Relaxed,
+                ) {
+                    Ok(_) if now & ASLEEP != 0 => {
+                        cell.state.wake(1, self.scope);
+                        break;
+                    }
+                    Ok(_) => break,
+                    Err(other) => now = other,
+                }
+            }
+        }
     }
 
     /// How many cells are in use now.
@@ -122,7 +176,12 @@ impl ReplyPool {
         for asleep in [0, ASLEEP] {
             let (from, to) = (waiting | asleep, running | asleep);
             if cell.state.word.compare_exchange(from, to, Ordering::Acquire, Ordering::Relaxed).is_ok() {
-                return Some(Running { pool: self, index, status: status_if_dropped });
+                return Some(Running {
+                    pool: self,
+                    index,
+                    generation: waiting >> GENERATION,
+                    status: status_if_dropped,
+                });
             }
         }
         None
@@ -167,7 +226,7 @@ impl Ticket {
             return;
         }
         let word = &self.pool.cells[self.index].state.word;
-        let is_open = || word.load(Ordering::Relaxed) & PHASE != DONE;
+        let is_open = || !matches!(word.load(Ordering::Relaxed) & PHASE, DONE | LOST);
         pause_while(PATIENCE_NS.min(deadline_ns.saturating_sub(crate::os::now_ns())), is_open);
         if is_open() {
             impatient.store(IMPATIENT, Ordering::Relaxed);
@@ -181,28 +240,35 @@ impl Ticket {
         let cell = &self.pool.cells[self.index];
         loop {
             let word = cell.state.word.load(Ordering::Acquire);
-            if word & PHASE == DONE {
-                break;
+            match word & PHASE {
+                DONE => break,
+                LOST => return self.lost(),
+                _ => {}
             }
             let asleep = word | ASLEEP;
             let slept = &cell.state.word;
-            if word != asleep
-                && slept.compare_exchange(word, asleep, Ordering::Relaxed, Ordering::Relaxed).is_err()
-            {
-                continue;
-            }
-            if cell.state.wait(asleep, Some(deadline_ns)) == WaitResult::TimedOut {
+            let lies = word == asleep
+                || slept.compare_exchange(word, asleep, Ordering::Relaxed, Ordering::Relaxed).is_ok();
+            let woke = if lies {
+                cell.state.wait(asleep, Some(deadline_ns), self.pool.scope)
+            } else {
+                WaitResult::Changed
+            };
+            // A word that another process plays with must not keep the caller either.
+            if woke == WaitResult::TimedOut || woke == WaitResult::Changed && now_ns() >= deadline_ns {
                 match self.give_up() {
                     WAITING => return Reply::DeadlineNotStarted,
-                    RUNNING => return Reply::DeadlineMayRun,
-                    _ => break,
+                    DONE => break,
+                    LOST => return self.lost(),
+                    _ => return Reply::DeadlineMayRun,
                 }
             }
         }
         // SAFETY: DONE, seen with Acquire: the server has left the cell and this ticket owns the content.
-        let Answer { status, text_len } = unsafe { *cell.answer.readable() };
+        let Answer { status, text_len } = unsafe { cell.answer.fetch() };
+        let text_len = (text_len as usize).min(self.pool.text_bytes);
         let (ret, text) = self.pool.content(self.index);
-        // SAFETY: as above; both addresses lie in the cell's content, `text_len` was checked by the server.
+        // SAFETY: as above; both addresses lie in the cell's content.
         let (ret, text) = unsafe {
             (std::slice::from_raw_parts(ret, self.pool.ret_bytes), std::slice::from_raw_parts(text, text_len))
         };
@@ -210,13 +276,25 @@ impl Ticket {
         Reply::Done(status)
     }
 
-    /// Leaves the cell, or finds that it is DONE and stays; the phase it was in. Called again, it finds a
+    /// The answer to a call that was given up for it.
+    fn lost(&self) -> Reply {
+        match self.pool.ended.load(Ordering::Acquire) {
+            // Only another process can have said so.
+            0 => Reply::DeadlineMayRun,
+            ended => Reply::Done((ended as u32).cast_signed()),
+        }
+    }
+
+    /// Leaves the cell, or finds that it is DONE or LOST and stays; the phase it was in. Called again, it finds a
     /// cell of another generation and does nothing.
     fn give_up(&self) -> u32 {
         let word = &self.pool.cells[self.index].state.word;
         let mut now = word.load(Ordering::Acquire);
-        // At most four turns: begin, finish and the sleeper's mark can each come between once.
-        while now >> GENERATION == self.word >> GENERATION {
+        // Begin, finish and the sleeper's mark can each come between once; more is another process that plays with the word.
+        for _ in 0..ATTEMPTS {
+            if now >> GENERATION != self.word >> GENERATION {
+                break;
+            }
             let phase = now & PHASE;
             let left = match phase {
                 WAITING => FREE,
@@ -248,6 +326,7 @@ impl Drop for Ticket {
 pub struct Running<'a> {
     pool: &'a ReplyPool,
     index: usize,
+    generation: u32,
     status: i32,
 }
 
@@ -265,26 +344,31 @@ impl Running<'_> {
         };
         let text_len = fill(ret, text).min(self.pool.text_bytes);
         self.status = status;
-        self.answer(text_len);
+        self.answer(text_len as u32);
         let _answered = std::mem::ManuallyDrop::new(self);
     }
 
-    fn answer(&self, text_len: usize) {
+    fn answer(&self, text_len: u32) {
         let cell = &self.pool.cells[self.index];
         // SAFETY: RUNNING or ABANDONED: the caller keeps away from the answer until DONE.
         unsafe { *cell.answer.exclusive() = Answer { status: self.status, text_len } };
         let word = &cell.state.word;
         let mut now = word.load(Ordering::Acquire);
-        // At most three turns: falling asleep and giving up can each come between once.
-        loop {
-            let end = if now & PHASE == ABANDONED { FREE } else { DONE };
+        // Falling asleep and giving up can each come between once; more is another process that plays with the word.
+        for _ in 0..ATTEMPTS {
+            let end = match now & PHASE {
+                RUNNING if now >> GENERATION == self.generation => DONE,
+                ABANDONED if now >> GENERATION == self.generation => FREE,
+                // LOST.
+                _ => return,
+            };
             match word.compare_exchange_weak(now, with_phase(now, end), Ordering::AcqRel, Ordering::Acquire) {
                 Ok(_) => break,
                 Err(other) => now = other,
             }
         }
         if now & ASLEEP != 0 && now & PHASE == RUNNING {
-            cell.state.wake(1);
+            cell.state.wake(1, self.pool.scope);
         }
     }
 }

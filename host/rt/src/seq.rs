@@ -21,12 +21,19 @@ pub(crate) fn words(n: usize) -> Box<[AtomicU64]> {
     (0..n).map(|_| AtomicU64::new(0)).collect()
 }
 
+/// The sequence of publication `n`, which may be any number where another process says it.
+#[inline]
+fn whole(n: u64) -> u64 {
+    n.wrapping_mul(2).wrapping_add(2)
+}
+
 /// Writes publication `n` into the row: the words of `head`, then `data`, which is whole words. One writer only.
 #[inline]
 pub(crate) fn write<const H: usize>(row: &[AtomicU64], n: u64, head: [u64; H], data: &[u8]) {
     let (sequence, words) = row.split_at(OVERHEAD);
     let (first, rest) = words.split_at(H);
-    sequence[0].store(2 * n + 1, Ordering::Relaxed);
+    let whole = whole(n);
+    sequence[0].store(whole.wrapping_sub(1), Ordering::Relaxed);
     for (word, value) in first.iter().zip(head) {
         word.store(value, Ordering::Release);
     }
@@ -34,7 +41,7 @@ pub(crate) fn write<const H: usize>(row: &[AtomicU64], n: u64, head: [u64; H], d
     for (word, value) in rest.iter().zip(data) {
         word.store(u64::from_ne_bytes(*value), Ordering::Release);
     }
-    sequence[0].store(2 * n + 2, Ordering::Release);
+    sequence[0].store(whole, Ordering::Release);
 }
 
 /// Reads publication `n`: its first words, then as many of its bytes as `data` takes; they count only with `Ok`.
@@ -45,7 +52,7 @@ pub(crate) fn read<const H: usize>(
     head: &mut [u64; H],
     data: &mut [u8],
 ) -> Result<(), Stale> {
-    let whole = 2 * n + 2;
+    let whole = whole(n);
     let (sequence, words) = row.split_at(OVERHEAD);
     let (first, rest) = words.split_at(H);
     let before = sequence[0].load(Ordering::Acquire);

@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use crate::buf::AlignedBuf;
+use crate::region::{self, Layout, Place};
 use crate::seq::{self, Stale};
 use crate::sync::{AtomicU64, Ordering, Padded};
 
@@ -52,8 +53,8 @@ pub struct Around {
 }
 
 struct Table {
-    words: Box<[AtomicU64]>,
-    published: Padded<AtomicU64>,
+    words: region::Table<AtomicU64>,
+    published: Place<Padded<AtomicU64>>,
     row_bytes: usize,
     rows: u64,
     /// Of the publication's number, where the rows are a power of two; else 0.
@@ -76,18 +77,40 @@ impl Table {
 /// # Panics
 /// With fewer than 3 rows: a reader of the newest row could then be lapped by a single publication.
 pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) {
-    assert!(rows >= 3, "a state table has at least 3 rows, {rows} were asked for");
-    let stride = (seq::OVERHEAD + HEAD + row_bytes.div_ceil(8)).next_multiple_of(8);
-    let table = Arc::new(Table {
-        words: seq::words(stride * rows),
-        published: Padded(AtomicU64::new(0)),
-        row_bytes,
-        rows: rows as u64,
-        mask: if rows.is_power_of_two() { rows as u64 - 1 } else { 0 },
-        stride,
-    });
-    let scratch = AlignedBuf::new(row_bytes.next_multiple_of(8));
-    (StateWriter { table: Arc::clone(&table), scratch, next: 0 }, StateReader { table })
+    let table = Layout::on_heap(|layout| Table::lay_out(layout, row_bytes, rows));
+    (StateWriter::new(Arc::clone(&table)), StateReader { table })
+}
+
+/// The writer of a table whose readers are in another process; the parts are what [`far_state_reader`] lays out.
+///
+/// # Panics
+/// As [`state_table`].
+pub fn far_state_writer(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateWriter {
+    StateWriter::new(Table::lay_out(layout, row_bytes, rows))
+}
+
+/// The reader of a table whose writer is in another process. What it reads is whole, if that process keeps to the rules, and bytes in
+/// any case.
+///
+/// # Panics
+/// As [`state_table`].
+pub fn far_state_reader(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateReader {
+    StateReader { table: Table::lay_out(layout, row_bytes, rows) }
+}
+
+impl Table {
+    fn lay_out(layout: &mut Layout, row_bytes: usize, rows: usize) -> Arc<Table> {
+        assert!(rows >= 3, "a state table has at least 3 rows, {rows} were asked for");
+        let stride = (seq::OVERHEAD + HEAD + row_bytes.div_ceil(8)).next_multiple_of(8);
+        Arc::new(Table {
+            words: layout.table(stride * rows, |_| AtomicU64::new(0)),
+            published: layout.place(|| Padded(AtomicU64::new(0))),
+            row_bytes,
+            rows: rows as u64,
+            mask: if rows.is_power_of_two() { rows as u64 - 1 } else { 0 },
+            stride,
+        })
+    }
 }
 
 /// The component's end: the only writer.
@@ -98,6 +121,11 @@ pub struct StateWriter {
 }
 
 impl StateWriter {
+    fn new(table: Arc<Table>) -> StateWriter {
+        let scratch = AlignedBuf::new(table.row_bytes.next_multiple_of(8));
+        StateWriter { table, scratch, next: 0 }
+    }
+
     /// Publishes one row: `fill` writes it into the writer's own 64-byte aligned block (which still holds the
     /// row before), then it is copied into the ring. The step's thread; cost is two copies of the row.
     #[inline]
@@ -109,6 +137,14 @@ impl StateWriter {
         self.next = n + 1;
         self.table.published.0.store(self.next, Ordering::Release);
         RowInfo { stamp_ns, tick, row: n }
+    }
+
+    /// As [`StateWriter::publish`], where stamp and tick are known only after the row: `fill` answers them.
+    #[inline]
+    pub fn publish_with(&mut self, fill: impl FnOnce(&mut [u8]) -> (u64, u64)) {
+        let row_bytes = self.table.row_bytes;
+        let (stamp_ns, tick) = fill(&mut self.scratch.as_mut_slice()[..row_bytes]);
+        self.publish(stamp_ns, tick, |_| ());
     }
 
     /// Another reader of the same table.

@@ -55,11 +55,12 @@ pub(crate) fn rest(_ns: u64) {
 }
 
 /// Keeps two words that different threads write from sharing a cache line.
-#[repr(align(64))]
+#[repr(C, align(64))]
 pub(crate) struct Padded<T>(pub(crate) T);
 
 /// Interior mutability whose exclusivity some atomic word proves.
 #[cfg(not(loom))]
+#[repr(transparent)]
 pub(crate) struct Shared<T>(std::cell::UnsafeCell<T>);
 
 #[cfg(not(loom))]
@@ -76,6 +77,18 @@ impl<T> Shared<T> {
     /// The address, for one of several readers while nobody holds the exclusive right.
     pub(crate) fn readable(&self) -> *const T {
         self.0.get()
+    }
+}
+
+impl<T: Copy> Shared<T> {
+    /// The value as it was at one look: where another process writes it at any time, what is checked of the answer is what is used.
+    ///
+    /// # Safety
+    /// The caller has the right to read, and `T` is a value for any bits where another process can write it.
+    #[inline]
+    pub(crate) unsafe fn fetch(&self) -> T {
+        // SAFETY: aligned and initialised; volatile, so that it is loaded once and never again.
+        unsafe { self.readable().read_volatile() }
     }
 }
 
@@ -100,7 +113,17 @@ impl<T> Shared<T> {
     }
 }
 
+/// Who sleeps on a word and who wakes them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// Threads of this process.
+    Process,
+    /// Those of other processes, too.
+    Machine,
+}
+
 /// A 32-bit word that threads can sleep on.
+#[repr(C)]
 pub(crate) struct Futex {
     pub(crate) word: AtomicU32,
     #[cfg(loom)]
@@ -119,20 +142,25 @@ impl Futex {
     /// Sleeps while the word holds `expected`, until a wake or the absolute monotonic deadline in ns. May
     /// return for no reason.
     #[cfg(not(loom))]
-    pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>) -> crate::os::WaitResult {
-        crate::os::futex_wait(&self.word, expected, deadline_ns)
+    pub(crate) fn wait(
+        &self,
+        expected: u32,
+        deadline_ns: Option<u64>,
+        scope: Scope,
+    ) -> crate::os::WaitResult {
+        crate::os::futex_wait(&self.word, expected, deadline_ns, scope)
     }
 
     /// Wakes up to `n` sleepers: one system call.
     #[cfg(not(loom))]
-    pub(crate) fn wake(&self, n: u32) {
-        crate::os::futex_wake(&self.word, n);
+    pub(crate) fn wake(&self, n: u32, scope: Scope) {
+        crate::os::futex_wake(&self.word, n, scope);
     }
 
     /// As the kernel does it: the comparison and going to sleep are one step. With a deadline it times out at
     /// once, which is one of the things a real clock may do.
     #[cfg(loom)]
-    pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>) -> crate::os::WaitResult {
+    pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>, _: Scope) -> crate::os::WaitResult {
         let guard = self.queue.0.lock().expect("no model panics inside the futex");
         if self.word.load(Ordering::Relaxed) != expected {
             return crate::os::WaitResult::Changed;
@@ -146,7 +174,7 @@ impl Futex {
 
     /// Wakes every sleeper.
     #[cfg(loom)]
-    pub(crate) fn wake(&self, _n: u32) {
+    pub(crate) fn wake(&self, _n: u32, _: Scope) {
         let _guard = self.queue.0.lock().expect("no model panics inside the futex");
         self.queue.1.notify_all();
     }

@@ -113,7 +113,7 @@ fn the_pool_is_a_sealed_memfd_that_others_can_read_but_not_shrink_or_write() {
     let pool = FramePool::new(2, 64, 64).unwrap();
     let (first, mut second) = (pool.loan().unwrap(), pool.loan().unwrap());
     second.parts_mut().0.fill(7);
-    let mut file = File::from(pool.memfd().try_clone_to_owned().unwrap());
+    let mut file = File::from(pool.file().unwrap().fd().try_clone_to_owned().unwrap());
     assert!(file.set_len(10).is_err(), "shrunk");
     // SAFETY: a refused mapping touches nothing; an accepted one fails the test.
     let mapped = unsafe {
@@ -121,7 +121,7 @@ fn the_pool_is_a_sealed_memfd_that_others_can_read_but_not_shrink_or_write() {
     };
     assert_eq!(mapped, libc::MAP_FAILED, "a second writable mapping");
     let mut header = [0; 64];
-    file.seek(SeekFrom::Start(pool.stride() as u64)).unwrap();
+    file.seek(SeekFrom::Start(pool.file().unwrap().stride() as u64)).unwrap();
     file.read_exact(&mut header).unwrap();
     assert_eq!(header, [7; 64]);
     drop(first);

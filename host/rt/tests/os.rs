@@ -3,7 +3,7 @@
 
 use std::sync::atomic::AtomicU32;
 
-use trocar_rt::os::{self, WaitResult};
+use trocar_rt::os::{self, Scope, WaitResult};
 
 #[test]
 fn the_clock_never_goes_back_and_sleeping_reaches_its_deadline() {
@@ -16,9 +16,12 @@ fn the_clock_never_goes_back_and_sleeping_reaches_its_deadline() {
 #[test]
 fn a_futex_wait_tells_change_and_time_apart() {
     let word = AtomicU32::new(1);
-    assert_eq!(os::futex_wait(&word, 2, None), WaitResult::Changed);
-    assert_eq!(os::futex_wait(&word, 1, Some(os::now_ns() + 1_000_000)), WaitResult::TimedOut);
-    os::futex_wake(&word, 1);
+    assert_eq!(os::futex_wait(&word, 2, None, Scope::Process), WaitResult::Changed);
+    assert_eq!(
+        os::futex_wait(&word, 1, Some(os::now_ns() + 1_000_000), Scope::Machine),
+        WaitResult::TimedOut
+    );
+    os::futex_wake(&word, 1, Scope::Process);
 }
 
 /// A line of what the kernel tells of the calling thread.

@@ -167,3 +167,27 @@ fn callers_and_a_server_on_other_threads_never_mix_answers_up() {
     assert!(answered.load(Ordering::Relaxed) >= CALLERS * EACH * 7 / 8);
     assert_eq!(pool.in_use(), 0);
 }
+
+#[test]
+fn whoever_waits_is_answered_when_the_server_is_gone() {
+    let pool = ReplyPool::new(4, 8, 8);
+    let waiting = pool.acquire().unwrap();
+    let begun = pool.acquire().unwrap();
+    let given_up = pool.acquire().unwrap();
+    let running = [&begun, &given_up].map(|ticket| pool.begin(ticket.token(), 1).unwrap());
+    assert_eq!(given_up.wait(0, |_, _| ()), Reply::DeadlineMayRun);
+    pool.end_all(-7);
+    for ticket in [waiting, begun] {
+        assert_eq!(ticket.wait(u64::MAX, |_, _| ()), Reply::Done(-7));
+    }
+    // Should whoever was at it still answer, it is too late, and its cell is nobody else's by now.
+    running.into_iter().for_each(|running| running.finish(3, |_, _| 0));
+    let fresh = pool.acquire().unwrap();
+    let last = [pool.acquire(), pool.acquire()];
+    assert_eq!(
+        last.iter().flatten().count(),
+        1,
+        "those that were given up stay away, the one that came back does not"
+    );
+    assert_eq!(fresh.wait(0, |_, _| ()), Reply::DeadlineNotStarted);
+}

@@ -16,7 +16,7 @@ pub(super) use self::steps::{fate, step};
 use super::execution::ExecutionArgs;
 use super::view::{
     ChangeView, ComponentView, ConnectionView, ExecutionView, ItemView, LogView, OptionsView, PluginView,
-    ProcessView, RowView, StatsView, SystemView, WaitView,
+    ProcessView, ProxyView, RowView, StatsView, SystemView, WaitView,
 };
 use super::wait::Awaited;
 
@@ -87,6 +87,7 @@ pub(super) fn component(c: &v1::Component) -> ComponentView {
         execution,
         safety: word(c.safety().as_str_name(), "SAFETY_").to_lowercase(),
         stats: stats.map(self::stats).unwrap_or_default(),
+        is_measured: stats.is_some(),
         warnings: stats.map(|s| s.warnings.clone()).unwrap_or_default(),
     }
 }
@@ -160,6 +161,18 @@ fn options(o: &v1::ConnectOptions) -> OptionsView {
         deadline_ns: o.deadline.as_ref().map(|d| ns(Some(d))),
         mailbox: o.mailbox,
         adapt: o.adapt,
+        carrier: o.carrier.clone(),
+    }
+}
+
+fn proxy(p: &v1::Proxy) -> ProxyView {
+    ProxyView {
+        process: p.process.clone(),
+        end: word(p.end().as_str_name(), "CONNECTION_END_"),
+        linked: p.linked,
+        why_not: p.why_not.clone(),
+        epoch: p.epoch,
+        carrier: p.carrier.clone(),
     }
 }
 
@@ -180,6 +193,7 @@ pub(super) fn connection(c: &v1::Connection) -> ConnectionView {
         high_water: c.high_water,
         failed: c.failed,
         unexecuted: c.unexecuted,
+        proxies: c.proxies.iter().map(proxy).collect(),
     }
 }
 
@@ -247,7 +261,7 @@ pub(super) fn waited(path: &str, w: &v1::WaitForResponse) -> WaitView {
 
 pub(super) fn change(w: &v1::WatchResponse) -> ChangeView {
     use v1::watch_response::News;
-    let mut view = ChangeView { revision: w.revision, ..ChangeView::default() };
+    let mut view = ChangeView { revision: w.revision, term: w.term, ..ChangeView::default() };
     let (processes, components, connections) = match &w.news {
         Some(News::Snapshot(s)) => {
             view.snapshot = true;

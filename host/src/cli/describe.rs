@@ -11,7 +11,7 @@ use super::failure::{Done, Exit};
 use super::session::Session;
 use super::view::{
     ArgView, ClassView, ComponentView, DescribeView, ExecutionView, MemberView, OptionsView, PortsView,
-    StreamView, TypeView,
+    ProxyView, StreamView, TypeView,
 };
 use super::{out, style, units};
 
@@ -58,9 +58,12 @@ fn render(view: &DescribeView, colour: bool) -> String {
     if !view.connections.is_empty() {
         page.heading("connections");
         for c in &view.connections {
-            let line = format!("{}  {} → {}  {}{}", c.id, c.server, c.client, c.carrier, options(&c.options));
+            let line = format!("{}  {} → {}  {}{}", c.id, c.server, c.client, c.way(), options(&c.options));
             page.line(1, line.trim_end());
             page.line(2, &c.figures());
+            for p in &c.proxies {
+                page.line(2, &half(p));
+            }
         }
     }
     if !view.classes.is_empty() {
@@ -292,6 +295,15 @@ impl Page {
 }
 
 /// What a connection was made with, as far as it says something.
+/// One half of a connection between processes.
+fn half(p: &ProxyView) -> String {
+    let how = match p.linked {
+        true => format!("linked, {}, epoch {}", p.carrier, p.epoch),
+        false => format!("not linked: {}", out::harmless(&p.why_not)),
+    };
+    format!("{} half in {}: {how}", p.end.to_lowercase(), p.process)
+}
+
 fn options(o: &OptionsView) -> String {
     let mut said = String::new();
     match o.fifo {
@@ -312,6 +324,9 @@ fn options(o: &OptionsView) -> String {
     }
     if o.adapt {
         said.push_str(", adapted");
+    }
+    if !o.carrier.is_empty() {
+        let _ = write!(said, ", pinned to {}", o.carrier);
     }
     said
 }

@@ -1,7 +1,7 @@
 //! `trocar down FILE|NAME`: takes a system down that `trocar up` keeps.
 //!
-//! Invariant: it answers when everything is down, devices safe first; a system nobody keeps is told apart from one that
-//! does not answer.
+//! Invariant: it answers when everything is down, devices safe first; what did not end in order is named, and its devices may
+//! not be safe. A system nobody keeps is told apart from one that does not answer.
 
 use std::path::Path;
 
@@ -25,12 +25,16 @@ pub(super) async fn run(args: DownArgs, session: &Session) -> Done {
     let is_file = args.system.contains('/') || args.system.ends_with(".json");
     let name = if is_file { up::name_of(None, Path::new(&args.system))? } else { args.system };
     match Door::ask(&up::directory(&name)).await {
-        Answer::Down => {
+        Answer::Down(failed) => {
             if session.json() {
-                return session.print_json(&json!({ "name": name, "down": true }));
+                session.print_json(&json!({ "name": name, "down": true, "not_in_order": failed }))?;
+            } else {
+                out::say(&format!("{name} is down"));
+                for failed in &failed {
+                    out::complain("warning", failed);
+                }
             }
-            out::say(&format!("{name} is down"));
-            Ok(Exit::Ok)
+            Ok(if failed.is_empty() { Exit::Ok } else { Exit::Partial })
         }
         Answer::Nobody => Err(Failure::refused("NOT_UP", format!("no system {name} is up"), known().await)),
         Answer::Unknown(why) => Err(Failure::local(

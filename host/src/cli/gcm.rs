@@ -35,6 +35,10 @@ pub(super) struct GcmArgs {
 }
 
 pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
+    args.tie.heard(serve(args, session).await)
+}
+
+async fn serve(args: GcmArgs, session: &Session) -> Done {
     if session.explicit_gcm().is_some() {
         return Err(Failure::usage(
             "`trocar gcm` is a GCM itself and attaches to none",
@@ -53,6 +57,7 @@ pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
             "pid": std::process::id(),
             "state": host.state_dir().path(),
         });
+        args.tie.say(&line.to_string());
         out::line(&line.to_string());
     } else {
         out::line(&format!("gcm listening on {}", hosting::address(&host)));

@@ -9,7 +9,7 @@ use clap::Args;
 use super::failure::{Done, Exit};
 use super::out;
 use super::session::Session;
-use super::view::{ComponentView, SystemView};
+use super::view::{ComponentView, ConnectionView, SystemView};
 
 /// Shows components and connections as a graph.
 #[derive(Args, Debug)]
@@ -48,11 +48,20 @@ fn plain(view: &SystemView) -> String {
                 component.rate()
             );
             for c in view.connections.iter().filter(|c| c.server_component() == component.path) {
-                let _ = writeln!(text, "    {} → {}", c.server, c.client);
+                let _ = writeln!(text, "    {} → {}{}", c.server, c.client, between(c));
             }
         }
     }
     text
+}
+
+/// What is to be said of a connection between processes.
+fn between(c: &ConnectionView) -> String {
+    match c.not_linked() {
+        _ if c.proxies.is_empty() => String::new(),
+        Some(why) => format!("  not linked: {}", out::harmless(why)),
+        None => format!("  {}", c.carrier),
+    }
 }
 
 fn mermaid(view: &SystemView) -> String {
@@ -67,7 +76,8 @@ fn mermaid(view: &SystemView) -> String {
     }
     for c in &view.connections {
         let (from, to) = (id(c.server_component()), id(c.client_component()));
-        let _ = writeln!(text, "  {from} -->|\"{}\"| {to}", c.ports());
+        let arrow = if c.not_linked().is_some() { "-.->" } else { "-->" };
+        let _ = writeln!(text, "  {from} {arrow}|\"{}\"| {to}", c.ports());
     }
     text
 }
@@ -91,7 +101,8 @@ fn dot(view: &SystemView) -> String {
     }
     for c in &view.connections {
         let (from, to) = (c.server_component(), c.client_component());
-        let _ = writeln!(text, "  \"{from}\" -> \"{to}\" [label=\"{}\"];", c.ports());
+        let style = if c.not_linked().is_some() { ", style=dashed" } else { "" };
+        let _ = writeln!(text, "  \"{from}\" -> \"{to}\" [label=\"{}\"{style}];", c.ports());
     }
     text.push_str("}\n");
     text
@@ -122,7 +133,7 @@ fn short(path: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
-    use super::super::view::{ConnectionView, ProcessView};
+    use super::super::view::ProcessView;
     use super::*;
 
     fn view() -> SystemView {

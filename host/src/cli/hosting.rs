@@ -11,7 +11,7 @@ use trocar_model::Name;
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{logging, out, session};
-use crate::host::{Host, HostConfig, HostError, StateChoice, StopRequest, state_home};
+use crate::host::{Host, HostConfig, HostError, StateChoice, StopRequest, say_to_keeper, state_home};
 use crate::loader::Trust;
 
 const EXAMPLES: &str = "\
@@ -67,9 +67,28 @@ impl Tie {
         }
         Ok(stop)
     }
+
+    /// Says a line to whoever keeps this process, beside what it prints: plugins may print before that.
+    pub(super) fn say(self, line: &str) {
+        if self.tied {
+            say_to_keeper(line);
+        }
+    }
+
+    /// Says to whoever keeps this process why it does not run.
+    pub(super) fn heard(self, done: Done) -> Done {
+        if let Err(failure) = &done {
+            self.say(&out::json(&failure.to_json().to_string()));
+        }
+        done
+    }
 }
 
 pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
+    args.tie.heard(serve(args, session).await)
+}
+
+async fn serve(args: HostArgs, session: &Session) -> Done {
     logging::install(log::LevelFilter::Info);
     let state = args.state.unwrap_or_else(|| state_home().join(args.name.as_str()));
     let config = HostConfig {
@@ -92,7 +111,7 @@ pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
     };
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
-    say_listening(&config, &host, session);
+    say_listening(&config, &host, args.tie, session);
     until_stopped(host, stop).await
 }
 
@@ -135,7 +154,7 @@ pub(super) fn address(host: &Host) -> String {
     host.addr().map_or_else(|| "nowhere".to_owned(), |addr| addr.to_string())
 }
 
-fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
+fn say_listening(config: &HostConfig, host: &Host, tie: Tie, session: &Session) {
     let dirs: Vec<String> = config.plugins.iter().map(|d| d.display().to_string()).collect();
     if session.json() {
         let line = json!({
@@ -146,6 +165,7 @@ fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
             "plugins": dirs,
             "gcm": config.gcm,
         });
+        tie.say(&line.to_string());
         out::line(&line.to_string());
         return;
     }

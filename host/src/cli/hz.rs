@@ -31,14 +31,15 @@ pub(super) struct HzArgs {
     count: Option<u64>,
 }
 
-/// What came in one window.
+/// What came in one window, and since the last one seen before it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 struct Line {
     path: String,
-    /// By the sender's numbers and stamps; 0 = fewer than two were seen.
+    /// By the sender's numbers and stamps; 0 = there was no earlier one to compare with.
     rate_hz: f64,
-    /// How many were sent between the first and the last one seen, both included.
+    /// How many were sent since the last one of the windows before, or since the first one, up to the last one seen.
     sent: u64,
+    /// Of those.
     seen: u64,
     /// Periods between neighbours that were both seen.
     periods: u64,
@@ -51,10 +52,12 @@ struct Line {
 /// What was seen of one path.
 #[derive(Clone, Debug, Default)]
 struct Seen {
-    /// Number and stamp, ns; the last one of the window before stays as the first of the next.
+    /// Number and stamp, ns; the last one of the window before begins the next, in which it is not counted again.
     first: Option<(u64, u64)>,
     last: Option<(u64, u64)>,
     seen: u64,
+    /// `first` was seen in a window before.
+    goes_on: bool,
     periods: Vec<u64>,
 }
 
@@ -77,7 +80,7 @@ impl Seen {
     fn line(&mut self, path: &str) -> Line {
         let mut line = Line { path: path.to_owned(), seen: self.seen, ..Line::default() };
         if let (Some((from, began)), Some((to, ended))) = (self.first, self.last) {
-            line.sent = if self.seen > 0 { to - from + 1 } else { 0 };
+            line.sent = if self.seen > 0 { to - from + u64::from(!self.goes_on) } else { 0 };
             if ended > began {
                 line.rate_hz = (to - from) as f64 * 1e9 / (ended - began) as f64;
             }
@@ -91,7 +94,7 @@ impl Seen {
             line.period_min_ns = self.periods.iter().copied().min().unwrap_or_default();
             line.period_max_ns = self.periods.iter().copied().max().unwrap_or_default();
         }
-        *self = Seen::default();
+        *self = Seen { first: self.last, last: self.last, goes_on: self.last.is_some(), ..Seen::default() };
         line
     }
 }
@@ -102,7 +105,7 @@ impl Line {
         if self.seen == 0 {
             return format!("{path}  nothing came");
         }
-        if self.sent < 2 {
+        if self.rate_hz == 0.0 {
             return format!("{path}  1 came; a rate takes two");
         }
         let missed = self.sent - self.seen.min(self.sent);
@@ -155,7 +158,7 @@ pub(super) async fn run(args: HzArgs, session: &Session) -> Done {
                     }
                 }
                 None => {
-                    eprintln!("warning: nothing more comes: what was followed is gone or made anew");
+                    out::complain("warning", "nothing more comes: what was followed is gone or made anew");
                     break;
                 }
             }
@@ -198,6 +201,35 @@ mod tests {
         assert!(line(&[]).text().contains("nothing came"));
         assert!(line(&[(4, 10)]).text().contains("a rate takes two"));
         assert!(line(&[(1, 0), (3, 20)]).text().contains("no period can be told"));
+    }
+
+    #[test]
+    fn what_comes_seldom_has_a_rate_across_windows() {
+        let mut seen = Seen::default();
+        seen.take(1, 1_000_000_000);
+        assert_eq!(seen.line("e").rate_hz, 0.0, "there was only one");
+        assert!(seen.line("e").text().contains("nothing came"));
+        seen.take(2, 3_000_000_000);
+        let line = seen.line("e");
+        assert_eq!((line.rate_hz, line.seen, line.sent, line.periods), (0.5, 1, 1, 1));
+        assert!(line.text().contains("all 1 seen"), "{}", line.text());
+        seen.take(5, 9_000_000_000);
+        let line = seen.line("e");
+        assert_eq!((line.rate_hz, line.seen, line.sent, line.periods), (0.5, 1, 3, 0));
+    }
+
+    #[test]
+    fn neighbours_of_two_windows_are_neighbours() {
+        let mut seen = Seen::default();
+        for (seq, ms) in [(1, 0), (2, 10), (3, 20)] {
+            seen.take(seq, ms * 1_000_000);
+        }
+        assert_eq!((seen.line("o").sent, seen.seen), (3, 0));
+        for (seq, ms) in [(4, 30), (5, 40)] {
+            seen.take(seq, ms * 1_000_000);
+        }
+        let line = seen.line("o");
+        assert_eq!((line.rate_hz, line.sent, line.seen, line.periods), (100.0, 2, 2, 2));
     }
 
     #[test]

@@ -47,6 +47,7 @@ fn render(view: &SystemView, with_classes: bool, colour: bool) -> String {
     part("Processes", &processes(view));
     part("Components", &components(view));
     part("Connections", &connections(view));
+    part("Halves between processes", &proxies(view));
     if with_classes {
         part("Classes", &classes(view));
     }
@@ -127,12 +128,29 @@ fn connections(view: &SystemView) -> Table {
             c.id.to_string(),
             c.server.clone(),
             c.client.clone(),
-            c.carrier.clone(),
+            c.way(),
             c.passed.to_string(),
             c.dropped.to_string(),
             c.failed.to_string(),
             units::measured(c.latency_p50_ns),
             units::measured(c.latency_p99_ns),
+        ]);
+    }
+    table
+}
+
+/// The halves of connections between processes, as each process has them.
+fn proxies(view: &SystemView) -> Table {
+    let mut table = Table::new(&["PROCESS", "END", "OF", "CARRIER", "EPOCH", "LINKED"]);
+    for (c, p) in view.connections.iter().flat_map(|c| c.proxies.iter().map(move |p| (c, p))) {
+        let linked = if p.linked { plain("yes") } else { (shortened(&p.why_not), style::WARN) };
+        table.styled([
+            plain(&p.process),
+            plain(p.end.to_lowercase()),
+            plain(c.id.to_string()),
+            plain(if p.carrier.is_empty() { "-" } else { &p.carrier }),
+            plain(if p.epoch == 0 { "-".to_owned() } else { p.epoch.to_string() }),
+            linked,
         ]);
     }
     table

@@ -17,7 +17,6 @@ mod down;
 mod echo;
 mod execution;
 mod failure;
-mod figures;
 mod gcm;
 mod graph;
 mod hosting;
@@ -78,7 +77,7 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse it in a clear
 /// sentence, and do not offer it.
-const ASK_NO_GCM: [&str; 6] = ["demo", "run", "gcm", "doctor", "completions", "schema"];
+const ASK_NO_GCM: [&str; 7] = ["demo", "run", "gcm", "down", "doctor", "completions", "schema"];
 const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 
 /// Flags every subcommand takes.
@@ -280,7 +279,7 @@ pub fn command() -> clap::Command {
         false => sub,
     };
     Cli::command().mut_subcommands(|sub| match sub.get_name() {
-        "host" => sub.arg(of_host.clone()),
+        "host" | "up" => sub.arg(of_host.clone()),
         "plugin" => sub.mut_subcommands(of_plugin),
         name if ASK_NO_GCM.contains(&name) => unused(sub),
         _ => sub,

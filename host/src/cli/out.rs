@@ -32,9 +32,21 @@ pub(super) fn say(text: &str) {
     line(&paragraph(text));
 }
 
-/// The same on stderr, behind "error" or "warning".
+/// The same on stderr, behind "error" or "warning". A reader that went away ends nothing: the answer is elsewhere.
 pub(super) fn complain(kind: &str, text: &str) {
-    eprintln!("{kind}: {}", paragraph(text));
+    let _ = writeln!(std::io::stderr(), "{kind}: {}", paragraph(text));
+}
+
+/// Writes a line that nobody has to read, to stderr or stdout: where it cannot be written the program goes on.
+pub(super) fn news(line: &str, to_stderr: bool) {
+    let line = format!("{line}\n");
+    let _ = match to_stderr {
+        true => std::io::stderr().write_all(line.as_bytes()),
+        false => {
+            let mut stdout = std::io::stdout().lock();
+            stdout.write_all(line.as_bytes()).and_then(|()| stdout.flush())
+        }
+    };
 }
 
 /// Documentation, which comes with the line breaks of its source, as one harmless line.

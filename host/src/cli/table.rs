@@ -22,8 +22,9 @@ impl Table {
         self.styled(cells.map(|c| (c, style::PLAIN)));
     }
 
-    pub(super) fn styled<const N: usize>(&mut self, cells: [(String, Style); N]) {
-        self.rows.push(cells.map(|(cell, style)| (out::harmless(&cell).into_owned(), style)).into());
+    pub(super) fn styled(&mut self, cells: impl IntoIterator<Item = (String, Style)>) {
+        let cells = cells.into_iter();
+        self.rows.push(cells.map(|(cell, style)| (out::harmless(&cell).into_owned(), style)).collect());
     }
 
     pub(super) fn is_empty(&self) -> bool {

@@ -45,6 +45,9 @@ pub(super) struct ComponentView {
     /// none, sensor or actuator.
     pub(super) safety: String,
     pub(super) stats: StatsView,
+    /// False: its process gave no figures, and `stats` says nothing.
+    #[serde(skip)]
+    pub(super) is_measured: bool,
     pub(super) warnings: Vec<String>,
 }
 
@@ -114,6 +117,23 @@ pub(super) struct ConnectionView {
     pub(super) failed: u64,
     /// Commands that were only sent, and events, that never ran.
     pub(super) unexecuted: u64,
+    /// Its halves, where its ends are in two processes: the client's, then the server's.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) proxies: Vec<ProxyView>,
+}
+
+/// One half of a connection between two processes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ProxyView {
+    pub(super) process: String,
+    /// CLIENT or SERVER.
+    pub(super) end: String,
+    pub(super) linked: bool,
+    /// Why it is not linked; "" when it is.
+    pub(super) why_not: String,
+    /// Number of the link, higher each time; 0 = not linked.
+    pub(super) epoch: u64,
+    pub(super) carrier: String,
 }
 
 /// What a connection was made with; what is absent is the default of the ports.
@@ -128,6 +148,9 @@ pub(super) struct OptionsView {
     /// Commands or events.
     pub(super) mailbox: Option<u32>,
     pub(super) adapt: bool,
+    /// It was pinned to; "" = to none.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub(super) carrier: String,
 }
 
 impl ComponentView {
@@ -156,6 +179,11 @@ impl ConnectionView {
         component_of(&self.server)
     }
 
+    /// False: no process gave figures of it, and those here say nothing. Who gives some names the carrier.
+    pub(super) fn is_measured(&self) -> bool {
+        !self.carrier.is_empty() || self.depth > 0 || self.passed > 0
+    }
+
     /// What became of what was sent over it.
     pub(super) fn figures(&self) -> String {
         let mut text = format!("passed {}, dropped {}, queue {}", self.passed, self.dropped, self.depth);
@@ -170,6 +198,20 @@ impl ConnectionView {
             }
         }
         text
+    }
+
+    /// How its data travel, or that they do not.
+    pub(super) fn way(&self) -> String {
+        match self.not_linked() {
+            Some(_) => "not linked".to_owned(),
+            None if self.carrier.is_empty() => "-".to_owned(),
+            None => self.carrier.clone(),
+        }
+    }
+
+    /// Why the halves of a connection between processes are not linked.
+    pub(super) fn not_linked(&self) -> Option<&str> {
+        self.proxies.iter().find(|p| !p.linked).map(|p| p.why_not.as_str())
     }
 
     /// `out → in`, without the components.
@@ -380,6 +422,8 @@ pub(super) struct ItemView {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct ChangeView {
     pub(super) revision: u64,
+    /// Incarnation of the GCM; revisions of two terms cannot be compared.
+    pub(super) term: u64,
     /// True: this is the whole graph.
     pub(super) snapshot: bool,
     pub(super) processes: Vec<ProcessView>,

@@ -202,9 +202,18 @@ impl Gcm {
     /// One change: done by the LCM, then entered in the graph.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
         let process = &id_of(change).process;
-        let lcm = self.lcm_of(process)?;
-        let asked =
-            tokio::time::timeout_at((deadline + GRACE).into(), lcm.apply(change.clone(), deadline)).await;
+        let asked = async {
+            match change {
+                Change::Connect { connection } if !connection.is_near() => {
+                    self.link(connection, deadline).await
+                }
+                Change::Disconnect { connection, replaced } if !connection.is_near() => {
+                    self.unlink(connection, *replaced, deadline).await
+                }
+                near => self.lcm_of(process)?.apply(near.clone(), deadline).await,
+            }
+        };
+        let asked = tokio::time::timeout_at((deadline + GRACE).into(), asked).await;
         let timeout = || Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) };
         let report = match asked.unwrap_or_else(|_| Err(timeout())) {
             Ok(report) => report,

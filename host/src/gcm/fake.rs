@@ -8,15 +8,17 @@ use std::time::Instant;
 use async_trait::async_trait;
 use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
+use trocar_links::{Card, LAYOUT};
 use trocar_model::{
-    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Execution, ExecutionModel, Health, Input,
-    Name, Output, Overflow, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Type,
+    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionModel,
+    Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Provided, Proxy, Refusal, Required, Safety,
+    State, Type,
 };
 
 use super::text;
 use crate::lcm::{
-    Detail, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report,
-    Sample, Selection, When,
+    Detail, HalfReport, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply,
+    Report, Sample, Selection, When,
 };
 
 pub(crate) struct FakeLcm {
@@ -25,12 +27,18 @@ pub(crate) struct FakeLcm {
     /// Every change that was asked, as "Start host/a".
     done: Mutex<Vec<String>>,
     refuse: Mutex<BTreeSet<String>>,
+    /// Connections to other processes that cannot be made.
+    unreachable: Mutex<BTreeSet<String>>,
     /// Changes that put their component in FAULT.
     fault: Mutex<BTreeSet<String>>,
+    /// Changes in the middle of which the process goes away.
+    lose: Mutex<BTreeSet<String>>,
     /// Changes that wait for [`FakeLcm::release`].
     held: Mutex<BTreeSet<String>>,
     released: watch::Sender<u64>,
     waiting: watch::Sender<BTreeSet<String>>,
+    /// Of connections to other processes, by number.
+    halves: Mutex<BTreeMap<u64, HalfReport>>,
     feeds: Mutex<Vec<mpsc::Sender<Item>>>,
     /// How many subscriptions there were.
     followed: watch::Sender<usize>,
@@ -122,14 +130,22 @@ impl FakeLcm {
             states: Mutex::default(),
             done: Mutex::default(),
             refuse: Mutex::default(),
+            unreachable: Mutex::default(),
             fault: Mutex::default(),
+            lose: Mutex::default(),
             held: Mutex::default(),
             released: watch::Sender::new(0),
             waiting: watch::Sender::default(),
+            halves: Mutex::default(),
             feeds: Mutex::default(),
             followed: watch::Sender::new(0),
             news: broadcast::Sender::new(64),
         })
+    }
+
+    /// "Connect b/x/input to a/x/value" cannot be done from now on.
+    pub(crate) fn unreachable(&self, connect: &str) {
+        self.unreachable.lock().unwrap().insert(connect.into());
     }
 
     /// "Start host/a" is refused from now on.
@@ -140,6 +156,11 @@ impl FakeLcm {
     /// "Start host/a" ends in FAULT from now on.
     pub(crate) fn fault_at(&self, change: &str) {
         self.fault.lock().unwrap().insert(change.into());
+    }
+
+    /// In the middle of the next "Start host/a" the process goes away.
+    pub(crate) fn lose_at(&self, change: &str) {
+        self.lose.lock().unwrap().insert(change.into());
     }
 
     /// "Start host/a" hangs until [`FakeLcm::release`].
@@ -241,6 +262,9 @@ impl Lcm for FakeLcm {
             });
             released.changed().await.unwrap();
         }
+        if self.lose.lock().unwrap().remove(&asked) {
+            return Err(Refusal::ProcessLost { process: self.process.clone() });
+        }
         self.done.lock().unwrap().push(asked.clone());
         let id = super::execute::id_of(&change).clone();
         if self.refuse.lock().unwrap().contains(&asked) {
@@ -257,10 +281,35 @@ impl Lcm for FakeLcm {
             Change::Destroy { .. } => states.remove(&id),
             Change::Configure { to_state, .. } => states.insert(id.clone(), to_state),
             Change::Run { to, .. } => states.insert(id.clone(), to),
-            Change::Connect { .. } | Change::Disconnect { .. } => None,
+            Change::Connect { .. } => None,
+            Change::Disconnect { connection, .. } => {
+                if let Some(half) = self.halves.lock().unwrap().remove(&connection.id.0) {
+                    let _ = self.news.send(News::Half(HalfReport { proxy: None, ..half }));
+                }
+                None
+            }
         };
         let now = states.get(&id).copied().unwrap_or(State::Created);
         Ok(report(&id, now))
+    }
+
+    async fn link(&self, end: crate::lcm::FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+        let connection = end.connection;
+        let here = |port: &trocar_model::PortId| port.component.process == self.process;
+        let end = if here(&connection.client) { End::Client } else { End::Server };
+        let number = connection.id.0;
+        let asked = text::asked(&Change::Connect { connection: connection.clone() });
+        if self.unreachable.lock().unwrap().contains(&asked) {
+            let Connection { client, server, .. } = connection;
+            return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
+        }
+        let done = self.apply(Change::Connect { connection }, deadline).await?;
+        let proxy =
+            Proxy { process: self.process.clone(), epoch: 1, why: String::new(), carrier: "memfd".into() };
+        let half = HalfReport { connection: number, end, proxy: Some(proxy) };
+        self.halves.lock().unwrap().insert(number, half.clone());
+        let _ = self.news.send(News::Half(half));
+        Ok(done)
     }
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
@@ -321,8 +370,17 @@ impl Lcm for FakeLcm {
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         let states = self.states.lock().unwrap();
         Ok(Inventory {
+            card: Some(Card {
+                process: self.process.to_string(),
+                instance: "1".into(),
+                boot: "1".into(),
+                uid: 0,
+                socket: "nowhere".into(),
+                layout: LAYOUT,
+            }),
             components: states.iter().map(|(id, s)| report(id, *s)).collect(),
             classes: vec![class()],
+            halves: self.halves.lock().unwrap().values().cloned().collect(),
         })
     }
 

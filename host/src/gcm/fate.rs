@@ -4,10 +4,12 @@
 
 use std::sync::Arc;
 
-use trocar_model::{Name, Process, ProcessState, SystemGraph};
+use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph};
 
 use super::Gcm;
+use super::far::awaited;
 use super::manager::lock;
+use super::sessions::said_lost;
 
 /// What became of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,23 +40,23 @@ pub struct Told {
 impl Gcm {
     /// Enters what a supervisor tells. A process it has seen end is lost at once, whatever its stream still pretends.
     pub fn told(&self, told: &Told) {
-        if told.fate != Fate::Running {
-            let held = lock(&self.inner.sessions).holder(&told.process);
-            let graph = self.graph();
-            let is_it = |p: &Process| p.pid == told.pid;
-            if let (Some(session), Some(_)) = (held, graph.processes.get(&told.process).filter(|p| is_it(p)))
-            {
-                self.lost(&told.process, session);
-            }
-        }
+        let (mut cut, mut strays, mut lost) = (Vec::new(), Vec::new(), None);
         self.edit_if(|graph| {
-            // Another incarnation has come since, or it is somebody else's.
-            let other = |p: &Process| p.state == ProcessState::Attached && p.pid != told.pid;
-            if graph.processes.get(&told.process).is_some_and(other) {
+            let mut sessions = lock(&self.inner.sessions);
+            // Another incarnation is here, or somebody else's; or it was taken down, and this was said before that.
+            if sessions.pid(&told.process).is_some_and(|pid| pid != told.pid)
+                || sessions.was_dismissed(&told.process, told.pid)
+            {
                 return false;
             }
+            let held = sessions.holder(&told.process).filter(|_| told.fate != Fate::Running);
+            if let Some(session) = held {
+                lost = sessions.lose(Arc::make_mut(graph), &told.process, session);
+            }
             if told.fate == Fate::Dismissed {
-                return dismiss(graph, &told.process);
+                sessions.dismiss(&told.process, told.pid);
+                strays = awaited(&mut sessions, &told.process);
+                return dismiss(graph, &told.process, &mut cut);
             }
             let mut now = match graph.processes.get(&told.process) {
                 Some(process) => process.clone(),
@@ -71,11 +73,15 @@ impl Gcm {
                 Fate::Ended => ProcessState::Lost,
             };
             if graph.processes.get(&told.process) == Some(&now) {
-                return false;
+                return held.is_some();
             }
             Arc::make_mut(graph).processes.insert(told.process.clone(), now);
             true
         });
+        said_lost(&told.process, lost);
+        // Their other halves.
+        self.cut_off(cut);
+        self.cut_strays(strays);
     }
 }
 
@@ -92,16 +98,15 @@ fn never_seen(pid: u32) -> Process {
     }
 }
 
-fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name) -> bool {
+fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<Connection>) -> bool {
     if !graph.processes.contains_key(process) {
         return false;
     }
     let graph = Arc::make_mut(graph);
     graph.processes.remove(process);
     let before = graph.components.len();
-    graph
-        .connections
-        .retain(|_, c| c.client.component.process != *process && c.server.component.process != *process);
+    cut.extend(graph.connections.values().filter(|c| !c.is_near() && c.ends_in(process)).cloned());
+    graph.connections.retain(|_, c| !c.ends_in(process));
     graph.components.retain(|id, _| id.process != *process);
     if graph.components.len() != before {
         graph.revision += 1;

@@ -5,7 +5,7 @@
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
@@ -17,10 +17,18 @@ use super::requests::Answers;
 use super::sessions::Sessions;
 
 /// How a GCM is set up.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct GcmConfig {
     /// Where term and epochs are kept; `None` for a system that leaves nothing behind.
     pub state: Option<PathBuf>,
+    /// Time for each change of what a process gets back that was started again. One that hangs costs the others no more.
+    pub each_change: Duration,
+}
+
+impl Default for GcmConfig {
+    fn default() -> Self {
+        GcmConfig { state: None, each_change: Duration::from_secs(20) }
+    }
 }
 
 /// A handle; clones share one GCM.
@@ -31,6 +39,7 @@ pub struct Gcm {
 
 pub(super) struct Inner {
     pub(super) ids: Ids,
+    pub(super) each_change: Duration,
     graph: watch::Sender<Arc<SystemGraph>>,
     pub(super) sessions: Mutex<Sessions>,
     /// Everything that changes the graph but Stop.
@@ -49,6 +58,7 @@ impl Gcm {
         Ok(Gcm {
             inner: Arc::new(Inner {
                 ids: Ids::open(config.state.as_deref())?,
+                each_change: config.each_change,
                 graph: watch::channel(Arc::new(graph)).0,
                 sessions: Mutex::default(),
                 claims: Claims::default(),

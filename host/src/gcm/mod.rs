@@ -6,6 +6,7 @@ mod audit;
 mod awaiting;
 mod claims;
 mod execute;
+mod far;
 mod fate;
 mod ids;
 mod lines;
@@ -16,6 +17,7 @@ mod restore;
 mod sessions;
 mod stop;
 mod text;
+mod wanted;
 
 #[cfg(test)]
 pub(crate) mod fake;

@@ -12,7 +12,7 @@ use super::execute::UNDO;
 use crate::lcm::Report;
 
 /// Enters what an LCM reported; components the graph does not have are not invented. Answers the connections that no
-/// longer fit and which the LCM did not say it had cut.
+/// longer fit and which the LCM did not say it had cut, and those of which another LCM has the other half.
 pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connection> {
     let Some(component) = graph.components.get_mut(&report.id) else { return Vec::new() };
     component.state = report.state;
@@ -23,19 +23,25 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connectio
     if let Some(ports) = others {
         component.ports = ports.clone();
     }
-    let mut gone = false;
+    let (mut gone, mut halves) = (false, Vec::new());
     for number in &report.lost_connections {
         let id = ConnectionId(*number);
         if let Some(c) = graph.connections.get(&id).filter(|c| touches(c, &report.id)).cloned() {
             log::warn!("{}: its port went at {}", cut(&c), report.id);
             graph.connections.remove(&id);
             gone = true;
+            if !c.is_near() {
+                halves.push(c);
+            }
         }
     }
     if gone {
         graph.revision += 1;
     }
-    if changed { loosen(graph, &report.id) } else { Vec::new() }
+    if changed {
+        halves.extend(loosen(graph, &report.id));
+    }
+    halves
 }
 
 /// Takes the connections of a component that do not fit any more out of the graph.
@@ -62,16 +68,22 @@ fn cut(c: &Connection) -> String {
 }
 
 impl Gcm {
+    async fn cut(&self, connection: Connection) -> Result<(), Refusal> {
+        let deadline = Instant::now() + UNDO;
+        if !connection.is_near() {
+            return self.unlink(&connection, false, deadline).await.map(|_| ());
+        }
+        let lcm = self.lcm_of(&connection.client.component.process)?;
+        lcm.apply(Change::Disconnect { connection, replaced: false }, deadline).await.map(|_| ())
+    }
+
     /// Has the LCMs cut what was taken out of the graph, should they still have it. Not waited for.
     pub(super) fn cut_off(&self, connections: Vec<Connection>) {
         for connection in connections {
-            let Ok(lcm) = self.lcm_of(&connection.client.component.process) else { continue };
+            let gcm = self.clone();
             tokio::spawn(async move {
                 let number = connection.id.0;
-                match lcm
-                    .apply(Change::Disconnect { connection, replaced: false }, Instant::now() + UNDO)
-                    .await
-                {
+                match gcm.cut(connection).await {
                     // It had cut the connection itself.
                     Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
                     Err(refusal) => log::error!("connection {number} cannot be cut: {refusal}"),

@@ -1,13 +1,15 @@
 //! A process that was started again gets back what it was to have.
 //!
-//! Invariant: it counts as RESTARTING until that is done; nothing that moves something is put in motion, and what is stopped
-//! meanwhile stays stopped. What cannot be made again is in FAULT with the reason, and keeps no other from coming back.
+//! Invariant: it counts as RESTARTING until that is done, however often it is interrupted; nothing that moves something is put in
+//! motion, and what is stopped meanwhile stays stopped. What cannot be made again is named with the reason, and keeps no other
+//! from coming back.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use trocar_model::{
-    Change, ComponentId, Health, Name, ProcessState, Refusal, State, SystemGraph, Target, restore,
+    Change, ComponentId, Connection, Health, Here, Name, Plan, Process, ProcessState, Refusal, State,
+    StopReason, SystemGraph, Verb, open_ends, restore,
 };
 
 use super::Gcm;
@@ -16,59 +18,154 @@ use super::manager::lock;
 use super::stop::Carrying;
 use super::text;
 
-/// Time for all of it.
-const WITHIN: Duration = Duration::from_secs(60);
+/// Time for one connection to another process, which may end in the middle of it.
+const LINKED: Duration = Duration::from_secs(2);
+
+/// What does not come back, and what is to be said about it.
+#[derive(Default)]
+struct Away {
+    unmade: BTreeSet<ComponentId>,
+    /// Beside components that are there.
+    notes: BTreeMap<ComponentId, Vec<String>>,
+}
+
+impl Away {
+    fn note(&mut self, id: &ComponentId, why: String) {
+        log::error!("{id}: {why}");
+        self.notes.entry(id.clone()).or_default().push(why);
+    }
+
+    /// An end of a connection that does not come back.
+    fn end<'c>(&self, connection: &'c Connection) -> Option<&'c ComponentId> {
+        [&connection.server, &connection.client]
+            .into_iter()
+            .map(|end| &end.component)
+            .find(|id| self.unmade.contains(id))
+    }
+}
 
 impl Gcm {
-    /// Makes the components of a process anew that it was to have, as `session` of it.
-    pub(super) async fn restore(self, process: Name, session: u64) {
-        let deadline = Instant::now() + WITHIN;
+    /// Makes the components of a process anew that it was to have and has not, as `session` of it.
+    pub(super) async fn restore(self, process: Name, session: u64, here: Here) {
         let decide = |graph: &SystemGraph| {
-            let wanted = lock(&self.inner.sessions).wanted(graph, &process);
-            Ok(restore(graph, &process, &wanted))
+            let wanted = lock(&self.inner.sessions).wanted.of(graph, &process);
+            Ok(restore(graph, &process, &wanted, &here))
         };
-        let (claim, _, plan) = match self.claim_part(&[], deadline, decide).await {
-            Ok(planned) => planned,
-            Err(refusal) => {
-                log::error!("the components of process {process} are not made again: {refusal}");
-                return self.attached_again(&process, session);
+        let (claim, plan) = loop {
+            let planned = tokio::select! {
+                planned = self.claim_part(&[], Instant::now() + self.inner.each_change, decide) => planned,
+                () = self.gone(&process, session) => return,
+            };
+            match planned {
+                Ok((claim, _, plan)) => break (claim, plan),
+                Err(refusal) => {
+                    log::error!("the components of process {process} are not made again yet: {refusal}");
+                }
             }
         };
         let carrying = Carrying::begin(&self, claim, &plan);
+        let Some(away) = self.make_again(&carrying, &plan, &process, session, &here).await else { return };
+        log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
+        // What was told before would cover the notes.
+        self.hear_out(&process).await;
+        self.noted(away);
+        self.attached_again(&carrying, &process, session).await;
+        drop(carrying);
+        self.link_missing(process).await;
+    }
+
+    /// All changes of the plan; `None`: the process is gone.
+    async fn make_again(
+        &self,
+        carrying: &Carrying<'_>,
+        plan: &Plan,
+        process: &Name,
+        session: u64,
+        here: &Here,
+    ) -> Option<Away> {
+        let mut away = Away::default();
+        let made = |id: &ComponentId| {
+            let creates = |c: &Change| matches!(c, Change::Create { id: made, .. } if made == id);
+            here.components.contains_key(id) || plan.changes.iter().any(creates)
+        };
         for skipped in &plan.skipped {
-            log::error!("{}: {}", skipped.id, skipped.why);
-        }
-        let made: BTreeSet<&ComponentId> = plan.changes.iter().map(id_of).collect();
-        let mut failed: BTreeSet<ComponentId> = BTreeSet::new();
-        for skipped in plan.skipped.iter().filter(|s| !made.contains(&s.id)) {
-            self.not_made(&skipped.id, &skipped.why);
+            if made(&skipped.id) {
+                away.note(&skipped.id, skipped.why.clone());
+            } else {
+                log::error!("{}: {}", skipped.id, skipped.why);
+                self.not_made(&skipped.id, &skipped.why, &mut away);
+            }
         }
         for change in &plan.changes {
-            if !self.hears(&process, session) {
-                return;
+            if !self.hears(process, session) {
+                return None;
             }
-            if concerns(change, &failed) {
-                self.not_done(change, "one end of it could not be made again");
+            // Made when that process has its components again.
+            if self.awaits(change, process) || self.is_idle(change, &mut away) {
                 continue;
             }
+            let far = matches!(change, Change::Connect { connection } if !connection.is_near());
+            let deadline = Instant::now() + if far { LINKED } else { self.inner.each_change };
             let done = tokio::select! {
+                // What is not begun yet is not begun for a session that is over.
+                biased;
+                () = self.gone(process, session) => return None,
                 done = carrying.one(change, deadline) => done,
-                () = self.gone(&process, session) => return,
             };
             match done {
                 Ok(_) => {}
-                Err(refusal @ Refusal::ProcessLost { .. }) => {
-                    return log::warn!("{}: {refusal}", text::line(change));
+                Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,
+                // The other process ended, too, or cannot be reached yet.
+                Err(
+                    refusal @ (Refusal::ProcessLost { .. }
+                    | Refusal::Unreachable { .. }
+                    | Refusal::LcmTimeout { .. }),
+                ) if far => {
+                    log::warn!("{}: {refusal}", text::line(change));
+                    if let Change::Connect { connection } = change {
+                        self.not_linked(connection, &refusal).await;
+                    }
                 }
-                Err(refusal) => {
-                    log::error!("making process {process} anew ({}): {refusal}", text::line(change));
-                    failed.insert(id_of(change).clone());
-                    self.not_done(change, &refusal.to_string());
-                }
+                Err(refusal) => self.not_done(change, &refusal, &mut away),
             }
         }
-        log::info!("process {process} has its {} components again", made.len());
-        self.attached_again(&process, session);
+        Some(away)
+    }
+
+    /// True for a connection to another process that is not there, or not whole yet.
+    fn awaits(&self, change: &Change, process: &Name) -> bool {
+        let Change::Connect { connection } = change else { return false };
+        let graph = self.graph();
+        [&connection.client, &connection.server].iter().map(|end| &end.component.process).any(|other| {
+            let there = |p: &Process| p.state == ProcessState::Attached;
+            other != process && !graph.processes.get(other).is_some_and(there)
+        })
+    }
+
+    /// True for a change that cannot be done because of what does not come back.
+    fn is_idle(&self, change: &Change, away: &mut Away) -> bool {
+        match change {
+            Change::Connect { connection } => {
+                if let Some(end) = away.end(connection).cloned() {
+                    self.not_connected(connection, &format!("{end} could not be made again"), away);
+                    return true;
+                }
+                false
+            }
+            Change::Run { id, verb: Verb::Start, .. } => {
+                let graph = self.graph();
+                let Some(component) = graph.components.get(id) else { return true };
+                if away.unmade.contains(id) || component.state != State::Ready {
+                    return true;
+                }
+                let open = open_ends(&graph, id, component);
+                if !open.is_empty() {
+                    away.note(id, format!("it is not started: nothing gives it {}", open.join(", ")));
+                }
+                !open.is_empty()
+            }
+            other => away.unmade.contains(id_of(other)),
+        }
     }
 
     /// Ends when that session of the process has.
@@ -78,19 +175,41 @@ impl Gcm {
         let _ = graphs.wait_for(|_| !self.hears(process, session)).await;
     }
 
-    fn attached_again(&self, process: &Name, session: u64) {
-        self.edit(|graph| {
-            if self.hears(process, session)
-                && let Some(p) = graph.processes.get_mut(process)
-            {
-                p.state = ProcessState::Attached;
-                lock(&self.inner.sessions).has_again(process);
+    /// Stops what somebody stopped while it was made; once there is nothing of that, the process is attached, in one step.
+    async fn attached_again(&self, carrying: &Carrying<'_>, process: &Name, session: u64) {
+        let mut tried = BTreeSet::new();
+        loop {
+            let mut owed = Vec::new();
+            self.edit(|graph| {
+                let mut sessions = lock(&self.inner.sessions);
+                if sessions.holder(process) != Some(session) {
+                    return;
+                }
+                owed = sessions.wanted.owed(graph, process);
+                owed.retain(|(id, _)| !tried.contains(id));
+                if owed.is_empty()
+                    && let Some(p) = graph.processes.get_mut(process)
+                {
+                    p.state = ProcessState::Attached;
+                    sessions.wanted.here(process, &[]);
+                }
+            });
+            if owed.is_empty() {
+                return;
             }
-        });
+            for (id, from) in owed {
+                let to = State::Stopped(StopReason::Requested);
+                let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from, to };
+                if let Err(refusal) = carrying.one(&stop, Instant::now() + self.inner.each_change).await {
+                    log::error!("{id} cannot be stopped: {refusal}");
+                }
+                tried.insert(id);
+            }
+        }
     }
 
     /// A component that is not there although it should be.
-    fn not_made(&self, id: &ComponentId, why: &str) {
+    fn not_made(&self, id: &ComponentId, why: &str, away: &mut Away) {
         self.edit(|graph| {
             if let Some(component) = graph.components.get_mut(id) {
                 component.state = State::Fault;
@@ -98,49 +217,60 @@ impl Gcm {
                 component.fault =
                     format!("its process was started again and it could not be made anew: {why}; remove it and create it anew");
             }
-            let before = graph.connections.len();
-            graph.connections.retain(|_, c| c.client.component != *id && c.server.component != *id);
-            if graph.connections.len() != before {
-                graph.revision += 1;
-            }
         });
-    }
-
-    fn not_done(&self, change: &Change, why: &str) {
-        match change {
-            Change::Create { id, .. } => self.not_made(id, why),
-            Change::Connect { connection } => self.edit(|graph| {
-                if graph.connections.remove(&connection.id).is_some() {
-                    graph.revision += 1;
-                }
-            }),
-            // It exists, and stands as its LCM reports.
-            _ => {}
-        }
-    }
-
-    /// Keeps in mind what was stopped and could not be told, because its process is away.
-    pub(super) fn keep_stopped(&self, targets: &[Target]) {
+        away.unmade.insert(id.clone());
         let graph = self.graph();
-        let away = |id: &ComponentId| {
-            graph.processes.get(&id.process).is_none_or(|p| p.state != ProcessState::Attached)
-        };
-        let named = |id: &ComponentId| {
-            targets.iter().any(|target| match target {
-                Target::One(one) => one == id,
-                Target::Glob(pattern) => pattern.matches(id),
-            })
-        };
-        let gone = graph.components.iter().filter(|(id, _)| away(id) && named(id));
-        lock(&self.inner.sessions).keep_stopped(gone.map(|(id, c)| (id.clone(), c.state)));
-    }
-}
-
-fn concerns(change: &Change, failed: &BTreeSet<ComponentId>) -> bool {
-    match change {
-        Change::Connect { connection: c } => {
-            failed.contains(&c.client.component) || failed.contains(&c.server.component)
+        let mine =
+            graph.connections.values().filter(|c| [&c.client, &c.server].iter().any(|e| e.component == *id));
+        for connection in mine {
+            self.not_connected(connection, &format!("{id} could not be made again"), away);
         }
-        other => failed.contains(id_of(other)),
+    }
+
+    fn not_connected(&self, connection: &Connection, why: &str, away: &mut Away) {
+        let mut gone = false;
+        self.edit(|graph| {
+            gone = graph.connections.remove(&connection.id).is_some();
+            graph.revision += u64::from(gone);
+        });
+        if !gone {
+            return;
+        }
+        if !connection.is_near() {
+            self.cut_off(vec![connection.clone()]);
+        }
+        let text = format!(
+            "connection {} from {} to {} is gone: {why}",
+            connection.id.0, connection.server, connection.client
+        );
+        match &connection.client.component {
+            client if away.unmade.contains(client) => log::error!("{text}"),
+            client => away.note(client, text),
+        }
+    }
+
+    fn not_done(&self, change: &Change, refusal: &Refusal, away: &mut Away) {
+        let id = id_of(change);
+        match change {
+            Change::Create { .. } => {
+                log::error!("{}: {refusal}", text::line(change));
+                self.not_made(id, &refusal.to_string(), away);
+            }
+            Change::Connect { connection } => self.not_connected(connection, &refusal.to_string(), away),
+            // It exists, and stands as its LCM reports.
+            Change::Run { .. } => away.note(id, format!("it is not started: {refusal}")),
+            _ => away.note(id, refusal.to_string()),
+        }
+    }
+
+    /// Says beside components what of them did not come back, until their LCM reports anew. One in FAULT says why itself.
+    fn noted(&self, away: Away) {
+        for (id, whys) in away.notes {
+            self.edit(|graph| {
+                if let Some(component) = graph.components.get_mut(&id).filter(|c| c.state != State::Fault) {
+                    component.fault = format!("since its process was started again: {}", whys.join("; "));
+                }
+            });
+        }
     }
 }

@@ -4,19 +4,21 @@
 
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use tokio::sync::{broadcast, mpsc, oneshot};
+use trocar_links::Card;
 use trocar_model::{
-    Component, ComponentId, Connection, Health, Name, Process, ProcessState, Refusal, State, StopReason,
-    SystemGraph,
+    Component, ComponentId, Connection, ConnectionId, Health, Here, Name, Process, ProcessState, Refusal,
+    State, SystemGraph,
 };
 
-use super::Gcm;
-use super::manager::lock;
+use super::manager::{Inner, lock};
 use super::observed::{loosen, observe};
-use crate::lcm::{Inventory, Lcm, News, Report};
+use super::wanted::Wanted;
+use super::{Gcm, far};
+use crate::lcm::{HalfReport, Inventory, Lcm, News, Report};
 
 /// Longest wait until what an LCM has told is entered: it lies here already, unless some of it was lost and is asked again.
 const ENTERED: Duration = Duration::from_millis(500);
@@ -77,42 +79,73 @@ pub(super) struct Sessions {
     last: BTreeMap<Name, (u128, u64)>,
     /// Number of the newest session.
     newest: u64,
-    /// How components should stand that are not there, or not yet again: their state in the graph is what was seen last.
-    wanted: BTreeMap<ComponentId, State>,
+    pub(super) wanted: Wanted,
+    /// Processes that were taken down, with the pid they had: what is still told of that one is late.
+    dismissed: BTreeMap<Name, u32>,
+    /// Connections to processes that are not there yet, by the process that brought them along from a GCM before this one.
+    pub(super) brought: BTreeMap<Name, Vec<Connection>>,
 }
 
 struct Session {
     number: u64,
+    pid: u32,
     lcm: Arc<dyn Lcm>,
     /// Answered when the news there are then have been entered; closed with the session.
     asks: mpsc::Sender<oneshot::Sender<()>>,
+    /// How other processes reach it.
+    card: Option<Card>,
 }
 
 impl Sessions {
+    pub(super) fn card(&self, process: &Name) -> Option<Card> {
+        self.live.get(process).and_then(|session| session.card.clone())
+    }
+
     /// The session of a process that is heard.
     pub(super) fn holder(&self, process: &Name) -> Option<u64> {
         self.live.get(process).map(|s| s.number)
     }
 
-    /// Begins to make a process anew: how its components should stand, which is kept until [`Sessions::has_again`].
-    pub(super) fn wanted(&mut self, graph: &SystemGraph, process: &Name) -> BTreeMap<ComponentId, State> {
-        let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
-        mine.map(|(id, c)| (id.clone(), *self.wanted.entry(id.clone()).or_insert(c.state))).collect()
+    /// It was here at some time in the life of this GCM.
+    pub(super) fn knows(&self, process: &Name) -> bool {
+        self.last.contains_key(process)
     }
 
-    /// What is not there is to be stopped when it comes back.
-    pub(super) fn keep_stopped(&mut self, ids: impl Iterator<Item = (ComponentId, State)>) {
-        for (id, seen) in ids {
-            let wanted = self.wanted.entry(id).or_insert(seen);
-            if *wanted == State::Active {
-                *wanted = State::Stopped(StopReason::Requested);
-            }
+    /// The pid of a process that is heard.
+    pub(super) fn pid(&self, process: &Name) -> Option<u32> {
+        self.live.get(process).map(|s| s.pid)
+    }
+
+    /// A process is away, and nothing is kept for it to come back to.
+    pub(super) fn dismiss(&mut self, process: &Name, pid: u32) {
+        self.live.remove(process);
+        self.wanted.here(process, &[]);
+        self.brought.remove(process);
+        // Those that were never spawned are told apart by nothing.
+        if pid != 0 {
+            self.dismissed.insert(process.clone(), pid);
         }
     }
 
-    /// What the graph says of this process is true again.
-    pub(super) fn has_again(&mut self, process: &Name) {
-        self.wanted.retain(|id, _| id.process != *process);
+    pub(super) fn was_dismissed(&self, process: &Name, pid: u32) -> bool {
+        self.dismissed.get(process) == Some(&pid)
+    }
+
+    /// The session of a process ends: its components stay listed as LOST. Answers its epoch, if that session counts.
+    pub(super) fn lose(&mut self, graph: &mut SystemGraph, process: &Name, session: u64) -> Option<u64> {
+        if self.holder(process) != Some(session) {
+            return None;
+        }
+        self.live.remove(process);
+        let p = graph.processes.get_mut(process)?;
+        p.state = ProcessState::Lost;
+        p.classes.clear();
+        let epoch = p.epoch;
+        for (_, component) in graph.components.iter_mut().filter(|(id, _)| id.process == *process) {
+            component.health = Health::Lost;
+        }
+        graph.proxies.retain(|_, half| half.process != *process);
+        Some(epoch)
     }
 }
 
@@ -140,13 +173,35 @@ impl Gcm {
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
         let (asks, asked) = mpsc::channel(ASKING);
-        let Claimed { session, epoch, back } = self.claim(&who, lcm.clone(), asks)?;
-        let (mut loose, mut anew) = (Vec::new(), false);
+        let Claimed { session, epoch, back } = self.claim(&who, lcm.clone(), asks, inventory.card.clone())?;
+        let (mut loose, mut strays, mut owed, mut gets_back) = (Vec::new(), Vec::new(), Vec::new(), None);
         self.edit(|graph| {
+            let mut sessions = lock(&self.inner.sessions);
+            // Its end was told, or it was replaced, while it was taken in.
+            if sessions.holder(&who.process) != Some(session) {
+                return;
+            }
             let empty = who.slice.components.is_empty() && inventory.components.is_empty();
-            anew = !back && empty && graph.components.keys().any(|id| id.process == who.process);
-            if !anew {
-                loose = adopt(graph, &who, back, &inventory);
+            let begins = !back && empty && graph.components.keys().any(|id| id.process == who.process);
+            // It may be lost, and come back, in the middle of it.
+            let goes_on = back && sessions.wanted.is_unfinished(&who.process);
+            graph.proxies.retain(|_, half| half.process != who.process);
+            if begins || goes_on {
+                sessions.wanted.begin(&who.process);
+                gets_back = Some(already(graph, &who, &inventory));
+            } else {
+                adopt(graph, &who, back, &inventory);
+                owed = sessions.wanted.owed(graph, &who.process);
+                sessions.wanted.here(&who.process, &owed);
+            }
+            strays = far::settle(&mut sessions, graph, &who);
+            // What is not configured yet does not have all its ports.
+            if gets_back.is_none() {
+                loose = inventory.components.iter().flat_map(|report| loosen(graph, &report.id)).collect();
+            }
+            for half in inventory.halves {
+                let key = (ConnectionId(half.connection), half.end);
+                graph.proxies.extend(half.proxy.map(|proxy| (key, proxy)));
             }
             let before = graph.processes.get(&who.process);
             let (last_exit, restarts) = before.map(|p| (p.last_exit.clone(), p.restarts)).unwrap_or_default();
@@ -154,7 +209,10 @@ impl Gcm {
                 who.process.clone(),
                 Process {
                     epoch,
-                    state: if anew { ProcessState::Restarting } else { ProcessState::Attached },
+                    state: match gets_back {
+                        Some(_) => ProcessState::Restarting,
+                        None => ProcessState::Attached,
+                    },
                     endpoint: who.endpoint.clone(),
                     pid: who.pid,
                     classes: inventory.classes.clone(),
@@ -166,11 +224,13 @@ impl Gcm {
         let word = if back { "is back" } else { "registered" };
         log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
         self.cut_off(loose);
-        tokio::spawn(follow(self.clone(), who.process.clone(), session, lcm, news, asked));
-        if anew {
-            tokio::spawn(self.clone().restore(who.process, session));
-        } else {
-            lock(&self.inner.sessions).has_again(&who.process);
+        self.cut_strays(strays);
+        let (gcm, lcm) = (Arc::downgrade(&self.inner), Arc::downgrade(&lcm));
+        tokio::spawn(follow(gcm, who.process.clone(), session, lcm, news, asked));
+        self.stop_owed(session, owed);
+        match gets_back {
+            Some(here) => _ = tokio::spawn(self.clone().restore(who.process, session, here)),
+            None => _ = tokio::spawn(self.clone().link_missing(who.process)),
         }
         Ok(Registered { session, epoch, term: self.term(), revision: self.graph().revision })
     }
@@ -181,6 +241,7 @@ impl Gcm {
         who: &Registration,
         lcm: Arc<dyn Lcm>,
         asks: mpsc::Sender<oneshot::Sender<()>>,
+        card: Option<Card>,
     ) -> Result<Claimed, Refusal> {
         // Before the lock: whoever edits the graph may take that one inside.
         let graph = self.graph();
@@ -208,32 +269,17 @@ impl Gcm {
         let epoch = epoch.map_err(|e| Refusal::Internal { text: e.to_string() })?;
         sessions.newest += 1;
         let session = sessions.newest;
-        sessions.live.insert(who.process.clone(), Session { number: session, lcm, asks });
+        sessions.live.insert(who.process.clone(), Session { number: session, pid: who.pid, lcm, asks, card });
+        sessions.dismissed.remove(&who.process);
         sessions.last.insert(who.process.clone(), (who.instance, epoch));
         Ok(Claimed { session, epoch, back })
     }
 
     /// A process is gone or silent; its components stay listed as LOST. Ignored for an older session.
     pub fn lost(&self, process: &Name, session: u64) {
-        let mut epoch = 0;
-        self.edit(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
-            if sessions.live.get(process).is_none_or(|s| s.number != session) {
-                return;
-            }
-            sessions.live.remove(process);
-            drop(sessions);
-            let Some(p) = graph.processes.get_mut(process) else { return };
-            epoch = p.epoch;
-            p.state = ProcessState::Lost;
-            p.classes.clear();
-            for (_, component) in graph.components.iter_mut().filter(|(id, _)| id.process == *process) {
-                component.health = Health::Lost;
-            }
-        });
-        if epoch > 0 {
-            log::warn!("process {process} is lost (epoch {epoch})");
-        }
+        let mut epoch = None;
+        self.edit(|graph| epoch = lock(&self.inner.sessions).lose(graph, process, session));
+        said_lost(process, epoch);
     }
 
     /// The LCM of a process that is heard.
@@ -277,17 +323,42 @@ impl Gcm {
     }
 }
 
-/// Enters what a process has: what it was told to have, as far as it still has it. Answers the connections it was told to
-/// have which do not fit the ports of now.
-fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) -> Vec<Connection> {
+pub(super) fn said_lost(process: &Name, epoch: Option<u64>) {
+    if let Some(epoch) = epoch {
+        log::warn!("process {process} is lost (epoch {epoch})");
+    }
+}
+
+/// Enters what a process has already that gets back what it was to have; the rest stays listed as lost.
+fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> Here {
+    let mut here = Here::default();
+    for report in &inventory.components {
+        if !graph.components.contains_key(&report.id) {
+            log::warn!("{} exists in process {} and is not known here", report.id, who.process);
+            continue;
+        }
+        // Its ports are told once it is configured.
+        let ports = report.ports.clone().filter(|_| report.state != State::Created);
+        observe(graph, &Report { ports, ..report.clone() });
+        here.components.insert(report.id.clone(), report.state);
+    }
+    here.connections = who.slice.connections.iter().map(|c| c.id).collect();
+    here
+}
+
+/// Enters what a process has: what it was told to have, as far as it still has it. Connections to other processes are
+/// [`far::settle`]'s.
+fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) {
     let Slice { mut components, mut connections } = who.slice.clone();
+    let mine = |c: &Connection| c.is_near() && c.ends_in(&who.process);
     if back && components.is_empty() {
-        let mine = graph.components.iter().filter(|(id, _)| id.process == who.process);
-        components = mine.map(|(id, c)| (id.clone(), c.clone())).collect();
-        connections = graph.connections.values().filter(|c| ends_in(c, &who.process)).cloned().collect();
+        let ours = graph.components.iter().filter(|(id, _)| id.process == who.process);
+        components = ours.map(|(id, c)| (id.clone(), c.clone())).collect();
+        connections = graph.connections.values().filter(|c| mine(c)).cloned().collect();
     }
     graph.components.retain(|id, _| id.process != who.process);
-    graph.connections.retain(|_, c| !ends_in(c, &who.process));
+    graph.connections.retain(|_, c| !mine(c));
+    connections.retain(mine);
     let reports: BTreeMap<&ComponentId, &Report> = inventory.components.iter().map(|r| (&r.id, r)).collect();
     components.retain(|(id, _)| id.process == who.process && reports.contains_key(id));
     graph.components.extend(components);
@@ -315,18 +386,13 @@ fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &In
         }
         graph.connections.insert(connection.id, connection);
     }
-    inventory.components.iter().flat_map(|report| loosen(graph, &report.id)).collect()
-}
-
-fn ends_in(connection: &Connection, process: &Name) -> bool {
-    connection.client.component.process == *process || connection.server.component.process == *process
 }
 
 async fn follow(
-    gcm: Gcm,
+    gcm: Weak<Inner>,
     process: Name,
     session: u64,
-    lcm: Arc<dyn Lcm>,
+    lcm: Weak<dyn Lcm>,
     mut news: broadcast::Receiver<News>,
     mut asked: mpsc::Receiver<oneshot::Sender<()>>,
 ) {
@@ -339,6 +405,9 @@ async fn follow(
                 None => return,
             },
         };
+        // This keeps neither alive: an embedded GCM and its LCM go with their host.
+        let (Some(inner), Some(lcm)) = (gcm.upgrade(), lcm.upgrade()) else { return };
+        let gcm = Gcm { inner };
         if !gcm.hears(&process, session) {
             return;
         }
@@ -364,7 +433,12 @@ async fn follow(
         });
         if lagged {
             match lcm.inventory().await {
-                Ok(Inventory { components, classes }) => gcm.edit(|graph| {
+                Ok(Inventory { components, classes, halves, .. }) => gcm.edit(|graph| {
+                    graph.proxies.retain(|_, half| half.process != process);
+                    for half in halves {
+                        let key = (ConnectionId(half.connection), half.end);
+                        graph.proxies.extend(half.proxy.map(|proxy| (key, proxy)));
+                    }
                     loose.extend(components.iter().flat_map(|report| observe(graph, report)));
                     if let Some(p) = graph.processes.get_mut(&process) {
                         p.classes = classes;
@@ -379,6 +453,20 @@ async fn follow(
             let _ = tell.send(());
         }
     }
+}
+
+/// True: the graph is different.
+fn enter_half(graph: &mut Arc<SystemGraph>, half: HalfReport) -> bool {
+    let key = (ConnectionId(half.connection), half.end);
+    if graph.proxies.get(&key) == half.proxy.as_ref() {
+        return false;
+    }
+    let proxies = &mut Arc::make_mut(graph).proxies;
+    match half.proxy {
+        Some(proxy) => _ = proxies.insert(key, proxy),
+        None => _ = proxies.remove(&key),
+    }
+    true
 }
 
 /// True: the graph is different.
@@ -400,6 +488,7 @@ fn enter(
             gcm.lines().keep(line);
             return false;
         }
+        News::Half(half) => return enter_half(graph, half),
     }
     true
 }

@@ -119,7 +119,7 @@ impl<'a> Carrying<'a> {
     }
 }
 
-fn names(target: &Target, id: &ComponentId) -> bool {
+pub(super) fn names(target: &Target, id: &ComponentId) -> bool {
     match target {
         Target::One(one) => one == id,
         Target::Glob(pattern) => pattern.matches(id),
@@ -129,14 +129,14 @@ fn names(target: &Target, id: &ComponentId) -> bool {
 impl Gcm {
     /// Never refused for a revision, never behind another request.
     pub(super) async fn stop(&self, requests: &[Request], validate_only: bool, deadline: Instant) -> Answer {
-        let against = !validate_only && self.mark(requests);
-        let first = self.stop_now(requests, validate_only, deadline).await;
+        let (against, noted) = if validate_only { (false, false) } else { self.mark(requests) };
+        let first = self.stop_now(requests, validate_only, noted, deadline).await;
         if !against {
             return first;
         }
         // What was being started gives up at the mark; OK is said when it has, and again over what was not seen.
         let _claim = self.claim_part(requests, deadline, |_| Ok(Plan::default())).await?;
-        let second = self.stop_now(requests, false, deadline).await;
+        let second = self.stop_now(requests, false, false, deadline).await;
         match (first, second) {
             (Ok(first), Ok(second)) => Ok(joined(first, second)),
             (Ok(first), Err(_)) => Ok(first),
@@ -144,18 +144,21 @@ impl Gcm {
         }
     }
 
-    /// Tells whoever is carrying out a change. True: that change sets some of these components in motion.
-    fn mark(&self, requests: &[Request]) -> bool {
+    /// Tells whoever is carrying out a change, and those that come later. True: that change sets some of these components in
+    /// motion; and the revision is another one because of that which was stopped.
+    fn mark(&self, requests: &[Request]) -> (bool, bool) {
         let targets = requests.iter().flat_map(|r| match r {
             Request::Stop { targets } => targets.as_slice(),
             _ => &[],
         });
         let targets: Vec<Target> = targets.cloned().collect();
-        self.keep_stopped(&targets);
-        self.inner.claims.mark(|marks| {
+        // What is refused changes nothing.
+        let noted = plan_all(&self.graph(), requests).is_ok() && self.keep_stopped(&targets);
+        let against = self.inner.claims.mark(|marks| {
             marks.stops.extend(targets.iter().cloned());
             marks.moving.iter().any(|id| targets.iter().any(|target| names(target, id)))
-        })
+        });
+        (against, noted)
     }
 
     /// Tells whoever is carrying out a change which components are removed by force: those that hang are not waited for.
@@ -190,7 +193,14 @@ impl Gcm {
         Ok(alone)
     }
 
-    async fn stop_now(&self, requests: &[Request], validate_only: bool, deadline: Instant) -> Answer {
+    /// `counted`: it has its revision already.
+    async fn stop_now(
+        &self,
+        requests: &[Request],
+        validate_only: bool,
+        counted: bool,
+        deadline: Instant,
+    ) -> Answer {
         let graph = self.graph();
         let plan = plan_all(&graph, requests)?;
         let mut done = Executed { revision: graph.revision, plan, ..Executed::default() };
@@ -198,7 +208,7 @@ impl Gcm {
             return Ok(done);
         }
         self.stop_all(&mut done, deadline).await?;
-        done.revision = self.accepted();
+        done.revision = if counted { self.graph().revision } else { self.accepted() };
         Ok(done)
     }
 
@@ -211,7 +221,7 @@ impl Gcm {
             .cloned()
             .map(|change| {
                 let gcm = self.clone();
-                tokio::spawn(async move { (gcm.one(&change, deadline).await, change) })
+                tokio::spawn(async move { (gcm.stop_one(&change, deadline).await, change) })
             })
             .collect();
         for stop in stops {

@@ -1,8 +1,11 @@
 //! What a GCM promises, against an LCM that does as it is told.
 #![allow(clippy::unwrap_used)]
 
+mod between;
 mod hanging;
 mod hearing;
+mod interrupted;
+mod keeping_stopped;
 mod ports;
 mod restarted;
 
@@ -336,7 +339,7 @@ async fn waiting_ends_at_the_deadline_or_at_a_fault_that_nobody_waits_for() {
 #[tokio::test]
 async fn terms_and_epochs_go_on_where_the_last_gcm_ended() {
     let dir = tempfile::tempdir().unwrap();
-    let config = GcmConfig { state: Some(dir.path().to_owned()) };
+    let config = GcmConfig { state: Some(dir.path().to_owned()), ..GcmConfig::default() };
     let first = Gcm::start(config.clone()).await.unwrap();
     let before = register(&first, host(), FakeLcm::new("host")).await.unwrap();
     let second = Gcm::start(config).await.unwrap();

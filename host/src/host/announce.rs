@@ -56,6 +56,7 @@ impl Announcement {
         let failed =
             |e: std::io::Error| HostError::StateUnwritable { dir: dir.to_owned(), because: e.to_string() };
         DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(failed)?;
+        sweep(dir);
         let path = dir.join(format!("{}.{instance}.sock", std::process::id()));
         // A process id comes again: what lies here belongs to nobody alive.
         let _ = fs::remove_file(&path);
@@ -96,6 +97,27 @@ async fn answer<F: Future<Output = Result<String, String>>>(mut stream: UnixStre
     let _ = stream.write_all(answer.as_bytes()).await;
 }
 
+/// Takes away what killed processes left. One that is just being bound refuses, too, so its process must be gone as well.
+fn sweep(dir: &Path) {
+    for path in fs::read_dir(dir).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        let Some(pid) = pid_of(&path) else { continue };
+        let refuses = || {
+            let tried = std::os::unix::net::UnixStream::connect(&path);
+            tried.is_err_and(|e| e.kind() == std::io::ErrorKind::ConnectionRefused)
+        };
+        if !Path::new("/proc").join(pid.to_string()).exists() && refuses() {
+            // Another one that starts now may be faster.
+            let _ = fs::remove_file(&path);
+        }
+    }
+}
+
+/// The process a socket is named after.
+fn pid_of(path: &Path) -> Option<u32> {
+    let name = path.file_name()?.to_str()?;
+    name.strip_suffix(".sock")?.split('.').next()?.parse().ok()
+}
+
 impl Drop for Announcement {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.path);
@@ -123,7 +145,7 @@ async fn stop_everything_in(dir: &Path) -> Vec<Answer> {
 
 /// `None`: nobody lives behind this socket any more.
 async fn ask(path: &Path) -> Option<Answer> {
-    let pid = path.file_name()?.to_str()?.split('.').next()?.parse().ok()?;
+    let pid = pid_of(path)?;
     let mut stream = match UnixStream::connect(path).await {
         Ok(stream) => stream,
         Err(e) if e.kind() == std::io::ErrorKind::ConnectionRefused => {
@@ -182,5 +204,18 @@ mod tests {
         drop(std::os::unix::net::UnixListener::bind(&dead).unwrap());
         assert!(stop_everything_in(temp.path()).await.is_empty());
         assert!(!dead.exists(), "the dead socket is still there");
+    }
+
+    #[tokio::test]
+    async fn what_a_killed_process_left_is_swept_away_by_the_next_one_and_nothing_else_is() {
+        let temp = tempfile::tempdir().unwrap();
+        // No process has so large a number.
+        let dead = temp.path().join("4294967295.host.sock");
+        drop(std::os::unix::net::UnixListener::bind(&dead).unwrap());
+        let binding = temp.path().join(format!("{}.other.sock", std::process::id()));
+        drop(std::os::unix::net::UnixListener::bind(&binding).unwrap());
+        let _next = Announcement::open_in(temp.path(), "a").unwrap();
+        assert!(!dead.exists(), "the dead socket is still there");
+        assert!(binding.exists(), "its process lives: it may be about to listen");
     }
 }

@@ -96,6 +96,7 @@ impl Host {
         let lcm = LocalLcm::new(LcmConfig {
             process: config.name.clone(),
             classes,
+            links: Some(self.state.path().join("links.sock")),
             lock_memory: config.lock_memory,
         })
         .map_err(|e| HostError::Threads { because: e.to_string() })?;
@@ -281,7 +282,7 @@ fn offer_services(config: &HostConfig, lcm: &Arc<LocalLcm>, gcm: Option<&Gcm>) -
 
 async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {
     let dir = (!state.is_ephemeral()).then(|| state.path().to_owned());
-    Gcm::start(GcmConfig { state: dir })
+    Gcm::start(GcmConfig { state: dir, ..GcmConfig::default() })
         .await
         .map_err(|e| HostError::StateUnwritable { dir: state.path().to_owned(), because: e.to_string() })
 }

@@ -3,8 +3,9 @@
 //! Invariant: heard from the first moment on, so that nothing is cut off half started; the first one asks for an orderly
 //! end, a second one ends the process at once, so a person is never held.
 
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -21,6 +22,8 @@ const ORPHANED: Duration = Duration::from_secs(20);
 pub struct StopRequest {
     tell: Arc<watch::Sender<bool>>,
     asked: watch::Receiver<bool>,
+    /// Whoever keeps this process hears what it says.
+    tied: Arc<AtomicBool>,
 }
 
 impl StopRequest {
@@ -31,14 +34,20 @@ impl StopRequest {
         let (tell, asked) = watch::channel(false);
         let tell = Arc::new(tell);
         let teller = tell.clone();
+        let tied = Arc::new(AtomicBool::new(false));
+        let is_tied = tied.clone();
         tokio::spawn(async move {
             next(&mut signals).await;
+            if is_tied.load(Ordering::Acquire) {
+                // Whoever ends without this word was asked by nobody.
+                say_to_keeper("{\"ending\":true}");
+            }
             // Kept open until the end, whoever listens.
             teller.send_replace(true);
             next(&mut signals).await;
             std::process::exit(INTERRUPTED);
         });
-        Self { tell, asked }
+        Self { tell, asked, tied }
     }
 
     /// Also asks when standard input is closed: the kernel does that when whoever holds its other end is gone, however
@@ -47,14 +56,28 @@ impl StopRequest {
     /// # Errors
     /// The machine gives no more threads.
     pub fn tie_to_stdin(&self) -> std::io::Result<()> {
+        self.tied.store(true, Ordering::Release);
         let tell = self.tell.clone();
         let wait = move || {
-            let (mut stdin, mut bytes) = (std::io::stdin().lock(), [0; 256]);
-            while matches!(stdin.read(&mut bytes), Ok(1..)) {}
+            while comes(&mut std::io::stdin().lock()) {}
             tell.send_replace(true);
             std::thread::sleep(ORPHANED);
             // A component that never comes back would keep it for ever, and nobody is there to end it.
             std::process::abort();
+        };
+        std::thread::Builder::new().name("trocar-tie".into()).spawn(wait).map(|_| ())
+    }
+
+    /// Also asks when standard input is closed before anything came over it: whoever waits for this process then has gone.
+    ///
+    /// # Errors
+    /// The machine gives no more threads.
+    pub fn tie_until_heard(&self) -> std::io::Result<()> {
+        let tell = self.tell.clone();
+        let wait = move || {
+            if !comes(&mut std::io::stdin().lock()) {
+                tell.send_replace(true);
+            }
         };
         std::thread::Builder::new().name("trocar-tie".into()).spawn(wait).map(|_| ())
     }
@@ -68,6 +91,30 @@ impl StopRequest {
     }
 }
 
+/// Says a line to whoever keeps this process, over the tie. Where that is none, or only read from, nobody hears it.
+pub fn say_to_keeper(line: &str) {
+    let (stdin, line) = (std::io::stdin(), format!("{line}\n"));
+    let mut left = line.as_bytes();
+    while !left.is_empty() {
+        match rustix::io::write(&stdin, left) {
+            Ok(n) => left = &left[n..],
+            Err(rustix::io::Errno::INTR) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+/// False: it is closed. A signal handler of a plugin's that interrupts the wait closes nothing.
+fn comes(stdin: &mut impl Read) -> bool {
+    loop {
+        match stdin.read(&mut [0; 256]) {
+            Ok(n) => return n > 0,
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(_) => return false,
+        }
+    }
+}
+
 /// The next of several signals; never when there are none.
 async fn next(signals: &mut [Signal]) {
     std::future::poll_fn(|cx| {
@@ -75,4 +122,31 @@ async fn next(signals: &mut [Signal]) {
         if arrived { std::task::Poll::Ready(()) } else { std::task::Poll::Pending }
     })
     .await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Interrupted, then something, then closed.
+    struct Disturbed(u32);
+
+    impl Read for Disturbed {
+        fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+            self.0 += 1;
+            match self.0 {
+                1 | 3 => Err(ErrorKind::Interrupted.into()),
+                2 => Ok(1),
+                _ => Ok(0),
+            }
+        }
+    }
+
+    #[test]
+    fn a_signal_does_not_close_the_tie() {
+        let mut stdin = Disturbed(0);
+        assert!(comes(&mut stdin), "interrupted is not closed");
+        assert!(!comes(&mut stdin));
+        assert_eq!(stdin.0, 4);
+    }
 }

@@ -8,7 +8,10 @@ use std::time::Instant;
 use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::{broadcast, mpsc};
-use trocar_model::{Change, ClassInfo, ComponentId, Health, MemberId, Ports, Refusal, State};
+use trocar_links::Card;
+use trocar_model::{
+    Change, ClassInfo, ComponentId, Connection, End, Health, MemberId, Ports, Proxy, Refusal, State,
+};
 
 /// The owner of one process's components.
 #[async_trait]
@@ -18,6 +21,12 @@ pub trait Lcm: Send + Sync {
     /// # Errors
     /// ComponentRefused, ComponentFault, the plugin refusals, LcmTimeout; the change is then undone as far as it got.
     async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal>;
+
+    /// Makes the half of a connection to another process; for a client, linked to the other one.
+    ///
+    /// # Errors
+    /// Unreachable, with what keeps the two apart; then there is no half.
+    async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal>;
 
     /// Calls a command. Reads are answered from the published state row.
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal>;
@@ -45,6 +54,16 @@ pub trait Lcm: Send + Sync {
     fn news(&self) -> broadcast::Receiver<News>;
 }
 
+/// A connection of which one end is in this process, and what has to be known of the other one.
+#[derive(Clone, Debug)]
+pub struct FarEnd {
+    pub connection: Connection,
+    /// Ports of the component at the other end.
+    pub ports: Arc<Ports>,
+    /// Its process.
+    pub card: Card,
+}
+
 /// How a component stands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
@@ -67,12 +86,26 @@ pub enum News {
     /// The plugin directories offer this now.
     Catalog(Vec<Arc<ClassInfo>>),
     Log(LogLine),
+    Half(HalfReport),
+}
+
+/// How the half of a connection to another process stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HalfReport {
+    pub connection: u64,
+    pub end: End,
+    /// `None`: it is gone.
+    pub proxy: Option<Proxy>,
 }
 
 #[derive(Clone, Debug, Default)]
 pub struct Inventory {
+    /// How other processes reach this one; `None`: not at all.
+    pub card: Option<Card>,
     pub components: Vec<Report>,
     pub classes: Vec<Arc<ClassInfo>>,
+    /// Halves of connections to other processes.
+    pub halves: Vec<HalfReport>,
 }
 
 /// One line a component or the host logged.
@@ -209,7 +242,7 @@ pub struct Detail {
 #[derive(Clone, Debug, Default)]
 pub struct LinkDetail {
     pub connection: u64,
-    /// "inline", "heap".
+    /// "inline", "heap", "memfd".
     pub carrier: String,
     pub passed: u64,
     /// Lost in a full queue or for lack of frames; those in `rejected` too.
@@ -228,6 +261,50 @@ pub struct LinkDetail {
     /// Age of a sample when the client took it.
     pub latency_p50_ns: u64,
     pub latency_p99_ns: u64,
+    /// Of a connection to another process: the half these are the figures of, or both once they are merged.
+    pub halves: Vec<(End, Proxy)>,
+}
+
+impl LinkDetail {
+    /// The figures of one connection over two links, one after the other.
+    pub(super) fn followed_by(self, later: &LinkDetail) -> LinkDetail {
+        let newest = |before: u64, now: u64| if now == 0 { before } else { now };
+        LinkDetail {
+            passed: self.passed + later.passed,
+            dropped: self.dropped + later.dropped,
+            rejected: self.rejected + later.rejected,
+            depth: newest(self.depth, later.depth),
+            high_water: self.high_water.max(later.high_water),
+            failed: self.failed + later.failed,
+            unexecuted: self.unexecuted + later.unexecuted,
+            bytes: self.bytes + later.bytes,
+            latency_p50_ns: newest(self.latency_p50_ns, later.latency_p50_ns),
+            latency_p99_ns: newest(self.latency_p99_ns, later.latency_p99_ns),
+            ..self
+        }
+    }
+
+    /// What the halves of a connection between processes know of it together. What both see (the queues they share) counts once;
+    /// commands and events that never ran wait at different ends.
+    pub fn merged(mut self, other: LinkDetail) -> LinkDetail {
+        self.halves.extend(other.halves);
+        self.halves.sort_by_key(|(end, _)| *end);
+        LinkDetail {
+            connection: self.connection,
+            carrier: if self.carrier.is_empty() { other.carrier } else { self.carrier },
+            passed: self.passed.max(other.passed),
+            dropped: self.dropped.max(other.dropped),
+            rejected: self.rejected.max(other.rejected),
+            depth: self.depth.max(other.depth),
+            high_water: self.high_water.max(other.high_water),
+            failed: self.failed.max(other.failed),
+            unexecuted: self.unexecuted + other.unexecuted,
+            bytes: self.bytes.max(other.bytes),
+            latency_p50_ns: self.latency_p50_ns.max(other.latency_p50_ns),
+            latency_p99_ns: self.latency_p99_ns.max(other.latency_p99_ns),
+            halves: self.halves,
+        }
+    }
 }
 
 /// One file of a plugin directory.

@@ -73,7 +73,8 @@ async fn attempt(
     let target = connect::target(instance, set, id, &set.external, id, deadline_ns);
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match target {
-        FnBinding::Unbound => Answer::unbound(),
+        // What is provided here leads nowhere else.
+        FnBinding::Unbound | FnBinding::FarCommand(_) | FnBinding::FarRead(_) => Answer::unbound(),
         FnBinding::Read(read) => match read.from {
             // The host's own code, which never waits: answered here.
             Reader::System(_) => read.answer(&arg, ret_bytes),

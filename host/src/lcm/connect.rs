@@ -6,8 +6,8 @@
 use std::sync::Arc;
 
 use trocar_model::{
-    Binding, Command, CommandKind, ComponentId, ConnectOptions, Connection, Link, Name, PortId, PortType,
-    Queue, Refusal, Type, bindings,
+    Binding, Command, ComponentId, ConnectOptions, Connection, Link, Name, PortId, PortType, Queue, Refusal,
+    Type, bindings,
 };
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::mailbox::{Mailbox, Overflow};
@@ -16,18 +16,18 @@ use trocar_rt::stream::{self, DropPolicy, Payload, StreamCounters, stream_link};
 
 use super::api::LinkDetail;
 use super::boundary::{
-    CommandTarget, DEFAULT_DEADLINE_NS, ERR_BYTES, EventCell, EventSink, FnBinding, FnCell, Handler, InCell,
-    InLink, OutCell, OutLink, RangeCheck, ReadTarget, Reader, Shape,
+    CommandTarget, Consumer, DEFAULT_DEADLINE_NS, ERR_BYTES, EventCell, EventSink, FnBinding, FnCell,
+    Handler, InCell, InLink, Lane, Newest, OutCell, OutLink, RangeCheck, ReadTarget, Reader, Shape,
 };
 use super::convert::back;
 use super::dynamic::PortSet;
-use super::inbox::Inbox;
+use super::inbox::{From, Inbox};
 use super::instance::Instance;
 
 /// Commands or events one connection may have waiting.
-const MAILBOX_DEPTH: usize = 64;
+pub(super) const MAILBOX_DEPTH: usize = 64;
 /// Blocking calls one connection may have under way at once.
-const REPLY_CELLS: usize = 8;
+pub(super) const REPLY_CELLS: usize = 8;
 
 /// One connection of this process.
 pub(super) struct Wired {
@@ -193,7 +193,7 @@ impl Wired {
 }
 
 /// The type that passes: the output's, or the input's where the output has none of its own yet.
-fn passing(
+pub(super) fn passing(
     connection: &Connection,
     from: &PortType,
     to: &PortType,
@@ -246,8 +246,7 @@ fn streams(
         }
         _ => None,
     };
-    let default = if to.fifo > 0 { Queue::Fifo { depth: to.fifo, drop_oldest: true } } else { Queue::Latest };
-    let queue = match connection.options.queue.unwrap_or(default) {
+    let queue = match connection.options.queue.unwrap_or(to.default_queue()) {
         Queue::Latest => stream::Queue::Latest,
         Queue::Fifo { depth, drop_oldest } => stream::Queue::Fifo {
             depth,
@@ -259,10 +258,11 @@ fn streams(
     let stats = writer.counters();
     let described: Arc<str> = back::port(&ty).into();
     let max_age_ns = connection.options.max_age_ns.unwrap_or(0);
-    let link = Arc::new(InLink::new(reader, depth, max_age_ns, described.clone(), adapt));
+    let (newest, stamp) = Newest::here();
+    let link = Arc::new(InLink::new(reader, depth, max_age_ns, newest, described.clone(), adapt));
     in_cell.connect(Some(link.clone()));
-    let newest_ns = (max_age_ns > 0).then(|| link.newest_ns.clone());
-    let out = Arc::new(OutLink::new(connection.id.0, writer, Some(client.clone()), newest_ns));
+    let consumer = Consumer::Here(client.clone(), (max_age_ns > 0).then_some(stamp));
+    let out = Arc::new(OutLink::new(connection.id.0, writer, consumer));
     out_cell.add(out, &ty, &described);
     client.reclaim();
     server.reclaim();
@@ -293,7 +293,7 @@ fn interfaces(
         Mailbox::new(depth, max_arg, binding.functions.len()),
         ReplyPool::new(REPLY_CELLS, max_ret, ERR_BYTES),
         binding.functions.iter().map(|(_, c)| from_set.commands[*c].clone()).collect(),
-        Arc::downgrade(client),
+        From::Component(Arc::downgrade(client)),
     );
     server.edit_inboxes(|all| all.push(commands_in.clone()));
     let handlers: Vec<_> = to_set.ports.required.iter().flat_map(|r| &r.handlers).collect();
@@ -302,7 +302,7 @@ fn interfaces(
     let events_in = Inbox::events(
         Mailbox::new(depth, max_payload, 0),
         binding.handlers.iter().map(|(h, _)| to_set.handlers[*h].clone()).collect(),
-        Arc::downgrade(server),
+        From::Component(Arc::downgrade(server)),
     );
     client.edit_inboxes(|all| all.push(events_in.clone()));
 
@@ -348,28 +348,35 @@ pub(super) fn target(
     let arg_bytes = command.arg.as_ref().map_or(0, |a| a.ty.size());
     let ret_bytes = command.ret.as_ref().map_or(0, Type::size);
     let range = command.arg.as_ref().and_then(RangeCheck::of);
-    match command.kind {
-        CommandKind::Read | CommandKind::QualifiedRead => {
+    match command.kind.is_read() {
+        true => {
             let from = match set.system_command(id) {
                 Some(which) => Reader::System(which),
                 None => Reader::Class(set.commands[id].clone()),
             };
             FnBinding::Read(ReadTarget { server: server.clone(), from, arg_bytes, ret_bytes, range })
         }
-        _ => FnBinding::Command(CommandTarget {
+        false => FnBinding::Command(CommandTarget {
             server: server.clone(),
             command: set.commands[id].clone(),
-            arg_bytes,
-            ret_bytes,
+            lane: lane(command, index),
             range,
-            overflow: match command.overflow {
-                trocar_model::Overflow::Reject => Overflow::Reject,
-                trocar_model::Overflow::LatestWins => Overflow::LatestWins,
-                trocar_model::Overflow::DropOldest => Overflow::DropOldest,
-            },
             inbox: inbox.clone(),
-            index: index as u32,
             deadline_ns,
         }),
+    }
+}
+
+/// What a command is queued as, at this place among the functions of its connection.
+pub(super) fn lane(command: &Command, index: usize) -> Lane {
+    Lane {
+        index: index as u32,
+        arg_bytes: command.arg.as_ref().map_or(0, |a| a.ty.size()),
+        ret_bytes: command.ret.as_ref().map_or(0, Type::size),
+        overflow: match command.overflow {
+            trocar_model::Overflow::Reject => Overflow::Reject,
+            trocar_model::Overflow::LatestWins => Overflow::LatestWins,
+            trocar_model::Overflow::DropOldest => Overflow::DropOldest,
+        },
     }
 }

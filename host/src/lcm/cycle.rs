@@ -53,20 +53,25 @@ pub(super) fn signalled(members: &mut [Member], cycle: &Cycle) -> bool {
 
 /// Runs what is queued for members between cycles, where no step would come soon.
 pub(super) fn serve(members: &[Member], pace: Pace) {
-    if members.iter().any(|m| m.instance.has_signal()) {
+    if members.iter().any(|m| m.instance.has_signal() && !steps_at_once(m, pace)) {
         turn::run(|| serve_signalled(members, pace));
     }
+}
+
+/// Its own step comes right away and takes what is queued.
+fn steps_at_once(member: &Member, pace: Pace) -> bool {
+    let steps = member.instance.is_active() && !member.instance.is_called_back();
+    steps && !matches!(member.follow, Follow::Member(_)) && pace == Pace::Signal
 }
 
 fn serve_signalled(members: &[Member], pace: Pace) {
     let mut served = false;
     for member in members.iter().filter(|m| m.instance.has_signal()) {
         let instance = &member.instance;
-        let child = matches!(member.follow, Follow::Member(_));
-        let steps = instance.is_active() && !instance.is_called_back();
-        if steps && !child && pace == Pace::Signal {
+        if steps_at_once(member, pace) {
             continue;
         }
+        let steps = instance.is_active() && !instance.is_called_back();
         if !served {
             context::set_stepping(true);
         }

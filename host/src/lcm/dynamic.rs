@@ -4,7 +4,7 @@
 //! took them: whatever fails leaves the old ports, their connections and what is queued in them as they were.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use trocar_model::Ports;
 use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
@@ -18,7 +18,7 @@ use super::boundary::{
 };
 use super::context;
 use super::convert;
-use super::inbox::{Inbox, Position};
+use super::inbox::{From, Inbox, Position};
 use super::instance::{Entered, Instance};
 use super::lifecycle::Entry;
 use super::supervise::Entry as Inside;
@@ -73,7 +73,7 @@ impl PortSet {
             Mailbox::new(EXTERNAL_DEPTH, max_arg, commands.len()),
             ReplyPool::new(EXTERNAL_REPLIES, max_ret, ERR_BYTES),
             commands.clone(),
-            Weak::new(),
+            From::Outside,
         );
         let bypass = ports.inputs.first().and_then(|input| {
             let fits = |o: &trocar_model::Output| {

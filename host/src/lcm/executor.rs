@@ -4,16 +4,17 @@
 //! allocates nothing and calls nothing of the OS but its own sleep and the wakes after the step; jobs run between cycles.
 
 use std::collections::{BTreeSet, VecDeque};
-use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use trocar_model::{Execution, ExecutionModel};
-use trocar_rt::executor::Pacer;
-use trocar_rt::wake::Waker;
+use trocar_rt::executor::{Bells, Clock, Pacer};
+use trocar_rt::wake::{MOST_BELLS, Waker};
 
 use super::context::{self, ExecutorId};
 use super::cycle::{self, Member};
+use super::instance::Instance;
 use super::realtime::{self, Memory, Settings};
 
 pub(super) use trocar_rt::executor::Pace;
@@ -39,7 +40,39 @@ pub(super) fn pace_of(execution: &Execution) -> Pace {
 /// The members of a thread, in the order of their steps, and how it finds its cycles.
 pub(super) struct Crew {
     pub(super) members: Vec<Member>,
+    pub(super) bells: Rung,
     pacer: Pacer,
+}
+
+/// Bells that other processes ring for members of a thread.
+#[derive(Default)]
+pub(super) struct Rung {
+    bells: Vec<Arc<Waker>>,
+    /// Whom each one is for.
+    members: Vec<Arc<Instance>>,
+}
+
+impl Rung {
+    pub(super) fn add(&mut self, bell: Arc<Waker>, member: Arc<Instance>) {
+        self.bells.push(bell);
+        self.members.push(member);
+    }
+
+    pub(super) fn remove(&mut self, bell: &Arc<Waker>) {
+        if let Some(at) = self.bells.iter().position(|b| Arc::ptr_eq(b, bell)) {
+            self.bells.swap_remove(at);
+            self.members.swap_remove(at);
+        }
+    }
+
+    /// Tells the members what was rung for them. Real-time.
+    fn hear(&self) {
+        for (bell, member) in self.bells.iter().zip(&self.members) {
+            if bell.take_if_set() {
+                member.signal();
+            }
+        }
+    }
 }
 
 type Job = Box<dyn FnOnce(&mut Crew) + Send>;
@@ -59,6 +92,8 @@ pub(super) struct Executor {
     pub(super) name: String,
     /// Kernel id of the thread; 0 until it runs.
     tid: AtomicI32,
+    /// Bells it sleeps on, or is about to.
+    bells: AtomicUsize,
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
@@ -115,6 +150,7 @@ impl Executor {
             settings,
             name: name[..name.floor_char_boundary(realtime::NAME_BYTES)].to_owned(),
             tid: AtomicI32::new(0),
+            bells: AtomicUsize::new(0),
         });
         let (mine, name, execution) = (executor.clone(), name.to_owned(), execution.clone());
         let memory = memory.clone();
@@ -125,7 +161,7 @@ impl Executor {
             mine.tid.store(listed.0, Ordering::Release);
             mine.settings.settle(&name, &execution);
             mine.settings.lock(&memory);
-            mine.run(Crew { members: Vec::new(), pacer: Pacer::new(pace) });
+            mine.run(Crew { members: Vec::new(), bells: Rung::default(), pacer: Pacer::new(pace) });
         })?;
         Ok(executor)
     }
@@ -144,6 +180,27 @@ impl Executor {
         drop(jobs);
         self.has_jobs.store(true, Ordering::Release);
         self.waker.notify();
+    }
+
+    /// From now on another process can wake it for this member with this bell.
+    ///
+    /// # Errors
+    /// It sleeps on as many bells as the kernel lets it.
+    pub(super) fn add_bell(&self, bell: Arc<Waker>, member: Arc<Instance>) -> Result<(), String> {
+        if self.bells.fetch_add(1, Ordering::Relaxed) >= MOST_BELLS {
+            self.bells.fetch_sub(1, Ordering::Relaxed);
+            return Err(format!(
+                "{}'s thread is woken by {MOST_BELLS} connections to other processes already, and can be by no more",
+                member.id
+            ));
+        }
+        self.submit(move |crew| crew.bells.add(bell, member));
+        Ok(())
+    }
+
+    pub(super) fn remove_bell(&self, bell: Arc<Waker>) {
+        self.bells.fetch_sub(1, Ordering::Relaxed);
+        self.submit(move |crew| crew.bells.remove(&bell));
     }
 
     /// Jobs nobody has begun.
@@ -166,18 +223,23 @@ impl Executor {
                 context::set_team(None);
                 return;
             }
-            let Crew { members, pacer } = &mut crew;
-            if !matches!(pacer.pace(), Pace::Grid { period_ns, .. } if period_ns <= SLOW_NS) {
+            let Crew { members, bells, pacer } = &mut crew;
+            bells.hear();
+            let clock = Bells { own: &self.waker, bells: &bells.bells };
+            // Who looks often enough by itself is not woken by other processes either.
+            let looks = matches!(pacer.pace(), Pace::Grid { period_ns, .. } if period_ns <= SLOW_NS);
+            if !looks {
                 cycle::serve(members, pacer.pace());
             }
             if !members.iter().any(|m| m.instance.is_active()) {
                 cycle::refuse(members);
-                pacer.rest(&*self.waker);
+                pacer.rest(&clock);
                 continue;
             }
             // Whoever leaves a callback runs what is queued, or wakes this thread again.
             let asks = |m: &Member| m.instance.has_signal() && !m.instance.is_called_back();
-            let due = pacer.next(&*self.waker, || members.iter().any(asks));
+            let signalled = || members.iter().any(asks);
+            let due = if looks { pacer.next(&*self.waker, signalled) } else { pacer.next(&clock, signalled) };
             let Some(due) = due else { continue };
             let stepped = match pacer.pace() {
                 Pace::Signal => cycle::signalled(members, &due),
@@ -188,7 +250,7 @@ impl Executor {
                     thread::yield_now();
                 } else {
                     // Its head stands still: nothing to run freely for.
-                    self.waker.wait(None);
+                    clock.wait(None);
                 }
             }
         }

@@ -14,7 +14,7 @@ use trocar_rt::os;
 use trocar_rt::stream::{Payload as StreamPayload, Queue, StreamReader, stream_link};
 
 use super::api::{Item, ItemKind, News, Report, Sample, Selection, When};
-use super::boundary::{EventCell, EventSink, OUTSIDE, OutCell, OutLink, Tap};
+use super::boundary::{Consumer, EventCell, EventSink, OUTSIDE, OutCell, OutLink, Tap};
 use super::convert::back;
 use super::instance::Instance;
 use super::local::LocalLcm;
@@ -147,7 +147,7 @@ impl Output {
             PortType::Any => return Err(Refusal::Internal { text: format!("{port} passes no type") }),
         };
         let (writer, reader) = stream_link(payload, Queue::Latest);
-        let link = Arc::new(OutLink::new(OUTSIDE, writer, None, None));
+        let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside));
         cell.add(link.clone(), &passing, &back::port(&passing).into());
         Ok(Output { instance, cell, ty, reader, link, last_seq: 0 })
     }

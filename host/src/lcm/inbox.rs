@@ -6,10 +6,12 @@
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 
+use trocar_model::ComponentId;
 use trocar_plugin_api::abi::{Outcome, PEER_LOST};
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::reply::ReplyPool;
 
+use super::boundary::RangeCheck;
 use super::instance::Instance;
 
 /// Kinds of mailbox entries.
@@ -50,11 +52,28 @@ pub(super) struct Inbox {
     pub(super) targets: Vec<Arc<Position>>,
     /// Events of one connection; else commands of one client.
     pub(super) events: bool,
-    /// Who fills it; nobody for what comes from outside.
-    pub(super) from: Weak<Instance>,
+    /// Who fills it.
+    pub(super) from: From,
+    /// What entries must be, where another process fills it; by their index.
+    checks: Vec<Check>,
     losses: Losses,
     toll: Toll,
     closed: AtomicBool,
+}
+
+/// Who fills a queue.
+pub(super) enum From {
+    /// The control plane.
+    Outside,
+    Component(Weak<Instance>),
+    /// A component of another process.
+    Far(ComponentId),
+}
+
+/// What an entry of another process must be to be run.
+pub(super) struct Check {
+    pub(super) bytes: usize,
+    pub(super) range: Option<RangeCheck>,
 }
 
 /// Entries that nobody waits for and that came to nothing after they had been taken.
@@ -96,33 +115,84 @@ impl Inbox {
         mailbox: Mailbox,
         replies: Arc<ReplyPool>,
         targets: Vec<Arc<Position>>,
-        from: Weak<Instance>,
+        from: From,
     ) -> Arc<Inbox> {
-        Arc::new(Inbox {
-            mailbox,
-            replies,
-            targets,
-            events: false,
-            from,
-            losses: Losses::default(),
-            toll: Toll::default(),
-            closed: AtomicBool::new(false),
-        })
+        Arc::new(Self::of(mailbox, replies, targets, from, false, Vec::new()))
     }
 
     /// Events of one connection.
-    pub(super) fn events(mailbox: Mailbox, targets: Vec<Arc<Position>>, from: Weak<Instance>) -> Arc<Inbox> {
-        let replies = ReplyPool::new(1, 0, 0);
-        Arc::new(Inbox {
+    pub(super) fn events(mailbox: Mailbox, targets: Vec<Arc<Position>>, from: From) -> Arc<Inbox> {
+        Arc::new(Self::of(mailbox, ReplyPool::new(1, 0, 0), targets, from, true, Vec::new()))
+    }
+
+    /// Commands of a client in another process.
+    pub(super) fn far_commands(
+        mailbox: Mailbox,
+        replies: Arc<ReplyPool>,
+        targets: Vec<Arc<Position>>,
+        from: ComponentId,
+        checks: Vec<Check>,
+    ) -> Arc<Inbox> {
+        Arc::new(Self::of(mailbox, replies, targets, From::Far(from), false, checks))
+    }
+
+    /// Events of a component of another process.
+    pub(super) fn far_events(
+        mailbox: Mailbox,
+        targets: Vec<Arc<Position>>,
+        from: ComponentId,
+        checks: Vec<Check>,
+    ) -> Arc<Inbox> {
+        Arc::new(Self::of(mailbox, ReplyPool::new(1, 0, 0), targets, From::Far(from), true, checks))
+    }
+
+    fn of(
+        mailbox: Mailbox,
+        replies: Arc<ReplyPool>,
+        targets: Vec<Arc<Position>>,
+        from: From,
+        events: bool,
+        checks: Vec<Check>,
+    ) -> Inbox {
+        Inbox {
             mailbox,
             replies,
             targets,
-            events: true,
+            events,
             from,
+            checks,
             losses: Losses::default(),
             toll: Toll::default(),
             closed: AtomicBool::new(false),
-        })
+        }
+    }
+
+    /// Who fills it, where it is a component of this process, and its name.
+    pub(super) fn sender(&self) -> (Option<Arc<Instance>>, String) {
+        match &self.from {
+            From::Outside => (None, "outside".to_owned()),
+            From::Far(id) => (None, id.to_string()),
+            From::Component(from) => {
+                let from = from.upgrade();
+                let name =
+                    from.as_ref().map_or_else(|| "one that is gone".into(), |from| from.id.to_string());
+                (from, name)
+            }
+        }
+    }
+
+    /// Whether an entry is what it has to be, where another process may have put anything there.
+    #[inline]
+    pub(super) fn admits(&self, head: EntryHead, payload: &[u8]) -> bool {
+        self.checks.is_empty() || self.is_as_agreed(head, payload)
+    }
+
+    #[inline(never)]
+    fn is_as_agreed(&self, head: EntryHead, payload: &[u8]) -> bool {
+        let kind = if self.events { ENTRY_EVENT } else { ENTRY_COMMAND };
+        let Some(check) = self.checks.get(head.index as usize) else { return false };
+        let in_range = || check.range.as_ref().is_none_or(|range| range.holds_in(payload));
+        head.kind == kind && payload.len() == check.bytes && in_range()
     }
 
     /// Takes nothing more; answers everything still queued with `outcome`, unexecuted.
@@ -187,8 +257,7 @@ impl Inbox {
         if self.events {
             return;
         }
-        let from = self.from.upgrade();
-        let sender = from.as_ref().map_or_else(|| "outside".to_owned(), |from| from.id.to_string());
+        let (from, sender) = self.sender();
         let say = |what: &str, how: &str| {
             to.warn_about(&format!("commands sent by {sender} {what}"), how);
             if let Some(from) = &from {
@@ -230,7 +299,8 @@ impl Inbox {
         }
         self.losses.told.store(lost, Ordering::Relaxed);
         self.losses.told_ns.store(now_ns, Ordering::Relaxed);
-        lost - told
+        // Another process may have written a lower count than it had.
+        lost.saturating_sub(told)
     }
 }
 
@@ -242,7 +312,7 @@ mod tests {
 
     #[test]
     fn what_is_thrown_out_is_counted_unless_somebody_waits_for_its_answer() {
-        let inbox = Inbox::events(Mailbox::new(4, 0, 0), Vec::new(), Weak::new());
+        let inbox = Inbox::events(Mailbox::new(4, 0, 0), Vec::new(), From::Outside);
         let waited_for = EntryHead { reply: 1 << 40, ..EntryHead::default() };
         for head in [EntryHead::default(), waited_for, EntryHead::default()] {
             assert_eq!(inbox.mailbox.push(head, &[], Overflow::Reject), Push::Queued);
@@ -256,7 +326,7 @@ mod tests {
 
     #[test]
     fn a_failure_is_counted_and_its_sentence_cut_to_its_room() {
-        let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), Weak::new());
+        let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), From::Outside);
         inbox.note_failure(&[b'x'; 2 * SENTENCE_BYTES]);
         inbox.note_failure(b"no paper");
         let last = inbox.toll.last.try_lock().unwrap();
@@ -265,7 +335,7 @@ mod tests {
 
     #[test]
     fn losses_are_told_once_and_at_most_once_a_second() {
-        let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), Weak::new());
+        let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), From::Outside);
         let push = || inbox.mailbox.push(EntryHead::default(), &[], Overflow::Reject);
         assert_eq!(inbox.untold_losses(5), 0, "nothing was lost yet");
         assert_eq!(push(), Push::Queued);

@@ -26,6 +26,7 @@ use super::boundary::{EntryError, HostContext, NoRoom, Object, SharedTable};
 use super::context::ExecutorId;
 use super::dynamic::Described;
 use super::executor::Executor;
+use super::far::{Face, Standing};
 use super::gate::{ACTIVE, pack, unpack};
 use super::hub::Hub;
 use super::inbox::Inbox;
@@ -219,6 +220,10 @@ pub(super) struct Instance {
     /// Reads from outside.
     pub(super) reading: Reading,
     inboxes: BindingCell<Vec<Arc<Inbox>>>,
+    /// What clients in other processes see of it.
+    faces: BindingCell<Vec<Arc<Face>>>,
+    /// Some do.
+    faced: AtomicBool,
     /// Managers change the list one after the other.
     editing: Mutex<()>,
     pub(super) owed: Owed,
@@ -296,6 +301,8 @@ impl Instance {
             stats: CycleStats::new(terms.period_ns()),
             reading: Reading::default(),
             inboxes: BindingCell::new(Box::new(vec![now.external.clone()])),
+            faces: BindingCell::new(Box::default()),
+            faced: AtomicBool::new(false),
             editing: Mutex::new(()),
             owed: Owed::default(),
             described,
@@ -395,7 +402,7 @@ impl Instance {
     }
 
     pub(super) fn reclaim(&self) -> usize {
-        self.described.reclaim() + self.inboxes.reclaim()
+        self.described.reclaim() + self.inboxes.reclaim() + self.faces.reclaim()
     }
 
     /// Ends the plugin's instance; one that somebody is still making safe is left, with all it was given.
@@ -410,12 +417,49 @@ impl Instance {
     /// Everything that can still reach it is told it is gone.
     pub(super) fn close(&self) {
         self.closed.store(true, Ordering::Release);
+        self.show_standing();
         self.refuse_queued(PEER_LOST);
     }
 
     /// It is about to be removed; or it is not after all, and was set going again.
     pub(super) fn set_going(&self, going: bool) {
         self.going.store(going, Ordering::Release);
+        self.show_standing();
+    }
+
+    /// Changes who sees it from other processes; managers only.
+    pub(super) fn edit_faces(&self, f: impl FnOnce(&mut Vec<Arc<Face>>)) {
+        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut faces = self.faces.enter().clone();
+        f(&mut faces);
+        self.faced.store(!faces.is_empty(), Ordering::SeqCst);
+        self.faces.swap(Box::new(faces));
+    }
+
+    /// How it stands for whoever calls it.
+    pub(super) fn standing(&self) -> Standing {
+        if self.going.load(Ordering::SeqCst) || self.is_closed() {
+            Standing::Gone
+        } else if self.is_active() {
+            Standing::Active
+        } else {
+            Standing::NotActive
+        }
+    }
+
+    /// Shows other processes how it stands, after that has changed.
+    pub(super) fn show_standing(&self) {
+        if self.faced.load(Ordering::SeqCst) {
+            self.faces.enter().iter().for_each(|face| face.show_standing(self));
+        }
+    }
+
+    /// Shows other processes the results of its reads. Real-time.
+    #[inline]
+    pub(super) fn show_row(&self) {
+        if self.faced.load(Ordering::Relaxed) {
+            self.faces.look(|faces| faces.iter().for_each(|face| face.show_row(self)));
+        }
     }
 
     /// What callers get who cannot be served any more: stopped is not ACTIVE, removed is gone. Real-time.

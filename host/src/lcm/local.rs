@@ -4,10 +4,12 @@
 
 mod assemble;
 mod detail;
+mod far;
 mod ports;
 mod wiring;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -20,8 +22,8 @@ use trocar_rt::os;
 
 use self::ports::Follower;
 use super::api::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report, Sample,
-    Selection, When,
+    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report,
+    Sample, Selection, When,
 };
 use super::calling;
 use super::classes::Classes;
@@ -29,8 +31,9 @@ use super::connect::Wired;
 use super::cycle::Follow;
 use super::executor::Executor;
 use super::external;
+use super::far::Far;
 use super::hub::Hub;
-use super::instance::{Entered, Instance};
+use super::instance::{Entered, Instance, Loss};
 use super::order::Place;
 use super::realtime::Memory;
 use super::services::Services;
@@ -45,6 +48,8 @@ pub struct LcmConfig {
     pub process: Name,
     /// Where classes come from; `None` leaves the process without any.
     pub classes: Option<Arc<dyn Classes>>,
+    /// Where it listens for other processes of its machine; `None`: its components connect to none of them.
+    pub links: Option<PathBuf>,
     /// Lock the memory of the process, where the machine allows it, else the stacks of components' threads.
     pub lock_memory: bool,
 }
@@ -59,6 +64,7 @@ pub struct LocalLcm {
     memory: Memory,
     watchdog: Watchdog,
     follower: Follower,
+    far: Option<Far>,
 }
 
 #[derive(Default)]
@@ -110,7 +116,12 @@ impl LocalLcm {
         let hub = Hub::new(config.process);
         let memory = if config.lock_memory { Memory::lock() } else { Memory::default() };
         let roster = Arc::new(Roster::default());
+        let news = hub.news.clone();
+        // Nobody listening is fine: the inventory has it.
+        let tell = move |half| _ = news.send(News::Half(half));
+        let far = config.links.map(|socket| Far::start(hub.process.as_str(), socket, tell)).transpose()?;
         let lcm = Arc::new(LocalLcm {
+            far,
             classes: config.classes,
             held: Mutex::new(Held::default()),
             next_number: AtomicU32::new(1),
@@ -195,6 +206,9 @@ impl LocalLcm {
                 log::error!("{id} could not be removed at shutdown: {refusal}");
             }
         }
+        if let Some(far) = &self.far {
+            far.stop();
+        }
         self.follower.stop();
         self.drop_left(deadline).await;
         self.watchdog.stop();
@@ -209,6 +223,27 @@ impl LocalLcm {
 
     fn held(&self) -> MutexGuard<'_, Held> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The component whose report answers a change.
+    fn about<'c>(&self, change: &'c Change) -> &'c ComponentId {
+        match change {
+            Change::Create { id, .. }
+            | Change::Destroy { id, .. }
+            | Change::Configure { id, .. }
+            | Change::Run { id, .. } => id,
+            Change::Connect { connection } | Change::Disconnect { connection, .. } => {
+                let client = &connection.client.component;
+                if client.process == self.hub.process { client } else { &connection.server.component }
+            }
+        }
+    }
+
+    /// Numbers of all connections that end here.
+    fn connections(&self) -> Vec<u64> {
+        let here = self.held().links.keys().copied().collect::<Vec<_>>();
+        let far = self.far.as_ref().map_or_else(Vec::new, Far::connections);
+        here.into_iter().chain(far).collect()
     }
 
     fn slot(&self, id: &ComponentId) -> Result<Slot, Refusal> {
@@ -334,23 +369,11 @@ async fn join_all<F: Future>(futures: impl IntoIterator<Item = F>) -> Vec<F::Out
     done.into_iter().flatten().collect()
 }
 
-/// The component whose report answers a change.
-fn about(change: &Change) -> &ComponentId {
-    match change {
-        Change::Create { id, .. }
-        | Change::Destroy { id, .. }
-        | Change::Configure { id, .. }
-        | Change::Run { id, .. } => id,
-        Change::Connect { connection } | Change::Disconnect { connection, .. } => {
-            &connection.client.component
-        }
-    }
-}
-
 #[async_trait]
 impl Lcm for LocalLcm {
     async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal> {
-        let stood = self.instance(about(&change)).map(|instance| instance.warnings()).unwrap_or_default();
+        let stood =
+            self.instance(self.about(&change)).map(|instance| instance.warnings()).unwrap_or_default();
         let done = match change {
             Change::Create { id, component } => self.create(id, component, deadline).await,
             Change::Destroy { id, .. } => self.destroy(&id, deadline).await,
@@ -360,12 +383,16 @@ impl Lcm for LocalLcm {
             Change::Run { id, verb, .. } => self.run_verb(&id, verb, deadline).await,
             Change::Connect { connection } => self.wire(connection, deadline).await,
             Change::Disconnect { connection, replaced } => {
-                match self.unwire(connection.id.0, replaced, deadline).await {
+                let number = connection.id.0;
+                match self.unwire(number, replaced, deadline).await {
                     Some(wired) => Ok(wired.client.report(false)),
-                    None => Err(Refusal::ConnectionNotFound {
-                        asked: connection.id.0.to_string(),
-                        known: self.held().links.keys().map(u64::to_string).collect(),
-                    }),
+                    None => {
+                        let how = if replaced { Loss::Replaced } else { Loss::Cut };
+                        self.unlink_far(number, how).await.ok_or_else(|| Refusal::ConnectionNotFound {
+                            asked: number.to_string(),
+                            known: self.connections().iter().map(u64::to_string).collect(),
+                        })
+                    }
                 }
             }
         };
@@ -374,6 +401,10 @@ impl Lcm for LocalLcm {
             report.warnings.retain(|warning| !stood.contains(warning));
             report
         })
+    }
+
+    async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+        self.link_far(end, deadline).await
     }
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
@@ -399,7 +430,9 @@ impl Lcm for LocalLcm {
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
-        Ok(self.held().links.values().map(|l| l.detail()).collect())
+        let mut details: Vec<LinkDetail> = self.held().links.values().map(|l| l.detail()).collect();
+        details.extend(self.far.iter().flat_map(Far::details));
+        Ok(details)
     }
 
     async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal> {
@@ -408,7 +441,12 @@ impl Lcm for LocalLcm {
 
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         let components = self.held().components.values().map(|s| s.instance.report(true)).collect();
-        Ok(Inventory { components, classes: self.classes.as_ref().map_or_else(Vec::new, |c| c.catalog()) })
+        Ok(Inventory {
+            card: self.own_card(),
+            components,
+            classes: self.classes.as_ref().map_or_else(Vec::new, |c| c.catalog()),
+            halves: self.far.as_ref().map_or_else(Vec::new, Far::reports),
+        })
     }
 
     fn news(&self) -> broadcast::Receiver<News> {

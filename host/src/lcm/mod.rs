@@ -14,6 +14,7 @@ mod cycle;
 mod dynamic;
 mod executor;
 mod external;
+mod far;
 mod gate;
 mod hub;
 mod inbox;

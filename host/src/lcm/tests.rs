@@ -3,6 +3,7 @@
 
 mod allocations;
 mod answering;
+mod bells;
 mod branches;
 mod callbacks;
 mod executors;
@@ -48,6 +49,7 @@ impl World {
         let config = LcmConfig {
             process: Name::parse(process).unwrap(),
             classes: Some(Arc::new(FakeClasses)),
+            links: None,
             lock_memory: false,
         };
         World { lcm: LocalLcm::new(config).unwrap(), process }

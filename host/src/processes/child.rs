@@ -1,42 +1,49 @@
-//! One child: spawned with its standard input as the tie, asked to end by closing it, and what it says first.
+//! One child: spawned with its standard input as the tie, asked to end by closing it, and what it says over it.
 //!
 //! Invariant: it is waited for by its handle (a pidfd where the kernel has them), never by its number, so nobody else is
-//! ever taken for it.
+//! ever taken for it. Nothing it prints passes through this process: it can wait for no reader.
 
 use std::ffi::OsString;
-use std::io::Write;
+use std::fs::File;
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::Stdio;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use serde_json::Value;
 use tokio::io::AsyncReadExt;
-use tokio::process::{ChildStdin, ChildStdout, Command};
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::process::Command;
 use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 
 use super::{Exit, Policy};
 
 /// What a child shows of its log; all of it is in its state directory.
 const LEVEL: &str = "TROCAR_LOG";
-/// Longest first line, bytes.
+/// Longest line it says, bytes.
 const LINE: usize = 1 << 20;
-/// How long a child that was asked to end may take for it.
-const PATIENCE: Duration = Duration::from_secs(12);
-/// How long what a child wrote may be on its way after its end.
+/// How long what a child said may be on its way after its end.
 const LAST_WORD: Duration = Duration::from_millis(500);
+/// How long a child that was killed may take to be gone.
+const GONE: Duration = Duration::from_secs(5);
 
-/// What is run as a child: a `trocar` that serves, with `--json` and `--tied`.
+/// What is run as a child: this program, serving, with `--json` and `--tied`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
     /// What the process is called in the system.
     pub name: String,
-    pub file: PathBuf,
     pub args: Vec<OsString>,
     /// Address it listens on; port 0 takes a free one.
     pub listen: String,
     /// Started again it listens where it listened first.
     pub stays: bool,
     pub env: Vec<(String, String)>,
+    /// Where all it prints goes.
+    pub output: PathBuf,
     pub policy: Policy,
 }
 
@@ -48,98 +55,136 @@ pub(super) enum Said {
     Refused(Value),
 }
 
-/// A running child; killed when dropped.
+/// A running child; let go when dropped, and then ends by itself.
 pub(super) struct Child {
     process: tokio::process::Child,
-    tie: Option<ChildStdin>,
+    tie: Option<OwnedWriteHalf>,
     pub(super) pid: u32,
     said: oneshot::Receiver<Said>,
+    /// It said that it ends because somebody asked it to.
+    farewell: Arc<AtomicBool>,
+    hearing: Option<JoinHandle<()>>,
 }
 
 impl Child {
     pub(super) fn spawn(program: &Program, listen: &str) -> std::io::Result<Child> {
-        let mut command = Command::new(&program.file);
+        let mut command = Command::new(this_program()?);
         command.args(&program.args).args(["--json", "--tied", "--listen", listen]);
         if std::env::var_os(LEVEL).is_none() {
             command.env(LEVEL, "warn");
         }
         command.envs(program.env.iter().map(|(name, value)| (name, value)));
+        let (ours, its) = UnixStream::pair()?;
+        ours.set_nonblocking(true)?;
+        let output = File::options().create(true).append(true).open(&program.output)?;
         // Its own group: Ctrl-C is for whoever keeps it, who then ends all in order.
-        command.process_group(0).kill_on_drop(true);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut process = command.spawn()?;
+        command.process_group(0).stdin(Stdio::from(OwnedFd::from(its)));
+        command.stdout(output.try_clone()?).stderr(output);
+        let process = command.spawn()?;
+        let (from, tie) = tokio::net::UnixStream::from_std(ours)?.into_split();
         let (tell, said) = oneshot::channel();
-        if let Some(stdout) = process.stdout.take() {
-            tokio::spawn(listen_to(stdout, tell));
-        }
+        let farewell = Arc::new(AtomicBool::new(false));
+        let hearing = Some(tokio::spawn(hear(from, tell, farewell.clone())));
         let pid = process.id().unwrap_or_default();
-        Ok(Child { tie: process.stdin.take(), process, pid, said })
+        Ok(Child { process, tie: Some(tie), pid, said, farewell, hearing })
     }
 
     /// Waits for its end. May be called again when it was given up before.
     pub(super) async fn ended(&mut self) -> Exit {
-        match self.process.wait().await {
+        let exit = match self.process.wait().await {
             Ok(status) => status.into(),
             Err(e) => Exit::NotStarted(format!("nobody knows what became of it: {e}")),
+        };
+        // What it said last may still be on the way; a child of its own may keep the tie open.
+        if let Some(hearing) = &mut self.hearing
+            && tokio::time::timeout(LAST_WORD, hearing).await.is_ok()
+        {
+            self.hearing = None;
         }
+        exit
     }
 
-    /// What it says first; `None` when it ends, or closes its standard output, without a word.
+    /// Somebody asked it to end, and it did: a plugin that ends the process says nothing.
+    pub(super) fn said_farewell(&self) -> bool {
+        self.farewell.load(Ordering::Acquire)
+    }
+
+    /// What it says first; `None` when it ends, or closes its standard input, without a word.
     pub(super) async fn first_word(&mut self) -> Option<Said> {
         tokio::select! {
             biased;
             said = &mut self.said => return said.ok(),
             _ = self.process.wait() => {}
         }
-        // What it wrote last may still be on the way; a child of its own may keep the pipe open.
         tokio::time::timeout(LAST_WORD, &mut self.said).await.ok()?.ok()
     }
 
-    /// Asks it to end, and kills it when it does not.
-    pub(super) async fn end(&mut self) -> Exit {
+    /// Asks it to end, and kills it when it does not within its time. `why` it is to: `None`, as all have to some time.
+    pub(super) async fn end(&mut self, patience: Duration, why: Option<String>) -> Exit {
         drop(self.tie.take());
-        if let Ok(exit) = tokio::time::timeout(PATIENCE, self.ended()).await {
-            return exit;
-        }
-        log::error!("process {} did not end within {} s and is killed", self.pid, PATIENCE.as_secs());
+        let why = match (tokio::time::timeout(patience, self.ended()).await, why) {
+            (Ok(exit), None) => return exit,
+            (Ok(_), Some(why)) => return Exit::Killed(why),
+            (Err(_), Some(why)) => why,
+            (Err(_), None) => format!("did not end within {} s", patience.as_secs()),
+        };
+        log::error!("process {} {why} and is killed", self.pid);
         // It may have ended in this moment.
         let _ = self.process.start_kill();
-        self.ended().await
-    }
-}
-
-/// Takes the first line, and passes on to standard error what plugins print after it.
-async fn listen_to(mut stdout: ChildStdout, tell: oneshot::Sender<Said>) {
-    let (mut tell, mut line, mut chunk) = (Some(tell), Vec::new(), vec![0; 8192]);
-    while let Ok(n @ 1..) = stdout.read(&mut chunk).await {
-        let mut rest = &chunk[..n];
-        if let Some(teller) = tell.take() {
-            let end = rest.iter().position(|b| *b == b'\n');
-            line.extend_from_slice(&rest[..end.unwrap_or(n)]);
-            match end {
-                None if line.len() < LINE => {
-                    tell = Some(teller);
-                    continue;
-                }
-                None => continue,
-                Some(end) => rest = &rest[end + 1..],
-            }
-            if let Some(said) = understood(&line) {
-                // Whoever waited may have given up.
-                let _ = teller.send(said);
-            }
-            line = Vec::new();
+        match tokio::time::timeout(GONE, self.ended()).await {
+            Ok(_) => Exit::Killed(why),
+            // The kernel holds it, in a driver for one.
+            Err(_) => Exit::Stuck(why),
         }
-        // Nobody has to read what plugins print.
-        let _ = std::io::stderr().write_all(rest);
     }
 }
 
-fn understood(line: &[u8]) -> Option<Said> {
+/// The program that runs here, also when another one lies in its place by now: they might not understand each other.
+fn this_program() -> std::io::Result<PathBuf> {
+    let path = std::env::current_exe()?;
+    let replaced = path.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
+    Ok(if replaced { PathBuf::from("/proc/self/exe") } else { path })
+}
+
+/// Takes what it says: where it serves or why it does not, and at its end that somebody asked for that.
+async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, farewell: Arc<AtomicBool>) {
+    let (mut tell, mut line, mut chunk) = (Some(tell), Vec::new(), vec![0; 4096]);
+    while let Ok(n @ 1..) = from.read(&mut chunk).await {
+        for byte in &chunk[..n] {
+            match byte {
+                b'\n' => {
+                    match (understood(&line), tell.take()) {
+                        (Some(Word::Farewell), teller) => {
+                            farewell.store(true, Ordering::Release);
+                            tell = teller;
+                        }
+                        // Whoever waited may have given up.
+                        (Some(Word::First(said)), Some(teller)) => _ = teller.send(said),
+                        (_, teller) => tell = teller,
+                    }
+                    line.clear();
+                }
+                _ if line.len() < LINE => line.push(*byte),
+                _ => {}
+            }
+        }
+    }
+}
+
+#[derive(Debug, PartialEq)]
+enum Word {
+    First(Said),
+    Farewell,
+}
+
+fn understood(line: &[u8]) -> Option<Word> {
     let value: Value = serde_json::from_slice(line).ok()?;
+    if value.get("ending").is_some() {
+        return Some(Word::Farewell);
+    }
     match value.get("listening").and_then(Value::as_str) {
-        Some(address) => Some(Said::Listening(address.to_owned())),
-        None => value.get("reason").is_some().then_some(Said::Refused(value)),
+        Some(address) => Some(Word::First(Said::Listening(address.to_owned()))),
+        None => value.get("reason").is_some().then_some(Word::First(Said::Refused(value))),
     }
 }
 
@@ -148,11 +193,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_line_is_an_address_or_a_refusal() {
+    fn the_first_line_is_an_address_or_a_refusal_and_the_last_a_farewell() {
         let address = understood(br#"{"listening":"127.0.0.1:7","pid":3}"#);
-        assert_eq!(address, Some(Said::Listening("127.0.0.1:7".into())));
+        assert_eq!(address, Some(Word::First(Said::Listening("127.0.0.1:7".into()))));
         let refused = understood(br#"{"reason":"LISTEN","message":"taken"}"#);
-        assert!(matches!(&refused, Some(Said::Refused(v)) if v["message"] == "taken"), "{refused:?}");
+        assert!(
+            matches!(&refused, Some(Word::First(Said::Refused(v))) if v["message"] == "taken"),
+            "{refused:?}"
+        );
+        assert_eq!(understood(br#"{"ending":true}"#), Some(Word::Farewell));
         assert_eq!(understood(b"hello"), None);
     }
 }

@@ -2,14 +2,15 @@
 //!
 //! Invariant: only the user of the directory can ask, and whoever asks is answered when it is down, not before.
 
-use std::fs;
+use std::fs::{self, File, Permissions};
 use std::io::ErrorKind;
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::{Pid, PidfdFlags, getpid, pidfd_open};
+use rustix::process::{Pid, PidfdFlags, geteuid, getpid, pidfd_open};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::mpsc;
@@ -32,7 +33,8 @@ pub struct Door {
 /// What came of asking.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Answer {
-    Down,
+    /// Everything has ended; what did not end in order, one sentence each.
+    Down(Vec<String>),
     /// Nobody is there.
     Nobody,
     /// It did not go down, or nobody knows: why.
@@ -45,17 +47,21 @@ impl Door {
     /// # Errors
     /// The socket cannot be bound.
     pub fn open(dir: &Path) -> std::io::Result<Door> {
+        // It may be older than this program, or made by somebody with other habits.
+        fs::set_permissions(dir, Permissions::from_mode(0o700))?;
         let path = dir.join(SOCKET);
         // The directory is ours: what lies here is a dead system's.
         let _ = fs::remove_file(&path);
-        let listener = UnixListener::bind(&path)?;
+        let near = Near::of(dir)?;
+        let listener = UnixListener::bind(near.socket())?;
         let (tell, asked) = mpsc::channel(16);
         let task = tokio::spawn(async move {
             loop {
                 match listener.accept().await {
-                    Ok((stream, _)) => {
+                    Ok((stream, _)) if is_ours(&stream) => {
                         tokio::spawn(let_in(stream, tell.clone()));
                     }
+                    Ok(_) => log::warn!("another user asked this system to go down"),
                     // Out of descriptors: others may free some.
                     Err(_) => tokio::time::sleep(Duration::from_millis(100)).await,
                 }
@@ -73,21 +79,23 @@ impl Door {
         }
     }
 
-    /// Answers whoever asked that it is done.
-    pub async fn answer(&mut self, first: Option<UnixStream>) {
+    /// Answers whoever asked that it is done, and what did not end in order.
+    pub async fn answer(&mut self, first: Option<UnixStream>, failed: &[String]) {
         let mut waiting: Vec<UnixStream> = first.into_iter().collect();
         while let Ok(next) = self.asked.try_recv() {
             waiting.push(next);
         }
+        let lines = failed.iter().map(|line| line.replace('\n', " ") + "\n");
+        let text: String = std::iter::once(DOWN.to_owned()).chain(lines).collect();
         for mut stream in waiting {
-            // It may not want to know any more.
-            let _ = stream.write_all(DOWN.as_bytes()).await;
+            // It may not want to know any more, or to listen.
+            let _ = tokio::time::timeout(ASK, stream.write_all(text.as_bytes())).await;
         }
     }
 
     /// Asks the system of this directory to go down and waits until it is, its own process too.
     pub async fn ask(dir: &Path) -> Answer {
-        let mut stream = match UnixStream::connect(dir.join(SOCKET)).await {
+        let mut stream = match connect(dir).await {
             Ok(stream) => stream,
             Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::ConnectionRefused) => {
                 return Answer::Nobody;
@@ -107,8 +115,10 @@ impl Door {
             Ok::<_, std::io::Error>(text)
         };
         match tokio::time::timeout(PATIENCE, talk).await {
-            Ok(Ok(text)) if text == DOWN => Answer::Down,
-            Ok(Ok(_)) => Answer::Unknown("it ended before it answered".to_owned()),
+            Ok(Ok(text)) => match text.strip_prefix(DOWN) {
+                Some(failed) => Answer::Down(failed.lines().map(str::to_owned).collect()),
+                None => Answer::Unknown("it ended before it answered".to_owned()),
+            },
             Ok(Err(e)) => Answer::Unknown(e.to_string()),
             Err(_) => Answer::Unknown(format!("no answer within {} s", PATIENCE.as_secs())),
         }
@@ -116,8 +126,31 @@ impl Door {
 
     /// True when somebody answers there.
     pub async fn is_open(dir: &Path) -> bool {
-        UnixStream::connect(dir.join(SOCKET)).await.is_ok()
+        connect(dir).await.is_ok()
     }
+}
+
+/// A directory by a short name: the name of a socket has at most 107 bytes, that of a directory many more.
+struct Near(File);
+
+impl Near {
+    fn of(dir: &Path) -> std::io::Result<Near> {
+        File::open(dir).map(Near)
+    }
+
+    fn socket(&self) -> PathBuf {
+        PathBuf::from(format!("/proc/self/fd/{}/{SOCKET}", self.0.as_raw_fd()))
+    }
+}
+
+async fn connect(dir: &Path) -> std::io::Result<UnixStream> {
+    let near = Near::of(dir)?;
+    UnixStream::connect(near.socket()).await
+}
+
+/// Its other end is held by the user of this process, or by root.
+fn is_ours(stream: &UnixStream) -> bool {
+    stream.peer_cred().is_ok_and(|peer| peer.uid() == geteuid().as_raw() || peer.uid() == 0)
 }
 
 impl Drop for Door {
@@ -164,11 +197,26 @@ mod tests {
         assert_eq!(Door::ask(dir.path()).await, Answer::Nobody);
         let mut door = Door::open(dir.path()).unwrap();
         assert!(Door::is_open(dir.path()).await);
+        let mode = fs::metadata(dir.path()).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o700, "nobody else comes near it");
         let path = dir.path().to_owned();
         let asking = tokio::spawn(async move { Door::ask(&path).await });
         let first = door.asked().await;
-        door.answer(Some(first)).await;
-        assert_eq!(asking.await.unwrap(), Answer::Down);
+        let failed = ["left did not end within 12 s\nand was killed".to_owned()];
+        door.answer(Some(first), &failed).await;
+        let told = vec!["left did not end within 12 s and was killed".to_owned()];
+        assert_eq!(asking.await.unwrap(), Answer::Down(told));
+    }
+
+    #[tokio::test]
+    async fn a_directory_with_a_long_name_has_a_door_too() {
+        let dir = tempfile::tempdir().unwrap();
+        let long = dir.path().join("d".repeat(200));
+        fs::create_dir(&long).unwrap();
+        let door = Door::open(&long).unwrap();
+        assert!(Door::is_open(&long).await);
+        drop(door);
+        assert!(!Door::is_open(&long).await && !long.join(SOCKET).exists());
     }
 
     #[tokio::test]

@@ -14,6 +14,10 @@ pub enum Exit {
     },
     /// It never ran: why.
     NotStarted(String),
+    /// Whoever keeps it killed it: why.
+    Killed(String),
+    /// It was killed and is still there: why it was.
+    Stuck(String),
 }
 
 /// Signals by number, as Linux numbers them on x86-64 and aarch64.
@@ -52,9 +56,9 @@ const SIGNALS: [&str; 31] = [
 ];
 
 impl Exit {
-    /// It ended as one that was asked to.
+    /// It ended as one that was asked to, should it have been: 130 says that it did not serve yet.
     pub fn is_orderly(&self) -> bool {
-        *self == Exit::Code(0)
+        matches!(self, Exit::Code(0 | 130))
     }
 }
 
@@ -80,6 +84,8 @@ impl fmt::Display for Exit {
                 if *core { f.write_str(" (core dumped)") } else { Ok(()) }
             }
             Exit::NotStarted(why) => write!(f, "could not be started: {why}"),
+            Exit::Killed(why) => write!(f, "{why} and was killed"),
+            Exit::Stuck(why) => write!(f, "{why}, was killed and is still not gone"),
         }
     }
 }
@@ -97,6 +103,8 @@ mod tests {
             Exit::from(ExitStatus::from_raw(9)),
             Exit::from(ExitStatus::from_raw(35)),
             Exit::NotStarted("no such file".into()),
+            Exit::Killed("did not serve within 30 s".into()),
+            Exit::Stuck("did not end within 12 s".into()),
         ];
         let said: Vec<String> = exits.iter().map(ToString::to_string).collect();
         let wanted = [
@@ -106,8 +114,11 @@ mod tests {
             "was killed by SIGKILL",
             "was killed by signal 35",
             "could not be started: no such file",
+            "did not serve within 30 s and was killed",
+            "did not end within 12 s, was killed and is still not gone",
         ];
         assert_eq!(said, wanted);
         assert!(Exit::from(ExitStatus::from_raw(0)).is_orderly() && !Exit::Code(1).is_orderly());
+        assert!(!Exit::Killed(String::new()).is_orderly());
     }
 }

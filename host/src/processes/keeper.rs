@@ -2,19 +2,30 @@
 //!
 //! Invariant: its status says at any time what is true of it; asked to end, it is not started again.
 
-use std::time::Instant;
+use std::convert::Infallible;
+use std::path::Path;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 
 use super::child::{Child, Program, Said};
-use super::policy::{History, Verdict};
+use super::policy::{History, How, Verdict};
 use super::{Exit, supervisor::Board};
+
+/// How long a child that was asked to end may take for it.
+const PATIENCE: Duration = Duration::from_secs(12);
+/// The same for one that is put down since it is of no use.
+const USELESS: Duration = Duration::from_secs(3);
+/// Size at which what a child printed becomes the old output, bytes; two are kept.
+const OUTPUT: u64 = 8 << 20;
+/// Between two looks at that size.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Where a supervised process is in its life.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Phase {
-    /// Spawned; it does not serve yet.
+    /// Spawned, for the first time or again; it does not serve yet.
     #[default]
     Starting,
     /// It serves, and is attached to its GCM if it has one.
@@ -54,30 +65,50 @@ impl Status {
     }
 }
 
-/// Keeps it until it is asked to end, or has been given up.
-pub(super) async fn keep(program: Program, board: Board, mut down: watch::Receiver<bool>) {
+/// What a keeper is told.
+pub(super) struct Orders {
+    /// True: it is to end, and not to be started again.
+    pub(super) down: watch::Receiver<bool>,
+    /// The incarnation of this number is of no use: why.
+    pub(super) put_down: mpsc::UnboundedReceiver<(u32, String)>,
+}
+
+/// Keeps it until it is asked to end, or has been given up. Answers how it ended when it was asked to.
+pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Option<Exit> {
+    let Orders { mut down, mut put_down } = orders;
     let mut history = History::new(program.policy);
     let mut listen = program.listen.clone();
     let set = |change: &dyn Fn(&mut Status)| board.change(&program.name, change);
+    let mut restarts = 0;
     loop {
         let mut refused = None;
-        let exit = match Child::spawn(&program, &listen) {
-            Err(e) => Exit::NotStarted(format!("{}: {e}", program.file.display())),
+        let (exit, farewell) = match Child::spawn(&program, &listen) {
+            Err(e) => {
+                set(&|s| s.restarts = restarts);
+                (Exit::NotStarted(e.to_string()), false)
+            }
             Ok(mut child) => {
                 let pid = child.pid;
-                set(&|s| s.pid = pid);
-                tokio::select! {
+                // In one step: nobody may take the end of the one before for an end of this one.
+                set(&|s| (s.phase, s.pid, s.restarts) = (Phase::Starting, pid, restarts));
+                let exit = tokio::select! {
                     exit = live(&mut child, &program, &board, &mut listen, &mut refused) => exit,
+                    why = useless(&mut put_down, pid) => child.end(USELESS, Some(why)).await,
                     () = asked(&mut down) => {
-                        let exit = child.end().await;
-                        return set(&|s| {
-                            (s.phase, s.last_exit) = (Phase::Ended, Some(exit.clone()));
-                        });
+                        let exit = child.end(PATIENCE, None).await;
+                        set(&|s| (s.phase, s.last_exit) = (Phase::Ended, Some(exit.clone())));
+                        return Some(exit);
                     }
-                }
+                };
+                (exit, child.said_farewell())
             }
         };
-        let verdict = history.ended(&exit, Instant::now());
+        let how = match (&exit, &refused) {
+            (Exit::Code(0), _) if farewell => How::AsAsked,
+            (_, Some(_)) => How::Refused,
+            _ => How::Failed,
+        };
+        let verdict = history.ended(how, Instant::now());
         let phase = match verdict {
             Verdict::Restart { .. } => Phase::Restarting,
             Verdict::GiveUp => Phase::Failed,
@@ -88,12 +119,14 @@ pub(super) async fn keep(program: Program, board: Board, mut down: watch::Receiv
             s.last_exit = Some(exit.clone());
             s.refused.clone_from(&refused);
         });
-        let Verdict::Restart { after } = verdict else { return };
+        let Verdict::Restart { after } = verdict else { return None };
         tokio::select! {
-            () = tokio::time::sleep(after) => {}
-            () = asked(&mut down) => return set(&|s| s.phase = Phase::Ended),
+            () = tokio::time::sleep(after) => restarts += 1,
+            () = asked(&mut down) => {
+                set(&|s| s.phase = Phase::Ended);
+                return None;
+            }
         }
-        set(&|s| s.restarts += 1);
     }
 }
 
@@ -102,7 +135,18 @@ async fn asked(down: &mut watch::Receiver<bool>) {
     let _ = down.wait_for(|down| *down).await;
 }
 
-/// From its first word to its end.
+/// Ends when this incarnation is found to be of no use; what was said of others is forgotten.
+async fn useless(put_down: &mut mpsc::UnboundedReceiver<(u32, String)>, pid: u32) -> String {
+    loop {
+        match put_down.recv().await {
+            Some((of, why)) if of == pid => return why,
+            Some(_) => {}
+            None => std::future::pending().await,
+        }
+    }
+}
+
+/// From its first word, which has its time, to its end.
 async fn live(
     child: &mut Child,
     program: &Program,
@@ -110,20 +154,73 @@ async fn live(
     listen: &mut String,
     refused: &mut Option<Value>,
 ) -> Exit {
-    match child.first_word().await {
-        Some(Said::Listening(address)) => {
-            if program.stays {
-                listen.clone_from(&address);
-            }
-            board.change(&program.name, &|s| {
-                s.phase = Phase::Running;
-                s.address = Some(address.clone());
-                s.refused = None;
-            });
+    let limit = program.policy.start_within();
+    let start = async {
+        match child.first_word().await {
+            Some(Said::Listening(address)) => return Ok(address),
+            Some(Said::Refused(why)) => *refused = Some(why),
+            // It says nothing a supervisor understands, and may still end for a reason.
+            None => {}
         }
-        Some(Said::Refused(why)) => *refused = Some(why),
-        // It says nothing a supervisor understands, and may still end for a reason.
-        None => {}
+        Err(child.ended().await)
+    };
+    let address = match tokio::time::timeout(limit, start).await {
+        Ok(Ok(address)) => address,
+        Ok(Err(exit)) => return exit,
+        Err(_) => {
+            let why = format!("did not serve within {} s", limit.as_secs_f64());
+            return child.end(USELESS, Some(why)).await;
+        }
+    };
+    if program.stays {
+        listen.clone_from(&address);
     }
-    child.ended().await
+    board.change(&program.name, &|s| {
+        s.phase = Phase::Running;
+        s.address = Some(address.clone());
+        s.refused = None;
+    });
+    tokio::select! {
+        exit = child.ended() => exit,
+        never = keep_short(&program.output) => match never {},
+    }
+}
+
+/// Puts away what a file has when that is much. Whoever writes to it appends, and goes on at its new end.
+pub async fn keep_short(output: &Path) -> Infallible {
+    let mut look = tokio::time::interval(LOOK);
+    loop {
+        look.tick().await;
+        if std::fs::metadata(output).is_ok_and(|m| m.len() > OUTPUT) {
+            let path = output.to_owned();
+            // What cannot be kept is lost; that it does not grow matters more.
+            let _ = tokio::task::spawn_blocking(move || put_away(&path)).await;
+        }
+    }
+}
+
+fn put_away(output: &Path) {
+    let _ = std::fs::copy(output, output.with_extension("old.log"));
+    let _ = std::fs::File::options().write(true).open(output).and_then(|file| file.set_len(0));
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::io::Write;
+
+    use super::*;
+
+    #[test]
+    fn what_is_printed_is_put_away_and_whoever_prints_goes_on() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("left.log");
+        let mut printing = std::fs::File::options().create(true).append(true).open(&path).unwrap();
+        printing.write_all(b"before\n").unwrap();
+        put_away(&path);
+        printing.write_all(b"after\n").unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "after\n", "no hole at its beginning");
+        assert_eq!(std::fs::read_to_string(dir.path().join("left.old.log")).unwrap(), "before\n");
+    }
 }

@@ -1,6 +1,6 @@
 //! Supervision of processes: spawned as children, tied to this one's life, started again by policy, given up above it.
 //!
-//! Invariant: no child outlives this process. Each holds the reading end of a pipe as its standard input; the kernel closes
+//! Invariant: no child outlives this process. Each holds one end of a socket pair as its standard input; the kernel closes
 //! the other end however this process ends, and the child then ends by itself, devices safe first.
 
 mod child;
@@ -13,6 +13,6 @@ mod supervisor;
 pub use child::Program;
 pub use door::{Answer, Door};
 pub use exit::Exit;
-pub use keeper::{Phase, Status};
-pub use policy::{Limits, Policy};
+pub use keeper::{Phase, Status, keep_short};
+pub use policy::{Limits, Policy, Unheard};
 pub use supervisor::Supervisor;

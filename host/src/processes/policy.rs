@@ -1,11 +1,10 @@
-//! Whether a process that ended is started again, and when: decided from its ends alone.
+//! Whether a process that ended is started again, and when, and how long one that lives may be of no use: decided from its
+//! ends alone.
 //!
 //! Invariant: pure; more than `max` restarts within `within` never happen, and what ended as asked is never started again.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
-
-use super::Exit;
 
 /// What follows the end of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,15 +13,41 @@ pub enum Policy {
     OnFailure(Limits),
 }
 
+/// When one that lives but is not heard, or holds a component that does not come back, is killed and started again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unheard {
+    /// After [`Unheard::USUAL`], or never when something in it moves something.
+    Usual,
+    Never,
+    After(Duration),
+}
+
+impl Unheard {
+    pub const USUAL: Duration = Duration::from_secs(10);
+
+    /// How long one may be unheard; `None`: as long as it likes.
+    pub fn limit(self, moves: bool) -> Option<Duration> {
+        match self {
+            Unheard::Usual if moves => None,
+            Unheard::Usual => Some(Unheard::USUAL),
+            Unheard::Never => None,
+            Unheard::After(limit) => Some(limit),
+        }
+    }
+}
+
 /// How often, and how soon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Restarts within `within`.
     pub max: u32,
     pub within: Duration,
-    /// Before the first restart; twice as long before each further one.
+    /// Before the second restart within that time; twice as long before each further one. The first one is at once.
     pub backoff: Duration,
     pub most_backoff: Duration,
+    /// From its spawn until it serves; then it is killed, which counts as a failure.
+    pub start_within: Duration,
+    pub unheard: Unheard,
 }
 
 impl Limits {
@@ -32,6 +57,8 @@ impl Limits {
         within: Duration::from_secs(10),
         backoff: Duration::from_millis(50),
         most_backoff: Duration::from_secs(2),
+        start_within: Duration::from_secs(60),
+        unheard: Unheard::Usual,
     };
 }
 
@@ -39,6 +66,33 @@ impl Default for Policy {
     fn default() -> Self {
         Policy::OnFailure(Limits::DEFAULT)
     }
+}
+
+impl Policy {
+    pub(super) fn start_within(self) -> Duration {
+        match self {
+            Policy::Never => Limits::DEFAULT.start_within,
+            Policy::OnFailure(limits) => limits.start_within,
+        }
+    }
+
+    /// When one that is of no use is put down; never one that nobody would start again.
+    pub fn unheard(self) -> Unheard {
+        match self {
+            Policy::Never => Unheard::Never,
+            Policy::OnFailure(limits) => limits.unheard,
+        }
+    }
+}
+
+/// How a process came to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum How {
+    /// Somebody asked it to, and it said so.
+    AsAsked,
+    /// It said why it does not start.
+    Refused,
+    Failed,
 }
 
 /// What is to be done about an end.
@@ -53,22 +107,27 @@ pub(super) enum Verdict {
     Leave,
 }
 
+/// Pause after a first refusal, and the longest: what is in its way is seldom gone at once.
+const REFUSED: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+
 /// The restarts of one process.
 #[derive(Debug)]
 pub(super) struct History {
     policy: Policy,
     restarts: VecDeque<Instant>,
+    /// One after the other, without any other end between.
+    refusals: u32,
 }
 
 impl History {
     pub(super) fn new(policy: Policy) -> History {
-        History { policy, restarts: VecDeque::new() }
+        History { policy, restarts: VecDeque::new(), refusals: 0 }
     }
 
     /// It ended at `now`.
-    pub(super) fn ended(&mut self, exit: &Exit, now: Instant) -> Verdict {
+    pub(super) fn ended(&mut self, how: How, now: Instant) -> Verdict {
         let limits = match self.policy {
-            _ if exit.is_orderly() => return Verdict::Leave,
+            _ if how == How::AsAsked => return Verdict::Leave,
             Policy::Never => return Verdict::GiveUp,
             Policy::OnFailure(limits) => limits,
         };
@@ -79,7 +138,14 @@ impl History {
         if recent >= limits.max {
             return Verdict::GiveUp;
         }
-        let after = limits.backoff.saturating_mul(1 << recent.min(16)).min(limits.most_backoff);
+        let pause = |before: u32| limits.backoff.saturating_mul(1 << before.min(16)).min(limits.most_backoff);
+        let mut after = recent.checked_sub(1).map_or(Duration::ZERO, pause);
+        if how == How::Refused {
+            after = after.max(REFUSED.0.saturating_mul(1 << self.refusals.min(16)).min(REFUSED.1));
+            self.refusals += 1;
+        } else {
+            self.refusals = 0;
+        }
         self.restarts.push_back(now + after);
         Verdict::Restart { after }
     }
@@ -89,27 +155,23 @@ impl History {
 mod tests {
     use super::*;
 
-    fn crash() -> Exit {
-        Exit::Signal { number: 11, core: false }
-    }
-
     #[test]
     fn a_storm_ends_after_three_restarts_and_the_pauses_grow() {
         let (mut history, mut now) = (History::new(Policy::default()), Instant::now());
         let mut pauses = Vec::new();
-        while let Verdict::Restart { after } = history.ended(&crash(), now) {
+        while let Verdict::Restart { after } = history.ended(How::Failed, now) {
             pauses.push(after.as_millis());
             now += after + Duration::from_millis(10);
         }
-        assert_eq!(pauses, [50, 100, 200]);
+        assert_eq!(pauses, [0, 50, 100]);
     }
 
     #[test]
     fn one_that_crashes_now_and_then_comes_back_for_ever() {
         let (mut history, mut now) = (History::new(Policy::default()), Instant::now());
         for _ in 0..1000 {
-            let after = Duration::from_millis(50);
-            assert_eq!(history.ended(&crash(), now), Verdict::Restart { after });
+            let after = Duration::ZERO;
+            assert_eq!(history.ended(How::Failed, now), Verdict::Restart { after });
             now += Duration::from_secs(11);
         }
         assert!(history.restarts.len() <= 3, "it remembers all its life: {}", history.restarts.len());
@@ -119,16 +181,40 @@ mod tests {
     fn the_pause_has_an_end() {
         let limits = Limits { max: 100, ..Limits::DEFAULT };
         let (mut history, now) = (History::new(Policy::OnFailure(limits)), Instant::now());
-        let last = (0..100).map(|_| history.ended(&crash(), now)).last();
+        let last = (0..100).map(|_| history.ended(How::Failed, now)).last();
         assert_eq!(last, Some(Verdict::Restart { after: Duration::from_secs(2) }));
-        assert_eq!(history.ended(&crash(), now), Verdict::GiveUp);
+        assert_eq!(history.ended(How::Failed, now), Verdict::GiveUp);
+    }
+
+    #[test]
+    fn one_that_refuses_to_start_is_asked_less_and_less_often() {
+        let limits = Limits { max: u32::MAX, most_backoff: Duration::from_millis(200), ..Limits::DEFAULT };
+        let (mut history, mut now) = (History::new(Policy::OnFailure(limits)), Instant::now());
+        let mut pauses = Vec::new();
+        for _ in 0..9 {
+            let Verdict::Restart { after } = history.ended(How::Refused, now) else { break };
+            pauses.push(after.as_millis());
+            now += after;
+        }
+        assert_eq!(pauses, [100, 200, 400, 800, 1600, 3200, 5000, 5000, 5000]);
+        assert_eq!(history.ended(How::Failed, now), Verdict::Restart { after: Duration::from_millis(200) });
+        assert_eq!(history.refusals, 0);
     }
 
     #[test]
     fn what_ended_as_asked_stays_away_and_never_means_never() {
         let now = Instant::now();
-        assert_eq!(History::new(Policy::default()).ended(&Exit::Code(0), now), Verdict::Leave);
-        assert_eq!(History::new(Policy::Never).ended(&crash(), now), Verdict::GiveUp);
-        assert_eq!(History::new(Policy::Never).ended(&Exit::Code(0), now), Verdict::Leave);
+        assert_eq!(History::new(Policy::default()).ended(How::AsAsked, now), Verdict::Leave);
+        assert_eq!(History::new(Policy::Never).ended(How::Failed, now), Verdict::GiveUp);
+        assert_eq!(History::new(Policy::Never).ended(How::AsAsked, now), Verdict::Leave);
+    }
+
+    #[test]
+    fn what_moves_something_is_put_down_only_where_the_policy_says_so() {
+        assert_eq!(Policy::default().unheard().limit(false), Some(Unheard::USUAL));
+        assert_eq!(Policy::default().unheard().limit(true), None);
+        let after = Unheard::After(Duration::from_secs(2));
+        assert_eq!(after.limit(true), Some(Duration::from_secs(2)));
+        assert_eq!((Unheard::Never.limit(false), Policy::Never.unheard()), (None, Unheard::Never));
     }
 }

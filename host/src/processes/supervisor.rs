@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use super::keeper::{Status, keep};
-use super::{Phase, Program};
+use super::keeper::{Orders, Status, keep};
+use super::{Exit, Program};
 
 /// How every process stands, by name.
 #[derive(Clone)]
@@ -20,7 +20,7 @@ impl Board {
     }
 }
 
-/// Keeps processes; dropped, it kills what it still keeps.
+/// Keeps processes; dropped, it lets go of what it still keeps, and that ends by itself, devices safe first.
 pub struct Supervisor {
     board: Board,
     kept: BTreeMap<String, Kept>,
@@ -28,7 +28,8 @@ pub struct Supervisor {
 
 struct Kept {
     down: watch::Sender<bool>,
-    task: JoinHandle<()>,
+    put_down: mpsc::UnboundedSender<(u32, String)>,
+    task: JoinHandle<Option<Exit>>,
 }
 
 impl Default for Supervisor {
@@ -46,8 +47,10 @@ impl Supervisor {
         }
         self.board.change(&name, &|_| {});
         let (down, asked) = watch::channel(false);
-        let task = tokio::spawn(keep(program, self.board.clone(), asked));
-        self.kept.insert(name, Kept { down, task });
+        let (put_down, useless) = mpsc::unbounded_channel();
+        let orders = Orders { down: asked, put_down: useless };
+        let task = tokio::spawn(keep(program, self.board.clone(), orders));
+        self.kept.insert(name, Kept { down, put_down, task });
     }
 
     /// How all stand now and whenever something changes; a slow reader sees the newest.
@@ -55,35 +58,30 @@ impl Supervisor {
         self.board.all.subscribe()
     }
 
-    /// Waits until a process serves; answers how it stands when it will not.
-    ///
-    /// # Errors
-    /// It failed or ended.
-    pub async fn serving(&self, name: &str) -> Result<Status, Status> {
-        let mut all = self.statuses();
-        let settled = |all: &BTreeMap<String, Status>| {
-            let phase = all.get(name).map(|s| s.phase);
-            !matches!(phase, Some(Phase::Starting | Phase::Restarting))
-        };
-        // The board lives as long as this does.
-        let status =
-            all.wait_for(settled).await.ok().and_then(|all| all.get(name).cloned()).unwrap_or_default();
-        if status.phase == Phase::Running { Ok(status) } else { Err(status) }
+    /// The incarnation of this number is of no use, says why: it is asked to end, soon killed, and treated as one that failed.
+    pub fn put_down(&self, name: &str, pid: u32, why: String) {
+        if let Some(kept) = self.kept.get(name) {
+            // One that was given up takes no orders.
+            let _ = kept.put_down.send((pid, why));
+        }
     }
 
-    /// Asks these to end, all at once, and waits until they have.
-    pub async fn end(&mut self, names: &[String]) {
+    /// Asks these to end, all at once, and waits until they have. Answers those that did not end in order.
+    pub async fn end(&mut self, names: &[String]) -> Vec<(String, Exit)> {
         for name in names {
             if let Some(kept) = self.kept.get(name) {
                 kept.down.send_replace(true);
             }
         }
+        let mut failed = Vec::new();
         for name in names {
             if let Some(kept) = self.kept.remove(name) {
                 // A keeper that panicked has let go of its child, which ends by itself.
-                let _ = kept.task.await;
+                let exit = kept.task.await.unwrap_or_default();
+                failed.extend(exit.filter(|exit| !exit.is_orderly()).map(|exit| (name.clone(), exit)));
             }
         }
+        failed
     }
 }
 

@@ -59,7 +59,9 @@ impl SystemFile {
             | Refusal::CommandMissing { client, server, .. }
             | Refusal::CommandKindMismatch { client, server, .. }
             | Refusal::TypeMismatch { client, server, .. }
-            | Refusal::FormatMismatch { client, server, .. } => pair(client, server),
+            | Refusal::FormatMismatch { client, server, .. }
+            | Refusal::Unreachable { client, server, .. } => pair(client, server),
+            Refusal::ArgumentInvalid { what, field, .. } => self.option(what, field),
             _ => None,
         }
     }
@@ -84,10 +86,7 @@ impl SystemFile {
         let component = |id: &ComponentId| join("/components", &self.written(id).to_string());
         let mut connections = self.connections.iter();
         match (reason, id) {
-            // Nothing else of a system file is not there yet.
-            ("NOT_IMPLEMENTED", _) => connections
-                .position(|c| c.client.component.process != c.server.component.process)
-                .map(connection),
+            ("ARGUMENT_INVALID", None) => self.option(value("what")?, value("field")?),
             ("CLASS_NOT_FOUND", _) => {
                 let is_it = |p: &str, c: &str| value("process") == Some(p) && value("class") == Some(c);
                 let spec = self.components.iter().find(|c| is_it(c.id.process.as_str(), &c.class))?;
@@ -105,6 +104,14 @@ impl SystemFile {
                 _ => None,
             },
         }
+    }
+
+    /// An option of a connection, of which its Connect was refused.
+    fn option(&self, what: &str, field: &str) -> Option<String> {
+        let (client, option) = (what.strip_prefix("Connect ")?, field.strip_prefix("options.")?);
+        let at = self.connections.iter().position(|c| c.client.to_string() == client)?;
+        let unit = if matches!(option, "max_age" | "deadline") { "_ms" } else { "" };
+        Some(format!("/connections/{at}/{option}{unit}"))
     }
 
     /// What the file calls a component.

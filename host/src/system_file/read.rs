@@ -11,12 +11,13 @@ use super::cursor::{Cursor, Document, did_you_mean};
 use super::isolation::isolate;
 use super::problem::Problem;
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
-use crate::processes::{Limits, Policy};
+use crate::processes::{Limits, Policy, Unheard};
 
 pub(super) const SYSTEM: &[&str] =
     &["$schema", "version", "processes", "components", "connections", "scenarios"];
 pub(super) const PROCESS: &[&str] = &["plugins", "trust", "listen", "state", "env", "restart"];
-pub(super) const RESTART: &[&str] = &["max", "within_s", "backoff_ms", "most_backoff_ms"];
+pub(super) const RESTART: &[&str] =
+    &["max", "within_s", "backoff_ms", "most_backoff_ms", "start_within_s", "unheard_s"];
 pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start", "isolation", "resume"];
 pub(super) const EXECUTION: &[&str] = &[
     "model",
@@ -51,6 +52,7 @@ pub(super) const MODELS: &[(&str, ExecutionModel)] = &[
 pub(super) const ON_FAILURE: &[(&str, OnFailure)] =
     &[("stop_branch", OnFailure::StopBranch), ("bypass", OnFailure::Bypass)];
 
+pub(super) const UNHEARD: &[(&str, Unheard)] = &[("never", Unheard::Never)];
 pub(super) const POLICIES: &[(&str, Policy)] =
     &[("never", Policy::Never), ("on_failure", Policy::OnFailure(Limits::DEFAULT))];
 /// True: without being asked.
@@ -184,7 +186,18 @@ fn restart(value: &Cursor<'_>) -> Result<Policy, Problem> {
         within: time("within_s", "s", 1e9, usual.within)?,
         backoff: time("backoff_ms", "ms", 1e6, usual.backoff)?,
         most_backoff: time("most_backoff_ms", "ms", 1e6, usual.most_backoff)?,
+        start_within: time("start_within_s", "s", 1e9, usual.start_within)?,
+        unheard: fields.get("unheard_s").map(unheard).transpose()?.unwrap_or(usual.unheard),
     }))
+}
+
+/// `"never"`, or a time, s.
+fn unheard(value: &Cursor<'_>) -> Result<Unheard, Problem> {
+    if let super::scan::Kind::Text(_) = value.node.kind {
+        return value.one_of(UNHEARD);
+    }
+    let seconds = value.positive("s, or \"never\"")?;
+    Ok(Unheard::After(Duration::from_nanos((seconds * 1e9).min(1e17) as u64)))
 }
 
 /// `"dev"` or `"allowlist:FILE"`, as on the command line.

@@ -72,8 +72,13 @@ pub fn system_schema() -> Value {
                     "//": { "description": "A comment." },
                     "max": { "type": "integer", "minimum": 0, "maximum": 1000, "default": 3, "description": "Restarts within within_s; after more it is FAILED." },
                     "within_s": { "type": "number", "exclusiveMinimum": 0, "default": 10, "description": "Time over which restarts are counted, s." },
-                    "backoff_ms": { "type": "number", "exclusiveMinimum": 0, "default": 50, "description": "Pause before the first restart, ms; twice as long before each further one." },
-                    "most_backoff_ms": { "type": "number", "exclusiveMinimum": 0, "default": 2000, "description": "Longest pause, ms." }
+                    "backoff_ms": { "type": "number", "exclusiveMinimum": 0, "default": 50, "description": "Pause before the second restart within that time, ms; twice as long before each further one. The first is at once." },
+                    "most_backoff_ms": { "type": "number", "exclusiveMinimum": 0, "default": 2000, "description": "Longest pause, ms." },
+                    "start_within_s": { "type": "number", "exclusiveMinimum": 0, "default": 60, "description": "Time from its spawn until it serves, s; then it is killed, which counts as an end." },
+                    "unheard_s": {
+                        "description": "It lives, but the GCM has not heard it, or a component of it has not come back, for this long, s: it is killed and started again. Left out: 10 s, or never when something in it moves something.",
+                        "oneOf": [{ "type": "number", "exclusiveMinimum": 0 }, { "enum": ["never"] }]
+                    }
                 }
             },
             "component": {
@@ -127,7 +132,7 @@ pub fn system_schema() -> Value {
                     "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Default deadline of waiting calls, ms." },
                     "mailbox": { "type": "integer", "minimum": 1, "maximum": 65536, "description": "Depth of the queue of commands or events." },
                     "adapt": { "type": "boolean", "default": false, "description": "Copy by name when the layouts differ." },
-                    "carrier": { "type": "string", "description": "Pins how samples travel; left out: chosen by the host." }
+                    "carrier": { "type": "string", "description": "Pins how data travel: inline, heap (within a process) or memfd (between two); left out: the best there is." }
                 }
             },
             "queue": {

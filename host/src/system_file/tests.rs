@@ -7,7 +7,7 @@ use serde_json::json;
 use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request};
 
 use super::{Problem, SystemFile, system_schema};
-use crate::processes::{Limits, Policy};
+use crate::processes::{Limits, Policy, Unheard};
 
 const GOOD: &str = r#"{
   "version": 1,
@@ -261,7 +261,7 @@ const THREE: &str = r#"{
   "version": 1,
   "processes": {
     "left":  { "listen": "127.0.0.1:4000", "state": "l", "env": { "A": "1" }, "restart": "never" },
-    "right": { "restart": { "max": 5, "within_s": 2.5, "backoff_ms": 10 } },
+    "right": { "restart": { "max": 5, "within_s": 2.5, "backoff_ms": 10, "start_within_s": 4, "unheard_s": 0.5 } },
     "gui":   {}
   },
   "components": {
@@ -294,6 +294,8 @@ fn what_a_process_is_started_with_is_read() {
         max: 5,
         within: Duration::from_millis(2500),
         backoff: Duration::from_millis(10),
+        start_within: Duration::from_secs(4),
+        unheard: Unheard::After(Duration::from_millis(500)),
         ..Limits::DEFAULT
     };
     assert_eq!(right.restart, Policy::OnFailure(limits));
@@ -330,6 +332,8 @@ fn what_a_process_cannot_be_started_with_is_refused_in_its_place() {
     assert!(refused("\"A\": \"1\"", "\"A\": 1").what.contains("expected a text"));
     assert!(refused("\"never\"", "\"nevr\"").help.contains("did you mean \"never\"?"));
     assert!(refused("\"max\": 5", "\"max\": -1").what.contains("number of restarts"));
+    assert!(refused("\"unheard_s\": 0.5", "\"unheard_s\": 0").what.contains("above 0 s, or \"never\""));
+    assert!(refused("\"unheard_s\": 0.5", "\"unheard_s\": \"nevr\"").help.contains("never"));
     assert!(refused("\"max\": 5", "\"maxx\": 5").help.contains("did you mean \"max\"?"));
     assert!(refused("\"process\"", "\"proces\"").help.contains("did you mean \"process\"?"));
     let p = refused("\"gui\":", "\"left.robot\":");
@@ -347,7 +351,10 @@ fn a_refusal_from_the_wire_is_led_back_to_its_place() {
         let values = values.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
         file.locate_told(reason, "no", "do so", &values).map(|p| p.pointer)
     };
-    assert_eq!(told("NOT_IMPLEMENTED", &[]).unwrap(), "/connections/0", "it is across processes");
+    let carrier = [("what", "Connect right/gray/raw"), ("field", "options.carrier")];
+    assert_eq!(told("ARGUMENT_INVALID", &carrier).unwrap(), "/connections/1/carrier");
+    let age = [("what", "Connect right/gray/raw"), ("field", "options.max_age")];
+    assert_eq!(told("ARGUMENT_INVALID", &age).unwrap(), "/connections/1/max_age_ms");
     let class = [("process", "right"), ("class", "gray")];
     assert_eq!(told("CLASS_NOT_FOUND", &class).unwrap(), "/components/right~1gray/class");
     let robot = [("component", "left.robot/robot")];

@@ -600,12 +600,13 @@ pub struct ConnectOptions {
     /// True: take the place of the client's present connection.
     #[prost(bool, tag = "6")]
     pub replace: bool,
-    /// Pins the carrier: "inline" or "heap"; empty = chosen by the LCM.
+    /// Pins the carrier: "inline", "heap" or "memfd"; empty = the best one for where the ends run. One that cannot be had there is
+    /// refused.
     #[prost(string, tag = "7")]
     pub carrier: ::prost::alloc::string::String,
 }
 /// A connection and its figures.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Connection {
     /// Its number; never reused.
     #[prost(uint64, tag = "1")]
@@ -619,7 +620,8 @@ pub struct Connection {
     /// What was asked for.
     #[prost(message, optional, tag = "4")]
     pub options: ::core::option::Option<ConnectOptions>,
-    /// How the data travels: "inline", "heap".
+    /// How the data travels: "inline" (called in the same thread), "heap" (queues within the process), "memfd" (queues in memory that
+    /// two processes share).
     #[prost(string, tag = "5")]
     pub carrier: ::prost::alloc::string::String,
     /// Samples taken; commands and events that were queued.
@@ -652,6 +654,32 @@ pub struct Connection {
     /// Commands that were only sent, and events, that were queued and never ran: Stop, Disconnect, Remove.
     #[prost(uint64, tag = "15")]
     pub unexecuted: u64,
+    /// Its halves, where its ends are in two processes, the client's first; empty otherwise. The figures above are of both together,
+    /// each thing counted once.
+    #[prost(message, repeated, tag = "16")]
+    pub proxies: ::prost::alloc::vec::Vec<Proxy>,
+}
+/// One half of a connection between two processes: the end that is there, with a stand-in for the other one.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct Proxy {
+    /// The process whose LCM has it.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// Which end is there.
+    #[prost(enumeration = "ConnectionEnd", tag = "2")]
+    pub end: i32,
+    /// True: it is linked to the other half, and data flow.
+    #[prost(bool, tag = "3")]
+    pub linked: bool,
+    /// Why it is not linked; empty when it is.
+    #[prost(string, tag = "4")]
+    pub why_not: ::prost::alloc::string::String,
+    /// Number of the link, the same at both halves: another, higher one each time they are linked; 0 = not linked.
+    #[prost(uint64, tag = "5")]
+    pub epoch: u64,
+    /// How the data travel: "memfd".
+    #[prost(string, tag = "6")]
+    pub carrier: ::prost::alloc::string::String,
 }
 /// A process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -1107,6 +1135,39 @@ impl Primitive {
             "PRIMITIVE_F32" => Some(Self::F32),
             "PRIMITIVE_F64" => Some(Self::F64),
             "PRIMITIVE_STAMP" => Some(Self::Stamp),
+            _ => None,
+        }
+    }
+}
+/// Which end of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum ConnectionEnd {
+    /// Not said.
+    Unspecified = 0,
+    /// The input or required interface.
+    Client = 1,
+    /// The output or provided interface.
+    Server = 2,
+}
+impl ConnectionEnd {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "CONNECTION_END_UNSPECIFIED",
+            Self::Client => "CONNECTION_END_CLIENT",
+            Self::Server => "CONNECTION_END_SERVER",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "CONNECTION_END_UNSPECIFIED" => Some(Self::Unspecified),
+            "CONNECTION_END_CLIENT" => Some(Self::Client),
+            "CONNECTION_END_SERVER" => Some(Self::Server),
             _ => None,
         }
     }
@@ -2310,6 +2371,9 @@ pub struct GetStateResponse {
     /// The component.
     #[prost(message, optional, tag = "2")]
     pub component: ::core::option::Option<Component>,
+    /// The connections that end at it; their figures are those of this moment.
+    #[prost(message, repeated, tag = "3")]
+    pub connections: ::prost::alloc::vec::Vec<Connection>,
 }
 /// Asks for List.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4236,6 +4300,25 @@ pub struct Inventory {
     /// The classes its plugin directories offer.
     #[prost(message, repeated, tag = "2")]
     pub classes: ::prost::alloc::vec::Vec<ClassInfo>,
+    /// How other processes reach it; absent = not at all.
+    #[prost(message, optional, tag = "3")]
+    pub card: ::core::option::Option<Card>,
+    /// Halves of connections to other processes.
+    #[prost(message, repeated, tag = "4")]
+    pub proxies: ::prost::alloc::vec::Vec<ProxyNews>,
+}
+/// How the half of a connection to another process stands.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ProxyNews {
+    /// The connection's number.
+    #[prost(uint64, tag = "1")]
+    pub connection: u64,
+    /// Which end is there.
+    #[prost(enumeration = "ConnectionEnd", tag = "2")]
+    pub end: i32,
+    /// The half; absent = it is gone.
+    #[prost(message, optional, tag = "3")]
+    pub proxy: ::core::option::Option<Proxy>,
 }
 /// The desired components and connections of one process.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -4311,7 +4394,7 @@ pub struct Order {
     #[prost(uint64, tag = "2")]
     pub deadline_ns: u64,
     /// What to do.
-    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11")]
+    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12")]
     pub order: ::core::option::Option<order::Order>,
 }
 /// Nested message and enum types in `Order`.
@@ -4346,7 +4429,45 @@ pub mod order {
         /// Everything there is.
         #[prost(message, tag = "11")]
         Inventory(super::InventoryOrder),
+        /// Make the half of a connection to another process.
+        #[prost(message, tag = "12")]
+        Link(super::LinkOrder),
     }
+}
+/// A connection of which one end is in this process.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct LinkOrder {
+    /// The connection.
+    #[prost(message, optional, tag = "1")]
+    pub connection: ::core::option::Option<DesiredConnection>,
+    /// Ports of the component at the other end.
+    #[prost(message, optional, tag = "2")]
+    pub ports: ::core::option::Option<Ports>,
+    /// The process of the other end.
+    #[prost(message, optional, tag = "3")]
+    pub card: ::core::option::Option<Card>,
+}
+/// How other processes of a machine reach a process.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct Card {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// Random, one per incarnation of the process.
+    #[prost(string, tag = "2")]
+    pub instance: ::prost::alloc::string::String,
+    /// Of the machine: one per start of it.
+    #[prost(string, tag = "3")]
+    pub boot: ::prost::alloc::string::String,
+    /// The user it runs as.
+    #[prost(uint32, tag = "4")]
+    pub uid: u32,
+    /// Path of the socket it listens at.
+    #[prost(string, tag = "5")]
+    pub socket: ::prost::alloc::string::String,
+    /// Version of the layout of shared memory.
+    #[prost(uint32, tag = "6")]
+    pub layout: u32,
 }
 /// Asks for the figures of every connection.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4517,7 +4638,7 @@ pub struct RefusalInfo {
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct News {
     /// What.
-    #[prost(oneof = "news::News", tags = "1, 2, 3")]
+    #[prost(oneof = "news::News", tags = "1, 2, 3, 4")]
     pub news: ::core::option::Option<news::News>,
 }
 /// Nested message and enum types in `News`.
@@ -4534,6 +4655,9 @@ pub mod news {
         /// Somebody logged a line.
         #[prost(message, tag = "3")]
         Log(super::LogLine),
+        /// The half of a connection to another process stands differently.
+        #[prost(message, tag = "4")]
+        Proxy(super::ProxyNews),
     }
 }
 /// What the plugin directories offer.

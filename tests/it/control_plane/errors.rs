@@ -16,6 +16,7 @@ const NOT_YET: &[(&str, &str)] = &[
     ("UNBOUND", "a caller from outside is always bound to the command it names"),
     ("INTERNAL", "it reports a mistake of trocar itself"),
     ("PROCESS_EXISTS", "a host meets it when it attaches: deployment.rs"),
+    ("UNREACHABLE", "it needs two processes and no memory for them: hostile/limits.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
     ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),
     ("NO_MEMORY", "it needs frames that no machine has the memory for: changing_ports.rs"),

@@ -1,5 +1,6 @@
 //! A system file that is up, and its processes by number.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
@@ -7,16 +8,21 @@ use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, Trocar, World, eventually, number};
 
 /// `trocar up` in a world of its own.
-pub(super) struct System {
-    pub(super) process: HostProcess,
-    pub(super) grpc: Grpcurl,
-    pub(super) world: World,
+pub(crate) struct System {
+    pub(crate) process: HostProcess,
+    pub(crate) grpc: Grpcurl,
+    pub(crate) world: World,
 }
 
 impl System {
     /// Waits until everything is up.
-    pub(super) fn up(file: &str, more: &[&str]) -> System {
-        let world = World::with_plugins(&["sine", "example", "fixture_chaos"]);
+    pub(crate) fn up(file: &str, more: &[&str]) -> System {
+        System::up_with(&["sine", "example", "fixture_chaos"], file, more)
+    }
+
+    /// The same, of these plugins.
+    pub(crate) fn up_with(plugins: &[&str], file: &str, more: &[&str]) -> System {
+        let world = World::with_plugins(plugins);
         let path = world.write("system.json", file);
         let mut args =
             vec!["up".into(), path.into(), "--listen".into(), "127.0.0.1:0".into(), "--json".into()];
@@ -26,16 +32,16 @@ impl System {
         System { process, grpc, world }
     }
 
-    pub(super) fn trocar(&self) -> Trocar {
+    pub(crate) fn trocar(&self) -> Trocar {
         Trocar::at(&self.world, self.process.address())
     }
 
-    pub(super) fn list(&self) -> Value {
+    pub(crate) fn list(&self) -> Value {
         self.grpc.ok("GcmService/List", json!({}))
     }
 
     /// A process as the GCM lists it.
-    pub(super) fn host(&self, name: &str) -> Value {
+    pub(crate) fn host(&self, name: &str) -> Value {
         let list = self.grpc.ok("GcmService/List", json!({ "brief": true }));
         let processes = list["processes"].as_array().cloned().unwrap_or_default();
         let mut found =
@@ -46,7 +52,7 @@ impl System {
     }
 
     /// Waits until another incarnation of a process has what the one before had.
-    pub(super) fn await_back(&self, name: &str, before: &Value) {
+    pub(crate) fn await_back(&self, name: &str, before: &Value) {
         eventually(&format!("{name} is back"), || {
             let now = self.host(name);
             let back = now["state"] == "PROCESS_STATE_ATTACHED" && pid(&now) != pid(before);
@@ -60,12 +66,12 @@ impl System {
     }
 
     /// Its children: the GCM and the hosts.
-    pub(super) fn pids(&self) -> Vec<u64> {
+    pub(crate) fn pids(&self) -> Vec<u64> {
         children(u64::from(self.process.pid()))
     }
 
     /// How many files and threads `up` holds.
-    pub(super) fn holds(&self) -> (usize, usize) {
+    pub(crate) fn holds(&self) -> (usize, usize) {
         let of = |part: &str| {
             let entries = std::fs::read_dir(format!("/proc/{}/{part}", self.process.pid()));
             entries.map_or(0, Iterator::count)
@@ -74,58 +80,70 @@ impl System {
     }
 
     /// The process of this name that runs now, attached or not.
-    pub(super) fn pid_of(&self, name: &str) -> Option<u64> {
+    pub(crate) fn pid_of(&self, name: &str) -> Option<u64> {
         let is_it = |pid: &u64| command_line(*pid).windows(2).any(|two| two == ["--name", name]);
         self.pids().into_iter().find(is_it)
     }
 
-    pub(super) fn gcm_pid(&self) -> u64 {
+    pub(crate) fn gcm_pid(&self) -> u64 {
         eventually("a GCM runs", || self.pids().into_iter().find(|pid| is_gcm(*pid)).ok_or("none"))
     }
 }
 
-pub(super) fn pid(process: &Value) -> u64 {
+pub(crate) fn pid(process: &Value) -> u64 {
     number(&process["pid"])
 }
 
-pub(super) fn kill(signal: &str, pid: u64) {
+pub(crate) fn kill(signal: &str, pid: u64) {
     let sent = Command::new("kill").args([signal, &pid.to_string()]).status();
     assert!(sent.is_ok_and(|s| s.success()), "kill {signal} {pid} did not work");
 }
 
 /// It has ended, waited for or not.
-pub(super) fn gone(pid: u64) -> bool {
+pub(crate) fn gone(pid: u64) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.rsplit_once(") ").is_none_or(|(_, rest)| rest.starts_with(['Z', 'X']))
 }
 
 /// Processes that keep their state in a directory.
-pub(super) fn running_in(home: &Path) -> Vec<u64> {
+pub(crate) fn running_in(home: &Path) -> Vec<u64> {
     let home = home.to_string_lossy();
     let all = std::fs::read_dir("/proc").unwrap().flatten();
     let pids = all.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
     pids.filter(|pid| command_line(*pid).iter().any(|arg| arg.contains(&*home)) && !gone(*pid)).collect()
 }
 
-pub(super) fn is_gcm(pid: u64) -> bool {
+pub(crate) fn is_gcm(pid: u64) -> bool {
     command_line(pid).iter().any(|arg| arg == "gcm")
 }
 
 /// Where a process listens, by the sockets it holds.
-pub(super) fn listening(pid: u64) -> Option<String> {
+pub(crate) fn listening(pid: u64) -> Option<String> {
+    sockets(pid, "0A").into_iter().next()
+}
+
+/// Its own ends of the connections of a process.
+pub(crate) fn connected(pid: u64) -> BTreeSet<String> {
+    sockets(pid, "01")
+}
+
+/// Local addresses of the sockets of a process that are in a state.
+fn sockets(pid: u64, wanted: &str) -> BTreeSet<String> {
     let held: Vec<String> = std::fs::read_dir(format!("/proc/{pid}/fd"))
-        .ok()?
+        .into_iter()
+        .flatten()
         .flatten()
         .filter_map(|fd| std::fs::read_link(fd.path()).ok()?.to_str().map(str::to_owned))
         .collect();
-    let table = std::fs::read_to_string("/proc/net/tcp").ok()?;
-    table.lines().skip(1).find_map(|line| {
+    let table = std::fs::read_to_string("/proc/net/tcp").unwrap_or_default();
+    let of_process = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
         let (at, state, inode) = (words.get(1)?, words.get(3)?, words.get(9)?);
-        let is_it = *state == "0A" && held.contains(&format!("socket:[{inode}]"));
+        let is_it = *state == wanted && held.contains(&format!("socket:[{inode}]"));
         let port = u16::from_str_radix(at.rsplit_once(':')?.1, 16).ok()?;
         is_it.then(|| format!("127.0.0.1:{port}"))
-    })
+    };
+    table.lines().skip(1).filter_map(of_process).collect()
 }
 
 fn command_line(pid: u64) -> Vec<String> {
@@ -133,7 +151,7 @@ fn command_line(pid: u64) -> Vec<String> {
     line.split('\0').map(str::to_owned).collect()
 }
 
-pub(super) fn children(parent: u64) -> Vec<u64> {
+pub(crate) fn children(parent: u64) -> Vec<u64> {
     let tasks = std::fs::read_dir(Path::new("/proc").join(parent.to_string()).join("task"));
     let of = |task: std::path::PathBuf| std::fs::read_to_string(task.join("children")).unwrap_or_default();
     let all: Vec<String> = tasks.into_iter().flatten().flatten().map(|task| of(task.path())).collect();

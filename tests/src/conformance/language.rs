@@ -69,8 +69,13 @@ impl Languages {
     /// The plugin whose class of this name a lab makes. Filters belong to the clients: they take what servers give.
     #[must_use]
     pub fn plugin(self, class: &str) -> &'static str {
-        let of_clients = ["Client", "Probe", "Arm", "Through"].contains(&class);
-        if of_clients { self.client.plugin() } else { self.server.plugin() }
+        if Languages::is_of_servers(class) { self.server.plugin() } else { self.client.plugin() }
+    }
+
+    /// A class that serves others.
+    #[must_use]
+    pub fn is_of_servers(class: &str) -> bool {
+        !["Client", "Probe", "Arm", "Through"].contains(&class)
     }
 
     /// Why the classes cannot be had here.

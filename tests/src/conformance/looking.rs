@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use trocar::lcm::{Inventory, Item, Lcm, LinkDetail, Sample, When};
+use trocar::lcm::{Inventory, Item, Lcm, LinkDetail, LocalLcm, Sample, When};
 use trocar::model::{ClassInfo, Health, Refusal, State, SystemGraph};
 
 use super::Lab;
 use super::answer::whole;
-use super::world::{PATIENCE, block_on, id, port};
+use super::world::{PATIENCE, block_on};
 use crate::eventually;
 
 impl Lab {
@@ -34,13 +34,13 @@ impl Lab {
     /// # Errors
     /// It is not reached in time, or cannot be any more.
     pub fn wait_for(&self, name: &str, state: State, within: Duration) -> Result<(), Refusal> {
-        block_on(self.host().wait_for(&format!("host/{name}"), state, within))
+        block_on(self.host().wait_for(&self.path(name), state, within))
     }
 
     /// # Errors
     /// It is not sent in time, or cannot be any more.
     pub fn wait_for_event(&self, path: &str, within: Duration) -> Result<Item, Refusal> {
-        block_on(self.host().wait_for_event(&format!("host/{path}"), within))
+        block_on(self.host().wait_for_event(&self.path(path), within))
     }
 
     /// Calls a command and waits for the event it leads to.
@@ -48,7 +48,7 @@ impl Lab {
     /// # Errors
     /// As of the command, and as of the event.
     pub fn invoke_and_wait(&self, member: &str, arg: Value, event: &str) -> Result<Item, Refusal> {
-        let (member, event) = (format!("host/{member}"), format!("host/{event}"));
+        let (member, event) = (self.path(member), self.path(event));
         block_on(self.host().invoke_and_wait(&member, arg, &event, PATIENCE))
     }
 
@@ -57,7 +57,7 @@ impl Lab {
     /// # Errors
     /// It is kept no more, or not there yet.
     pub fn row_at(&self, name: &str, when: When) -> Result<Sample, Refusal> {
-        block_on(self.host().read_at(&format!("host/{name}"), when))
+        block_on(self.host().read_at(&self.path(name), when))
     }
 
     /// Where its gRPC port listens.
@@ -69,7 +69,7 @@ impl Lab {
     /// State and health as the GCM knows them.
     #[must_use]
     pub fn stands(&self, name: &str) -> Option<(State, Health)> {
-        self.graph().components.get(&id(name)).map(|c| (c.state, c.health))
+        self.graph().components.get(&self.id(name)).map(|c| (c.state, c.health))
     }
 
     /// Waits until the GCM knows it in this state.
@@ -84,7 +84,7 @@ impl Lab {
     /// The last published row of a component.
     #[must_use]
     pub fn row(&self, name: &str) -> Value {
-        let path = format!("host/{name}");
+        let path = self.path(name);
         block_on(self.host().read(&path))
             .unwrap_or_else(|refusal| panic!("the state of {name}: {refusal}"))
             .value
@@ -108,20 +108,29 @@ impl Lab {
     /// What the LCM has.
     #[must_use]
     pub fn inventory(&self) -> Inventory {
-        block_on(self.lcm().inventory()).unwrap_or_else(|refusal| panic!("no inventory: {refusal}"))
+        let mut all = Inventory::default();
+        for lcm in self.lcms() {
+            let one = block_on(lcm.inventory()).unwrap_or_else(|refusal| panic!("no inventory: {refusal}"));
+            all.components.extend(one.components);
+            all.classes = one.classes;
+        }
+        all
     }
 
     /// Commands to this component that were lost: to full queues, or with their connection.
     #[must_use]
     pub fn lost_commands(&self, name: &str) -> u64 {
-        let detail = block_on(self.host().detail(&format!("host/{name}")));
+        let detail = block_on(self.host().detail(&self.path(name)));
         detail.unwrap_or_else(|refusal| panic!("the figures of {name}: {refusal}")).commands_rejected
     }
 
-    /// Figures of all connections.
+    /// Figures of all connections; of one between processes each end gives its own.
     #[must_use]
     pub fn links(&self) -> Vec<LinkDetail> {
-        block_on(self.lcm().links()).unwrap_or_else(|refusal| panic!("no links: {refusal}"))
+        let links = |lcm: &Arc<LocalLcm>| block_on(lcm.links());
+        let all = self.lcms().into_iter().map(links).collect::<Result<Vec<_>, _>>();
+        let all = all.unwrap_or_else(|refusal| panic!("no links: {refusal}"));
+        all.into_iter().flatten().collect()
     }
 
     /// Figures of the connection at this port of a client.
@@ -129,9 +138,9 @@ impl Lab {
     #[must_use]
     pub fn link(&self, client_port: &str) -> LinkDetail {
         let graph = self.graph();
-        let found = graph.connections.values().find(|c| c.client == port(client_port));
+        let found = graph.connections.values().find(|c| c.client == self.port(client_port));
         let connection = found.unwrap_or_else(|| panic!("{client_port} is not connected")).id.0;
-        let link = self.links().into_iter().find(|l| l.connection == connection);
+        let link = self.links().into_iter().filter(|l| l.connection == connection).reduce(LinkDetail::merged);
         link.unwrap_or_else(|| panic!("connection {connection} has no figures"))
     }
 }

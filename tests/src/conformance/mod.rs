@@ -15,5 +15,7 @@ mod world;
 
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::{Language, Languages};
-pub use way::{Deployment, ExecIn, ExecOut, OtherThread, Passive, Reach, SameStream, Told, Way};
+pub use way::{
+    Deployment, ExecIn, ExecOut, OtherProcess, OtherThread, Passive, Reach, SameStream, Told, Way,
+};
 pub use world::Lab;

@@ -9,7 +9,7 @@ use std::thread;
 use serde_json::json;
 use trocar::model::{ConnectOptions, State};
 
-use super::world::{PATIENCE, id};
+use super::world::PATIENCE;
 use super::{Answer, Call, Function, Lab, Reach, Way, cases};
 use crate::eventually;
 
@@ -66,7 +66,7 @@ pub(super) fn ended(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
 /// Does it while `call` is inside the server, in the client's own thread where that runs it.
 pub(super) fn begun(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
     let caller = Caller::client(lab);
-    let waits = call.wait && way.deployment.reach() == Reach::Queue;
+    let waits = call.wait && way.deployment.reach().queues();
     let call = if waits { call.from_threads(1) } else { call };
     lab.close_gate();
     thread::scope(|scope| {
@@ -111,10 +111,12 @@ fn end(lab: &Lab, what: While, caller: &Caller<'_>) {
 /// Waits until it can be seen at the server; then whoever is inside may go on.
 fn await_begun(lab: &Lab, what: While, caller: &Caller<'_>) {
     eventually("it happens to the server", || {
-        let server = lab.inventory().components.into_iter().find(|c| c.id == id("server"));
+        let server = lab.inventory().components.into_iter().find(|c| c.id == lab.id("server"));
         let stands = server.map(|c| c.state);
         let done = match what {
-            While::Cut => !lab.graph().connections.values().any(|c| c.client.component == id(&caller.name)),
+            While::Cut => {
+                !lab.graph().connections.values().any(|c| c.client.component == lab.id(&caller.name))
+            }
             While::Stopped | While::Removed => stands != Some(State::Active),
             While::Failed => true,
         };

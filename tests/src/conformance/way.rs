@@ -15,10 +15,19 @@ pub enum Reach {
     Thread,
     /// Directly, in whatever thread calls: the server has none of its own.
     Caller,
+    /// Through a queue of memory that two processes share. Reads with an argument are the code of a class that only the server's
+    /// process has: they are asked for, and answered there beside the component.
+    Process,
 }
 
 impl Reach {
-    pub const ALL: [Reach; 3] = [Reach::Queue, Reach::Thread, Reach::Caller];
+    pub const ALL: [Reach; 4] = [Reach::Queue, Reach::Thread, Reach::Caller, Reach::Process];
+
+    /// Commands wait in a queue for the server's own thread.
+    #[must_use]
+    pub fn queues(self) -> bool {
+        matches!(self, Reach::Queue | Reach::Process)
+    }
 }
 
 /// Where client and server run.
@@ -28,6 +37,7 @@ pub trait Deployment: Sync {
         match (self.client_leads(), self.inline()) {
             (true, _) => Reach::Thread,
             (false, true) => Reach::Caller,
+            (false, false) if self.two_processes() => Reach::Process,
             (false, false) => Reach::Queue,
         }
     }
@@ -39,6 +49,10 @@ pub trait Deployment: Sync {
     fn server(&self) -> Execution;
     /// The server runs in the client's thread.
     fn client_leads(&self) -> bool {
+        false
+    }
+    /// Each in a process of its own.
+    fn two_processes(&self) -> bool {
         false
     }
     /// The server has a step.
@@ -179,5 +193,26 @@ impl Deployment for Passive {
     }
     fn server_steps(&self) -> bool {
         false
+    }
+}
+
+/// Each in a process of its own, on one machine.
+pub struct OtherProcess;
+
+impl Deployment for OtherProcess {
+    fn name(&self) -> &'static str {
+        "other process"
+    }
+    fn inline(&self) -> bool {
+        false
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn server(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn two_processes(&self) -> bool {
+        true
     }
 }

@@ -2,14 +2,15 @@
 //!
 //! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down.
 
-use std::sync::{Arc, OnceLock};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 use trocar::Host;
-use trocar::gcm::{ExecuteOptions, Executed, Gcm};
+use trocar::gcm::{ExecuteOptions, Executed, Gcm, Registration};
 use trocar::host::HostBuilder;
 use trocar::lcm::{Invoke, Lcm, LocalLcm, Payload, Reply};
 use trocar::model::{
@@ -21,6 +22,11 @@ use crate::{World, eventually};
 
 /// For calls that are to come back whatever happens: a watchdog, not a claim.
 pub(super) const PATIENCE: Duration = Duration::from_secs(40);
+
+/// The process of clients.
+const HOST: &str = "host";
+/// The process of servers, where there are two.
+const OTHER: &str = "other";
 
 /// One for all labs of a process, so that threads can be counted.
 fn runtime() -> &'static Runtime {
@@ -38,6 +44,10 @@ pub struct Lab {
     host: Option<Host>,
     gcm: Gcm,
     lcm: Arc<LocalLcm>,
+    /// Another process as far as components can tell: a host of its own, attached to the same GCM.
+    other: Option<Host>,
+    /// The process of each component.
+    places: Mutex<BTreeMap<String, &'static str>>,
     languages: Languages,
     world: World,
 }
@@ -55,7 +65,86 @@ impl Lab {
         let host = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
         let gcm = host.gcm().cloned().unwrap_or_else(|| panic!("the host has no GCM"));
         let lcm = host.lcm().cloned().unwrap_or_else(|| panic!("the host has no LCM"));
-        Lab { host: Some(host), gcm, lcm, languages, world }
+        Lab { host: Some(host), gcm, lcm, other: None, places: Mutex::default(), languages, world }
+    }
+
+    /// The other process, where servers are then made.
+    fn part(mut self) -> Lab {
+        let builder = self.languages.offer(Host::builder().name(OTHER), &self.world);
+        let other = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no other host: {e}"));
+        let lcm = other.lcm().cloned().unwrap_or_else(|| panic!("the other host has no LCM"));
+        let name = OTHER.parse().unwrap_or_else(|e| panic!("{OTHER}: {e}"));
+        let attached = runtime().block_on(async {
+            let inventory = lcm.inventory().await?;
+            self.gcm.register(Registration::new(name, String::new()), lcm, inventory).await
+        });
+        attached.unwrap_or_else(|refusal| panic!("the other host is not attached: {refusal}"));
+        self.other = Some(other);
+        self
+    }
+
+    /// Servers are in another process than clients.
+    pub(super) fn is_parted(&self) -> bool {
+        self.other.is_some()
+    }
+
+    fn places(&self) -> MutexGuard<'_, BTreeMap<String, &'static str>> {
+        self.places.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The path of a component, or of something of it.
+    #[must_use]
+    pub fn path(&self, name: &str) -> String {
+        let component = name.split('/').next().unwrap_or_default();
+        format!("{}/{name}", self.places().get(component).unwrap_or(&HOST))
+    }
+
+    pub(super) fn id(&self, name: &str) -> ComponentId {
+        let path = self.path(name);
+        ComponentId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
+    }
+
+    pub(super) fn port(&self, path: &str) -> PortId {
+        let path = self.path(path);
+        PortId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
+    }
+
+    fn targets(&self, name: &str) -> Vec<Target> {
+        vec![Target::One(self.id(name))]
+    }
+
+    /// The LCMs of all processes.
+    pub(super) fn lcms(&self) -> Vec<&Arc<LocalLcm>> {
+        let other = self.other.as_ref().and_then(Host::lcm);
+        std::iter::once(&self.lcm).chain(other).collect()
+    }
+
+    /// The LCM of a component's process.
+    pub(super) fn lcm_of(&self, name: &str) -> &Arc<LocalLcm> {
+        let elsewhere = self.places().get(name) == Some(&OTHER);
+        let other = self.other.as_ref().and_then(Host::lcm).filter(|_| elsewhere);
+        other.unwrap_or(&self.lcm)
+    }
+
+    /// Puts a component into its process: servers into the other one, if there is one; what shares a thread to that thread.
+    fn place(&self, name: &str, class: &str, execution: Execution) -> Execution {
+        let leader = |path: &str| path.trim_start_matches("host/").to_owned();
+        let with = execution.stream_of.as_deref().or(execution.inside.as_deref()).map(leader);
+        let process = match &with {
+            Some(leader) => self.places().get(leader).copied().unwrap_or(HOST),
+            None if self.other.is_some() && Languages::is_of_servers(class) => OTHER,
+            None => HOST,
+        };
+        self.places().insert(name.to_owned(), process);
+        let moved = |path: Option<String>| path.map(|path| format!("{process}/{}", leader(&path)));
+        Execution { stream_of: moved(execution.stream_of), inside: moved(execution.inside), ..execution }
+    }
+
+    /// The processes of a way, without components.
+    #[must_use]
+    pub fn of(way: &Way) -> Lab {
+        let lab = Lab::new(way.languages);
+        if way.deployment.two_processes() { lab.part() } else { lab }
     }
 
     /// `host/client` and `host/server`, not connected, READY.
@@ -67,7 +156,7 @@ impl Lab {
     /// The same, with settings of the server.
     #[must_use]
     pub fn pair_with(way: &Way, server: Value) -> Lab {
-        let lab = Lab::new(way.languages);
+        let lab = Lab::of(way);
         let server = lab.gated(server);
         lab.make_pair(way, "Client", "Server", server);
         lab
@@ -76,7 +165,7 @@ impl Lab {
     /// `host/client` and `host/server` of these classes, not connected.
     #[must_use]
     pub fn pair_of(way: &Way, client: &str, server: &str, config: Value) -> Lab {
-        let lab = Lab::new(way.languages);
+        let lab = Lab::of(way);
         lab.make_pair(way, client, server, config);
         lab
     }
@@ -105,7 +194,10 @@ impl Lab {
     /// Both connected and ACTIVE, in a host with a gRPC port.
     #[must_use]
     pub fn listening(way: &Way) -> Lab {
-        let lab = Lab::with(way.languages, |host| host.listen("127.0.0.1:0"));
+        let mut lab = Lab::with(way.languages, |host| host.listen("127.0.0.1:0"));
+        if way.deployment.two_processes() {
+            lab = lab.part();
+        }
         let server = lab.gated(json!({}));
         lab.make_pair(way, "Client", "Server", server);
         lab.connect("client/peer", "server/ctl");
@@ -190,8 +282,9 @@ impl Lab {
         config: Value,
         execution: Execution,
     ) -> Result<Executed, Refusal> {
+        let execution = self.place(name, class, execution);
         let class = format!("{}/{class}", self.languages.plugin(class));
-        self.ask(Request::Create { id: id(name), class, config: Some(config), execution })
+        self.ask(Request::Create { id: self.id(name), class, config: Some(config), execution })
     }
 
     #[track_caller]
@@ -207,49 +300,52 @@ impl Lab {
 
     #[track_caller]
     pub fn connect_with(&self, client: &str, server: &str, options: ConnectOptions) {
-        self.done(Request::Connect { client: port(client), server: port(server), options });
+        self.done(Request::Connect { client: self.port(client), server: self.port(server), options });
     }
 
     /// # Errors
     /// What the GCM refuses.
     pub fn try_connect(&self, client: &str, server: &str, options: ConnectOptions) -> Result<(), Refusal> {
-        self.ask(Request::Connect { client: port(client), server: port(server), options }).map(|_| ())
+        self.ask(Request::Connect { client: self.port(client), server: self.port(server), options })
+            .map(|_| ())
     }
 
     #[track_caller]
     pub fn disconnect(&self, client: &str, server: &str) {
-        self.done(Request::Disconnect { which: Which::Pair { client: port(client), server: port(server) } });
+        self.done(Request::Disconnect {
+            which: Which::Pair { client: self.port(client), server: self.port(server) },
+        });
     }
 
     #[track_caller]
     pub fn start(&self, name: &str) {
-        self.done(Request::Start { targets: targets(name) });
+        self.done(Request::Start { targets: self.targets(name) });
     }
 
     #[track_caller]
     pub fn stop(&self, name: &str) {
-        self.done(Request::Stop { targets: targets(name) });
+        self.done(Request::Stop { targets: self.targets(name) });
     }
 
     #[track_caller]
     pub fn resume(&self, name: &str) {
-        self.done(Request::Resume { targets: targets(name) });
+        self.done(Request::Resume { targets: self.targets(name) });
     }
 
     #[track_caller]
     pub fn reset(&self, name: &str) {
-        self.done(Request::Reset { targets: targets(name) });
+        self.done(Request::Reset { targets: self.targets(name) });
     }
 
     /// # Errors
     /// What the GCM refuses.
     pub fn configure(&self, name: &str, patch: Value) -> Result<(), Refusal> {
-        runtime().block_on(self.host().configure(&format!("host/{name}"), patch)).map(|_| ())
+        runtime().block_on(self.host().configure(&self.path(name), patch)).map(|_| ())
     }
 
     #[track_caller]
     pub fn remove(&self, name: &str) {
-        self.done(Request::Remove { id: id(name), force: true });
+        self.done(Request::Remove { id: self.id(name), force: true });
     }
 
     // -- calling --------------------------------------------------------------------------------------------------------
@@ -271,10 +367,11 @@ impl Lab {
         send: bool,
         within: Duration,
     ) -> Result<Reply, Refusal> {
-        let member = MemberId::parse(&format!("host/{member}"))?;
+        let member = MemberId::parse(&self.path(member))?;
         let arg = arg.map_or(Payload::None, Payload::Json);
         let deadline_ns = u64::try_from(within.as_nanos()).unwrap_or(u64::MAX);
-        runtime().block_on(self.lcm.invoke(Invoke { member, arg, send, deadline_ns }))
+        let lcm = self.lcm_of(member.port.component.component.as_str());
+        runtime().block_on(lcm.invoke(Invoke { member, arg, send, deadline_ns }))
     }
 
     /// Has a client make calls now; it may be refused.
@@ -355,23 +452,8 @@ impl Drop for OpensAtEnd<'_> {
 impl Drop for Lab {
     fn drop(&mut self) {
         self.open_gate();
-        if let Some(host) = self.host.take() {
+        for host in [self.other.take(), self.host.take()].into_iter().flatten() {
             runtime().block_on(host.shutdown());
         }
     }
-}
-
-/// `name` or `process/name`.
-pub(super) fn id(name: &str) -> ComponentId {
-    let path = format!("host/{name}");
-    ComponentId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
-}
-
-pub(super) fn port(path: &str) -> PortId {
-    let path = format!("host/{path}");
-    PortId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
-}
-
-fn targets(name: &str) -> Vec<Target> {
-    vec![Target::One(id(name))]
 }

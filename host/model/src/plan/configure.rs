@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::circle::check_circles;
 use super::wire::default_max_age;
-use super::{Planner, execution, host_of};
+use super::{Planner, carrier, execution, host_of};
 use crate::{
     Change, Component, ComponentId, Connection, Execution, Refusal, Safety, State, Verb, allowed, complete,
     live_only, live_settings, merge, transition, unknown_nulls, validate,
@@ -119,6 +119,7 @@ impl Planner {
             if by_default {
                 connection.options.max_age_ns = default_max_age(&self.graph, &connection);
             }
+            carrier::check(&self.graph, &format!("Configure {id}: connection of"), &connection)?;
             self.push(Change::Connect { connection });
         }
         check_circles(&self.graph)

@@ -4,6 +4,7 @@
 //! (path, process, class, component, interface, direction, connected, types, cycle, state, configuration, arguments), so
 //! that the same mistake always gets the same answer.
 
+mod carrier;
 mod circle;
 mod configure;
 mod create;
@@ -17,7 +18,8 @@ mod wire;
 use std::collections::BTreeMap;
 
 pub use execution::{class_fault, period_fault};
-pub use restore::restore;
+pub use restore::{Here, restore};
+pub use run::open_ends;
 
 use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph};
 

@@ -9,12 +9,26 @@ use std::sync::Arc;
 use super::run::{open_ends, servers_first};
 use super::{Plan, host_of};
 use crate::{
-    Change, Component, ComponentId, Health, Name, Safety, Skipped, State, StopReason, SystemGraph, Verb,
+    Change, Component, ComponentId, ConnectionId, Health, Name, Safety, Skipped, State, StopReason,
+    SystemGraph, Verb,
 };
 
-/// The changes that make anew what `process` was to have; `skipped` is what cannot be made, or not be started. `wanted` says
-/// how components should stand where that is not how they were last seen.
-pub fn restore(graph: &SystemGraph, process: &Name, wanted: &BTreeMap<ComponentId, State>) -> Plan {
+/// What a process has already of what it is to have: nothing, unless it was interrupted while it got that back.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Here {
+    /// With how they stand.
+    pub components: BTreeMap<ComponentId, State>,
+    pub connections: BTreeSet<ConnectionId>,
+}
+
+/// The changes that make anew what `process` was to have and has not; `skipped` is what cannot be made, or not be started.
+/// `wanted` says how components should stand where that is not how they were last seen.
+pub fn restore(
+    graph: &SystemGraph,
+    process: &Name,
+    wanted: &BTreeMap<ComponentId, State>,
+    here: &Here,
+) -> Plan {
     let mut plan = Plan::default();
     let mine: BTreeMap<&ComponentId, &Component> =
         graph.components.iter().filter(|(id, _)| id.process == *process).collect();
@@ -22,33 +36,41 @@ pub fn restore(graph: &SystemGraph, process: &Name, wanted: &BTreeMap<ComponentI
     let mut running = Vec::new();
     for id in owners_first(&mine) {
         let old = mine[&id];
+        let stands_already = here.components.get(&id);
         let class = match graph.class(process, &old.class.full_name()) {
             Ok(class) => class,
+            Err(_) if stands_already.is_some() => old.class.clone(),
             Err(refusal) => {
                 plan.skipped.push(Skipped { id, why: refusal.to_string() });
                 continue;
             }
         };
-        if let Some(owner) = host_of(&old.execution).filter(|o| mine.contains_key(o) && !made.contains(o)) {
+        if stands_already.is_none()
+            && let Some(owner) = host_of(&old.execution).filter(|o| mine.contains_key(o) && !made.contains(o))
+        {
             let why = format!("it runs in the thread of {owner}, which could not be made again");
             plan.skipped.push(Skipped { id, why });
             continue;
         }
         let was = wanted.get(&id).copied().unwrap_or(old.state);
-        let to = stands(was, old.class.safety);
-        if was == State::Active && to == State::Ready {
+        // The class may be another one by now, with the same name.
+        let to = stands(was, [old.class.safety, class.safety].contains(&Safety::Actuator));
+        let is_idle = stands_already.is_none_or(|now| matches!(now, State::Created | State::Ready));
+        if was == State::Active && to == State::Ready && is_idle {
             running.push((id.clone(), false));
         }
-        let component = Component {
-            ports: Arc::new(class.ports.clone()),
-            class,
-            state: State::Created,
-            health: Health::Ok,
-            fault: String::new(),
-            ..old.clone()
-        };
-        plan.changes.push(Change::Create { id: id.clone(), component: Box::new(component) });
-        if to != State::Created {
+        if stands_already.is_none() {
+            let component = Component {
+                ports: Arc::new(class.ports.clone()),
+                class,
+                state: State::Created,
+                health: Health::Ok,
+                fault: String::new(),
+                ..old.clone()
+            };
+            plan.changes.push(Change::Create { id: id.clone(), component: Box::new(component) });
+        }
+        if to != State::Created && stands_already.is_none_or(|now| *now == State::Created) {
             let config = old.config.clone();
             let (from_state, to_state) = (State::Created, to);
             let change =
@@ -61,7 +83,7 @@ pub fn restore(graph: &SystemGraph, process: &Name, wanted: &BTreeMap<ComponentI
     whole.components.retain(|id, _| id.process != *process || made.contains(id));
     let known = |id: &ComponentId| whole.components.contains_key(id);
     whole.connections.retain(|_, c| known(&c.client.component) && known(&c.server.component));
-    for connection in whole.connections.values() {
+    for connection in whole.connections.values().filter(|c| !here.connections.contains(&c.id)) {
         if [&connection.client, &connection.server].iter().any(|end| end.component.process == *process) {
             plan.changes.push(Change::Connect { connection: connection.clone() });
         }
@@ -83,12 +105,12 @@ pub fn restore(graph: &SystemGraph, process: &Name, wanted: &BTreeMap<ComponentI
 
 /// How it stands once it is made again and before anything is started. A new instance of what had failed is ready, but
 /// nobody has looked at why.
-fn stands(was: State, safety: Safety) -> State {
+fn stands(was: State, moves: bool) -> State {
     match was {
         State::Created => State::Created,
         State::Ready => State::Ready,
         State::Stopped(reason) => State::Stopped(reason),
-        State::Active | State::Fault if safety == Safety::Actuator => State::Stopped(StopReason::Restarted),
+        State::Active | State::Fault if moves => State::Stopped(StopReason::Restarted),
         State::Active | State::Fault => State::Ready,
     }
 }

@@ -1,6 +1,7 @@
 //! Start, Stop, Resume, Reset: over names and globs, ordered by the graph.
 //!
-//! Invariant: Stop is refused for nothing but an unknown component. A glob never puts into motion, nor makes ready for a
+//! Invariant: Stop is refused for nothing but an unknown component, and what it named is set in motion by nobody who has not
+//! been asked after it. A glob never puts into motion, nor makes ready for a
 //! later glob, what waits for somebody to look at it: STOPPED{restarted, interlock, peer_lost}. Nothing is set in motion
 //! while an end it requires is open.
 
@@ -29,7 +30,8 @@ impl Planner {
         let targets = self.graph.targets(Verb::Stop, targets)?;
         for (id, _) in servers_first(&self.graph, targets).into_iter().rev() {
             let Some(state) = self.graph.components.get(&id).map(|c| c.state) else { continue };
-            if state != State::Active {
+            let waits = state == State::Stopped(StopReason::Restarted) && !self.graph.is_lost(&id);
+            if state != State::Active && !waits {
                 let why = if state == State::Fault {
                     "it was made safe when it failed"
                 } else {
@@ -139,8 +141,8 @@ fn reason(component: &Component) -> String {
     }
 }
 
-/// Names of the inputs and required interfaces that must be connected and are not.
-pub(super) fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Vec<String> {
+/// Names of the inputs and required interfaces of `component` that must be connected and are not.
+pub fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Vec<String> {
     let sources = graph.connections.values().map(|c| &c.client).filter(|c| c.component == *id);
     let connected: BTreeSet<&str> = sources.map(|c| c.port.as_str()).collect();
     let inputs = component.ports.inputs.iter().map(|p| (p.name.as_str(), p.optional));

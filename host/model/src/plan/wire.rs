@@ -4,9 +4,9 @@
 //! as they are now. Nobody's state changes.
 
 use super::circle::{check_circle, is_stream};
-use super::{Planner, host_of};
+use super::{Planner, carrier, host_of};
 use crate::connect::{directions, same_payload};
-use crate::refusal::{brief, duration};
+use crate::refusal::duration;
 use crate::{
     Change, ConnectOptions, Connection, ConnectionId, Execution, ExecutionModel, Link, PortId, PortType,
     Queue, Refusal, Safety, SystemGraph, Which, bindings,
@@ -54,14 +54,7 @@ impl Planner {
         }
         check_circle(&self.graph, &connection, &link)?;
         check_options(&connection, &link)?;
-        let (from, to) = (&server.component.process, &client.component.process);
-        if from != to {
-            return Err(Refusal::NotImplemented {
-                what: format!("a connection between processes `{to}` and `{from}`"),
-                hint: "Create both components in one process; connections across processes come with a later version."
-                    .to_owned(),
-            });
-        }
+        carrier::check(&self.graph, "Connect", &connection)?;
         if let Some(connection) = old {
             self.push(Change::Disconnect { connection, replaced: true });
         }
@@ -87,9 +80,9 @@ impl Planner {
             };
             return Err(Refusal::ConnectionNotFound { asked, known: self.graph.connection_list() });
         };
-        for end in [&connection.client, &connection.server] {
-            self.graph.attached(&end.component.process)?;
-        }
+        let of = |end: &PortId| self.graph.attached(&end.component.process).map(|_| ());
+        // The half of a process that is away goes when it comes back.
+        of(&connection.client).or_else(|lost| of(&connection.server).map_err(|_| lost))?;
         self.push(Change::Disconnect { connection, replaced: false });
         Ok(())
     }
@@ -173,9 +166,6 @@ fn check_options(connection: &Connection, link: &Link) -> Result<(), Refusal> {
         {
             return bad(field, format!("{} is outside 1 ns to {}", duration(ns), duration(MAX_NS)));
         }
-    }
-    if !["", "inline", "heap"].contains(&options.carrier.as_str()) {
-        return bad("carrier", format!("{:?} is none of \"inline\", \"heap\"", brief(&options.carrier)));
     }
     Ok(())
 }

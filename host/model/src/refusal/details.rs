@@ -72,6 +72,7 @@ impl Refusal {
             Refusal::ComponentRefused { .. } => (FailedPrecondition, "COMPONENT_REFUSED"),
             Refusal::ComponentFault { .. } => (Internal, "COMPONENT_FAULT"),
             Refusal::NoMemory { .. } => (ResourceExhausted, "NO_MEMORY"),
+            Refusal::Unreachable { .. } => (Unavailable, "UNREACHABLE"),
             Refusal::NoThread { .. } => (ResourceExhausted, "NO_THREAD"),
             Refusal::InUse { .. } => (FailedPrecondition, "IN_USE"),
             Refusal::PluginAbi { .. } => (FailedPrecondition, "PLUGIN_ABI"),
@@ -152,6 +153,9 @@ impl Refusal {
             ComponentFault { id, text } => m.put("component", id).put("text", text),
             NoMemory { id, outputs, bytes, why } => {
                 m.put("component", id).list("outputs", outputs).put("bytes", bytes).put("why", why)
+            }
+            Unreachable { client, server, why } => {
+                m.put("client", client).put("server", server).put("why", why)
             }
             NoThread { id, why } => m.put("component", id).put("why", why),
             InUse { id, by } => m.put("component", id).list("by", by),

@@ -148,6 +148,11 @@ fn changing() -> Vec<Refusal> {
             bytes: 17_179_869_184,
             why: "8392286208 bytes of memory are available, an eighth of which must stay free".into(),
         },
+        Refusal::Unreachable {
+            client: port("gui/viewer/image"),
+            server: port("host/camera/frames"),
+            why: "nobody answers at /run/trocar/host/links.sock".into(),
+        },
         Refusal::NoThread { id: id("host/camera"), why: "Resource temporarily unavailable".into() },
         Refusal::InUse { id: robot, by: texts(&["connection 3 (host/robot/arm → host/bscan/robot)"]) },
         Refusal::PluginAbi {

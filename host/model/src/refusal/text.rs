@@ -212,6 +212,9 @@ impl Display for Refusal {
             NoMemory { id, outputs, bytes, why } => {
                 write!(f, "`{id}` asks for {bytes} bytes for the frames of {}: {why}", list(outputs))
             }
+            Unreachable { client, server, why } => {
+                write!(f, "`{client}` cannot be connected to `{server}` in another process: {why}")
+            }
             NoThread { id, why } => write!(f, "the machine gives no thread for `{id}`: {why}"),
             InUse { id, by } => write!(f, "`{id}` is in use by {}", list(by)),
             PluginAbi { file, text } => {
@@ -396,6 +399,8 @@ impl Refusal {
                 "Give the outputs a smaller max_bytes (in the plugin, or in the configuration of `{id}` if it decides), or \
                 give the process more memory: end others, raise the limit of its container or of `ulimit -v`."
             ),
+            Unreachable { .. } => "Look at both processes with `trocar ls`; they must run on one machine, as one user, of one release."
+                .into(),
             NoThread { .. } => "Remove components, let several share a thread (stream_of, inside), or raise the limits of \
                 `ulimit -u` and of its container; `trocar doctor` shows them."
                 .into(),

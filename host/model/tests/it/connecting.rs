@@ -226,10 +226,10 @@ fn connection_numbers_begin_at_one_and_are_never_used_again() {
 }
 
 #[test]
-fn a_connection_across_processes_is_not_implemented_but_only_when_it_is_right_otherwise() {
+fn a_connection_across_processes_is_checked_as_any_other() {
     let mut graph = theatre();
     done(&mut graph, &[create("gui/log", "logger")]);
-    assert_eq!(refused(&graph, &connect("gui/log/force", "host/robot/force")).reason(), "NOT_IMPLEMENTED");
+    done(&mut graph, &[connect("gui/log/force", "host/robot/force")]);
     assert_eq!(refused(&graph, &connect("gui/log/force", "host/robot/arm")).reason(), "WRONG_DIRECTION");
 }
 

@@ -109,7 +109,7 @@ fn any_targets() -> impl Strategy<Value = Vec<Target>> {
 }
 
 fn any_options() -> impl Strategy<Value = ConnectOptions> {
-    let carrier = prop::sample::select(vec!["", "", "", "inline", "heap", "x"]);
+    let carrier = prop::sample::select(vec!["", "", "", "inline", "heap", "memfd", "x"]);
     (any::<bool>(), prop::option::weighted(0.1, 0usize..4), carrier).prop_map(
         |(replace, mailbox, carrier)| ConnectOptions {
             replace,
@@ -183,7 +183,9 @@ fn check(graph: &SystemGraph) -> Result<(), TestCaseError> {
         let link = bindings(&client, &connection.client, &server, &connection.server, &connection.options);
         prop_assert!(link.is_ok(), "{:?} does not fit: {:?}", connection, link);
         prop_assert!(clients.insert(connection.client.clone()), "{} has two sources", connection.client);
-        prop_assert_eq!(&connection.client.component.process, &connection.server.component.process);
+        let pinned = connection.options.carrier.as_str();
+        let fits = if connection.is_near() { ["", "inline", "heap"] } else { ["", "memfd", "memfd"] };
+        prop_assert!(fits.contains(&pinned), "{:?} cannot have its carrier", connection);
     }
     for (id, component) in &graph.components {
         let host = |id: &ComponentId| {

@@ -3,6 +3,7 @@
 
 mod adapting;
 mod agreeing;
+mod between;
 mod configuring;
 mod connecting;
 mod creating;

@@ -8,7 +8,7 @@ use trocar_model::*;
 use super::scene::*;
 
 fn back(graph: &SystemGraph) -> Plan {
-    restore(graph, &name("host"), &BTreeMap::new())
+    restore(graph, &name("host"), &BTreeMap::new(), &Here::default())
 }
 
 fn steps(plan: &Plan) -> Vec<String> {
@@ -93,7 +93,7 @@ fn what_is_wanted_counts_more_than_what_was_seen_last() {
         (id("host/log"), State::Stopped(StopReason::Requested)),
         (id("host/controller"), State::Active),
     ]);
-    let plan = restore(&graph, &name("host"), &wanted);
+    let plan = restore(&graph, &name("host"), &wanted, &Here::default());
     graph.apply(&plan);
     assert_eq!(graph.components[&id("host/log")].state, State::Stopped(StopReason::Requested));
     assert_eq!(graph.components[&id("host/controller")].state, State::Active);
@@ -130,5 +130,49 @@ fn another_process_is_left_alone() {
     let mut graph = running();
     done(&mut graph, &[create("gui/log", "logger")]);
     assert!(steps(&back(&graph)).iter().all(|step| !step.contains("gui")), "{:?}", back(&graph));
-    assert_eq!(restore(&graph, &name("nobody"), &BTreeMap::new()), Plan::default());
+    assert_eq!(restore(&graph, &name("nobody"), &BTreeMap::new(), &Here::default()), Plan::default());
+}
+
+#[test]
+fn a_class_that_moves_something_only_since_its_file_was_replaced_waits_for_somebody() {
+    let mut graph = running();
+    let host = graph.processes.get_mut(&name("host")).unwrap();
+    for class in host.classes.iter_mut().filter(|c| c.name == "logger") {
+        Arc::make_mut(class).safety = Safety::Actuator;
+    }
+    let plan = back(&graph);
+    assert!(steps(&plan).contains(&"host/log STOPPED{restarted}".to_owned()), "{plan:?}");
+    assert!(!steps(&plan).contains(&"host/log ACTIVE".to_owned()), "nobody asked it to move: {plan:?}");
+}
+
+#[test]
+fn what_is_there_already_is_not_made_twice_and_is_brought_to_where_it_should_stand() {
+    let graph = running();
+    let here = |stand: &[(&str, State)], connections: &[u64]| Here {
+        components: stand.iter().map(|(path, state)| (id(path), *state)).collect(),
+        connections: connections.iter().map(|number| ConnectionId(*number)).collect(),
+    };
+    let again = |here: &Here| steps(&restore(&graph, &name("host"), &BTreeMap::new(), here));
+    let some = here(&[("host/controller", State::Created), ("host/robot", State::Created)], &[1]);
+    let wanted = [
+        "host/controller READY",
+        "create host/log",
+        "host/log READY",
+        "host/robot STOPPED{restarted}",
+        "connect 2",
+        "host/controller ACTIVE",
+        "host/log ACTIVE",
+    ];
+    assert_eq!(again(&some), wanted);
+    let most = here(
+        &[
+            ("host/controller", State::Active),
+            ("host/log", State::Ready),
+            ("host/robot", State::Stopped(StopReason::Restarted)),
+        ],
+        &[1, 2],
+    );
+    assert_eq!(again(&most), ["host/log ACTIVE"]);
+    let failed = here(&[("host/log", State::Fault)], &[1, 2]);
+    assert!(!again(&failed).contains(&"host/log ACTIVE".to_owned()), "what failed is not started by that");
 }

@@ -143,7 +143,8 @@ fn stop_is_refused_only_for_what_does_not_exist() {
             set_state(&mut graph, "host/robot", state);
             graph.processes.get_mut(&name("host")).unwrap().state = process;
             let plan = plan(&graph, &stop(&["host/robot"])).unwrap();
-            let acts = state == State::Active && process == ProcessState::Attached;
+            let acts = matches!(state, State::Active | State::Stopped(StopReason::Restarted))
+                && process == ProcessState::Attached;
             assert_eq!(
                 (plan.changes.len(), plan.skipped.len()),
                 if acts { (1, 0) } else { (0, 1) },

@@ -66,6 +66,35 @@ fn loom_a_caller_is_answered_or_gives_up_and_the_cell_is_free_again() {
     });
 }
 
+/// Whoever notices that the server is gone, or not to be listened to any more, ends the call while the server may be at it.
+#[test]
+fn loom_a_call_that_is_ended_meets_its_server_and_is_answered_once() {
+    model(|| {
+        let pool = ReplyPool::new(1, 1, 0);
+        let ticket = pool.acquire().unwrap();
+        let (server, token) = (Arc::clone(&pool), ticket.token());
+        let serving = thread::spawn(move || {
+            if let Some(running) = server.begin(token, -1) {
+                running.finish(7, |_, _| 0);
+            }
+        });
+        let ender = Arc::clone(&pool);
+        let ending = thread::spawn(move || ender.end_all(-7));
+        let reply = ticket.wait(1, |_, _| ());
+        serving.join().unwrap();
+        ending.join().unwrap();
+        match reply {
+            Reply::Done(status) => assert!(status == 7 || status == -7, "{status}"),
+            Reply::DeadlineNotStarted | Reply::DeadlineMayRun => {}
+        }
+        // A cell that was given up is never used again; any other is free.
+        assert!(pool.begin(token, -1).is_none(), "an old token must fit nothing");
+        if let Some(again) = pool.acquire() {
+            assert_ne!(again.token(), token);
+        }
+    });
+}
+
 /// A value whose reads and whose end loom orders.
 struct Tracked(loom::cell::UnsafeCell<u32>, Arc<AtomicUsize>);
 

@@ -253,7 +253,7 @@ fn loom_what_is_pushed_behind_a_throwing_out_does_not_stay_without_a_mark() {
             let (mail, mark) = &*theirs;
             mail.throw_out(|_| {}, |_| {});
             mark.meet();
-            if !mail.is_empty() {
+            if mail.has_ready() {
                 mark.set();
             }
         });

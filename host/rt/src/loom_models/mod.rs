@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod calls;
+mod far;
 mod mailbox;
 mod pool;
 mod stream;

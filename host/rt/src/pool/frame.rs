@@ -38,7 +38,7 @@ impl FrameMut {
 
     /// How many bytes fit after the header.
     pub fn capacity(&self) -> usize {
-        self.0.pool().max_bytes
+        self.0.pool().max_bytes()
     }
 
     /// Header and bytes, to be written. They hold what the slot's last frame held.
@@ -47,8 +47,8 @@ impl FrameMut {
         // SAFETY: two disjoint parts of the slot, mapped and zeroed at first, and `self` is its only handle.
         unsafe {
             (
-                std::slice::from_raw_parts_mut(self.header_ptr(), pool.header_bytes),
-                std::slice::from_raw_parts_mut(self.bytes_ptr(), pool.max_bytes),
+                std::slice::from_raw_parts_mut(self.header_ptr(), pool.header_bytes()),
+                std::slice::from_raw_parts_mut(self.bytes_ptr(), pool.max_bytes()),
             )
         }
     }
@@ -56,7 +56,10 @@ impl FrameMut {
     /// Ends the writing: a frame with `len` bytes (at most `capacity`) after its header.
     pub fn freeze(self, len: usize) -> Frame {
         let slots = &self.0.pool().slots;
-        slots.set_len(self.0.slot, len.min(self.capacity()));
+        let longest = self.capacity();
+        // The length of a borrowed frame was compared with its pool's when it came.
+        let len = if self.0.pool().file().is_some() { len.min(longest) } else { len };
+        slots.set_len(self.0.slot, len);
         Frame(self.0)
     }
 
@@ -90,7 +93,7 @@ impl Frame {
     pub fn header(&self) -> &[u8] {
         let pool = self.0.pool();
         // SAFETY: mapped, initialised, and written by nobody while a `Frame` of this slot exists.
-        unsafe { std::slice::from_raw_parts(pool.header_ptr(self.0.slot), pool.header_bytes) }
+        unsafe { std::slice::from_raw_parts(pool.header_ptr(self.0.slot), pool.header_bytes()) }
     }
 
     /// The bytes after the header, as many as were frozen.
@@ -100,9 +103,16 @@ impl Frame {
         unsafe { std::slice::from_raw_parts(pool.bytes_ptr(self.0.slot), pool.slots.len(self.0.slot)) }
     }
 
-    /// Whether this is the only handle to its slot.
+    /// Whether this is the only handle to its slot. A frame of another process never is: nobody here may write it.
     pub fn is_unique(&self) -> bool {
-        self.0.pool().slots.is_unique(self.0.slot)
+        let pool = self.0.pool();
+        pool.file().is_some() && pool.slots.is_unique(self.0.slot)
+    }
+
+    /// The number of the memory it lies in, see [`PoolFile::numbered`](super::PoolFile::numbered), and its slot there.
+    pub fn location(&self) -> (u64, u32) {
+        let (file, slot) = self.0.pool().find(self.0.slot);
+        (file.number(), slot)
     }
 
     /// Whether at least `n` slots of its pool are free now.
@@ -187,6 +197,7 @@ impl Clone for Loan {
 impl Drop for Loan {
     fn drop(&mut self) {
         if self.pool().slots.give_back(self.slot) {
+            self.pool().came_back(self.slot);
             // SAFETY: the count that `lend` took for this loan, given back once, with its last handle.
             unsafe { Arc::decrement_strong_count(self.pool) };
         }

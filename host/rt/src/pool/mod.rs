@@ -3,29 +3,36 @@
 //! A slot has either one [`FrameMut`] or any number of [`Frame`]s; each loan keeps its pool alive; giving back is
 //! two atomic operations on any thread and never a system call while the pool's owner still holds it.
 
+mod borrowed;
+mod file;
 mod frame;
-mod memory;
 mod slots;
 
 use std::io;
-use std::os::fd::BorrowedFd;
 use std::sync::Arc;
 
+pub use file::{PoolFile, PoolShape};
 pub use frame::{Frame, FrameMut};
 
-use crate::buf::round_up;
+pub use crate::mapping::room_for;
 use crate::os::OsError;
-use memory::Memory;
-pub use memory::room_for;
+use crate::region::Table;
+use crate::stream::FarViews;
+use crate::sync::AtomicU64;
+use borrowed::Borrowed;
 use slots::Slots;
 
 /// A pool of equal slots.
 pub struct FramePool {
     slots: Slots,
-    memory: Memory,
-    header_bytes: usize,
-    max_bytes: usize,
-    stride: usize,
+    store: Store,
+}
+
+/// Where the frames lie.
+enum Store {
+    Own(Arc<PoolFile>),
+    /// In pools of another process; a slot is a lease.
+    Borrowed(Borrowed),
 }
 
 /// Counters of a pool, in slots and refused loans.
@@ -47,32 +54,37 @@ impl FramePool {
     /// # Errors
     /// With no slots, or when the machine has not that much memory (or memfd is not allowed).
     pub fn new(slots: u32, header_bytes: usize, max_bytes: usize) -> io::Result<Arc<Self>> {
-        let Some((stride, total)) = Self::size(slots, header_bytes, max_bytes) else {
-            return Err(io::Error::new(
-                io::ErrorKind::InvalidInput,
-                format!("a pool of {slots} slots of {header_bytes} + {max_bytes} bytes cannot exist"),
-            ));
-        };
-        Ok(Arc::new(Self {
-            slots: Slots::new(slots),
-            memory: Memory::new(total)?,
-            header_bytes,
-            max_bytes,
-            stride,
-        }))
+        let file = PoolFile::create(PoolShape { slots, header_bytes, max_bytes })?;
+        Ok(Arc::new(Self { slots: Slots::new(slots), store: Store::Own(file) }))
     }
 
     /// Bytes a pool takes; `None` for no slots or more bytes than an address can reach.
     pub fn bytes(slots: u32, header_bytes: usize, max_bytes: usize) -> Option<usize> {
-        Self::size(slots, header_bytes, max_bytes).map(|(_, total)| total)
+        PoolShape { slots, header_bytes, max_bytes }.size().map(|(_, total)| total)
     }
 
-    /// Bytes of a slot and of the pool; `None` for no slots or more bytes than an address can reach.
-    fn size(slots: u32, header_bytes: usize, max_bytes: usize) -> Option<(usize, usize)> {
-        let header = header_bytes.checked_next_multiple_of(64)?;
-        let stride = header.checked_add(max_bytes.checked_next_multiple_of(64)?)?.max(64);
-        let total = stride.checked_mul(slots as usize)?;
-        (1..=isize::MAX as usize).contains(&total).then_some((stride, total))
+    /// Room for frames of another process, one for each number under which it can lend one.
+    pub(crate) fn borrowed(leases: u32, returned: Table<AtomicU64>, views: &Arc<FarViews>) -> Arc<Self> {
+        let store = Store::Borrowed(Borrowed::new(leases, returned, views));
+        Arc::new(Self { slots: Slots::new(leases), store })
+    }
+
+    /// The frame the other process lent under this number; `None` when there cannot be such a frame, or when the number is
+    /// held here already.
+    pub(crate) fn admit(self: &Arc<Self>, lease: u32, view: u32, slot: u32, len: usize) -> Option<Frame> {
+        let Store::Borrowed(borrowed) = &self.store else { return None };
+        if !borrowed.fits(view, slot, len) || !self.slots.claim(lease) {
+            return None;
+        }
+        borrowed.set(lease, view, slot);
+        Some(FrameMut::lend(Arc::clone(self), lease).freeze(len))
+    }
+
+    /// The frame lent under this number is not wanted.
+    pub(crate) fn decline(&self, lease: u32) {
+        if let Store::Borrowed(borrowed) = &self.store {
+            borrowed.give_back(lease);
+        }
     }
 
     /// A slot to write into, or `None` (counted) when all are lent. Any thread; never waits. The slot holds
@@ -82,13 +94,24 @@ impl FramePool {
         Some(FrameMut::lend(Arc::clone(self), slot))
     }
 
-    /// The longest frame, in bytes after the header.
+    /// The longest frame, in bytes after the header; 0 where frames are only borrowed.
     pub fn max_bytes(&self) -> usize {
-        self.max_bytes
+        self.file().map_or(0, |file| file.shape().max_bytes)
     }
 
     pub fn header_bytes(&self) -> usize {
-        self.header_bytes
+        match &self.store {
+            Store::Own(file) => file.header_bytes(),
+            Store::Borrowed(borrowed) => borrowed.header_bytes(),
+        }
+    }
+
+    /// Its memory, where it is this process's own.
+    pub fn file(&self) -> Option<&Arc<PoolFile>> {
+        match &self.store {
+            Store::Own(file) => Some(file),
+            Store::Borrowed(_) => None,
+        }
     }
 
     /// The counters now, nearly of one moment.
@@ -96,19 +119,9 @@ impl FramePool {
         self.slots.stats()
     }
 
-    /// The sealed memfd behind the pool: slot `n` begins at byte `n * stride()`.
-    pub fn memfd(&self) -> BorrowedFd<'_> {
-        self.memory.fd()
-    }
-
-    /// Distance of two slots, in bytes.
-    pub fn stride(&self) -> usize {
-        self.stride
-    }
-
     /// Locks the pool's pages into memory; counts against `RLIMIT_MEMLOCK`.
     pub fn lock_memory(&self) -> Result<(), OsError> {
-        crate::os::lock_region(self.memory.at(0), self.memory.len())
+        self.file().map_or(Ok(()), |file| file.lock())
     }
 
     /// Whether the number of a [`FrameMut`] or [`Frame`] names a slot of this pool, whatever has become of it. Any number
@@ -117,11 +130,31 @@ impl FramePool {
         self.slots.has_entry(raw)
     }
 
+    /// The memory a slot lies in, and which of its slots that is.
+    #[inline]
+    fn find(&self, slot: u32) -> (&PoolFile, u32) {
+        match &self.store {
+            Store::Own(file) => (file, slot),
+            Store::Borrowed(borrowed) => borrowed.find(slot),
+        }
+    }
+
     fn header_ptr(&self, slot: u32) -> *mut u8 {
-        self.memory.at(slot as usize * self.stride)
+        match &self.store {
+            Store::Own(file) => file.header_ptr(slot),
+            Store::Borrowed(borrowed) => borrowed.header_ptr(slot),
+        }
     }
 
     fn bytes_ptr(&self, slot: u32) -> *mut u8 {
-        self.memory.at(slot as usize * self.stride + round_up(self.header_bytes, 64))
+        let (file, slot) = self.find(slot);
+        file.bytes_ptr(slot)
+    }
+
+    /// The last count on the slot was given back.
+    fn came_back(&self, slot: u32) {
+        if let Store::Borrowed(borrowed) = &self.store {
+            borrowed.give_back(slot);
+        }
     }
 }

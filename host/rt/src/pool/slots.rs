@@ -60,6 +60,16 @@ impl Slots {
         Some(slot)
     }
 
+    /// This very slot with a count of one; false when it is held, or does not exist.
+    pub(super) fn claim(&self, slot: u32) -> bool {
+        let Some(entry) = self.entries.get(slot as usize) else { return false };
+        let claimed = entry.count.compare_exchange(0, 1, Ordering::Acquire, Ordering::Relaxed).is_ok();
+        if claimed {
+            self.lent.fetch_add(1, Ordering::Relaxed);
+        }
+        claimed
+    }
+
     fn take_bit(word: &AtomicU64, at: u32) -> Option<u32> {
         let mut seen = word.load(Ordering::Relaxed);
         // Each turn drops a bit from `seen`, won or lost, so there are at most 64.

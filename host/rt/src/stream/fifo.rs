@@ -1,9 +1,11 @@
 //! A bounded queue of places between one writer and one reader, where the writer can drop the oldest.
 //!
 //! `head` only grows, and both ends move it by compare-and-swap: whoever moves it owns the place that stood
-//! there. Places the reader is done with go back to the writer through a second ring.
+//! there. Places the reader is done with go back to the writer through a second ring. The other end may be another process:
+//! whatever the words hold, what is taken out of a ring is one of the places.
 
 use super::DropPolicy;
+use crate::region::{Layout, Place, Table};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded};
 
 /// Attempts of the reader against a writer that drops the oldest each time in between.
@@ -14,11 +16,11 @@ const SPARE: usize = 3;
 pub(super) struct Fifo {
     depth: usize,
     pub(super) drop: DropPolicy,
-    ring: Box<[AtomicU32]>,
-    head: Padded<AtomicU64>,
-    tail: Padded<AtomicU64>,
-    returned: Box<[AtomicU32]>,
-    returned_tail: Padded<AtomicU64>,
+    ring: Table<AtomicU32>,
+    head: Place<Padded<AtomicU64>>,
+    tail: Place<Padded<AtomicU64>>,
+    returned: Table<AtomicU32>,
+    returned_tail: Place<Padded<AtomicU64>>,
 }
 
 /// What only the writer knows: its free places and its positions in both rings. Kept here rather than loaded
@@ -35,24 +37,37 @@ pub(super) struct Reading {
     returned_tail: u64,
 }
 
-fn ring(at_least: usize) -> Box<[AtomicU32]> {
-    (0..at_least.next_power_of_two()).map(|_| AtomicU32::new(0)).collect()
+fn ring(layout: &mut Layout, at_least: usize) -> Table<AtomicU32> {
+    layout.table(at_least.next_power_of_two(), |_| AtomicU32::new(0))
+}
+
+fn position(layout: &mut Layout) -> Place<Padded<AtomicU64>> {
+    layout.place(|| Padded(AtomicU64::new(0)))
 }
 
 fn at(ring: &[AtomicU32], position: u64) -> &AtomicU32 {
     &ring[position as usize & (ring.len() - 1)]
 }
 
+impl Writing {
+    /// A place is free. With a reader that plays with the words there may seem to be more of them than there are: no allocation.
+    pub(super) fn give_back(&mut self, place: usize) {
+        if self.free.len() < self.free.capacity() {
+            self.free.push(place as u32);
+        }
+    }
+}
+
 impl Fifo {
-    pub(super) fn new(depth: usize, drop: DropPolicy) -> Self {
+    pub(super) fn lay_out(layout: &mut Layout, depth: usize, drop: DropPolicy) -> Self {
         Self {
             depth,
             drop,
-            ring: ring(depth),
-            head: Padded(AtomicU64::new(0)),
-            tail: Padded(AtomicU64::new(0)),
-            returned: ring(depth + SPARE),
-            returned_tail: Padded(AtomicU64::new(0)),
+            ring: ring(layout, depth),
+            head: position(layout),
+            tail: position(layout),
+            returned: ring(layout, depth + SPARE),
+            returned_tail: position(layout),
         }
     }
 
@@ -67,7 +82,7 @@ impl Fifo {
 
     /// Writer: how many are queued. Until the writer pushes they only become fewer.
     pub(super) fn queued(&self, writing: &Writing) -> u64 {
-        writing.tail - self.head.0.load(Ordering::Acquire)
+        writing.tail.wrapping_sub(self.head.0.load(Ordering::Acquire))
     }
 
     /// Writer: whether a push must drop something. Once false, it stays false until the writer pushes.
@@ -84,14 +99,15 @@ impl Fifo {
         mut emptied: impl FnMut(usize),
     ) -> u64 {
         let mut given_up = 0;
-        loop {
+        for _ in 0..self.depth {
             let head = self.head.0.load(Ordering::Acquire);
-            let queued = writing.tail - head;
-            if queued == 0 || !too_many(queued + 1) {
-                return given_up;
+            let queued = writing.tail.wrapping_sub(head);
+            if queued == 0 || !too_many(queued.saturating_add(1)) {
+                break;
             }
             given_up += u64::from(self.give_up(writing, head, &mut emptied));
         }
+        given_up
     }
 
     /// Writer: a free place to fill. Of depth + 3 places at most depth are queued and two at the reader, so
@@ -105,14 +121,14 @@ impl Fifo {
             return None;
         }
         writing.returned_head = head + 1;
-        Some(at(&self.returned, head).load(Ordering::Relaxed) as usize)
+        Some(self.place_in(at(&self.returned, head)))
     }
 
     /// Writer: queues a filled place; where the queue is full, `emptied` gets the oldest place, which is free
     /// afterwards. Whether that was so.
     pub(super) fn push(&self, writing: &mut Writing, place: usize, emptied: impl FnOnce(usize)) -> bool {
         let head = self.head.0.load(Ordering::Acquire);
-        let full = writing.tail - head >= self.depth as u64;
+        let full = writing.tail.wrapping_sub(head) >= self.depth as u64;
         let dropped = full && self.give_up(writing, head, emptied);
         at(&self.ring, writing.tail).store(place as u32, Ordering::Relaxed);
         writing.tail += 1;
@@ -151,15 +167,43 @@ impl Fifo {
     fn give_up(&self, writing: &mut Writing, head: u64, emptied: impl FnOnce(usize)) -> bool {
         let Some(oldest) = self.take(head) else { return false };
         emptied(oldest);
-        writing.free.push(oldest as u32);
+        writing.give_back(oldest);
         true
     }
 
+    fn place_in(&self, word: &AtomicU32) -> usize {
+        (word.load(Ordering::Relaxed) as usize).min(self.slots() - 1)
+    }
+
     fn take(&self, head: u64) -> Option<usize> {
-        let place = at(&self.ring, head).load(Ordering::Relaxed);
+        let place = self.place_in(at(&self.ring, head));
         // Acquire also where the other end was faster: what it gave back before is seen then, see `free_place`.
-        let moved = self.head.0.compare_exchange(head, head + 1, Ordering::AcqRel, Ordering::Acquire);
-        moved.is_ok().then_some(place as usize)
+        let moved =
+            self.head.0.compare_exchange(head, head.wrapping_add(1), Ordering::AcqRel, Ordering::Acquire);
+        moved.is_ok().then_some(place)
+    }
+}
+
+#[cfg(all(test, not(loom)))]
+mod tests {
+    use super::*;
+
+    /// Each place the writer is told of twice would be a place more in its list, in memory taken during a step.
+    #[test]
+    fn a_reader_that_plays_with_the_words_adds_no_place() {
+        let fifo = Layout::on_heap(|layout| Fifo::lay_out(layout, 4, DropPolicy::DropOldest));
+        let mut writing = fifo.writing();
+        let room = writing.free.capacity();
+        for turn in 0..1000u64 {
+            fifo.head.0.store(writing.tail.wrapping_sub(turn % 7), Ordering::Relaxed);
+            fifo.returned_tail.0.store(turn.wrapping_mul(3), Ordering::Relaxed);
+            fifo.ring.iter().for_each(|word| word.store(turn as u32 * 77, Ordering::Relaxed));
+            fifo.make_room(&mut writing, |_| true, |place| assert!(place < fifo.slots()));
+            let Some(place) = fifo.free_place(&mut writing) else { continue };
+            assert!(place < fifo.slots());
+            fifo.push(&mut writing, place, |oldest| assert!(oldest < fifo.slots()));
+        }
+        assert_eq!(writing.free.capacity(), room, "the list grew");
     }
 }
 
@@ -175,7 +219,8 @@ mod models {
     #[test]
     fn loom_a_place_that_comes_back_is_written_after_it_was_read() {
         model_within(3, || {
-            let shared = Arc::new((Fifo::new(1, DropPolicy::DropNewest), Plain::new()));
+            let shared =
+                Arc::new((Layout::on_heap(|l| Fifo::lay_out(l, 1, DropPolicy::DropNewest)), Plain::new()));
             let mut writing = shared.0.writing();
             writing.free = vec![0];
             let theirs = Arc::clone(&shared);

@@ -4,6 +4,7 @@
 //! dropped: with nothing queued, `pushed = taken + dropped`. A slot has one owner at any time: writer, queue or
 //! reader; its index moves between them by one atomic operation.
 
+mod far;
 mod fifo;
 mod here;
 mod latest;
@@ -13,11 +14,13 @@ mod writer;
 
 use std::sync::Arc;
 
+pub use far::{FarPools, FarViews, POOLS_PER_LINK};
 pub use reader::{Sample, StreamReader};
 pub use writer::{Pushed, StreamWriter};
 
-use crate::exclusive::TryCell;
-use crate::sync::{AtomicBool, AtomicU64, Ordering, Padded};
+use crate::region::{Layout, Place, Plain, told};
+use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded};
+use far::{Arriving, Lending};
 use fifo::Fifo;
 use here::Here;
 use latest::Latest;
@@ -51,6 +54,7 @@ pub enum DropPolicy {
 
 /// What travels beside every sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
 pub struct Meta {
     /// Ns of the monotonic clock.
     pub stamp_ns: u64,
@@ -80,41 +84,46 @@ impl StreamCounters {
         let Counters { writer, reader } = &*self.0;
         let turned_away = read(&writer.0.turned_away);
         StreamStats {
-            taken: read(&reader.0.taken),
-            dropped: read(&writer.0.dropped) + turned_away + read(&reader.0.skipped),
-            pushed: read(&writer.0.pushed) + turned_away + read(&reader.0.pushed_here),
+            taken: sum([read(&reader.0.taken)]),
+            dropped: sum([read(&writer.0.dropped), turned_away, read(&reader.0.skipped)]),
+            pushed: sum([read(&writer.0.pushed), turned_away, read(&reader.0.pushed_here)]),
         }
     }
 }
 
-/// A link and its two ends.
+/// A link and its two ends, both in this process.
 pub fn stream_link(payload: Payload, queue: Queue) -> (StreamWriter, StreamReader) {
-    let bytes = match payload {
-        Payload::Plain { bytes } => bytes,
-        Payload::Frame => 0,
+    let counters = Layout::on_heap(Counters::lay_out);
+    let link = Layout::on_heap(|layout| Link::lay_out(layout, payload, queue, Some(&counters)));
+    let link = Arc::new(link);
+    (StreamWriter::new(Arc::clone(&link), None), StreamReader::new(link, None))
+}
+
+/// The output's end of a link whose other end is in another process; the parts are what [`far_reader`] lays out.
+pub fn far_writer(
+    layout: &mut Layout,
+    payload: Payload,
+    queue: Queue,
+    pools: &Arc<FarPools>,
+) -> StreamWriter {
+    let link = Link::lay_out(layout, payload, queue, None);
+    let lending = (payload == Payload::Frame).then(|| Lending::lay_out(layout, link.places(), pools));
+    StreamWriter::new(Arc::new(link), lending)
+}
+
+/// The input's end of a link whose other end is in another process.
+pub fn far_reader(
+    layout: &mut Layout,
+    payload: Payload,
+    queue: Queue,
+    views: &Arc<FarViews>,
+) -> StreamReader {
+    let link = Link::lay_out(layout, payload, queue, None);
+    let arriving = match payload {
+        Payload::Plain { bytes } => Arriving::plain(bytes),
+        Payload::Frame => Arriving::frames(layout, views),
     };
-    let order = match queue {
-        Queue::Latest => Order::Latest(Latest::new()),
-        Queue::Fifo { depth, drop } => Order::Fifo(Fifo::new(depth.max(1), drop)),
-    };
-    let slots = match &order {
-        Order::Latest(_) => latest::SLOTS + here::SLOTS,
-        Order::Fifo(fifo) => fifo.slots(),
-    };
-    let link = Arc::new(Link {
-        payload,
-        slots: Slots::new(slots, bytes),
-        order,
-        here: Here::new(),
-        reader_left: AtomicBool::new(false),
-        writer_left: AtomicBool::new(false),
-        counters: Arc::new(Counters::new()),
-    });
-    let writing = match &link.order {
-        Order::Latest(_) => writer::End::Latest { back: latest::WRITERS },
-        Order::Fifo(fifo) => writer::End::Fifo(fifo.writing()),
-    };
-    (StreamWriter { link: Arc::clone(&link), end: TryCell::new(writing) }, StreamReader::new(link))
+    StreamReader::new(Arc::new(link), Some(arriving))
 }
 
 /// What both ends share.
@@ -124,26 +133,63 @@ struct Link {
     order: Order,
     /// Of a latest link.
     here: Here,
-    reader_left: AtomicBool,
-    writer_left: AtomicBool,
+    /// Which ends are gone, a word each.
+    reader_left: Place<AtomicU32>,
+    writer_left: Place<AtomicU32>,
     counters: Arc<Counters>,
 }
 
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one per link, behind its Arc; a box would cost a hop per sample"
-)]
 enum Order {
     Latest(Latest),
     Fifo(Fifo),
 }
 
-/// Each end writes its own line.
-struct Counters {
-    writer: Padded<WriterCounts>,
-    reader: Padded<ReaderCounts>,
+impl Link {
+    /// With counters of its own, where nobody else has made them.
+    fn lay_out(
+        layout: &mut Layout,
+        payload: Payload,
+        queue: Queue,
+        counters: Option<&Arc<Counters>>,
+    ) -> Link {
+        let bytes = match payload {
+            Payload::Plain { bytes } => bytes,
+            Payload::Frame => 0,
+        };
+        let order = match queue {
+            Queue::Latest => Order::Latest(Latest::lay_out(layout)),
+            Queue::Fifo { depth, drop } => Order::Fifo(Fifo::lay_out(layout, depth.max(1), drop)),
+        };
+        let slots = match &order {
+            Order::Latest(_) => latest::SLOTS + here::SLOTS,
+            Order::Fifo(fifo) => fifo.slots(),
+        };
+        Link {
+            payload,
+            slots: Slots::lay_out(layout, slots, bytes, payload == Payload::Frame),
+            order,
+            here: Here::new(),
+            reader_left: layout.place(|| AtomicU32::new(0)),
+            writer_left: layout.place(|| AtomicU32::new(0)),
+            counters: counters.cloned().unwrap_or_else(|| Counters::lay_out(layout)),
+        }
+    }
+
+    fn places(&self) -> usize {
+        match &self.order {
+            Order::Latest(_) => latest::SLOTS + here::SLOTS,
+            Order::Fifo(fifo) => fifo.slots(),
+        }
+    }
 }
 
+/// Each end writes its own line.
+struct Counters {
+    writer: Place<Padded<WriterCounts>>,
+    reader: Place<Padded<ReaderCounts>>,
+}
+
+#[repr(C)]
 struct WriterCounts {
     pushed: AtomicU64,
     dropped: AtomicU64,
@@ -151,6 +197,10 @@ struct WriterCounts {
     turned_away: AtomicU64,
 }
 
+// SAFETY: atomic numbers.
+unsafe impl Plain for WriterCounts {}
+
+#[repr(C)]
 struct ReaderCounts {
     taken: AtomicU64,
     skipped: AtomicU64,
@@ -158,14 +208,21 @@ struct ReaderCounts {
     pushed_here: AtomicU64,
 }
 
+// SAFETY: atomic numbers.
+unsafe impl Plain for ReaderCounts {}
+
 impl Counters {
-    fn new() -> Self {
+    fn lay_out(layout: &mut Layout) -> Arc<Self> {
         let zero = || AtomicU64::new(0);
-        Self {
-            writer: Padded(WriterCounts { pushed: zero(), dropped: zero(), turned_away: zero() }),
-            reader: Padded(ReaderCounts { taken: zero(), skipped: zero(), pushed_here: zero() }),
-        }
+        let writer = || Padded(WriterCounts { pushed: zero(), dropped: zero(), turned_away: zero() });
+        let reader = || Padded(ReaderCounts { taken: zero(), skipped: zero(), pushed_here: zero() });
+        Arc::new(Self { writer: layout.place(writer), reader: layout.place(reader) })
     }
+}
+
+/// Another process may have written anything there.
+fn sum<const N: usize>(counts: [u64; N]) -> u64 {
+    told(counts.into_iter().fold(0, u64::wrapping_add))
 }
 
 /// Counts where several may count at the same moment.
@@ -176,5 +233,5 @@ fn count(counter: &AtomicU64, n: u64) {
 /// Counts where only one end, or whoever is inside it, ever counts.
 #[inline]
 fn tally(counter: &AtomicU64, n: u64) {
-    counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
+    counter.store(counter.load(Ordering::Relaxed).wrapping_add(n), Ordering::Relaxed);
 }

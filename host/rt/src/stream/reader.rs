@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use super::far::{Admitted, Arriving};
+use super::slots::Slots;
 use super::{Link, Meta, Order, StreamCounters, StreamStats, fifo, latest, tally};
 use crate::pool::Frame;
 use crate::sync::Ordering;
@@ -30,13 +32,38 @@ pub struct StreamReader {
     own: usize,
     /// Whether there is a sample in it.
     holds: bool,
+    /// The frame in it lies in memory that is not mapped yet.
+    awaits: bool,
     reading: fifo::Reading,
+    /// With a writer in another process.
+    arriving: Option<Arriving>,
+    /// What came with the sample of another process, which cannot change it any more.
+    came: Meta,
+    /// Samples of another process that could not be what they were said to be.
+    corrupt: u64,
 }
 
 impl StreamReader {
-    pub(super) fn new(link: Arc<Link>) -> Self {
+    pub(super) fn new(link: Arc<Link>, arriving: Option<Arriving>) -> Self {
         let place = matches!(link.order, Order::Latest(_)).then_some(latest::READERS);
-        Self { link, place, own: latest::READERS, holds: false, reading: fifo::Reading::default() }
+        let reading = fifo::Reading::default();
+        let came = Meta::default();
+        Self {
+            link,
+            place,
+            own: latest::READERS,
+            holds: false,
+            awaits: false,
+            reading,
+            arriving,
+            came,
+            corrupt: 0,
+        }
+    }
+
+    /// Samples of another process that were thrown away, since they could not be what they were said to be.
+    pub fn corrupt(&self) -> u64 {
+        self.corrupt
     }
 
     /// The newest sample, fresh or as seen before; older unseen ones are skipped and counted. `None` before
@@ -72,14 +99,14 @@ impl StreamReader {
     pub fn frame(&self) -> Option<&Frame> {
         let place = self.place.filter(|_| self.holds)?;
         // SAFETY: the reader owns the place; a shared borrow of the reader keeps it from changing.
-        unsafe { self.link.slots.look(place) }.frame.as_ref()
+        unsafe { self.link.slots.frame(place) }
     }
 
     /// Takes the frame last seen out of the reader, to be changed in place where nobody else reads it.
     pub fn take_frame(&mut self) -> Option<Frame> {
         let place = self.place.filter(|_| self.holds)?;
         // SAFETY: the reader owns the place, and `&mut self` makes this the only reference.
-        let frame = unsafe { self.link.slots.content(place) }.frame.take();
+        let frame = unsafe { self.link.slots.frame_mut(place) }.and_then(Option::take);
         // Without its frame the place holds no sample any more; a plain one stays.
         self.holds = frame.is_none();
         frame
@@ -87,7 +114,7 @@ impl StreamReader {
 
     /// Whether the writing end still exists. Without it nothing new will come.
     pub fn has_writer(&self) -> bool {
-        !self.link.writer_left.load(Ordering::Acquire)
+        self.link.writer_left.load(Ordering::Acquire) == 0
     }
 
     pub fn stats(&self) -> StreamStats {
@@ -100,14 +127,43 @@ impl StreamReader {
     }
 
     /// Moves on to the next sample or to the newest one; whether there was one.
-    #[inline]
+    #[inline(always)]
     fn advance(&mut self, newest: bool) -> bool {
+        let here = &self.link.here;
+        match &self.link.order {
+            // Within a cycle, where a call more is an eighth of a hop.
+            Order::Latest(latest) if self.arriving.is_none() && !latest.has_unseen() => {
+                if !here.has_unseen() {
+                    return false;
+                }
+                // SAFETY: `&mut self` is the right to read.
+                self.place = Some(unsafe { here.take() });
+                self.holds = true;
+                tally(&self.link.counters.reader.0.taken, 1);
+                true
+            }
+            _ => self.advance_any(newest),
+        }
+    }
+
+    /// The same, wherever the sample comes from.
+    #[inline(never)]
+    fn advance_any(&mut self, newest: bool) -> bool {
+        // What waits stays the next one of a queue; of a latest link a newer one takes its place.
+        let newer = || matches!(&self.link.order, Order::Latest(latest) if latest.has_unseen());
+        if self.awaits && !newer() {
+            return self.arrive();
+        }
         let slots = &self.link.slots;
         let counters = &self.link.counters.reader.0;
         match &self.link.order {
             Order::Latest(latest) => {
                 let (came, here) = (latest.has_unseen(), &self.link.here);
                 if came {
+                    if std::mem::take(&mut self.awaits) {
+                        skip(&self.arriving, slots, self.own);
+                        tally(&counters.skipped, 1);
+                    }
                     // SAFETY: the reader owns the place, and `&mut self` ends every look at it.
                     unsafe { slots.empty(self.own) };
                     self.own = latest.exchange(self.own);
@@ -138,7 +194,10 @@ impl StreamReader {
                 };
                 // The place seen before goes back first: the writer counts on it (see `Fifo::free_place`).
                 self.place.take().into_iter().for_each(&mut give_back);
-                while newest && let Some(newer) = fifo.pop(end) {
+                // No longer than there can be places, whatever another process says of the queue's end.
+                for _ in 0..if newest { fifo.slots() } else { 0 } {
+                    let Some(newer) = fifo.pop(end) else { break };
+                    skip(&self.arriving, slots, place);
                     give_back(place);
                     tally(&counters.skipped, 1);
                     place = newer;
@@ -146,31 +205,103 @@ impl StreamReader {
                 self.place = Some(place);
             }
         }
+        if self.arriving.is_some() {
+            return self.arrive();
+        }
         self.holds = true;
-        tally(&counters.taken, 1);
+        tally(&self.link.counters.reader.0.taken, 1);
         true
     }
 
-    #[inline]
+    /// Takes what another process has written into the place taken over; whether there is a sample now.
+    fn arrive(&mut self) -> bool {
+        let (Some(place), Some(arriving)) = (self.place, &mut self.arriving) else { return false };
+        let slots = &self.link.slots;
+        (self.awaits, self.holds) = (false, false);
+        match arriving {
+            Arriving::Plain(copy) => {
+                // SAFETY: the reader owns the place.
+                let (meta, data, _) = unsafe { slots.read(place) };
+                self.came = meta;
+                self.holds = copy.take(data);
+            }
+            Arriving::Frames(pool, views) => {
+                // SAFETY: as above.
+                let content = unsafe { slots.look(place) };
+                self.came = content.meta;
+                // SAFETY: as above, and `&mut self` makes this the only reference.
+                let mine = unsafe { slots.frame_mut(place) };
+                match (Arriving::admit(pool, views, &content), mine) {
+                    (Admitted::Frame(frame), Some(mine)) => {
+                        *mine = Some(frame);
+                        self.holds = true;
+                    }
+                    (Admitted::Later, _) => {
+                        self.awaits = true;
+                        return false;
+                    }
+                    _ => {}
+                }
+            }
+        }
+        let counters = &self.link.counters.reader.0;
+        if self.holds {
+            tally(&counters.taken, 1);
+        } else {
+            self.corrupt += 1;
+            tally(&counters.skipped, 1);
+        }
+        self.holds
+    }
+
+    #[inline(always)]
     fn sample(&self, fresh: bool) -> Option<Sample<'_>> {
         let place = self.place.filter(|_| self.holds)?;
+        if let Some(arriving) = &self.arriving {
+            return Some(self.arrived(arriving, place, fresh));
+        }
         // SAFETY: the reader owns the place and keeps it while it is borrowed.
         let (meta, data, bytes) = unsafe { self.link.slots.read(place) };
         Some(Sample { meta, fresh, data, bytes })
+    }
+
+    #[inline(never)]
+    fn arrived<'a>(&'a self, arriving: &'a Arriving, place: usize, fresh: bool) -> Sample<'a> {
+        let (data, bytes) = match arriving {
+            Arriving::Plain(copy) => (copy.data(), &[][..]),
+            Arriving::Frames(..) => {
+                // SAFETY: as in `sample`.
+                let (_, data, bytes) = unsafe { self.link.slots.read(place) };
+                (data, bytes)
+            }
+        };
+        Sample { meta: self.came, fresh, data, bytes }
+    }
+}
+
+/// A sample that nobody will see goes back where it came from.
+fn skip(arriving: &Option<Arriving>, slots: &Slots, place: usize) {
+    if let Some(Arriving::Frames(pool, _)) = arriving {
+        // SAFETY: the reader owns the place.
+        pool.decline(unsafe { slots.look(place) }.frame.lease);
     }
 }
 
 impl Drop for StreamReader {
     fn drop(&mut self) {
-        self.link.reader_left.store(true, Ordering::Release);
+        self.link.reader_left.store(1, Ordering::Release);
         // Frames still here go back to their pool now, not when the writer happens to go. Bounded: once the
-        // writer sees that the reader left, it queues nothing more.
+        // writer sees that the reader left, it queues nothing more; and no other process keeps this going.
         self.release();
         let skipped = &self.link.counters.reader.0.skipped;
+        if let Some(place) = self.place.filter(|_| self.awaits) {
+            skip(&self.arriving, &self.link.slots, place);
+            tally(skipped, 1);
+        }
         if self.link.here.has_unseen() {
             tally(skipped, 1);
         }
-        loop {
+        for _ in 0..=self.link.places() {
             let unseen = match &self.link.order {
                 Order::Latest(latest) => latest.has_unseen().then(|| {
                     self.own = latest.exchange(self.own);
@@ -179,6 +310,7 @@ impl Drop for StreamReader {
                 Order::Fifo(fifo) => fifo.pop(fifo.end()),
             };
             let Some(place) = unseen else { break };
+            skip(&self.arriving, &self.link.slots, place);
             // SAFETY: the place was just taken over by the reader.
             unsafe { self.link.slots.empty(place) };
             tally(skipped, 1);

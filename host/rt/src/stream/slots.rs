@@ -1,23 +1,47 @@
 //! The places samples lie in. A place is touched only by the end, or the queue, that owns its index.
+//!
+//! What describes a sample may lie where another process writes; the frames themselves are held by the end that owns the place,
+//! in its own process.
 
 use super::Meta;
-use crate::buf::{AlignedBuf, copy, round_up};
+use crate::buf::{copy, round_up};
 use crate::pool::Frame;
+use crate::region::{AnyBits, Bytes, Layout, Table};
 use crate::sync::Shared;
 
-/// What lies in a place.
-#[derive(Default)]
+/// What describes the sample in a place.
+#[derive(Clone, Copy, Default)]
+#[repr(C)]
 pub(super) struct Content {
     pub(super) meta: Meta,
-    pub(super) frame: Option<Frame>,
     /// Bytes in use of a plain sample.
-    len: usize,
+    pub(super) len: u64,
+    /// Where the frame lies, for an end that has to find it in another process.
+    pub(super) frame: Located,
 }
 
+/// A frame as the other end finds it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub(super) struct Located {
+    /// Under which number it was lent.
+    pub(super) lease: u32,
+    /// Number of its pool on this link, and its slot in it.
+    pub(super) pool: u32,
+    pub(super) slot: u64,
+    /// Bytes after the header.
+    pub(super) len: u64,
+}
+
+// SAFETY: numbers.
+unsafe impl AnyBits for Content {}
+
 pub(super) struct Slots {
-    contents: Box<[Shared<Content>]>,
-    plain: AlignedBuf,
+    contents: Table<Shared<Content>>,
+    plain: Bytes,
     stride: usize,
+    /// Of links of frames: the frame in each place.
+    frames: Box<[Shared<Option<Frame>>]>,
 }
 
 // SAFETY: a place has one owner at a time, passed on with Release and Acquire; a `Frame` may go anywhere.
@@ -26,56 +50,84 @@ unsafe impl Send for Slots {}
 unsafe impl Sync for Slots {}
 
 impl Slots {
-    pub(super) fn new(slots: usize, bytes: usize) -> Self {
+    /// Plain samples of up to `bytes`, or frames.
+    pub(super) fn lay_out(layout: &mut Layout, slots: usize, bytes: usize, frames: bool) -> Self {
         let stride = round_up(bytes, 64);
         Self {
-            contents: (0..slots).map(|_| Shared::new(Content::default())).collect(),
-            plain: AlignedBuf::new(stride * slots),
+            contents: layout.table(slots, |_| Shared::new(Content::default())),
+            plain: layout.bytes(stride * slots),
             stride,
+            frames: (0..if frames { slots } else { 0 }).map(|_| Shared::new(None)).collect(),
         }
     }
 
     /// # Safety
-    /// The caller owns the place and uses one reference to it at a time.
-    #[expect(clippy::mut_from_ref, reason = "ownership of a place is by index, as the contract says")]
-    #[inline]
-    pub(super) unsafe fn content(&self, place: usize) -> &mut Content {
-        // SAFETY: the caller owns the place.
-        unsafe { &mut *self.contents[place].exclusive() }
-    }
-
-    /// # Safety
-    /// As for [`Slots::content`]; `data` is no longer than the link's samples.
+    /// The caller owns the place; `data` is no longer than the link's samples.
     #[inline]
     pub(super) unsafe fn write(&self, place: usize, meta: Meta, data: &[u8]) {
         debug_assert!(data.len() <= self.stride, "the writer checks the length");
         // SAFETY: the caller owns the place, which has `stride` bytes.
         unsafe {
             copy(data.as_ptr(), self.plain.at(place * self.stride), data.len());
-            *self.content(place) = Content { meta, frame: None, len: data.len() };
+            let content = self.contents[place].exclusive();
+            (*content).meta = meta;
+            (*content).len = data.len() as u64;
         }
+    }
+
+    /// Describes a frame and puts it there, where the other end takes it from this process.
+    ///
+    /// # Safety
+    /// The caller owns the place and uses one reference to its frame at a time.
+    pub(super) unsafe fn put(&self, place: usize, meta: Meta, frame: Option<Frame>, located: Located) {
+        // SAFETY: the caller owns the place.
+        unsafe { *self.contents[place].exclusive() = Content { meta, len: 0, frame: located } };
+        if let Some(mine) = self.frames.get(place) {
+            // SAFETY: as above.
+            unsafe { *mine.exclusive() = frame };
+        }
+    }
+
+    /// # Safety
+    /// The caller owns the place and uses one reference to its frame at a time.
+    #[expect(clippy::mut_from_ref, reason = "ownership of a place is by index, as the contract says")]
+    #[inline]
+    pub(super) unsafe fn frame_mut(&self, place: usize) -> Option<&mut Option<Frame>> {
+        // SAFETY: the caller owns the place.
+        self.frames.get(place).map(|frame| unsafe { &mut *frame.exclusive() })
     }
 
     /// # Safety
     /// The caller owns the place, and nobody writes it while the answer lives.
     #[inline]
-    pub(super) unsafe fn look(&self, place: usize) -> &Content {
+    pub(super) unsafe fn frame(&self, place: usize) -> Option<&Frame> {
         // SAFETY: the caller owns the place and keeps it.
-        unsafe { &*self.contents[place].readable() }
+        unsafe { &*self.frames.get(place)?.readable() }.as_ref()
     }
 
     /// # Safety
-    /// As for [`Slots::look`].
+    /// The caller owns the place.
+    #[inline]
+    pub(super) unsafe fn look(&self, place: usize) -> Content {
+        // SAFETY: the caller owns the place.
+        unsafe { self.contents[place].fetch() }
+    }
+
+    /// The sample and what lies behind its header.
+    ///
+    /// # Safety
+    /// As for [`Slots::frame`].
     #[inline]
     pub(super) unsafe fn read(&self, place: usize) -> (Meta, &[u8], &[u8]) {
         // SAFETY: the caller's promise is the one asked for.
         let content = unsafe { self.look(place) };
-        match &content.frame {
+        // SAFETY: as above.
+        match unsafe { self.frame(place) } {
             Some(frame) => (content.meta, frame.header(), frame.bytes()),
             None => {
-                // SAFETY: as above; `len` bytes were written when the content was.
-                let data =
-                    unsafe { std::slice::from_raw_parts(self.plain.at(place * self.stride), content.len) };
+                let len = (content.len as usize).min(self.stride);
+                // SAFETY: as above; the place has `stride` bytes.
+                let data = unsafe { std::slice::from_raw_parts(self.plain.at(place * self.stride), len) };
                 (content.meta, data, &[])
             }
         }
@@ -84,10 +136,12 @@ impl Slots {
     /// Lets go of the frame in a place.
     ///
     /// # Safety
-    /// As for [`Slots::content`].
+    /// As for [`Slots::frame_mut`].
     #[inline]
     pub(super) unsafe fn empty(&self, place: usize) {
         // SAFETY: the caller's promise is the one asked for.
-        drop(unsafe { self.content(place) }.frame.take());
+        if let Some(frame) = unsafe { self.frame_mut(place) } {
+            drop(frame.take());
+        }
     }
 }

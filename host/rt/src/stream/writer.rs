@@ -5,9 +5,12 @@
 
 use std::sync::Arc;
 
+use super::far::Lending;
 use super::fifo::{Fifo, Writing};
-use super::slots::Slots;
-use super::{DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, tally};
+use super::slots::{Located, Slots};
+use super::{
+    DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, latest, tally,
+};
 use crate::exclusive::TryCell;
 use crate::pool::Frame;
 use crate::sync::Ordering;
@@ -27,18 +30,33 @@ pub enum Pushed {
 }
 
 /// The places the writer owns.
-pub(super) enum End {
+enum Owned {
     Latest { back: usize },
     Fifo(fifo::Writing),
 }
 
+/// What only whoever pushes touches.
+struct End {
+    owned: Owned,
+    /// Of a link of frames to another process.
+    lending: Option<Lending>,
+}
+
 /// The writing end: for one producer thread, reachable through `&self`.
 pub struct StreamWriter {
-    pub(super) link: Arc<Link>,
-    pub(super) end: TryCell<End>,
+    link: Arc<Link>,
+    end: TryCell<End>,
 }
 
 impl StreamWriter {
+    pub(super) fn new(link: Arc<Link>, lending: Option<Lending>) -> Self {
+        let owned = match &link.order {
+            Order::Latest(_) => Owned::Latest { back: latest::WRITERS },
+            Order::Fifo(fifo) => Owned::Fifo(fifo.writing()),
+        };
+        Self { link, end: TryCell::new(End { owned, lending }) }
+    }
+
     /// Offers a sample of plain bytes, copied. Never waits.
     #[inline]
     pub fn push(&self, data: &[u8], meta: Meta) -> Pushed {
@@ -82,7 +100,7 @@ impl StreamWriter {
     /// Whether the reading end still exists.
     #[inline]
     pub fn has_reader(&self) -> bool {
-        !self.link.reader_left.load(Ordering::Relaxed)
+        self.link.reader_left.load(Ordering::Relaxed) == 0
     }
 
     pub fn stats(&self) -> StreamStats {
@@ -121,21 +139,31 @@ impl StreamWriter {
     #[inline]
     fn put(&self, end: &mut End, sample: impl Offered) -> Pushed {
         let slots = &self.link.slots;
-        match (&self.link.order, end) {
-            (Order::Latest(latest), End::Latest { back }) => {
+        let lending = &mut end.lending;
+        if let Some(lending) = lending {
+            lending.collect();
+        }
+        match (&self.link.order, &mut end.owned) {
+            (Order::Latest(latest), Owned::Latest { back }) => {
                 // SAFETY: the writer owns its back place.
-                unsafe { sample.fill(slots, *back) };
+                if !unsafe { sample.fill(slots, *back, lending) } {
+                    return Pushed::DroppedNewest;
+                }
                 let (got, unseen) = latest.publish(*back);
                 *back = got;
                 // SAFETY: the place was just taken over by the writer.
                 unsafe { slots.empty(got) };
+                if let Some(lending) = lending {
+                    lending.came_back(got, unseen);
+                }
                 if unseen { Pushed::DroppedOldest } else { Pushed::Queued }
             }
-            (Order::Fifo(fifo), End::Fifo(writing)) => {
+            (Order::Fifo(fifo), Owned::Fifo(writing)) => {
                 if fifo.drop == DropPolicy::DropNewest && fifo.is_full(writing) {
                     return Pushed::DroppedNewest;
                 }
-                let Some(given_up) = sample.make_room(slots, fifo, writing) else {
+                let Some(given_up) = sample.make_room(fifo, writing, |oldest| empty(slots, lending, oldest))
+                else {
                     return Pushed::DroppedNewest;
                 };
                 if given_up > 1 {
@@ -144,9 +172,11 @@ impl StreamWriter {
                 }
                 let Some(place) = fifo.free_place(writing) else { return Pushed::DroppedNewest };
                 // SAFETY: a free place is the writer's.
-                unsafe { sample.fill(slots, place) };
-                // SAFETY: the oldest place was just taken over by the writer.
-                let dropped = fifo.push(writing, place, |oldest| unsafe { slots.empty(oldest) });
+                if !unsafe { sample.fill(slots, place, lending) } {
+                    writing.give_back(place);
+                    return Pushed::DroppedNewest;
+                }
+                let dropped = fifo.push(writing, place, |oldest| empty(slots, lending, oldest));
                 if dropped || given_up > 0 { Pushed::DroppedOldest } else { Pushed::Queued }
             }
             _ => unreachable!("both are made together in `stream_link`"),
@@ -154,20 +184,62 @@ impl StreamWriter {
     }
 }
 
+impl StreamWriter {
+    /// Takes back frames the reader in another process has done with; the next push does so too. Any thread; a push at the same
+    /// moment is turned away.
+    pub fn collect(&self) {
+        if let Some(mut end) = self.end.try_enter()
+            && let Some(lending) = &mut end.lending
+        {
+            lending.collect();
+        }
+    }
+}
+
 impl Drop for StreamWriter {
     fn drop(&mut self) {
-        self.link.writer_left.store(true, Ordering::Release);
+        self.link.writer_left.store(1, Ordering::Release);
+        // Nobody else can be inside: `&mut self`.
+        let Some(mut end) = self.end.try_enter() else { return };
+        let End { owned, lending } = &mut *end;
+        let Some(mut lending) = lending.take() else { return };
+        // What nobody has seen comes back now: a reader that left while it was put there would never give it back.
+        let taken_back = match (&self.link.order, owned) {
+            (Order::Latest(latest), Owned::Latest { back }) => {
+                let (got, unseen) = latest.take_back(*back);
+                *back = got;
+                lending.came_back(got, unseen);
+                u64::from(unseen)
+            }
+            (Order::Fifo(fifo), Owned::Fifo(writing)) => {
+                fifo.make_room(writing, |_| true, |oldest| lending.came_back(oldest, true))
+            }
+            _ => unreachable!("both are made together in `stream_link`"),
+        };
+        tally(&self.link.counters.writer.0.dropped, taken_back);
+        Arc::clone(lending.pools()).keep(lending);
     }
 }
 
 /// What a push brings.
 trait Offered {
     /// Has the queue give up what this sample needs; how many those were, or `None` where it may not be queued.
-    fn make_room(&self, slots: &Slots, fifo: &Fifo, writing: &mut Writing) -> Option<u64>;
+    fn make_room(&self, fifo: &Fifo, writing: &mut Writing, emptied: impl FnMut(usize)) -> Option<u64>;
 
+    /// False where it cannot be lent to the process at the other end.
+    ///
     /// # Safety
-    /// As for [`Slots::content`]; the sample is one of this link.
-    unsafe fn fill(self, slots: &Slots, place: usize);
+    /// The writer owns the place and has no other reference to it; the sample is one of this link.
+    unsafe fn fill(self, slots: &Slots, place: usize, lending: &mut Option<Lending>) -> bool;
+}
+
+/// The writer has taken a place over that nobody has read.
+fn empty(slots: &Slots, lending: &mut Option<Lending>, place: usize) {
+    // SAFETY: the place was just taken over by the writer.
+    unsafe { slots.empty(place) };
+    if let Some(lending) = lending {
+        lending.came_back(place, true);
+    }
 }
 
 struct Plain<'a> {
@@ -177,14 +249,15 @@ struct Plain<'a> {
 
 impl Offered for Plain<'_> {
     #[inline]
-    fn make_room(&self, _: &Slots, _: &Fifo, _: &mut Writing) -> Option<u64> {
+    fn make_room(&self, _: &Fifo, _: &mut Writing, _: impl FnMut(usize)) -> Option<u64> {
         Some(0)
     }
 
     #[inline]
-    unsafe fn fill(self, slots: &Slots, place: usize) {
+    unsafe fn fill(self, slots: &Slots, place: usize, _: &mut Option<Lending>) -> bool {
         // SAFETY: the caller's promise is the one asked for.
         unsafe { slots.write(place, self.meta, self.data) };
+        true
     }
 }
 
@@ -194,24 +267,30 @@ struct Lent {
 }
 
 impl Offered for Lent {
-    fn make_room(&self, slots: &Slots, fifo: &Fifo, writing: &mut Writing) -> Option<u64> {
+    fn make_room(&self, fifo: &Fifo, writing: &mut Writing, emptied: impl FnMut(usize)) -> Option<u64> {
         match fifo.drop {
             DropPolicy::DropOldest => {
                 let too_many = |queued: u64| !self.frame.pool_has_free(queued.div_ceil(2));
-                // SAFETY: the place was just taken over by the writer.
-                Some(fifo.make_room(writing, too_many, |oldest| unsafe { slots.empty(oldest) }))
+                Some(fifo.make_room(writing, too_many, emptied))
             }
             DropPolicy::DropNewest => {
                 let queued = fifo.queued(writing);
-                (queued == 0 || self.frame.pool_has_free(queued + 1)).then_some(0)
+                (queued == 0 || self.frame.pool_has_free(queued.saturating_add(1))).then_some(0)
             }
         }
     }
 
-    unsafe fn fill(self, slots: &Slots, place: usize) {
+    unsafe fn fill(self, slots: &Slots, place: usize, lending: &mut Option<Lending>) -> bool {
+        let (frame, located) = match lending {
+            None => (Some(self.frame), Located::default()),
+            Some(lending) => {
+                let Some(located) = lending.lend(self.frame) else { return false };
+                lending.put(place, located.lease);
+                (None, located)
+            }
+        };
         // SAFETY: the caller's promise is the one asked for.
-        let content = unsafe { slots.content(place) };
-        content.meta = self.meta;
-        content.frame = Some(self.frame);
+        unsafe { slots.put(place, self.meta, frame, located) };
+        true
     }
 }

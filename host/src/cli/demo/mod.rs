@@ -1,18 +1,23 @@
-//! `trocar demo`: the shipped system on simulated devices and real images, with a live table.
+//! `trocar demo`: the shipped system on simulated devices and real images, in one process or several, with a live table.
 //!
-//! Invariant: it is an ordinary system file through ordinary plugins; nothing in the program knows what they do.
+//! Invariant: it is an ordinary system file through ordinary plugins, and several processes are kept as `trocar up` keeps
+//! them; nothing in the program knows what they do.
+
+mod measure;
+mod screen;
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use clap::Args;
-use serde::Serialize;
+use serde_json::Value;
 
+use self::measure::{Parts, measure};
+use self::screen::Screen;
 use super::failure::{Done, Exit, Failure};
-use super::figures::{Reading, Stepper, Steps, Watched, Wire, table};
 use super::session::Session;
+use super::up::{self, System, programs};
 use super::{hosting, logging, out, run, session, style};
-use crate::host::{Host, StopRequest};
+use crate::host::{StateChoice, StateDir, StopRequest};
 use crate::system_file::SystemFile;
 
 /// The shipped system file.
@@ -21,19 +26,23 @@ const SYSTEM: &str = include_str!("../../../demo.json");
 const IMAGES: &str = "tests/data/chessboard";
 const ROBOT: &str = "host/robot";
 const SOURCE: &str = "host/source";
+/// What gets a process of its own, one after the other, when there are to be more.
+const APART: [&str; 2] = [ROBOT, SOURCE];
 /// The component whose configuration takes the image directory.
 const IMAGE_KEY: &str = "host/source.directory";
 /// The last connection of the video chain: what arrives here went all the way.
 const CHAIN_END: &str = "host/display/image";
-const TRY: &str = "host/robot/arm/measured_js";
-/// Threads, caches and the robot's first motion settle before figures are taken.
-const SETTLE: Duration = Duration::from_millis(500);
+/// Of the robot, to try.
+const COMMAND: &str = "arm/measured_js";
 
 const EXAMPLES: &str = "\
 While it runs, in another terminal:
   trocar ls
   trocar describe host/robot
-  trocar call host/robot/arm/measured_js";
+  trocar call host/robot/arm/measured_js
+
+In several processes, host/robot is host.robot/robot. One that is killed comes back; its robot then waits:
+  trocar resume host.robot/robot";
 
 /// Runs a small surgical system: a simulated robot at 1 kHz and stereo video of real images, with a live table.
 #[derive(Args, Debug)]
@@ -42,6 +51,9 @@ pub(super) struct DemoArgs {
     /// End after measuring for this many seconds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=86_400))]
     seconds: Option<u64>,
+    /// In how many processes: with 2 the robot has one of its own, with 3 the image source, too.
+    #[arg(long, default_value = "1", value_name = "N", value_parser = processes)]
+    processes: usize,
     /// Directory of left*/right* images [default: tests/data/chessboard of the sources].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -53,23 +65,15 @@ pub(super) struct DemoArgs {
     listen: String,
 }
 
-/// What `--json` prints at the end.
-#[derive(Clone, Debug, Serialize)]
-struct Report {
-    seconds: f64,
-    robot: Steps,
-    video: Video,
-}
-
-#[derive(Clone, Debug, Serialize)]
-struct Video {
-    /// Stereo pairs that reached the end of the chain.
-    pairs: u64,
-    rate_hz: f64,
-    /// Lost on any connection of the chain, and frames the source left out.
-    drops: u64,
-    latency_p50_ns: u64,
-    latency_p99_ns: u64,
+fn processes(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(n) if (1..=APART.len() + 1).contains(&n) => Ok(n),
+        _ => Err(
+            "the demo runs in 1, 2 or 3 processes: all in one, the robot apart, or robot and image source \
+                  apart; `trocar up FILE` runs any system in any number"
+                .to_owned(),
+        ),
+    }
 }
 
 pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
@@ -81,15 +85,53 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     }
     logging::install(log::LevelFilter::Warn);
     let images = images(args.data.as_deref())?;
-    let mut file = SystemFile::parse("demo.json", SYSTEM.to_owned())?;
-    file.set(&format!("{IMAGE_KEY}={}", serde_json::Value::from(images.to_string_lossy())))?;
+    let mut file = file(args.processes)?;
+    file.set(&format!("{IMAGE_KEY}={}", Value::from(images.to_string_lossy())))?;
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
-    let config = run::config(&file, Path::new(""), plugins, args.listen)?;
+    let show = Show { seconds: args.seconds, session, parts: parts(&file) };
+    if args.processes == 1 {
+        in_one(&file, plugins, args.listen, &show).await
+    } else {
+        in_several(&file, &plugins, &args.listen, &show).await
+    }
+}
+
+/// The shipped file, with as much of it apart as makes this many processes.
+fn file(processes: usize) -> Result<SystemFile, Failure> {
+    let apart = &APART[..processes - 1];
+    if apart.is_empty() {
+        return Ok(SystemFile::parse("demo.json", SYSTEM.to_owned())?);
+    }
+    let mut json: Value = serde_json::from_str(SYSTEM).unwrap_or_default();
+    for path in apart {
+        json["components"][path]["isolation"] = "process".into();
+    }
+    Ok(SystemFile::parse("demo.json", format!("{json:#}"))?)
+}
+
+/// Where what is looked at is in this file.
+fn parts(file: &SystemFile) -> Parts {
+    let lives = |written: &str| {
+        let spec = file.components.iter().find(|c| c.written.to_string() == written);
+        spec.map_or_else(|| written.to_owned(), |c| c.id.to_string())
+    };
+    Parts { robot: lives(ROBOT), source: lives(SOURCE), chain_end: CHAIN_END.to_owned() }
+}
+
+async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: &Show<'_>) -> Done {
+    let config = run::config(file, Path::new(""), plugins, listen)?;
     let mut stop = StopRequest::listen();
     let host = config.start().await?;
     logging::to_readers(host.own_lines());
-    let done = match run::bring_up(&host, &file, &mut stop).await {
-        Ok(true) => show(&host, args.seconds, session, &mut stop).await,
+    let done = match run::bring_up(&host, file, &mut stop).await {
+        Ok(true) => {
+            let addr = hosting::address(&host);
+            show.begin(&format!("listening on {addr}"), &addr);
+            tokio::select! {
+                done = show.run(&addr) => done,
+                () = stop.asked() => Ok(Exit::Ok),
+            }
+        }
         Ok(false) => Ok(Exit::Interrupted),
         Err(failure) => Err(built(failure)),
     };
@@ -97,142 +139,70 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     done
 }
 
-async fn show(host: &Host, seconds: Option<u64>, session: &Session, stop: &mut StopRequest) -> Done {
-    let Some(watched) = watched(host) else { return Ok(Exit::Ok) };
-    if !session.json() {
-        out::line(&format!("trocar demo is running; listening on {}", hosting::address(host)));
-        out::text(&run::hints(&hosting::address(host), Some(TRY)));
+async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: &Show<'_>) -> Done {
+    let mut stop = StopRequest::listen();
+    let state = StateDir::open(&StateChoice::Ephemeral, false)?;
+    let gcm = programs::gcm(listen, state.path());
+    let hosts = programs::hosts(file, Path::new("demo.json"), plugins, state.path());
+    let mut system = System::new(up::Gcm::Own(gcm), hosts);
+    let came_up = tokio::select! {
+        came_up = system.come_up(file) => Some(came_up),
+        () = stop.asked() => None,
+    };
+    let done = match came_up {
+        Some(Ok(up)) => {
+            for warning in &up.warnings {
+                out::complain("warning", warning);
+            }
+            show.begin(&format!("in {} processes, GCM {}", file.processes.len(), up.addr), &up.addr);
+            // On a terminal the table says it.
+            let voice = (!style::interactive()).then(|| up::voice("demo"));
+            tokio::select! {
+                never = system.keep(file, voice.as_ref()) => match never {},
+                done = show.run(&up.addr) => done,
+                () = stop.asked() => Ok(Exit::Ok),
+            }
+        }
+        Some(Err(failure)) => Err(built(failure)),
+        None => Ok(Exit::Interrupted),
+    };
+    system.take_down().await;
+    done
+}
+
+/// How a running demo is shown.
+struct Show<'a> {
+    seconds: Option<u64>,
+    session: &'a Session,
+    parts: Parts,
+}
+
+impl Show<'_> {
+    fn begin(&self, how: &str, addr: &str) {
+        if self.session.json() {
+            if self.seconds.is_none() {
+                out::line(&serde_json::json!({ "listening": addr }).to_string());
+            }
+            return;
+        }
+        out::line(&format!("trocar demo is running {how}"));
+        out::text(&run::hints(addr, Some(&format!("{}/{COMMAND}", self.parts.robot))));
         out::line("");
-    } else if seconds.is_none() {
-        out::line(&serde_json::json!({ "listening": hosting::address(host) }).to_string());
     }
-    let measured = measure(watched.clone(), seconds);
-    let mut screen = Screen::new(watched, session);
-    tokio::select! {
-        () = stop.asked() => {}
-        never = screen.keep() => match never {},
-        Some(report) = measured => {
-            if session.json() {
-                return session.print_json(&report);
-            }
-            out::text(&summary(&report));
+
+    /// Until it has measured for as long as it was to.
+    async fn run(&self, addr: &str) -> Done {
+        let asking = Session::new(Some(addr.to_owned()), false);
+        let mut screen = Screen::new(&asking, self.session.json());
+        let report = tokio::select! {
+            never = screen.keep() => match never {},
+            report = measure(&asking, &self.parts, self.seconds) => report?,
+        };
+        if self.session.json() {
+            return self.session.print_json(&report);
         }
-    }
-    Ok(Exit::Ok)
-}
-
-/// Measures for exactly `seconds`, on a thread of its own; for ever without them.
-async fn measure(watched: Watched, seconds: Option<u64>) -> Option<Report> {
-    let Some(seconds) = seconds else { return std::future::pending().await };
-    let window = Duration::from_secs(seconds);
-    tokio::time::sleep(SETTLE).await;
-    let runtime = tokio::runtime::Handle::current();
-    let measuring = tokio::task::spawn_blocking(move || {
-        let robot = watched.components.iter().position(|c| c.id.to_string() == ROBOT).unwrap_or_default();
-        let a = watched.read_after_step(robot, &runtime);
-        std::thread::sleep((a.at + window).saturating_duration_since(Instant::now()));
-        let b = watched.read_after_step(robot, &runtime);
-        report(&watched, &a, &b, window)
-    });
-    measuring.await.ok()
-}
-
-fn report(watched: &Watched, a: &Reading, b: &Reading, window: Duration) -> Report {
-    let late = (b.at - a.at).saturating_sub(window);
-    let steps = |name: &str| {
-        let at = watched.components.iter().position(|c| c.id.to_string() == name);
-        at.map(|i| Steps::between(a, b, i, watched.components[i].period_ns, late)).unwrap_or_default()
-    };
-    // The robot's connection carries commands, the others frames.
-    let video = |name: &str| !name.starts_with(ROBOT);
-    let lost = |r: &Reading| -> u64 {
-        watched.wires.iter().zip(&r.links).filter(|(w, _)| video(&w.name)).map(|(_, l)| l.dropped).sum()
-    };
-    let end = watched.wires.iter().position(|w| w.name.ends_with(CHAIN_END));
-    let passed = |r: &Reading| end.map_or(0, |i| r.links[i].passed);
-    let pairs = passed(b).saturating_sub(passed(a));
-    let seconds = (b.at - a.at).as_secs_f64();
-    let last = end.map(|i| b.links[i].clone()).unwrap_or_default();
-    Report {
-        seconds,
-        robot: steps(ROBOT),
-        video: Video {
-            pairs,
-            rate_hz: pairs as f64 / seconds,
-            drops: lost(b).saturating_sub(lost(a)) + steps(SOURCE).skipped,
-            latency_p50_ns: last.latency_p50_ns,
-            latency_p99_ns: last.latency_p99_ns,
-        },
-    }
-}
-
-fn summary(report: &Report) -> String {
-    let (robot, video) = (&report.robot, &report.video);
-    format!(
-        "in {:.1} s: robot {} steps, {} skipped, {} overruns, late p99 {}; video {} pairs ({}), {} dropped, latency p99 {}\n",
-        report.seconds,
-        robot.executed,
-        robot.skipped,
-        robot.overruns,
-        super::units::time(robot.lateness_p99_ns),
-        video.pairs,
-        super::units::rate(video.rate_hz),
-        video.drops,
-        super::units::time(video.latency_p99_ns)
-    )
-}
-
-/// Everything the host's own graph has.
-fn watched(host: &Host) -> Option<Watched> {
-    let graph = host.gcm()?.graph();
-    Some(Watched {
-        lcm: host.lcm()?.clone(),
-        components: graph
-            .components
-            .iter()
-            .map(|(id, c)| Stepper { id: id.clone(), period_ns: c.execution.period_ns.unwrap_or(0) })
-            .collect(),
-        wires: graph
-            .connections
-            .values()
-            .map(|c| Wire { id: c.id.0, name: format!("{} → {}", c.server, c.client) })
-            .collect(),
-    })
-}
-
-/// The live table: redrawn in place on a terminal, one table below the other elsewhere, nothing beside `--json`.
-struct Screen {
-    watched: Watched,
-    drawn_lines: usize,
-    silent: bool,
-}
-
-impl Screen {
-    fn new(watched: Watched, session: &Session) -> Self {
-        Self { watched, drawn_lines: 0, silent: session.json() }
-    }
-
-    /// Draws each second, for ever.
-    async fn keep(&mut self) -> std::convert::Infallible {
-        let mut before = self.watched.read().await;
-        let mut second = tokio::time::interval(Duration::from_secs(1));
-        second.tick().await;
-        loop {
-            second.tick().await;
-            if self.silent {
-                continue;
-            }
-            let now = self.watched.read().await;
-            let text = table(&self.watched, &before, &now, style::stdout());
-            let up = match (self.drawn_lines, style::interactive()) {
-                (0, _) => String::new(),
-                (lines, true) => format!("\x1b[{lines}A\x1b[J"),
-                (_, false) => "\n".to_owned(),
-            };
-            out::text(&format!("{up}{text}"));
-            self.drawn_lines = text.lines().count();
-            before = now;
-        }
+        out::text(&report.summary());
+        Ok(Exit::Ok)
     }
 }
 
@@ -279,15 +249,38 @@ mod tests {
 
     #[test]
     fn the_shipped_file_is_a_system_file_of_one_process_with_the_parts_the_figures_need() {
-        let mut file = SystemFile::parse("demo.json", SYSTEM.to_owned()).unwrap();
-        file.single_process().unwrap();
-        file.set(&format!("{IMAGE_KEY}=x")).unwrap();
-        let has = |name: &str| file.components.iter().any(|c| c.id.to_string() == name);
+        let mut one = file(1).unwrap();
+        one.single_process().unwrap();
+        one.set(&format!("{IMAGE_KEY}=x")).unwrap();
+        let has = |name: &str| one.components.iter().any(|c| c.id.to_string() == name);
         assert!(has(ROBOT) && has(SOURCE), "robot or source is missing");
         assert!(
-            file.connections.iter().any(|c| c.client.to_string() == CHAIN_END),
+            one.connections.iter().any(|c| c.client.to_string() == CHAIN_END),
             "nothing ends at {CHAIN_END}"
         );
+    }
+
+    #[test]
+    fn more_processes_are_the_same_file_with_parts_of_it_apart() {
+        let one = file(1).unwrap();
+        for n in [2, 3] {
+            let several = file(n).unwrap();
+            assert_eq!(several.processes.len(), n);
+            let written = |file: &SystemFile| -> Vec<_> {
+                let mut all: Vec<_> = file
+                    .components
+                    .iter()
+                    .map(|c| (c.written.to_string(), c.class.clone(), c.config.clone(), c.execution.clone()))
+                    .collect();
+                all.sort_by(|a, b| a.0.cmp(&b.0));
+                all
+            };
+            assert_eq!(written(&several), written(&one), "{n} processes: only where they are differs");
+            let apart = several.components.iter().filter(|c| c.id != c.written).count();
+            assert_eq!(apart, n - 1, "each further process has one component");
+        }
+        assert_eq!(parts(&file(3).unwrap()).robot, "host.robot/robot");
+        assert!(processes("4").is_err_and(|why| why.contains("1, 2 or 3")) && processes("0").is_err());
     }
 
     #[test]

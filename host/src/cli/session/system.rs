@@ -10,6 +10,7 @@ use super::changes::outcome;
 use crate::cli::convert;
 use crate::cli::failure::Failure;
 use crate::cli::mutation::Outcome;
+use crate::cli::view::SystemView;
 use crate::gcm::Told;
 
 impl Session {
@@ -19,33 +20,57 @@ impl Session {
         requests: &[Request],
         within: Duration,
     ) -> Result<Outcome, Failure> {
+        self.apply_at(requests, within, None).await
+    }
+
+    /// The same, refused with REVISION_CONFLICT when the system has changed since that revision.
+    pub(in crate::cli) async fn apply_at(
+        &self,
+        requests: &[Request],
+        within: Duration,
+        expected_revision: Option<u64>,
+    ) -> Result<Outcome, Failure> {
         if requests.is_empty() {
             return Ok(Outcome::default());
         }
         let steps = requests.iter().map(convert::step).collect();
-        let mut ask = tonic::Request::new(v1::ApplyRequest { steps, ..v1::ApplyRequest::default() });
+        let ask = v1::ApplyRequest { steps, expected_revision, ..v1::ApplyRequest::default() };
+        let mut ask = tonic::Request::new(ask);
         ask.set_timeout(within);
         let a = self.client().await?.gcm.apply(ask).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
     }
 
-    /// Stops what matches, in order; where nothing does, nothing has to be stopped.
+    /// How everything stands, asked of the GCM alone and soon answered; without live figures.
+    pub(in crate::cli) async fn standing(&self) -> Result<SystemView, Failure> {
+        self.looked(true, Duration::from_secs(5)).await
+    }
+
+    /// How everything stands, with live figures of all processes that give some.
+    pub(in crate::cli) async fn figures(&self) -> Result<SystemView, Failure> {
+        self.looked(false, Duration::from_secs(10)).await
+    }
+
+    async fn looked(&self, brief: bool, within: Duration) -> Result<SystemView, Failure> {
+        let mut ask = tonic::Request::new(v1::ListRequest { brief, ..v1::ListRequest::default() });
+        ask.set_timeout(within);
+        let answer = self.client().await?.gcm.list(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(convert::system(answer.get_ref()))
+    }
+
+    /// Stops what matches one of these, in order; where nothing does, nothing has to be stopped.
     pub(in crate::cli) async fn stop_all_of(
         &self,
-        paths: &[String],
+        paths: Vec<String>,
         within: Duration,
     ) -> Result<(), Failure> {
-        for path in paths {
-            let mut ask =
-                tonic::Request::new(v1::StopRequest { path: path.clone(), ..v1::StopRequest::default() });
-            ask.set_timeout(within);
-            match self.client().await?.gcm.stop(ask).await {
-                Ok(_) => {}
-                Err(status) if status.code() == tonic::Code::NotFound => {}
-                Err(status) => return Err(self.failed(&status)),
-            }
+        let mut ask = tonic::Request::new(v1::StopRequest { paths, ..v1::StopRequest::default() });
+        ask.set_timeout(within);
+        match self.client().await?.gcm.stop(ask).await {
+            Ok(_) => Ok(()),
+            Err(status) if status.code() == tonic::Code::NotFound => Ok(()),
+            Err(status) => Err(self.failed(&status)),
         }
-        Ok(())
     }
 
     /// Tells the GCM how processes stand.

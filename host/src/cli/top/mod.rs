@@ -1,9 +1,10 @@
 //! `trocar top`: every process, component and connection, live.
 //!
-//! Invariant: one question to the GCM each interval; a terminal is left as it was found, and a GCM that goes away and comes
-//! back is waited for there. Into a pipe, or with --json, one block or object is printed each interval.
+//! Invariant: one question to the GCM each interval, and keys are heard while it is asked; a terminal is left as it was found,
+//! and a GCM that goes away and comes back is waited for there. Into a pipe, or with --json, one block or object is printed
+//! each interval.
 
-mod rates;
+pub(super) mod rates;
 mod screen;
 
 use std::time::{Duration, Instant};
@@ -81,42 +82,63 @@ struct Shown {
     trouble: Option<String>,
 }
 
+/// How long a GCM may take to answer, with a process among its own that does not.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 pub(super) async fn run(args: TopArgs, session: &Session) -> Done {
-    let mut last = (Instant::now(), session.list_of(&args.path).await?);
+    let mut last = (Instant::now(), look(session, &args.path).await?);
     let mut screen = (!session.json()).then(Screen::open).flatten();
     let mut shown =
         Shown { sort: args.sort, reversed: false, paused: false, figures: Figures::default(), trouble: None };
-    let every = Duration::from_nanos(args.interval);
-    let mut tick = tokio::time::interval(every);
+    let mut tick = tokio::time::interval(Duration::from_nanos(args.interval));
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // The first one is now, and there is nothing to compare with yet.
     tick.tick().await;
     let mut left = args.count.unwrap_or(u64::MAX);
+    let mut asking = None;
     while left > 0 {
-        let key = tokio::select! {
-            _ = tick.tick() => None,
-            key = screen::next(&mut screen) => Some(key),
-        };
-        match key {
-            Some(Key::Quit) => break,
-            Some(Key::Sort) => shown.sort = shown.sort.next(),
-            Some(Key::Reverse) => shown.reversed = !shown.reversed,
-            Some(Key::Pause) => shown.paused = !shown.paused,
-            None if shown.paused => continue,
-            None => {
+        tokio::select! {
+            _ = tick.tick(), if asking.is_none() => {
+                if !shown.paused {
+                    asking = Some(Box::pin(look(session, &args.path)));
+                }
+                continue;
+            }
+            answer = answered(&mut asking) => {
+                asking = None;
                 left -= 1;
-                match session.list_of(&args.path).await {
+                match answer {
                     Ok(now) => shown.take(&mut last, now),
                     // A person sees it and waits; a script has to know.
                     Err(failure) if screen.is_some() => shown.trouble = Some(failure.message),
                     Err(failure) => return Err(failure),
                 }
             }
+            key = screen::next(&mut screen) => match key {
+                Key::Quit => break,
+                Key::Sort => shown.sort = shown.sort.next(),
+                Key::Reverse => shown.reversed = !shown.reversed,
+                Key::Pause => shown.paused = !shown.paused,
+            },
         }
         shown.sort_rows();
         print(&shown, screen.as_mut(), session)?;
     }
     Ok(Exit::Ok)
+}
+
+async fn look(session: &Session, path: &str) -> Result<SystemView, Failure> {
+    let silent =
+        || Failure::no_gcm(&session.address(), &format!("no answer within {} s", PATIENCE.as_secs()));
+    tokio::time::timeout(PATIENCE, session.list_of(path)).await.unwrap_or_else(|_| Err(silent()))
+}
+
+/// What was asked, when something was.
+async fn answered<F: Future<Output = T> + Unpin, T>(asking: &mut Option<F>) -> T {
+    match asking {
+        Some(asking) => asking.await,
+        None => std::future::pending().await,
+    }
 }
 
 impl Shown {

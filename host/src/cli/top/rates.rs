@@ -11,7 +11,7 @@ use crate::cli::{style, units};
 
 /// What `--json` prints each interval.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(super) struct Figures {
+pub(in crate::cli) struct Figures {
     pub(super) revision: u64,
     /// Over which rates are averaged.
     pub(super) seconds: f64,
@@ -33,6 +33,7 @@ pub(super) struct ProcessRow {
     pub(super) load: f64,
 }
 
+/// `None`: nobody gave the figure, or there is none to compare it with.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct ComponentRow {
     pub(super) path: String,
@@ -40,79 +41,53 @@ pub(super) struct ComponentRow {
     pub(super) health: String,
     pub(super) fault: String,
     /// Steps per second.
-    pub(super) rate_hz: f64,
+    pub(super) rate_hz: Option<f64>,
     /// Compute time over period, 0–1.
-    pub(super) load: f64,
+    pub(super) load: Option<f64>,
     pub(super) lateness_p50_ns: u64,
     pub(super) lateness_p99_ns: u64,
-    pub(super) skipped: u64,
+    pub(super) skipped: Option<u64>,
     pub(super) skipped_now: u64,
-    pub(super) overruns: u64,
+    pub(super) overruns: Option<u64>,
     pub(super) overruns_now: u64,
 }
 
+/// `None` as in a component's row.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct ConnectionRow {
     pub(super) id: u64,
     pub(super) server: String,
     pub(super) client: String,
     pub(super) carrier: String,
+    /// False: of a connection between processes whose halves are not linked now.
+    pub(super) linked: bool,
     /// Samples, or commands and events, per second.
-    pub(super) rate_hz: f64,
-    pub(super) bytes_per_s: f64,
+    pub(super) rate_hz: Option<f64>,
+    pub(super) bytes_per_s: Option<f64>,
     pub(super) latency_p50_ns: u64,
     pub(super) latency_p99_ns: u64,
-    pub(super) dropped: u64,
+    /// Those that were rejected among them.
+    pub(super) dropped: Option<u64>,
     pub(super) dropped_now: u64,
+    pub(super) rejected: u64,
+    pub(super) rejected_now: u64,
+    /// Commands that were only sent, ran and failed.
+    pub(super) failed: u64,
+    pub(super) failed_now: u64,
 }
 
 /// What came since; all of it when the counter began anew.
-fn since(before: u64, now: u64) -> u64 {
+pub(in crate::cli) fn since(before: u64, now: u64) -> u64 {
     now.checked_sub(before).unwrap_or(now)
 }
 
-pub(super) fn between(before: &SystemView, now: &SystemView, seconds: f64) -> Figures {
-    let rate = |count: u64| if seconds > 0.0 { count as f64 / seconds } else { 0.0 };
-    let component = |c: &ComponentView| {
-        let old = before.components.iter().find(|o| o.path == c.path).map(|o| &o.stats);
-        // One that was made anew is compared with nothing.
-        let old = old.filter(|o| o.executed <= c.stats.executed).cloned().unwrap_or_default();
-        let s = &c.stats;
-        ComponentRow {
-            path: c.path.clone(),
-            state: c.state.clone(),
-            health: c.health.clone(),
-            fault: c.fault.clone(),
-            rate_hz: rate(since(old.executed, s.executed)),
-            load: s.load,
-            lateness_p50_ns: s.lateness_p50_ns,
-            lateness_p99_ns: s.lateness_p99_ns,
-            skipped: s.skipped,
-            skipped_now: since(old.skipped, s.skipped),
-            overruns: s.overruns,
-            overruns_now: since(old.overruns, s.overruns),
-        }
-    };
-    let connection = |c: &ConnectionView| {
-        let old = before.connections.iter().find(|o| o.id == c.id && o.passed <= c.passed);
-        let old = old.cloned().unwrap_or_default();
-        ConnectionRow {
-            id: c.id,
-            server: c.server.clone(),
-            client: c.client.clone(),
-            carrier: c.carrier.clone(),
-            rate_hz: rate(since(old.passed, c.passed)),
-            bytes_per_s: rate(since(old.bytes, c.bytes)),
-            latency_p50_ns: c.latency_p50_ns,
-            latency_p99_ns: c.latency_p99_ns,
-            dropped: c.dropped,
-            dropped_now: since(old.dropped, c.dropped),
-        }
-    };
-    let components: Vec<ComponentRow> = now.components.iter().map(component).collect();
+pub(in crate::cli) fn between(before: &SystemView, now: &SystemView, seconds: f64) -> Figures {
+    let components: Vec<ComponentRow> =
+        now.components.iter().map(|c| component(before, now, c, seconds)).collect();
     let processes = now.processes.iter().map(|p| {
         let prefix = format!("{}/", p.name);
         let mine = || components.iter().filter(|c| c.path.starts_with(&prefix));
+        let runs = |c: &&ComponentRow| c.state == "ACTIVE" && c.health != "LOST";
         ProcessRow {
             name: p.name.clone(),
             state: p.state.clone(),
@@ -121,15 +96,99 @@ pub(super) fn between(before: &SystemView, now: &SystemView, seconds: f64) -> Fi
             restarts: p.restarts,
             last_exit: p.last_exit.clone(),
             components: mine().count(),
-            load: mine().filter(|c| c.state == "ACTIVE" && c.health != "LOST").map(|c| c.load).sum(),
+            load: mine().filter(runs).filter_map(|c| c.load).sum(),
         }
     });
     Figures {
         revision: now.revision,
         seconds,
         processes: processes.collect(),
-        connections: now.connections.iter().map(connection).collect(),
+        connections: now.connections.iter().map(|c| connection(before, now, c, seconds)).collect(),
         components,
+    }
+}
+
+/// The process of a path is another incarnation than before: its counters began anew.
+fn is_anew(before: &SystemView, now: &SystemView, path: &str) -> bool {
+    let process = path.split('/').next().unwrap_or_default();
+    let epoch = |of: &SystemView| of.processes.iter().find(|p| p.name == process).map(|p| p.epoch);
+    epoch(before).is_some() && epoch(before) != epoch(now)
+}
+
+fn rate(count: u64, seconds: f64) -> f64 {
+    if seconds > 0.0 { count as f64 / seconds } else { 0.0 }
+}
+
+fn component(before: &SystemView, now: &SystemView, c: &ComponentView, seconds: f64) -> ComponentRow {
+    let row = ComponentRow {
+        path: c.path.clone(),
+        state: c.state.clone(),
+        health: c.health.clone(),
+        fault: c.fault.clone(),
+        ..ComponentRow::default()
+    };
+    let s = &c.stats;
+    if !c.is_measured {
+        return row;
+    }
+    let row = ComponentRow {
+        load: Some(s.load),
+        lateness_p50_ns: s.lateness_p50_ns,
+        lateness_p99_ns: s.lateness_p99_ns,
+        skipped: Some(s.skipped),
+        overruns: Some(s.overruns),
+        ..row
+    };
+    let old = before.components.iter().find(|o| o.path == c.path);
+    let old = match old {
+        // All its life is no interval.
+        Some(old) if !old.is_measured && !is_anew(before, now, &c.path) => return row,
+        Some(old) if is_anew(before, now, &c.path) || old.stats.executed > s.executed => None,
+        old => old,
+    };
+    let old = old.map(|o| o.stats.clone()).unwrap_or_default();
+    ComponentRow {
+        rate_hz: Some(rate(since(old.executed, s.executed), seconds)),
+        skipped_now: since(old.skipped, s.skipped),
+        overruns_now: since(old.overruns, s.overruns),
+        ..row
+    }
+}
+
+fn connection(before: &SystemView, now: &SystemView, c: &ConnectionView, seconds: f64) -> ConnectionRow {
+    let row = ConnectionRow {
+        id: c.id,
+        server: c.server.clone(),
+        client: c.client.clone(),
+        carrier: c.carrier.clone(),
+        linked: c.not_linked().is_none(),
+        ..ConnectionRow::default()
+    };
+    if !c.is_measured() {
+        return row;
+    }
+    let row = ConnectionRow {
+        latency_p50_ns: c.latency_p50_ns,
+        latency_p99_ns: c.latency_p99_ns,
+        dropped: Some(c.dropped),
+        rejected: c.rejected,
+        failed: c.failed,
+        ..row
+    };
+    let anew = is_anew(before, now, &c.client) || is_anew(before, now, &c.server);
+    let old = match before.connections.iter().find(|o| o.id == c.id) {
+        Some(old) if !old.is_measured() && !anew => return row,
+        Some(old) if anew || old.passed > c.passed => None,
+        old => old,
+    };
+    let old = old.cloned().unwrap_or_default();
+    ConnectionRow {
+        rate_hz: Some(rate(since(old.passed, c.passed), seconds)),
+        bytes_per_s: Some(rate(since(old.bytes, c.bytes), seconds)),
+        dropped_now: since(old.dropped, c.dropped),
+        rejected_now: since(old.rejected, c.rejected),
+        failed_now: since(old.failed, c.failed),
+        ..row
     }
 }
 
@@ -145,6 +204,15 @@ fn ill(c: &ComponentRow) -> u8 {
     }
 }
 
+/// What nobody knows comes last.
+fn largest(a: Option<f64>, b: Option<f64>) -> std::cmp::Ordering {
+    b.unwrap_or(-1.0).total_cmp(&a.unwrap_or(-1.0))
+}
+
+fn sum(of: Option<u64>) -> u64 {
+    of.unwrap_or_default()
+}
+
 impl Figures {
     /// What matters by this measure first; equals keep the order of their paths.
     pub(super) fn sort(&mut self, by: Sort) {
@@ -157,26 +225,27 @@ impl Figures {
                 components.sort_by_key(|c| std::cmp::Reverse(ill(c)));
             }
             Sort::Rate => {
-                components.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
-                connections.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
+                components.sort_by(|a, b| largest(a.rate_hz, b.rate_hz));
+                connections.sort_by(|a, b| largest(a.rate_hz, b.rate_hz));
             }
             Sort::Load => {
-                components.sort_by(|a, b| b.load.total_cmp(&a.load));
-                connections.sort_by(|a, b| b.bytes_per_s.total_cmp(&a.bytes_per_s));
+                components.sort_by(|a, b| largest(a.load, b.load));
+                connections.sort_by(|a, b| largest(a.bytes_per_s, b.bytes_per_s));
             }
             Sort::Latency => {
                 components.sort_by_key(|c| std::cmp::Reverse(c.lateness_p99_ns));
                 connections.sort_by_key(|c| std::cmp::Reverse(c.latency_p99_ns));
             }
             Sort::Drops => {
-                components.sort_by_key(|c| std::cmp::Reverse((c.skipped_now, c.skipped + c.overruns)));
-                connections.sort_by_key(|c| std::cmp::Reverse((c.dropped_now, c.dropped)));
+                components
+                    .sort_by_key(|c| std::cmp::Reverse((c.skipped_now, sum(c.skipped) + sum(c.overruns))));
+                connections.sort_by_key(|c| std::cmp::Reverse((c.dropped_now, sum(c.dropped))));
             }
         }
     }
 
     /// Three tables; those without rows are left out.
-    pub(super) fn render(&self, colour: bool) -> String {
+    pub(in crate::cli) fn render(&self, colour: bool) -> String {
         let parts = [self.process_table(), self.component_table(), self.connection_table()];
         let shown: Vec<String> =
             parts.iter().filter(|t| !t.is_empty()).map(|t| t.render(0, colour)).collect();
@@ -202,38 +271,55 @@ impl Figures {
     }
 
     fn component_table(&self) -> Table {
-        let heads =
-            ["COMPONENT", "STATE", "HEALTH", "RATE", "LOAD", "LATE p50", "p99", "SKIPPED", "OVERRUNS"];
+        let mut heads =
+            vec!["COMPONENT", "STATE", "HEALTH", "RATE", "LOAD", "LATE p50", "p99", "SKIPPED", "OVERRUNS"];
+        let faults = self.components.iter().any(|c| !c.fault.is_empty());
+        heads.extend(faults.then_some("FAULT"));
         let mut table = Table::new(&heads);
         for c in &self.components {
-            table.styled([
+            let cells = [
                 plain(c.path.clone()),
                 (c.state.clone(), style::of_state(&c.state)),
                 (c.health.clone(), style::of_state(&c.health)),
-                plain(units::rate(c.rate_hz)),
-                plain(units::percent(c.load)),
+                known(c.rate_hz, units::rate),
+                known(c.load, units::percent),
                 plain(units::measured(c.lateness_p50_ns)),
                 plain(units::measured(c.lateness_p99_ns)),
                 grown(c.skipped, c.skipped_now),
                 grown(c.overruns, c.overruns_now),
-            ]);
+            ];
+            let fault = faults.then(|| plain(units::cut(&c.fault, 60)));
+            table.styled(cells.into_iter().chain(fault));
         }
         table
     }
 
     fn connection_table(&self) -> Table {
-        let heads = ["CONNECTION", "CARRIER", "RATE", "BYTES", "LATENCY p50", "p99", "DROPPED"];
+        let mut heads = vec!["CONNECTION", "CARRIER", "RATE", "BYTES", "LATENCY p50", "p99", "DROPPED"];
+        let any = |figure: fn(&ConnectionRow) -> u64| self.connections.iter().any(|c| figure(c) > 0);
+        let (rejected, failed) = (any(|c| c.rejected), any(|c| c.failed));
+        heads.extend(rejected.then_some("REJECTED"));
+        heads.extend(failed.then_some("FAILED"));
         let mut table = Table::new(&heads);
         for c in &self.connections {
-            table.styled([
+            let cells = [
                 plain(format!("{} {} → {}", c.id, c.server, c.client)),
-                plain(if c.carrier.is_empty() { "-".to_owned() } else { c.carrier.clone() }),
-                plain(units::rate(c.rate_hz)),
-                plain(units::bytes_per_s(c.bytes_per_s)),
+                match (c.linked, c.carrier.as_str()) {
+                    (false, _) => ("not linked".to_owned(), style::WARN),
+                    (true, "") => plain("-".to_owned()),
+                    (true, carrier) => plain(carrier.to_owned()),
+                },
+                known(c.rate_hz, units::rate),
+                known(c.bytes_per_s, units::bytes_per_s),
                 plain(units::measured(c.latency_p50_ns)),
                 plain(units::measured(c.latency_p99_ns)),
                 grown(c.dropped, c.dropped_now),
-            ]);
+            ];
+            let more = [
+                rejected.then(|| grown(Some(c.rejected), c.rejected_now)),
+                failed.then(|| grown(Some(c.failed), c.failed_now)),
+            ];
+            table.styled(cells.into_iter().chain(more.into_iter().flatten()));
         }
         table
     }
@@ -243,9 +329,18 @@ fn plain(text: String) -> (String, anstyle::Style) {
     (text, style::PLAIN)
 }
 
+/// A figure, or that nobody knows it.
+fn known(figure: Option<f64>, text: fn(f64) -> String) -> (String, anstyle::Style) {
+    plain(figure.map_or_else(|| "-".to_owned(), text))
+}
+
 /// A sum, and what came to it now.
-fn grown(sum: u64, now: u64) -> (String, anstyle::Style) {
-    if now == 0 { plain(sum.to_string()) } else { (format!("{sum} (+{now})"), style::WARN) }
+fn grown(sum: Option<u64>, now: u64) -> (String, anstyle::Style) {
+    match sum {
+        None => plain("-".to_owned()),
+        Some(sum) if now == 0 => plain(sum.to_string()),
+        Some(sum) => (format!("{sum} (+{now})"), style::WARN),
+    }
 }
 
 #[cfg(test)]
@@ -259,6 +354,7 @@ mod tests {
             state: "ACTIVE".into(),
             health: "OK".into(),
             stats: StatsView { executed, load: 0.25, ..StatsView::default() },
+            is_measured: true,
             ..ComponentView::default()
         };
         SystemView {
@@ -269,6 +365,9 @@ mod tests {
                 passed,
                 dropped,
                 bytes: 8 * passed,
+                carrier: "heap".into(),
+                client: "left/b/in".into(),
+                server: "left/a/out".into(),
                 ..ConnectionView::default()
             }],
             ..SystemView::default()
@@ -278,19 +377,55 @@ mod tests {
     #[test]
     fn rates_are_what_came_between_over_the_time_between() {
         let f = between(&system(1000, 100, 3), &system(3000, 200, 5), 2.0);
-        assert_eq!((f.components[0].rate_hz, f.components[1].rate_hz), (1000.0, 2000.0));
+        assert_eq!((f.components[0].rate_hz, f.components[1].rate_hz), (Some(1000.0), Some(2000.0)));
         let c = &f.connections[0];
-        assert_eq!((c.rate_hz, c.bytes_per_s, c.dropped, c.dropped_now), (50.0, 400.0, 5, 2));
+        assert_eq!((c.rate_hz, c.bytes_per_s), (Some(50.0), Some(400.0)));
+        assert_eq!((c.dropped, c.dropped_now), (Some(5), 2));
         assert_eq!((f.processes[0].components, f.processes[0].load), (2, 0.5));
     }
 
     #[test]
     fn what_was_made_anew_counts_from_zero() {
         let f = between(&system(5000, 900, 3), &system(10, 4, 1), 1.0);
-        assert_eq!((f.components[0].rate_hz, f.connections[0].rate_hz), (10.0, 4.0));
+        assert_eq!((f.components[0].rate_hz, f.connections[0].rate_hz), (Some(10.0), Some(4.0)));
         assert_eq!(f.connections[0].dropped_now, 1);
         let fresh = between(&SystemView::default(), &system(10, 4, 1), 1.0);
-        assert_eq!(fresh.components[0].rate_hz, 10.0);
+        assert_eq!(fresh.components[0].rate_hz, Some(10.0), "it was not there before");
+        // More of them than the one before had counted.
+        let mut next = system(9000, 2000, 9);
+        next.processes[0].epoch = 2;
+        let f = between(&system(5000, 900, 3), &next, 1.0);
+        assert_eq!((f.components[0].rate_hz, f.connections[0].rate_hz), (Some(9000.0), Some(2000.0)));
+        assert_eq!(f.connections[0].dropped_now, 9);
+    }
+
+    #[test]
+    fn what_nobody_measured_is_unknown_and_so_is_what_came_since() {
+        let (known, mut unknown) = (system(1_000_000, 5000, 3), system(0, 0, 0));
+        unknown.components.iter_mut().for_each(|c| c.is_measured = false);
+        unknown.connections.iter_mut().for_each(|c| c.carrier.clear());
+        let lost = between(&known, &unknown, 1.0);
+        assert_eq!((lost.components[0].rate_hz, lost.components[0].load), (None, None));
+        assert_eq!((lost.connections[0].rate_hz, lost.connections[0].dropped), (None, None));
+        let text = lost.render(false);
+        assert!(!text.contains("0 Hz") && !text.contains("0 B/s"), "{text}");
+        let back = between(&unknown, &known, 1.0);
+        assert_eq!((back.components[0].rate_hz, back.components[0].load), (None, Some(0.25)));
+        assert_eq!((back.connections[0].rate_hz, back.connections[0].dropped), (None, Some(3)));
+        assert_eq!((back.connections[0].dropped_now, back.components[0].skipped_now), (0, 0));
+    }
+
+    #[test]
+    fn faults_and_commands_that_went_wrong_have_columns_where_there_are_some() {
+        let well = between(&system(1, 1, 0), &system(2, 2, 0), 1.0).render(false);
+        assert!(!well.contains("FAULT") && !well.contains("REJECTED") && !well.contains("FAILED"), "{well}");
+        let mut ill = system(2, 2, 0);
+        ill.components[0].fault = "chaos in step".into();
+        (ill.connections[0].rejected, ill.connections[0].failed) = (7, 4);
+        let text = between(&system(1, 1, 0), &ill, 1.0).render(false);
+        for part in ["FAULT", "chaos in step", "REJECTED", "7 (+7)", "FAILED", "4 (+4)"] {
+            assert!(text.contains(part), "no {part} in\n{text}");
+        }
     }
 
     #[test]

@@ -1,48 +1,58 @@
 //! `trocar up --detach`: the same program, left running.
 //!
-//! Invariant: it answers what the one left running would have, when that is up or has given up; nothing of the terminal
-//! stays with it.
+//! Invariant: it answers what the one left running would have, when that is up or has given up; until then both end together,
+//! and afterwards nothing of the terminal stays with it.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::os::unix::process::CommandExt;
-use std::path::Path;
-use std::process::{Command, Stdio};
+use std::ffi::OsString;
+use std::fs::{DirBuilder, File};
+use std::io::ErrorKind;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use serde_json::Value;
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+use tokio::process::{Child, Command};
 
+use super::UpArgs;
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::out;
 use crate::cli::session::Session;
+use crate::host::StopRequest;
 
-pub(super) async fn run(place: &Path, name: &str, session: &Session) -> Done {
-    let io = |what: &str, e: std::io::Error| {
-        Failure::local("IO", format!("{what}: {e}"), "look at the directory and its permissions")
-    };
-    let log = place.join("up.log");
-    let shown = log.display().to_string();
-    std::fs::create_dir_all(place).map_err(|e| io(&place.display().to_string(), e))?;
-    let errors = File::options().create(true).append(true).open(&log).map_err(|e| io(&shown, e))?;
-    let program = std::env::current_exe().map_err(|e| io("cannot find this program", e))?;
-    let mut child = Command::new(program)
-        .args(std::env::args_os().skip(1).filter(|a| a != "--detach" && a != "--json"))
-        .args(["--detached", "--json"])
-        .process_group(0)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(errors)
-        .spawn()
-        .map_err(|e| io("cannot start what is to be left running", e))?;
-    let stdout = child.stdout.take();
-    let reading = tokio::task::spawn_blocking(move || {
-        let mut line = String::new();
-        stdout.map(|stdout| BufReader::new(stdout).read_line(&mut line));
-        line
-    });
-    let line = reading.await.unwrap_or_default();
+/// Above this, bytes, what earlier ones have written is forgotten.
+const OLD: u64 = 1 << 20;
+
+/// Where the one left running writes.
+pub(super) fn log(place: &Path) -> PathBuf {
+    place.join("up.log")
+}
+
+pub(super) async fn run(args: &UpArgs, place: &Path, name: &str, session: &Session) -> Done {
+    let mut stop = StopRequest::listen();
+    let log = log(place);
+    let (mut child, shown) = (spawn(args, place, &log, session)?, log.display().to_string());
+    let mut line = String::new();
+    if let Some(stdout) = child.stdout.take() {
+        let mut stdout = BufReader::new(stdout);
+        tokio::select! {
+            // One that ends says what it says before.
+            _ = stdout.read_line(&mut line) => {}
+            () = stop.asked() => {
+                // It is tied to this one, and ends in order.
+                drop(child.stdin.take());
+                ended(&mut child).await;
+                return Ok(Exit::Interrupted);
+            }
+        }
+    }
     let said: Value = serde_json::from_str(&line).unwrap_or_default();
     if said.get("listening").is_none() {
-        return Err(refused(&said, &shown));
+        return Err(refused(&said, &shown, ended(&mut child).await));
+    }
+    if let Some(mut tie) = child.stdin.take() {
+        // From here on it is on its own.
+        let _ = tie.write_all(b"ok\n").await;
     }
     if session.json() {
         out::line(line.trim_end());
@@ -59,7 +69,61 @@ pub(super) async fn run(place: &Path, name: &str, session: &Session) -> Done {
     Ok(if idle.is_empty() { Exit::Ok } else { Exit::Partial })
 }
 
-fn refused(said: &Value, log: &str) -> Failure {
+fn spawn(args: &UpArgs, place: &Path, log: &Path, session: &Session) -> Result<Child, Failure> {
+    let io = |what: &str, e: std::io::Error| {
+        Failure::local("IO", format!("{what}: {e}"), "look at the directory and its permissions")
+    };
+    let made = DirBuilder::new().recursive(true).mode(0o700).create(place);
+    made.map_err(|e| io(&place.display().to_string(), e))?;
+    let is_long = std::fs::metadata(log).is_ok_and(|m| m.len() > OLD);
+    if is_long {
+        let old = log.with_extension("old.log");
+        let moved = std::fs::rename(log, old).or_else(|e| match e.kind() {
+            ErrorKind::NotFound => Ok(()),
+            _ => Err(e),
+        });
+        moved.map_err(|e| io(&log.display().to_string(), e))?;
+    }
+    let errors = File::options().create(true).append(true).open(log);
+    let errors = errors.map_err(|e| io(&log.display().to_string(), e))?;
+    let program = std::env::current_exe().map_err(|e| io("cannot find this program", e))?;
+    Command::new(program)
+        .args(again(args, session.explicit_gcm()))
+        .process_group(0)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(errors)
+        .spawn()
+        .map_err(|e| io("cannot start what is to be left running", e))
+}
+
+/// What was asked, said anew for the one that is left running.
+fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
+    let mut all: Vec<OsString> = ["up", "--json", "--detached"].map(Into::into).into();
+    // Joined, so that no value is taken for a flag.
+    let mut give = |flag: &str, value: OsString| {
+        let mut text = OsString::from(format!("--{flag}="));
+        text.push(value);
+        all.push(text);
+    };
+    give("listen", args.listen.clone().into());
+    args.sets.iter().for_each(|set| give("set", set.into()));
+    args.plugins.iter().for_each(|dir| give("plugins", dir.into()));
+    args.name.iter().for_each(|name| give("name", name.as_str().into()));
+    gcm.into_iter().for_each(|addr| give("gcm", addr.into()));
+    all.push("--".into());
+    all.push(args.file.clone().into());
+    all
+}
+
+/// How it ended, as it would have here.
+async fn ended(child: &mut Child) -> Exit {
+    let code = child.wait().await.ok().and_then(|status| status.code());
+    let known = [Exit::Usage, Exit::NoGcm, Exit::TimedOut, Exit::Partial, Exit::Interrupted];
+    known.into_iter().find(|exit| Some(*exit as i32) == code).unwrap_or(Exit::Refused)
+}
+
+fn refused(said: &Value, log: &str, exit: Exit) -> Failure {
     let text = |key: &str| said[key].as_str().unwrap_or_default().to_owned();
     if text("reason").is_empty() {
         let help = format!("its last words are in {log}");
@@ -67,5 +131,36 @@ fn refused(said: &Value, log: &str) -> Failure {
     }
     let metadata = said["metadata"].as_object().into_iter().flatten();
     let metadata = metadata.map(|(k, v)| (k.clone(), v.as_str().unwrap_or_default().to_owned())).collect();
-    Failure::answered(&text("code"), &text("reason"), text("message"), text("help"), metadata)
+    let failure = Failure::answered(&text("code"), &text("reason"), text("message"), text("help"), metadata);
+    Failure { exit, ..failure }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use clap::{CommandFactory, FromArgMatches, Parser};
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Typed {
+        #[command(flatten)]
+        up: UpArgs,
+    }
+
+    #[test]
+    fn what_was_asked_is_said_anew_whatever_it_looks_like() {
+        let line = ["up", "--detach", "--set=a/x.k=--json", "--plugins=-p", "--name", "n", "--", "--detach"];
+        let typed = Typed::try_parse_from(line).unwrap().up;
+        let again = again(&typed, None);
+        let read = Typed::command().arg(clap::Arg::new("json").long("json").num_args(0));
+        let read = read.try_get_matches_from(&again).unwrap();
+        let read = Typed::from_arg_matches(&read).unwrap().up;
+        assert!(read.detached && !read.detach, "{again:?}");
+        assert_eq!((read.file, read.sets, read.plugins), (typed.file, typed.sets, typed.plugins));
+        assert_eq!((read.name, read.listen), (typed.name, typed.listen));
+        let gcm = super::again(&Typed::try_parse_from(line).unwrap().up, Some("h:1"));
+        assert!(gcm.contains(&"--gcm=h:1".into()), "{gcm:?}");
+    }
 }

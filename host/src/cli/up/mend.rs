@@ -2,179 +2,258 @@
 //! with it, what it had.
 //!
 //! Invariant: a GCM makes anew what a process had, and a process brings along what a GCM had; only what both have lost is
-//! taken from the file. What moves something is started only where the file says `"resume": "auto"`.
+//! taken from the file. What moves something goes on only where the file says `"resume": "auto"`, and never against a Stop.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use trocar_model::{ComponentId, Request, Target};
 
-use super::programs::GCM;
+use super::standing::Standing;
+use super::telling::Voice;
 use crate::cli::failure::Failure;
-use crate::cli::out;
 use crate::cli::session::Session;
-use crate::cli::view::SystemView;
+use crate::cli::view::{ComponentView, SystemView};
 use crate::processes::{Phase, Status};
 use crate::system_file::{ComponentSpec, SystemFile};
 
-type Statuses = BTreeMap<String, Status>;
-
 /// Time for what is made once more.
 const WITHIN: Duration = Duration::from_secs(60);
+/// Before what could not be done is tried again: the first time, and the longest.
+const AGAIN: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
 
-/// How often GCM and processes had been started when all was known to be there.
-#[derive(Default)]
+/// What the supervisor remembers of one process.
 pub(super) struct Mender {
-    seen: BTreeMap<String, u32>,
+    process: String,
+    /// How often it had been started when it was last looked at.
+    restarts: u32,
+    /// It was started since, and what only the file says of it is to be done yet.
+    owed: bool,
+    /// The GCM under which it was last seen whole.
+    term: u64,
+    /// Whether its components ran then.
+    ran: BTreeMap<String, bool>,
+    /// What was made again from the file, and may wait for connections to processes that are not back yet.
+    remade: BTreeSet<ComponentId>,
+}
+
+/// Everything one has to do with.
+pub(super) struct Tools<'a> {
+    pub(super) file: &'a SystemFile,
+    pub(super) session: &'a Session,
+    pub(super) voice: Option<&'a Voice>,
+    /// One at a time makes what is missing: connections have ends in two processes.
+    pub(super) making: &'a tokio::sync::Mutex<()>,
 }
 
 impl Mender {
-    pub(super) fn new(statuses: &Statuses) -> Mender {
-        Mender { seen: restarts(statuses) }
-    }
-
-    /// True: something was started since, and `mend` is to be asked until it answers true.
-    pub(super) fn is_due(&self, statuses: &Statuses) -> bool {
-        self.seen != restarts(statuses)
-    }
-
-    /// Looks what is missing and makes it again. False: not all is back yet.
-    pub(super) async fn mend(&mut self, statuses: &Statuses, file: &SystemFile, session: &Session) -> bool {
-        let settled = |s: &Status| matches!(s.phase, Phase::Running | Phase::Failed | Phase::Ended);
-        if !statuses.values().all(settled) {
-            return false;
-        }
-        let Ok(listed) = session.list().await else { return false };
-        let runs = |name: &String| statuses[name].phase == Phase::Running;
-        let attached =
-            |name: &String| listed.processes.iter().any(|p| p.name == *name && p.state == "ATTACHED");
-        if !statuses.keys().filter(|name| *name != GCM && runs(name)).all(attached) {
-            return false;
-        }
-        let now = restarts(statuses);
-        let again = |name: &str| now.get(name) != self.seen.get(name);
-        let both: Vec<&str> = if again(GCM) {
-            now.keys().map(String::as_str).filter(|name| *name != GCM && again(name)).collect()
-        } else {
-            Vec::new()
+    /// Of a process that is up.
+    pub(super) fn new(process: &str, status: &Status, standing: &Standing) -> Mender {
+        let mut mender = Mender {
+            process: process.to_owned(),
+            restarts: status.restarts,
+            owed: false,
+            term: standing.term,
+            ran: BTreeMap::new(),
+            remade: BTreeSet::new(),
         };
-        let missing = missing(file, &listed, &both);
-        if !both.is_empty()
-            && let Err(failure) = make(file, &missing, &both, session).await
-        {
-            let names: Vec<String> = missing.iter().map(ToString::to_string).collect();
-            out::complain(
-                "error",
-                &format!("{} cannot be made again: {}", names.join(", "), failure.message),
-            );
+        mender.look(status, standing);
+        mender
+    }
+
+    /// Takes in how it stands. True: `mend` is to be called until it answers true.
+    pub(super) fn look(&mut self, status: &Status, standing: &Standing) -> bool {
+        self.owed |= status.restarts != self.restarts;
+        self.restarts = status.restarts;
+        let whole = status.phase == Phase::Running && standing.is_whole(&self.process, status.pid);
+        if whole && !self.owed {
+            self.term = standing.term;
+            let here = standing.within(&self.process);
+            self.ran = here.map(|c| (c.path.clone(), c.state == "ACTIVE")).collect();
         }
-        let back: Vec<&str> = now.keys().map(String::as_str).filter(|name| again(name)).collect();
-        if let Err(failure) = resume(file, &back, &both, session).await {
-            out::complain("error", &format!("not resumed: {}", failure.message));
+        whole && self.owed
+    }
+
+    /// Does what is owed.
+    ///
+    /// # Errors
+    /// Something of it failed: all is to be tried once more.
+    pub(super) async fn mend(&mut self, standing: &Standing, tools: &Tools<'_>) -> Result<(), Failure> {
+        if self.term != standing.term {
+            let _alone = tools.making.lock().await;
+            self.make(tools).await?;
         }
-        self.seen = now;
-        true
+        self.resume(tools).await?;
+        self.owed = false;
+        Ok(())
+    }
+
+    /// A component that nobody has ever seen runs when the file starts it.
+    fn ran(&self, path: &str) -> bool {
+        self.ran.get(path).copied().unwrap_or(true)
+    }
+
+    fn here<'f>(&self, file: &'f SystemFile) -> impl Iterator<Item = &'f ComponentSpec> {
+        file.components.iter().filter(move |c| c.id.process.as_str() == self.process)
+    }
+
+    /// Lets go on what the file says goes on by itself, unless somebody stops it in this moment.
+    async fn resume(&self, tools: &Tools<'_>) -> Result<(), Failure> {
+        let resumes: BTreeSet<String> =
+            self.here(tools.file).filter(|c| c.resumes).map(|c| c.id.to_string()).collect();
+        if resumes.is_empty() {
+            return Ok(());
+        }
+        let listed = tools.session.standing().await?;
+        let stopped =
+            listed.components.iter().filter(|c| c.state == "STOPPED{restarted}" && resumes.contains(&c.path));
+        let targets = targets(stopped.map(|c| c.path.as_str()));
+        if targets.is_empty() {
+            return Ok(());
+        }
+        let resume = [Request::Resume { targets }];
+        tools.session.apply_at(&resume, WITHIN, Some(listed.revision)).await.map(|_| ())
+    }
+
+    /// Makes what is missing here, and starts what ran, unless it moves something: the GCM may have ended in the middle of
+    /// making it anew.
+    async fn make(&mut self, tools: &Tools<'_>) -> Result<(), Failure> {
+        let Tools { file, session, .. } = tools;
+        let listed = session.standing().await?;
+        let missing = missing(self.here(file), &listed);
+        self.remade.extend(missing.iter().cloned());
+        session.apply(&requests(file, &missing, &self.remade, &listed), WITHIN).await?;
+        let made = session.standing().await?;
+        let (starts, waits) = self.to_start(file, &made);
+        if !starts.is_empty() {
+            let start = [Request::Start { targets: targets(starts.into_iter()) }];
+            session.apply_at(&start, WITHIN, Some(made.revision)).await?;
+        }
+        if let Some(other) = self.waits_for(file, &made) {
+            let text = format!("its connections to {other} wait for that");
+            return Err(Failure::local("PROCESS_LOST", text, "It is tried again."));
+        }
+        let remade = std::mem::take(&mut self.remade);
+        let Some(voice) = tools.voice else { return Ok(()) };
+        let mut said = format!("the GCM had ended together with {}", self.process);
+        if !remade.is_empty() {
+            let missing: Vec<String> = remade.iter().map(ToString::to_string).collect();
+            said.push_str(&format!(": {} made again from the file", missing.join(", ")));
+        }
+        if !waits.is_empty() {
+            said.push_str(&format!("; {} can move something and is not started by that", waits.join(", ")));
+        }
+        voice.complain("warning", &said);
+        Ok(())
+    }
+
+    /// A component that is not there yet, to which something made again is to be connected.
+    fn waits_for(&self, file: &SystemFile, listed: &SystemView) -> Option<ComponentId> {
+        let there = |id: &ComponentId| listed.components.iter().any(|c| c.path == id.to_string());
+        file.requests().into_iter().find_map(|request| {
+            let Request::Connect { client, server, .. } = request else { return None };
+            let ends = [client.component, server.component];
+            let mine = ends.iter().any(|id| self.remade.contains(id));
+            ends.into_iter().find(|id| mine && !there(id))
+        })
+    }
+
+    /// What of the file stands ready here and ran before, and what of that waits for somebody.
+    fn to_start<'l>(&self, file: &SystemFile, listed: &'l SystemView) -> (Vec<&'l str>, Vec<&'l str>) {
+        let (mut starts, mut waits) = (Vec::new(), Vec::new());
+        for spec in self.here(file).filter(|c| c.start) {
+            let path = spec.id.to_string();
+            let is_it = |c: &&ComponentView| c.path == path && c.state == "READY" && self.ran(&path);
+            let Some(component) = listed.components.iter().find(is_it) else { continue };
+            if component.safety != "actuator" || spec.resumes {
+                starts.push(component.path.as_str());
+            } else {
+                waits.push(component.path.as_str());
+            }
+        }
+        (starts, waits)
     }
 }
 
-fn restarts(statuses: &Statuses) -> BTreeMap<String, u32> {
-    statuses.iter().map(|(name, s)| (name.clone(), s.restarts)).collect()
+/// Mends one process whenever that is due, for ever.
+pub(super) async fn keep_whole(
+    mut mender: Mender,
+    mut statuses: tokio::sync::watch::Receiver<BTreeMap<String, Status>>,
+    mut standing: tokio::sync::watch::Receiver<std::sync::Arc<Standing>>,
+    tools: &Tools<'_>,
+) -> std::convert::Infallible {
+    let (mut pause, mut said) = (AGAIN.0, None);
+    loop {
+        let status = statuses.borrow_and_update().get(&mender.process).cloned().unwrap_or_default();
+        let stands = standing.borrow_and_update().clone();
+        if mender.look(&status, &stands) {
+            match mender.mend(&stands, tools).await {
+                Ok(()) => {
+                    (pause, said) = (AGAIN.0, None);
+                    continue;
+                }
+                Err(failure) => {
+                    if let (Some(voice), true) = (tools.voice, is_news(&failure, &mut said)) {
+                        let text = format!("{} is not whole yet: {}", mender.process, failure.message);
+                        voice.complain("warning", &text);
+                    }
+                    tokio::time::sleep(pause).await;
+                    pause = (pause * 2).min(AGAIN.1);
+                    continue;
+                }
+            }
+        }
+        // Both are told for as long as the system is kept.
+        tokio::select! {
+            _ = statuses.changed() => {}
+            _ = standing.changed() => {}
+        }
+    }
 }
 
-/// What the file has in these processes and the system has not.
-fn missing(file: &SystemFile, listed: &SystemView, processes: &[&str]) -> BTreeSet<ComponentId> {
-    let lost = |id: &ComponentId| {
+/// A change in the moment of looking is nobody's business, and neither is what was said before.
+fn is_news(failure: &Failure, said: &mut Option<String>) -> bool {
+    let passes = matches!(failure.reason.as_str(), "REVISION_CONFLICT" | "PROCESS_LOST" | "NO_GCM");
+    !passes && said.replace(failure.message.clone()).as_ref() != Some(&failure.message)
+}
+
+fn targets<'a>(paths: impl Iterator<Item = &'a str>) -> Vec<Target> {
+    paths.filter_map(|path| ComponentId::parse(path).ok()).map(Target::One).collect()
+}
+
+/// What the file has here and the system has not.
+fn missing<'f>(here: impl Iterator<Item = &'f ComponentSpec>, listed: &SystemView) -> BTreeSet<ComponentId> {
+    let lost = |id: &&ComponentId| {
         let path = id.to_string();
-        processes.contains(&id.process.as_str()) && listed.components.iter().all(|c| c.path != path)
+        listed.components.iter().all(|c| c.path != path)
     };
-    file.components.iter().map(|c| &c.id).filter(|id| lost(id)).cloned().collect()
+    here.map(|c| &c.id).filter(lost).cloned().collect()
 }
 
-/// The requests of the file that concern these, and no Start.
-fn requests(file: &SystemFile, missing: &BTreeSet<ComponentId>) -> Vec<Request> {
+/// What of the file makes those that are missing and connects those that were made again, and no Start. A connection whose other end
+/// is missing too comes with that one.
+fn requests(
+    file: &SystemFile,
+    missing: &BTreeSet<ComponentId>,
+    remade: &BTreeSet<ComponentId>,
+    listed: &SystemView,
+) -> Vec<Request> {
+    let there = |id: &ComponentId| {
+        let path = id.to_string();
+        missing.contains(id) || listed.components.iter().any(|c| c.path == path)
+    };
     let concerned = |request: &Request| match request {
         Request::Create { id, .. } => missing.contains(id),
         Request::Connect { client, server, .. } => {
-            missing.contains(&client.component) || missing.contains(&server.component)
+            let (from, to) = (client.to_string(), server.to_string());
+            let ends = [&client.component, &server.component];
+            ends.iter().any(|id| remade.contains(*id))
+                && ends.iter().all(|id| there(id))
+                && !listed.connections.iter().any(|c| c.client == from && c.server == to)
         }
         _ => false,
     };
     file.requests().into_iter().filter(concerned).collect()
-}
-
-/// Lets go on what the file says goes on by itself.
-async fn resume(
-    file: &SystemFile,
-    processes: &[&str],
-    both: &[&str],
-    session: &Session,
-) -> Result<(), Failure> {
-    let goes_on = |c: &&ComponentSpec| c.resumes && processes.contains(&c.id.process.as_str());
-    if !file.components.iter().any(|c| goes_on(&c)) {
-        return Ok(());
-    }
-    let listed = session.list().await?;
-    let stands = |c: &ComponentSpec, state: &str| {
-        let path = c.id.to_string();
-        listed.components.iter().any(|l| l.path == path && l.state == state)
-    };
-    let those = |state: &str| -> Vec<Target> {
-        let those = file.components.iter().filter(goes_on).filter(|c| stands(c, state));
-        those.map(|c| Target::One(c.id.clone())).collect()
-    };
-    let from_file = |target: &Target| {
-        let Target::One(id) = target else { return false };
-        both.contains(&id.process.as_str()) && file.components.iter().any(|c| c.start && c.id == *id)
-    };
-    let (stopped, ready) = (those("STOPPED{restarted}"), those("READY"));
-    let mut requests = Vec::new();
-    if !stopped.is_empty() {
-        requests.push(Request::Resume { targets: stopped });
-    }
-    // Made from the file, when the GCM had ended with it.
-    let ready: Vec<Target> = ready.into_iter().filter(from_file).collect();
-    if !ready.is_empty() {
-        requests.push(Request::Start { targets: ready });
-    }
-    session.apply(&requests, WITHIN).await.map(|_| ())
-}
-
-/// Makes what is missing in these processes, and starts what only measures there: the GCM may have ended in the middle of
-/// making them anew.
-async fn make(
-    file: &SystemFile,
-    missing: &BTreeSet<ComponentId>,
-    processes: &[&str],
-    session: &Session,
-) -> Result<(), Failure> {
-    session.apply(&requests(file, missing), WITHIN).await?;
-    let listed = session.list().await?;
-    let here = |c: &&ComponentSpec| c.start && processes.contains(&c.id.process.as_str());
-    let ready = |c: &&ComponentSpec| {
-        let path = c.id.to_string();
-        listed
-            .components
-            .iter()
-            .find(|l| l.path == path && l.state == "READY")
-            .map(|l| l.safety == "actuator")
-    };
-    let stands = |moves: bool| file.components.iter().filter(here).filter(move |c| ready(c) == Some(moves));
-    let targets: Vec<Target> = stands(false).map(|c| Target::One(c.id.clone())).collect();
-    if !targets.is_empty() {
-        session.apply(&[Request::Start { targets }], WITHIN).await?;
-    }
-    let text = |ids: Vec<String>| ids.join(", ");
-    let made = text(missing.iter().map(ToString::to_string).collect());
-    let mut said = format!("the GCM had ended together with {}", processes.join(", "));
-    if !made.is_empty() {
-        said.push_str(&format!(": {made} made again from the file"));
-    }
-    let waiting = text(stands(true).map(|c| c.id.to_string()).collect());
-    if !waiting.is_empty() {
-        said.push_str(&format!("; {waiting} can move something and is not started by that"));
-    }
-    out::complain("warning", &said);
-    Ok(())
 }
 
 #[cfg(test)]
@@ -182,22 +261,125 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
-    use crate::cli::view::ComponentView;
+    use crate::cli::view::{ConnectionView, ProcessView};
 
     const FILE: &str = r#"{"version": 1,
-        "components": { "a/x": {"class": "c"}, "a/y": {"class": "c"}, "b/z": {"class": "c"} },
-        "connections": [ {"client": "a/x/i", "server": "a/y/o"}, {"client": "b/z/i", "server": "b/z/o"} ]}"#;
+        "components": {
+            "a/x": {"class": "c"}, "a/y": {"class": "c"}, "a/z": {"class": "c", "start": false},
+            "a/arm": {"class": "c"}, "a/leg": {"class": "c", "resume": "auto"}, "b/z": {"class": "c"}
+        },
+        "connections": [
+            {"client": "a/x/i", "server": "a/y/o"}, {"client": "b/z/i", "server": "b/z/o"},
+            {"client": "a/x/far", "server": "b/z/o"}
+        ]}"#;
+
+    fn file() -> SystemFile {
+        SystemFile::parse("f", FILE.to_owned()).unwrap()
+    }
+
+    fn component(path: &str, state: &str, safety: &str) -> ComponentView {
+        ComponentView {
+            path: path.into(),
+            state: state.into(),
+            safety: safety.into(),
+            ..ComponentView::default()
+        }
+    }
+
+    fn standing(term: u64, pid: u32, components: &[(&str, &str)]) -> Standing {
+        let process =
+            ProcessView { name: "a".into(), state: "ATTACHED".into(), pid, ..ProcessView::default() };
+        let components = components.iter();
+        Standing {
+            heard: true,
+            term,
+            processes: [("a".to_owned(), process)].into(),
+            components: components
+                .map(|(path, state)| ((*path).to_owned(), component(path, state, "none")))
+                .collect(),
+        }
+    }
+
+    fn running(pid: u32, restarts: u32) -> Status {
+        Status { phase: Phase::Running, pid, restarts, ..Status::default() }
+    }
 
     #[test]
     fn only_what_both_have_lost_is_taken_from_the_file() {
-        let file = SystemFile::parse("f", FILE.to_owned()).unwrap();
-        let there = |path: &str| ComponentView { path: path.into(), ..ComponentView::default() };
-        let listed = SystemView { components: vec![there("a/y")], ..SystemView::default() };
-        let lost = missing(&file, &listed, &["a"]);
+        let file = file();
+        let here = || file.components.iter().filter(|c| c.id.process.as_str() == "a");
+        let there = |path: &str| component(path, "ACTIVE", "none");
+        let listed = SystemView {
+            components: ["a/y", "a/z", "a/arm", "a/leg"].map(there).into(),
+            ..SystemView::default()
+        };
+        let lost = missing(here(), &listed);
         assert_eq!(lost.iter().map(ToString::to_string).collect::<Vec<_>>(), ["a/x"], "b is not concerned");
-        let kinds: Vec<bool> =
-            requests(&file, &lost).iter().map(|r| matches!(r, Request::Create { .. })).collect();
-        assert_eq!(kinds, [true, false], "its Create, its connection, and no Start");
-        assert!(missing(&file, &listed, &[]).is_empty());
+        let kinds = |listed: &SystemView| -> Vec<bool> {
+            requests(&file, &lost, &lost, listed)
+                .iter()
+                .map(|r| matches!(r, Request::Create { .. }))
+                .collect()
+        };
+        assert_eq!(kinds(&listed), [true, false], "its Create and its connection; b/z is not there yet");
+        let mut more = listed.clone();
+        more.components.push(there("b/z"));
+        assert_eq!(kinds(&more), [true, false, false], "the connection to b, too");
+        let known = ConnectionView { client: "a/x/far".into(), server: "b/z/o".into(), ..Default::default() };
+        more.connections.push(known);
+        assert_eq!(kinds(&more), [true, false], "which may be there already");
+    }
+
+    #[test]
+    fn what_is_owed_stays_owed_until_it_is_done() {
+        let whole = standing(1, 7, &[("a/x", "ACTIVE")]);
+        let mut mender = Mender::new("a", &running(7, 0), &whole);
+        assert!(!mender.look(&running(7, 0), &whole));
+        assert!(!mender.look(&Status { phase: Phase::Starting, ..running(8, 1) }, &whole), "it is not back");
+        assert!(!mender.look(&running(8, 1), &whole), "the GCM speaks of the one before");
+        let back = standing(1, 8, &[("a/x", "ACTIVE")]);
+        assert!(mender.look(&running(8, 1), &back) && mender.look(&running(8, 1), &back));
+        assert_eq!(mender.term, back.term, "the GCM has it all");
+        mender.owed = false;
+        assert!(!mender.look(&running(8, 1), &back));
+    }
+
+    #[test]
+    fn a_gcm_that_ended_too_is_known_by_its_term_whoever_ended_first() {
+        let first = standing(1, 7, &[("a/x", "ACTIVE")]);
+        let mut mender = Mender::new("a", &running(7, 0), &first);
+        // The process is back under the next GCM, which never heard of what it had.
+        let next = standing(2, 8, &[]);
+        assert!(mender.look(&running(8, 1), &next) && mender.term != next.term);
+        // One that only lost its GCM brings it along.
+        let mut other = Mender::new("a", &running(7, 0), &first);
+        assert!(!other.look(&running(7, 0), &Standing { term: 2, ..first.clone() }));
+        assert_eq!(other.term, 2);
+    }
+
+    #[test]
+    fn what_somebody_had_stopped_and_what_moves_is_not_started_from_the_file() {
+        let before = standing(
+            1,
+            7,
+            &[("a/x", "STOPPED{requested}"), ("a/y", "ACTIVE"), ("a/arm", "ACTIVE"), ("a/leg", "ACTIVE")],
+        );
+        let mender = Mender::new("a", &running(7, 0), &before);
+        let ready = |path: &str| {
+            component(
+                path,
+                "READY",
+                if path.ends_with("g") || path.ends_with("m") { "actuator" } else { "none" },
+            )
+        };
+        let made = SystemView {
+            components: ["a/x", "a/y", "a/z", "a/arm", "a/leg", "b/z"].map(ready).into(),
+            ..SystemView::default()
+        };
+        assert_eq!(mender.to_start(&file(), &made), (vec!["a/y", "a/leg"], vec!["a/arm"]));
+        let stopped = standing(1, 7, &[("a/leg", "STOPPED{requested}")]);
+        let mender = Mender::new("a", &running(7, 0), &stopped);
+        let (starts, _) = mender.to_start(&file(), &made);
+        assert!(!starts.contains(&"a/leg"), "somebody had stopped it: {starts:?}");
     }
 }

@@ -4,37 +4,49 @@
 //! then nothing is left.
 
 mod detach;
+mod fill;
 mod mend;
-mod programs;
+mod news;
+pub(super) mod programs;
+mod standing;
 mod telling;
+mod useless;
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::Poll;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use tokio::net::UnixStream;
-use trocar_model::{ComponentId, Name, Request};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use trocar_model::{ComponentId, Name};
 
-use self::mend::Mender;
+use self::mend::{Mender, Tools};
+use self::news::Ears;
 use self::programs::GCM;
+use self::standing::Standing;
 use self::telling::Voice;
+use self::useless::Patience;
 use super::failure::{Done, Exit, Failure};
-use super::mutation::Outcome;
 use super::session::{self, Session};
+use super::view::SystemView;
 use super::{hosting, logging};
-use crate::gcm::Fate;
+use crate::gcm::{Fate, Told};
 use crate::host::{HostError, StateChoice, StateDir, StopRequest, state_home};
-use crate::processes::{Door, Phase, Program, Status, Supervisor};
+use crate::processes::{Door, Phase, Program, Status, Supervisor, keep_short};
 use crate::system_file::SystemFile;
 
 /// How long a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
-/// How often everything is made once more when a process was lost meanwhile.
-const AGAIN: u32 = 5;
-/// Between two looks whether it is back.
-const LOOK: Duration = Duration::from_millis(20);
 /// How long its components may take to stop in order; then their processes stop them all the same.
 const STOP: Duration = Duration::from_secs(5);
+/// Until what could not be found out of a process is asked again.
+const ASK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Starts the processes of a system file and everything in them; stays until Ctrl-C or `trocar down`.
 #[derive(Args, Debug)]
@@ -62,66 +74,128 @@ pub(super) struct UpArgs {
 }
 
 /// Where its GCM is.
-enum Gcm {
+pub(super) enum Gcm {
     Own(Program),
     /// Another's, at this address.
     Of(String),
 }
 
 /// A system on its way up, up, or on its way down.
-struct System {
+pub(super) struct System {
+    gcm: Gcm,
     hosts: Vec<Program>,
     supervisor: Supervisor,
     /// To its GCM, once there is one.
     session: Option<Session>,
-    teller: Option<tokio::task::JoinHandle<()>>,
+    standing: watch::Receiver<Arc<Standing>>,
+    /// They tell the GCM, and listen to it.
+    talking: Vec<JoinHandle<()>>,
     is_up: bool,
+}
+
+/// What is known of a system that has come up.
+pub(super) struct Up {
+    /// Of its GCM.
+    pub(super) addr: String,
+    pub(super) warnings: Vec<String>,
+    standing: SystemView,
+    /// Not started, since their processes crashed while it came up.
+    waiting: BTreeSet<ComponentId>,
+    /// Where lies what its processes print.
+    place: PathBuf,
+}
+
+impl Up {
+    /// What the file starts and does not run, and how it stands instead.
+    fn idle(&self, file: &SystemFile) -> Vec<(String, String)> {
+        let started: BTreeMap<String, &ComponentId> =
+            file.components.iter().filter(|c| c.start).map(|c| (c.id.to_string(), &c.id)).collect();
+        let idle = self.standing.components.iter().filter_map(|c| {
+            let id = started.get(&c.path).filter(|_| c.state != "ACTIVE" || c.health == "UNRESPONSIVE")?;
+            let mut stands = match (c.state.as_str(), c.fault.as_str()) {
+                ("ACTIVE", _) => "UNRESPONSIVE".to_owned(),
+                (state, "") => state.to_owned(),
+                (state, fault) => format!("{state}: {fault}"),
+            };
+            if self.waiting.contains(*id) {
+                stands.push_str(": its process crashed while it came up, and it can move something");
+            }
+            Some((c.path.clone(), stands))
+        });
+        idle.collect()
+    }
 }
 
 pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     let name = name_of(args.name.as_ref(), &args.file)?;
     let place = directory(&name);
     if args.detach {
-        return detach::run(&place, &name, session).await;
+        return detach::run(&args, &place, &name, session).await;
     }
     logging::install(log::LevelFilter::Warn);
     let file = read(&args)?;
     let mut stop = StopRequest::listen();
-    let state = StateDir::open(&StateChoice::Durable(place), false)?;
+    if args.detached {
+        stop.tie_until_heard().map_err(|e| HostError::Threads { because: e.to_string() })?;
+    }
+    let state = StateDir::open(&StateChoice::Durable(place), false).map_err(|e| not_kept(&e, &name))?;
     logging::to_file(state.path());
-    let mut door = Door::open(state.path()).map_err(|e| HostError::StateUnwritable {
-        dir: state.path().to_owned(),
-        because: format!("no socket for `trocar down`: {e}"),
-    })?;
+    let mut door = Door::open(state.path()).map_err(|e| no_door(state.path(), &e))?;
     let gcm = match session.explicit_gcm() {
         Some(addr) => Gcm::Of(addr.to_owned()),
-        None => Gcm::Own(programs::gcm(&args.listen, state.path())?),
+        None => Gcm::Own(programs::gcm(&args.listen, state.path())),
     };
-    let mut system = System {
-        hosts: programs::hosts(&file, &args.file, &args.plugins, state.path())?,
-        supervisor: Supervisor::default(),
-        session: None,
-        teller: None,
-        is_up: false,
-    };
-    let voice = Voice { name, json: session.json(), quiet: args.detached };
+    let hosts = programs::hosts(&file, &args.file, &args.plugins, state.path());
+    let mut system = System::new(gcm, hosts);
+    let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;
+    let own_log = detach::log(state.path());
     let failure = tokio::select! {
-        failure = system.live(&gcm, &file, &voice) => Some(failure),
+        failure = system.live(&file, &voice) => Some(failure),
         () = stop.asked() => None,
         stream = door.asked() => {
             asker = Some(stream);
             None
         }
+        never = keep_short(&own_log), if args.detached => match never {},
     };
     let interrupted = !system.is_up && asker.is_none();
-    system.take_down(&gcm).await;
-    door.answer(asker).await;
+    let failed = system.take_down().await;
+    door.answer(asker, &failed).await;
     match failure {
-        Some(failure) => Err(failure),
-        None if interrupted => Ok(Exit::Interrupted),
-        None => Ok(Exit::Ok),
+        Some(mut failure) => {
+            if !failed.is_empty() {
+                failure.metadata.insert("not_in_order".to_owned(), failed.join("; "));
+            }
+            return Err(failure);
+        }
+        None => voice.say_failed(&failed),
     }
+    Ok(match failed.is_empty() {
+        _ if interrupted => Exit::Interrupted,
+        true => Exit::Ok,
+        false => Exit::Partial,
+    })
+}
+
+/// In the words of `up`, which has no --state.
+fn not_kept(e: &HostError, name: &str) -> Failure {
+    let help = match e {
+        HostError::StateInUse { .. } | HostError::StateHeld { .. } => {
+            format!(
+                "`trocar down {name}` takes it down; --name NAME and --listen 127.0.0.1:0 bring another one up beside it"
+            )
+        }
+        HostError::StateUnwritable { .. } => "set XDG_STATE_HOME to a directory you may write to".to_owned(),
+        other => other.help(),
+    };
+    Failure::local(e.reason(), e.to_string(), help)
+}
+
+fn no_door(dir: &Path, e: &std::io::Error) -> Failure {
+    let because = format!("no socket for `trocar down`: {e}");
+    let e = HostError::StateUnwritable { dir: dir.to_owned(), because };
+    Failure::local(e.reason(), e.to_string(), "set XDG_STATE_HOME to a directory of a local disk")
 }
 
 fn read(args: &UpArgs) -> Result<SystemFile, Failure> {
@@ -152,6 +226,11 @@ pub(super) fn name_of(named: Option<&Name>, file: &Path) -> Result<String, Failu
     })
 }
 
+/// Tells people what becomes of the processes of a system.
+pub(super) fn voice(name: &str) -> Voice {
+    Voice::new(name, false, false)
+}
+
 /// Where systems keep their state and their doors.
 pub(super) fn directories() -> PathBuf {
     state_home().join("up")
@@ -162,176 +241,275 @@ pub(super) fn directory(name: &str) -> PathBuf {
 }
 
 impl System {
+    pub(super) fn new(gcm: Gcm, hosts: Vec<Program>) -> System {
+        // Nobody is heard yet.
+        let standing = watch::channel(Arc::default()).1;
+        let supervisor = Supervisor::default();
+        System { gcm, hosts, supervisor, session: None, standing, talking: Vec::new(), is_up: false }
+    }
+
     /// Brings it up and stays; ends only when it cannot come up, with the reason.
-    async fn live(&mut self, gcm: &Gcm, file: &SystemFile, voice: &Voice) -> Failure {
-        if let Err(failure) = self.come_up(gcm, file, voice).await {
-            return failure;
+    async fn live(&mut self, file: &SystemFile, voice: &Voice) -> Failure {
+        match self.come_up(file).await {
+            Ok(up) => voice.say_up(&up, &self.supervisor.statuses().borrow(), file),
+            Err(failure) => return failure,
         }
-        self.is_up = true;
+        match self.keep(file, Some(voice)).await {}
+    }
+
+    /// Mends what breaks and tells of it, for ever.
+    pub(super) async fn keep(&self, file: &SystemFile, voice: Option<&Voice>) -> Infallible {
         let Some(session) = &self.session else { return std::future::pending().await };
-        let mut all = self.supervisor.statuses();
-        let mut before = all.borrow_and_update().clone();
-        let mut mender = Mender::new(&before);
-        loop {
-            // The supervisor lives as long as this does.
-            if mender.is_due(&before) {
-                let _ = tokio::time::timeout(LOOK, all.changed()).await;
-            } else {
-                let _ = all.changed().await;
+        let making = tokio::sync::Mutex::new(());
+        let tools = Tools { file, session, voice, making: &making };
+        let statuses = self.supervisor.statuses();
+        let now = statuses.borrow().clone();
+        let mut menders: Vec<Pin<Box<dyn Future<Output = Infallible> + '_>>> = Vec::new();
+        for name in self.names() {
+            let status = now.get(&name).cloned().unwrap_or_default();
+            let mender = Mender::new(&name, &status, &self.standing.borrow());
+            let kept = mend::keep_whole(mender, statuses.clone(), self.standing.clone(), &tools);
+            menders.push(Box::pin(kept));
+        }
+        let mended = std::future::poll_fn(|cx| {
+            for mender in &mut menders {
+                if let Poll::Ready(never) = mender.as_mut().poll(cx) {
+                    match never {}
+                }
             }
-            let now = all.borrow_and_update().clone();
-            voice.tell(&before, &now);
-            before = now;
-            if mender.is_due(&before) {
-                mender.mend(&before, file, session).await;
+            Poll::<Infallible>::Pending
+        });
+        tokio::select! {
+            never = mended => match never {},
+            never = self.judge(session) => match never {},
+            never = self.tell(voice) => match never {},
+        }
+    }
+
+    /// Puts down what lives and is of no use, for ever.
+    async fn judge(&self, session: &Session) -> Infallible {
+        let policies = self.hosts.iter().map(|h| (h.name.clone(), h.policy.unheard())).collect();
+        let (mut statuses, mut standing) = (self.supervisor.statuses(), self.standing.clone());
+        let mut patience = Patience::default();
+        loop {
+            let (now, stands) = (statuses.borrow_and_update().clone(), standing.borrow_and_update().clone());
+            let (over, mut next) = patience.look(&now, &stands, &policies, Instant::now());
+            if !over.is_empty() {
+                // What was heard last may be old: a GCM that stands still says nothing new.
+                let fresh = session.standing().await.map(|listed| Standing::of(stands.term, listed));
+                for useless in over {
+                    if fresh.as_ref().is_ok_and(|fresh| useless::is_so(fresh, &useless)) {
+                        self.supervisor.put_down(&useless.process, useless.pid, useless.why);
+                    }
+                }
+                next = Some(Instant::now() + ASK_AGAIN);
+            }
+            tokio::select! {
+                _ = statuses.changed() => {}
+                _ = standing.changed() => {}
+                () = until(next) => {}
             }
         }
     }
 
-    async fn come_up(&mut self, gcm: &Gcm, file: &SystemFile, voice: &Voice) -> Result<(), Failure> {
-        let addr = match gcm {
+    /// Tells people what happens, for ever.
+    async fn tell(&self, voice: Option<&Voice>) -> Infallible {
+        let Some(voice) = voice else { return std::future::pending().await };
+        let (mut statuses, mut standing) = (self.supervisor.statuses(), self.standing.clone());
+        let mut before = statuses.borrow_and_update().clone();
+        let mut ears = Ears::of(&standing.borrow());
+        loop {
+            let (news, next) = ears.look(&standing.borrow_and_update(), Instant::now());
+            voice.tell_of(&news);
+            tokio::select! {
+                _ = statuses.changed() => {}
+                _ = standing.changed() => {}
+                () = until(next) => {}
+            }
+            let now = statuses.borrow_and_update().clone();
+            voice.tell(&before, &now);
+            before = now;
+        }
+    }
+
+    /// Starts its processes, and makes in them what the file has.
+    pub(super) async fn come_up(&mut self, file: &SystemFile) -> Result<Up, Failure> {
+        let addr = match &self.gcm {
             Gcm::Of(addr) => addr.clone(),
             Gcm::Own(program) => {
                 self.supervisor.start(program.clone());
-                self.serving(&[GCM.to_owned()]).await?.unwrap_or_default()
+                self.in_time(&[GCM.to_owned()]).await?.unwrap_or_default()
             }
         };
-        let session = self.session.insert(Session::new(Some(addr.clone()), voice.json));
-        // Whoever is asked to wait for a GCM waits for ever.
-        session.list().await?;
-        self.teller = Some(telling::keep_told(&addr, self.supervisor.statuses()));
         let names = self.names();
+        let session = self.session.insert(Session::new(Some(addr.clone()), false));
+        // Whoever is asked to wait for a GCM waits for ever.
+        let listed = session.standing().await?;
+        // What a system of these names left when it was killed would be made anew in these.
+        let left = leftovers(&listed, &names);
+        if !left.is_empty() {
+            session.tell(&left).await?;
+        }
+        let (standing, following) = standing::follow(&addr);
+        self.standing = standing;
+        self.talking = vec![telling::keep_told(&addr, self.supervisor.statuses()), following];
         for host in &mut self.hosts {
             host.args.extend(["--gcm".into(), addr.clone().into()]);
             self.supervisor.start(host.clone());
         }
-        self.serving(&names).await?;
-        let outcome = self.fill(file, &names).await?;
-        let Some(session) = &self.session else { return Ok(()) };
-        let standing = session.list().await?;
-        voice.say_up(&addr, &self.supervisor.statuses().borrow(), &standing, file, &outcome.warnings);
-        Ok(())
-    }
-
-    /// Makes everything of the file in its processes. One that crashes, or loses touch, meanwhile is started again by its
-    /// supervisor; then all of it is made once more, until that gives up.
-    async fn fill(&self, file: &SystemFile, names: &[String]) -> Result<Outcome, Failure> {
-        let Some(session) = &self.session else { return Ok(Outcome::default()) };
-        let requests = file.requests();
-        let mut again = 0;
-        loop {
-            let failure = match session.apply(&requests, BRING_UP).await {
-                Ok(outcome) => return Ok(outcome),
-                Err(failure) if failure.reason == "PROCESS_LOST" && again < AGAIN => failure,
-                Err(failure) => return Err(placed(file, failure)),
-            };
-            again += 1;
-            log::warn!("{}; everything is made once more", failure.message);
-            let settle = async {
-                loop {
-                    self.serving(names).await?;
-                    let listed = session.list().await?;
-                    let there = |name: &String| {
-                        listed.processes.iter().any(|p| p.name == *name && p.state == "ATTACHED")
-                    };
-                    if names.iter().all(there) {
-                        break Ok::<_, Failure>(listed);
-                    }
-                    tokio::time::sleep(LOOK).await;
-                }
-            };
-            let listed = tokio::time::timeout(BRING_UP, settle).await.map_err(|_| failure)??;
-            let ids = listed.components.iter().filter_map(|c| ComponentId::parse(&c.path).ok());
-            let ours = ids.filter(|id| names.iter().any(|name| name == id.process.as_str()));
-            let removes: Vec<Request> = ours.map(|id| Request::Remove { id, force: true }).collect();
-            session.apply(&removes, BRING_UP).await?;
-        }
+        self.in_time(&names).await?;
+        let fill::Filled { standing, warnings, waiting } = self.fill(file, &names).await?;
+        let statuses = self.supervisor.statuses().borrow().clone();
+        let whole =
+            |s: &Arc<Standing>| names.iter().all(|n| statuses.get(n).is_some_and(|p| s.is_whole(n, p.pid)));
+        // One that ends in this moment is mended later.
+        let _ = tokio::time::timeout(STOP, self.standing.wait_for(whole)).await;
+        self.is_up = true;
+        let place = self.hosts.first().and_then(|h| h.output.parent()).unwrap_or(Path::new("")).to_owned();
+        Ok(Up { addr, warnings, standing, waiting, place })
     }
 
     fn names(&self) -> Vec<String> {
         self.hosts.iter().map(|host| host.name.clone()).collect()
     }
 
+    /// Waits until these serve, for as long as a system may take; answers where the last of them does.
+    async fn in_time(&self, names: &[String]) -> Result<Option<String>, Failure> {
+        match tokio::time::timeout(BRING_UP, self.serving(names)).await {
+            Ok(done) => done,
+            Err(_) => Err(self.not_all_up(names)),
+        }
+    }
+
     /// Waits until these serve; answers where the last of them does.
     async fn serving(&self, names: &[String]) -> Result<Option<String>, Failure> {
         let mut all = self.supervisor.statuses();
-        let wait = async {
-            loop {
-                let now = all.borrow_and_update().clone();
-                let stands = |name: &String| now.get(name).cloned().unwrap_or_default();
-                let settled =
-                    |s: &Status| matches!(s.phase, Phase::Failed | Phase::Ended) || s.refused.is_some();
-                if let Some((name, status)) = names.iter().map(|n| (n, stands(n))).find(|(_, s)| settled(s)) {
-                    return Err(not_up(name, &status));
-                }
-                if names.iter().all(|name| stands(name).phase == Phase::Running) {
-                    return Ok(names.last().and_then(|name| stands(name).address));
-                }
-                // The supervisor lives as long as this does.
-                let _ = all.changed().await;
+        loop {
+            let now = all.borrow_and_update().clone();
+            let stands = |name: &String| now.get(name).cloned().unwrap_or_default();
+            let settled = |s: &Status| matches!(s.phase, Phase::Failed | Phase::Ended) || s.refused.is_some();
+            if let Some((name, status)) = names.iter().map(|n| (n, stands(n))).find(|(_, s)| settled(s)) {
+                return Err(self.not_up(name, &status));
             }
-        };
-        if let Ok(done) = tokio::time::timeout(BRING_UP, wait).await {
-            return done;
+            if names.iter().all(|name| stands(name).phase == Phase::Running) {
+                return Ok(names.last().and_then(|name| stands(name).address));
+            }
+            // The supervisor lives as long as this does.
+            let _ = all.changed().await;
         }
-        let now = self.supervisor.statuses().borrow().clone();
-        let missing = names.iter().filter(|n| now.get(*n).is_none_or(|s| s.phase != Phase::Running));
-        let missing: Vec<&str> = missing.map(|name| called(name)).collect();
-        Err(Failure::local(
-            "PROCESS_NOT_UP",
-            format!("not up within {} s: {}", BRING_UP.as_secs(), missing.join(", ")),
-            "look into its log: trocar.log in its state directory",
-        ))
     }
 
-    /// Clients before servers while the GCM is there to know them, then every process, its GCM last.
-    async fn take_down(&mut self, gcm: &Gcm) {
+    fn not_all_up(&self, names: &[String]) -> Failure {
+        let now = self.supervisor.statuses().borrow().clone();
+        let missing = names.iter().filter(|n| now.get(*n).is_none_or(|s| s.phase != Phase::Running));
+        let missing: Vec<String> = missing
+            .map(|name| match now.get(name).map(Status::exit_text).unwrap_or_default() {
+                exit if exit.is_empty() => called(name).to_owned(),
+                exit => format!("{}, which {exit}", called(name)),
+            })
+            .collect();
+        let what = match missing.as_slice() {
+            // They serve, and their GCM has not taken all of them.
+            [] => names.join(", "),
+            missing => missing.join("; "),
+        };
+        Failure::local(
+            "PROCESS_NOT_UP",
+            format!("not up within {} s: {what}", BRING_UP.as_secs()),
+            self.logs(names.first().map_or("", String::as_str)),
+        )
+    }
+
+    /// Where to look.
+    fn logs(&self, name: &str) -> String {
+        let own = match &self.gcm {
+            Gcm::Own(program) => Some(program),
+            Gcm::Of(_) => None,
+        };
+        let program = self.hosts.iter().chain(own).find(|p| p.name == name);
+        let printed =
+            program.map_or(String::new(), |p| format!("; what it printed is in {}", p.output.display()));
+        format!("look into its log: trocar.log in its state directory{printed}")
+    }
+
+    fn not_up(&self, name: &str, status: &Status) -> Failure {
+        let who = if name == GCM { "the GCM".to_owned() } else { format!("process {name}") };
+        let said = |key: &str| status.refused.as_ref().and_then(|r| r[key].as_str()).unwrap_or_default();
+        let (reason, help) = match said("reason") {
+            "" => ("PROCESS_NOT_UP", self.logs(name)),
+            // It knows its own flags, and nobody who brings a system up can give those.
+            reason @ ("STATE_IN_USE" | "STATE_UNWRITABLE") => (
+                reason,
+                format!("another directory: \"state\" of {name} in the system file, or XDG_STATE_HOME"),
+            ),
+            reason => (reason, said("help").to_owned()),
+        };
+        let why = match said("message") {
+            "" => format!("it {}", status.exit_text()),
+            message => message.to_owned(),
+        };
+        let restarts = match status.restarts {
+            0 => String::new(),
+            n => format!(" after {n} restarts"),
+        };
+        let mut failure = Failure::local(reason, format!("{who} did not come up{restarts}: {why}"), help);
+        failure.metadata.insert("process".to_owned(), name.to_owned());
+        failure
+    }
+
+    /// Its components in order while the GCM is there to know it, then every process, its GCM last. Answers what did not end
+    /// in order, one sentence each.
+    pub(super) async fn take_down(&mut self) -> Vec<String> {
         let names = self.names();
         if let (Some(session), true) = (&self.session, self.is_up) {
-            let everything: Vec<String> = names.iter().map(|name| format!("{name}/**")).collect();
-            match tokio::time::timeout(STOP + STOP / 5, session.stop_all_of(&everything, STOP)).await {
+            let standing = self.standing.borrow().clone();
+            let filled = names.iter().filter(|name| standing.within(name).next().is_some());
+            let everything: Vec<String> = filled.map(|name| format!("{name}/**")).collect();
+            match tokio::time::timeout(STOP + STOP / 5, session.stop_all_of(everything, STOP)).await {
                 Ok(Ok(())) => {}
                 Ok(Err(failure)) => log::warn!("not stopped in order: {}", failure.message),
                 Err(_) => log::warn!("not stopped in order: the GCM does not answer"),
             }
         }
-        self.supervisor.end(&names).await;
-        if let Some(teller) = self.teller.take() {
-            teller.abort();
-        }
-        if let (Some(session), Gcm::Of(_)) = (&self.session, gcm) {
+        let mut failed = self.supervisor.end(&names).await;
+        self.talking.drain(..).for_each(|task| task.abort());
+        if let (Some(session), Gcm::Of(_)) = (&self.session, &self.gcm) {
             let gone = telling::fates(&self.supervisor.statuses().borrow(), Some(Fate::Dismissed));
             if let Err(failure) = session.tell(&gone).await {
                 log::warn!("the GCM still lists the processes: {}", failure.message);
             }
         }
-        self.supervisor.end(&[GCM.to_owned()]).await;
+        failed.extend(self.supervisor.end(&[GCM.to_owned()]).await);
+        let sentence = |(name, exit): (String, crate::processes::Exit)| match name == GCM {
+            true => format!("the GCM {exit}"),
+            false => format!("process {name} {exit}: what it moved may not be safe"),
+        };
+        failed.into_iter().map(sentence).collect()
     }
+}
+
+/// Never when there is nothing to wait for.
+async fn until(next: Option<Instant>) {
+    match next {
+        Some(at) => tokio::time::sleep_until(at.into()).await,
+        None => std::future::pending().await,
+    }
+}
+
+/// What of these names is listed and not there: said to be gone. One that is there after all is protected by its number.
+fn leftovers(listed: &SystemView, names: &[String]) -> Vec<Told> {
+    let gone = listed.processes.iter().filter(|p| p.state != "ATTACHED" && names.contains(&p.name));
+    let told = gone.filter_map(|p| {
+        let pid = if p.state == "RESTARTING" { 0 } else { p.pid };
+        let process = Name::parse(&p.name).ok()?;
+        Some(Told { process, fate: Fate::Dismissed, pid, last_exit: String::new(), restarts: 0 })
+    });
+    told.collect()
 }
 
 /// A process as people call it.
 fn called(name: &str) -> &str {
     if name == GCM { "the GCM" } else { name }
-}
-
-fn not_up(name: &str, status: &Status) -> Failure {
-    let who = if name == GCM { "the GCM".to_owned() } else { format!("process {name}") };
-    let said = |key: &str| status.refused.as_ref().and_then(|r| r[key].as_str()).unwrap_or_default();
-    let (reason, help) = match said("reason") {
-        "" => ("PROCESS_NOT_UP", "look into its log: trocar.log in its state directory"),
-        reason => (reason, said("help")),
-    };
-    let why = match said("message") {
-        "" => format!("it {}", status.exit_text()),
-        message => message.to_owned(),
-    };
-    let restarts = match status.restarts {
-        0 => String::new(),
-        n => format!(" after {n} restarts"),
-    };
-    let mut failure = Failure::local(reason, format!("{who} did not come up{restarts}: {why}"), help);
-    failure.metadata.insert("process".to_owned(), name.to_owned());
-    failure
 }
 
 /// With the place in the file it comes from.

@@ -6,7 +6,6 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::cli::failure::Failure;
 use crate::cli::hosting;
 use crate::processes::{Limits, Policy, Program};
 use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
@@ -18,41 +17,39 @@ pub(super) const GCM: &str = ":gcm";
 const GCM_LIMITS: Limits =
     Limits { max: u32::MAX, most_backoff: Duration::from_millis(200), ..Limits::DEFAULT };
 
-fn own_program() -> Result<PathBuf, Failure> {
-    std::env::current_exe().map_err(|e| {
-        Failure::local("IO", format!("cannot find this program: {e}"), "start it by its whole path")
-    })
-}
-
 fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-pub(super) fn gcm(listen: &str, state: &Path) -> Result<Program, Failure> {
-    Ok(Program {
+/// What a process printed; `None`: the GCM, which no process can be called.
+fn output(state: &Path, process: Option<&str>) -> PathBuf {
+    absolute(&match process {
+        Some(name) => state.join(format!("{name}.output.log")),
+        None => state.join("output.log"),
+    })
+}
+
+pub(in crate::cli) fn gcm(listen: &str, state: &Path) -> Program {
+    Program {
         name: GCM.to_owned(),
-        file: own_program()?,
         args: ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into(),
         listen: listen.to_owned(),
         stays: true,
         env: Vec::new(),
+        output: output(state, None),
         policy: Policy::OnFailure(GCM_LIMITS),
-    })
+    }
 }
 
 /// The processes of a file that lies at `at`; its paths are relative to that.
-pub(super) fn hosts(
-    file: &SystemFile,
-    at: &Path,
-    plugins: &[PathBuf],
-    state: &Path,
-) -> Result<Vec<Program>, Failure> {
+pub(in crate::cli) fn hosts(file: &SystemFile, at: &Path, plugins: &[PathBuf], state: &Path) -> Vec<Program> {
     let base = absolute(at.parent().unwrap_or(Path::new("")));
     file.processes.iter().map(|process| host(process, &base, plugins, state)).collect()
 }
 
-fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -> Result<Program, Failure> {
+fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -> Program {
     let name = process.name.as_str();
+    let output = output(state, Some(name));
     let state = match &process.state {
         Some(dir) => base.join(dir),
         None => absolute(&state.join("processes").join(name)),
@@ -72,13 +69,13 @@ fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -
         trust.push(base.join(list));
         args.extend(["--trust".into(), trust]);
     }
-    Ok(Program {
+    Program {
         name: name.to_owned(),
-        file: own_program()?,
         args,
         listen: process.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned()),
         stays: false,
         env: process.env.clone(),
+        output,
         policy: process.restart,
-    })
+    }
 }

@@ -1,8 +1,10 @@
 //! What is told of the processes of a system: to its GCM, to people, to scripts.
 //!
-//! Invariant: a GCM that comes, or comes back, is told everything anew; a person reads each end of a process once.
+//! Invariant: a GCM that comes, or comes back, is told everything anew; a person reads each end of a process once, and whoever
+//! does not read holds up nobody.
 
 use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::Duration;
 
 use serde_json::json;
@@ -10,11 +12,11 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use trocar_model::Name;
 
-use super::called;
+use super::news::News;
 use super::programs::GCM;
+use super::{Up, called};
 use crate::cli::out;
 use crate::cli::session::Session;
-use crate::cli::view::SystemView;
 use crate::gcm::{Fate, Told};
 use crate::processes::{Phase, Status};
 use crate::system_file::SystemFile;
@@ -66,32 +68,36 @@ pub(super) fn keep_told(addr: &str, mut statuses: watch::Receiver<Statuses>) -> 
     })
 }
 
-/// How a system speaks.
-pub(super) struct Voice {
-    pub(super) name: String,
-    pub(super) json: bool,
+/// How a system speaks: nobody has to read it, so it is said by a thread that may wait for a reader for ever.
+pub(in crate::cli) struct Voice {
+    name: String,
+    json: bool,
     /// Nobody reads any more once it is up.
-    pub(super) quiet: bool,
+    quiet: bool,
+    mouth: Mouth,
 }
 
 impl Voice {
+    pub(super) fn new(name: &str, json: bool, quiet: bool) -> Voice {
+        Voice { name: name.to_owned(), json, quiet, mouth: Mouth::open() }
+    }
+
+    pub(super) fn complain(&self, kind: &str, text: &str) {
+        self.mouth.say(format!("{kind}: {}", out::paragraph(text)), true);
+    }
+
+    fn line(&self, line: &str) {
+        self.mouth.say(line.to_owned(), false);
+    }
+
+    fn object(&self, object: &serde_json::Value) {
+        self.line(&out::json(&object.to_string()));
+    }
+
     /// Everything is there; what does not run is named.
-    pub(super) fn say_up(
-        &self,
-        gcm: &str,
-        statuses: &Statuses,
-        standing: &SystemView,
-        file: &SystemFile,
-        warnings: &[String],
-    ) {
-        let wanted = |path: &str| file.components.iter().any(|c| c.start && c.id.to_string() == path);
-        let idle = standing.components.iter().filter(|c| wanted(&c.path) && c.state != "ACTIVE");
-        let idle: Vec<(String, String)> = idle
-            .map(|c| {
-                let why = if c.fault.is_empty() { String::new() } else { format!(": {}", c.fault) };
-                (c.path.clone(), format!("{}{why}", c.state))
-            })
-            .collect();
+    pub(super) fn say_up(&self, up: &Up, statuses: &Statuses, file: &SystemFile) {
+        let Up { addr: gcm, warnings, .. } = up;
+        let idle = up.idle(file);
         let hosts = || statuses.iter().filter(|(name, _)| *name != GCM);
         if self.json || self.quiet {
             let processes: Vec<_> = hosts()
@@ -99,7 +105,7 @@ impl Voice {
                 .collect();
             let idle: Vec<_> =
                 idle.iter().map(|(path, stands)| json!({ "path": path, "stands": stands })).collect();
-            let line = json!({
+            return self.object(&json!({
                 "name": self.name,
                 "listening": gcm,
                 "pid": std::process::id(),
@@ -109,26 +115,26 @@ impl Voice {
                 "connections": file.connections.len(),
                 "not_active": idle,
                 "warnings": warnings,
-            });
-            return out::line(&out::json(&line.to_string()));
+            }));
         }
         for warning in warnings {
-            out::complain("warning", warning);
+            self.complain("warning", warning);
         }
         let (components, connections) = (file.components.len(), file.connections.len());
-        out::line(&format!(
+        self.line(&format!(
             "{} is up: {} processes, {components} components, {connections} connections; GCM {gcm}",
             self.name,
             hosts().count()
         ));
         for (name, status) in hosts() {
             let at = status.address.as_deref().unwrap_or("nowhere");
-            out::line(&format!("  process {name}  pid {}  {at}", status.pid));
+            self.line(&format!("  process {name}  pid {}  {at}", status.pid));
         }
         for (path, stands) in &idle {
-            out::complain("warning", &format!("{path} does not run, it is {stands}"));
+            self.complain("warning", &format!("{path} does not run, it is {stands}"));
         }
-        out::line("  Ctrl-C takes it down, devices safe first");
+        self.line(&format!("  what they print goes to {}", up.place.display()));
+        self.line("  Ctrl-C takes it down, devices safe first");
     }
 
     /// What is different.
@@ -139,20 +145,92 @@ impl Voice {
                 continue;
             }
             if self.json && !self.quiet {
-                let line = json!({
+                self.object(&json!({
                     "process": name,
                     "phase": format!("{:?}", status.phase).to_uppercase(),
                     "pid": status.pid,
                     "restarts": status.restarts,
                     "last_exit": status.exit_text(),
-                });
-                out::line(&out::json(&line.to_string()));
+                }));
                 continue;
             }
             if let Some(text) = said(name, &was, status) {
-                out::complain(if status.phase == Phase::Failed { "error" } else { "warning" }, &text);
+                self.complain(if status.phase == Phase::Failed { "error" } else { "warning" }, &text);
             }
         }
+    }
+
+    /// What did not end in order.
+    pub(super) fn say_failed(&self, failed: &[String]) {
+        if self.json && !self.quiet && !failed.is_empty() {
+            return self.object(&json!({ "down": true, "not_in_order": failed }));
+        }
+        for failed in failed {
+            self.complain("warning", failed);
+        }
+    }
+
+    /// What became of components.
+    pub(super) fn tell_of(&self, news: &[News]) {
+        for News { component: c, trouble } in news {
+            if self.json && !self.quiet {
+                self.object(&json!({
+                    "component": c.path,
+                    "state": c.state,
+                    "health": c.health,
+                    "fault": c.fault,
+                }));
+                continue;
+            }
+            let text = match trouble {
+                Some(trouble) => format!("{} {trouble}", c.path),
+                None => format!("{} is {} again", c.path, c.state),
+            };
+            self.complain("warning", &text);
+        }
+    }
+}
+
+/// Lines on their way out. What does not fit is not said.
+struct Mouth {
+    lines: Option<SyncSender<(String, bool)>>,
+    done: Receiver<()>,
+}
+
+/// Lines that may wait for a reader.
+const WAITING: usize = 256;
+/// How long what was said last may take.
+const LAST: Duration = Duration::from_millis(500);
+
+impl Mouth {
+    fn open() -> Mouth {
+        let (lines, heard) = sync_channel::<(String, bool)>(WAITING);
+        let (tell, done) = channel();
+        let speak = move || {
+            for (line, complains) in heard {
+                out::news(&line, complains);
+            }
+            // Whoever waits has gone when this took too long.
+            let _ = tell.send(());
+        };
+        // Without a thread it is dumb.
+        let _ = std::thread::Builder::new().name("trocar-voice".into()).spawn(speak);
+        Mouth { lines: Some(lines), done }
+    }
+
+    fn say(&self, line: String, complains: bool) {
+        if let Some(lines) = &self.lines {
+            // Nobody reads as fast as this.
+            let _ = lines.try_send((line, complains));
+        }
+    }
+}
+
+impl Drop for Mouth {
+    fn drop(&mut self) {
+        self.lines = None;
+        // A terminal that stands still keeps nobody.
+        let _ = self.done.recv_timeout(LAST);
     }
 }
 

@@ -17,8 +17,8 @@ use trocar_proto::v1::{self, attach_request, attach_response, news};
 use super::{Outgoing, message};
 use crate::control::convert;
 use crate::lcm::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample, Selection,
-    When,
+    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
+    Selection, When,
 };
 
 /// Time for questions that name no deadline.
@@ -196,6 +196,7 @@ fn news_in(news: v1::News) -> Result<News, Refusal> {
         news::News::State(report) => News::State(convert::report_in(report)?),
         news::News::Catalog(catalog) => News::Catalog(convert::classes_in(catalog.classes)?),
         news::News::Log(line) => News::Log(convert::line_in(line)),
+        news::News::Proxy(half) => News::Half(convert::half_in(half)?),
     })
 }
 
@@ -208,6 +209,14 @@ impl Lcm for RemoteLcm {
     async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal> {
         let what = crate::gcm::asked(&change);
         match self.ask(O::Apply(convert::change_out(&change)), deadline, &what).await? {
+            A::Report(report) => convert::report_in(report),
+            _ => wrong(),
+        }
+    }
+
+    async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+        let what = format!("connecting {} to {}", end.connection.client, end.connection.server);
+        match self.ask(O::Link(convert::far_out(&end)), deadline, &what).await? {
             A::Report(report) => convert::report_in(report),
             _ => wrong(),
         }
@@ -275,7 +284,7 @@ impl Lcm for RemoteLcm {
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
         match self.question(O::Links(v1::LinksOrder {}), "the figures of its connections").await? {
-            A::Links(links) => Ok(links.links.into_iter().map(convert::link_in).collect()),
+            A::Links(links) => links.links.into_iter().map(convert::link_in).collect(),
             _ => wrong(),
         }
     }

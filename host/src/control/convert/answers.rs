@@ -2,13 +2,14 @@
 //!
 //! Invariant: what is encoded here decodes to an equal value, but for numbers, which are doubles in JSON values.
 
-use trocar_model::Refusal;
+use trocar_model::{End, Name, Proxy, Refusal};
 use trocar_proto::v1;
 
 use super::back::unreadable;
 use super::json::{from_value, to_value};
 use crate::lcm::{
-    Detail, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample, Spread, When,
+    Detail, HalfReport, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample,
+    Spread, When,
 };
 
 /// Level names; 1 is the first.
@@ -217,12 +218,13 @@ pub(crate) fn link(d: LinkDetail) -> v1::Connection {
         high_water: d.high_water,
         failed: d.failed,
         unexecuted: d.unexecuted,
+        proxies: d.halves.iter().map(|(end, half)| proxy(*end, half)).collect(),
         ..Default::default()
     }
 }
 
-pub(crate) fn link_in(c: v1::Connection) -> LinkDetail {
-    LinkDetail {
+pub(crate) fn link_in(c: v1::Connection) -> Result<LinkDetail, Refusal> {
+    Ok(LinkDetail {
         connection: c.id,
         carrier: c.carrier,
         passed: c.passed,
@@ -235,7 +237,47 @@ pub(crate) fn link_in(c: v1::Connection) -> LinkDetail {
         high_water: c.high_water,
         failed: c.failed,
         unexecuted: c.unexecuted,
+        halves: c.proxies.into_iter().map(proxy_in).collect::<Result<_, _>>()?,
+    })
+}
+
+const ENDS: [(End, v1::ConnectionEnd); 2] =
+    [(End::Client, v1::ConnectionEnd::Client), (End::Server, v1::ConnectionEnd::Server)];
+
+fn end_out(end: End) -> i32 {
+    ENDS.iter().find(|(e, _)| *e == end).map_or(0, |(_, wire)| *wire as i32)
+}
+
+fn end_in(end: i32) -> Result<End, Refusal> {
+    ENDS.iter().find(|(_, wire)| *wire as i32 == end).map(|(e, _)| *e).ok_or_else(|| unreadable("end"))
+}
+
+/// A half of a connection between two processes.
+pub(crate) fn proxy(end: End, p: &Proxy) -> v1::Proxy {
+    v1::Proxy {
+        process: p.process.to_string(),
+        end: end_out(end),
+        linked: p.is_linked(),
+        why_not: p.why.clone(),
+        epoch: p.epoch,
+        carrier: p.carrier.clone(),
     }
+}
+
+fn proxy_in(p: v1::Proxy) -> Result<(End, Proxy), Refusal> {
+    let process = Name::parse(&p.process)?;
+    Ok((end_in(p.end)?, Proxy { process, epoch: p.epoch, why: p.why_not, carrier: p.carrier }))
+}
+
+pub(crate) fn half(half: &HalfReport) -> v1::ProxyNews {
+    let HalfReport { connection, end, proxy: now } = half;
+    let now = now.as_ref().map(|now| proxy(*end, now));
+    v1::ProxyNews { connection: *connection, end: end_out(*end), proxy: now }
+}
+
+pub(crate) fn half_in(half: v1::ProxyNews) -> Result<HalfReport, Refusal> {
+    let proxy = half.proxy.map(proxy_in).transpose()?.map(|(_, proxy)| proxy);
+    Ok(HalfReport { connection: half.connection, end: end_in(half.end)?, proxy })
 }
 
 mirror!(plugin, plugin_in: PluginInfo = Plugin {

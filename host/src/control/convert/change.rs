@@ -5,14 +5,16 @@
 use std::sync::Arc;
 
 use serde_json::Value;
+use trocar_links::Card;
 use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, PortId, Refusal, State, Verb};
 use trocar_proto::v1;
 
+use super::answers::{half, half_in};
 use super::back::{self, unreadable};
 use super::requests::{execution, options};
 use super::types::{class, execution_out, health, options_out, ports, state};
 use crate::gcm::Slice;
-use crate::lcm::{Inventory, Report};
+use crate::lcm::{FarEnd, Inventory, Report};
 
 fn state_out(s: State) -> v1::State {
     let (state, stop_reason) = state(s);
@@ -161,17 +163,59 @@ pub(crate) fn report_in(r: v1::ComponentReport) -> Result<Report, Refusal> {
     })
 }
 
+fn card_out(card: &Card) -> v1::Card {
+    v1::Card {
+        process: card.process.clone(),
+        instance: card.instance.clone(),
+        boot: card.boot.clone(),
+        uid: card.uid,
+        socket: card.socket.to_string_lossy().into_owned(),
+        layout: card.layout,
+    }
+}
+
+fn card_in(card: v1::Card) -> Card {
+    Card {
+        process: card.process,
+        instance: card.instance,
+        boot: card.boot,
+        uid: card.uid,
+        socket: card.socket.into(),
+        layout: card.layout,
+    }
+}
+
+pub(crate) fn far_out(end: &FarEnd) -> v1::LinkOrder {
+    v1::LinkOrder {
+        connection: Some(connection_out(&end.connection)),
+        ports: Some(super::ports(&end.ports)),
+        card: Some(card_out(&end.card)),
+    }
+}
+
+pub(crate) fn far_in(end: v1::LinkOrder) -> Result<FarEnd, Refusal> {
+    Ok(FarEnd {
+        connection: connection_in(end.connection.ok_or_else(|| unreadable("connection"))?)?,
+        ports: Arc::new(back::ports(end.ports.ok_or_else(|| unreadable("ports"))?)?),
+        card: card_in(end.card.ok_or_else(|| unreadable("card"))?),
+    })
+}
+
 pub(crate) fn inventory_out(inventory: &Inventory) -> v1::Inventory {
     v1::Inventory {
+        card: inventory.card.as_ref().map(card_out),
         components: inventory.components.iter().map(super::report).collect(),
         classes: inventory.classes.iter().map(|c| class(c)).collect(),
+        proxies: inventory.halves.iter().map(half).collect(),
     }
 }
 
 pub(crate) fn inventory_in(inventory: v1::Inventory) -> Result<Inventory, Refusal> {
     Ok(Inventory {
+        card: inventory.card.map(card_in),
         components: inventory.components.into_iter().map(report_in).collect::<Result<_, _>>()?,
         classes: classes_in(inventory.classes)?,
+        halves: inventory.proxies.into_iter().map(half_in).collect::<Result<_, _>>()?,
     })
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use trocar_model::{Component, ComponentId, Connection, Name, Process, ProcessState, Refusal, SystemGraph};
 use trocar_proto::v1;
 
-use super::answers::{link, stats};
+use super::answers::{link, proxy, stats};
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
 use crate::gcm::{Fate, Told};
@@ -66,12 +66,19 @@ pub(crate) fn component(id: &ComponentId, c: &Component, detail: Option<&Detail>
     }
 }
 
-pub(crate) fn connection(c: &Connection, detail: Option<&LinkDetail>) -> v1::Connection {
+/// With its halves as the graph has them, or as they have just been asked for.
+pub(crate) fn connection(graph: &SystemGraph, c: &Connection, detail: Option<&LinkDetail>) -> v1::Connection {
+    let asked = detail.map(|d| d.halves.as_slice()).unwrap_or_default();
+    let halves = graph.proxies_of(c).into_iter().map(|(end, told)| {
+        let now = asked.iter().find(|(e, _)| *e == end).map_or(&told, |(_, now)| now);
+        proxy(end, now)
+    });
     v1::Connection {
         id: c.id.0,
         client: c.client.to_string(),
         server: c.server.to_string(),
         options: Some(options_out(&c.options)),
+        proxies: halves.collect(),
         ..link(detail.cloned().unwrap_or_default())
     }
 }
@@ -84,17 +91,23 @@ pub(crate) struct Figures {
     pub(crate) warnings: Vec<String>,
 }
 
-pub(crate) fn list(graph: &SystemGraph, term: u64, figures: &Figures) -> v1::ListResponse {
+/// What of the graph is in `part`.
+pub(crate) fn list(
+    graph: &SystemGraph,
+    part: &SystemGraph,
+    term: u64,
+    figures: &Figures,
+) -> v1::ListResponse {
     v1::ListResponse {
         revision: graph.revision,
         term,
-        processes: graph.processes.iter().map(|(n, p)| process(n, p)).collect(),
-        components: graph
-            .components
-            .iter()
-            .map(|(id, c)| component(id, c, figures.details.get(id)))
+        processes: part.processes.iter().map(|(n, p)| process(n, p)).collect(),
+        components: part.components.iter().map(|(id, c)| component(id, c, figures.details.get(id))).collect(),
+        connections: part
+            .connections
+            .values()
+            .map(|c| connection(graph, c, figures.links.get(&c.id.0)))
             .collect(),
-        connections: graph.connections.values().map(|c| connection(c, figures.links.get(&c.id.0))).collect(),
         classes: Vec::new(),
         warnings: figures.warnings.clone(),
     }

@@ -10,12 +10,13 @@ mod requests;
 mod types;
 
 pub(super) use answers::{
-    detail_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload, plugin, plugin_in,
-    reply, reply_in, row, sample, sample_in, stats, when,
+    detail_in, half, half_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload,
+    plugin, plugin_in, reply, reply_in, row, sample, sample_in, stats, when,
 };
 pub(super) use back::unreadable;
 pub(super) use change::{
-    change_in, change_out, classes_in, inventory_in, inventory_out, report_in, slice_in, slice_out,
+    change_in, change_out, classes_in, far_in, far_out, inventory_in, inventory_out, report_in, slice_in,
+    slice_out,
 };
 pub(super) use graph::{Figures, component, connection, list, process, report, told};
 pub(super) use json::duration_ns;

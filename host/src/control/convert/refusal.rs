@@ -66,6 +66,7 @@ refusals! {
     ComponentFault { id, text }
     NoMemory { id, outputs, bytes, why }
     NoThread { id, why }
+    Unreachable { client, server, why }
     InUse { id, by }
     PluginAbi { file, text }
     PluginUntrusted { file, text }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use tonic::{Request, Response, Status};
-use trocar_model::{Change, ComponentId, Name, Refusal, Request as Asked};
+use trocar_model::{Change, ComponentId, Connection, Name, Refusal, Request as Asked, SystemGraph};
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_server::GcmService;
 
@@ -134,7 +134,8 @@ impl Edge {
         }
     }
 
-    async fn one_component(&self, id: &ComponentId, until: Instant) -> Result<(u64, v1::Component), Status> {
+    /// A component and the connections that end at it.
+    async fn one_component(&self, id: &ComponentId, until: Instant) -> Result<v1::GetStateResponse, Status> {
         let graph = self.gcm()?.graph();
         let component = graph.components.get(id).ok_or_else(|| {
             refuse(match graph.processes.contains_key(&id.process) {
@@ -149,7 +150,12 @@ impl Edge {
             })
         })?;
         let figures = self.figures(&graph, std::slice::from_ref(id), until).await;
-        Ok((graph.revision, convert::component(id, component, figures.details.get(id))))
+        let ends_here = |c: &&Connection| c.client.component == *id || c.server.component == *id;
+        Ok(v1::GetStateResponse {
+            revision: graph.revision,
+            component: Some(convert::component(id, component, figures.details.get(id))),
+            connections: connections(&graph, ends_here, &figures),
+        })
     }
 }
 
@@ -256,15 +262,15 @@ impl GcmService for Edge {
     ) -> Result<Response<v1::GetStateResponse>, Status> {
         let until = deadline(&request);
         let id = ComponentId::parse(&request.into_inner().path).map_err(refuse)?;
-        let (revision, component) = self.one_component(&id, until).await?;
-        Ok(Response::new(v1::GetStateResponse { revision, component: Some(component) }))
+        Ok(Response::new(self.one_component(&id, until).await?))
     }
 
     async fn list(&self, request: Request<v1::ListRequest>) -> Result<Response<v1::ListResponse>, Status> {
         let until = deadline(&request);
         let r = request.into_inner();
         let gcm = self.gcm()?;
-        let mut graph = gcm.graph().as_ref().clone();
+        let whole = gcm.graph();
+        let mut graph = whole.as_ref().clone();
         if !r.path.is_empty() {
             keep_only(&mut graph, &r.path).map_err(refuse)?;
             let kept: Vec<ComponentId> = graph.components.keys().cloned().collect();
@@ -273,7 +279,7 @@ impl GcmService for Edge {
         }
         let ids: Vec<ComponentId> = graph.components.keys().cloned().collect();
         let figures = if r.brief { Figures::default() } else { self.figures(&graph, &ids, until).await };
-        let mut answer = convert::list(&graph, gcm.term(), &figures);
+        let mut answer = convert::list(&whole, &graph, gcm.term(), &figures);
         if r.classes {
             let mut seen = BTreeSet::new();
             let classes = graph.processes.values().flat_map(|p| &p.classes);
@@ -315,23 +321,21 @@ impl GcmService for Edge {
             })?;
             answer.process = Some(convert::process(&name, process));
             answer.classes = process.classes.iter().map(|c| convert::class(c)).collect();
+            let leaves_it = |c: &&Connection| !c.is_near() && c.ends_in(&name);
+            if graph.connections.values().any(|c| leaves_it(&c)) {
+                let figures = self.figures(&graph, &[], until).await;
+                answer.connections = connections(&graph, leaves_it, &figures);
+            }
             return Ok(Response::new(answer));
         }
         let (id, port, member) = split(&r.path).map_err(refuse)?;
-        let (_, component) = self.one_component(&id, until).await?;
-        answer.component = Some(component);
+        let stands = self.one_component(&id, until).await?;
+        (answer.component, answer.connections) = (stands.component, stands.connections);
         if let Some(component) = graph.components.get(&id) {
             let ports = narrow(&component.ports, &id, port.as_ref(), member.as_ref()).map_err(refuse)?;
             answer.ports = Some(convert::ports(&ports));
             answer.class = Some(convert::class(&component.class));
         }
-        let figures = self.figures(&graph, &[], until).await;
-        answer.connections = graph
-            .connections
-            .values()
-            .filter(|c| c.client.component == id || c.server.component == id)
-            .map(|c| convert::connection(c, figures.links.get(&c.id.0)))
-            .collect();
         Ok(Response::new(answer))
     }
 
@@ -350,10 +354,11 @@ impl GcmService for Edge {
                 (member.port.component, Some(convert::item(item)))
             }
         };
-        let (revision, component) = self.one_component(&id, deadline_from(until)).await?;
+        let v1::GetStateResponse { revision, component, .. } =
+            self.one_component(&id, deadline_from(until)).await?;
         let stamp_ns = item.as_ref().map_or(0, |i| i.stamp_ns);
         let json = item.and_then(|i| i.json);
-        Ok(Response::new(v1::WaitForResponse { revision, component: Some(component), json, stamp_ns }))
+        Ok(Response::new(v1::WaitForResponse { revision, component, json, stamp_ns }))
     }
 
     async fn replace(&self, _: Request<v1::ReplaceRequest>) -> Result<Response<v1::ReplaceResponse>, Status> {
@@ -370,6 +375,15 @@ impl GcmService for Edge {
         let gcm = self.gcm()?;
         Ok(Response::new(watch(gcm.watch(), gcm.term(), request.into_inner().from_revision)))
     }
+}
+
+fn connections(
+    graph: &SystemGraph,
+    which: impl Fn(&&Connection) -> bool,
+    figures: &Figures,
+) -> Vec<v1::Connection> {
+    let shown = graph.connections.values().filter(which);
+    shown.map(|c| convert::connection(graph, c, figures.links.get(&c.id.0))).collect()
 }
 
 /// At least a moment for the last question.

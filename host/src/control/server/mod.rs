@@ -8,6 +8,7 @@ mod plugin;
 mod wait;
 mod watch;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -75,7 +76,11 @@ impl Edge {
     async fn figures(&self, graph: &SystemGraph, ids: &[ComponentId], deadline: Instant) -> Figures {
         let deadline = deadline.min(Instant::now() + FIGURES);
         let mut asking = JoinSet::new();
-        for process in graph.processes.keys() {
+        // A connection may end in a process that is not asked for otherwise.
+        let ends = graph.connections.values().flat_map(|c| [&c.client, &c.server]);
+        let ends = ends.map(|end| &end.component.process);
+        let processes: BTreeSet<&Name> = graph.processes.keys().chain(ends).collect();
+        for process in processes {
             let Ok(lcm) = self.lcm(process) else { continue };
             let ids: Vec<ComponentId> = ids.iter().filter(|id| id.process == *process).cloned().collect();
             let process = process.clone();
@@ -89,7 +94,14 @@ impl Edge {
             match asked {
                 Ok(Ok((details, links))) => {
                     figures.details.extend(details);
-                    figures.links.extend(links.into_iter().map(|link| (link.connection, link)));
+                    for link in links {
+                        // The other half of it.
+                        let link = match figures.links.remove(&link.connection) {
+                            Some(half) => half.merged(link),
+                            None => link,
+                        };
+                        figures.links.insert(link.connection, link);
+                    }
                 }
                 Ok(Err(warning)) => figures.warnings.push(warning),
                 Err(e) => figures.warnings.push(format!("asking for figures panicked: {e}")),

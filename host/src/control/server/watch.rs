@@ -10,7 +10,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
-use trocar_model::SystemGraph;
+use trocar_model::{Connection, SystemGraph};
 use trocar_proto::v1;
 
 use crate::control::convert;
@@ -47,7 +47,7 @@ pub(super) fn watch(mut graphs: watch::Receiver<Arc<SystemGraph>>, term: u64, fr
 }
 
 fn snapshot(graph: &SystemGraph, term: u64) -> v1::WatchResponse {
-    let list = convert::list(graph, term, &convert::Figures::default());
+    let list = convert::list(graph, graph, term, &convert::Figures::default());
     let snapshot = v1::Snapshot {
         processes: list.processes,
         components: list.components,
@@ -62,12 +62,20 @@ fn delta(before: &SystemGraph, after: &SystemGraph) -> Option<v1::Delta> {
     let delta = v1::Delta {
         processes: changed(&before.processes, p).map(|(n, p)| convert::process(n, p)).collect(),
         components: changed(&before.components, c).map(|(id, c)| convert::component(id, c, None)).collect(),
-        connections: changed(&before.connections, l).map(|(_, c)| convert::connection(c, None)).collect(),
+        connections: connections(before, after).map(|c| convert::connection(after, c, None)).collect(),
         removed_processes: removed(&before.processes, p).map(ToString::to_string).collect(),
         removed_components: removed(&before.components, c).map(ToString::to_string).collect(),
         removed_connections: removed(&before.connections, l).map(|id| id.0).collect(),
     };
     (delta != v1::Delta::default()).then_some(delta)
+}
+
+/// Those that are other than they were, or whose halves stand differently.
+fn connections<'a>(before: &'a SystemGraph, after: &'a SystemGraph) -> impl Iterator<Item = &'a Connection> {
+    let same = |c: &&Connection| {
+        before.connections.get(&c.id) == Some(c) && before.proxies_of(c) == after.proxies_of(c)
+    };
+    after.connections.values().filter(move |c| !same(c))
 }
 
 fn changed<'a, K: Ord, V: PartialEq>(

@@ -5,6 +5,8 @@
 
 mod orders;
 mod session;
+#[cfg(test)]
+mod tests;
 
 use std::error::Error;
 use std::fmt;
@@ -13,8 +15,9 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, oneshot};
 use tokio::task::JoinHandle;
-use tonic::transport::Endpoint;
+use tonic::transport::{Channel, Endpoint};
 use trocar_model::{Refusal, SystemGraph};
+use trocar_proto::v1;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
 use self::session::Session;
@@ -22,10 +25,12 @@ use super::attach::MAX_MESSAGE;
 use crate::gcm::{Registration, Slice};
 use crate::lcm::Lcm;
 
-/// Time for one attempt, from dialing to Registered.
-const ATTEMPT: Duration = Duration::from_secs(3);
-/// Pauses between attempts.
-const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(1));
+/// Time for a GCM to answer at all. One that hangs answers when it goes on, so nothing is gained by waiting longer.
+const ATTEMPT: Duration = Duration::from_secs(1);
+/// Time for one that does, until Registered: a Hello may be large.
+const TAKEN_IN: Duration = Duration::from_secs(3);
+/// Pauses between attempts: a process is attached again well within a second of its GCM's return, however long that was away.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(200));
 
 /// Why a process is not attached.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,7 +136,7 @@ impl Tie {
             let mut pause = PAUSE.0;
             session = loop {
                 tokio::time::sleep(pause).await;
-                pause = (pause * 2).min(PAUSE.1);
+                pause = longer(pause);
                 match self.attempt().await {
                     Ok(session) => break session,
                     Err(UplinkError::Refused(refusal @ Refusal::ProcessExists { .. })) => {
@@ -160,28 +165,38 @@ impl Tie {
                 done => return done,
             }
             tokio::time::sleep(pause).await;
-            pause = (pause * 2).min(PAUSE.1);
+            pause = longer(pause);
         }
     }
 
     async fn attempt(&self) -> Result<Session, UplinkError> {
         let no_gcm = |because| UplinkError::NoGcm { addr: self.addr.clone(), because };
-        match tokio::time::timeout(ATTEMPT, self.dial()).await {
-            Ok(Ok(session)) => Ok(session),
-            Ok(Err(Refused::ByGcm(refusal))) => Err(UplinkError::Refused(refusal)),
-            Ok(Err(Refused::Unheard(because))) => Err(no_gcm(because)),
-            Err(_) => Err(no_gcm(format!("it did not answer within {} s", ATTEMPT.as_secs()))),
-        }
+        let late = |within: Duration| no_gcm(format!("it did not answer within {} s", within.as_secs()));
+        let told = |refused| match refused {
+            Refused::ByGcm(refusal) => UplinkError::Refused(refusal),
+            Refused::Unheard(because) => no_gcm(because),
+        };
+        let dialed = tokio::time::timeout(ATTEMPT, self.dial()).await.map_err(|_| late(ATTEMPT))?;
+        let client = dialed.map_err(told)?;
+        let taken_in = tokio::time::timeout(TAKEN_IN, self.hello(client)).await;
+        taken_in.map_err(|_| late(TAKEN_IN))?.map_err(told)
     }
 
-    async fn dial(&self) -> Result<Session, Refused> {
+    /// A GCM that answers. One that hangs must not find, when it goes on, the Hello of every attempt that was given up meanwhile.
+    async fn dial(&self) -> Result<AttachServiceClient<Channel>, Refused> {
         let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
         let endpoint = Endpoint::from_shared(uri).map_err(|e| Refused::Unheard(because(&e)))?;
         let channel =
             endpoint.tcp_nodelay(true).connect().await.map_err(|e| Refused::Unheard(because(&e)))?;
-        let client = AttachServiceClient::new(channel)
+        let mut client = AttachServiceClient::new(channel)
             .max_decoding_message_size(MAX_MESSAGE)
             .max_encoding_message_size(MAX_MESSAGE);
+        let nothing = v1::TellRequest::default();
+        client.tell(nothing).await.map_err(|e| Refused::Unheard(e.message().to_owned()))?;
+        Ok(client)
+    }
+
+    async fn hello(&self, client: AttachServiceClient<Channel>) -> Result<Session, Refused> {
         // What was begun for the last session is finished first, so that the slice has it.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };
@@ -195,6 +210,10 @@ impl Tie {
             connections: told.connections.values().cloned().collect(),
         }
     }
+}
+
+fn longer(pause: Duration) -> Duration {
+    (pause * 2).min(PAUSE.1)
 }
 
 /// Why an attempt ended.

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, mpsc};
 use tokio::task::{AbortHandle, JoinSet};
-use trocar_model::{ComponentId, MemberId, Plan, Refusal};
+use trocar_model::{Change, ComponentId, MemberId, Plan, Refusal};
 use trocar_proto::v1;
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
@@ -55,6 +55,14 @@ impl Orders {
                 // Not a task of the session: what was begun is finished without it.
                 tokio::spawn(async move {
                     let answer = apply(&lcm, &told, change, deadline).await;
+                    drop(busy);
+                    give(&answers, id, answer.map(A::Report)).await;
+                });
+            }
+            Some(O::Link(end)) => {
+                let (told, busy) = (self.told.clone(), self.quiet.clone().read_owned().await);
+                tokio::spawn(async move {
+                    let answer = link(&lcm, &told, end, deadline).await;
                     drop(busy);
                     give(&answers, id, answer.map(A::Report)).await;
                 });
@@ -107,6 +115,22 @@ async fn apply(
     Ok(convert::report(&report))
 }
 
+/// As [`apply`], for a connection to another process.
+async fn link(
+    lcm: &Arc<dyn Lcm>,
+    told: &Told,
+    end: v1::LinkOrder,
+    deadline: Instant,
+) -> Result<v1::ComponentReport, Refusal> {
+    let end = convert::far_in(end)?;
+    let connection = end.connection.clone();
+    let report = lcm.link(end, deadline).await?;
+    let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+    told.apply(&Plan { changes: vec![Change::Connect { connection }], skipped: Vec::new() });
+    observe(&mut told, &report);
+    Ok(convert::report(&report))
+}
+
 async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refusal> {
     Ok(match order {
         O::Invoke(r) => {
@@ -127,7 +151,7 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
             plugins: lcm.plugins().await?.into_iter().map(convert::plugin).collect(),
         }),
         O::Inventory(_) => A::Inventory(convert::inventory_out(&lcm.inventory().await?)),
-        O::Apply(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
+        O::Apply(_) | O::Link(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
     })
 }
 

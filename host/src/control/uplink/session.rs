@@ -189,6 +189,7 @@ fn news_out(next: News) -> v1::AttachRequest {
             news::News::Catalog(v1::Catalog { classes: classes.iter().map(|c| convert::class(c)).collect() })
         }
         News::Log(line) => news::News::Log(convert::line(line)),
+        News::Half(half) => news::News::Proxy(convert::half(&half)),
     };
     message(attach_request::Message::News(v1::News { news: Some(next) }))
 }
@@ -198,7 +199,8 @@ async fn everything(lcm: &Arc<dyn Lcm>) -> Vec<v1::AttachRequest> {
     match lcm.inventory().await {
         Ok(inventory) => {
             let states = inventory.components.into_iter().map(News::State);
-            states.chain([News::Catalog(inventory.classes)]).map(news_out).collect()
+            let halves = inventory.halves.into_iter().map(News::Half);
+            states.chain(halves).chain([News::Catalog(inventory.classes)]).map(news_out).collect()
         }
         Err(refusal) => {
             log::warn!("the inventory cannot be had: {refusal}");

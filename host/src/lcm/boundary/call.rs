@@ -9,22 +9,23 @@ use std::sync::Arc;
 
 use trocar_plugin_api::abi::{
     Bytes, CallOpts, DEADLINE, DISABLED, EXECUTED, ErrBuf, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND,
-    Outcome, PEER_LOST, QUEUE_FULL, QUEUED, STATUS_OK, Sink, Status, UNBOUND, WOULD_BLOCK,
+    Outcome, PEER_LOST, STATUS_OK, Sink, Status, UNBOUND, WOULD_BLOCK,
 };
 use trocar_rt::cell::BindingCell;
-use trocar_rt::mailbox::{EntryHead, Overflow, Push};
+use trocar_rt::mailbox::Mailbox;
 use trocar_rt::os;
-use trocar_rt::reply::Reply;
+use trocar_rt::reply::ReplyPool;
 
 use super::super::context;
-use super::super::inbox::{ENTRY_COMMAND, Inbox, Position};
+use super::super::inbox::{Inbox, Position};
 use super::super::instance::{Entered, Instance, Misuse};
-use super::super::pending;
 use super::entry::Unexplained;
+use super::far::{FarCommand, FarRead};
 use super::options;
+use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
 use super::read::ReadTarget;
-use super::{text_in, told};
+use super::{misused, text_in, told};
 
 /// Deadline of a blocking call that names none, ns.
 pub(in crate::lcm) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
@@ -37,6 +38,8 @@ pub(in crate::lcm) enum FnBinding {
     Unbound,
     Command(CommandTarget),
     Read(ReadTarget),
+    FarCommand(FarCommand),
+    FarRead(FarRead),
 }
 
 /// Host cell behind a function slot.
@@ -93,6 +96,8 @@ impl FnCell {
         match unsafe { self.binding.peek() }.map(|bound| &bound.to) {
             Some(FnBinding::Read(target)) => target.call(arg, ret, Some(opts)),
             Some(FnBinding::Command(target)) => target.call_with(arg, ret, opts),
+            Some(FnBinding::FarCommand(target)) => target.call(arg, ret, Some(opts)),
+            Some(FnBinding::FarRead(target)) => target.call(arg, ret, Some(opts)),
             Some(FnBinding::Unbound) => UNBOUND,
             None => self.call_counted(arg, ret, Some(opts)),
         }
@@ -111,6 +116,8 @@ impl Bound {
             FnBinding::Unbound => UNBOUND,
             FnBinding::Command(target) => target.call(arg, ret, opts),
             FnBinding::Read(target) => target.call(arg, ret, opts),
+            FnBinding::FarCommand(target) => target.call(arg, ret, opts),
+            FnBinding::FarRead(target) => target.call(arg, ret, opts),
         }
     }
 }
@@ -119,13 +126,9 @@ impl Bound {
 pub(in crate::lcm) struct CommandTarget {
     pub(in crate::lcm) server: Arc<Instance>,
     pub(in crate::lcm) command: Arc<Position>,
-    pub(in crate::lcm) arg_bytes: usize,
-    pub(in crate::lcm) ret_bytes: usize,
+    pub(in crate::lcm) lane: Lane,
     pub(in crate::lcm) range: Option<RangeCheck>,
-    pub(in crate::lcm) overflow: Overflow,
     pub(in crate::lcm) inbox: Arc<Inbox>,
-    /// Position in the inbox's table.
-    pub(in crate::lcm) index: u32,
     pub(in crate::lcm) deadline_ns: u64,
 }
 
@@ -160,13 +163,19 @@ pub(super) unsafe extern "C" fn call_bytes(
         let fits = |arg_bytes: usize, ret_bytes: usize, may_leave_out: bool| {
             arg.len == arg_bytes && (ret_len == ret_bytes as u64 || (ret_len == 0 && may_leave_out))
         };
+        let place = if ret_len == 0 { std::ptr::null_mut() } else { ret.cast() };
         match &binding.to {
             FnBinding::Unbound => UNBOUND,
-            FnBinding::Command(target) if fits(target.arg_bytes, target.ret_bytes, !waits) => {
-                let ret = if ret_len == 0 { std::ptr::null_mut() } else { ret.cast() };
-                target.call(arg.ptr, ret, opts)
+            FnBinding::Command(target) if fits(target.lane.arg_bytes, target.lane.ret_bytes, !waits) => {
+                target.call(arg.ptr, place, opts)
+            }
+            FnBinding::FarCommand(target) if fits(target.lane.arg_bytes, target.lane.ret_bytes, !waits) => {
+                target.call(arg.ptr, place, opts)
             }
             FnBinding::Read(target) if fits(target.arg_bytes, target.ret_bytes, false) => {
+                target.call(arg.ptr, ret.cast(), opts)
+            }
+            FnBinding::FarRead(target) if fits(target.arg_bytes, target.ret_bytes, false) => {
                 target.call(arg.ptr, ret.cast(), opts)
             }
             _ => INVALID_ARGUMENT,
@@ -219,7 +228,7 @@ impl CommandTarget {
     /// One call, in the mode `opts` asks for. Real-time unless it waits, which `step` may not.
     #[inline(always)]
     pub(in crate::lcm) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
-        if lacks(arg, self.arg_bytes) {
+        if lacks(arg, self.lane.arg_bytes) {
             return INVALID_ARGUMENT;
         }
         match &self.range {
@@ -249,7 +258,7 @@ impl CommandTarget {
     fn call_allowed(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
         let mode = opts.as_ref().map_or(MODE_SEND, |o| o.mode);
         // What is only sent needs no place for its result.
-        if mode == MODE_CALL && lacks(ret, self.ret_bytes) {
+        if mode == MODE_CALL && lacks(ret, self.lane.ret_bytes) {
             return INVALID_ARGUMENT;
         }
         if !self.server.is_active() {
@@ -340,20 +349,11 @@ impl CommandTarget {
         }
     }
 
-    fn signal(&self) {
-        // SAFETY: this target stands behind the function, which was looked at in this turn, if there is one.
-        unsafe { told::signal(&self.server) };
-    }
-
     /// Counted at both ends.
     #[cold]
     fn would_block(&self) -> Outcome {
         self.server.counters.misuse(Misuse::AskedToWait);
-        // SAFETY: null, or the context of the instance that is being called on this very thread.
-        let caller = unsafe { context::component().as_ref() }.and_then(|host| host.instance.get());
-        if let Some(caller) = caller.and_then(std::sync::Weak::upgrade) {
-            caller.counters.misuse(Misuse::CalledFromStep);
-        }
+        misused(Misuse::CalledFromStep);
         WOULD_BLOCK
     }
 
@@ -365,70 +365,42 @@ impl CommandTarget {
         deadline_ns: u64,
         opts: Option<&mut CallOpts>,
     ) -> Outcome {
-        pending::publish();
-        let ticket = if mode == MODE_CALL {
-            match self.inbox.replies.acquire() {
-                Some(ticket) => Some(ticket),
-                None => return QUEUE_FULL,
-            }
-        } else {
-            None
-        };
-        let head = EntryHead {
-            kind: ENTRY_COMMAND,
-            index: self.index,
-            reply: ticket.as_ref().map_or(0, |t| t.token()),
-            stamp_ns: 0,
-        };
-        let payload: &[u8] = if self.arg_bytes == 0 {
-            &[]
-        } else {
-            // SAFETY: the caller lends an argument of the command's type, whose size was fixed when bound.
-            unsafe { std::slice::from_raw_parts(arg, self.arg_bytes) }
-        };
-        match self.inbox.mailbox.push(head, payload, self.overflow) {
-            Push::Queued => {}
-            Push::Full => {
-                // Its thread runs what is there now, not after this step: the step may be one that tries again.
-                self.signal();
-                context::flush_wakes();
-                return QUEUE_FULL;
-            }
-            Push::TooLong => return QUEUE_FULL,
-            // Closed with what it was described by, or with its connection.
-            Push::Closed if self.command.get().is_none() => return DISABLED,
-            Push::Closed => return PEER_LOST,
-            Push::DroppedOldest(old) => {
-                self.inbox.replies.fail(old.reply, QUEUE_FULL);
-            }
-        }
+        queue(self, &self.lane, arg, ret, mode, deadline_ns, opts)
+    }
+}
+
+impl Destination for CommandTarget {
+    fn mailbox(&self) -> &Mailbox {
+        &self.inbox.mailbox
+    }
+
+    fn replies(&self) -> &Arc<ReplyPool> {
+        &self.inbox.replies
+    }
+
+    fn signal(&self) {
+        // SAFETY: this target stands behind the function, which was looked at in this turn, if there is one.
+        unsafe { told::signal(&self.server) };
+    }
+
+    fn signal_now(&self) {
         self.signal();
+        // Its thread runs what is there now, not after this step: the step may be one that tries again.
+        context::flush_wakes();
+    }
+
+    fn queued(&self) {
         self.server.drain_if_passive();
-        let Some(ticket) = ticket else { return QUEUED };
-        if !self.server.is_active() || self.server.is_closed() {
-            // Stopped since it was asked, perhaps on a thread that is held up: whoever stopped it may have looked into the
-            // queue before this was there.
-            self.inbox.replies.fail(ticket.token(), self.server.turned_away());
-        }
-        let ret_bytes = self.ret_bytes;
-        let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
-        let reply = ticket.wait(os::now_ns().saturating_add(deadline_ns), |value, text| {
-            if ret_bytes > 0 {
-                // SAFETY: `ret` has room for the result type; reply cells are made at least that large.
-                unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), ret, ret_bytes.min(value.len())) };
-            }
-            write_err(err, text);
-        });
-        match reply {
-            Reply::Done(outcome) => outcome,
-            Reply::DeadlineNotStarted => DEADLINE,
-            Reply::DeadlineMayRun => {
-                if let Some(opts) = opts {
-                    opts.may_still_run = 1;
-                }
-                DEADLINE
-            }
-        }
+    }
+
+    fn closed(&self) -> Outcome {
+        // Closed with what it was described by, or with its connection.
+        if self.command.get().is_none() { DISABLED } else { PEER_LOST }
+    }
+
+    fn away(&self) -> Option<Outcome> {
+        let runs = self.server.is_active() && !self.server.is_closed();
+        (!runs).then(|| self.server.turned_away())
     }
 }
 

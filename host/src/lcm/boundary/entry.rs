@@ -207,7 +207,7 @@ impl<T: Send> Object<T> {
             if os::now_ns() >= deadline_ns {
                 return None;
             }
-            os::futex_wait(&self.lock, CONTENDED, Some(deadline_ns));
+            os::futex_wait(&self.lock, CONTENDED, Some(deadline_ns), os::Scope::Process);
         }
     }
 
@@ -267,7 +267,7 @@ impl<T> Object<T> {
     fn unlock(&self) {
         self.holder.store(0, Ordering::Relaxed);
         if self.lock.swap(FREE, Ordering::Release) == CONTENDED {
-            os::futex_wake(&self.lock, u32::MAX);
+            os::futex_wake(&self.lock, u32::MAX, os::Scope::Process);
         }
     }
 }

@@ -9,6 +9,7 @@ use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Outcome, QUEUE_FULL, UN
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::os;
+use trocar_rt::wake::Waker;
 
 use super::super::context;
 use super::super::inbox::{ENTRY_EVENT, Inbox, Position};
@@ -20,6 +21,8 @@ use super::told;
 pub(in crate::lcm) enum EventSink {
     /// A handler of a connected component.
     Handler(Handler),
+    /// One of a component of another process.
+    Far(FarHandler),
     /// Somebody outside: the control plane.
     Tap(Arc<Tap>),
 }
@@ -33,6 +36,19 @@ pub(in crate::lcm) struct Handler {
     pub(in crate::lcm) position: Arc<Position>,
     /// Runs inside `emit` when both ends share an executor.
     pub(in crate::lcm) direct: bool,
+}
+
+/// The queue of events to a component of another process.
+pub(in crate::lcm) struct FarEvents {
+    pub(in crate::lcm) mailbox: Mailbox,
+    pub(in crate::lcm) bell: Arc<Waker>,
+}
+
+/// A handler of a component of another process.
+pub(in crate::lcm) struct FarHandler {
+    pub(in crate::lcm) to: Arc<FarEvents>,
+    /// Position in the queue's table.
+    pub(in crate::lcm) index: u32,
 }
 
 /// A queue read from outside; the oldest entries give way.
@@ -82,6 +98,17 @@ impl EventCell {
         let mut sinks = self.sinks.enter().clone();
         f(&mut sinks);
         self.sinks.swap(Box::new(sinks));
+    }
+}
+
+impl FarHandler {
+    /// False when its queue is full: counted there, told by its own process.
+    fn give(&self, payload: &[u8]) -> bool {
+        pending::publish();
+        let head = EntryHead { kind: ENTRY_EVENT, index: self.index, reply: 0, stamp_ns: 0 };
+        let pushed = self.to.mailbox.push(head, payload, Overflow::Reject);
+        context::wake(&self.to.bell);
+        !matches!(pushed, Push::Full)
     }
 }
 
@@ -138,6 +165,11 @@ fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
     for sink in sinks.iter() {
         match &**sink {
             EventSink::Handler(handler) => {
+                if !handler.give(payload) {
+                    outcome = QUEUE_FULL;
+                }
+            }
+            EventSink::Far(handler) => {
                 if !handler.give(payload) {
                     outcome = QUEUE_FULL;
                 }

@@ -16,6 +16,7 @@ use trocar_plugin_api::abi::{
 use trocar_rt::cell::BindingCell;
 use trocar_rt::left::{Leave, Left, LeftList};
 use trocar_rt::os;
+use trocar_rt::segment::Word;
 use trocar_rt::stream::{Sample, StreamReader};
 use trocar_rt::timing::Histogram;
 
@@ -29,14 +30,43 @@ pub(in crate::lcm) struct InLink {
     depth: usize,
     /// Older samples are stale, ns; 0 = never.
     max_age_ns: u64,
-    /// Stamp of the newest sample written, at first the time of connecting; kept where there is a `max_age`.
-    pub(in crate::lcm) newest_ns: Arc<AtomicU64>,
+    newest_ns: Newest,
     /// Age of samples when first shown, ns.
     pub(in crate::lcm) latency: Histogram,
     /// The output's type as manifest JSON.
     described: Arc<str>,
     adapt: Option<Adapt>,
     left: Left<InLink>,
+}
+
+/// Stamp of the newest sample written, ns; kept where there is a `max_age`.
+pub(in crate::lcm) enum Newest {
+    Here(Arc<AtomicU64>),
+    /// Written by another process; with the time of connecting, until it has.
+    Far(Word, u64),
+}
+
+/// The clock of a look may be so much behind that of a write, ns.
+const AHEAD_NS: u64 = 1_000_000_000;
+
+impl Newest {
+    /// At first the time of connecting.
+    pub(in crate::lcm) fn here() -> (Newest, Arc<AtomicU64>) {
+        let stamp = Arc::new(AtomicU64::new(os::now_ns()));
+        (Newest::Here(stamp.clone()), stamp)
+    }
+
+    /// As it looks at `now_ns`.
+    fn get(&self, now_ns: u64) -> u64 {
+        match self {
+            Newest::Here(stamp) => stamp.load(Ordering::Relaxed),
+            Newest::Far(stamp, connected_ns) => {
+                // Nobody has written it yet: it must not keep an input fresh for ever.
+                let said = Some(stamp.get()).filter(|said| *said <= now_ns.saturating_add(AHEAD_NS));
+                said.unwrap_or(0).max(*connected_ns)
+            }
+        }
+    }
 }
 
 // SAFETY: the place of its own; a link stands behind one input, which leaves it to its own list.
@@ -66,6 +96,7 @@ impl InLink {
         reader: StreamReader,
         depth: usize,
         max_age_ns: u64,
+        newest_ns: Newest,
         described: Arc<str>,
         adapt: Option<(Vec<CopyRun>, usize)>,
     ) -> Self {
@@ -78,7 +109,7 @@ impl InLink {
             reader: UnsafeCell::new(reader),
             depth,
             max_age_ns,
-            newest_ns: Arc::new(AtomicU64::new(os::now_ns())),
+            newest_ns,
             latency: Histogram::new(),
             described,
             adapt,
@@ -88,7 +119,7 @@ impl InLink {
 
     /// Nothing younger than `max_age` was written. Any thread.
     pub(in crate::lcm) fn is_stale(&self, now_ns: u64) -> bool {
-        let age_ns = now_ns.saturating_sub(self.newest_ns.load(Ordering::Relaxed));
+        let age_ns = now_ns.saturating_sub(self.newest_ns.get(now_ns));
         self.max_age_ns > 0 && age_ns > self.max_age_ns
     }
 

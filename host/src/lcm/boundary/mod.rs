@@ -12,6 +12,7 @@ mod entry;
 mod event;
 #[cfg(test)]
 pub(super) mod fake;
+mod far;
 mod host_table;
 mod hot;
 mod input;
@@ -20,6 +21,7 @@ mod options;
 mod output;
 mod parallel;
 mod ports;
+mod queue;
 mod range;
 mod read;
 pub(super) mod same;
@@ -34,13 +36,16 @@ pub(super) use call::{
 pub use class::LoadedClass;
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
 pub(super) use event::{EventCell, EventSink, Handler, Tap};
+pub(super) use event::{FarEvents, FarHandler};
+pub(super) use far::{FarCommand, FarRead, FarServer, FarSource};
 pub use host_table::plugin_log;
 pub(super) use host_table::{HostContext, SharedTable};
-pub(super) use input::{InCell, InLink};
-pub(super) use output::{OUTSIDE, OutCell, OutLink, Shape};
+pub(super) use input::{InCell, InLink, Newest};
+pub(super) use output::{Consumer, OUTSIDE, OutCell, OutLink, Shape};
 pub(super) use ports::{NoRoom, Slots};
+pub(super) use queue::Lane;
 pub(super) use range::RangeCheck;
-pub(super) use read::{ReadTarget, Reader};
+pub(super) use read::{ReadTarget, Reader, read_published};
 pub(super) use same::{same_input, same_output, same_provided, same_required};
 
 use super::instance::Instance;
@@ -65,6 +70,21 @@ pub(super) fn text_in(err: &ErrBuf) -> &[u8] {
     }
     // SAFETY: `ptr` has room for `cap` bytes, and whoever sets `len` has written that many, by the contract of an `ErrBuf`.
     unsafe { std::slice::from_raw_parts(err.ptr, err.len.min(err.cap)) }
+}
+
+/// The component whose code runs on this thread; counted, so none that is being dropped.
+fn running() -> Option<std::sync::Arc<Instance>> {
+    // SAFETY: null, or the context of the instance that is being called on this very thread.
+    let host = unsafe { super::context::component().as_ref() }?;
+    host.instance.get().and_then(std::sync::Weak::upgrade)
+}
+
+/// Counts what the component whose code runs on this thread did.
+#[cold]
+fn misused(what: super::instance::Misuse) {
+    if let Some(instance) = running() {
+        instance.counters.misuse(what);
+    }
 }
 
 /// Passes on what a filter that failed would have worked on, without a copy of a frame. Real-time.

@@ -5,7 +5,7 @@
 use std::ffi::c_void;
 use std::io;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::PortType;
 use trocar_plugin_api::abi::{
@@ -14,8 +14,10 @@ use trocar_plugin_api::abi::{
 };
 use trocar_rt::cell::BindingCell;
 use trocar_rt::os::{self, OsError};
-use trocar_rt::pool::{Frame, FrameMut, FramePool};
+use trocar_rt::pool::{Frame, FrameMut, FramePool, PoolFile};
+use trocar_rt::segment::Word;
 use trocar_rt::stream::{Meta, StreamWriter};
+use trocar_rt::wake::Waker;
 
 use super::super::context;
 use super::super::instance::Instance;
@@ -31,19 +33,22 @@ pub(in crate::lcm) struct OutLink {
     /// The connection, or [`OUTSIDE`].
     pub(in crate::lcm) connection: u64,
     writer: StreamWriter,
-    consumer: Option<Arc<Instance>>,
-    /// Where the stamp of the newest sample goes, for connections with a `max_age`.
-    newest_ns: Option<Arc<AtomicU64>>,
+    consumer: Consumer,
+}
+
+/// Who reads a link, and how it is told that there is something to read.
+pub(in crate::lcm) enum Consumer {
+    /// A component of this process; with where the stamp of the newest sample goes, for connections with a `max_age`.
+    Here(Arc<Instance>, Option<Arc<AtomicU64>>),
+    /// One of another process; likewise.
+    Far { bell: Arc<Waker>, newest_ns: Option<Word> },
+    /// Somebody outside, who looks by himself.
+    Outside,
 }
 
 impl OutLink {
-    pub(in crate::lcm) fn new(
-        connection: u64,
-        writer: StreamWriter,
-        consumer: Option<Arc<Instance>>,
-        newest_ns: Option<Arc<AtomicU64>>,
-    ) -> Self {
-        OutLink { connection, writer, consumer, newest_ns }
+    pub(in crate::lcm) fn new(connection: u64, writer: StreamWriter, consumer: Consumer) -> Self {
+        OutLink { connection, writer, consumer }
     }
 }
 
@@ -203,9 +208,7 @@ impl OutCell {
 
     /// Says of the component whose code runs here, and whose output this is, that it got no pool.
     fn tell_refused(&self, asked: &str) {
-        // SAFETY: null, or the context of the instance that is being called on this very thread.
-        let running = unsafe { context::component().as_ref() }.and_then(|host| host.instance.get());
-        let Some(instance) = running.and_then(Weak::upgrade) else {
+        let Some(instance) = super::running() else {
             log::error!("{asked}");
             return;
         };
@@ -220,6 +223,12 @@ impl OutCell {
         let Pools { lends: before, mut earlier } = self.pools.enter().clone();
         earlier.extend(before);
         self.pools.swap(Box::new(Pools { lends, earlier }));
+    }
+
+    /// The memory of all its pools, for readers in another process.
+    pub(in crate::lcm) fn pool_files(&self) -> Vec<Arc<PoolFile>> {
+        let pools = self.pools.enter();
+        pools.lends.iter().chain(&pools.earlier).filter_map(|pool| pool.file()).cloned().collect()
     }
 
     /// Drops earlier pools whose frames have all come back.
@@ -319,6 +328,17 @@ impl OutCell {
     }
 }
 
+impl OutCell {
+    /// Takes back frames that readers in other processes have done with.
+    #[cold]
+    pub(in crate::lcm) fn collect(&self) {
+        self.outs.look(|outs| {
+            let far = outs.links.iter().filter(|link| matches!(link.consumer, Consumer::Far { .. }));
+            far.for_each(|link| link.writer.collect());
+        });
+    }
+}
+
 impl Outs {
     /// State rows this thread owes are out before a sample tells another thread of what they hold.
     #[inline]
@@ -333,7 +353,7 @@ impl OutLink {
     /// Only this very thread can take what is written now: it holds the consumer's entry lock for its cycle.
     #[inline]
     fn is_read_here(&self) -> bool {
-        self.consumer.as_ref().is_some_and(|c| c.object.is_kept_here())
+        matches!(&self.consumer, Consumer::Here(consumer, _) if consumer.object.is_kept_here())
     }
 
     #[inline]
@@ -348,14 +368,36 @@ impl OutLink {
         self.signal(meta.stamp_ns);
     }
 
+    #[inline(always)]
     fn signal(&self, stamp_ns: u64) {
-        if let Some(newest_ns) = &self.newest_ns {
-            // What is stamped ahead of time is as old as its coming: it must not pass for fresh until then.
-            newest_ns.store(stamp_ns.min(os::now_ns()), Ordering::Relaxed);
-        }
-        if let Some(consumer) = &self.consumer {
+        match &self.consumer {
             // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
-            unsafe { told::signal(consumer) };
+            Consumer::Here(consumer, None) => unsafe { told::signal(consumer) },
+            _ => self.signal_with_stamp(stamp_ns),
+        }
+    }
+
+    // Apart, so that the common way stays small.
+    #[inline(never)]
+    fn signal_with_stamp(&self, stamp_ns: u64) {
+        // What is stamped ahead of time is as old as its coming: it must not pass for fresh until then.
+        let is_past = || stamp_ns <= context::about_now_ns();
+        let written_ns = || if is_past() { stamp_ns } else { stamp_ns.min(os::now_ns()) };
+        match &self.consumer {
+            Consumer::Here(consumer, newest_ns) => {
+                if let Some(newest_ns) = newest_ns {
+                    newest_ns.store(written_ns(), Ordering::Relaxed);
+                }
+                // SAFETY: as in `signal`.
+                unsafe { told::signal(consumer) };
+            }
+            Consumer::Far { bell, newest_ns } => {
+                if let Some(newest_ns) = newest_ns {
+                    newest_ns.set(written_ns());
+                }
+                context::wake(bell);
+            }
+            Consumer::Outside => {}
         }
     }
 }
@@ -411,7 +453,12 @@ pub(super) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outco
     if !is_whole(loan) {
         return INVALID_ARGUMENT;
     }
-    let Some(frame) = cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan())) else {
+    let lent = || cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan()));
+    // What readers in other processes have done with is noticed when it is needed.
+    let Some(frame) = lent().or_else(|| {
+        cell.collect();
+        lent()
+    }) else {
         cell.exhausted.fetch_add(1, Ordering::Relaxed);
         return EXHAUSTED;
     };

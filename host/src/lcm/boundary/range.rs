@@ -42,6 +42,12 @@ impl RangeCheck {
         })
     }
 
+    /// As `holds`; false as well for what is too short for the argument's type.
+    pub(in crate::lcm) fn holds_in(&self, arg: &[u8]) -> bool {
+        let bytes = Type::Prim(self.prim).size() * self.count + if self.list { 8 } else { 0 };
+        arg.len() >= bytes && self.holds(arg.as_ptr())
+    }
+
     pub(super) fn holds(&self, arg: *const u8) -> bool {
         if self.prim == Prim::F64 && self.count == 1 && !self.list {
             // SAFETY: the argument is one f64; it may lie anywhere.

@@ -75,6 +75,35 @@ impl ReadTarget {
     }
 }
 
+/// What came of a read for somebody in another process.
+pub(in crate::lcm) struct Published {
+    pub(in crate::lcm) outcome: Outcome,
+    /// Of the row, ns.
+    pub(in crate::lcm) stamp_ns: u64,
+    /// Bytes of the sentence.
+    pub(in crate::lcm) text_bytes: usize,
+}
+
+/// The result of a read, and a sentence as far as there is room. `arg` and `out` have the sizes of the command. Any thread, never
+/// waits.
+pub(in crate::lcm) fn read_published(
+    server: &Instance,
+    from: &Reader,
+    arg: &[u8],
+    out: &mut [u8],
+    text: &mut [u8],
+) -> Published {
+    let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+    let (outcome, stamp_ns) = match from {
+        Reader::System(which) => (EXECUTED, server.system_read(*which, out)),
+        Reader::Class(command) => match command.get() {
+            Some(command) => read_row(server, command, arg.as_ptr(), out.as_mut_ptr(), &raw mut err),
+            None => (DISABLED, 0),
+        },
+    };
+    Published { outcome, stamp_ns, text_bytes: err.len.min(text.len()) }
+}
+
 /// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step and
 /// little is cleared in vain.
 const FEW_WORDS: usize = 8;

@@ -5,7 +5,8 @@
 use std::sync::{Arc, PoisonError};
 
 use trocar_plugin_api::abi::{
-    DISABLED, EXECUTED, ErrBuf, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK, STATUS_PANICKED, Status,
+    DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK, STATUS_PANICKED,
+    Status,
 };
 use trocar_rt::mailbox::EntryHead;
 
@@ -50,7 +51,7 @@ impl Instance {
         inboxes.iter().for_each(|inbox| inbox.refuse_all(outcome));
         // What came behind an entry that was just in hand here may have been left by its own thread: see `throw_out`.
         self.signalled.meet();
-        if inboxes.iter().any(|inbox| !inbox.mailbox.is_empty()) {
+        if inboxes.iter().any(|inbox| inbox.mailbox.has_ready()) {
             self.signalled.set();
             self.wake();
         }
@@ -68,6 +69,9 @@ impl Instance {
             }
             let run = |head: EntryHead, payload: &[u8]| {
                 let Some(target) = inbox.targets.get(head.index as usize) else { return };
+                if !inbox.admits(head, payload) {
+                    return inbox.refuse(head, INVALID_ARGUMENT);
+                }
                 match (head.kind, target.get()) {
                     (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, self.turned_away()),
                     (ENTRY_EVENT, Some(handler)) => {

@@ -246,6 +246,7 @@ impl Instance {
         if self.state_bytes > 0 {
             let (inner, block) = entered.with_state();
             inner.rows.publish(stamp_ns, inner.cycle, |row| block.copy_to(row));
+            self.show_row();
         }
     }
 

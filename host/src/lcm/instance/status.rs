@@ -25,6 +25,8 @@ pub(in crate::lcm) enum Loss {
     Cut,
     /// It was said that another one takes its place next.
     Replaced,
+    /// The process of the other end is gone, or does not answer any more.
+    Peer,
 }
 
 impl Loss {
@@ -34,6 +36,7 @@ impl Loss {
         match self {
             Loss::Cut => 20_000_000,
             Loss::Replaced => 1_000_000_000,
+            Loss::Peer => 0,
         }
     }
 }
@@ -50,6 +53,7 @@ impl Instance {
         // State and reason change together: whoever comes second writes both.
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.gate.swap(pack(state), Ordering::SeqCst);
+        self.show_standing();
         (unpack(before), std::mem::replace(&mut *text, fault.to_owned()))
     }
 
@@ -267,6 +271,8 @@ impl Instance {
         let stamp_ns = os::now_ns();
         system::write_status(stamp_ns, &state, &health, &fault, &mut row);
         writer.publish(stamp_ns, 0, |out| out.copy_from_slice(&row));
+        drop((writer, fault));
+        self.show_standing();
     }
 
     /// The newest published status; answers its stamp. Real-time.

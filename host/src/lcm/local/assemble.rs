@@ -219,7 +219,13 @@ impl LocalLcm {
         let slot = self.slot(id)?;
         let config = slot.config.clone();
         let entry = match verb {
-            Verb::Stop => return self.stop(&slot, deadline).await,
+            Verb::Stop => {
+                // It does not go on by itself any more.
+                let (from, to) =
+                    (State::Stopped(StopReason::Restarted), State::Stopped(StopReason::Requested));
+                slot.instance.set_state_from(from, to, "");
+                return self.stop(&slot, deadline).await;
+            }
             Verb::Remove => {
                 slot.instance.set_going(true);
                 return self.stop(&slot, deadline).await;

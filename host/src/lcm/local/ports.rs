@@ -143,6 +143,7 @@ impl LocalLcm {
         if lost.is_empty() {
             return Vec::new();
         }
+        let far = self.far.as_ref().map_or_else(Vec::new, |far| far.cut_misfits(&instance.id, &lost));
         let gone = |id: &ComponentId, port: &str| *id == instance.id && lost.iter().any(|l| l == port);
         let held = self.held();
         let links = held.links.values().filter(|l| {
@@ -150,14 +151,13 @@ impl LocalLcm {
         });
         let links: Vec<u64> = links.filter(|l| !l.still_fits()).map(|l| l.id).collect();
         drop(held);
-        links.into_iter().filter(|id| self.cut(*id).is_some()).collect()
+        links.into_iter().filter(|id| self.cut(*id).is_some()).chain(far).collect()
     }
 }
 
 /// Names a queue that was full at both its ends.
 fn tell_full(to: &Instance, inbox: &Inbox) {
-    let (from, lost) = (inbox.from.upgrade(), inbox.losses());
-    let name = from.as_ref().map_or_else(|| "outside".to_owned(), |from| from.id.to_string());
+    let ((from, name), lost) = (inbox.sender(), inbox.losses());
     let (what, why) = match inbox.events {
         true => ("events", format!(": {lost} so far were lost, as they came faster than its handlers ran")),
         false => ("commands", format!(": {lost} so far were refused, as they came faster than they ran")),

@@ -82,6 +82,7 @@ impl Governed {
         let config = LcmConfig {
             process: Name::parse(process).unwrap(),
             classes: Some(Arc::new(Catalog)),
+            links: None,
             lock_memory: false,
         };
         let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), LocalLcm::new(config).unwrap());

@@ -221,3 +221,19 @@ async fn what_the_watchdog_tells_a_passive_component_is_handled_on_its_own_threa
     assert_eq!(report.state, State::Active, "a handler that says no ends nothing");
     world.end().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_stands_since_its_process_was_started_again_is_stopped_by_request_once_somebody_does_that() {
+    let world = World::new("st_again");
+    let (held, _open) = Held::at("", "");
+    world.create_as("arm", class(ctl(), Safety::Actuator), periodic(1_000_000), held.clone()).await;
+    let (from, to) = (serde_json::json!({}), serde_json::json!({}));
+    let (from_state, to_state) = (State::Ready, State::Stopped(StopReason::Restarted));
+    let stands = Change::Configure { id: world.id("arm"), from, to, from_state, to_state };
+    assert_eq!(world.apply(stands).await.unwrap().state, to_state);
+    let stopped = world.run("arm", Verb::Stop).await.unwrap();
+    assert_eq!(stopped.state, State::Stopped(StopReason::Requested));
+    assert_eq!(world.report("arm").await.state, stopped.state);
+    world.start("arm").await;
+    world.end().await;
+}

@@ -144,6 +144,7 @@ pub fn a_read_waits_for_nobody(way: &Way) {
         // The shared thread waits for the client's own, so the server cannot be entered meanwhile.
         read(1);
     } else {
-        lab.occupied(|| read(0));
+        // What has to be asked for in another process is asked for from a thread that may wait.
+        lab.occupied(|| read(u32::from(way.deployment.two_processes())));
     }
 }

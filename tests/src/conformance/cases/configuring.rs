@@ -4,7 +4,6 @@ use serde_json::{Value, json};
 use trocar::model::{Refusal, State};
 use trocar_sdk::Outcome;
 
-use super::super::world::id;
 use super::super::{Call, Function, Lab, Reach, Way};
 use super::commands::waiting;
 
@@ -23,11 +22,11 @@ pub fn a_live_setting_changes_while_the_component_runs(way: &Way) {
 
 pub fn any_other_setting_of_a_running_component_is_refused(way: &Way) {
     let lab = Lab::running(way);
-    let before = lab.graph().components[&id("server")].config.clone();
+    let before = lab.graph().components[&lab.id("server")].config.clone();
     let refused =
         configure(&lab, json!({ "gate": "/nowhere", "factor": 5.0 })).expect_err("gate is not live");
     assert_eq!(refused.reason(), "WRONG_STATE", "{refused}");
-    assert_eq!(lab.graph().components[&id("server")].config, before, "a refused request changes nothing");
+    assert_eq!(lab.graph().components[&lab.id("server")].config, before, "a refused request changes nothing");
     assert_eq!(lab.perform(waiting(way, Function::Twice, 3.0)).value, 6.0);
 }
 

@@ -8,7 +8,7 @@ use trocar::model::{ConnectOptions, Execution, ExecutionModel};
 use trocar_sdk::Outcome;
 
 use super::super::world::block_on;
-use super::super::{Call, Function, Lab, Reach, Way};
+use super::super::{Call, Function, Lab, Way};
 use super::commands::waiting;
 use crate::eventually;
 
@@ -108,8 +108,9 @@ pub fn whoever_waits_for_an_event_is_told_when_it_does_not_come(way: &Way) {
 
 pub fn events_are_followed_from_outside_in_order(way: &Way) {
     let lab = Lab::running(way);
-    let selection = Selection { path: "host/server/ctl/written".into(), max_rate_hz: 0.0 };
-    let mut items = block_on(lab.lcm().subscribe(vec![selection])).expect("the event can be followed");
+    let selection = Selection { path: lab.path("server/ctl/written"), max_rate_hz: 0.0 };
+    let mut items =
+        block_on(lab.lcm_of("server").subscribe(vec![selection])).expect("the event can be followed");
     for number in 1..=5_u32 {
         let write = waiting(way, Function::Write, f64::from(number));
         assert_eq!(lab.perform(write).only(), Outcome::Executed);
@@ -179,7 +180,7 @@ pub fn a_direct_handler_of_a_client_that_is_busy_waits_like_any_other(way: &Way)
     let mut log: Vec<u64> = serde_json::from_value(lab.row("client")["log"].clone()).expect("numbers");
     let mut late = log.split_off(2);
     assert_eq!(log, [1, 2], "nobody is entered twice: {late:?} came later");
-    if way.deployment.reach() == Reach::Queue {
+    if way.deployment.reach().queues() {
         // Both come while the client looks at its queues, and the order of connections is nobody's promise.
         late.sort_unstable();
     }

@@ -4,7 +4,6 @@ use serde_json::json;
 use trocar::model::{Execution, ExecutionModel, Health, Request, State, StopReason, Target};
 use trocar_sdk::Outcome;
 
-use super::super::world::id;
 use super::super::{Call, Function, Lab, Way};
 use super::commands::waiting;
 use crate::eventually;
@@ -24,7 +23,7 @@ fn with_arm(way: &Way) -> Lab {
 pub fn start_is_refused_while_something_required_is_not_connected(way: &Way) {
     let lab = Lab::running(way);
     lab.create("arm", "Arm", json!({}), Execution::default());
-    let start = || lab.ask(Request::Start { targets: vec![Target::One(id("arm"))] });
+    let start = || lab.ask(Request::Start { targets: vec![Target::One(lab.id("arm"))] });
     let refused = start().expect_err("an arm without its peer does not start");
     assert!(refused.to_string().contains("drive"), "the answer lists what is missing: {refused}");
     lab.connect("arm/drive", "server/ctl");
@@ -155,7 +154,7 @@ fn fault(way: &Way, on_step: &str) -> Option<String> {
     lab.await_count("server", "safed", |n| n == 1);
     assert_eq!(lab.stands("client").map(|s| s.0), Some(State::Active), "nobody else changed");
     assert_eq!(lab.perform(waiting(way, Function::Poke, 0.0)).only(), Outcome::NotActive);
-    Some(lab.graph().components[&id("server")].fault.clone())
+    Some(lab.graph().components[&lab.id("server")].fault.clone())
 }
 
 pub fn a_step_that_fails_is_a_fault_with_its_sentence(way: &Way) {

@@ -14,11 +14,18 @@ pub fn fate(reach: Reach, situation: Situation, kind: Kind, mode: Mode) -> Fate 
     if situation == Situation::OutsideItsLimits && kind.takes_an_argument() {
         return Fate::InvalidArgument;
     }
+    let asked = kind.is_asked_for(reach) && mode == Mode::Call;
     match (kind.reads(), mode) {
+        (true, _) if asked && must_not_wait(situation) => Fate::WouldBlock,
         (true, mode) => read(situation, mode),
         (false, Mode::Send) => sent(reach, situation),
         (false, Mode::Call) => called(reach, situation),
     }
+}
+
+/// Called where nothing may wait for another process.
+fn must_not_wait(situation: Situation) -> bool {
+    matches!(situation, Situation::ACommand | Situation::AStep | Situation::ABusyServerFromACommand)
 }
 
 /// The published row is there, whatever the server does; a read that is only sent has no place for what it answers.
@@ -36,7 +43,7 @@ fn sent(reach: Reach, situation: Situation) -> Fate {
         (Situation::NotActive, _) => Fate::NotActive,
         (Situation::AFullQueue, _) => Fate::QueueFull,
         // What waits to be run elsewhere has been answered; what becomes of it is counted.
-        (_, Reach::Queue) => Fate::Queued,
+        (_, Reach::Queue | Reach::Process) => Fate::Queued,
         (Situation::Refusing | Situation::BegunAndPanics, Reach::Thread | Reach::Caller) => Fate::Failed,
         (Situation::Withdrawn, Reach::Thread) => Fate::Disabled,
         (Situation::AThreadOfItsOwn, Reach::Thread) => Fate::Queued,
@@ -55,15 +62,17 @@ fn finds_somebody_inside(situation: Situation, reach: Reach) -> bool {
 fn called(reach: Reach, situation: Situation) -> Fate {
     match (situation, reach) {
         // A step, and a command of whoever has a step, waits for no other thread.
-        (Situation::ACommand | Situation::AStep, Reach::Queue) => Fate::WouldBlock,
-        (Situation::ABusyServerFromACommand, Reach::Queue | Reach::Caller) => Fate::WouldBlock,
+        (Situation::ACommand | Situation::AStep, Reach::Queue | Reach::Process) => Fate::WouldBlock,
+        (Situation::ABusyServerFromACommand, Reach::Queue | Reach::Process | Reach::Caller) => {
+            Fate::WouldBlock
+        }
         // The thread that would run it waits for the very thread that calls.
         (Situation::AThreadOfItsOwn, Reach::Thread) => Fate::TooLate,
         (Situation::ABusyServer, _) => Fate::TooLate,
-        (Situation::AFullQueue, Reach::Queue | Reach::Thread) => Fate::QueueFull,
+        (Situation::AFullQueue, Reach::Queue | Reach::Process | Reach::Thread) => Fate::QueueFull,
         // It waits for whoever is inside, not in a queue.
         (Situation::AFullQueue, Reach::Caller) => Fate::TooLate,
-        (Situation::BegunAndHeld, Reach::Queue) => Fate::StillRuns,
+        (Situation::BegunAndHeld, Reach::Queue | Reach::Process) => Fate::StillRuns,
         // What was begun is carried to its end, and its caller is told how it ended.
         (Situation::BegunAndCut | Situation::BegunAndStopped | Situation::BegunAndRemoved, _) => {
             Fate::Executed

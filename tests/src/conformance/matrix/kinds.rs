@@ -4,7 +4,7 @@
 
 use trocar_sdk::Outcome;
 
-use super::super::{Answer, Function};
+use super::super::{Answer, Function, Reach};
 
 /// A kind of command, and which function of the client stands for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +37,12 @@ impl Kind {
     #[must_use]
     pub fn reads(self) -> bool {
         self.function().reads()
+    }
+
+    /// A read that a client in another process has to ask for.
+    #[must_use]
+    pub fn is_asked_for(self, reach: Reach) -> bool {
+        reach == Reach::Process && self == Kind::QualifiedRead
     }
 
     #[must_use]

@@ -13,8 +13,13 @@ pub const NEVER: &[Row] = &[
     (&[Fate::Queued, Fate::QueueFull], |_, k, _| k.reads(), "a read is answered at once, from the row"),
     (
         &[Fate::WouldBlock, Fate::TooLate, Fate::StillRuns],
-        |_, k, _| k.reads(),
+        |r, k, m| k.reads() && (!k.is_asked_for(r) || m == Mode::Send),
         "a read waits for nobody, so there is no deadline to miss",
+    ),
+    (
+        &[Fate::TooLate, Fate::StillRuns],
+        |r, k, m| k.is_asked_for(r) && m == Mode::Call,
+        "its process answers it beside the component, whatever that does",
     ),
     (
         &[Fate::PeerLost, Fate::NotActive],
@@ -44,7 +49,7 @@ pub const NEVER: &[Row] = &[
     ),
     (
         &[Fate::Executed, Fate::Failed],
-        |r, k, m| r == Reach::Queue && !k.reads() && m == Mode::Send,
+        |r, k, m| r.queues() && !k.reads() && m == Mode::Send,
         "it is answered before it runs; its failure is counted and told",
     ),
     (
@@ -59,7 +64,7 @@ pub const NEVER: &[Row] = &[
     ),
     (
         &[Fate::StillRuns],
-        |r, k, m| r != Reach::Queue && !k.reads() && m == Mode::Call,
+        |r, k, m| !r.queues() && !k.reads() && m == Mode::Call,
         "who runs it himself comes back with it; who waits for the shared thread is waited for by it, so it is never begun",
     ),
     (

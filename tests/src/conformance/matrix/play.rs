@@ -136,7 +136,7 @@ impl<'a> Stage<'a> {
 
     /// From the client's own thread where that may run it, else from a thread that may wait.
     fn plainly(&self, call: Call) -> Answer {
-        let may = self.reach() != Reach::Queue || !call.wait;
+        let may = !self.reach().queues() || !call.wait;
         self.lab.perform(if may { call } else { call.from_threads(1) })
     }
 
@@ -195,10 +195,10 @@ impl<'a> Stage<'a> {
     fn held(&self, asked: Call) -> Answer {
         let lab = &self.lab;
         if asked.what.reads() {
-            return lab.perform(asked);
+            return self.plainly(asked);
         }
         lab.close_gate();
-        let own = self.reach() != Reach::Queue;
+        let own = !self.reach().queues();
         let asked = if own || !asked.wait { asked } else { asked.within_ms(BEGUN_MS).from_threads(1) };
         let answer = std::thread::scope(|scope| {
             let answer = scope.spawn(|| lab.perform(asked));
@@ -218,7 +218,7 @@ impl<'a> Stage<'a> {
     fn begun(&self, asked: Call, what: While) -> Answer {
         let lab = &self.lab;
         if asked.what.reads() {
-            return lab.perform(asked);
+            return self.plainly(asked);
         }
         let ran = || lab.count("server", "pokes") + lab.count("server", "writes");
         let before = ran();
@@ -249,8 +249,7 @@ impl<'a> Stage<'a> {
     }
 
     fn panics(&self, asked: Call) -> Answer {
-        let may = self.reach() != Reach::Queue || !asked.wait;
-        let answer = self.lab.perform(if may { asked } else { asked.from_threads(1) });
+        let answer = self.plainly(asked);
         if !asked.what.reads() {
             self.lab.await_state("server", State::Fault);
             self.lab.reset("server");
@@ -284,12 +283,18 @@ impl<'a> Stage<'a> {
         } else {
             eventually("somebody asks between the change of the ports and the cut", || {
                 let mut answer = if kind.reads() && self.reach() != Reach::Thread {
-                    waiting::beside_configure(lab, call(kind, mode, FITS))
+                    let asked = call(kind, mode, FITS);
+                    let by_threads = u32::from(kind.is_asked_for(self.reach()));
+                    waiting::beside_configure(lab, asked.from_threads(by_threads))
                 } else {
                     waiting::after_configure(lab, call(kind, mode, FITS))
                 };
                 // Before the change, and after the cut.
                 answer.outcomes.retain(|(o, _)| ![Outcome::Executed, Outcome::Unbound].contains(o));
+                if kind.is_asked_for(self.reach()) {
+                    // Asked before the cut, and not answered before it.
+                    answer.outcomes.retain(|(o, _)| *o != Outcome::PeerLost);
+                }
                 match answer.outcomes.first().copied() {
                     Some((outcome, _)) => {
                         answer.outcomes[0] = (outcome, 1);

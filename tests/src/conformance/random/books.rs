@@ -11,7 +11,7 @@ use trocar::model::{ConnectOptions, Queue, Request, State, Target};
 use trocar_sdk::Outcome;
 
 use super::super::answer::whole;
-use super::super::world::{PATIENCE, id};
+use super::super::world::PATIENCE;
 use super::super::{Call, Function, Lab, Language, Samples};
 use super::ops::{CLIENTS, SERVERS, own_thread};
 use crate::eventually;
@@ -72,7 +72,7 @@ pub(super) fn close(lab: &Lab) {
 
 /// ACTIVE again; made anew where the thread it ran in is gone.
 fn mend(lab: &Lab, name: &str, class: &str) {
-    let start = || lab.ask(Request::Start { targets: vec![Target::One(id(name))] });
+    let start = || lab.ask(Request::Start { targets: vec![Target::One(lab.id(name))] });
     match lab.stands(name).map(|(state, _)| state) {
         Some(State::Active) => return,
         Some(State::Fault) => lab.reset(name),

@@ -9,7 +9,6 @@ use serde_json::json;
 use trocar::model::{ConnectOptions, Refusal, Request, Target, Which};
 
 use super::super::answer::Answer;
-use super::super::world::{id, port};
 use super::super::{Call, Lab};
 use super::books;
 use super::ops::{CLIENTS, Op, SERVERS, Script, draw};
@@ -50,20 +49,20 @@ pub(super) fn play(lab: &Lab, seed: u64) {
 }
 
 fn carry_out(lab: &Lab, op: &Op) -> Result<(), Refusal> {
-    let targets = |name: &str| vec![Target::One(id(name))];
+    let targets = |name: &str| vec![Target::One(lab.id(name))];
     let request = match op {
         Op::Create(name, execution) => {
             let class = if SERVERS.contains(name) { "Server" } else { "Client" };
             let config = if SERVERS.contains(name) { lab.gated(json!({})) } else { json!({}) };
             return lab.try_create(name, class, config, (**execution).clone()).map(|_| ());
         }
-        Op::Remove(name) => Request::Remove { id: id(name), force: true },
+        Op::Remove(name) => Request::Remove { id: lab.id(name), force: true },
         Op::Connect(client, server, replace) => {
             let options = ConnectOptions { replace: *replace, ..ConnectOptions::default() };
-            Request::Connect { client: port(client), server: port(server), options }
+            Request::Connect { client: lab.port(client), server: lab.port(server), options }
         }
         Op::Disconnect(client, server) => {
-            Request::Disconnect { which: Which::Pair { client: port(client), server: port(server) } }
+            Request::Disconnect { which: Which::Pair { client: lab.port(client), server: lab.port(server) } }
         }
         Op::Start(name) => Request::Start { targets: targets(name) },
         Op::Stop(name) => Request::Stop { targets: targets(name) },

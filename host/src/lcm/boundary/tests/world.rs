@@ -79,6 +79,7 @@ impl World {
         let config = LcmConfig {
             process: process.parse().unwrap(),
             classes: Some(Arc::new(Puppets)),
+            links: None,
             lock_memory: false,
         };
         let lcm = LocalLcm::new(config).unwrap();

@@ -24,6 +24,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
     let config = LcmConfig {
         process: Name::parse("hy_mask").unwrap(),
         classes: Some(Arc::new(FakeClasses)),
+        links: None,
         lock_memory: false,
     };
     let lcm = LocalLcm::new(config).unwrap();

@@ -1,0 +1,23 @@
+//! How the processes of one machine find each other, make sure of each other, and notice that the other one is gone.
+//!
+//! A session is a socket and a page of memory between two processes. What is said over it (and the memory passed along) is the
+//! business of whoever opened it; data never goes over the socket. Invariant: a session that was given up stays given up; a process
+//! that comes back, or goes on after it was thought dead, gets a new one.
+
+#![forbid(unsafe_code)]
+
+mod address;
+mod card;
+mod door;
+mod greeting;
+mod links;
+mod live;
+mod serve;
+mod session;
+mod steps;
+#[cfg(test)]
+mod tests;
+
+pub use card::{Card, LAYOUT, Unreachable};
+pub use links::{Handler, Links};
+pub use session::{Lost, MOST_BYTES, MOST_FDS, Message, Peer, SendError, Session};

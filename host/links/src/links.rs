@@ -1,0 +1,149 @@
+//! The handle on all sessions of this process, and what their user is told.
+//!
+//! Invariant: the sessions belong to one thread, `trocar-links`; everybody else asks it.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use rustix::event::EventfdFlags;
+
+use crate::address;
+use crate::card::Card;
+use crate::serve::Server;
+use crate::session::{Lost, Message, Session};
+
+/// Told on the thread of the sessions: whatever waits here makes other processes believe that this one is dead.
+pub trait Handler: Send + 'static {
+    /// A process made sure of us, and we of it.
+    fn met(&mut self, session: &Arc<Session>);
+    /// It said something.
+    fn said(&mut self, session: &Arc<Session>, message: Message);
+    /// It is gone. Nothing comes of this session any more.
+    fn lost(&mut self, session: &Arc<Session>, why: &Lost);
+}
+
+/// What the thread is asked, and what it tells.
+pub(crate) struct Shared {
+    asked: Mutex<Vec<Ask>>,
+    /// Rung for every question.
+    pub(crate) bell: OwnedFd,
+    known: Mutex<Known>,
+}
+
+#[derive(Default)]
+pub(crate) struct Known {
+    /// Sessions this process asked for, by where the other one listens.
+    pub(crate) dialled: BTreeMap<PathBuf, Arc<Session>>,
+    /// Why there is none.
+    pub(crate) failed: BTreeMap<PathBuf, Failed>,
+}
+
+pub(crate) struct Failed {
+    pub(crate) why: String,
+    /// One of the two said no; else nobody answered.
+    pub(crate) refused: bool,
+}
+
+pub(crate) enum Ask {
+    Want(PathBuf),
+    Unwant(PathBuf),
+    Stop,
+}
+
+impl Shared {
+    pub(crate) fn take(&self) -> Vec<Ask> {
+        std::mem::take(&mut *self.asked.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(crate) fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn ask(&self, ask: Ask) {
+        self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(ask);
+        // A counter that is full wakes as well.
+        let _ = rustix::io::write(&self.bell, &1u64.to_ne_bytes());
+    }
+}
+
+/// All sessions of this process.
+pub struct Links {
+    card: Card,
+    shared: Arc<Shared>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Links {
+    /// Listens where the card says. The caller owns that folder: a socket left there by an earlier process is replaced.
+    ///
+    /// # Errors
+    /// The socket cannot be made there, or the machine gives no more threads or files.
+    pub fn start(card: Card, handler: impl Handler) -> io::Result<Links> {
+        let bell = rustix::event::eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?;
+        let listener = address::listen(&card.socket)?;
+        let shared = Arc::new(Shared { asked: Mutex::default(), bell, known: Mutex::default() });
+        let mut server = Server::new(card.clone(), listener, shared.clone(), handler);
+        let thread = std::thread::Builder::new().name("trocar-links".into()).spawn(move || server.run());
+        // Nothing half made: without its thread nobody would answer there.
+        let thread = thread.inspect_err(|_| drop(std::fs::remove_file(&card.socket)))?;
+        Ok(Links { card, shared, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// What other processes need to know to reach this one.
+    pub fn card(&self) -> &Card {
+        &self.card
+    }
+
+    /// From now on there is to be a session with the process that listens at `socket`: it is dialled until it answers, and again
+    /// whenever it was lost. As often as it is wanted it has to be left.
+    pub fn want(&self, socket: &Path) {
+        self.shared.ask(Ask::Want(socket.into()));
+    }
+
+    /// Nobody needs that session any more.
+    pub fn leave(&self, socket: &Path) {
+        self.shared.ask(Ask::Unwant(socket.into()));
+    }
+
+    /// The live session that was wanted.
+    pub fn session(&self, socket: &Path) -> Option<Arc<Session>> {
+        self.shared.known().dialled.get(socket).filter(|session| !session.is_lost()).cloned()
+    }
+
+    /// Why there is no session with the process that should listen there, as it was found last.
+    pub fn why_not(&self, socket: &Path) -> Option<String> {
+        self.shared.known().failed.get(socket).map(|failed| failed.why.clone())
+    }
+
+    /// As [`Links::why_not`], where the other process, or this one, said no: to wait for it is of little use.
+    pub fn refused(&self, socket: &Path) -> Option<String> {
+        self.shared
+            .known()
+            .failed
+            .get(socket)
+            .filter(|failed| failed.refused)
+            .map(|failed| failed.why.clone())
+    }
+
+    /// Ends all sessions and the thread.
+    pub fn stop(&self) {
+        self.shared.ask(Ask::Stop);
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(thread) = thread else { return };
+        if thread.join().is_err() {
+            log::error!("the thread of the links to other processes panicked");
+        }
+        // Only once, since later it is the socket of the next process of this name. Left behind it is replaced by that.
+        let _ = std::fs::remove_file(&self.card.socket);
+    }
+}
+
+impl Drop for Links {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}

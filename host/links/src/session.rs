@@ -1,0 +1,310 @@
+//! A session with one process, from the moment both made sure of each other until one of them is gone.
+
+use std::fmt;
+use std::io::{IoSlice, IoSliceMut};
+use std::mem::MaybeUninit;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use rustix::io::Errno;
+use rustix::net::{
+    RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, ReturnFlags, SendAncillaryBuffer,
+    SendAncillaryMessage, SendFlags, Shutdown,
+};
+use trocar_rt::pulse::Pulse;
+
+use crate::greeting::{DATA_HEAD, data_head};
+use crate::steps::plain;
+
+/// The longest message.
+pub const MOST_BYTES: usize = 128 << 10;
+/// Files that can come along with one message.
+pub const MOST_FDS: usize = 32;
+
+/// Who is at the other end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Peer {
+    pub process: String,
+    /// Of this run of the process.
+    pub instance: String,
+    /// As the kernel told it.
+    pub pid: i32,
+}
+
+/// Why a session is over.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Lost {
+    /// The other process ended, or closed it.
+    Closed,
+    /// The other process exists, but stands still.
+    Stopped,
+    /// Nothing was heard of the other process for this long.
+    Silent { ms: u64 },
+    /// The other process said what it may not.
+    Nonsense { what: String },
+    /// It was ended here.
+    Ended,
+}
+
+impl fmt::Display for Lost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Lost::Closed => f.write_str("it ended or closed the connection"),
+            Lost::Stopped => f.write_str("it was stopped (SIGSTOP, a debugger)"),
+            Lost::Silent { ms } => write!(f, "nothing was heard of it for {ms} ms"),
+            Lost::Nonsense { what } => write!(f, "it said what it may not: {what}"),
+            Lost::Ended => f.write_str("ended from here"),
+        }
+    }
+}
+
+/// Why something could not be said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SendError {
+    TooLong {
+        bytes: usize,
+    },
+    TooManyFiles {
+        files: usize,
+    },
+    /// The other process does not listen to what was said before.
+    Busy,
+    Lost,
+}
+
+impl fmt::Display for SendError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            SendError::TooLong { bytes } => {
+                write!(f, "{bytes} bytes are more than one message holds ({MOST_BYTES})")
+            }
+            SendError::TooManyFiles { files } => {
+                write!(f, "{files} files are more than one message carries ({MOST_FDS})")
+            }
+            SendError::Busy => f.write_str("the other process does not read what it was told before"),
+            SendError::Lost => f.write_str("the other process is gone"),
+        }
+    }
+}
+
+impl std::error::Error for SendError {}
+
+/// What one session may have said before some of it was dealt with, in messages; a file counts as four. More is not read until then,
+/// which the other process sees as [`SendError::Busy`].
+const MOST_HELD: usize = 512;
+
+/// A message's part in what its session is allowed, given back when it was dealt with.
+#[derive(Debug)]
+struct Held {
+    all: Arc<AtomicUsize>,
+    mine: usize,
+}
+
+impl Held {
+    fn new(all: &Arc<AtomicUsize>, files: usize) -> Held {
+        let mine = 1 + 4 * files;
+        all.fetch_add(mine, Ordering::Relaxed);
+        Held { all: Arc::clone(all), mine }
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.all.fetch_sub(self.mine, Ordering::Relaxed);
+    }
+}
+
+/// Something the other process said. It counts against its session until it is dropped.
+#[derive(Debug)]
+pub struct Message {
+    pub bytes: Vec<u8>,
+    /// What came along.
+    pub files: Vec<OwnedFd>,
+    /// What should have come along: more than came where this process may open no more files.
+    pub announced: usize,
+    _held: Held,
+}
+
+/// A live connection to one process. Any thread may speak.
+#[derive(Debug)]
+pub struct Session {
+    number: u64,
+    peer: Peer,
+    /// Where the other process listens.
+    at: PathBuf,
+    socket: OwnedFd,
+    pub(crate) pulse: Pulse,
+    lost: AtomicBool,
+    ended: AtomicBool,
+    /// Why its user does not listen to it any more.
+    condemned: OnceLock<String>,
+    /// Of its messages.
+    held: Arc<AtomicUsize>,
+    /// The other process began it.
+    guest: bool,
+}
+
+impl Session {
+    pub(crate) fn new(
+        number: u64,
+        peer: Peer,
+        (at, guest): (PathBuf, bool),
+        socket: OwnedFd,
+        pulse: Pulse,
+    ) -> Session {
+        Session {
+            number,
+            peer,
+            at,
+            socket,
+            pulse,
+            lost: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
+            condemned: OnceLock::new(),
+            held: Arc::default(),
+            guest,
+        }
+    }
+
+    /// A message of it.
+    pub(crate) fn message(&self, bytes: &[u8], files: Vec<OwnedFd>, announced: usize) -> Message {
+        let held = Held::new(&self.held, files.len());
+        Message { bytes: bytes.to_vec(), files, announced, _held: held }
+    }
+
+    /// So much of it waits that no more is read.
+    pub(crate) fn is_full(&self) -> bool {
+        self.held.load(Ordering::Relaxed) >= MOST_HELD
+    }
+
+    pub(crate) fn is_guest(&self) -> bool {
+        self.guest
+    }
+
+    /// Of this process: no two sessions have the same.
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    pub fn peer(&self) -> &Peer {
+        &self.peer
+    }
+
+    /// Where the other process listens.
+    pub fn at(&self) -> &PathBuf {
+        &self.at
+    }
+
+    /// It was given up, for good.
+    pub fn is_lost(&self) -> bool {
+        self.lost.load(Ordering::Acquire)
+    }
+
+    /// Says something, with files that come along. Never waits.
+    ///
+    /// # Errors
+    /// It is too much, or the other process does not listen, or is gone.
+    pub fn send(&self, bytes: &[u8], files: &[BorrowedFd<'_>]) -> Result<(), SendError> {
+        if bytes.len() > MOST_BYTES {
+            return Err(SendError::TooLong { bytes: bytes.len() });
+        }
+        if files.len() > MOST_FDS {
+            return Err(SendError::TooManyFiles { files: files.len() });
+        }
+        if self.is_lost() {
+            return Err(SendError::Lost);
+        }
+        match send(self.socket.as_fd(), &[&data_head(files.len()), bytes], files) {
+            Ok(()) => Ok(()),
+            Err(Errno::AGAIN | Errno::NOBUFS | Errno::TOOMANYREFS) => Err(SendError::Busy),
+            Err(Errno::MSGSIZE) => Err(SendError::TooLong { bytes: bytes.len() }),
+            Err(_) => Err(SendError::Lost),
+        }
+    }
+
+    /// Ends it: both ends are told that it is lost.
+    pub(crate) fn end(&self) {
+        self.ended.store(true, Ordering::Release);
+        // It may be over already.
+        let _ = rustix::net::shutdown(&self.socket, Shutdown::Both);
+    }
+
+    /// Ends it, since the other process said what it may not: told in the log, seldom, and to whoever asks why it is lost.
+    pub fn condemn(&self, what: &str) {
+        // What was said first stays.
+        let _ = self.condemned.set(plain(what));
+        self.end();
+    }
+
+    /// Why it is over, where that was decided here.
+    pub(crate) fn why_ended(&self) -> Option<Lost> {
+        let condemned = self.condemned.get().map(|what| Lost::Nonsense { what: what.clone() });
+        condemned.or_else(|| self.ended.load(Ordering::Acquire).then_some(Lost::Ended))
+    }
+
+    pub(crate) fn give_up(&self) {
+        self.lost.store(true, Ordering::Release);
+        let _ = rustix::net::shutdown(&self.socket, Shutdown::Both);
+    }
+
+    pub(crate) fn socket(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+pub(crate) fn send(to: BorrowedFd<'_>, parts: &[&[u8]], files: &[BorrowedFd<'_>]) -> rustix::io::Result<()> {
+    let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(MOST_FDS))];
+    let mut control = SendAncillaryBuffer::new(&mut space);
+    if !files.is_empty() && !control.push(SendAncillaryMessage::ScmRights(files)) {
+        return Err(Errno::MSGSIZE);
+    }
+    let parts: Vec<IoSlice<'_>> = parts.iter().map(|part| IoSlice::new(part)).collect();
+    let flags = SendFlags::NOSIGNAL | SendFlags::DONTWAIT;
+    rustix::net::sendmsg(to, &parts, &mut control, flags).map(|_| ())
+}
+
+/// What one look at a socket found.
+pub(crate) enum Heard {
+    /// So many bytes of the buffer, and what came along.
+    Message(usize, Vec<OwnedFd>),
+    Nothing,
+    End,
+    TooLong,
+}
+
+/// Room for the longest message.
+pub(crate) fn room() -> Vec<u8> {
+    vec![0; MOST_BYTES + DATA_HEAD]
+}
+
+pub(crate) fn receive(from: BorrowedFd<'_>, room: &mut [u8]) -> Heard {
+    let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(MOST_FDS))];
+    let mut control = RecvAncillaryBuffer::new(&mut space);
+    let flags = RecvFlags::DONTWAIT | RecvFlags::CMSG_CLOEXEC;
+    let mut resets = 0;
+    let got = loop {
+        match rustix::net::recvmsg(from, &mut [IoSliceMut::new(room)], &mut control, flags) {
+            Err(Errno::INTR) => {}
+            // The other end closed without having read all: what it said before that is still there, and may be why.
+            Err(Errno::CONNRESET) if resets == 0 => resets += 1,
+            other => break other,
+        }
+    };
+    let files = control
+        .drain()
+        .flat_map(|message| match message {
+            RecvAncillaryMessage::ScmRights(files) => files.collect::<Vec<_>>(),
+            _ => Vec::new(),
+        })
+        .collect();
+    match got {
+        Err(Errno::AGAIN) => Heard::Nothing,
+        Err(_) => Heard::End,
+        Ok(got) if got.flags.contains(ReturnFlags::TRUNC) => Heard::TooLong,
+        // Nobody sends an empty message here: it is the end.
+        Ok(got) if got.bytes == 0 => Heard::End,
+        Ok(got) => Heard::Message(got.bytes, files),
+    }
+}

@@ -1,0 +1,138 @@
+//! The steps of a greeting, at either end: what is answered to what, and who is turned away.
+//!
+//! Invariant: nothing said in a greeting is kept or passed on before it was checked for its length and its characters.
+
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::PathBuf;
+
+use trocar_rt::pulse::Pulse;
+
+use crate::card::{Card, random};
+use crate::greeting::{Greeting, VERSION};
+use crate::session::send;
+
+/// Where a greeting stands. The one who dialled knows where to.
+pub(crate) enum Stage {
+    /// Hello is awaited.
+    Knocking,
+    /// Echo is awaited.
+    Welcomed { card: Card, pulse: Pulse },
+    /// Welcome is awaited.
+    Calling { at: PathBuf },
+    /// Ready is awaited.
+    Echoed { at: PathBuf, card: Card, pulse: Pulse },
+}
+
+impl Stage {
+    pub(crate) fn at(&self) -> Option<&PathBuf> {
+        match self {
+            Stage::Knocking | Stage::Welcomed { .. } => None,
+            Stage::Calling { at } | Stage::Echoed { at, .. } => Some(at),
+        }
+    }
+
+    /// Somebody else's; those that said nothing yet come first.
+    pub(crate) fn is_guest(&self) -> Option<bool> {
+        self.at().is_none().then_some(!matches!(self, Stage::Knocking))
+    }
+}
+
+pub(crate) enum Step {
+    On(Stage),
+    Met(Card, Pulse),
+}
+
+pub(crate) struct Refusal {
+    pub(crate) why: String,
+    /// The other end is told, too.
+    pub(crate) tell: bool,
+}
+
+impl Refusal {
+    pub(crate) fn told(why: String) -> Refusal {
+        Refusal { why, tell: true }
+    }
+
+    fn untold(why: String) -> Refusal {
+        Refusal { why, tell: false }
+    }
+}
+
+/// The next step of a greeting.
+///
+/// # Errors
+/// The greeting is over, and why.
+pub(crate) fn step(
+    own: &Card,
+    socket: &OwnedFd,
+    stage: Stage,
+    said: Greeting,
+    files: Vec<OwnedFd>,
+) -> Result<Step, Refusal> {
+    let tell = |said: &Greeting, files: &[BorrowedFd<'_>]| {
+        send(socket.as_fd(), &[&said.encode()], files)
+            .map_err(|e| Refusal::untold(format!("it cannot be answered: {e}")))
+    };
+    let fits = |card: &Card| {
+        card.check().map_err(Refusal::told)?;
+        own.reaches(card).map_err(|e| Refusal::told(e.to_string()))
+    };
+    match (stage, said) {
+        (Stage::Knocking, Greeting::Hello { version, card }) => {
+            if version != VERSION {
+                return Err(Refusal::told(format!(
+                    "it greets in version {version}, this process in {VERSION}"
+                )));
+            }
+            fits(&card)?;
+            let page = random().and_then(|number| Pulse::create(words(number)));
+            let pulse = page.map_err(|e| Refusal::told(format!("no memory to share: {e}")))?;
+            let shared = pulse.fd().into_iter().collect::<Vec<_>>();
+            tell(&Greeting::Welcome { card: own.clone() }, &shared)?;
+            Ok(Step::On(Stage::Welcomed { card, pulse }))
+        }
+        (Stage::Calling { at }, Greeting::Welcome { card }) => {
+            fits(&card)?;
+            let page = files.into_iter().next().ok_or_else(|| {
+                Refusal::told("no memory came along: this process may open no more files".into())
+            })?;
+            let pulse =
+                Pulse::open(page).map_err(|e| Refusal::told(format!("the memory that came along: {e}")))?;
+            tell(&Greeting::Echo { nonce: pulse.nonce() }, &[])?;
+            Ok(Step::On(Stage::Echoed { at, card, pulse }))
+        }
+        (Stage::Welcomed { card, pulse }, Greeting::Echo { nonce }) => {
+            if nonce != pulse.nonce() {
+                return Err(Refusal::told("it does not see the memory it was given".into()));
+            }
+            tell(&Greeting::Ready, &[])?;
+            Ok(Step::Met(card, pulse))
+        }
+        (Stage::Echoed { card, pulse, .. }, Greeting::Ready) => Ok(Step::Met(card, pulse)),
+        (stage, Greeting::Refused { why }) if stage.at().is_some() => Err(Refusal::untold(plain(&why))),
+        (_, said) => Err(Refusal::told(format!("out of turn: {}", said.name()))),
+    }
+}
+
+pub(crate) fn refuse(socket: &OwnedFd, why: String) {
+    // Who does not listen is not told.
+    let _ = send(socket.as_fd(), &[&Greeting::Refused { why }.encode()], &[]);
+}
+
+/// Most characters of a sentence another process says.
+const SENTENCE: usize = 300;
+
+/// What another process says, for a log or a person: one line of bounded length.
+pub(crate) fn plain(said: &str) -> String {
+    let line = said.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
+    let mut text: String = line.take(SENTENCE).collect();
+    if said.chars().nth(SENTENCE).is_some() {
+        text.push('…');
+    }
+    text
+}
+
+fn words(bytes: [u8; 16]) -> [u64; 2] {
+    let (a, b) = bytes.split_at(8);
+    [a, b].map(|half| half.iter().fold(0, |word, byte| word << 8 | u64::from(*byte)))
+}

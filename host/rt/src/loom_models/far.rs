@@ -1,0 +1,102 @@
+//! Two ends of a link that share nothing but its memory: bells, and frames that are lent.
+
+use std::sync::Arc;
+
+use loom::sync::atomic::{AtomicU64, Ordering};
+use loom::thread;
+
+use super::{Plain, model};
+use crate::pool::{FramePool, PoolFile};
+use crate::region::{Layout, Region};
+use crate::stream::{FarPools, FarViews, Meta, Payload, Pushed, Queue, far_reader, far_writer};
+use crate::wake::{Waker, wait_any};
+
+#[test]
+fn loom_who_sleeps_on_a_waker_and_a_bell_misses_neither() {
+    model(|| {
+        let own = Arc::new(Waker::new());
+        let bells = [Arc::new(Waker::new())];
+        let brought = Arc::new((AtomicU64::new(0), AtomicU64::new(0)));
+        let (bell, there) = (Arc::clone(&bells[0]), Arc::clone(&brought));
+        let other = thread::spawn(move || {
+            there.0.store(1, Ordering::Relaxed);
+            bell.notify();
+        });
+        let (mine, here) = (Arc::clone(&own), Arc::clone(&brought));
+        let friend = thread::spawn(move || {
+            here.1.store(1, Ordering::Relaxed);
+            mine.notify();
+        });
+        let (mut rung, mut told) = (false, false);
+        while !(rung && told) {
+            wait_any(&own, &bells, None);
+            if bells[0].take() {
+                assert_eq!(brought.0.load(Ordering::Relaxed), 1, "a bell without what it was rung for");
+                rung = true;
+            }
+            // A notification of its own is used up by the wait: what it was for is there then, or this goes on for ever.
+            told |= brought.1.load(Ordering::Relaxed) == 1;
+        }
+        other.join().unwrap();
+        friend.join().unwrap();
+    });
+}
+
+/// A sample of another process is copied once: neither the copy nor what came with it is ever torn or of two samples.
+#[test]
+fn loom_a_sample_of_another_process_is_whole_and_stays() {
+    model(|| {
+        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(0));
+        let payload = Payload::Plain { bytes: 8 };
+        let region = Region::heap(Layout::measure(|l| far_writer(l, payload, Queue::Latest, &pools)));
+        let writer = far_writer(&mut Layout::fresh(&region), payload, Queue::Latest, &pools);
+        let mut reader = far_reader(&mut Layout::of_other_end(&region), payload, Queue::Latest, &views);
+        let other = thread::spawn(move || {
+            for seq in 1..=2u64 {
+                let _: Pushed = writer.push(&(seq * 10).to_ne_bytes(), Meta { stamp_ns: seq, seq });
+            }
+        });
+        for _ in 0..2 {
+            let Some(seq) = reader.next().map(|sample| sample.meta.seq) else { continue };
+            let now = reader.current().expect("what was seen stays");
+            assert_eq!((now.meta.seq, now.data), (seq, &(seq * 10).to_ne_bytes()[..]), "two samples in one");
+        }
+        other.join().unwrap();
+    });
+}
+
+/// What the reader saw of a frame comes before whatever is written into its slot afterwards, and every lease ends once.
+#[test]
+fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
+    model(|| {
+        let pool = FramePool::new(1, 8, 0).unwrap();
+        let file = Arc::clone(pool.file().unwrap());
+        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+        assert_eq!(pools.place_of(file.number()), Some(0));
+        assert!(views.know(0, PoolFile::numbered(file.number()).unwrap()));
+        let region = Region::heap(Layout::measure(|l| far_writer(l, Payload::Frame, Queue::Latest, &pools)));
+        let writer = far_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
+        let mut reader =
+            far_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
+        let content = Arc::new(Plain::new());
+        let theirs = Arc::clone(&content);
+        let other = thread::spawn(move || {
+            for _ in 0..2 {
+                if reader.next().is_some() {
+                    assert!(theirs.get() > 0);
+                    reader.release();
+                }
+            }
+        });
+        for seq in 1..=2 {
+            if let Some(writing) = pool.loan() {
+                content.set(seq);
+                let _: Pushed = writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, seq });
+            }
+        }
+        other.join().unwrap();
+        drop(writer);
+        assert!(pools.are_back(), "a lease was lost");
+        assert_eq!(pool.stats().free, 1, "a slot was lost");
+    });
+}

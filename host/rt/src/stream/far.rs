@@ -1,0 +1,279 @@
+//! What a link needs beside its places when its other end is in another process.
+//!
+//! Frames stay in their owner's memory: the writer lends each one under a number and keeps it until the reader has set that
+//! number's bit, or is gone with all it held. Plain samples are copied once, so that they stay as they are. Invariant: nothing
+//! the other process writes is used before it was checked here.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::slots::{Content, Located};
+use crate::buf::AlignedBuf;
+use crate::pool::{Frame, FramePool, PoolFile};
+use crate::region::{Layout, Table};
+use crate::sync::{AtomicU64, Ordering};
+use crate::wake::Waker;
+
+/// Frames one link can have lent at once.
+const LEASES: usize = 256;
+/// Frames a link can always have lent: the one that is looked at, and the newest. Beyond, it has two at most for each slot of their
+/// pool that is free, as a queue inside a process, so that a reader who gives none back stops nobody but itself.
+const ALWAYS: usize = 3;
+/// Pools whose frames one link can carry in its life.
+pub const POOLS_PER_LINK: usize = 16;
+
+fn returned(layout: &mut Layout) -> Table<AtomicU64> {
+    layout.table(LEASES / 64, |_| AtomicU64::new(0))
+}
+
+/// The pools whose frames this link carries, by their place on it. The writer gives a pool its place with its first frame; a
+/// manager tells the other end, which leaves the frame where it is until then.
+#[derive(Default)]
+pub struct FarPools {
+    /// Numbers of pools by their place on the link; 0 = none.
+    known: [AtomicU64; POOLS_PER_LINK],
+    /// Frames of one pool too many came, and were not sent: 1.
+    overflowed: AtomicU64,
+    left: Mutex<Left>,
+    /// Rung when a pool got its place.
+    bell: Option<Arc<Waker>>,
+}
+
+/// What there is to wait for when a link goes.
+#[derive(Default)]
+enum Left {
+    #[default]
+    Writer,
+    /// The writer is gone, and the reader holds some of these.
+    Frames(Lending),
+    Nothing,
+}
+
+impl FarPools {
+    /// Rings this bell whenever there is a pool to be told of.
+    pub fn ringing(bell: Arc<Waker>) -> Arc<Self> {
+        Arc::new(Self { bell: Some(bell), ..Self::default() })
+    }
+
+    /// The place of the pool with this number: its own, or the next free one. For the writer, or before there is one.
+    pub fn place_of(&self, number: u64) -> Option<u32> {
+        for (place, known) in self.known.iter().enumerate() {
+            match known.load(Ordering::Relaxed) {
+                0 => {
+                    known.store(number, Ordering::Release);
+                    if let Some(bell) = &self.bell {
+                        bell.notify();
+                    }
+                }
+                other if other != number => continue,
+                _ => {}
+            }
+            return Some(place as u32);
+        }
+        self.overflowed.store(1, Ordering::Relaxed);
+        None
+    }
+
+    /// The number of the pool in this place.
+    pub fn at(&self, place: usize) -> Option<u64> {
+        let number = self.known.get(place)?.load(Ordering::Acquire);
+        (number != 0).then_some(number)
+    }
+
+    /// Whether the writer is gone and the reader has let go of every frame it had. Until then they stay as they are, unless this is
+    /// dropped. Managers only.
+    pub fn are_back(&self) -> bool {
+        let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Left::Frames(lending) = &mut *left {
+            lending.collect();
+            if lending.has_all() {
+                *left = Left::Nothing;
+            }
+        }
+        matches!(*left, Left::Nothing)
+    }
+
+    /// The writer goes; what was lent stays lent.
+    pub(super) fn keep(&self, mut lending: Lending) {
+        // It is in here from now on.
+        lending.pools = Arc::default();
+        let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
+        *left = Left::Frames(lending);
+    }
+
+    /// Frames came for whose pool there is no place left: the link has to be made anew.
+    pub fn has_overflowed(&self) -> bool {
+        self.overflowed.load(Ordering::Relaxed) != 0
+    }
+}
+
+/// The writer's books of the frames it has lent.
+pub(super) struct Lending {
+    /// By lease.
+    lent: Box<[Option<Frame>]>,
+    free: Vec<u32>,
+    /// The lease of the frame in each place.
+    places: Box<[Option<u32>]>,
+    /// A bit for each lease the reader has done with.
+    returned: Table<AtomicU64>,
+    pools: Arc<FarPools>,
+}
+
+impl Lending {
+    pub(super) fn lay_out(layout: &mut Layout, places: usize, pools: &Arc<FarPools>) -> Self {
+        Self {
+            lent: (0..LEASES).map(|_| None).collect(),
+            free: (0..LEASES as u32).rev().collect(),
+            places: vec![None; places].into(),
+            returned: returned(layout),
+            pools: Arc::clone(pools),
+        }
+    }
+
+    pub(super) fn pools(&self) -> &Arc<FarPools> {
+        &self.pools
+    }
+
+    fn has_all(&self) -> bool {
+        self.free.len() == self.lent.len()
+    }
+
+    /// Takes back what the reader has done with. No allocation: there is room for every lease.
+    pub(super) fn collect(&mut self) {
+        for at in 0..self.returned.len() {
+            if self.returned[at].load(Ordering::Relaxed) == 0 {
+                continue;
+            }
+            // Acquire: the reader has read before the frame is written anew.
+            let mut bits = self.returned[at].swap(0, Ordering::Acquire);
+            while bits != 0 {
+                self.end(at as u32 * 64 + bits.trailing_zeros());
+                bits &= bits - 1;
+            }
+        }
+    }
+
+    /// Lends a frame; `None` when too many are out, or there is no place for its pool.
+    pub(super) fn lend(&mut self, frame: Frame) -> Option<Located> {
+        let (number, slot) = frame.location();
+        let pool = self.pools.place_of(number)?;
+        let out = LEASES - self.free.len();
+        if out >= ALWAYS && !frame.pool_has_free(out.div_ceil(2) as u64) {
+            return None;
+        }
+        let lease = self.free.pop()?;
+        let located = Located { lease, pool, slot: u64::from(slot), len: frame.bytes().len() as u64 };
+        self.lent[lease as usize] = Some(frame);
+        Some(located)
+    }
+
+    /// The frame was put into this place. What the reader took out of it before is lent on.
+    pub(super) fn put(&mut self, place: usize, lease: u32) {
+        self.places[place] = Some(lease);
+    }
+
+    /// A place comes back to the writer; nobody saw what was in it, or the reader has it.
+    pub(super) fn came_back(&mut self, place: usize, unseen: bool) {
+        if let Some(lease) = self.places[place].take()
+            && unseen
+        {
+            self.end(lease);
+        }
+    }
+
+    /// A number that is not out, or comes twice, is nothing.
+    pub(super) fn end(&mut self, lease: u32) {
+        if self.lent.get_mut(lease as usize).is_some_and(|lent| lent.take().is_some()) {
+            self.free.push(lease);
+        }
+    }
+}
+
+/// How samples of another process come to be here.
+pub(super) enum Arriving {
+    Plain(PrivateCopy),
+    Frames(Arc<FramePool>, Arc<FarViews>),
+}
+
+/// What came of a look at a sample of another process.
+pub(super) enum Admitted {
+    Frame(Frame),
+    /// Its pool is not mapped yet.
+    Later,
+    /// It cannot be what it is said to be.
+    Never,
+}
+
+impl Arriving {
+    pub(super) fn plain(bytes: usize) -> Self {
+        Arriving::Plain(PrivateCopy { bytes, copy: AlignedBuf::new(bytes) })
+    }
+
+    pub(super) fn frames(layout: &mut Layout, views: &Arc<FarViews>) -> Self {
+        Arriving::Frames(FramePool::borrowed(LEASES as u32, returned(layout), views), Arc::clone(views))
+    }
+
+    /// The frame of a sample, where what describes it can be true.
+    pub(super) fn admit(pool: &Arc<FramePool>, views: &FarViews, content: &Content) -> Admitted {
+        let Located { lease, pool: view, slot, len } = content.frame;
+        if views.is_awaited(view) {
+            return Admitted::Later;
+        }
+        let (Ok(slot), Ok(len)) = (u32::try_from(slot), usize::try_from(len)) else { return Admitted::Never };
+        pool.admit(lease, view, slot, len).map_or(Admitted::Never, Admitted::Frame)
+    }
+}
+
+/// A sample that the other process cannot change any more.
+pub(super) struct PrivateCopy {
+    bytes: usize,
+    copy: AlignedBuf,
+}
+
+impl PrivateCopy {
+    /// False for a sample that has not the link's size.
+    pub(super) fn take(&mut self, data: &[u8]) -> bool {
+        if data.len() != self.bytes {
+            return false;
+        }
+        self.copy.as_mut_slice()[..data.len()].copy_from_slice(data);
+        true
+    }
+
+    pub(super) fn data(&self) -> &[u8] {
+        // SAFETY: `bytes` of the block are initialised, and written only through `&mut self`.
+        unsafe { std::slice::from_raw_parts(self.copy.at(0), self.bytes) }
+    }
+}
+
+/// The pools of another process, as the reader finds frames in them. A manager makes the entries; none is ever changed.
+pub struct FarViews {
+    header_bytes: usize,
+    views: [std::sync::OnceLock<Arc<PoolFile>>; POOLS_PER_LINK],
+}
+
+impl FarViews {
+    /// For frames with headers of this length.
+    pub fn new(header_bytes: usize) -> Arc<Self> {
+        Arc::new(Self { header_bytes, views: Default::default() })
+    }
+
+    /// The other end's pool of this place. False for a place that is taken or does not exist, and for headers of another
+    /// length.
+    pub fn know(&self, place: usize, file: Arc<PoolFile>) -> bool {
+        let fits = file.header_bytes() == self.header_bytes;
+        fits && self.views.get(place).is_some_and(|view| view.set(file).is_ok())
+    }
+
+    /// The other end has not told of a pool of this place yet.
+    fn is_awaited(&self, place: u32) -> bool {
+        self.views.get(place as usize).is_some_and(|view| view.get().is_none())
+    }
+
+    pub(crate) fn get(&self, place: u32) -> Option<&Arc<PoolFile>> {
+        self.views.get(place as usize)?.get()
+    }
+
+    pub(crate) fn header_bytes(&self) -> usize {
+        self.header_bytes
+    }
+}

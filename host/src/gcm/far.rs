@@ -1,0 +1,266 @@
+//! Connections between two processes: both LCMs are told of both ends; they link them by themselves.
+//!
+//! Invariant: either both have their half or none, and the server's is there first, so that its client finds it. While a process is
+//! away its half counts as gone; what it still has when it comes back, and should not, is cut.
+
+use std::time::{Duration, Instant};
+
+use trocar_links::Card;
+use trocar_model::{
+    Change, Connection, ConnectionId, End, Name, Plan, PortId, ProcessState, Proxy, Refusal, Request,
+    SystemGraph,
+};
+
+use super::Gcm;
+use super::execute::UNDO;
+use super::manager::lock;
+use super::sessions::{Registration, Sessions};
+use crate::lcm::{FarEnd, Report};
+
+/// Time to link again what a process that was away has lost.
+const AGAIN: Duration = Duration::from_secs(5);
+
+impl Gcm {
+    /// Has both halves made and linked.
+    pub(super) async fn link(&self, connection: &Connection, deadline: Instant) -> Result<Report, Refusal> {
+        let graph = self.graph();
+        let (client, server) = (&connection.client, &connection.server);
+        let of_client = self.end(&graph, connection, client)?;
+        let of_server = self.end(&graph, connection, server)?;
+        let card = Some(of_server.card.clone());
+        let at_server = self.lcm_of(&server.component.process)?;
+        let at_client = self.lcm_of(&client.component.process)?;
+        at_server.link(of_client, deadline).await?;
+        let linked = tokio::select! {
+            linked = at_client.link(of_server, deadline) => linked,
+            // Its client would wait for it until the deadline, and whoever makes that process anew for both.
+            away = self.away(&server.component.process, card) => Err(away),
+        };
+        let Err(refusal) = linked else { return linked };
+        for (lcm, end) in [(at_client, client), (at_server, server)] {
+            let undo = Change::Disconnect { connection: connection.clone(), replaced: false };
+            let process = &end.component.process;
+            match lcm.apply(undo, Instant::now() + UNDO).await {
+                // A half that was not made, or went with its process.
+                Ok(_) | Err(Refusal::ConnectionNotFound { .. } | Refusal::ProcessLost { .. }) => {}
+                Err(undone) => log::error!("undoing connection {} at {process}: {undone}", connection.id.0),
+            }
+        }
+        Err(refusal)
+    }
+
+    /// Ends when the incarnation of a process that can be reached so does not answer any more.
+    async fn away(&self, process: &Name, card: Option<Card>) -> Refusal {
+        let mut graphs = self.watch();
+        // It lives as long as this GCM.
+        let _ = graphs.wait_for(|_| lock(&self.inner.sessions).card(process) != card).await;
+        Refusal::ProcessLost { process: process.clone() }
+    }
+
+    /// Has both halves taken away: the client's first, whose component may still call. The half of a process that is away is gone.
+    pub(super) async fn unlink(
+        &self,
+        connection: &Connection,
+        replaced: bool,
+        deadline: Instant,
+    ) -> Result<Report, Refusal> {
+        let change = || Change::Disconnect { connection: connection.clone(), replaced };
+        let mut told = None;
+        for end in [&connection.client, &connection.server] {
+            let done = match self.lcm_of(&end.component.process) {
+                Ok(lcm) => lcm.apply(change(), deadline).await,
+                Err(away) => Err(away),
+            };
+            match (done, told.take()) {
+                (Ok(_), Some(Ok(first))) => told = Some(Ok(first)),
+                (Ok(report), _) => told = Some(Ok(report)),
+                // It went with its component, or with its process.
+                (
+                    Err(
+                        refusal @ (Refusal::ConnectionNotFound { .. }
+                        | Refusal::ProcessLost { .. }
+                        | Refusal::ProcessNotFound { .. }),
+                    ),
+                    first,
+                ) => told = first.or(Some(Err(refusal))),
+                (Err(refusal), _) => return Err(refusal),
+            }
+        }
+        told.unwrap_or_else(|| Err(Refusal::Internal { text: "a connection without ends".into() }))
+    }
+
+    /// Has those connections of a process linked of which a half is missing, although both processes are there: one of them was
+    /// away while the other half was made.
+    pub(super) async fn link_missing(self, process: Name) {
+        let deadline = Instant::now() + AGAIN;
+        let missing: Vec<Connection> = {
+            let graph = self.graph();
+            let mine = graph.connections.values().filter(|c| c.ends_in(&process));
+            mine.filter(|c| is_missing(&graph, c)).cloned().collect()
+        };
+        for connection in missing {
+            let (client, server) = (connection.client.clone(), connection.server.clone());
+            let part = [Request::Connect { client, server, options: connection.options.clone() }];
+            let claim = self.claim_part(&part, deadline, |_| Ok(Plan::default())).await;
+            let linked = match claim {
+                Ok(_claim) if !is_missing(&self.graph(), &connection) => Ok(()),
+                Ok(_claim) => self.link(&connection, deadline).await.map(|_| ()),
+                Err(refusal) => Err(refusal),
+            };
+            if let Err(refusal) = linked {
+                log::error!("connection {} is not linked again: {refusal}", connection.id.0);
+                self.not_linked(&connection, &refusal).await;
+            }
+        }
+    }
+
+    /// Shows why a connection that is to be has no halves.
+    pub(super) async fn not_linked(&self, connection: &Connection, refusal: &Refusal) {
+        let ends = [End::Client, End::Server].map(|end| (end, &connection.port(end).component.process));
+        for (_, process) in ends {
+            // The end of a half that was made for nothing would cover it.
+            self.hear_out(process).await;
+        }
+        self.edit(|graph| {
+            let SystemGraph { proxies, connections, .. } = graph;
+            // What was said of connections that have gone since.
+            proxies.retain(|(id, _), half| !half.carrier.is_empty() || connections.contains_key(id));
+            if !connections.contains_key(&connection.id) {
+                return;
+            }
+            for (end, process) in ends {
+                let why = refusal.to_string();
+                let none = Proxy { process: process.clone(), epoch: 0, why, carrier: String::new() };
+                proxies.entry((connection.id, end)).or_insert(none);
+            }
+        });
+    }
+
+    /// Has halves cut that no connection is known of. Not waited for.
+    pub(super) fn cut_strays(&self, strays: Vec<(Name, Connection)>) {
+        for (process, connection) in strays {
+            let Ok(lcm) = self.lcm_of(&process) else { continue };
+            let number = connection.id.0;
+            log::warn!(
+                "process {process} still has its half of connection {number}, which is gone: it is cut"
+            );
+            tokio::spawn(async move {
+                let cut = Change::Disconnect { connection, replaced: false };
+                match lcm.apply(cut, Instant::now() + UNDO).await {
+                    Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
+                    Err(refusal) => {
+                        log::error!("the half of connection {number} at {process} cannot be cut: {refusal}");
+                    }
+                }
+            });
+        }
+    }
+
+    /// What the other process has to know of one end.
+    fn end(&self, graph: &SystemGraph, connection: &Connection, end: &PortId) -> Result<FarEnd, Refusal> {
+        let ports = graph.component(&end.component)?.ports.clone();
+        Ok(FarEnd {
+            connection: connection.clone(),
+            ports,
+            card: self.card_of(connection, &end.component.process)?,
+        })
+    }
+
+    fn card_of(&self, connection: &Connection, process: &Name) -> Result<Card, Refusal> {
+        // One that is not heard now has told nothing that is still true.
+        self.lcm_of(process)?;
+        let card = lock(&self.inner.sessions).card(process);
+        card.ok_or_else(|| Refusal::Unreachable {
+            client: connection.client.clone(),
+            server: connection.server.clone(),
+            why: format!("process {process} listens for no other process: it runs without a state directory"),
+        })
+    }
+}
+
+/// The process of the other end.
+fn other<'c>(connection: &'c Connection, process: &Name) -> &'c Name {
+    match &connection.client.component.process {
+        client if client == process => &connection.server.component.process,
+        client => client,
+    }
+}
+
+/// Both processes are there, and not both have their half.
+fn is_missing(graph: &SystemGraph, connection: &Connection) -> bool {
+    let attached =
+        |process: &Name| graph.processes.get(process).is_some_and(|p| p.state == ProcessState::Attached);
+    // One without a carrier only says why there is none.
+    let is_half =
+        |((id, _), half): &(&(ConnectionId, End), &Proxy)| *id == connection.id && !half.carrier.is_empty();
+    let told = graph.proxies.iter().filter(is_half).count();
+    graph.connections.contains_key(&connection.id)
+        && !connection.is_near()
+        && [&connection.client, &connection.server].iter().all(|end| attached(&end.component.process))
+        && told < 2
+}
+
+/// Decides which connections to other processes a process has that registers. What this GCM has decided before counts; what comes
+/// from one before it counts as soon as both processes have brought it along. Answers the halves to be cut, by process.
+pub(super) fn settle(
+    sessions: &mut Sessions,
+    graph: &mut SystemGraph,
+    who: &Registration,
+) -> Vec<(Name, Connection)> {
+    let me = &who.process;
+    let mut strays = Vec::new();
+    let ends_known = |graph: &SystemGraph, c: &Connection| {
+        [&c.client, &c.server].iter().all(|end| graph.components.contains_key(&end.component))
+    };
+    let far = |c: &&Connection| !c.is_near() && c.ends_in(me);
+    let without: Vec<Connection> =
+        graph.connections.values().filter(far).filter(|c| !ends_known(graph, c)).cloned().collect();
+    for connection in without {
+        graph.connections.remove(&connection.id);
+        graph.revision += 1;
+        strays.push((other(&connection, me).clone(), connection));
+    }
+    let mut brought = Vec::new();
+    for connection in who.slice.connections.iter().filter(far) {
+        graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
+        let ends = |c: &Connection| {
+            c.id == connection.id && c.client == connection.client && c.server == connection.server
+        };
+        if graph.connections.get(&connection.id).is_some_and(ends) {
+            continue;
+        }
+        let peer = other(connection, me);
+        if !sessions.knows(peer) {
+            brought.push(connection.clone());
+            continue;
+        }
+        let theirs = sessions.brought.entry(peer.clone()).or_default();
+        let agreed = theirs.iter().position(ends).map(|at| theirs.swap_remove(at)).is_some();
+        let free =
+            !graph.connections.contains_key(&connection.id) && graph.source_of(&connection.client).is_none();
+        if agreed && free && ends_known(graph, connection) {
+            graph.connections.insert(connection.id, connection.clone());
+            continue;
+        }
+        strays.push((me.clone(), connection.clone()));
+        if agreed {
+            strays.push((peer.clone(), connection.clone()));
+        }
+    }
+    sessions.brought.insert(me.clone(), brought);
+    strays.extend(awaited(sessions, me));
+    strays
+}
+
+/// Takes out what others have brought along of connections to a process: it does not have them, or does not come any more.
+pub(super) fn awaited(sessions: &mut Sessions, process: &Name) -> Vec<(Name, Connection)> {
+    let mut strays = Vec::new();
+    for (other, theirs) in sessions.brought.iter_mut().filter(|(other, _)| *other != process) {
+        let (mine, left): (Vec<_>, Vec<_>) =
+            std::mem::take(theirs).into_iter().partition(|c| c.ends_in(process));
+        *theirs = left;
+        strays.extend(mine.into_iter().map(|connection| (other.clone(), connection)));
+    }
+    sessions.brought.retain(|_, theirs| !theirs.is_empty());
+    strays
+}

@@ -1,0 +1,109 @@
+//! A command that waits for its server's own thread: put into a queue, its answer awaited where one is wanted.
+//!
+//! Invariant: a call is answered, or its deadline ends it; whoever ends the server answers what is queued, and whoever queues looks
+//! once more afterwards.
+
+use std::sync::Arc;
+
+use trocar_plugin_api::abi::{CallOpts, DEADLINE, MODE_CALL, Outcome, QUEUE_FULL, QUEUED};
+use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
+use trocar_rt::os;
+use trocar_rt::reply::{Reply, ReplyPool};
+
+use super::super::inbox::ENTRY_COMMAND;
+use super::super::pending;
+use super::call::write_err;
+
+/// One command of one connection: where it lies in the queue and what it carries.
+pub(in crate::lcm) struct Lane {
+    /// Position in the queue's table.
+    pub(in crate::lcm) index: u32,
+    pub(in crate::lcm) arg_bytes: usize,
+    pub(in crate::lcm) ret_bytes: usize,
+    pub(in crate::lcm) overflow: Overflow,
+}
+
+/// A queue into a server, wherever that is.
+pub(super) trait Destination {
+    fn mailbox(&self) -> &Mailbox;
+    fn replies(&self) -> &Arc<ReplyPool>;
+    /// Tells its thread that something is there.
+    fn signal(&self);
+    /// As above, and at once: the queue is full, and the caller may try again in this very step.
+    fn signal_now(&self);
+    /// After something was queued.
+    fn queued(&self) {}
+    /// Why the queue takes nothing any more.
+    fn closed(&self) -> Outcome;
+    /// Why the server would not run it now; `None`: it would.
+    fn away(&self) -> Option<Outcome>;
+}
+
+/// Queues a call and, in the mode that asks for it, waits for the answer. `arg` and `ret` have the lane's sizes. Real-time unless it
+/// waits.
+pub(super) fn queue(
+    to: &impl Destination,
+    lane: &Lane,
+    arg: *const u8,
+    ret: *mut u8,
+    mode: u32,
+    deadline_ns: u64,
+    opts: Option<&mut CallOpts>,
+) -> Outcome {
+    pending::publish();
+    let ticket = if mode == MODE_CALL {
+        match to.replies().acquire() {
+            Some(ticket) => Some(ticket),
+            None => return QUEUE_FULL,
+        }
+    } else {
+        None
+    };
+    let reply = ticket.as_ref().map_or(0, |t| t.token());
+    let head = EntryHead { kind: ENTRY_COMMAND, index: lane.index, reply, stamp_ns: 0 };
+    let payload: &[u8] = if lane.arg_bytes == 0 {
+        &[]
+    } else {
+        // SAFETY: the caller lends an argument of the command's type, whose size was fixed when bound.
+        unsafe { std::slice::from_raw_parts(arg, lane.arg_bytes) }
+    };
+    match to.mailbox().push(head, payload, lane.overflow) {
+        Push::Queued => {}
+        Push::Full => {
+            to.signal_now();
+            return QUEUE_FULL;
+        }
+        Push::TooLong => return QUEUE_FULL,
+        Push::Closed => return to.closed(),
+        Push::DroppedOldest(old) => {
+            to.replies().fail(old.reply, QUEUE_FULL);
+        }
+    }
+    to.signal();
+    to.queued();
+    let Some(ticket) = ticket else { return QUEUED };
+    if let Some(why) = to.away() {
+        // Stopped since it was asked, perhaps on a thread that is held up: whoever stopped it may have looked into the
+        // queue before this was there.
+        to.replies().fail(ticket.token(), why);
+    }
+    let ret_bytes = lane.ret_bytes;
+    let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
+    let reply = ticket.wait(os::now_ns().saturating_add(deadline_ns), |value, text| {
+        if ret_bytes > 0 {
+            // SAFETY: `ret` has room for the result type; reply cells are made at least that large.
+            unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), ret, ret_bytes.min(value.len())) };
+        }
+        write_err(err, text);
+    });
+    match reply {
+        Reply::Done(outcome) => outcome,
+        Reply::DeadlineNotStarted => DEADLINE,
+        Reply::DeadlineMayRun => {
+            if let Some(opts) = opts {
+                opts.may_still_run = 1;
+            }
+            DEADLINE
+        }
+    }
+}

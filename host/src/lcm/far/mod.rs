@@ -1,0 +1,22 @@
+//! Connections to components of other processes of this machine.
+//!
+//! One end of such a connection is a [`Half`]: it stands as long as the GCM wants the connection, and is linked to the other one while
+//! both processes live. Invariant: halves are changed by one thread, `trocar-far`; that a process is gone is noted at once by whoever
+//! notices, and what follows from it is done there.
+
+mod asks;
+mod face;
+mod half;
+mod manager;
+mod pools;
+mod serving;
+mod terms;
+mod wires;
+mod words;
+mod worker;
+
+pub(super) use asks::Asking;
+pub(super) use face::{Face, Standing};
+pub(super) use half::{Half, Role};
+pub(super) use manager::Far;
+pub(super) use wires::Here;

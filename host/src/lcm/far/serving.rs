@@ -1,0 +1,122 @@
+//! Answers the reads other processes have to ask for.
+//!
+//! Invariant: a read that does not come back holds up the questions of its own connection only, and those run into their deadlines.
+
+use std::os::fd::BorrowedFd;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Weak};
+
+use trocar_links::Session;
+use trocar_plugin_api::abi::{INVALID_ARGUMENT, NOT_ACTIVE};
+use trocar_rt::os;
+
+use super::super::boundary::{ERR_BYTES, RangeCheck, Reader, read_published};
+use super::super::instance::Instance;
+use super::words::Words;
+
+/// Questions that may wait.
+const DEPTH: usize = 64;
+
+/// A read a client may ask for.
+pub(super) struct Served {
+    /// Its place among the functions of the connection.
+    pub(super) index: u32,
+    pub(super) from: Reader,
+    pub(super) arg_bytes: usize,
+    pub(super) range: Option<RangeCheck>,
+    pub(super) ret_bytes: usize,
+}
+
+/// One question.
+pub(super) struct Question {
+    pub(super) number: u64,
+    pub(super) index: u32,
+    /// Nobody waits for the answer after this, ns.
+    pub(super) until_ns: u64,
+    pub(super) arg: Vec<u8>,
+}
+
+/// Where the questions of one link are answered, on a thread of its own; it ends with this.
+pub(super) struct Desk(Option<SyncSender<Question>>);
+
+impl Desk {
+    pub(super) fn open(
+        server: &Arc<Instance>,
+        session: &Arc<Session>,
+        (connection, epoch): (u64, u64),
+        served: Vec<Served>,
+    ) -> Desk {
+        // Most connections have reads that are published only.
+        if served.is_empty() {
+            return Desk(None);
+        }
+        let (ask, asked) = sync_channel(DEPTH);
+        let clerk =
+            Clerk { server: Arc::downgrade(server), session: session.clone(), connection, epoch, served };
+        match std::thread::Builder::new().name("trocar-reads".into()).spawn(move || clerk.run(&asked)) {
+            Ok(_) => Desk(Some(ask)),
+            Err(e) => {
+                log::error!(
+                    "{}: reads of other processes are not answered: no thread for it: {e}",
+                    server.id
+                );
+                Desk(None)
+            }
+        }
+    }
+
+    /// Takes a question; one too many is not answered.
+    pub(super) fn ask(&self, question: Question) {
+        if let Some(desk) = &self.0 {
+            let _ = desk.try_send(question);
+        }
+    }
+}
+
+struct Clerk {
+    server: Weak<Instance>,
+    session: Arc<Session>,
+    connection: u64,
+    epoch: u64,
+    served: Vec<Served>,
+}
+
+impl Clerk {
+    fn run(&self, asked: &Receiver<Question>) {
+        while let Ok(question) = asked.recv() {
+            if question.until_ns > os::now_ns() {
+                self.answer(&question);
+            }
+        }
+    }
+
+    fn answer(&self, question: &Question) {
+        let (mut value, mut text) = (Vec::new(), vec![0; ERR_BYTES]);
+        let mut told = (INVALID_ARGUMENT, 0, 0);
+        if let Some(served) = self.served.iter().find(|served| served.index == question.index)
+            && question.arg.len() == served.arg_bytes
+            && served.range.as_ref().is_none_or(|range| range.holds_in(&question.arg))
+        {
+            value = vec![0; served.ret_bytes];
+            told = match self.server.upgrade() {
+                Some(server) => {
+                    let read = read_published(&server, &served.from, &question.arg, &mut value, &mut text);
+                    (read.outcome, read.stamp_ns, read.text_bytes)
+                }
+                None => (NOT_ACTIVE, 0, 0),
+            };
+        }
+        let (outcome, stamp_ns, text_bytes) = told;
+        let words = Words::Told {
+            connection: self.connection,
+            epoch: self.epoch,
+            number: question.number,
+            outcome,
+            stamp_ns,
+            value_bytes: value.len() as u32,
+        };
+        value.extend_from_slice(&text[..text_bytes]);
+        // Whoever asked has its deadline.
+        let _ = self.session.send(&words.encode(&value), &[] as &[BorrowedFd<'_>]);
+    }
+}

@@ -1,0 +1,146 @@
+//! What both ends of a connection work out for themselves from what they were told of each other: sizes, and the hash that shows
+//! that they agree.
+//!
+//! Invariant: the same ports and options give the same terms in every process.
+
+use sha2::{Digest, Sha256};
+use trocar_model::{
+    Binding, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Queue, Refusal, Type, bindings,
+};
+use trocar_rt::segment::{CallShape, StreamShape};
+use trocar_rt::stream::{self, DropPolicy, Payload};
+
+use super::super::boundary::{ERR_BYTES, Shape};
+use super::super::connect::{MAILBOX_DEPTH, REPLY_CELLS};
+use super::super::convert::back;
+
+pub(in crate::lcm) struct Terms {
+    pub(super) hash: u64,
+    pub(super) way: Way,
+}
+
+pub(super) enum Way {
+    Stream {
+        input: usize,
+        output: usize,
+        ty: PortType,
+        shape: StreamShape,
+        depth: usize,
+        adapt: Option<(Vec<CopyRun>, usize)>,
+    },
+    Calls {
+        binding: Binding,
+        shape: CallShape,
+    },
+}
+
+pub(super) fn size(ty: Option<&Type>) -> usize {
+    ty.map_or(0, Type::size)
+}
+
+/// Reads whose results the server's process publishes: the others have to be asked for.
+pub(super) fn is_published(command: &Command) -> bool {
+    command.kind == CommandKind::Read && command.arg.is_none()
+}
+
+/// The commands of a server, by ABI id.
+pub(super) fn commands(server: &Ports) -> Vec<&Command> {
+    server.provided.iter().flat_map(|p| &p.commands).collect()
+}
+
+impl Terms {
+    /// # Errors
+    /// The mismatch refusals of `model::bindings`.
+    pub(in crate::lcm) fn of(
+        connection: &Connection,
+        client: &Ports,
+        server: &Ports,
+    ) -> Result<Terms, Refusal> {
+        let options = &connection.options;
+        match bindings(client, &connection.client, server, &connection.server, options)? {
+            Link::Stream { input, output, adapt } => {
+                stream(connection, client, server, (input, output, adapt))
+            }
+            Link::Interface { binding, .. } => Ok(calls(connection, client, server, binding)),
+        }
+    }
+}
+
+fn stream(
+    connection: &Connection,
+    client: &Ports,
+    server: &Ports,
+    (input, output, adapt): (usize, usize, bool),
+) -> Result<Terms, Refusal> {
+    let (to, from) = (&client.inputs[input], &server.outputs[output]);
+    let ty = match (&from.ty, &to.ty) {
+        (PortType::Any, PortType::Any) => {
+            return Err(Refusal::TypeMismatch {
+                client: connection.client.clone(),
+                server: connection.server.clone(),
+                what: "samples".into(),
+                difference: "neither end has a type, and they are in two processes: give one of them a type"
+                    .into(),
+            });
+        }
+        (PortType::Any, typed) => typed.clone(),
+        (typed, _) => typed.clone(),
+    };
+    let adapt = match (&ty, &to.ty) {
+        (PortType::Plain(from), PortType::Plain(to)) if adapt => {
+            to.copy_plan(from).map(|plan| (plan, to.size()))
+        }
+        _ => None,
+    };
+    let queue = match connection.options.queue.unwrap_or(to.default_queue()) {
+        Queue::Latest => stream::Queue::Latest,
+        Queue::Fifo { depth, drop_oldest } => stream::Queue::Fifo {
+            depth,
+            drop: if drop_oldest { DropPolicy::DropOldest } else { DropPolicy::DropNewest },
+        },
+    };
+    let depth = if let stream::Queue::Fifo { depth, .. } = queue { depth } else { 1 };
+    let kind = Shape::of(&ty);
+    let payload = if kind.frame { Payload::Frame } else { Payload::Plain { bytes: kind.bytes } };
+    let hash = hash([back::port(&ty), format!("{payload:?} {queue:?}")]);
+    let shape = StreamShape { payload, queue };
+    Ok(Terms { hash, way: Way::Stream { input, output, ty, shape, depth, adapt } })
+}
+
+fn calls(connection: &Connection, client: &Ports, server: &Ports, binding: Binding) -> Terms {
+    let all = commands(server);
+    let bound: Vec<&Command> = binding.functions.iter().map(|(_, command)| all[*command]).collect();
+    let events: Vec<_> = server.provided.iter().flat_map(|p| &p.events).collect();
+    let heard: Vec<_> = binding.handlers.iter().map(|(_, event)| events[*event]).collect();
+    let arg = |c: &&Command| size(c.arg.as_ref().map(|a| &a.ty));
+    let shape = CallShape {
+        depth: connection.options.mailbox.unwrap_or(MAILBOX_DEPTH),
+        commands: bound.len(),
+        arg_bytes: bound.iter().map(arg).max().unwrap_or(0),
+        reply_cells: REPLY_CELLS,
+        ret_bytes: bound.iter().map(|c| size(c.ret.as_ref())).max().unwrap_or(0),
+        text_bytes: ERR_BYTES,
+        event_bytes: heard.iter().map(|e| size(e.payload.as_ref())).max().unwrap_or(0),
+        reads: bound.iter().filter(|c| is_published(c)).map(|c| size(c.ret.as_ref())).collect(),
+    };
+    let functions: Vec<_> = client.required.iter().flat_map(|r| &r.functions).collect();
+    let handlers: Vec<_> = client.required.iter().flat_map(|r| &r.handlers).collect();
+    let calls = binding.functions.iter().zip(&bound);
+    let said = calls.map(|((f, _), c)| format!("{}={}", functions[*f].name, back::command(c)));
+    let hears = binding.handlers.iter().zip(&heard);
+    let told = hears.map(|((h, _), e)| {
+        let payload = e.payload.clone().map(PortType::Plain);
+        format!("{}={}{}", handlers[*h].name, e.name, payload.as_ref().map_or(String::new(), back::port))
+    });
+    let hash = hash(said.chain(told).chain([format!("{shape:?}")]));
+    Terms { hash, way: Way::Calls { binding, shape } }
+}
+
+fn hash(parts: impl IntoIterator<Item = String>) -> u64 {
+    let mut all = Sha256::new();
+    for part in parts {
+        all.update((part.len() as u64).to_le_bytes());
+        all.update(part.as_bytes());
+    }
+    all.finalize().first_chunk().map_or(0, |first| u64::from_le_bytes(*first))
+}

@@ -1,0 +1,522 @@
+//! What stands while both halves of a connection are linked: cells bound, queues and bells in place.
+//!
+//! Invariant: as for connections inside the process, every wire can be cut at any moment: callers inside finish on the old binding,
+//! later ones see UNBOUND. What is queued is answered.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use trocar_model::{Binding, Connection, CopyRun, PortType, Ports};
+use trocar_plugin_api::abi::PEER_LOST;
+use trocar_rt::segment::{Agreed, FarCalls, ServedCalls, Stream};
+use trocar_rt::stream::{FarPools, FarViews, StreamCounters, StreamReader, StreamWriter};
+use trocar_rt::wake::Waker;
+
+use super::super::api::LinkDetail;
+use super::super::boundary::{
+    Consumer, DEFAULT_DEADLINE_NS, EventCell, EventSink, FarCommand, FarEvents, FarHandler, FarRead,
+    FarServer, FarSource, FnBinding, FnCell, InCell, InLink, Newest, OutCell, OutLink, RangeCheck, Reader,
+};
+use super::super::connect::lane;
+use super::super::convert::back;
+use super::super::dynamic::PortSet;
+use super::super::executor::Executor;
+use super::super::inbox::{Check, Inbox};
+use super::super::instance::{Instance, Loss};
+use super::asks::Asks;
+use super::face::{Face, Shown};
+use super::serving::{Desk, Served};
+use super::terms::{Way, commands, is_published, size};
+use trocar_rt::os;
+
+/// A component of this process and its thread.
+#[derive(Clone)]
+pub(in crate::lcm) struct Here {
+    pub(in crate::lcm) instance: Arc<Instance>,
+    pub(in crate::lcm) executor: Arc<Executor>,
+}
+
+/// The client's wires.
+pub(super) enum ClientWires {
+    Input {
+        input: Arc<InCell>,
+        link: Arc<InLink>,
+        stats: StreamCounters,
+        depth: usize,
+        bell: Arc<Waker>,
+        views: Arc<FarViews>,
+        bytes: usize,
+    },
+    Calls {
+        functions: Vec<Arc<FnCell>>,
+        server: Arc<FarServer>,
+        events_in: Arc<Inbox>,
+        bell: Arc<Waker>,
+        asks: Arc<Asks>,
+    },
+}
+
+/// The server's memory, before the client has it.
+pub(super) enum Offer {
+    Output { stream: Stream<StreamWriter>, pools: Arc<FarPools> },
+    Calls(Box<ServedCalls>),
+}
+
+/// The server's wires.
+pub(super) enum ServerWires {
+    Output {
+        output: Arc<OutCell>,
+        stats: StreamCounters,
+        pools: Arc<FarPools>,
+        /// Of how many the client was told.
+        told: usize,
+        frames: bool,
+        /// Samples offered when it was looked at last.
+        offered: u64,
+    },
+    Calls {
+        events: Vec<Arc<EventCell>>,
+        to: Arc<FarEvents>,
+        commands_in: Arc<Inbox>,
+        face: Arc<Face>,
+        bell: Arc<Waker>,
+        desk: Desk,
+        /// Commands that failed and that never ran, as the client was told.
+        toll: (u64, u64),
+    },
+}
+
+fn gone() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, "the component's ports are others by now")
+}
+
+fn full(why: String) -> io::Error {
+    io::Error::other(why)
+}
+
+impl Offer {
+    /// # Errors
+    /// The machine has not that much memory.
+    pub(super) fn make(way: &Way, agreed: Agreed, bell: &Arc<Waker>) -> io::Result<Offer> {
+        Ok(match way {
+            Way::Stream { shape, .. } => {
+                let pools = FarPools::ringing(bell.clone());
+                Offer::Output { stream: Stream::<StreamWriter>::create(*shape, agreed, &pools)?, pools }
+            }
+            Way::Calls { shape, .. } => Offer::Calls(Box::new(ServedCalls::create(shape, agreed)?)),
+        })
+    }
+
+    pub(super) fn fd(&self) -> io::Result<OwnedFd> {
+        let fd = match self {
+            Offer::Output { stream, .. } => stream.fd(),
+            Offer::Calls(calls) => calls.fd(),
+        };
+        fd.ok_or_else(|| io::Error::other("memory without a file"))?.try_clone_to_owned()
+    }
+
+    /// Gives the pools of the output itself their places.
+    pub(super) fn expect_pools(&self, way: &Way, set: &PortSet) {
+        let (Offer::Output { pools, .. }, Way::Stream { output, .. }) = (self, way) else { return };
+        for file in set.slots.output(*output).pool_files() {
+            pools.place_of(file.number());
+        }
+    }
+}
+
+impl ServerWires {
+    /// Wires the offer up; the client is ready.
+    ///
+    /// # Errors
+    /// The thread can be woken by no more connections.
+    pub(super) fn connect(
+        offer: Offer,
+        way: &Way,
+        connection: &Connection,
+        (here, set): (&Here, &PortSet),
+        desk: impl FnOnce(Vec<Served>) -> Desk,
+    ) -> io::Result<ServerWires> {
+        match (offer, way) {
+            (Offer::Output { stream, pools }, Way::Stream { output, ty, .. }) => {
+                let cell = set.slots.output(*output).clone();
+                let stats = stream.end.counters();
+                let newest_ns = connection.options.max_age_ns.map(|_| stream.newest_ns);
+                let consumer = Consumer::Far { bell: stream.for_reader, newest_ns };
+                let link = Arc::new(OutLink::new(connection.id.0, stream.end, consumer));
+                cell.add(link, ty, &back::port(ty).into());
+                here.instance.reclaim();
+                Ok(ServerWires::Output {
+                    output: cell,
+                    stats,
+                    pools,
+                    told: 0,
+                    frames: matches!(ty, PortType::Frame { .. }),
+                    offered: 0,
+                })
+            }
+            (Offer::Calls(calls), Way::Calls { binding, .. }) => {
+                Self::serve(*calls, binding, connection, here, set, desk)
+            }
+            _ => Err(gone()),
+        }
+    }
+
+    fn serve(
+        calls: ServedCalls,
+        binding: &Binding,
+        connection: &Connection,
+        here: &Here,
+        set: &PortSet,
+        desk: impl FnOnce(Vec<Served>) -> Desk,
+    ) -> io::Result<ServerWires> {
+        let all = commands(&set.ports);
+        let server = &here.instance;
+        here.executor.add_bell(calls.for_server.clone(), server.clone()).map_err(full)?;
+        let reader = |id: usize| match set.system_command(id) {
+            Some(which) => Reader::System(which),
+            None => Reader::Class(set.commands[id].clone()),
+        };
+        let bound = || binding.functions.iter().map(|(_, id)| *id);
+        let published = bound().filter(|id| is_published(all[*id]));
+        let shown = published.zip(calls.reads).map(|(id, table)| Shown {
+            from: reader(id),
+            bytes: size(all[id].ret.as_ref()),
+            table,
+        });
+        let face = Face::new(calls.server, shown.collect());
+        let checks = bound().map(|id| Check {
+            bytes: size(all[id].arg.as_ref().map(|a| &a.ty)),
+            range: all[id].arg.as_ref().and_then(RangeCheck::of),
+        });
+        let asked = |id: usize| all[id].kind.is_read() && !is_published(all[id]);
+        let served = bound().enumerate().filter(|(_, id)| asked(*id)).map(|(index, id)| Served {
+            index: index as u32,
+            from: reader(id),
+            arg_bytes: size(all[id].arg.as_ref().map(|a| &a.ty)),
+            range: all[id].arg.as_ref().and_then(RangeCheck::of),
+            ret_bytes: size(all[id].ret.as_ref()),
+        });
+        let desk = desk(served.collect());
+        let commands_in = Inbox::far_commands(
+            calls.commands,
+            calls.replies,
+            bound().map(|id| set.commands[id].clone()).collect(),
+            connection.client.component.clone(),
+            checks.collect(),
+        );
+        server.edit_inboxes(|all| all.push(commands_in.clone()));
+        let to = Arc::new(FarEvents { mailbox: calls.events, bell: calls.for_client });
+        let events = binding.handlers.iter().enumerate().map(|(index, (_, event))| {
+            let cell = set.slots.event(*event);
+            let sink = Arc::new(EventSink::Far(FarHandler { to: to.clone(), index: index as u32 }));
+            cell.edit(|sinks| sinks.push(sink));
+            cell.clone()
+        });
+        let events = events.collect();
+        server.edit_faces(|faces| faces.push(face.clone()));
+        // Afterwards: what is published from now on is shown by whoever publishes it.
+        face.show_row(server);
+        face.show_standing(server);
+        server.reclaim();
+        Ok(ServerWires::Calls { events, to, commands_in, face, bell: calls.for_server, desk, toll: (0, 0) })
+    }
+
+    /// Cuts them.
+    pub(super) fn disconnect(&self, connection: &Connection, here: &Here) {
+        let server = &here.instance;
+        match self {
+            ServerWires::Output { output, .. } => output.remove(|l| l.connection == connection.id.0),
+            ServerWires::Calls { events, to, commands_in, face, bell, .. } => {
+                for event in events {
+                    event.edit(|sinks| {
+                        sinks.retain(|s| !matches!(&**s, EventSink::Far(h) if Arc::ptr_eq(&h.to, to)));
+                    });
+                }
+                server.edit_faces(|faces| faces.retain(|f| !Arc::ptr_eq(f, face)));
+                server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
+                server.counters.keep_losses(commands_in);
+                commands_in.close(PEER_LOST);
+                server.counters.lose(commands_in, commands_in.unexecuted());
+                commands_in.tell_toll(server);
+                here.executor.remove_bell(bell.clone());
+            }
+        }
+        settle(server);
+    }
+
+    /// Whether these are the wires of a binding as it is now.
+    pub(super) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
+        let ServerWires::Calls { events, commands_in, .. } = self else { return false };
+        let mut commands = binding.functions.iter().map(|(_, id)| &set.commands[*id]);
+        let mut emitted = binding.handlers.iter().map(|(_, id)| set.slots.event(*id));
+        let targets = &commands_in.targets;
+        (targets.len(), events.len()) == (commands.len(), emitted.len())
+            && targets.iter().all(|target| commands.next().is_some_and(|now| Arc::ptr_eq(now, target)))
+            && events.iter().all(|event| emitted.next().is_some_and(|now| Arc::ptr_eq(now, event)))
+    }
+
+    /// Frames came of more pools than a link carries.
+    pub(super) fn has_overflowed(&self) -> bool {
+        matches!(self, ServerWires::Output { pools, .. } if pools.has_overflowed())
+    }
+
+    /// Frames may wait for their pools to be told of.
+    pub(super) fn lends(&self) -> bool {
+        matches!(self, ServerWires::Output { frames: true, .. })
+    }
+
+    /// Takes back what the reader has done with, where no push has done so since the last look.
+    pub(super) fn collect_at_rest(&mut self) {
+        if let ServerWires::Output { output, stats, frames: true, offered, .. } = self {
+            let now = stats.stats().pushed;
+            if std::mem::replace(offered, now) == now {
+                output.collect();
+            }
+        }
+    }
+
+    pub(super) fn is_output(&self) -> bool {
+        matches!(self, ServerWires::Output { .. })
+    }
+
+    /// Writes of the output so far.
+    pub(super) fn written(&self) -> u64 {
+        match self {
+            ServerWires::Output { output, .. } => output.seq.load(Ordering::Relaxed),
+            ServerWires::Calls { .. } => 0,
+        }
+    }
+
+    /// Of the commands that were only sent how many failed and how many never ran, if those are others than last time.
+    pub(super) fn untold_toll(&mut self) -> Option<(u64, u64)> {
+        let ServerWires::Calls { commands_in, toll, .. } = self else { return None };
+        let now = (commands_in.failed(), commands_in.unexecuted());
+        (std::mem::replace(toll, now) != now).then_some(now)
+    }
+
+    pub(super) fn detail(&self) -> LinkDetail {
+        match self {
+            ServerWires::Output { output, stats, .. } => LinkDetail {
+                dropped: stats.stats().dropped + output.exhausted(),
+                bytes: self.passed_bytes(),
+                ..LinkDetail::default()
+            },
+            // What passed through the queues is told by the client.
+            ServerWires::Calls { commands_in, .. } => LinkDetail {
+                failed: commands_in.failed(),
+                unexecuted: commands_in.unexecuted(),
+                ..LinkDetail::default()
+            },
+        }
+    }
+
+    /// Bytes of what the client took, by the mean of all that was written.
+    fn passed_bytes(&self) -> u64 {
+        let ServerWires::Output { output, stats, .. } = self else { return 0 };
+        let total = output.total_bytes.load(Ordering::Relaxed);
+        (total as f64 / self.written().max(1) as f64 * stats.stats().taken as f64) as u64
+    }
+
+    /// As above after the end, when what waits will not be seen any more.
+    pub(super) fn last_detail(&self) -> LinkDetail {
+        match self {
+            ServerWires::Output { stats, .. } => {
+                let stats = stats.stats();
+                LinkDetail {
+                    dropped: stats.pushed.saturating_sub(stats.taken),
+                    bytes: self.passed_bytes(),
+                    ..LinkDetail::default()
+                }
+            }
+            ServerWires::Calls { .. } => self.detail(),
+        }
+    }
+}
+
+/// What was cut may still be looked at by a cycle under way; it is dropped after it.
+fn settle(instance: &Arc<Instance>) {
+    if instance.reclaim() > 0 {
+        instance.look_at_ports();
+    }
+}
+
+/// Bytes in front of the frames of a stream; 0 where none pass.
+pub(super) fn header_bytes(way: &Way) -> usize {
+    match way {
+        Way::Stream { ty: PortType::Frame { header, .. }, .. } => header.size(),
+        _ => 0,
+    }
+}
+
+impl ClientWires {
+    /// Wires the memory of the server up.
+    ///
+    /// # Errors
+    /// It is not what was agreed, or the thread can be woken by no more connections.
+    pub(super) fn connect(
+        (memory, agreed): (OwnedFd, Agreed),
+        way: &Way,
+        connection: &Connection,
+        (here, set): (&Here, &PortSet),
+        (server, asks): (&Ports, Arc<Asks>),
+        views: Arc<FarViews>,
+    ) -> io::Result<ClientWires> {
+        match way {
+            Way::Stream { input, ty, shape, depth, adapt, .. } => {
+                let stream = Stream::<StreamReader>::open(memory, *shape, agreed, &views)?;
+                let cell = set.slots.input(*input).clone();
+                Self::read(stream, views, connection, here, (cell, ty, *depth, adapt.clone()))
+            }
+            Way::Calls { binding, shape } => {
+                let calls = FarCalls::open(memory, shape, agreed)?;
+                Self::call(calls, binding, connection, (here, set), (server, asks))
+            }
+        }
+    }
+
+    #[expect(clippy::type_complexity, reason = "the parts of `Way::Stream` a reader needs")]
+    fn read(
+        stream: Stream<StreamReader>,
+        views: Arc<FarViews>,
+        connection: &Connection,
+        here: &Here,
+        (cell, ty, depth, adapt): (Arc<InCell>, &PortType, usize, Option<(Vec<CopyRun>, usize)>),
+    ) -> io::Result<ClientWires> {
+        here.executor.add_bell(stream.for_reader.clone(), here.instance.clone()).map_err(full)?;
+        let stats = stream.end.counters();
+        let max_age_ns = connection.options.max_age_ns.unwrap_or(0);
+        let newest = Newest::Far(stream.newest_ns, os::now_ns());
+        let link = Arc::new(InLink::new(stream.end, depth, max_age_ns, newest, back::port(ty).into(), adapt));
+        cell.connect(Some(link.clone()));
+        here.instance.reclaim();
+        let bytes = super::super::boundary::Shape::of(ty).bytes;
+        Ok(ClientWires::Input { input: cell, link, stats, depth, bell: stream.for_reader, views, bytes })
+    }
+
+    fn call(
+        calls: FarCalls,
+        binding: &Binding,
+        connection: &Connection,
+        (here, set): (&Here, &PortSet),
+        (ports, asks): (&Ports, Arc<Asks>),
+    ) -> io::Result<ClientWires> {
+        let client = &here.instance;
+        here.executor.add_bell(calls.for_client.clone(), client.clone()).map_err(full)?;
+        let handlers: Vec<_> = set.ports.required.iter().flat_map(|r| &r.handlers).collect();
+        let checks = binding
+            .handlers
+            .iter()
+            .map(|(h, _)| Check { bytes: size(handlers[*h].payload.as_ref()), range: None });
+        let events_in = Inbox::far_events(
+            calls.events,
+            binding.handlers.iter().map(|(h, _)| set.handlers[*h].clone()).collect(),
+            connection.server.component.clone(),
+            checks.collect(),
+        );
+        client.edit_inboxes(|all| all.push(events_in.clone()));
+        let server = FarServer::new(calls.commands, calls.replies, calls.server, calls.for_server);
+        let deadline_ns = connection.options.deadline_ns.unwrap_or(DEFAULT_DEADLINE_NS);
+        let all = commands(ports);
+        let mut tables = calls.reads.into_iter();
+        let functions = binding.functions.iter().enumerate().map(|(index, (function, id))| {
+            let command = all[*id];
+            let range = command.arg.as_ref().and_then(RangeCheck::of);
+            let lane = lane(command, index);
+            let to = if command.kind.is_read() {
+                let table = is_published(command).then(|| tables.next()).flatten();
+                FnBinding::FarRead(FarRead {
+                    server: server.clone(),
+                    index: lane.index,
+                    source: table.map_or_else(|| FarSource::Ask(asks.clone()), FarSource::Table),
+                    arg_bytes: lane.arg_bytes,
+                    ret_bytes: lane.ret_bytes,
+                    range,
+                    deadline_ns,
+                })
+            } else {
+                FnBinding::FarCommand(FarCommand { server: server.clone(), lane, range, deadline_ns })
+            };
+            let cell = set.slots.function(*function);
+            cell.bind(to, back::command(command));
+            cell.clone()
+        });
+        let functions = functions.collect();
+        client.reclaim();
+        Ok(ClientWires::Calls { functions, server, events_in, bell: calls.for_client, asks })
+    }
+
+    /// Whether these are the wires of a binding as it is now.
+    pub(super) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
+        let ClientWires::Calls { functions, events_in, .. } = self else { return false };
+        let mut bound = binding.functions.iter().map(|(function, _)| set.slots.function(*function));
+        let mut handlers = binding.handlers.iter().map(|(handler, _)| &set.handlers[*handler]);
+        let targets = &events_in.targets;
+        (functions.len(), targets.len()) == (bound.len(), handlers.len())
+            && functions.iter().all(|function| bound.next().is_some_and(|now| Arc::ptr_eq(now, function)))
+            && targets.iter().all(|target| handlers.next().is_some_and(|now| Arc::ptr_eq(now, target)))
+    }
+
+    /// Whoever waits for the server is answered. Any thread.
+    pub(super) fn lose(&self) {
+        if let ClientWires::Calls { server, asks, .. } = self {
+            server.lose();
+            asks.end();
+        }
+    }
+
+    /// Cuts them. Unless their server is lost, what has begun there is carried to its end and answered.
+    pub(super) fn disconnect(&self, here: &Here, how: Loss) {
+        let client = &here.instance;
+        match (how, self) {
+            (Loss::Peer, _) => self.lose(),
+            (_, ClientWires::Calls { asks, .. }) => asks.end(),
+            _ => {}
+        }
+        match self {
+            ClientWires::Input { input, bell, .. } => {
+                input.connect(None);
+                here.executor.remove_bell(bell.clone());
+            }
+            ClientWires::Calls { functions, events_in, bell, .. } => {
+                functions.iter().for_each(|f| f.unbind());
+                client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
+                client.counters.keep_losses(events_in);
+                let before = events_in.unexecuted();
+                events_in.close(PEER_LOST);
+                client.counters.lose(events_in, events_in.unexecuted() - before);
+                here.executor.remove_bell(bell.clone());
+            }
+        }
+        settle(client);
+    }
+
+    pub(super) fn detail(&self) -> LinkDetail {
+        match self {
+            ClientWires::Input { link, stats, depth, bytes, .. } => {
+                let passed = stats.stats().taken;
+                LinkDetail {
+                    passed,
+                    depth: *depth as u64,
+                    bytes: passed.saturating_mul(*bytes as u64),
+                    latency_p50_ns: link.latency.percentile(0.50),
+                    latency_p99_ns: link.latency.percentile(0.99),
+                    ..LinkDetail::default()
+                }
+            }
+            ClientWires::Calls { server, events_in, .. } => {
+                let (c, e) = (server.commands.stats(), events_in.mailbox.stats());
+                LinkDetail {
+                    passed: c.pushed + e.pushed,
+                    dropped: c.dropped + c.rejected + e.dropped + e.rejected,
+                    rejected: c.rejected + e.rejected,
+                    depth: c.depth,
+                    high_water: c.high_water.max(e.high_water),
+                    unexecuted: events_in.unexecuted(),
+                    ..LinkDetail::default()
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! Faults on real processes: `torture [--seed N] [--full] [--json] [--list] [ROW…]`.
+//!
+//! Invariant: a row passes only by what was seen; each bound in time is widened by the lateness of a control run on the same
+//! machine, and by nothing else. What was not run is said.
+#![forbid(unsafe_code)]
+
+mod asking;
+mod book;
+mod bystander;
+mod churn;
+mod clock;
+mod files;
+mod invariants;
+mod json;
+mod moments;
+mod procfs;
+mod program;
+mod report;
+mod rig;
+mod rows;
+mod rpc;
+mod run;
+mod world;
+
+use std::process::ExitCode;
+
+use run::Run;
+
+const USAGE: &str = "torture [--seed N] [--full] [--json] [--list] [ROW…]
+  --seed N   the same moments as in that run
+  --full     the counts of the acceptance, instead of a short selection
+  --json     one object on standard output instead of the table
+  --list     the rows there are
+TROCAR_BIN_DIR names the directory of the built program and plugins.";
+
+fn main() -> ExitCode {
+    let mut run = Run::default();
+    let (mut wanted, mut json) = (Vec::new(), false);
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--seed" => match args.next().and_then(|n| n.parse().ok()) {
+                Some(seed) => run.seed = seed,
+                None => return wrong("--seed wants a number"),
+            },
+            "--full" => run.full = true,
+            "--json" => json = true,
+            "--list" => return list(),
+            "--help" | "-h" => {
+                println!("{USAGE}");
+                return ExitCode::SUCCESS;
+            }
+            name if rows::named(name) => wanted.push(arg),
+            other => return wrong(&format!("there is no row {other}; --list names them")),
+        }
+    }
+    eprintln!("torture: seed {}{}", run.seed, if run.full { ", full" } else { "" });
+    let (chosen, left): (Vec<_>, Vec<_>) = rows::all().into_iter().partition(|row| match wanted.is_empty() {
+        true => run.full || row.short,
+        false => wanted.iter().any(|name| name == row.name),
+    });
+    let books: Vec<_> = chosen.into_iter().map(|row| run.row(row)).collect();
+    if json {
+        println!("{}", report::json(&run, &books, &left));
+    } else {
+        print!("{}", report::table(&run, &books, &left));
+    }
+    if books.iter().all(book::Book::holds) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn list() -> ExitCode {
+    for row in rows::all() {
+        println!(
+            "{:<12} {}{}",
+            row.name,
+            row.fault,
+            if row.short { "" } else { " (only with --full or by name)" }
+        );
+    }
+    ExitCode::SUCCESS
+}
+
+fn wrong(why: &str) -> ExitCode {
+    eprintln!("torture: {why}\n{USAGE}");
+    ExitCode::from(2)
+}

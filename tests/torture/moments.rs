@@ -1,0 +1,306 @@
+//! One fault at one moment, and everything that must follow from it on the side that lives on.
+//!
+//! Invariant: times come from the clocks of those who were there (books, samples), not from when they were asked; only what the GCM
+//! lists is timed by asking.
+
+use std::time::Duration;
+
+use rustix::process::Signal;
+use serde_json::{Value, json};
+use trocar_proto::v1::{Health, ProcessState};
+
+use crate::book::{Book, Timed};
+use crate::clock::{Since, Witness, now_ns, pause_ms, within};
+use crate::json::number;
+use crate::program::signal_to;
+use crate::rig::{MAX_AGE, PERIOD, Rig, mark_at};
+use crate::rpc::Rpc;
+
+/// What is done to a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fault {
+    /// `kill -9`.
+    Kill,
+    /// `abort` in a command.
+    Abort,
+    /// `exit` in a command.
+    Exit,
+    /// Stands still for a while, and goes on.
+    Pause,
+}
+
+impl Fault {
+    pub(crate) const ALL: [Fault; 4] = [Fault::Kill, Fault::Pause, Fault::Exit, Fault::Abort];
+}
+
+/// Longest wait for anything that must come, ms.
+const PATIENCE: u64 = 10_000;
+/// Longest until data flows again, ms.
+const FLOWS: f64 = 1000.0;
+/// Lines of what was printed that are shown beside a moment which took too long.
+const TELLS: usize = 25;
+/// Shortest and longest time a process stands still, ms.
+const STANDS: (u64, u64) = (150, 800);
+/// Longest until an actuator is made safe by the host when its peer stands still, ms: three heartbeats of 10 ms, one that has just
+/// come, and a look of the watchdog. The actuator itself sees its stale input before.
+const STILL: f64 = 30.0 + 10.0 + 4.0 * PERIOD;
+
+/// What was seen at all moments together.
+#[derive(Default)]
+pub(crate) struct Seen {
+    safe: Vec<Timed>,
+    /// As `safe`, of processes that stand still and close no socket.
+    safe_of_still: Vec<Timed>,
+    stale: Vec<Timed>,
+    told_ended: Vec<Timed>,
+    told_stopped: Vec<Timed>,
+    flowing: Vec<Timed>,
+    blocked: Vec<Timed>,
+    overtime: Vec<Timed>,
+    bystander: Vec<Timed>,
+    /// Moments after which data came that was made before the process stood still.
+    old: u64,
+    /// Numbers of the books that must stay 0: what, and the most of it.
+    wrong: Vec<(&'static str, u64)>,
+    moments: usize,
+}
+
+/// A rig under faults.
+pub(crate) struct Trial<'a> {
+    rig: &'a Rig,
+    witness: Witness,
+    /// Lateness of the run without faults, ms.
+    control_ms: f64,
+    seen: Seen,
+}
+
+impl<'a> Trial<'a> {
+    /// Looks at the rig for a while without doing anything.
+    pub(crate) fn begin(rig: &'a Rig, control_ms: u64) -> Result<Trial<'a>, String> {
+        let witness = Witness::start();
+        pause_ms(500);
+        witness.forget();
+        let sinks = ["a/sink", "b/sink", "d/sink"];
+        for sink in sinks {
+            rig.mark(sink)?;
+        }
+        pause_ms(control_ms);
+        let mut late = witness.late_ms();
+        for sink in sinks {
+            late = late.max(rig.book(sink, "silence")? as f64 / 1e6 - PERIOD);
+        }
+        Ok(Trial { rig, witness, control_ms: late, seen: Seen::default() })
+    }
+
+    /// One fault; everything is as it was when this answers.
+    pub(crate) fn moment(
+        &mut self,
+        fault: Fault,
+        victim: &str,
+        random: &mut fastrand::Rng,
+    ) -> Result<(), String> {
+        let other = if victim == "a" { "b" } else { "a" };
+        let went = self.at(fault, victim, other, random);
+        went.map_err(|why| format!("moment {} ({fault:?} of {victim}): {why}", self.seen.moments))?;
+        self.seen.moments += 1;
+        Ok(())
+    }
+
+    fn at(
+        &mut self,
+        fault: Fault,
+        victim: &str,
+        other: &str,
+        random: &mut fastrand::Rng,
+    ) -> Result<(), String> {
+        let rig = self.rig;
+        let before = rig.process(victim)?;
+        let pid = before.pid;
+        // The port of the side that lives on answers whatever else happens.
+        let alive = rig.own_port(other)?;
+        let sink = format!("{other}/sink");
+        let instance = number(&alive.row(&sink)?["books"]["instance"]);
+        self.witness.begins(Since::Moment);
+        rig.mark("d/sink")?;
+        std::thread::sleep(Duration::from_micros(random.u64(0..30_000)));
+        self.witness.forget();
+        let began = now_ns();
+        self.strike(fault, victim, pid)?;
+        let told = self.told(victim, pid)?;
+        let told = self.witness.timed(began, told, self.control_ms);
+        let safe = rig.await_safed(other, began, PATIENCE)?;
+        let safe = self.witness.timed(began, safe, self.control_ms);
+        let until = if fault == Fault::Pause { &mut self.seen.safe_of_still } else { &mut self.seen.safe };
+        until.push(safe);
+        // Only one that was not made safe before that steps long enough to see it.
+        let stale = number(&alive.row(&format!("{other}/arm"))?["stale_ns"]);
+        if stale >= began {
+            self.seen.stale.push(self.witness.timed(began, stale, self.control_ms));
+        }
+        let flows = if fault == Fault::Pause {
+            self.seen.told_stopped.push(told);
+            self.goes_on(pid, &alive, &sink, random)?
+        } else {
+            self.seen.told_ended.push(told);
+            let first = within(PATIENCE, "samples of the next incarnation", || {
+                let books = alive.row(&sink)?["books"].take();
+                let is_new = number(&books["instance"]) > instance;
+                if is_new { Ok(number(&books["first_ns"])) } else { Err(books.to_string()) }
+            })?;
+            self.witness.timed(began, first, self.control_ms)
+        };
+        if flows.ms > FLOWS + flows.late_ms {
+            let moment = self.seen.moments;
+            eprintln!("  moment {moment} ({fault:?} of {victim}): samples again after {:.0} ms", flows.ms);
+            let printed = rig.up.printed();
+            let lines: Vec<&str> = printed.lines().collect();
+            lines.iter().skip(lines.len().saturating_sub(TELLS)).for_each(|line| eprintln!("    {line}"));
+        }
+        self.seen.flowing.push(flows);
+        self.look(other, &alive)?;
+        self.mend(victim, pid, fault)?;
+        let epoch = rig.process(victim)?.epoch;
+        // Whoever only stood still is the same incarnation.
+        let right = if fault == Fault::Pause { epoch == before.epoch } else { epoch > before.epoch };
+        if right { Ok(()) } else { Err(format!("its epoch was {} and is {epoch} (G2)", before.epoch)) }
+    }
+
+    fn strike(&self, fault: Fault, victim: &str, pid: u32) -> Result<(), String> {
+        let end = |how: u64| {
+            // Its answer is its end.
+            let _ = self.rig.rpc.send(&format!("{victim}/server/ctl/end"), &json!(how));
+            Ok(())
+        };
+        match fault {
+            Fault::Kill => signal_to(pid, Signal::KILL),
+            Fault::Pause => signal_to(pid, Signal::STOP),
+            Fault::Abort => end(0),
+            Fault::Exit => end(1),
+        }
+    }
+
+    /// When the GCM lists it as lost.
+    fn told(&self, victim: &str, pid: u32) -> Result<u64, String> {
+        within(PATIENCE, "the GCM notices", || {
+            let process = self.rig.process(victim)?;
+            let noticed = process.state() != ProcessState::Attached || process.pid != pid;
+            if noticed { Ok(now_ns()) } else { Err("it is attached".into()) }
+        })
+    }
+
+    /// Lets it stand a while longer; then its samples come again, and none from before.
+    fn goes_on(
+        &mut self,
+        pid: u32,
+        alive: &Rpc,
+        sink: &str,
+        random: &mut fastrand::Rng,
+    ) -> Result<Timed, String> {
+        pause_ms(random.u64(STANDS.0..STANDS.1));
+        mark_at(alive, sink, now_ns())?;
+        self.witness.forget();
+        let at = now_ns();
+        signal_to(pid, Signal::CONT)?;
+        let books: Value = within(PATIENCE, "samples after it went on", || {
+            let books = alive.row(sink)?["books"].take();
+            if number(&books["after_mark_ns"]) > 0 { Ok(books) } else { Err(books.to_string()) }
+        })?;
+        self.seen.old += u64::from(number(&books["age"]) / 1_000_000 >= STANDS.0);
+        Ok(self.witness.timed(at, number(&books["after_mark_ns"]), self.control_ms))
+    }
+
+    /// What those who lived on say of it.
+    fn look(&mut self, other: &str, alive: &Rpc) -> Result<(), String> {
+        let ms = |row: &Value, what: &str, since| {
+            let late_ms = self.witness.late_since(since).max(self.control_ms);
+            Timed { ms: number(&row[what]) as f64 / 1e6, late_ms }
+        };
+        let row = |name: &str| alive.row(&format!("{other}/{name}"));
+        for writer in ["source", "camera", "arm"] {
+            self.seen.blocked.push(ms(&row(writer)?, "slowest", Since::Ever));
+        }
+        let caller = row("caller")?;
+        self.seen.overtime.push(ms(&caller, "overtime", Since::Ever));
+        let bystander = self.rig.books("d/sink")?;
+        self.seen.bystander.push(ms(&bystander, "silence", Since::Moment));
+        let mut wrong = vec![
+            ("answers to another call", number(&caller["wrong"])),
+            ("events twice or too late", number(&caller["disorder"])),
+            ("samples a bystander missed (G4)", number(&bystander["gaps"])),
+        ];
+        for sink in ["sink", "screen"] {
+            let books = row(sink)?["books"].take();
+            for (what, key) in [
+                ("data of a former instance", "old"),
+                ("data twice or too late", "disorder"),
+                ("sequence numbers that are not the data's", "seq_wrong"),
+                ("frames that were changed under way", "torn"),
+            ] {
+                wrong.push((what, number(&books[key])));
+            }
+        }
+        let arm = row("arm")?;
+        wrong.push(("frames there was no memory for", number(&row("camera")?["exhausted"])));
+        wrong.push(("set points too old and not said to be (G8)", number(&arm["followed_stale"])));
+        wrong.push(("set points of a former instance (G8)", number(&arm["followed_old"])));
+        wrong.push(("commands carried out twice", number(&row("server")?["twice"])));
+        for (what, seen) in wrong {
+            match self.seen.wrong.iter_mut().find(|(known, _)| *known == what) {
+                Some((_, most)) => *most = seen.max(*most),
+                None => self.seen.wrong.push((what, seen)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until all is there again, and lets both arms go on.
+    fn mend(&self, victim: &str, pid: u32, fault: Fault) -> Result<(), String> {
+        if fault != Fault::Pause {
+            self.rig.await_back(victim, pid, PATIENCE)?;
+        }
+        // Whoever stood still learns only now that it was given up.
+        let looks = if fault == Fault::Pause { 20 } else { 1 };
+        for _ in 0..looks {
+            for process in ["a", "b"] {
+                self.rig.resume_arm(process)?;
+            }
+            pause_ms(5);
+        }
+        within(PATIENCE, "everything is healthy", || {
+            let list = self.rig.list()?;
+            let ill = list.components.iter().find(|c| !matches!(c.health(), Health::Ok | Health::Overrun));
+            ill.map_or(Ok(()), |c| Err(format!("{} is {:?}", c.path, c.health())))
+        })
+    }
+
+    /// All claims.
+    pub(crate) fn tell(self, book: &mut Book) {
+        let Seen { safe, safe_of_still, stale, told_ended, told_stopped, flowing, .. } = &self.seen;
+        let Seen { blocked, overtime, bystander, .. } = &self.seen;
+        let (n, max_age) = (self.seen.moments, MAX_AGE as f64);
+        if !safe.is_empty() {
+            book.times("the actuator is safe", safe, max_age + 4.0 * PERIOD);
+        }
+        if !stale.is_empty() {
+            book.times("the actuator sees that its input is stale", stale, max_age + 4.0 * PERIOD);
+        }
+        if !safe_of_still.is_empty() {
+            book.times("the actuator of a process that stands still is made safe", safe_of_still, STILL);
+        }
+        if !told_ended.is_empty() {
+            book.times("the GCM lists it as gone", told_ended, 100.0);
+        }
+        if !told_stopped.is_empty() {
+            book.times("the GCM lists it as lost", told_stopped, 600.0);
+            let what = "data from before it stood still, taken after it went on";
+            book.at_most(what, told_stopped.len(), self.seen.old, 0);
+        }
+        book.times("samples flow again", flowing, FLOWS);
+        book.times("longest write of a survivor: nobody is blocked", blocked, 5.0);
+        book.times("calls beyond their deadline", overtime, 50.0);
+        book.times("longest silence of a bystander's 1 kHz (G4)", bystander, 5.0);
+        for (what, seen) in &self.seen.wrong {
+            book.at_most(what, n, *seen, 0);
+        }
+    }
+}

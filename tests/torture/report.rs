@@ -1,0 +1,74 @@
+//! What is printed at the end: one table for people, or one object for programs.
+//!
+//! Invariant: every row appears, run or not, and whatever a row left out is named.
+
+use std::fmt::Write as _;
+
+use serde_json::{Value, json};
+
+use crate::book::{Book, Line};
+use crate::run::{Row, Run};
+
+pub(crate) fn table(run: &Run, books: &[Book], left: &[&Row]) -> String {
+    let mut text = String::from("\n| row | fault | claim | count | bound | seen | control | verdict |\n");
+    text.push_str("|---|---|---|---|---|---|---|---|\n");
+    for book in books {
+        for line in &book.lines {
+            let verdict = if line.holds { "holds" } else { "**FAILS**" };
+            let Line { what, count, bound, seen, control, .. } = line;
+            let (row, fault, seen) = (book.row, book.fault, cell(seen));
+            let _ = writeln!(
+                text,
+                "| {row} | {fault} | {what} | {count} | {bound} | {seen} | {control} | {verdict} |"
+            );
+        }
+        if book.lines.is_empty() {
+            let nothing = "nothing was shown";
+            let _ = writeln!(text, "| {} | {} | | 0 | | {nothing} | | **FAILS** |", book.row, book.fault);
+        }
+    }
+    let failed: Vec<&str> = books.iter().filter(|book| !book.holds()).map(|book| book.row).collect();
+    let _ = writeln!(text);
+    for why in not_run(books, left) {
+        let _ = writeln!(text, "not run: {why}");
+    }
+    let seconds: f64 = books.iter().map(|book| book.took_s).sum();
+    let how = if run.full { "full counts" } else { "short counts" };
+    let _ = writeln!(text, "seed {}, {how}, {seconds:.0} s", run.seed);
+    for row in &failed {
+        let _ = writeln!(text, "test torture::{row} ... FAILED");
+    }
+    // As libtest says it, since `tests/run` counts by that.
+    let (word, held) = (if failed.is_empty() { "ok" } else { "FAILED" }, books.len() - failed.len());
+    let _ = writeln!(text, "test result: {word}. {held} passed; {} failed; 0 ignored", failed.len());
+    text
+}
+
+pub(crate) fn json(run: &Run, books: &[Book], left: &[&Row]) -> Value {
+    let line = |line: &Line| {
+        json!({
+            "claim": line.what, "count": line.count, "bound": line.bound, "seen": line.seen,
+            "control": line.control, "holds": line.holds,
+        })
+    };
+    let row = |book: &Book| {
+        let claims: Vec<Value> = book.lines.iter().map(line).collect();
+        json!({
+            "row": book.row, "fault": book.fault, "holds": book.holds(), "took_s": book.took_s, "claims": claims,
+        })
+    };
+    let rows: Vec<Value> = books.iter().map(row).collect();
+    json!({ "seed": run.seed, "full": run.full, "rows": rows, "not_run": not_run(books, left) })
+}
+
+fn not_run(books: &[Book], left: &[&Row]) -> Vec<String> {
+    let parts = books.iter().flat_map(|book| book.not_run.iter().map(|why| format!("{}: {why}", book.row)));
+    let rows = left.iter().map(|row| format!("{}: {}", row.name, row.fault));
+    rows.chain(parts).collect()
+}
+
+/// Text that stays in its cell.
+fn cell(text: &str) -> String {
+    let flat = text.replace('\n', " ").replace('|', "/");
+    if flat.chars().count() <= 300 { flat } else { flat.chars().take(300).chain(['…']).collect() }
+}

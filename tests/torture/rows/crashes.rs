@@ -1,0 +1,207 @@
+//! Rows about components that take their whole process along, or eat its memory.
+
+use std::time::Duration;
+
+use rustix::process::{Pid, Resource, Rlimit, prlimit};
+use serde_json::{Value, json};
+use trocar_proto::v1::ProcessState;
+
+use crate::book::Book;
+use crate::clock::{Since, Witness, now_ns, pause_ms, within};
+use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
+use crate::json::number;
+use crate::procfs;
+use crate::rig::Rig;
+use crate::run::{Row, Run};
+use crate::world::World;
+
+pub(crate) const ROWS: &[Row] = &[
+    Row { name: "24", fault: "a component takes more and more memory", short: true, run: leaks },
+    Row { name: "25", fault: "SEGV, stack overflow, exit, abort in a plugin", short: true, run: fatal },
+    Row { name: "27", fault: "a process dies 10 ms after each start", short: false, run: storm },
+];
+
+/// Longest wait for anything that must come, ms.
+const PATIENCE: u64 = 15_000;
+/// What `doom` does on `strike`, and how its process is said to have ended.
+const WAYS: [(u64, &str, &[&str]); 4] = [
+    (1, "SIGSEGV", &["SIGSEGV"]),
+    // Whoever finds the end of the stack may abort instead of dying of it.
+    (2, "stack overflow", &["SIGSEGV", "SIGABRT"]),
+    (3, "exit", &["code 3"]),
+    (4, "abort", &["SIGABRT"]),
+];
+const LEAK: u64 = 5;
+
+/// `b` has what ends it; `a` has a sink of it, and a pair of its own that has nothing to do with it.
+fn rig(restart: Value, doom: bool, leak_mib_s: u64) -> Result<Rig, String> {
+    let mut system = json!({
+        "version": 1,
+        "processes": {
+            "a": { "plugins": ["plugins"] },
+            "b": { "plugins": ["plugins"], "restart": restart },
+        },
+        "components": {
+            "a/sink": { "class": "fixture-torture/sink" },
+            "a/source": { "class": "fixture-torture/source" },
+            "a/near": { "class": "fixture-torture/sink" },
+            "b/source": { "class": "fixture-torture/source" },
+        },
+        "connections": [
+            { "client": "a/sink/value", "server": "b/source/value" },
+            { "client": "a/near/value", "server": "a/source/value" },
+        ],
+    });
+    if doom {
+        let config = json!({ "leak_mib_s": leak_mib_s });
+        system["components"]["b/doom"] = json!({ "class": "fixture-chaos/doom", "config": config });
+    }
+    Rig::of(World::new(&["fixture_torture", "fixture_chaos"])?, &system)
+}
+
+fn always() -> Value {
+    json!({ "max": 1000, "backoff_ms": 50, "most_backoff_ms": 50 })
+}
+
+/// What those who live on saw of one end.
+#[derive(Default)]
+struct Seen {
+    told: Vec<crate::book::Timed>,
+    flows: Vec<crate::book::Timed>,
+    near: Vec<crate::book::Timed>,
+}
+
+impl Seen {
+    fn tell(&self, book: &mut Book) {
+        book.times("the GCM lists it as gone", &self.told, 100.0);
+        book.times("samples flow again", &self.flows, 1000.0);
+        book.times("longest silence of a bystander's 1 kHz (G4)", &self.near, 5.0);
+    }
+}
+
+/// One end of `b` from the inside; all is well again when this answers.
+fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64) -> Result<String, String> {
+    let (before, own) = (rig.process("b")?, rig.own_port("a")?);
+    let instance = number(&own.row("a/sink")?["books"]["instance"]);
+    witness.begins(Since::Moment);
+    rig.mark("a/near")?;
+    witness.forget();
+    // It may end before it has said that the command is queued.
+    if let Err(refused) = rig.rpc.send("b/doom/ctl/strike", &json!(way))
+        && refused.reason != "PEER_LOST"
+    {
+        return Err(refused.to_string());
+    }
+    // Its step comes within a period of 10 ms, and what it does then takes a while.
+    let ended = within(patience_ms, "its process ends", || {
+        if procfs::gone(before.pid) { Ok(now_ns()) } else { Err("it runs".into()) }
+    })?;
+    let told = within(PATIENCE, "the GCM notices", || {
+        let now = rig.process("b")?;
+        let noticed = now.state() != ProcessState::Attached || now.pid != before.pid;
+        if noticed { Ok(now_ns()) } else { Err("it is attached".into()) }
+    })?;
+    seen.told.push(witness.timed(ended, told, 0.0));
+    let first = within(PATIENCE, "samples of the next incarnation", || {
+        let books = own.row("a/sink")?["books"].take();
+        let is_new = number(&books["instance"]) > instance;
+        if is_new { Ok(number(&books["first_ns"])) } else { Err(books.to_string()) }
+    })?;
+    seen.flows.push(witness.timed(ended, first, 0.0));
+    let after = rig.await_back("b", before.pid, PATIENCE)?;
+    let silence_ms = rig.book("a/near", "silence")? as f64 / 1e6;
+    let late_ms = witness.late_since(Since::Moment);
+    seen.near.push(crate::book::Timed { ms: silence_ms, late_ms });
+    if after.epoch > before.epoch {
+        Ok(after.last_exit)
+    } else {
+        Err(format!("its epoch was {} and is {} (G2)", before.epoch, after.epoch))
+    }
+}
+
+fn fatal(run: &Run, book: &mut Book) -> Result<(), String> {
+    let mut random = run.random(book);
+    let mut rig = rig(always(), true, 1)?;
+    let (desired, witness, mut seen) = (Desired::now(&rig.rpc)?, Witness::start(), Seen::default());
+    let (mut held, rounds) = (None, run.times(1, 25));
+    for _ in 0..rounds {
+        for (way, name, expected) in WAYS {
+            pause_ms(random.u64(0..50));
+            let exit = end(&rig, &witness, way, &mut seen, 5_000).map_err(|why| format!("{name}: {why}"))?;
+            let right = expected.iter().any(|word| exit.contains(word));
+            book.check(
+                "how it ended is told",
+                1,
+                if right { Ok(()) } else { Err(format!("{name}: {exit}")) },
+            );
+            // What comes with the first loss of a peer stays.
+            if held.is_none() {
+                agree(&rig.rpc, &desired)?;
+                held = Some(Holdings::of(&[("a", rig.process("a")?.pid), ("up", rig.up.pid())]));
+            }
+        }
+    }
+    seen.tell(book);
+    book.check("desired, observed and actual agree (G3)", 4 * rounds as usize, agree(&rig.rpc, &desired));
+    if let Some(held) = held {
+        book.check("no file, thread, socket, segment more (G5)", 1, held.have_not_grown());
+    }
+    rig.up.terminate()?;
+    nothing_is_left(book, &rig.world);
+    Ok(())
+}
+
+/// Its address space has an end; then it dies alone.
+fn leaks(run: &Run, book: &mut Book) -> Result<(), String> {
+    book.leaves_out("the event at a soft limit: hosts have no soft limit of memory");
+    book.leaves_out("a limit by a control group, which the machine may not grant: RLIMIT_AS is used");
+    let (leak_mib_s, room_mib) = if run.full { (1, 32) } else { (256, 64) };
+    let mut rig = rig(always(), true, leak_mib_s)?;
+    let (desired, witness, mut seen) = (Desired::now(&rig.rpc)?, Witness::start(), Seen::default());
+    let rounds = run.times(1, 3);
+    for _ in 0..rounds {
+        let pid = rig.process("b")?.pid;
+        let room = procfs::address_space_kib(pid) * 1024 + (room_mib << 20);
+        let of = i32::try_from(pid).ok().and_then(Pid::from_raw);
+        let limit = Rlimit { current: Some(room), maximum: None };
+        prlimit(of, Resource::As, limit).map_err(|e| format!("prlimit: {e}"))?;
+        let exit = end(&rig, &witness, LEAK, &mut seen, 120_000)?;
+        let right = if exit.contains("SIGABRT") { Ok(()) } else { Err(exit) };
+        book.check("it ends where its memory ends, and that is told", 1, right);
+    }
+    seen.tell(book);
+    book.check("desired, observed and actual agree (G3)", rounds as usize, agree(&rig.rpc, &desired));
+    rig.up.terminate()?;
+    nothing_is_left(book, &rig.world);
+    Ok(())
+}
+
+fn storm(run: &Run, book: &mut Book) -> Result<(), String> {
+    let mut rig = rig(json!("on_failure"), false, 1)?;
+    let witness = Witness::start();
+    pause_ms(200);
+    rig.mark("a/near")?;
+    witness.begins(Since::Moment);
+    rig.rpc.create("b/doom", "fixture-chaos/doom", json!({ "how": "segv", "after_ms": 10 }))?;
+    // It may be gone before it answers.
+    let _ = rig.rpc.start("b/doom");
+    let failed = within(30_000, "it is given up", || match rig.process("b")? {
+        b if b.state() == ProcessState::Failed => Ok(b),
+        b => Err(format!("{:?} after {} restarts", b.state(), b.restarts)),
+    })?;
+    book.at_most("restarts in 10 s", 1, u64::from(failed.restarts), 3);
+    let told = if failed.last_exit.contains("SIGSEGV") { Ok(()) } else { Err(failed.last_exit) };
+    book.check("how it ended last is told", 1, told);
+    let silence_ms = rig.book("a/near", "silence")? as f64 / 1e6;
+    let late_ms = witness.late_since(Since::Moment);
+    let near = [crate::book::Timed { ms: silence_ms, late_ms }];
+    book.times("longest silence of a bystander's 1 kHz (G4)", &near, 5.0);
+    let (up, gcm) = (rig.up.pid(), rig.gcm_pid()?);
+    let spent = || procfs::cpu_ms(up) + procfs::cpu_ms(gcm);
+    let (before, ms) = (spent(), run.times(1_000, 10_000));
+    std::thread::sleep(Duration::from_millis(ms));
+    let busy = (spent() - before) as f64 / ms as f64 * 100.0;
+    book.beside("processor time of `up` and the GCM afterwards", 1, busy, 0.0, 5.0, "%");
+    rig.up.terminate()?;
+    Ok(())
+}

@@ -1,0 +1,338 @@
+//! Rows about data: takers that are slow, stand still or die, floods, and a machine that is wanted by others.
+
+use serde_json::json;
+use trocar_proto::v1::Connection;
+
+use rustix::process::Signal;
+
+use crate::book::{Book, Timed};
+use crate::clock::{Witness, now_ns, pause_ms, within};
+use crate::invariants::{Desired, agree, nothing_is_left};
+use crate::json::number;
+use crate::procfs;
+use crate::program::signal_to;
+use crate::rig::Rig;
+use crate::run::{Row, Run};
+use crate::world::World;
+
+pub(crate) const ROWS: &[Row] = &[
+    Row {
+        name: "42",
+        fault: "takers of 900 Mbit/s and 1.13 Gbit/s that are slow, stopped, dead",
+        short: true,
+        run: takers,
+    },
+    Row { name: "43", fault: "a flood of samples and of commands", short: true, run: floods },
+];
+
+/// Longest wait for anything that must come, ms.
+const PATIENCE: u64 = 15_000;
+/// Frames of a camera, Hz.
+const FRAMES_HZ: f64 = 60.0;
+/// Sizes of a frame, B: 900 Mbit/s and 1.13 Gbit/s at 60 Hz.
+const SIZES: [u64; 2] = [1_875_000, 2_360_000];
+/// What a frame may cost its producer beyond a tenth more than in the control run, µs: what a wake of another costs here.
+const COST_US: f64 = 50.0;
+/// What memory in use may grow by, KiB.
+const MOST_KIB: u64 = 1024;
+
+fn connection(rig: &Rig, client: &str) -> Result<Connection, String> {
+    let all = rig.rpc.list()?.connections;
+    all.into_iter().find(|c| c.client == client).ok_or_else(|| format!("{client} is not connected"))
+}
+
+/// A camera, by its own clock.
+#[derive(Clone, Copy, Default)]
+struct Cost {
+    sent: u64,
+    exhausted: u64,
+    spent_ns: u64,
+    slowest_ns: u64,
+}
+
+impl Cost {
+    fn of(rig: &Rig) -> Result<Cost, String> {
+        let row = rig.rpc.row("a/camera")?;
+        let of = |key: &str| number(&row[key]);
+        Ok(Cost {
+            sent: of("sent"),
+            exhausted: of("exhausted"),
+            spent_ns: of("spent"),
+            slowest_ns: of("slowest"),
+        })
+    }
+}
+
+/// What a stretch of frames cost each.
+struct Stretch {
+    frames: u64,
+    mean_us: f64,
+    exhausted: u64,
+    slowest: Timed,
+}
+
+fn stretch(rig: &Rig, during: impl FnOnce() -> Result<(), String>) -> Result<Stretch, String> {
+    let (witness, before) = (Witness::start(), Cost::of(rig)?);
+    during()?;
+    let after = Cost::of(rig)?;
+    let frames = after.sent - before.sent;
+    // The slowest one is judged by itself: it is most likely the machine's.
+    let slowest_ns = if after.slowest_ns > before.slowest_ns { after.slowest_ns } else { 0 };
+    let spent_ns = (after.spent_ns - before.spent_ns).saturating_sub(slowest_ns);
+    Ok(Stretch {
+        frames,
+        mean_us: spent_ns as f64 / 1e3 / frames.max(1) as f64,
+        exhausted: after.exhausted - before.exhausted,
+        slowest: Timed { ms: slowest_ns as f64 / 1e6, late_ms: witness.late_ms() },
+    })
+}
+
+fn takers(run: &Run, book: &mut Book) -> Result<(), String> {
+    let sizes = if run.full { &SIZES[..] } else { &SIZES[1..] };
+    for &bytes in sizes {
+        let seconds = run.times(1, 20);
+        let name = format!("{:.2} Gbit/s", bytes as f64 * 8.0 * FRAMES_HZ / 1e9);
+        let process = json!({
+            "plugins": ["plugins"], "restart": { "max": 1000, "backoff_ms": 50, "most_backoff_ms": 50 },
+        });
+        let system = json!({
+            "version": 1, "processes": { "a": process, "b": process },
+            "components": {
+                "a/camera": {
+                    "class": "fixture-torture/camera", "config": { "bytes": bytes, "slots": 4 },
+                    "execution": { "rate_hz": FRAMES_HZ },
+                },
+                "a/near": { "class": "fixture-torture/screen" },
+                "b/screen": { "class": "fixture-torture/screen" },
+            },
+            "connections": [
+                { "client": "a/near/frame", "server": "a/camera/frame" },
+                { "client": "b/screen/frame", "server": "a/camera/frame" },
+            ],
+        });
+        let mut rig = Rig::of(World::new(&["fixture_torture"])?, &system)?;
+        let desired = Desired::now(&rig.rpc)?;
+        pause_ms(500);
+        one_size(&rig, book, &name, seconds)?;
+        book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
+        rig.up.terminate()?;
+        nothing_is_left(book, &rig.world);
+    }
+    Ok(())
+}
+
+fn one_size(rig: &Rig, book: &mut Book, name: &str, seconds: u64) -> Result<(), String> {
+    let a = rig.process("a")?.pid;
+    let control = stretch(rig, || {
+        pause_ms(seconds * 2000);
+        Ok(())
+    })?;
+    let (rss, gaps, witness) = (procfs::rss_kib(a), rig.book("a/near", "gaps")?, Witness::start());
+    let tell = |book: &mut Book, how: &str, seen: &Stretch| {
+        let tried = seen.frames as usize;
+        let what = format!("{name}, {how}: what a frame costs its producer, beside 1.1 × control");
+        book.beside(&what, tried, seen.mean_us, 1.1 * control.mean_us, COST_US, "µs");
+        book.times(&format!("{name}, {how}: slowest frame"), &[seen.slowest], 5.0);
+        book.at_most(&format!("{name}, {how}: frames there was no memory for"), tried, seen.exhausted, 0);
+    };
+    // Slow: six periods with each frame in hand.
+    let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
+    rig.rpc.configure("b/screen", json!({ "slow_step_ms": 100 }))?;
+    let slow = stretch(rig, || {
+        pause_ms(seconds * 1000);
+        Ok(())
+    })?;
+    rig.rpc.configure("b/screen", json!({ "slow_step_ms": 0 }))?;
+    tell(book, "a slow taker", &slow);
+    exact(rig, book, &format!("{name}, a slow taker"), before)?;
+    // Stopped.
+    let b = rig.process("b")?.pid;
+    let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
+    let stopped = stretch(rig, || {
+        signal_to(b, Signal::STOP)?;
+        pause_ms(seconds * 1000);
+        signal_to(b, Signal::CONT)
+    })?;
+    tell(book, "a stopped taker", &stopped);
+    flows(rig)?;
+    exact(rig, book, &format!("{name}, a stopped taker"), before)?;
+    // Dead, and there again. Its taker begins anew and cannot miss what its former self would have: the connection must.
+    let before = at_rest(rig)?;
+    let dead = stretch(rig, || {
+        signal_to(b, Signal::KILL)?;
+        pause_ms(seconds * 1000);
+        rig.await_back("b", b, PATIENCE).map(drop)
+    })?;
+    tell(book, "a dead taker", &dead);
+    flows(rig)?;
+    let after = at_rest(rig)?;
+    // What was passed to the dead one went with it.
+    let passed = if after.1 < before.1 { after.1 } else { after.1 - before.1 };
+    let (sent, dropped) = (after.0 - before.0, after.2.saturating_sub(before.2));
+    // It had taken one perhaps, and as many waited as may.
+    let all = match sent.checked_sub(passed + dropped) {
+        Some(0..=3) => Ok(()),
+        _ => Err(format!("{sent} sent, {passed} passed, {dropped} dropped: {before:?}, {after:?}")),
+    };
+    let what = format!("{name}, a dead taker: each frame was passed or dropped, but for those it took along");
+    book.check(&what, sent as usize, all);
+    let grown = procfs::rss_kib(a).saturating_sub(rss);
+    book.at_most(&format!("{name}: KiB more in use at the producer"), 3, grown, MOST_KIB);
+    let books = rig.books("a/near")?;
+    let missed = (number(&books["gaps"]) - gaps) as f64;
+    // What the machine was late itself, each time something was done, in frames.
+    let late = (3.0 * witness.late_ms() / 1000.0 * FRAMES_HZ).floor();
+    book.beside(&format!("{name}: frames a taker beside it missed (G4)"), 3, missed, late, 0.0, "frames");
+    for taker in ["a/near", "b/screen"] {
+        let books = rig.books(taker)?;
+        let wrong = ["torn", "disorder", "old", "seq_wrong"].iter().map(|key| number(&books[*key])).sum();
+        book.at_most(&format!("{name}, {taker}: frames torn, twice, old, with a wrong number"), 3, wrong, 0);
+    }
+    Ok(())
+}
+
+/// Frames sent, passed to `b` and dropped, when nothing is under way; then the camera goes on.
+fn at_rest(rig: &Rig) -> Result<(u64, u64, u64), String> {
+    rig.rpc.stop("a/camera")?;
+    let mut last = (0, 0, 0);
+    let rest = within(PATIENCE, "nothing is under way", || {
+        let c = connection(rig, "b/screen/frame")?;
+        let now = (Cost::of(rig)?.sent, c.passed, c.dropped);
+        pause_ms(100);
+        if std::mem::replace(&mut last, now) == now { Ok(now) } else { Err(format!("{now:?}")) }
+    })?;
+    rig.rpc.start("a/camera")?;
+    Ok(rest)
+}
+
+/// Waits for frames made from now on.
+fn flows(rig: &Rig) -> Result<(), String> {
+    within(PATIENCE, "frames flow", || {
+        rig.mark("b/screen")?;
+        pause_ms(100);
+        match rig.books("b/screen")? {
+            books if number(&books["after_mark_ns"]) > 0 => Ok(()),
+            books => Err(books.to_string()),
+        }
+    })
+}
+
+/// What the connection counted as dropped is what its taker misses, since some moment.
+fn exact(rig: &Rig, book: &mut Book, name: &str, before: (u64, u64)) -> Result<(), String> {
+    let mut gaps = 0;
+    let same = within(PATIENCE, "they are the same", || {
+        gaps = rig.book("b/screen", "gaps")?.saturating_sub(before.1);
+        let dropped = connection(rig, "b/screen/frame")?.dropped.saturating_sub(before.0);
+        if dropped == gaps { Ok(()) } else { Err(format!("{dropped} dropped, {gaps} missing")) }
+    });
+    book.check(&format!("{name}: dropped is what is missing, exactly"), gaps.max(1) as usize, same);
+    Ok(())
+}
+
+fn floods(run: &Run, book: &mut Book) -> Result<(), String> {
+    let process = json!({ "plugins": ["plugins"] });
+    let chaos = |flood: u32| json!({ "class": "fixture-chaos/chaos", "config": { "flood": flood } });
+    let system = json!({
+        "version": 1, "processes": { "a": process, "b": process },
+        "components": {
+            "a/source": { "class": "fixture-torture/source" },
+            "a/sink": { "class": "fixture-torture/sink" },
+            "a/near": { "class": "fixture-chaos/chaos" },
+            "a/tap": { "class": "fixture-torture/sink" },
+            "b/far": { "class": "fixture-chaos/chaos" },
+            "b/flood": { "class": "fixture-torture/source", "execution": { "rate_hz": 10_000 } },
+            "b/drain": { "class": "fixture-torture/sink" },
+            "b/nearby": chaos(0),
+        },
+        "connections": [
+            { "client": "a/sink/value", "server": "a/source/value" },
+            { "client": "b/drain/value", "server": "b/flood/value" },
+            { "client": "a/tap/value", "server": "b/flood/value" },
+        ],
+    });
+    let mut rig = Rig::of(World::new(&["fixture_torture", "fixture_chaos"])?, &system)?;
+    let ms = run.times(1_500, 30_000);
+    let witness = Witness::start();
+    pause_ms(300);
+    rig.mark("a/sink")?;
+    let began = now_ns();
+    samples(&rig, book, ms)?;
+    for (sender, receiver) in [("b/nearby", "b/far"), ("b/nearby", "a/near")] {
+        commands(&rig, book, sender, receiver, ms)?;
+    }
+    let silence_ms = rig.book("a/sink", "silence")? as f64 / 1e6;
+    let late = Timed { ms: silence_ms, late_ms: witness.late_ms() };
+    let periods = (now_ns() - began) / 1_000_000;
+    book.times(&format!("longest silence of a bystander's 1 kHz in {periods} ms (G4)"), &[late], 5.0);
+    rig.up.terminate()?;
+    nothing_is_left(book, &rig.world);
+    Ok(())
+}
+
+/// Ten thousand a second for takers that are busy half a second at a time, beside them and in another process.
+fn samples(rig: &Rig, book: &mut Book, ms: u64) -> Result<(), String> {
+    for sink in ["b/drain", "a/tap"] {
+        let client = format!("{sink}/value");
+        let before = (connection(rig, &client)?.dropped, rig.book(sink, "gaps")?);
+        rig.rpc.configure(sink, json!({ "slow_step_ms": 500 }))?;
+        pause_ms(ms);
+        rig.rpc.configure(sink, json!({ "slow_step_ms": 0 }))?;
+        let mut gaps = 0;
+        let same = within(3_000, "they are the same", || {
+            gaps = rig.book(sink, "gaps")? - before.1;
+            let dropped = connection(rig, &client)?.dropped - before.0;
+            if dropped == gaps && gaps > 0 {
+                Ok(())
+            } else {
+                Err(format!("{dropped} dropped, {gaps} missing"))
+            }
+        });
+        let what = format!("10 kHz for {sink}, which is busy: dropped is what is missing, exactly");
+        book.check(&what, gaps as usize, same);
+        let books = rig.books(sink)?;
+        let wrong = number(&books["disorder"]) + number(&books["seq_wrong"]);
+        book.at_most(&format!("samples twice, too late or with a wrong number at {sink}"), 1, wrong, 0);
+    }
+    let slowest = Timed { ms: number(&rig.rpc.row("b/flood")?["slowest"]) as f64 / 1e6, late_ms: 0.0 };
+    let late_ms = number(&rig.rpc.row("a/source")?["slowest"]) as f64 / 1e6;
+    // The same write without a flood, on the same machine at the same time.
+    book.times("longest write of the flood", &[Timed { late_ms, ..slowest }], 5.0);
+    Ok(())
+}
+
+/// Each command was carried out or turned away at once, and its sender knows which.
+fn commands(rig: &Rig, book: &mut Book, sender: &str, receiver: &str, ms: u64) -> Result<(), String> {
+    const FLOOD: u64 = 1_000;
+    let client = format!("{sender}/peer");
+    rig.rpc.connect(&client, &format!("{receiver}/ctl"), trocar_proto::v1::ConnectOptions::default())?;
+    rig.rpc.stop(sender)?;
+    let of = |key: &str| -> Result<u64, String> { Ok(number(&rig.rpc.row(sender)?[key])) };
+    let done =
+        || -> Result<u64, String> { Ok(rig.rpc.component(receiver)?.stats.unwrap_or_default().commands) };
+    let (steps, turned_away, carried_out) = (of("steps")?, of("turned_away")?, done()?);
+    rig.rpc.configure(sender, json!({ "flood": FLOOD }))?;
+    rig.rpc.start(sender)?;
+    pause_ms(ms);
+    rig.rpc.stop(sender)?;
+    let sent = (of("steps")? - steps) * FLOOD;
+    let turned_away = of("turned_away")? - turned_away;
+    let mut carried = 0;
+    let all = within(3_000, "all are accounted for", || {
+        carried = done()? - carried_out;
+        let told = || format!("{sent} sent, {turned_away} turned away, {carried} carried out");
+        if carried + turned_away == sent && carried > 0 { Ok(()) } else { Err(told()) }
+    });
+    book.check(&format!("{sender} to {receiver}: no command is lost silently"), sent as usize, all);
+    let counted = connection(rig, &client)?;
+    let right = counted.rejected == turned_away;
+    let told = format!("{} rejected, {turned_away} turned away", counted.rejected);
+    let what = format!("{sender} to {receiver}: what the queue did not take is counted");
+    book.check(&what, turned_away as usize, if right { Ok(()) } else { Err(told) });
+    let health = rig.rpc.state(receiver)?;
+    let well = if health == "ACTIVE" { Ok(()) } else { Err(health) };
+    book.check(&format!("{receiver} goes on"), 1, well);
+    rig.rpc.disconnect(&client, &format!("{receiver}/ctl"))?;
+    rig.rpc.configure(sender, json!({ "flood": 0 }))?;
+    rig.rpc.start(sender)?;
+    Ok(())
+}

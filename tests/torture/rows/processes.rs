@@ -1,0 +1,96 @@
+//! Rows about processes: killed, stopped, ended at any moment.
+//!
+//! Invariant: after its faults a row looks at what is held and what is left, as it was before them.
+
+use std::collections::BTreeMap;
+
+use crate::book::{Book, Timed};
+use crate::churn::Churn;
+use crate::clock::within;
+use crate::invariants::{Desired, agree, nothing_is_left};
+use crate::moments::{Fault, Trial};
+use crate::procfs::{self, Held};
+use crate::rig::{Load, Rig};
+use crate::run::{Row, Run};
+
+pub(crate) const ROWS: &[Row] = &[
+    Row { name: "1", fault: "a host is killed", short: false, run: killed },
+    Row { name: "3", fault: "a host stands still and goes on", short: false, run: stopped },
+    Row { name: "moments", fault: "either end killed, stopped, exited, aborted", short: true, run: moments },
+];
+
+const LOAD: Load = Load { rate_hz: 1000, frames_hz: 60, holds_ms: 5, fast_hz: 0, bystanders: true };
+
+fn killed(run: &Run, book: &mut Book) -> Result<(), String> {
+    book.leaves_out("the kill of a process of 1 GiB, for which the GCM may take 70 ms longer");
+    faults(run, book, run.times(5, 200), &[Fault::Kill], &["b"])
+}
+
+fn stopped(run: &Run, book: &mut Book) -> Result<(), String> {
+    faults(run, book, run.times(5, 50), &[Fault::Pause], &["b"])
+}
+
+fn moments(run: &Run, book: &mut Book) -> Result<(), String> {
+    faults(run, book, run.times(20, 300), &Fault::ALL, &["a", "b"])
+}
+
+/// So many moments, the faults in turn, the ends in turn; then nothing has grown, and nothing is left.
+fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&str]) -> Result<(), String> {
+    let mut random = run.random(book);
+    let mut rig = Rig::up(LOAD)?;
+    let desired = Desired::now(&rig.rpc)?;
+    let mut trial = Trial::begin(&rig, run.times(1_000, 10_000))?;
+    let (mut held, mut went) = (None, Ok(()));
+    // While all that goes on, somebody connects and disconnects both ends.
+    let spare = [("a/spare/value", "b/source/value"), ("b/spare/value", "a/source/value")];
+    let churn = Churn::begin(&rig.rpc, &spare);
+    for moment in 0..times as usize {
+        // Threads and files that come with the first loss of a peer stay.
+        if moment == 1 || moment == faults.len() * victims.len() {
+            held = Some(holdings(&rig)?);
+        }
+        let (fault, victim) = (faults[moment % faults.len()], victims[moment / faults.len() % victims.len()]);
+        went = trial.moment(fault, victim, &mut random);
+        if went.is_err() {
+            break;
+        }
+    }
+    trial.tell(book);
+    match churn.end() {
+        Ok(churned) => {
+            let slowest = Timed { ms: churned.longest_ms, late_ms: 0.0 };
+            let counts = format!("({} done, {} refused)", churned.made, churned.refused);
+            book.times(&format!("Connect and Disconnect meanwhile {counts}"), &[slowest], 5_000.0);
+        }
+        Err(why) => book.check("connections made meanwhile are taken away", 1, Err(why)),
+    }
+    book.check("everything comes back", times as usize, went);
+    book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
+    if let Some(held) = held {
+        let grown = within(5_000, "nothing more is held", || not_more(&held, &holdings(&rig)?));
+        book.check("no file, thread, socket, segment more (G5)", 1, grown);
+    }
+    rig.up.terminate()?;
+    nothing_is_left(book, &rig.world);
+    Ok(())
+}
+
+/// What each process of the rig holds now, whichever incarnation.
+fn holdings(rig: &Rig) -> Result<BTreeMap<String, Held>, String> {
+    let mut all = rig.pids()?;
+    all.insert("up".into(), rig.up.pid());
+    Ok(all.into_iter().map(|(name, pid)| (name, procfs::held(pid))).collect())
+}
+
+fn not_more(before: &BTreeMap<String, Held>, now: &BTreeMap<String, Held>) -> Result<(), String> {
+    for (name, now) in now {
+        match before.get(name) {
+            None => return Err(format!("{name} is new")),
+            Some(before) if now.exceeds(before) => {
+                return Err(format!("{name} holds {now:?}, before {before:?}"));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(())
+}

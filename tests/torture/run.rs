@@ -1,0 +1,84 @@
+//! One run: its seed, how much of it there is to be, and how a row is carried out.
+//!
+//! Invariant: what a row draws depends on the seed and its own name only, so a row can be run again alone.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Instant;
+
+use crate::book::Book;
+use crate::clock::{Since, Witness};
+
+/// How often a row is tried on a machine that does something else, too.
+const ATTEMPTS: usize = 3;
+/// A machine that is late by more is no place to judge, ms.
+const UNQUIET: f64 = 80.0;
+
+/// What a row is: its name, what is done in it, and how.
+pub(crate) struct Row {
+    pub(crate) name: &'static str,
+    pub(crate) fault: &'static str,
+    /// Part of the short selection.
+    pub(crate) short: bool,
+    /// An error is something the row could not even look at.
+    pub(crate) run: fn(&Run, &mut Book) -> Result<(), String>,
+}
+
+pub(crate) struct Run {
+    pub(crate) seed: u64,
+    pub(crate) full: bool,
+}
+
+impl Default for Run {
+    fn default() -> Run {
+        Run { seed: fastrand::u64(..) >> 16, full: false }
+    }
+}
+
+impl Run {
+    /// How often something is done: in the short selection, and in full.
+    pub(crate) fn times(&self, short: u64, full: u64) -> u64 {
+        if self.full { full } else { short }
+    }
+
+    /// The moments of a row.
+    pub(crate) fn random(&self, row: &Book) -> fastrand::Rng {
+        let mut hasher = DefaultHasher::new();
+        row.row.hash(&mut hasher);
+        fastrand::Rng::with_seed(self.seed ^ hasher.finish())
+    }
+
+    /// Carries a row out; once more when it failed while the machine itself stood still.
+    pub(crate) fn row(&self, row: &Row) -> Book {
+        let mut attempt = 1;
+        loop {
+            let witness = Witness::start();
+            let mut book = self.attempt(row);
+            let late_ms = witness.late_since(Since::Ever);
+            if late_ms > UNQUIET {
+                book.leaves_out(&format!(
+                    "attempt {attempt}: the machine itself was late by {late_ms:.0} ms"
+                ));
+            }
+            if book.holds() || late_ms <= UNQUIET || attempt == ATTEMPTS {
+                return book;
+            }
+            eprintln!("  once more: the machine itself was late by {late_ms:.0} ms");
+            attempt += 1;
+        }
+    }
+
+    fn attempt(&self, row: &Row) -> Book {
+        eprintln!("== {}: {}", row.name, row.fault);
+        let began = Instant::now();
+        let mut book = Book::new(row.name, row.fault);
+        let ended = catch_unwind(AssertUnwindSafe(|| (row.run)(self, &mut book)));
+        match ended {
+            Ok(Ok(())) => {}
+            Ok(Err(why)) => book.check("the row could be run", 1, Err(why)),
+            Err(_) => book.check("the row could be run", 1, Err("it panicked, see above".into())),
+        }
+        book.took_s = began.elapsed().as_secs_f64();
+        book
+    }
+}
