@@ -82,7 +82,7 @@ fn a_client_calls_a_server_in_another_process_once_they_are_connected() {
     assert_eq!(cluster.grpc.refused("GcmService/Connect", nowhere).reason, "INTERFACE_NOT_FOUND");
     let across = json!({ "client": "right/client/Required", "server": "left/server/Provided" });
     cluster.grpc.ok("GcmService/Connect", across.clone());
-    assert_eq!(cluster.grpc.refused("GcmService/Connect", across).reason, "ALREADY_CONNECTED");
+    assert_eq!(cluster.grpc.refused("GcmService/Connect", across).reason, "CONNECTION_EXISTS");
 }
 
 #[test]
