@@ -5,7 +5,7 @@ use std::sync::Arc;
 use loom::sync::atomic::{AtomicU64, Ordering};
 use loom::thread;
 
-use super::{Plain, model};
+use super::{Plain, model, model_within};
 use crate::pool::{FramePool, PoolFile};
 use crate::region::{Layout, Region};
 use crate::stream::{FarPools, FarViews, Meta, Payload, Pushed, Queue, far_reader, far_writer};
@@ -98,5 +98,36 @@ fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
         drop(writer);
         assert!(pools.are_back(), "a lease was lost");
         assert_eq!(pool.stats().free, 1, "a slot was lost");
+    });
+}
+
+/// Whoever takes frames back beside the writer turns no push away, loses no lease and ends none twice.
+#[test]
+fn loom_frames_are_taken_back_beside_a_writer_that_goes_on() {
+    model_within(3, || {
+        let pool = FramePool::new(2, 8, 0).unwrap();
+        let file = Arc::clone(pool.file().unwrap());
+        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+        assert_eq!(pools.place_of(file.number()), Some(0));
+        assert!(views.know(0, PoolFile::numbered(file.number()).unwrap()));
+        let region = Region::heap(Layout::measure(|l| far_writer(l, Payload::Frame, Queue::Latest, &pools)));
+        let writer = far_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
+        let mut reader =
+            far_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
+        let frame = |seq| (pool.loan().map(|writing| writing.freeze(0)), Meta { stamp_ns: 0, seq });
+        let (first, meta) = frame(1);
+        assert_eq!(writer.push_frame(first.expect("both are free"), meta), Pushed::Queued);
+        assert!(reader.next().is_some());
+        reader.release();
+        let theirs = Arc::clone(&pools);
+        let manager = thread::spawn(move || theirs.collect());
+        let (second, meta) = frame(2);
+        assert_eq!(writer.push_frame(second.expect("one is free"), meta), Pushed::Queued);
+        manager.join().unwrap();
+        assert!(reader.next().is_some());
+        drop(reader);
+        drop(writer);
+        assert!(pools.are_back(), "a lease was lost");
+        assert_eq!(pool.stats().free, 2, "a slot was lost");
     });
 }

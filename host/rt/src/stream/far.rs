@@ -4,26 +4,21 @@
 //! number's bit, or is gone with all it held. Plain samples are copied once, so that they stay as they are. Invariant: nothing
 //! the other process writes is used before it was checked here.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, OnceLock};
 
+use super::leases::{LEASES, Leases, returned};
 use super::slots::{Content, Located};
 use crate::buf::AlignedBuf;
 use crate::pool::{Frame, FramePool, PoolFile};
-use crate::region::{Layout, Table};
-use crate::sync::{AtomicU64, Ordering};
+use crate::region::Layout;
+use crate::sync::{AtomicBool, AtomicU64, Ordering};
 use crate::wake::Waker;
 
-/// Frames one link can have lent at once.
-const LEASES: usize = 256;
 /// Frames a link can always have lent: the one that is looked at, and the newest. Beyond, it has two at most for each slot of their
 /// pool that is free, as a queue inside a process, so that a reader who gives none back stops nobody but itself.
-const ALWAYS: usize = 3;
+const ALWAYS: u64 = 3;
 /// Pools whose frames one link can carry in its life.
 pub const POOLS_PER_LINK: usize = 16;
-
-fn returned(layout: &mut Layout) -> Table<AtomicU64> {
-    layout.table(LEASES / 64, |_| AtomicU64::new(0))
-}
 
 /// The pools whose frames this link carries, by their place on it. The writer gives a pool its place with its first frame; a
 /// manager tells the other end, which leaves the frame where it is until then.
@@ -33,19 +28,11 @@ pub struct FarPools {
     known: [AtomicU64; POOLS_PER_LINK],
     /// Frames of one pool too many came, and were not sent: 1.
     overflowed: AtomicU64,
-    left: Mutex<Left>,
+    /// What is lent of this link; none of plain samples.
+    leases: OnceLock<Arc<Leases>>,
+    writer_left: AtomicBool,
     /// Rung when a pool got its place.
     bell: Option<Arc<Waker>>,
-}
-
-/// What there is to wait for when a link goes.
-#[derive(Default)]
-enum Left {
-    #[default]
-    Writer,
-    /// The writer is gone, and the reader holds some of these.
-    Frames(Lending),
-    Nothing,
 }
 
 impl FarPools {
@@ -80,24 +67,17 @@ impl FarPools {
     }
 
     /// Whether the writer is gone and the reader has let go of every frame it had. Until then they stay as they are, unless this is
-    /// dropped. Managers only.
+    /// dropped.
     pub fn are_back(&self) -> bool {
-        let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Left::Frames(lending) = &mut *left {
-            lending.collect();
-            if lending.has_all() {
-                *left = Left::Nothing;
-            }
-        }
-        matches!(*left, Left::Nothing)
+        self.collect();
+        self.writer_left.load(Ordering::Acquire) && self.leases.get().is_none_or(|leases| leases.out() == 0)
     }
 
-    /// The writer goes; what was lent stays lent.
-    pub(super) fn keep(&self, mut lending: Lending) {
-        // It is in here from now on.
-        lending.pools = Arc::default();
-        let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
-        *left = Left::Frames(lending);
+    /// Takes back frames the reader has done with; each push does so too. Any thread; never waits, and no push is in its way.
+    pub fn collect(&self) {
+        if let Some(leases) = self.leases.get() {
+            leases.collect();
+        }
     }
 
     /// Frames came for whose pool there is no place left: the link has to be made anew.
@@ -106,64 +86,47 @@ impl FarPools {
     }
 }
 
-/// The writer's books of the frames it has lent.
+/// How the writer lends frames.
 pub(super) struct Lending {
-    /// By lease.
-    lent: Box<[Option<Frame>]>,
-    free: Vec<u32>,
+    leases: Arc<Leases>,
+    /// The number to look at first.
+    next: usize,
     /// The lease of the frame in each place.
     places: Box<[Option<u32>]>,
-    /// A bit for each lease the reader has done with.
-    returned: Table<AtomicU64>,
     pools: Arc<FarPools>,
 }
 
 impl Lending {
     pub(super) fn lay_out(layout: &mut Layout, places: usize, pools: &Arc<FarPools>) -> Self {
-        Self {
-            lent: (0..LEASES).map(|_| None).collect(),
-            free: (0..LEASES as u32).rev().collect(),
-            places: vec![None; places].into(),
-            returned: returned(layout),
-            pools: Arc::clone(pools),
+        let leases = Arc::new(Leases::lay_out(layout));
+        // Not where only the length is asked for.
+        if layout.region().is_some() {
+            let _ = pools.leases.set(Arc::clone(&leases));
         }
+        Self { leases, next: 0, places: vec![None; places].into(), pools: Arc::clone(pools) }
     }
 
-    pub(super) fn pools(&self) -> &Arc<FarPools> {
-        &self.pools
+    pub(super) fn leases(&self) -> &Arc<Leases> {
+        &self.leases
     }
 
-    fn has_all(&self) -> bool {
-        self.free.len() == self.lent.len()
-    }
-
-    /// Takes back what the reader has done with. No allocation: there is room for every lease.
-    pub(super) fn collect(&mut self) {
-        for at in 0..self.returned.len() {
-            if self.returned[at].load(Ordering::Relaxed) == 0 {
-                continue;
-            }
-            // Acquire: the reader has read before the frame is written anew.
-            let mut bits = self.returned[at].swap(0, Ordering::Acquire);
-            while bits != 0 {
-                self.end(at as u32 * 64 + bits.trailing_zeros());
-                bits &= bits - 1;
-            }
-        }
+    /// The writer goes; what was lent stays lent.
+    pub(super) fn leave(&self) {
+        self.pools.writer_left.store(true, Ordering::Release);
     }
 
     /// Lends a frame; `None` when too many are out, or there is no place for its pool.
     pub(super) fn lend(&mut self, frame: Frame) -> Option<Located> {
         let (number, slot) = frame.location();
         let pool = self.pools.place_of(number)?;
-        let out = LEASES - self.free.len();
-        if out >= ALWAYS && !frame.pool_has_free(out.div_ceil(2) as u64) {
+        let out = self.leases.out();
+        if out >= ALWAYS && !frame.pool_has_free(out.div_ceil(2)) {
             return None;
         }
-        let lease = self.free.pop()?;
-        let located = Located { lease, pool, slot: u64::from(slot), len: frame.bytes().len() as u64 };
-        self.lent[lease as usize] = Some(frame);
-        Some(located)
+        let len = frame.bytes().len() as u64;
+        let lease = self.leases.lend(frame, self.next)?;
+        self.next = lease as usize + 1;
+        Some(Located { lease, pool, slot: u64::from(slot), len })
     }
 
     /// The frame was put into this place. What the reader took out of it before is lent on.
@@ -176,14 +139,7 @@ impl Lending {
         if let Some(lease) = self.places[place].take()
             && unseen
         {
-            self.end(lease);
-        }
-    }
-
-    /// A number that is not out, or comes twice, is nothing.
-    pub(super) fn end(&mut self, lease: u32) {
-        if self.lent.get_mut(lease as usize).is_some_and(|lent| lent.take().is_some()) {
-            self.free.push(lease);
+            self.leases.end(lease);
         }
     }
 }

@@ -8,6 +8,7 @@ mod far;
 mod fifo;
 mod here;
 mod latest;
+mod leases;
 mod reader;
 mod slots;
 mod writer;

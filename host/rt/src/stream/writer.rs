@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::far::Lending;
 use super::fifo::{Fifo, Writing};
+use super::leases::Leases;
 use super::slots::{Located, Slots};
 use super::{
     DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, latest, tally,
@@ -46,6 +47,8 @@ struct End {
 pub struct StreamWriter {
     link: Arc<Link>,
     end: TryCell<End>,
+    /// What `end` has lent.
+    leases: Option<Arc<Leases>>,
 }
 
 impl StreamWriter {
@@ -54,7 +57,8 @@ impl StreamWriter {
             Order::Latest(_) => Owned::Latest { back: latest::WRITERS },
             Order::Fifo(fifo) => Owned::Fifo(fifo.writing()),
         };
-        Self { link, end: TryCell::new(End { owned, lending }) }
+        let leases = lending.as_ref().map(|lending| Arc::clone(lending.leases()));
+        Self { link, end: TryCell::new(End { owned, lending }), leases }
     }
 
     /// Offers a sample of plain bytes, copied. Never waits.
@@ -141,7 +145,7 @@ impl StreamWriter {
         let slots = &self.link.slots;
         let lending = &mut end.lending;
         if let Some(lending) = lending {
-            lending.collect();
+            lending.leases().collect();
         }
         match (&self.link.order, &mut end.owned) {
             (Order::Latest(latest), Owned::Latest { back }) => {
@@ -185,13 +189,11 @@ impl StreamWriter {
 }
 
 impl StreamWriter {
-    /// Takes back frames the reader in another process has done with; the next push does so too. Any thread; a push at the same
-    /// moment is turned away.
+    /// Takes back frames the reader in another process has done with; each push does so too. Any thread; never waits, and no push is
+    /// in its way.
     pub fn collect(&self) {
-        if let Some(mut end) = self.end.try_enter()
-            && let Some(lending) = &mut end.lending
-        {
-            lending.collect();
+        if let Some(leases) = &self.leases {
+            leases.collect();
         }
     }
 }
@@ -217,7 +219,7 @@ impl Drop for StreamWriter {
             _ => unreachable!("both are made together in `stream_link`"),
         };
         tally(&self.link.counters.writer.0.dropped, taken_back);
-        Arc::clone(lending.pools()).keep(lending);
+        lending.leave();
     }
 }
 

@@ -73,8 +73,6 @@ pub(super) enum ServerWires {
         /// Of how many the client was told.
         told: usize,
         frames: bool,
-        /// Samples offered when it was looked at last.
-        offered: u64,
     },
     Calls {
         events: Vec<Arc<EventCell>>,
@@ -153,7 +151,6 @@ impl ServerWires {
                     pools,
                     told: 0,
                     frames: matches!(ty, PortType::Frame { .. }),
-                    offered: 0,
                 })
             }
             (Offer::Calls(calls), Way::Calls { binding, .. }) => {
@@ -267,13 +264,10 @@ impl ServerWires {
         matches!(self, ServerWires::Output { frames: true, .. })
     }
 
-    /// Takes back what the reader has done with, where no push has done so since the last look.
-    pub(super) fn collect_at_rest(&mut self) {
-        if let ServerWires::Output { output, stats, frames: true, offered, .. } = self {
-            let now = stats.stats().pushed;
-            if std::mem::replace(offered, now) == now {
-                output.collect();
-            }
+    /// Takes back what the reader has done with: nobody may write for lack of it.
+    pub(super) fn collect(&self) {
+        if let ServerWires::Output { pools, .. } = self {
+            pools.collect();
         }
     }
 

@@ -480,7 +480,7 @@ impl Worker {
         }
     }
 
-    /// Tells clients of the pools whose frames wait for it, and takes back frames where nobody writes; a link that has seen too many
+    /// Tells clients of the pools whose frames wait for it, and takes back frames; a link that has seen too many
     /// pools is made anew.
     fn look_at_frames(&mut self) {
         for half in all(&self.halves) {
@@ -488,7 +488,7 @@ impl Worker {
             let Some(Linked { session, epoch, wires: Wires::Server(wires) }) = &mut stage.linked else {
                 continue;
             };
-            wires.collect_at_rest();
+            wires.collect();
             let (session, overflowed) = (session.clone(), wires.has_overflowed());
             let Untold { pools, files, told } = Untold::of(wires);
             if !pools.is_empty() {
