@@ -36,6 +36,8 @@ const AT_ONCE: usize = 16;
 pub(crate) struct Server<H> {
     card: Card,
     listener: OwnedFd,
+    /// A file kept so that somebody can be told when the process may open no more; `None` while that is so.
+    spare: Option<OwnedFd>,
     /// No look at the listener before, ns.
     listen_ns: u64,
     shared: Arc<Shared>,
@@ -82,6 +84,7 @@ impl<H: Handler> Server<H> {
     pub(crate) fn new(card: Card, listener: OwnedFd, shared: Arc<Shared>, handler: H) -> Server<H> {
         Server {
             card,
+            spare: None,
             listener,
             listen_ns: 0,
             shared,
@@ -100,6 +103,7 @@ impl<H: Handler> Server<H> {
     pub(crate) fn run(&mut self) {
         while self.answer() {
             let now = now_ns();
+            self.spare_a_file();
             self.dial(now);
             self.look_at_hearts(now);
             let ready = self.wait(now_ns());
@@ -247,6 +251,8 @@ impl<H: Handler> Server<H> {
                 Ok(socket) => self.admit(socket, now),
                 Err(Errno::INTR | Errno::CONNABORTED) => {}
                 Err(Errno::AGAIN) => return,
+                // In its place somebody hears why it is not let in.
+                Err(Errno::MFILE | Errno::NFILE) if self.spare.take().is_some() => {}
                 Err(e) => {
                     self.no_files
                         .warn(now, &format!("no other process can reach this one for a moment: {e}"));
@@ -254,6 +260,12 @@ impl<H: Handler> Server<H> {
                     return;
                 }
             }
+        }
+    }
+
+    fn spare_a_file(&mut self) {
+        if self.spare.is_none() {
+            self.spare = rustix::io::fcntl_dupfd_cloexec(&self.listener, 0).ok();
         }
     }
 
@@ -337,6 +349,9 @@ impl<H: Handler> Server<H> {
                 let why =
                     format!("it has {of_one} sessions with this process already, others {}", all - of_one);
                 Err(Refusal::told(why))
+            }
+            (Stage::Knocking, _) if self.spare.is_none() => {
+                Err(Refusal::told(format!("it has no room for a session: {}", Errno::MFILE)))
             }
             _ => step(&self.card, &socket, stage, said, files),
         };

@@ -45,6 +45,7 @@ mod wait;
 mod watch;
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
@@ -198,8 +199,11 @@ fn process(main: impl Future<Output = Done>) -> Done {
     block_on(tokio::runtime::Builder::new_multi_thread(), main)
 }
 
+/// After this a thread that was needed for what blocks ends.
+const IDLE: Duration = Duration::from_secs(2);
+
 fn block_on(mut builder: tokio::runtime::Builder, main: impl Future<Output = Done>) -> Done {
-    let runtime = builder.enable_all().thread_name("trocar-io").build();
+    let runtime = builder.enable_all().thread_name("trocar-io").thread_keep_alive(IDLE).build();
     let runtime = runtime.map_err(|e| {
         Failure::local(
             "IO",

@@ -41,9 +41,6 @@ pub(super) const AND_YIELD: Excused = Excused {
 /// Of one whose step is shared by several threads: they wake and await each other in it.
 pub(super) const AND_TEAM: Excused = Excused { inside: &[libc::SYS_futex], ..SLEEP_AND_WAKE };
 
-/// Components that one watched here sends to.
-const MOST_WOKEN: u64 = 2;
-
 /// Of one watched thread.
 pub(super) struct Book {
     watch: &'static Watch,
@@ -156,10 +153,9 @@ impl Watch {
         self.untrapped.lock().unwrap().clone()
     }
 
-    /// Everything that a pure step does not do, but for what is excused. Whoever finds a queue full, `full` times in all, wakes those it
-    /// has sent to at once.
-    pub(super) fn stains(&self, excused: Excused, full: u64) -> Vec<String> {
-        self.books.lock().unwrap().iter().flat_map(|book| book.stains(excused, full)).collect()
+    /// Everything that a pure step does not do, but for what is excused.
+    pub(super) fn stains(&self, excused: Excused) -> Vec<String> {
+        self.books.lock().unwrap().iter().flat_map(|book| book.stains(excused)).collect()
     }
 }
 
@@ -171,7 +167,7 @@ impl Book {
         }
     }
 
-    fn stains(&self, excused: Excused, full: u64) -> Vec<String> {
+    fn stains(&self, excused: Excused) -> Vec<String> {
         let mut stains = Vec::new();
         let places = [("between steps", excused.between), ("inside steps", excused.inside)];
         for (inside, (place, _)) in places.iter().enumerate() {
@@ -186,8 +182,7 @@ impl Book {
         for ((place, excused), calls) in places.into_iter().zip(&self.calls) {
             for (number, count) in calls.iter().enumerate() {
                 let (number, count) = (number as i64, count.load(Ordering::Relaxed));
-                let woken = number == libc::SYS_futex && count <= MOST_WOKEN * full;
-                if count > 0 && !excused.contains(&number) && !woken {
+                if count > 0 && !excused.contains(&number) {
                     stains.push(format!("{count} times {} {place}", name(number)));
                 }
             }
