@@ -84,6 +84,12 @@ impl Drop for Churn {
 }
 
 impl Churned {
+    pub(crate) fn add(&mut self, more: Churned) {
+        self.made += more.made;
+        self.refused += more.refused;
+        self.longest_ms = self.longest_ms.max(more.longest_ms);
+    }
+
     fn count(&mut self, answer: Answer<()>, asked: Instant) {
         self.longest_ms = self.longest_ms.max(asked.elapsed().as_secs_f64() * 1e3);
         match answer {

@@ -83,8 +83,8 @@ impl Holdings {
     pub(crate) fn have_not_grown(&self) -> Result<(), String> {
         within(REST, "nothing more is held", || {
             let grown = self.0.iter().find_map(|(name, pid, before)| {
-                let now = procfs::held(*pid);
-                now.exceeds(before).then(|| format!("{name} holds {now:?}, before {before:?}"))
+                let more = procfs::held(*pid).beyond(before)?;
+                Some(format!("{name} holds {more}"))
             });
             grown.map_or(Ok(()), Err)
         })

@@ -2,42 +2,81 @@
 //!
 //! Invariant: a process that has ended but was not yet waited for counts as ended.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-/// What a process holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// What a process holds, of each kind how many of each name.
+#[derive(Clone, Default)]
 pub(crate) struct Held {
-    pub(crate) fds: usize,
-    pub(crate) sockets: usize,
-    pub(crate) threads: usize,
+    /// By what they lead to: memory files, `socket`, `anon_inode:…`, paths.
+    fds: Names,
+    threads: Names,
     /// Mappings of memory files.
-    pub(crate) segments: usize,
+    segments: Names,
 }
 
+type Names = BTreeMap<String, usize>;
+
 impl Held {
-    /// Anything of it is more than before.
-    pub(crate) fn exceeds(&self, before: &Held) -> bool {
-        self.fds > before.fds
-            || self.sockets > before.sockets
-            || self.threads > before.threads
-            || self.segments > before.segments
+    /// How anything of it is more than before; `None` when nothing is.
+    pub(crate) fn beyond(&self, before: &Held) -> Option<String> {
+        let sockets = |held: &Held| held.fds.get(SOCKET).copied().unwrap_or(0);
+        let grown = count(&self.fds) > count(&before.fds)
+            || sockets(self) > sockets(before)
+            || count(&self.threads) > count(&before.threads)
+            || count(&self.segments) > count(&before.segments);
+        let kinds = [
+            ("files", &self.fds, &before.fds),
+            ("threads", &self.threads, &before.threads),
+            ("segments", &self.segments, &before.segments),
+        ];
+        grown.then(|| kinds.map(|(what, now, before)| difference(what, now, before)).join("; "))
     }
+}
+
+const SOCKET: &str = "socket";
+
+fn count(names: &Names) -> usize {
+    names.values().sum()
+}
+
+fn difference(what: &str, now: &Names, before: &Names) -> String {
+    let names: BTreeSet<&String> = now.keys().chain(before.keys()).collect();
+    let of = |names: &Names, name: &String| names.get(name).copied().unwrap_or(0);
+    let changed = names.into_iter().filter(|name| of(now, name) != of(before, name));
+    let changed: Vec<String> =
+        changed.map(|name| format!("{name} {} (before {})", of(now, name), of(before, name))).collect();
+    format!("{} {what} (before {}): {}", count(now), count(before), changed.join(", "))
+}
+
+fn names(all: impl Iterator<Item = String>) -> Names {
+    let mut names = Names::new();
+    for name in all {
+        *names.entry(name).or_default() += 1;
+    }
+    names
+}
+
+/// How many threads a process has.
+pub(crate) fn threads(pid: u32) -> usize {
+    entries(&format!("/proc/{pid}/task")).len()
 }
 
 pub(crate) fn held(pid: u32) -> Held {
-    let fds: Vec<_> = entries(&format!("/proc/{pid}/fd"));
-    let is_socket = |fd: &&String| {
+    let fds = entries(&format!("/proc/{pid}/fd")).into_iter().map(|fd| {
         let to = fs::read_link(format!("/proc/{pid}/fd/{fd}"));
-        to.is_ok_and(|to| to.to_string_lossy().starts_with("socket:"))
-    };
+        let to = to.map_or_else(|_| "closed meanwhile".to_owned(), |to| to.to_string_lossy().into_owned());
+        // Without the number of each.
+        if to.starts_with("socket:") { SOCKET.to_owned() } else { to }
+    });
+    let threads = entries(&format!("/proc/{pid}/task")).into_iter().map(|tid| {
+        let name = fs::read_to_string(format!("/proc/{pid}/task/{tid}/comm")).unwrap_or_default();
+        name.trim().to_owned()
+    });
     let maps = fs::read_to_string(format!("/proc/{pid}/maps")).unwrap_or_default();
-    Held {
-        fds: fds.len(),
-        sockets: fds.iter().filter(is_socket).count(),
-        threads: entries(&format!("/proc/{pid}/task")).len(),
-        segments: maps.lines().filter(|line| line.contains("/memfd:")).count(),
-    }
+    let segments = maps.lines().filter_map(|line| Some(line[line.find("/memfd:")?..].to_owned()));
+    Held { fds: names(fds), threads: names(threads), segments: names(segments) }
 }
 
 /// Memory of a process that is in use, KiB.
@@ -120,6 +159,10 @@ mod tests {
     fn this_process_holds_files_and_threads_and_is_not_gone() {
         let me = std::process::id();
         let held = held(me);
-        assert!(held.fds >= 1 && held.threads >= 1 && rss_kib(me) > 0 && !gone(me), "{held:?}");
+        let counts = (count(&held.fds), count(&held.threads));
+        assert!(counts.0 >= 1 && counts.1 >= 1 && rss_kib(me) > 0 && !gone(me), "{counts:?}");
+        let more = held.beyond(&Held::default()).unwrap();
+        assert!(more.contains("threads (before 0)"), "{more}");
+        assert_eq!(held.beyond(&held), None);
     }
 }

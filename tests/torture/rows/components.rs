@@ -385,7 +385,7 @@ fn rude(run: &Run, book: &mut Book) -> Result<(), String> {
     let (rpc, rounds) = (&scene.rpc, run.times(1, 20));
     let pid = scene.host.pid();
     let directory = || std::fs::read_link(format!("/proc/{pid}/cwd")).map_err(|e| e.to_string());
-    let (before, threads) = (directory()?, procfs::held(pid).threads);
+    let (before, threads) = (directory()?, procfs::threads(pid));
     let cases = [
         ("rounding", "start", "changed the rounding mode of its thread"),
         ("rounding", "step", "changed the rounding mode of its thread"),
@@ -433,7 +433,7 @@ fn rude(run: &Run, book: &mut Book) -> Result<(), String> {
     let same = if now == before { Ok(()) } else { Err(format!("{now:?}, before {before:?}")) };
     book.check("the working directory is what it was", rounds as usize, same);
     let left = within(PATIENCE, "only the threads that were left are there", || {
-        let now = procfs::held(pid).threads;
+        let now = procfs::threads(pid);
         if now <= threads + rounds as usize { Ok(()) } else { Err(format!("{now}, before {threads}")) }
     });
     book.check("no thread but those that were left", rounds as usize, left);

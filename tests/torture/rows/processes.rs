@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use crate::book::{Book, Timed};
-use crate::churn::Churn;
+use crate::churn::{Churn, Churned};
 use crate::clock::within;
 use crate::invariants::{Desired, agree, nothing_is_left};
 use crate::moments::{Fault, Trial};
@@ -40,30 +40,38 @@ fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&
     let mut rig = Rig::up(LOAD)?;
     let desired = Desired::now(&rig.rpc)?;
     let mut trial = Trial::begin(&rig, run.times(1_000, 10_000))?;
-    let (mut held, mut went) = (None, Ok(()));
     // While all that goes on, somebody connects and disconnects both ends.
     let spare = [("a/spare/value", "b/source/value"), ("b/spare/value", "a/source/value")];
-    let churn = Churn::begin(&rig.rpc, &spare);
-    for moment in 0..times as usize {
-        // Threads and files that come with the first loss of a peer stay.
-        if moment == 1 || moment == faults.len() * victims.len() {
-            held = Some(holdings(&rig)?);
+    // Threads and files that come with the first loss of a peer stay.
+    let first = if times as usize > faults.len() * victims.len() { faults.len() * victims.len() } else { 1 };
+    let (mut held, mut churned, mut went) = (None, Churned::default(), Ok(()));
+    for moments in [0..first, first..times as usize] {
+        let churn = Churn::begin(&rig.rpc, &spare);
+        for moment in moments {
+            let fault = faults[moment % faults.len()];
+            let victim = victims[moment / faults.len() % victims.len()];
+            went = trial.moment(fault, victim, &mut random);
+            if went.is_err() {
+                break;
+            }
         }
-        let (fault, victim) = (faults[moment % faults.len()], victims[moment / faults.len() % victims.len()]);
-        went = trial.moment(fault, victim, &mut random);
+        let clean = churn.end().map(|more| churned.add(more));
+        if clean.is_err() {
+            book.check("connections made meanwhile are taken away", 1, clean);
+            went = went.and(Err("connections stayed that were made meanwhile".into()));
+        }
         if went.is_err() {
             break;
         }
+        if held.is_none() {
+            agree(&rig.rpc, &desired)?;
+            held = Some(holdings(&rig)?);
+        }
     }
     trial.tell(book);
-    match churn.end() {
-        Ok(churned) => {
-            let slowest = Timed { ms: churned.longest_ms, late_ms: 0.0 };
-            let counts = format!("({} done, {} refused)", churned.made, churned.refused);
-            book.times(&format!("Connect and Disconnect meanwhile {counts}"), &[slowest], 5_000.0);
-        }
-        Err(why) => book.check("connections made meanwhile are taken away", 1, Err(why)),
-    }
+    let slowest = Timed { ms: churned.longest_ms, late_ms: 0.0 };
+    let counts = format!("({} done, {} refused)", churned.made, churned.refused);
+    book.times(&format!("Connect and Disconnect meanwhile {counts}"), &[slowest], 5_000.0);
     book.check("everything comes back", times as usize, went);
     book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
     if let Some(held) = held {
@@ -84,12 +92,9 @@ fn holdings(rig: &Rig) -> Result<BTreeMap<String, Held>, String> {
 
 fn not_more(before: &BTreeMap<String, Held>, now: &BTreeMap<String, Held>) -> Result<(), String> {
     for (name, now) in now {
-        match before.get(name) {
-            None => return Err(format!("{name} is new")),
-            Some(before) if now.exceeds(before) => {
-                return Err(format!("{name} holds {now:?}, before {before:?}"));
-            }
-            Some(_) => {}
+        let before = before.get(name).ok_or_else(|| format!("{name} is new"))?;
+        if let Some(more) = now.beyond(before) {
+            return Err(format!("{name} holds {more}"));
         }
     }
     Ok(())
