@@ -7,6 +7,7 @@ mod client;
 mod config;
 mod ending;
 mod error;
+mod memory;
 mod process;
 mod signals;
 mod sources;
@@ -14,6 +15,7 @@ mod state_dir;
 
 pub use config::{HostBuilder, HostConfig};
 pub use error::HostError;
+pub use memory::MemoryBounds;
 pub use process::Host;
 pub use signals::{StopRequest, say_to_keeper};
 pub use state_dir::{StateChoice, StateDir, state_home};

@@ -22,4 +22,4 @@ pub mod system_file;
 pub use trocar_model as model;
 pub use trocar_plugin_api::abi::StaticPlugin;
 
-pub use host::{Host, HostBuilder};
+pub use host::{Host, HostBuilder, MemoryBounds};

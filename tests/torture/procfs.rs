@@ -84,11 +84,6 @@ pub(crate) fn rss_kib(pid: u32) -> u64 {
     status_kib(pid, "VmRSS:")
 }
 
-/// Addresses a process has given out, KiB.
-pub(crate) fn address_space_kib(pid: u32) -> u64 {
-    status_kib(pid, "VmSize:")
-}
-
 fn status_kib(pid: u32, field: &str) -> u64 {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix(field));

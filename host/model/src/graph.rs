@@ -55,6 +55,8 @@ pub struct Process {
     pub last_exit: String,
     /// How often its supervisor started it again.
     pub restarts: u32,
+    /// What the process itself is warned of, such as its memory.
+    pub warnings: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq)]

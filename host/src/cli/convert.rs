@@ -70,6 +70,7 @@ pub(super) fn process(p: &v1::Process) -> ProcessView {
         classes: p.classes.clone(),
         last_exit: p.last_exit.clone(),
         restarts: p.restarts,
+        warnings: p.warnings.clone(),
     }
 }
 

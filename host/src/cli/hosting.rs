@@ -11,7 +11,9 @@ use trocar_model::Name;
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{logging, out, session};
-use crate::host::{Host, HostConfig, HostError, StateChoice, StopRequest, say_to_keeper, state_home};
+use crate::host::{
+    Host, HostConfig, HostError, MemoryBounds, StateChoice, StopRequest, say_to_keeper, state_home,
+};
 use crate::loader::Trust;
 
 const EXAMPLES: &str = "\
@@ -47,7 +49,27 @@ pub(super) struct HostArgs {
     #[arg(long)]
     lock_memory: bool,
     #[command(flatten)]
+    memory: MemoryArgs,
+    #[command(flatten)]
     tie: Tie,
+}
+
+/// How much memory a process may use.
+#[derive(Args, Clone, Copy, Debug)]
+struct MemoryArgs {
+    /// List this process with a warning while it has more memory than this in use, MiB.
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(1..))]
+    memory_warn: Option<u32>,
+    /// Give this process no more memory of its own than this, MiB: asking for more ends it.
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(1..))]
+    memory_limit: Option<u32>,
+}
+
+impl MemoryArgs {
+    fn bounds(self) -> Result<MemoryBounds, Failure> {
+        MemoryBounds::new(self.memory_warn, self.memory_limit)
+            .map_err(|why| Failure::usage(why, "give a --memory-warn below --memory-limit"))
+    }
 }
 
 /// How a process is tied to whoever starts it.
@@ -99,6 +121,7 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
         gcm: session.explicit_gcm().map(str::to_owned),
         trust: trust(&args.trust)?,
         lock_memory: args.lock_memory,
+        memory: args.memory.bounds()?,
         await_gcm: args.tie.tied,
         vet_with: std::env::current_exe().ok(),
         ..HostConfig::new(args.name)

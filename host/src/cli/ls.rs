@@ -60,10 +60,13 @@ fn plain(text: impl Into<String>) -> (String, anstyle::Style) {
 }
 
 fn processes(view: &SystemView) -> Table {
-    let mut table = Table::new(&["NAME", "STATE", "PID", "EPOCH", "ENDPOINT", "RESTARTS", "LAST EXIT"]);
+    let mut heads = vec!["NAME", "STATE", "PID", "EPOCH", "ENDPOINT", "RESTARTS", "LAST EXIT"];
+    let warned = view.processes.iter().any(|p| !p.warnings.is_empty());
+    heads.extend(warned.then_some("WARNINGS"));
+    let mut table = Table::new(&heads);
     for p in &view.processes {
         let state = (p.state.clone(), style::of_state(&p.state));
-        table.styled([
+        let cells = [
             plain(&p.name),
             state,
             plain(p.pid.to_string()),
@@ -71,7 +74,9 @@ fn processes(view: &SystemView) -> Table {
             plain(&p.endpoint),
             plain(p.restarts.to_string()),
             plain(shortened(&p.last_exit)),
-        ]);
+        ];
+        let warnings = warned.then(|| (p.warnings.join("; "), style::WARN));
+        table.styled(cells.into_iter().chain(warnings));
     }
     table
 }

@@ -29,6 +29,8 @@ pub(super) struct ProcessView {
     pub(super) last_exit: String,
     /// How often its supervisor started it again.
     pub(super) restarts: u32,
+    /// What the process itself is warned of.
+    pub(super) warnings: Vec<String>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

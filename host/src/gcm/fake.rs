@@ -381,6 +381,7 @@ impl Lcm for FakeLcm {
             components: states.iter().map(|(id, s)| report(id, *s)).collect(),
             classes: vec![class()],
             halves: self.halves.lock().unwrap().values().cloned().collect(),
+            warnings: Vec::new(),
         })
     }
 

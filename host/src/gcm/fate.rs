@@ -95,6 +95,7 @@ fn never_seen(pid: u32) -> Process {
         classes: Vec::new(),
         last_exit: String::new(),
         restarts: 0,
+        warnings: Vec::new(),
     }
 }
 

@@ -218,6 +218,7 @@ impl Gcm {
                     classes: inventory.classes.clone(),
                     last_exit,
                     restarts,
+                    warnings: inventory.warnings,
                 },
             );
         });
@@ -433,7 +434,7 @@ async fn follow(
         });
         if lagged {
             match lcm.inventory().await {
-                Ok(Inventory { components, classes, halves, .. }) => gcm.edit(|graph| {
+                Ok(Inventory { components, classes, halves, warnings, .. }) => gcm.edit(|graph| {
                     graph.proxies.retain(|_, half| half.process != process);
                     for half in halves {
                         let key = (ConnectionId(half.connection), half.end);
@@ -441,7 +442,7 @@ async fn follow(
                     }
                     loose.extend(components.iter().flat_map(|report| observe(graph, report)));
                     if let Some(p) = graph.processes.get_mut(&process) {
-                        p.classes = classes;
+                        (p.classes, p.warnings) = (classes, warnings);
                     }
                 }),
                 Err(refusal) => log::warn!("the inventory of {process} cannot be had: {refusal}"),
@@ -489,6 +490,11 @@ fn enter(
             return false;
         }
         News::Half(half) => return enter_half(graph, half),
+        News::Warnings(warnings) => {
+            if let Some(p) = Arc::make_mut(graph).processes.get_mut(process) {
+                p.warnings = warnings;
+            }
+        }
     }
     true
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use trocar_model::{Name, Refusal};
 use trocar_plugin_api::abi::StaticPlugin;
 
-use super::{Host, HostError, StateChoice};
+use super::{Host, HostError, MemoryBounds, StateChoice};
 use crate::loader::Trust;
 
 /// What a host is made from.
@@ -33,6 +33,8 @@ pub struct HostConfig {
     pub vet_with: Option<PathBuf>,
     /// Keep all memory of the process resident, so that no cycle waits for a page.
     pub lock_memory: bool,
+    /// How much memory the process may use.
+    pub memory: MemoryBounds,
 }
 
 impl HostConfig {
@@ -50,6 +52,7 @@ impl HostConfig {
             trust: Trust::Dev,
             vet_with: None,
             lock_memory: false,
+            memory: MemoryBounds::default(),
         }
     }
 
@@ -148,6 +151,12 @@ impl HostBuilder {
     #[must_use]
     pub fn lock_memory(self, lock: bool) -> Self {
         self.with(|c| c.lock_memory = lock)
+    }
+
+    /// From where on the process is warned of the memory it uses, and how much it gets at most: a limit of the whole program.
+    #[must_use]
+    pub fn memory(self, bounds: MemoryBounds) -> Self {
+        self.with(|c| c.memory = bounds)
     }
 
     /// Starts it. Call it inside a tokio runtime with clock and network (`enable_all`); when that ends before the host, the

@@ -28,6 +28,11 @@ pub enum HostError {
     Threads {
         because: String,
     },
+    /// The limit of its memory cannot be set.
+    Memory {
+        mib: u32,
+        because: String,
+    },
     /// It was not started inside a tokio runtime that can serve it.
     NoRuntime {
         lacks: &'static str,
@@ -66,7 +71,7 @@ impl HostError {
         match self {
             HostError::StateInUse { .. } | HostError::StateHeld { .. } => "STATE_IN_USE",
             HostError::StateUnwritable { .. } => "STATE_UNWRITABLE",
-            HostError::Threads { .. } => "NO_RESOURCES",
+            HostError::Threads { .. } | HostError::Memory { .. } => "NO_RESOURCES",
             HostError::NoRuntime { .. } => "NO_RUNTIME",
             HostError::BadName { .. } => "BAD_NAME",
             HostError::Store(e) => match e {
@@ -100,6 +105,7 @@ impl HostError {
             HostError::Threads { .. } => {
                 "raise the limit on processes (ulimit -u), or end other programs".into()
             }
+            HostError::Memory { .. } => "give a limit the system allows (ulimit -Hd tells it), or none".into(),
             HostError::NoRuntime { .. } => {
                 "start it inside tokio::runtime::Builder::new_multi_thread().enable_all(), or under #[tokio::main]".into()
             }
@@ -140,6 +146,9 @@ impl fmt::Display for HostError {
                 write!(f, "the state directory {} cannot be used: {because}", dir.display())
             }
             HostError::Threads { because } => write!(f, "the system gives no more threads: {because}"),
+            HostError::Memory { mib, because } => {
+                write!(f, "the memory of the process cannot be limited to {mib} MiB: {because}")
+            }
             HostError::NoRuntime { lacks } => {
                 write!(f, "a host lives in a tokio runtime with clock and network, and {lacks}")
             }

@@ -100,6 +100,7 @@ impl Host {
             lock_memory: config.lock_memory,
         })
         .map_err(|e| HostError::Threads { because: e.to_string() })?;
+        config.memory.keep(&lcm)?;
         self.lcm = Some(lcm.clone());
         self.ending.running().lcm = Some(lcm.clone());
         let changed = Arc::downgrade(&lcm);

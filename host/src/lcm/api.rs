@@ -87,6 +87,8 @@ pub enum News {
     Catalog(Vec<Arc<ClassInfo>>),
     Log(LogLine),
     Half(HalfReport),
+    /// The process itself is warned of this now, instead of what it was before.
+    Warnings(Vec<String>),
 }
 
 /// How the half of a connection to another process stands.
@@ -106,6 +108,8 @@ pub struct Inventory {
     pub classes: Vec<Arc<ClassInfo>>,
     /// Halves of connections to other processes.
     pub halves: Vec<HalfReport>,
+    /// What the process itself is warned of.
+    pub warnings: Vec<String>,
 }
 
 /// One line a component or the host logged.

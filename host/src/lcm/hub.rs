@@ -29,6 +29,8 @@ pub(super) struct Hub {
     pub(super) ports: Arc<Waker>,
     /// Removed components whose code may still use what the host gave them: kept until the process ends.
     graveyard: Mutex<Vec<Arc<Instance>>>,
+    /// What the process itself is warned of.
+    pub(super) warnings: Mutex<Vec<String>>,
 }
 
 impl Hub {
@@ -42,6 +44,7 @@ impl Hub {
             watch: Arc::new(Waker::new()),
             ports: Arc::new(Waker::new()),
             graveyard: Mutex::new(Vec::new()),
+            warnings: Mutex::default(),
         })
     }
 

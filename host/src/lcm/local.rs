@@ -180,6 +180,13 @@ impl LocalLcm {
         }
     }
 
+    /// Warns of the process itself from now on; nothing: of nothing.
+    pub fn warn(&self, warnings: Vec<String>) {
+        self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&warnings);
+        // Nobody listening is fine: the inventory has it.
+        let _ = self.hub.news.send(News::Warnings(warnings));
+    }
+
     /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not made. Bounded: what
     /// does not come back in `within` is left.
     pub async fn shutdown(&self, within: Duration) {
@@ -446,6 +453,7 @@ impl Lcm for LocalLcm {
             components,
             classes: self.classes.as_ref().map_or_else(Vec::new, |c| c.catalog()),
             halves: self.far.as_ref().map_or_else(Vec::new, Far::reports),
+            warnings: self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         })
     }
 

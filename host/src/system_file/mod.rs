@@ -20,6 +20,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use trocar_model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request, Target};
 
+use crate::host::MemoryBounds;
 use crate::processes::Policy;
 
 pub use overrides::BadSet;
@@ -63,6 +64,7 @@ pub struct ProcessSpec {
     pub env: Vec<(String, String)>,
     /// What follows when it ends.
     pub restart: Policy,
+    pub memory: MemoryBounds,
 }
 
 impl ProcessSpec {
@@ -75,6 +77,7 @@ impl ProcessSpec {
             state: None,
             env: Vec::new(),
             restart: Policy::default(),
+            memory: MemoryBounds::default(),
         }
     }
 }

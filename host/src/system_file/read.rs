@@ -11,13 +11,15 @@ use super::cursor::{Cursor, Document, did_you_mean};
 use super::isolation::isolate;
 use super::problem::Problem;
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
+use crate::host::MemoryBounds;
 use crate::processes::{Limits, Policy, Unheard};
 
 pub(super) const SYSTEM: &[&str] =
     &["$schema", "version", "processes", "components", "connections", "scenarios"];
-pub(super) const PROCESS: &[&str] = &["plugins", "trust", "listen", "state", "env", "restart"];
+pub(super) const PROCESS: &[&str] = &["plugins", "trust", "listen", "state", "env", "restart", "memory"];
 pub(super) const RESTART: &[&str] =
     &["max", "within_s", "backoff_ms", "most_backoff_ms", "start_within_s", "unheard_s"];
+pub(super) const MEMORY: &[&str] = &["warn_mib", "limit_mib"];
 pub(super) const COMPONENT: &[&str] = &["class", "config", "execution", "start", "isolation", "resume"];
 pub(super) const EXECUTION: &[&str] = &[
     "model",
@@ -150,6 +152,7 @@ fn processes(part: &Cursor<'_>) -> Result<Vec<ProcessSpec>, Problem> {
             state: fields.get("state").map(Cursor::text).transpose()?.map(PathBuf::from),
             env,
             restart: fields.get("restart").map(restart).transpose()?.unwrap_or_default(),
+            memory: fields.get("memory").map(memory).transpose()?.unwrap_or_default(),
         });
     }
     Ok(processes)
@@ -167,6 +170,16 @@ fn listen(value: &Cursor<'_>) -> Result<String, Problem> {
             "write \"127.0.0.1:PORT\"; port 0 takes a free one",
         )),
     }
+}
+
+fn memory(value: &Cursor<'_>) -> Result<MemoryBounds, Problem> {
+    let fields = value.fields("the bounds of a process's memory", MEMORY)?;
+    let mib = |key: &str| {
+        let number = fields.get(key).map(|n| n.whole(1, u64::from(u32::MAX), "an amount of memory, MiB"));
+        Ok(number.transpose()?.map(|n| n as u32))
+    };
+    MemoryBounds::new(mib("warn_mib")?, mib("limit_mib")?)
+        .map_err(|why| value.problem(why, "write a warn_mib below limit_mib"))
 }
 
 /// `"never"`, `"on_failure"`, or how often and how soon.

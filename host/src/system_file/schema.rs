@@ -62,7 +62,18 @@ pub fn system_schema() -> Value {
                         "description": "What follows when it ends other than asked. For `trocar up`.",
                         "default": "on_failure",
                         "oneOf": [{ "enum": policies }, { "$ref": "#/$defs/restart" }]
-                    }
+                    },
+                    "memory": { "$ref": "#/$defs/memory" }
+                }
+            },
+            "memory": {
+                "type": "object",
+                "additionalProperties": false,
+                "description": "How much memory it may use. For `trocar up`.",
+                "properties": {
+                    "//": { "description": "A comment." },
+                    "warn_mib": { "type": "integer", "minimum": 1, "description": "It is listed with a warning while it has more than this in use, MiB." },
+                    "limit_mib": { "type": "integer", "minimum": 1, "description": "It gets no more memory of its own than this, MiB: asking for more ends it, and the restart policy says what follows." }
                 }
             },
             "restart": {

@@ -7,6 +7,7 @@ use serde_json::json;
 use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request};
 
 use super::{Problem, SystemFile, system_schema};
+use crate::host::MemoryBounds;
 use crate::processes::{Limits, Policy, Unheard};
 
 const GOOD: &str = r#"{
@@ -247,6 +248,7 @@ fn the_schema_lists_exactly_the_keys_that_are_read() {
         ("/properties", super::read::SYSTEM),
         ("/$defs/process/properties", super::read::PROCESS),
         ("/$defs/restart/properties", super::read::RESTART),
+        ("/$defs/memory/properties", super::read::MEMORY),
         ("/$defs/component/properties", super::read::COMPONENT),
         ("/$defs/execution/properties", super::read::EXECUTION),
         ("/$defs/connection/properties", super::read::CONNECTION),
@@ -262,7 +264,7 @@ const THREE: &str = r#"{
   "processes": {
     "left":  { "listen": "127.0.0.1:4000", "state": "l", "env": { "A": "1" }, "restart": "never" },
     "right": { "restart": { "max": 5, "within_s": 2.5, "backoff_ms": 10, "start_within_s": 4, "unheard_s": 0.5 } },
-    "gui":   {}
+    "gui":   { "memory": { "warn_mib": 100, "limit_mib": 200 } }
   },
   "components": {
     "left/robot": { "class": "eyerobot", "isolation": "process", "config": { "seed": 1 } },
@@ -300,6 +302,7 @@ fn what_a_process_is_started_with_is_read() {
     };
     assert_eq!(right.restart, Policy::OnFailure(limits));
     assert_eq!((gui.restart, &gui.state), (Policy::default(), &None));
+    assert_eq!(gui.memory, MemoryBounds { warn_mib: Some(100), limit_mib: Some(200) });
     assert_eq!((robot.name.as_str(), robot.restart), ("left.robot", Policy::Never), "made like its process");
     assert_eq!(
         (robot.listen.as_deref(), robot.state.as_deref()),
@@ -332,6 +335,12 @@ fn what_a_process_cannot_be_started_with_is_refused_in_its_place() {
     assert!(refused("\"A\": \"1\"", "\"A\": 1").what.contains("expected a text"));
     assert!(refused("\"never\"", "\"nevr\"").help.contains("did you mean \"never\"?"));
     assert!(refused("\"max\": 5", "\"max\": -1").what.contains("number of restarts"));
+    assert!(refused("\"warn_mib\": 100", "\"warn_mib\": 0").what.contains("amount of memory"));
+    assert!(
+        refused("\"warn_mib\": 100", "\"warn_mib\": 300")
+            .what
+            .contains("ends at 200 MiB, before it is warned")
+    );
     assert!(refused("\"unheard_s\": 0.5", "\"unheard_s\": 0").what.contains("above 0 s, or \"never\""));
     assert!(refused("\"unheard_s\": 0.5", "\"unheard_s\": \"nevr\"").help.contains("never"));
     assert!(refused("\"max\": 5", "\"maxx\": 5").help.contains("did you mean \"max\"?"));

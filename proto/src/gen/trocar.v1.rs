@@ -708,6 +708,9 @@ pub struct Process {
     /// How often its supervisor started it again.
     #[prost(uint32, tag = "8")]
     pub restarts: u32,
+    /// What the process itself is warned of, in sentences, such as the memory it has in use.
+    #[prost(string, repeated, tag = "9")]
+    pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// One file of a plugin directory.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4306,6 +4309,9 @@ pub struct Inventory {
     /// Halves of connections to other processes.
     #[prost(message, repeated, tag = "4")]
     pub proxies: ::prost::alloc::vec::Vec<ProxyNews>,
+    /// What the process itself is warned of.
+    #[prost(string, repeated, tag = "5")]
+    pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// How the half of a connection to another process stands.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4638,7 +4644,7 @@ pub struct RefusalInfo {
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct News {
     /// What.
-    #[prost(oneof = "news::News", tags = "1, 2, 3, 4")]
+    #[prost(oneof = "news::News", tags = "1, 2, 3, 4, 5")]
     pub news: ::core::option::Option<news::News>,
 }
 /// Nested message and enum types in `News`.
@@ -4658,7 +4664,17 @@ pub mod news {
         /// The half of a connection to another process stands differently.
         #[prost(message, tag = "4")]
         Proxy(super::ProxyNews),
+        /// The process itself is warned of this now.
+        #[prost(message, tag = "5")]
+        Warnings(super::ProcessWarnings),
     }
+}
+/// What a process itself is warned of.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ProcessWarnings {
+    /// In sentences; none = nothing any more.
+    #[prost(string, repeated, tag = "1")]
+    pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// What the plugin directories offer.
 #[derive(Clone, PartialEq, ::prost::Message)]

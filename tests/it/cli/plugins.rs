@@ -35,6 +35,24 @@ fn a_file_name_cannot_command_the_terminal() {
 }
 
 #[test]
+fn a_process_that_uses_more_memory_than_it_was_to_is_listed_with_a_warning() {
+    let world = World::new();
+    let host = HostProcess::start_with(&world, "host", &["--memory-warn", "1", "--memory-limit", "4000"]);
+    let trocar = Trocar::at(&world, host.address());
+    let listed = || {
+        let list = host.grpcurl().ok("GcmService/List", json!({}));
+        let warnings = list["processes"][0]["warnings"].to_string();
+        if warnings.contains("to be warned of 1 MiB") { Ok(warnings) } else { Err(warnings) }
+    };
+    let warnings = eventually("it is warned of", listed);
+    assert!(warnings.contains("asks for more than 4000 MiB"), "{warnings}");
+    trocar.run(&["ls"]).ends_with(OK).says("WARNINGS").says("to be warned of 1 MiB");
+    let never = ["host", "--name", "other", "--memory-warn", "300", "--memory-limit", "200"];
+    trocar.run(&never).ends_with(USAGE).says("ends at 200 MiB, before it is warned of 300 MiB");
+    trocar.run(&["host", "--memory-warn", "0"]).ends_with(USAGE).says("--memory-warn");
+}
+
+#[test]
 fn a_file_is_tried_as_a_host_would_try_it() {
     let world = World::new();
     let trocar = Trocar::new(&world);

@@ -1,12 +1,12 @@
 //! Rows about components that take their whole process along, or eat its memory.
 
+use std::thread;
 use std::time::Duration;
 
-use rustix::process::{Pid, Resource, Rlimit, prlimit};
 use serde_json::{Value, json};
 use trocar_proto::v1::ProcessState;
 
-use crate::book::Book;
+use crate::book::{Book, Timed};
 use crate::clock::{Since, Witness, now_ns, pause_ms, within};
 use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
 use crate::json::number;
@@ -33,8 +33,18 @@ const WAYS: [(u64, &str, &[&str]); 4] = [
 ];
 const LEAK: u64 = 5;
 
+/// What `b` takes of memory, MiB/s, and its bounds, MiB.
+struct Leak {
+    mib_s: u64,
+    warn_mib: u64,
+    limit_mib: u64,
+}
+
+/// Nothing is taken, and there is room for anything.
+const NO_LEAK: Leak = Leak { mib_s: 1, warn_mib: 1 << 20, limit_mib: 1 << 20 };
+
 /// `b` has what ends it; `a` has a sink of it, and a pair of its own that has nothing to do with it.
-fn rig(restart: Value, doom: bool, leak_mib_s: u64) -> Result<Rig, String> {
+fn rig(restart: Value, doom: Option<&Leak>) -> Result<Rig, String> {
     let mut system = json!({
         "version": 1,
         "processes": {
@@ -52,9 +62,11 @@ fn rig(restart: Value, doom: bool, leak_mib_s: u64) -> Result<Rig, String> {
             { "client": "a/near/value", "server": "a/source/value" },
         ],
     });
-    if doom {
-        let config = json!({ "leak_mib_s": leak_mib_s });
+    if let Some(leak) = doom {
+        let config = json!({ "leak_mib_s": leak.mib_s });
         system["components"]["b/doom"] = json!({ "class": "fixture-chaos/doom", "config": config });
+        system["processes"]["b"]["memory"] =
+            json!({ "warn_mib": leak.warn_mib, "limit_mib": leak.limit_mib });
     }
     Rig::of(World::new(&["fixture_torture", "fixture_chaos"])?, &system)
 }
@@ -66,9 +78,9 @@ fn always() -> Value {
 /// What those who live on saw of one end.
 #[derive(Default)]
 struct Seen {
-    told: Vec<crate::book::Timed>,
-    flows: Vec<crate::book::Timed>,
-    near: Vec<crate::book::Timed>,
+    told: Vec<Timed>,
+    flows: Vec<Timed>,
+    near: Vec<Timed>,
 }
 
 impl Seen {
@@ -111,7 +123,7 @@ fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64
     let after = rig.await_back("b", before.pid, PATIENCE)?;
     let silence_ms = rig.book("a/near", "silence")? as f64 / 1e6;
     let late_ms = witness.late_since(Since::Moment);
-    seen.near.push(crate::book::Timed { ms: silence_ms, late_ms });
+    seen.near.push(Timed { ms: silence_ms, late_ms });
     if after.epoch > before.epoch {
         Ok(after.last_exit)
     } else {
@@ -121,7 +133,7 @@ fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64
 
 fn fatal(run: &Run, book: &mut Book) -> Result<(), String> {
     let mut random = run.random(book);
-    let mut rig = rig(always(), true, 1)?;
+    let mut rig = rig(always(), Some(&NO_LEAK))?;
     let (desired, witness, mut seen) = (Desired::now(&rig.rpc)?, Witness::start(), Seen::default());
     let (mut held, rounds) = (None, run.times(1, 25));
     for _ in 0..rounds {
@@ -152,23 +164,34 @@ fn fatal(run: &Run, book: &mut Book) -> Result<(), String> {
 }
 
 /// Its address space has an end; then it dies alone.
+/// The bound of `b` is RLIMIT_DATA, which every user may set; nothing of it needs a control group.
 fn leaks(run: &Run, book: &mut Book) -> Result<(), String> {
-    book.leaves_out("the event at a soft limit: hosts have no soft limit of memory");
-    book.leaves_out("a limit by a control group, which the machine may not grant: RLIMIT_AS is used");
-    let (leak_mib_s, room_mib) = if run.full { (1, 32) } else { (256, 64) };
-    let mut rig = rig(always(), true, leak_mib_s)?;
+    let leak = if run.full {
+        Leak { mib_s: 1, warn_mib: 64, limit_mib: 96 }
+    } else {
+        Leak { mib_s: 64, warn_mib: 96, limit_mib: 256 }
+    };
+    let mut rig = rig(always(), Some(&leak))?;
     let (desired, witness, mut seen) = (Desired::now(&rig.rpc)?, Witness::start(), Seen::default());
-    let rounds = run.times(1, 3);
+    let (rounds, mut warned) = (run.times(1, 3), Vec::new());
     for _ in 0..rounds {
         let pid = rig.process("b")?.pid;
-        let room = procfs::address_space_kib(pid) * 1024 + (room_mib << 20);
-        let of = i32::try_from(pid).ok().and_then(Pid::from_raw);
-        let limit = Rlimit { current: Some(room), maximum: None };
-        prlimit(of, Resource::As, limit).map_err(|e| format!("prlimit: {e}"))?;
-        let exit = end(&rig, &witness, LEAK, &mut seen, 120_000)?;
-        let right = if exit.contains("SIGABRT") { Ok(()) } else { Err(exit) };
-        book.check("it ends where its memory ends, and that is told", 1, right);
+        let quiet = rig.process("b")?.warnings;
+        book.check(
+            "it is not warned of before",
+            1,
+            if quiet.is_empty() { Ok(()) } else { Err(quiet.join("; ")) },
+        );
+        thread::scope(|scope| {
+            let watched = scope.spawn(|| first_warning(&rig, pid, leak.warn_mib, &witness));
+            let exit = end(&rig, &witness, LEAK, &mut seen, 240_000)?;
+            let right = if exit.contains("SIGABRT") { Ok(()) } else { Err(exit) };
+            book.check("it ends where its memory ends, and that is told", 1, right);
+            warned.push(watched.join().map_err(|_| "the look at its warnings panicked")??);
+            Ok::<(), String>(())
+        })?;
     }
+    book.times("it is warned of at its soft limit", &warned, 1000.0);
     seen.tell(book);
     book.check("desired, observed and actual agree (G3)", rounds as usize, agree(&rig.rpc, &desired));
     rig.up.terminate()?;
@@ -176,8 +199,20 @@ fn leaks(run: &Run, book: &mut Book) -> Result<(), String> {
     Ok(())
 }
 
+/// How long after a process has so much in use it is listed with a warning of it.
+fn first_warning(rig: &Rig, pid: u32, warn_mib: u64, witness: &Witness) -> Result<Timed, String> {
+    let has = || if procfs::rss_kib(pid) > warn_mib * 1024 { Ok(now_ns()) } else { Err("not yet".into()) };
+    let beyond = within(240_000, "it has so much in use", has)?;
+    let told = within(PATIENCE, "it is listed with a warning", || {
+        let warnings = rig.process("b")?.warnings;
+        let says = |w: &String| w.contains(&format!("to be warned of {warn_mib} MiB"));
+        if warnings.iter().any(says) { Ok(now_ns()) } else { Err(format!("{warnings:?}")) }
+    })?;
+    Ok(witness.timed(beyond, told, 0.0))
+}
+
 fn storm(run: &Run, book: &mut Book) -> Result<(), String> {
-    let mut rig = rig(json!("on_failure"), false, 1)?;
+    let mut rig = rig(json!("on_failure"), None)?;
     let witness = Witness::start();
     pause_ms(200);
     rig.mark("a/near")?;
@@ -194,12 +229,12 @@ fn storm(run: &Run, book: &mut Book) -> Result<(), String> {
     book.check("how it ended last is told", 1, told);
     let silence_ms = rig.book("a/near", "silence")? as f64 / 1e6;
     let late_ms = witness.late_since(Since::Moment);
-    let near = [crate::book::Timed { ms: silence_ms, late_ms }];
+    let near = [Timed { ms: silence_ms, late_ms }];
     book.times("longest silence of a bystander's 1 kHz (G4)", &near, 5.0);
     let (up, gcm) = (rig.up.pid(), rig.gcm_pid()?);
     let spent = || procfs::cpu_ms(up) + procfs::cpu_ms(gcm);
     let (before, ms) = (spent(), run.times(1_000, 10_000));
-    std::thread::sleep(Duration::from_millis(ms));
+    thread::sleep(Duration::from_millis(ms));
     let busy = (spent() - before) as f64 / ms as f64 * 100.0;
     book.beside("processor time of `up` and the GCM afterwards", 1, busy, 0.0, 5.0, "%");
     rig.up.terminate()?;

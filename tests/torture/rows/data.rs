@@ -93,7 +93,7 @@ fn takers(run: &Run, book: &mut Book) -> Result<(), String> {
         let seconds = run.times(1, 20);
         let name = format!("{:.2} Gbit/s", bytes as f64 * 8.0 * FRAMES_HZ / 1e9);
         let process = json!({
-            "plugins": ["plugins"], "restart": { "max": 1000, "backoff_ms": 50, "most_backoff_ms": 50 },
+            "plugins": ["plugins"], "restart": { "max": 1000, "backoff_ms": 50, "most_backoff_ms": 50, "unheard_s": "never" },
         });
         let system = json!({
             "version": 1, "processes": { "a": process, "b": process },

@@ -28,6 +28,7 @@ pub(super) struct ProcessRow {
     pub(super) epoch: u64,
     pub(super) restarts: u32,
     pub(super) last_exit: String,
+    pub(super) warnings: Vec<String>,
     pub(super) components: usize,
     /// Of all its components, in processors.
     pub(super) load: f64,
@@ -95,6 +96,7 @@ pub(in crate::cli) fn between(before: &SystemView, now: &SystemView, seconds: f6
             epoch: p.epoch,
             restarts: p.restarts,
             last_exit: p.last_exit.clone(),
+            warnings: p.warnings.clone(),
             components: mine().count(),
             load: mine().filter(runs).filter_map(|c| c.load).sum(),
         }
@@ -253,10 +255,13 @@ impl Figures {
     }
 
     fn process_table(&self) -> Table {
-        let heads = ["PROCESS", "STATE", "PID", "EPOCH", "RESTARTS", "COMPONENTS", "LOAD", "LAST EXIT"];
+        let mut heads =
+            vec!["PROCESS", "STATE", "PID", "EPOCH", "RESTARTS", "COMPONENTS", "LOAD", "LAST EXIT"];
+        let warned = self.processes.iter().any(|p| !p.warnings.is_empty());
+        heads.extend(warned.then_some("WARNINGS"));
         let mut table = Table::new(&heads);
         for p in &self.processes {
-            table.styled([
+            let cells = [
                 plain(p.name.clone()),
                 (p.state.clone(), style::of_state(&p.state)),
                 plain(p.pid.to_string()),
@@ -265,7 +270,9 @@ impl Figures {
                 plain(p.components.to_string()),
                 plain(units::percent(p.load)),
                 plain(units::cut(&p.last_exit, 60)),
-            ]);
+            ];
+            let warnings = warned.then(|| (p.warnings.join("; "), style::WARN));
+            table.styled(cells.into_iter().chain(warnings));
         }
         table
     }

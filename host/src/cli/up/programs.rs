@@ -69,6 +69,10 @@ fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -
         trust.push(base.join(list));
         args.extend(["--trust".into(), trust]);
     }
+    let bounds = [("--memory-warn", process.memory.warn_mib), ("--memory-limit", process.memory.limit_mib)];
+    for (option, mib) in bounds {
+        args.extend(mib.into_iter().flat_map(|mib| [option.into(), mib.to_string().into()]));
+    }
     Program {
         name: name.to_owned(),
         args,

@@ -197,6 +197,7 @@ fn news_in(news: v1::News) -> Result<News, Refusal> {
         news::News::Catalog(catalog) => News::Catalog(convert::classes_in(catalog.classes)?),
         news::News::Log(line) => News::Log(convert::line_in(line)),
         news::News::Proxy(half) => News::Half(convert::half_in(half)?),
+        news::News::Warnings(told) => News::Warnings(told.warnings),
     })
 }
 

@@ -207,6 +207,7 @@ pub(crate) fn inventory_out(inventory: &Inventory) -> v1::Inventory {
         components: inventory.components.iter().map(super::report).collect(),
         classes: inventory.classes.iter().map(|c| class(c)).collect(),
         proxies: inventory.halves.iter().map(half).collect(),
+        warnings: inventory.warnings.clone(),
     }
 }
 
@@ -216,6 +217,7 @@ pub(crate) fn inventory_in(inventory: v1::Inventory) -> Result<Inventory, Refusa
         components: inventory.components.into_iter().map(report_in).collect::<Result<_, _>>()?,
         classes: classes_in(inventory.classes)?,
         halves: inventory.proxies.into_iter().map(half_in).collect::<Result<_, _>>()?,
+        warnings: inventory.warnings,
     })
 }
 

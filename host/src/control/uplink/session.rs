@@ -190,6 +190,7 @@ fn news_out(next: News) -> v1::AttachRequest {
         }
         News::Log(line) => news::News::Log(convert::line(line)),
         News::Half(half) => news::News::Proxy(convert::half(&half)),
+        News::Warnings(warnings) => news::News::Warnings(v1::ProcessWarnings { warnings }),
     };
     message(attach_request::Message::News(v1::News { news: Some(next) }))
 }
@@ -200,7 +201,8 @@ async fn everything(lcm: &Arc<dyn Lcm>) -> Vec<v1::AttachRequest> {
         Ok(inventory) => {
             let states = inventory.components.into_iter().map(News::State);
             let halves = inventory.halves.into_iter().map(News::Half);
-            states.chain(halves).chain([News::Catalog(inventory.classes)]).map(news_out).collect()
+            let whole = [News::Catalog(inventory.classes), News::Warnings(inventory.warnings)];
+            states.chain(halves).chain(whole).map(news_out).collect()
         }
         Err(refusal) => {
             log::warn!("the inventory cannot be had: {refusal}");

@@ -224,16 +224,16 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
         return false;
     }
     // All are asked, so that nothing found now is taken for something found later.
-    if suspects.iter().filter(|w| w.instance.watch.takes_found_out(misdeed)).count() > 0 {
-        return true;
-    }
+    let (found, free): (Vec<&Ward>, Vec<&Ward>) =
+        suspects.iter().partition(|w| w.instance.watch.takes_found_out(misdeed));
     let (known, others): (Vec<&Ward>, Vec<&Ward>) =
-        suspects.iter().partition(|w| w.instance.watch.is_suspected());
+        free.iter().partition(|w| w.instance.watch.is_suspected());
     match others.as_slice() {
         [] => return true,
-        [ward] => ward.instance.warn(what),
+        [ward] if found.is_empty() => ward.instance.warn(what),
+        // What was found at one may have been done beside it by another who is not looked at yet.
         _ => {
-            let names: Vec<String> = others.iter().map(|w| w.instance.id.to_string()).collect();
+            let names: Vec<String> = found.iter().chain(&others).map(|w| w.instance.id.to_string()).collect();
             others.iter().for_each(|w| w.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
             others.iter().for_each(|w| w.instance.watch.suspect(true));
             return true;
