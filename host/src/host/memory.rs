@@ -104,7 +104,7 @@ mod tests {
         let mut told = false;
         let mut at = |used| judge(&mut told, used, 100, Some(200));
         assert_eq!(at(100.0), None, "at the bound");
-        let warned = at(100.5).unwrap();
+        let warned = at(100.9).unwrap();
         assert!(warned[0].contains("101 MiB") && warned[0].contains("200 MiB"), "{warned:?}");
         assert_eq!(at(150.0), None, "told already");
         assert_eq!(at(95.0), None, "hardly below");
