@@ -6,10 +6,18 @@
 //! Every head that is dropped is handed to exactly one caller, so that its reply can be answered.
 //! Its words may lie where another process can write them: none of them is trusted for an address, a length or an end of a loop.
 
+#[cfg(all(test, loom))]
+mod models;
+mod slots;
+#[cfg(all(test, not(loom)))]
+mod tests;
+
+use slots::{Body, Claim, FREE, READY, SMALL, Slot, after, phase};
+
 use crate::buf::{AlignedBuf, copy, round_up};
 use crate::exclusive::TryCell;
-use crate::region::{AnyBits, Bytes, Layout, Place, Plain, Table, told};
-use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Scope, Shared, pause_while, rest, spin_loop};
+use crate::region::{Bytes, Layout, Place, Plain, Table, told};
+use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Scope, Shared, rest, spin_loop};
 
 /// What an entry is, apart from its payload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,54 +80,10 @@ pub struct MailboxStats {
 
 /// Attempts of a push against other threads before it answers `Full`.
 const ATTEMPTS: usize = if cfg!(loom) { 6 } else { 256 };
-/// How long whoever empties the mailbox looks at an entry that another thread is just copying, ns: many times what a copy
-/// takes, unless that thread was suspended over it.
-const COPYING_NS: u64 = 5_000;
-/// Then `close` sleeps between two looks, ns: twice as long each time, from the shorter to the longer.
+/// How long `close` sleeps between two looks at an entry in another's hands, ns: twice as long each time, from the shorter to the longer.
 const RESTS_NS: std::ops::RangeInclusive<u64> = 20_000..=1_000_000;
 /// Set in `tail` when the mailbox is closed: no push can claim a position any more.
 const CLOSED: u64 = 1 << 63;
-
-const FREE: u64 = 0;
-const READY: u64 = 1;
-const BUSY: u64 = 2;
-
-/// The sequence of a slot at position `at`. Positions only grow, so no value ever returns.
-const fn phase(at: u64, phase: u64) -> u64 {
-    at.wrapping_mul(4).wrapping_add(phase)
-}
-
-/// The position behind. Those that another process writes may be anything, and then mean nothing.
-const fn after(at: u64) -> u64 {
-    at.wrapping_add(1)
-}
-
-/// A line of its own, so that an entry with a small payload crosses between two processors by one line.
-#[repr(C, align(64))]
-struct Slot {
-    sequence: AtomicU64,
-    /// Copy of the head's index that may be read without owning the slot.
-    index: AtomicU32,
-    body: Shared<Body>,
-    small: Shared<[u64; SMALL / 8]>,
-}
-
-// SAFETY: atomic numbers and cells of plain bits.
-unsafe impl Plain for Slot {}
-
-/// Payloads up to this many bytes lie beside the head.
-const SMALL: usize = 16;
-
-#[derive(Clone, Copy, Default)]
-#[repr(C)]
-struct Body {
-    head: EntryHead,
-    /// Bytes of the payload.
-    len: u64,
-}
-
-// SAFETY: numbers.
-unsafe impl AnyBits for Body {}
 
 /// Bounded, many producers, one consumer.
 pub struct Mailbox {
@@ -163,14 +127,6 @@ struct Server {
 
 // SAFETY: atomic numbers.
 unsafe impl Plain for Server {}
-
-enum Claim {
-    /// The caller owns the slot of this position.
-    Mine(u64),
-    /// The oldest entry is being written or taken by another thread.
-    InWork,
-    Empty,
-}
 
 impl Mailbox {
     /// A mailbox of `depth` entries (at least 1) with up to `payload_bytes` each, whose commands have the
@@ -444,88 +400,6 @@ impl Mailbox {
         oldest
     }
 
-    #[inline]
-    fn slot(&self, at: u64) -> &Slot {
-        &self.slots[at as usize & (self.slots.len() - 1)]
-    }
-
-    /// Of `stride` bytes at least; for the owner of the slot.
-    #[inline]
-    fn payload(&self, at: u64) -> *mut u8 {
-        if self.stride <= SMALL {
-            return self.slot(at).small.exclusive().cast();
-        }
-        self.payloads.at((at as usize & (self.slots.len() - 1)) * self.stride)
-    }
-
-    fn claim_tail(&self, tail: u64) -> bool {
-        self.ours.0.tail.compare_exchange(tail, after(tail), Ordering::AcqRel, Ordering::Relaxed).is_ok()
-    }
-
-    /// Takes the right to a queued entry.
-    fn claim(&self, at: u64) -> bool {
-        let sequence = &self.slot(at).sequence;
-        let (ready, busy) = (phase(at, READY), phase(at, BUSY));
-        sequence.compare_exchange(ready, busy, Ordering::Acquire, Ordering::Relaxed).is_ok()
-    }
-
-    /// Takes the right to the oldest entry before position `end`. Each further turn means that another thread
-    /// took one, so more turns than entries are somebody's game with the words.
-    #[inline]
-    fn claim_oldest(&self, end: u64) -> Claim {
-        for _ in 0..=self.slots.len() {
-            let oldest = self.theirs.0.head.load(Ordering::Acquire);
-            if oldest >= end {
-                return Claim::Empty;
-            }
-            if self.claim(oldest) {
-                return Claim::Mine(oldest);
-            }
-            if self.theirs.0.head.load(Ordering::Acquire) == oldest {
-                return Claim::InWork;
-            }
-        }
-        Claim::InWork
-    }
-
-    /// As `claim_oldest`, for managers and failures: an entry in another thread's hands is looked at a little longer.
-    fn claim_patiently(&self, end: u64) -> Claim {
-        let claim = self.claim_oldest(end);
-        let Claim::InWork = claim else { return claim };
-        let at = self.theirs.0.head.load(Ordering::Acquire);
-        let is_ready = || self.slot(at).sequence.load(Ordering::Acquire) == phase(at, READY);
-        pause_while(COPYING_NS, || !is_ready() && self.theirs.0.head.load(Ordering::Acquire) == at);
-        self.claim_oldest(end)
-    }
-
-    /// Gives an owned oldest slot to the push of one round later.
-    fn release(&self, at: u64) {
-        self.theirs.0.head.store(after(at), Ordering::Release);
-        let next_round = at.wrapping_add(self.slots.len() as u64);
-        self.slot(at).sequence.store(phase(next_round, FREE), Ordering::Release);
-    }
-
-    #[inline]
-    fn fill(&self, at: u64, head: EntryHead, payload: &[u8], overflow: Overflow) {
-        self.write(at, head, payload);
-        self.slot(at).index.store(head.index, Ordering::Relaxed);
-        if overflow == Overflow::LatestWins
-            && let Some(newest) = self.newest.get(head.index as usize)
-        {
-            newest.fetch_max(after(at), Ordering::AcqRel);
-        }
-        self.slot(at).sequence.store(phase(at, READY), Ordering::Release);
-    }
-
-    /// The slot of `at` must be owned by this thread.
-    fn write(&self, at: u64, head: EntryHead, payload: &[u8]) {
-        // SAFETY: the slot is owned, and its payload block has `stride >= payload.len()` bytes.
-        unsafe {
-            *self.slot(at).body.exclusive() = Body { head, len: payload.len() as u64 };
-            copy(payload.as_ptr(), self.payload(at), payload.len());
-        }
-    }
-
     fn newest_of(&self, index: u32) -> u64 {
         self.newest.get(index as usize).map_or(0, |newest| newest.load(Ordering::Acquire))
     }
@@ -557,83 +431,3 @@ fn count(counter: &AtomicU64) {
 unsafe impl Send for Mailbox {}
 // SAFETY: as above.
 unsafe impl Sync for Mailbox {}
-
-#[cfg(all(test, not(loom)))]
-mod tests {
-    use std::sync::mpsc;
-
-    use super::*;
-
-    /// Longest wait for what should happen at once.
-    const PATIENCE_NS: u64 = 10_000_000_000;
-
-    fn sleeps(tid: i32) -> bool {
-        let stat = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
-        stat.rsplit_once(") ").is_some_and(|(_, rest)| rest.starts_with('S'))
-    }
-
-    /// A push that was suspended under a thread of higher priority would never come on while that one spins.
-    #[test]
-    fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_afterwards() {
-        let mail = Mailbox::new(2, 8, 0);
-        let head = EntryHead { reply: 7, ..EntryHead::default() };
-        assert!(mail.claim_tail(0), "a push that was suspended here");
-        let (tell, told) = mpsc::channel();
-        std::thread::scope(|scope| {
-            let closer = scope.spawn(|| {
-                // SAFETY: asks for the number of the calling thread.
-                tell.send(unsafe { libc::gettid() }).expect("the test listens");
-                let mut dropped = Vec::new();
-                mail.close(|head| dropped.push(head));
-                dropped
-            });
-            let tid = told.recv().expect("the thread begins");
-            // Asleep at each of several looks in a row; whoever spins or yields is ready to run.
-            let (mut asleep, until) = (0, crate::os::now_ns() + PATIENCE_NS);
-            while asleep < 50 && crate::os::now_ns() < until {
-                asleep = if sleeps(tid) { asleep + 1 } else { 0 };
-            }
-            let left = closer.is_finished();
-            // Also where it fails, or the test would not end.
-            mail.fill(0, head, &[0; 8], Overflow::Reject);
-            assert!(!left, "it leaves the entry behind");
-            assert_eq!(asleep, 50, "it keeps its processor from the push it waits for");
-            assert_eq!(closer.join().expect("it closes"), [head]);
-        });
-        assert!(mail.is_empty());
-        assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
-    }
-}
-
-#[cfg(all(test, loom))]
-mod models {
-    use std::sync::Arc;
-
-    use super::*;
-    use crate::loom_models::model_within;
-    use crate::sync::AtomicBool;
-
-    /// A push can learn of room from another one, which was suspended before it claimed anything, without ever
-    /// having met the drain: then the slot's own sequence alone orders its writing after the drain's reading.
-    #[test]
-    fn loom_a_push_that_never_met_the_drain_waits_for_its_slot() {
-        model_within(3, || {
-            let push = |mail: &Mailbox| mail.push(EntryHead::default(), &[], Overflow::Reject);
-            let shared = Arc::new((Mailbox::new(3, 0, 0), AtomicBool::new(false)));
-            (0..3).for_each(|_| assert_eq!(push(&shared.0), Push::Queued));
-            let theirs = Arc::clone(&shared);
-            let server = loom::thread::spawn(move || {
-                let (mail, suspended) = &*theirs;
-                assert_eq!(mail.drain(|_, _| {}, |_| {}), 3);
-                assert_eq!(mail.oldest_for(3), 3);
-                // Relaxed on purpose: to be told so is no order.
-                suspended.store(true, Ordering::Relaxed);
-            });
-            let (mail, suspended) = &*shared;
-            if suspended.load(Ordering::Relaxed) {
-                let _: [Push; 2] = [push(mail), push(mail)];
-            }
-            server.join().expect("the server's checks hold");
-        });
-    }
-}

@@ -1,0 +1,47 @@
+//! A close beside a push that stands still.
+//!
+//! Promise: it sleeps meanwhile, and leaves no entry behind.
+
+use std::sync::mpsc;
+
+use super::*;
+
+/// Longest wait for what should happen at once.
+const PATIENCE_NS: u64 = 10_000_000_000;
+
+fn sleeps(tid: i32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
+    stat.rsplit_once(") ").is_some_and(|(_, rest)| rest.starts_with('S'))
+}
+
+/// A push that was suspended under a thread of higher priority would never come on while that one spins.
+#[test]
+fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_afterwards() {
+    let mail = Mailbox::new(2, 8, 0);
+    let head = EntryHead { reply: 7, ..EntryHead::default() };
+    assert!(mail.claim_tail(0), "a push that was suspended here");
+    let (tell, told) = mpsc::channel();
+    std::thread::scope(|scope| {
+        let closer = scope.spawn(|| {
+            // SAFETY: asks for the number of the calling thread.
+            tell.send(unsafe { libc::gettid() }).expect("the test listens");
+            let mut dropped = Vec::new();
+            mail.close(|head| dropped.push(head));
+            dropped
+        });
+        let tid = told.recv().expect("the thread begins");
+        // Asleep at each of several looks in a row; whoever spins or yields is ready to run.
+        let (mut asleep, until) = (0, crate::os::now_ns() + PATIENCE_NS);
+        while asleep < 50 && crate::os::now_ns() < until {
+            asleep = if sleeps(tid) { asleep + 1 } else { 0 };
+        }
+        let left = closer.is_finished();
+        // Also where it fails, or the test would not end.
+        mail.fill(0, head, &[0; 8], Overflow::Reject);
+        assert!(!left, "it leaves the entry behind");
+        assert_eq!(asleep, 50, "it keeps its processor from the push it waits for");
+        assert_eq!(closer.join().expect("it closes"), [head]);
+    });
+    assert!(mail.is_empty());
+    assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
+}
