@@ -380,7 +380,7 @@ fn hangs(run: &Run, book: &mut Book) -> Result<(), String> {
 const SPIN: u64 = 6;
 
 fn rude(run: &Run, book: &mut Book) -> Result<(), String> {
-    book.leaves_out("a changed locale: the host does not look at it");
+    book.leaves_out("a changed locale: the C library cannot tell it safely beside a thread that changes it");
     let scene = Scene::new()?;
     let (rpc, rounds) = (&scene.rpc, run.times(1, 20));
     let pid = scene.host.pid();

@@ -3,14 +3,16 @@
 use std::thread;
 use std::time::Duration;
 
+use rustix::process::Signal;
 use serde_json::{Value, json};
-use trocar_proto::v1::ProcessState;
+use trocar_proto::v1::{Process, ProcessState};
 
 use crate::book::{Book, Timed};
 use crate::clock::{Since, Witness, now_ns, pause_ms, within};
 use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
+use crate::program::signal_to;
 use crate::rig::Rig;
 use crate::run::{Row, Run};
 use crate::world::World;
@@ -104,10 +106,33 @@ fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64
     {
         return Err(refused.to_string());
     }
+    ended(rig, witness, seen, &Before { b: before, instance, killed_ns: None }, patience_ms)
+}
+
+/// An incarnation of `b` that ends.
+struct Before {
+    b: Process,
+    /// As `a/sink` has it.
+    instance: u64,
+    /// When it was told to end, ns; `None`: it does so by itself.
+    killed_ns: Option<u64>,
+}
+
+/// What follows its end.
+fn ended(
+    rig: &Rig,
+    witness: &Witness,
+    seen: &mut Seen,
+    before: &Before,
+    patience_ms: u64,
+) -> Result<String, String> {
+    let own = rig.own_port("a")?;
+    let Before { b: before, instance, killed_ns } = before;
     // Its step comes within a period of 10 ms, and what it does then takes a while.
     let ended = within(patience_ms, "its process ends", || {
         if procfs::gone(before.pid) { Ok(now_ns()) } else { Err("it runs".into()) }
     })?;
+    let ended = killed_ns.unwrap_or(ended);
     let told = within(PATIENCE, "the GCM notices", || {
         let now = rig.process("b")?;
         let noticed = now.state() != ProcessState::Attached || now.pid != before.pid;
@@ -116,7 +141,7 @@ fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64
     seen.told.push(witness.timed(ended, told, 0.0));
     let first = within(PATIENCE, "samples of the next incarnation", || {
         let books = own.row("a/sink")?["books"].take();
-        let is_new = number(&books["instance"]) > instance;
+        let is_new = number(&books["instance"]) > *instance;
         if is_new { Ok(number(&books["first_ns"])) } else { Err(books.to_string()) }
     })?;
     seen.flows.push(witness.timed(ended, first, 0.0));
@@ -163,7 +188,34 @@ fn fatal(run: &Run, book: &mut Book) -> Result<(), String> {
     Ok(())
 }
 
-/// Its address space has an end; then it dies alone.
+/// Kills of a process that has 1 GiB to give back, which takes the kernel a while.
+pub(super) fn heavy(book: &mut Book, rounds: u64) -> Result<(), String> {
+    let mut rig = rig(always(), Some(&Leak { mib_s: 1024, ..NO_LEAK }))?;
+    let (desired, witness, mut seen) = (Desired::now(&rig.rpc)?, Witness::start(), Seen::default());
+    for _ in 0..rounds {
+        let before = rig.process("b")?;
+        let instance = number(&rig.own_port("a")?.row("a/sink")?["books"]["instance"]);
+        rig.rpc.send("b/doom/ctl/strike", &json!(LEAK))?;
+        within(60_000, "it has 1 GiB", || match procfs::rss_kib(before.pid) >> 20 {
+            0 => Err("less".into()),
+            _ => Ok(()),
+        })?;
+        witness.begins(Since::Moment);
+        rig.mark("a/near")?;
+        witness.forget();
+        let (killed_ns, pid) = (Some(now_ns()), before.pid);
+        signal_to(pid, Signal::KILL)?;
+        ended(&rig, &witness, &mut seen, &Before { b: before, instance, killed_ns }, PATIENCE)?;
+    }
+    book.times("the GCM lists a process of 1 GiB as gone", &seen.told, 170.0);
+    book.times("samples of it flow again", &seen.flows, 1000.0);
+    book.times("longest silence of a bystander's 1 kHz meanwhile (G4)", &seen.near, 5.0);
+    book.check("desired, observed and actual agree after 1 GiB (G3)", 1, agree(&rig.rpc, &desired));
+    rig.up.terminate()?;
+    nothing_is_left(book, &rig.world);
+    Ok(())
+}
+
 /// The bound of `b` is RLIMIT_DATA, which every user may set; nothing of it needs a control group.
 fn leaks(run: &Run, book: &mut Book) -> Result<(), String> {
     let leak = if run.full {

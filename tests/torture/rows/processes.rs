@@ -13,6 +13,8 @@ use crate::procfs::{self, Held};
 use crate::rig::{Load, Rig};
 use crate::run::{Row, Run};
 
+use super::crashes::heavy;
+
 pub(crate) const ROWS: &[Row] = &[
     Row { name: "1", fault: "a host is killed", short: false, run: killed },
     Row { name: "3", fault: "a host stands still and goes on", short: false, run: stopped },
@@ -22,8 +24,8 @@ pub(crate) const ROWS: &[Row] = &[
 const LOAD: Load = Load { rate_hz: 1000, frames_hz: 60, holds_ms: 5, fast_hz: 0, bystanders: true };
 
 fn killed(run: &Run, book: &mut Book) -> Result<(), String> {
-    book.leaves_out("the kill of a process of 1 GiB, for which the GCM may take 70 ms longer");
-    faults(run, book, run.times(5, 200), &[Fault::Kill], &["b"])
+    faults(run, book, run.times(5, 200), &[Fault::Kill], &["b"])?;
+    heavy(book, run.times(1, 10))
 }
 
 fn stopped(run: &Run, book: &mut Book) -> Result<(), String> {
