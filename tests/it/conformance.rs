@@ -4,7 +4,8 @@
 
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
-    ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherThread, Passive, SameStream, Way, cases,
+    ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherThread, Passive, SameStream, SharedMemory,
+    Way, cases,
 };
 use trocar_tests::skip;
 
@@ -186,6 +187,10 @@ conform! {
     other_thread_cpp_to_rust: OtherThread, Cpp calls Rust;
     same_stream_rust_to_cpp: SameStream, Rust calls Cpp;
     same_stream_cpp_to_rust: SameStream, Cpp calls Rust;
+    shared_memory_rust: SharedMemory, Rust calls Rust;
+    shared_memory_cpp: SharedMemory, Cpp calls Cpp;
+    shared_memory_linked: SharedMemory, Linked calls Linked;
+    shared_memory_rust_to_cpp: SharedMemory, Rust calls Cpp;
     other_process_rust: OtherProcess, Rust calls Rust;
     other_process_cpp: OtherProcess, Cpp calls Cpp;
     other_process_linked: OtherProcess, Linked calls Linked;

@@ -130,20 +130,20 @@ impl Inbox {
         mailbox: Mailbox,
         replies: Arc<ReplyPool>,
         targets: Vec<Arc<Position>>,
-        from: ComponentId,
+        from: From,
         checks: Vec<Check>,
     ) -> Arc<Inbox> {
-        Arc::new(Self::of(mailbox, replies, targets, From::Far(from), false, checks))
+        Arc::new(Self::of(mailbox, replies, targets, from, false, checks))
     }
 
     /// Events of a component of another process.
     pub(super) fn far_events(
         mailbox: Mailbox,
         targets: Vec<Arc<Position>>,
-        from: ComponentId,
+        from: From,
         checks: Vec<Check>,
     ) -> Arc<Inbox> {
-        Arc::new(Self::of(mailbox, ReplyPool::new(1, 0, 0), targets, From::Far(from), true, checks))
+        Arc::new(Self::of(mailbox, ReplyPool::new(1, 0, 0), targets, from, true, checks))
     }
 
     fn of(

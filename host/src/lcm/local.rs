@@ -26,12 +26,13 @@ use super::api::{
     Sample, Selection, When,
 };
 use super::calling;
+use super::carriers::Carriers;
 use super::classes::Classes;
 use super::connect::Wired;
 use super::cycle::Follow;
 use super::executor::Executor;
 use super::external;
-use super::far::Far;
+use super::far::Here;
 use super::hub::Hub;
 use super::instance::{Entered, Instance, Loss};
 use super::order::Place;
@@ -64,7 +65,7 @@ pub struct LocalLcm {
     memory: Memory,
     watchdog: Watchdog,
     follower: Follower,
-    far: Option<Far>,
+    carriers: Arc<Carriers>,
 }
 
 #[derive(Default)]
@@ -88,6 +89,10 @@ struct Slot {
 }
 
 impl Slot {
+    fn here(&self) -> Here {
+        Here::new(self.instance.clone(), self.executor.clone())
+    }
+
     /// Where it stands among those that share its thread, and when it steps.
     fn place(&self, number_of: impl Fn(&str) -> Option<u32>) -> (Place, Follow) {
         if self.execution.stream_of.is_some() {
@@ -119,9 +124,9 @@ impl LocalLcm {
         let news = hub.news.clone();
         // Nobody listening is fine: the inventory has it.
         let tell = move |half| _ = news.send(News::Half(half));
-        let far = config.links.map(|socket| Far::start(hub.process.as_str(), socket, tell)).transpose()?;
+        let carriers = Carriers::start(hub.process.as_str(), config.links, tell, hub.ports.clone())?;
         let lcm = Arc::new(LocalLcm {
-            far,
+            carriers,
             classes: config.classes,
             held: Mutex::new(Held::default()),
             next_number: AtomicU32::new(1),
@@ -213,9 +218,7 @@ impl LocalLcm {
                 log::error!("{id} could not be removed at shutdown: {refusal}");
             }
         }
-        if let Some(far) = &self.far {
-            far.stop();
-        }
+        self.carriers.stop();
         self.follower.stop();
         self.drop_left(deadline).await;
         self.watchdog.stop();
@@ -249,7 +252,7 @@ impl LocalLcm {
     /// Numbers of all connections that end here.
     fn connections(&self) -> Vec<u64> {
         let here = self.held().links.keys().copied().collect::<Vec<_>>();
-        let far = self.far.as_ref().map_or_else(Vec::new, Far::connections);
+        let far = self.carriers.halves().flat_map(|halves| halves.connections());
         here.into_iter().chain(far).collect()
     }
 
@@ -438,7 +441,7 @@ impl Lcm for LocalLcm {
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
         let mut details: Vec<LinkDetail> = self.held().links.values().map(|l| l.detail()).collect();
-        details.extend(self.far.iter().flat_map(Far::details));
+        details.extend(self.carriers.halves().flat_map(|halves| halves.details()));
         Ok(details)
     }
 
@@ -452,7 +455,7 @@ impl Lcm for LocalLcm {
             card: self.own_card(),
             components,
             classes: self.classes.as_ref().map_or_else(Vec::new, |c| c.catalog()),
-            halves: self.far.as_ref().map_or_else(Vec::new, Far::reports),
+            halves: self.carriers.halves().flat_map(|halves| halves.reports()).collect(),
             warnings: self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         })
     }

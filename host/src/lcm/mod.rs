@@ -6,6 +6,7 @@ mod api;
 #[allow(unsafe_code, reason = "calls into class tables, and the slots that plugins call")]
 mod boundary;
 mod calling;
+mod carriers;
 mod classes;
 mod connect;
 mod context;

@@ -18,7 +18,7 @@ fn a_carrier_that_cannot_be_had_is_refused_with_those_that_can() {
     let cases = [
         ("left/s/value", "heap", "possible is \"memfd\"", "two processes"),
         ("left/s/value", "inline", "possible is \"memfd\"", "left and right"),
-        ("right/s/value", "memfd", "possible is \"heap\"", "threads of their own"),
+        ("right/s/value", "inline", "possible is \"heap\", \"memfd\"", "threads of their own"),
         ("right/s/value", "inline", "possible is \"heap\"", "right/s"),
         ("left/s/value", "pigeon", "\"inline\", \"heap\", \"memfd\"", "pigeon"),
     ];
@@ -39,10 +39,41 @@ fn a_carrier_that_cannot_be_had_is_refused_with_those_that_can() {
     two.trocar().run(&["describe", "right/second"]).ends_with(0).says("pinned to memfd");
     two.trocar().run(&["disconnect", "right/second/sample"]).ends_with(0);
     two.trocar()
-        .run(&["connect", "right/second/sample", "right/s/value", "--carrier", "memfd"])
+        .run(&["connect", "right/second/sample", "right/s/value", "--carrier", "inline"])
         .ends_with(1)
         .says("possible is \"heap\"");
     two.trocar().run(&["connect", "right/second/sample", "right/s/value", "--carrier", "heap"]).ends_with(0);
+}
+
+#[test]
+fn memory_that_both_ends_map_can_be_had_inside_one_process_where_it_is_pinned() {
+    let two = pair();
+    two.grpc.create("right/s", "sine", json!({}));
+    two.grpc.create("right/second", "echo", json!({}));
+    let shared = || json!({ "carrier": "memfd" });
+    two.grpc.ok("GcmService/Connect", connect("right/second/sample", "right/s/value", shared()));
+    two.grpc.ok("GcmService/Connect", connect("right/second/peer", "right/e/ctl", shared()));
+    two.grpc.start("right/s");
+    two.grpc.start("right/second");
+    super::await_flow(&two.grpc, "right/second/sample");
+    for client in ["right/second/sample", "right/second/peer"] {
+        let listed = super::connection(&two.grpc, client);
+        assert_eq!(listed["carrier"], "memfd", "{listed}");
+        assert!(
+            listed["proxies"].as_array().is_none_or(Vec::is_empty),
+            "nothing of it is elsewhere: {listed}"
+        );
+    }
+    two.trocar().run(&["disconnect", "right/second/sample"]).ends_with(0);
+    two.grpc.ok("GcmService/Connect", connect("right/second/sample", "right/s/value", json!({})));
+    assert_eq!(super::connection(&two.grpc, "right/second/sample")["carrier"], "heap");
+    two.grpc.stop("right/e");
+    let passive = json!({ "path": "right/e", "execution": { "model": "none" } });
+    let refused = two.grpc.refused("GcmService/Configure", passive);
+    assert!(
+        refused.message.contains("possible is \"inline\""),
+        "no queue leads to a passive server: {refused}"
+    );
 }
 
 #[test]

@@ -16,6 +16,7 @@ mod world;
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::{Language, Languages};
 pub use way::{
-    Deployment, ExecIn, ExecOut, OtherProcess, OtherThread, Passive, Reach, SameStream, Told, Way,
+    Deployment, ExecIn, ExecOut, OtherProcess, OtherThread, Passive, Reach, SameStream, SharedMemory, Told,
+    Way,
 };
 pub use world::Lab;

@@ -55,6 +55,14 @@ pub trait Deployment: Sync {
     fn two_processes(&self) -> bool {
         false
     }
+    /// What connections between clients and servers are pinned to; empty: to nothing.
+    fn carrier(&self) -> &'static str {
+        ""
+    }
+    /// Each end maps the memory they share for itself, frames for reading only.
+    fn maps(&self) -> bool {
+        self.two_processes() || self.carrier() == "memfd"
+    }
     /// The server has a step.
     fn server_steps(&self) -> bool {
         true
@@ -193,6 +201,27 @@ impl Deployment for Passive {
     }
     fn server_steps(&self) -> bool {
         false
+    }
+}
+
+/// Each has its own thread, and between them is memory that both map, as if they were in two processes.
+pub struct SharedMemory;
+
+impl Deployment for SharedMemory {
+    fn name(&self) -> &'static str {
+        "shared memory in one process"
+    }
+    fn inline(&self) -> bool {
+        false
+    }
+    fn client(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn server(&self) -> Execution {
+        model(ExecutionModel::OnSignal)
+    }
+    fn carrier(&self) -> &'static str {
+        "memfd"
     }
 }
 

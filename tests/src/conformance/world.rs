@@ -2,7 +2,7 @@
 //!
 //! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -48,6 +48,9 @@ pub struct Lab {
     other: Option<Host>,
     /// The process of each component.
     places: Mutex<BTreeMap<String, &'static str>>,
+    /// What connections between clients and servers are pinned to, and who is on the servers' side.
+    carrier: &'static str,
+    servers: Mutex<BTreeSet<String>>,
     languages: Languages,
     world: World,
 }
@@ -65,7 +68,17 @@ impl Lab {
         let host = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
         let gcm = host.gcm().cloned().unwrap_or_else(|| panic!("the host has no GCM"));
         let lcm = host.lcm().cloned().unwrap_or_else(|| panic!("the host has no LCM"));
-        Lab { host: Some(host), gcm, lcm, other: None, places: Mutex::default(), languages, world }
+        Lab {
+            host: Some(host),
+            gcm,
+            lcm,
+            other: None,
+            places: Mutex::default(),
+            carrier: "",
+            servers: Mutex::default(),
+            languages,
+            world,
+        }
     }
 
     /// The other process, where servers are then made.
@@ -90,6 +103,25 @@ impl Lab {
 
     fn places(&self) -> MutexGuard<'_, BTreeMap<String, &'static str>> {
         self.places.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn servers(&self) -> MutexGuard<'_, BTreeSet<String>> {
+        self.servers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is between clients and servers carries this connection.
+    fn carried(&self, client: &str, server: &str, mut options: ConnectOptions) -> ConnectOptions {
+        let component = |path: &str| path.split('/').next().unwrap_or_default().to_owned();
+        let sides = [client, server].map(|path| self.servers().contains(&component(path)));
+        if options.carrier.is_empty() && sides == [false, true] {
+            options.carrier = self.carrier.to_owned();
+        }
+        options
+    }
+
+    /// Frames pass between clients and servers in memory that is mapped twice.
+    pub(super) fn maps(&self) -> bool {
+        self.is_parted() || self.carrier == "memfd"
     }
 
     /// The path of a component, or of something of it.
@@ -136,6 +168,13 @@ impl Lab {
             None => HOST,
         };
         self.places().insert(name.to_owned(), process);
+        let serves = match &with {
+            Some(leader) => self.servers().contains(leader),
+            None => Languages::is_of_servers(class),
+        };
+        if serves {
+            self.servers().insert(name.to_owned());
+        }
         let moved = |path: Option<String>| path.map(|path| format!("{process}/{}", leader(&path)));
         Execution { stream_of: moved(execution.stream_of), inside: moved(execution.inside), ..execution }
     }
@@ -143,7 +182,8 @@ impl Lab {
     /// The processes of a way, without components.
     #[must_use]
     pub fn of(way: &Way) -> Lab {
-        let lab = Lab::new(way.languages);
+        let mut lab = Lab::new(way.languages);
+        lab.carrier = way.deployment.carrier();
         if way.deployment.two_processes() { lab.part() } else { lab }
     }
 
@@ -195,6 +235,7 @@ impl Lab {
     #[must_use]
     pub fn listening(way: &Way) -> Lab {
         let mut lab = Lab::with(way.languages, |host| host.listen("127.0.0.1:0"));
+        lab.carrier = way.deployment.carrier();
         if way.deployment.two_processes() {
             lab = lab.part();
         }
@@ -300,12 +341,14 @@ impl Lab {
 
     #[track_caller]
     pub fn connect_with(&self, client: &str, server: &str, options: ConnectOptions) {
+        let options = self.carried(client, server, options);
         self.done(Request::Connect { client: self.port(client), server: self.port(server), options });
     }
 
     /// # Errors
     /// What the GCM refuses.
     pub fn try_connect(&self, client: &str, server: &str, options: ConnectOptions) -> Result<(), Refusal> {
+        let options = self.carried(client, server, options);
         self.ask(Request::Connect { client: self.port(client), server: self.port(server), options })
             .map(|_| ())
     }

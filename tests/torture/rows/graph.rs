@@ -21,10 +21,11 @@ pub(crate) const ROWS: &[Row] = &[Row {
 /// What memory in use may grow by, KiB.
 const MOST_KIB: u64 = 1024;
 
-/// Client and server of each kind, by carrier.
-const PAIRS: [(&str, &[(&str, &str)]); 3] = [
-    ("inline", &[("a/inside/value", "a/source/value")]),
+/// Client and server of each kind, by what it is called and its carrier.
+const PAIRS: [(&str, &str, &[(&str, &str)]); 4] = [
+    ("inline", "inline", &[("a/inside/value", "a/source/value")]),
     (
+        "heap",
         "heap",
         &[
             ("a/sink/value", "a/source/value"),
@@ -33,6 +34,16 @@ const PAIRS: [(&str, &[(&str, &str)]); 3] = [
         ],
     ),
     (
+        "memfd inside one process",
+        "memfd",
+        &[
+            ("a/sink/value", "a/source/value"),
+            ("a/screen/frame", "a/camera/frame"),
+            ("a/caller/peer", "a/server/ctl"),
+        ],
+    ),
+    (
+        "memfd",
         "memfd",
         &[
             ("a/sink/value", "b/source/value"),
@@ -75,7 +86,7 @@ fn again(run: &Run, book: &mut Book) -> Result<(), String> {
     let (warm, times) = (run.times(60, 1_000), run.times(120, 10_000));
     let mut rig = rig()?;
     let desired = Desired::now(&rig.rpc)?;
-    for (carrier, pairs) in PAIRS {
+    for (what, carrier, pairs) in PAIRS {
         let options = ConnectOptions { carrier: carrier.into(), ..ConnectOptions::default() };
         let mut n = 0;
         let once = |rig: &Rig| {
@@ -84,7 +95,7 @@ fn again(run: &Run, book: &mut Book) -> Result<(), String> {
             rig.rpc.connect(client, server, options.clone())?;
             Ok(rig.rpc.disconnect(client, server)?)
         };
-        grows(&rig, book, &format!("{carrier}: Connect and Disconnect"), warm, times, once)?;
+        grows(&rig, book, &format!("{what}: Connect and Disconnect"), warm, times, once)?;
     }
     let (mut n, times) = (0, run.times(40, 1_000));
     let once = |rig: &Rig| {

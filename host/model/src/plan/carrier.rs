@@ -43,7 +43,9 @@ fn possible(graph: &SystemGraph, c: &Connection) -> (&'static [&'static str], St
         graph.components.get(server).is_some_and(|s| s.execution.model == Some(ExecutionModel::None));
     let one_thread = thread_of(graph, client) == thread_of(graph, server);
     match (stream, one_thread || passive) {
-        (true, true) => (&["inline", "heap"], format!("both ends are in process {}", client.process)),
+        (true, true) => {
+            (&["inline", "heap", "memfd"], format!("both ends are in process {}", client.process))
+        }
         (false, true) => {
             let why = if one_thread {
                 format!("{server} and {client} share a thread, in which commands are called directly")
@@ -55,7 +57,7 @@ fn possible(graph: &SystemGraph, c: &Connection) -> (&'static [&'static str], St
         (_, false) => {
             let why =
                 format!("{server} and {client} have threads of their own in process {}", client.process);
-            (&["heap"], why)
+            (&["heap", "memfd"], why)
         }
     }
 }

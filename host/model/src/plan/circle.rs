@@ -98,7 +98,7 @@ fn direct(graph: &SystemGraph, c: &Connection, stream: bool) -> Option<(Componen
     let (client, server) = (&c.client.component, &c.server.component);
     let chained = || stream && head(graph, client).is_some_and(|h| Some(h) == head(graph, server));
     match c.options.carrier.as_str() {
-        "heap" => None,
+        "heap" | "memfd" => None,
         "inline" if !stream => Some((client.clone(), server.clone())),
         "inline" => Some((server.clone(), client.clone())),
         _ => chained().then(|| (server.clone(), client.clone())),

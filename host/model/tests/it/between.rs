@@ -26,8 +26,8 @@ fn a_carrier_is_possible_by_where_the_ends_run() {
         ],
     );
     assert_eq!(possible(&graph, "gui/log/force", "host/robot/force"), ["memfd"]);
-    assert_eq!(possible(&graph, "host/log2/force", "host/robot/force"), ["heap"]);
-    assert_eq!(possible(&graph, "host/controller2/robot", "host/robot/arm"), ["heap"]);
+    assert_eq!(possible(&graph, "host/log2/force", "host/robot/force"), ["heap", "memfd"]);
+    assert_eq!(possible(&graph, "host/controller2/robot", "host/robot/arm"), ["heap", "memfd"]);
     graph.components.get_mut(&id("host/robot")).unwrap().execution.model = Some(ExecutionModel::None);
     assert_eq!(possible(&graph, "host/controller2/robot", "host/robot/arm"), ["inline"], "it is passive");
     graph.components.get_mut(&id("host/robot")).unwrap().execution =

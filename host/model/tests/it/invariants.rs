@@ -184,7 +184,8 @@ fn check(graph: &SystemGraph) -> Result<(), TestCaseError> {
         prop_assert!(link.is_ok(), "{:?} does not fit: {:?}", connection, link);
         prop_assert!(clients.insert(connection.client.clone()), "{} has two sources", connection.client);
         let pinned = connection.options.carrier.as_str();
-        let fits = if connection.is_near() { ["", "inline", "heap"] } else { ["", "memfd", "memfd"] };
+        let fits: &[&str] =
+            if connection.is_near() { &["", "inline", "heap", "memfd"] } else { &["", "memfd"] };
         prop_assert!(fits.contains(&pinned), "{:?} cannot have its carrier", connection);
     }
     for (id, component) in &graph.components {

@@ -52,6 +52,12 @@ impl Asks {
         })
     }
 
+    /// Of a link that asks nobody.
+    pub(super) fn of_nobody(connection: u64, epoch: u64) -> Arc<Asks> {
+        let (next, open) = (AtomicU64::new(1), Mutex::new(None));
+        Arc::new(Asks { session: Weak::new(), connection, epoch, next, open })
+    }
+
     fn open(&self) -> MutexGuard<'_, Option<BTreeMap<u64, SyncSender<ReadAnswer>>>> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }

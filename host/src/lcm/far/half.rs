@@ -19,7 +19,7 @@ use super::wires::{ClientWires, Here, ServerWires};
 /// So long a server's process may take to answer before it is asked again.
 const ANSWER: Duration = Duration::from_secs(1);
 /// How the data of such connections travel.
-const CARRIER: &str = "memfd";
+pub(in crate::lcm) const CARRIER: &str = "memfd";
 
 /// Which end of the connection is here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

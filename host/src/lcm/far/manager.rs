@@ -157,9 +157,12 @@ impl Far {
     }
 
     /// Why it is not linked, as far as anybody knows.
-    pub(in crate::lcm) fn why_not(&self, half: &Half) -> String {
+    pub(in crate::lcm) fn why_not(&self, connection: u64) -> String {
+        let Some(half) = locked(&self.halves).get(&connection).cloned() else {
+            return "it was disconnected".into();
+        };
         let why = half.stage().why.clone();
-        if why.is_empty() { unsaid(&self.links, half) } else { why }
+        if why.is_empty() { unsaid(&self.links, &half) } else { why }
     }
 
     pub(in crate::lcm) fn details(&self) -> Vec<LinkDetail> {

@@ -8,6 +8,7 @@ mod asks;
 mod face;
 mod half;
 mod manager;
+mod near;
 mod pools;
 mod serving;
 mod terms;
@@ -17,6 +18,7 @@ mod worker;
 
 pub(super) use asks::Asking;
 pub(super) use face::{Face, Standing};
-pub(super) use half::{Half, Role};
+pub(super) use half::{CARRIER as NAME, Half, Role, Tell};
 pub(super) use manager::Far;
+pub(super) use near::Near;
 pub(super) use wires::Here;

@@ -79,8 +79,7 @@ fn stream(
                 client: connection.client.clone(),
                 server: connection.server.clone(),
                 what: "samples".into(),
-                difference: "neither end has a type, and they are in two processes: give one of them a type"
-                    .into(),
+                difference: "neither end has a type: give one of them a type".into(),
             });
         }
         (PortType::Any, typed) => typed.clone(),

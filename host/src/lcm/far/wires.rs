@@ -5,10 +5,10 @@
 
 use std::io;
 use std::os::fd::OwnedFd;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Weak};
 
-use trocar_model::{Binding, Connection, CopyRun, PortType, Ports};
+use trocar_model::{Binding, ComponentId, Connection, CopyRun, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::segment::{Agreed, FarCalls, ServedCalls, Stream};
 use trocar_rt::stream::{FarPools, FarViews, StreamCounters, StreamReader, StreamWriter};
@@ -23,7 +23,7 @@ use super::super::connect::lane;
 use super::super::convert::back;
 use super::super::dynamic::PortSet;
 use super::super::executor::Executor;
-use super::super::inbox::{Check, Inbox};
+use super::super::inbox::{Check, From, Inbox};
 use super::super::instance::{Instance, Loss};
 use super::asks::Asks;
 use super::face::{Face, Shown};
@@ -36,6 +36,22 @@ use trocar_rt::os;
 pub(in crate::lcm) struct Here {
     pub(in crate::lcm) instance: Arc<Instance>,
     pub(in crate::lcm) executor: Arc<Executor>,
+    /// The component at the other end, where that is here, too.
+    pub(in crate::lcm) other: Option<Weak<Instance>>,
+}
+
+impl Here {
+    pub(in crate::lcm) fn new(instance: Arc<Instance>, executor: Arc<Executor>) -> Here {
+        Here { instance, executor, other: None }
+    }
+
+    /// Who fills a queue of this end.
+    fn from(&self, other: &ComponentId) -> From {
+        match &self.other {
+            Some(other) => From::Component(other.clone()),
+            None => From::Far(other.clone()),
+        }
+    }
 }
 
 /// The client's wires.
@@ -200,7 +216,7 @@ impl ServerWires {
             calls.commands,
             calls.replies,
             bound().map(|id| set.commands[id].clone()).collect(),
-            connection.client.component.clone(),
+            here.from(&connection.client.component),
             checks.collect(),
         );
         server.edit_inboxes(|all| all.push(commands_in.clone()));
@@ -406,7 +422,7 @@ impl ClientWires {
         let events_in = Inbox::far_events(
             calls.events,
             binding.handlers.iter().map(|(h, _)| set.handlers[*h].clone()).collect(),
-            connection.server.component.clone(),
+            here.from(&connection.server.component),
             checks.collect(),
         );
         client.edit_inboxes(|all| all.push(events_in.clone()));

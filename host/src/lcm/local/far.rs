@@ -11,7 +11,8 @@ use trocar_model::{Connection, Link, Ports, Refusal, bindings, idle_connection};
 
 use super::super::Report;
 use super::super::api::FarEnd;
-use super::super::far::{Half, Here, Role};
+use super::super::carriers::OneEnd;
+use super::super::far::Role;
 use super::super::instance::Loss;
 use super::LocalLcm;
 
@@ -20,7 +21,7 @@ const WAY: Duration = Duration::from_millis(20);
 
 impl LocalLcm {
     pub(super) fn own_card(&self) -> Option<Card> {
-        self.far.as_ref().map(|far| far.card().clone())
+        self.carriers.halves().next().map(|halves| halves.card().clone())
     }
 
     /// Makes the half of a connection that is here, and for a client waits until it is linked.
@@ -31,13 +32,7 @@ impl LocalLcm {
             server: connection.server.clone(),
             why,
         };
-        let far = self.far.as_ref().ok_or_else(|| {
-            unreachable(format!(
-                "process {} was started without a place to listen for others",
-                self.hub.process
-            ))
-        })?;
-        far.card().reaches(&card).map_err(|e| unreachable(e.to_string()))?;
+        let halves = self.carriers.reaching(&connection, &card).map_err(&unreachable)?;
         let role =
             if connection.client.component.process == self.hub.process { Role::Client } else { Role::Server };
         let mine = match role {
@@ -45,8 +40,7 @@ impl LocalLcm {
             Role::Server => &connection.server.component,
         };
         let slot = self.slot(mine)?;
-        let here = Here { instance: slot.instance.clone(), executor: slot.executor.clone() };
-        let ours = here.instance.ports();
+        let ours = slot.instance.ports();
         let (client, server) = match role {
             Role::Client => (&ours, &theirs),
             Role::Server => (&theirs, &ours),
@@ -58,16 +52,14 @@ impl LocalLcm {
         };
         let (tell, told) = oneshot::channel();
         let (id, tell) = (connection.id.0, (role == Role::Client).then_some(tell));
-        let ends = (connection.clone(), role);
-        let half = Half::new(ends, here, required, (theirs, card), tell);
-        half.terms()?;
-        far.add(half.clone());
+        let end = OneEnd { connection: connection.clone(), role, here: slot.here(), required, theirs, card };
+        halves.add(end, tell)?;
         if role == Role::Client {
             let until = deadline.checked_sub(WAY).unwrap_or(deadline);
             let linked = match tokio::time::timeout_at(until.into(), told).await {
                 Ok(Ok(linked)) => linked,
                 Ok(Err(_)) => Err("this process shuts down".into()),
-                Err(_) => Err(far.why_not(&half)),
+                Err(_) => Err(halves.why_not(id)),
             };
             if let Err(why) = linked {
                 self.unlink_far(id, Loss::Cut).await;
@@ -82,10 +74,11 @@ impl LocalLcm {
     /// The half of a connection goes; the client's or server's report, `None` when there is none.
     pub(super) async fn unlink_far(&self, connection: u64, how: Loss) -> Option<Report> {
         let (tell, told) = oneshot::channel();
-        let half = self.far.as_ref()?.remove(connection, how, tell)?;
+        let has = self.carriers.halves().find(|halves| halves.connections().contains(&connection))?;
+        let instance = has.remove(connection, how, tell)?;
         // The thread that does it has ended: so have all halves.
         let _ = told.await;
-        Some(half.here.instance.report(false))
+        Some(instance.report(false))
     }
 }
 

@@ -69,8 +69,8 @@ impl Follower {
 }
 
 impl LocalLcm {
-    /// One look: asks for descriptions, cuts what hung on ports that went, tells losses, drops what was cut before. True
-    /// while some of that is still in use.
+    /// One look: asks for descriptions, cuts what hung on ports that went, tells losses, drops what was cut before, tends carriers.
+    /// True while some of that is still in use.
     fn follow_ports(&self) -> bool {
         let mut in_use = 0;
         let now_ns = os::now_ns();
@@ -93,7 +93,7 @@ impl LocalLcm {
             in_use += instance.reclaim();
         }
         in_use += self.reclaim_leaving();
-        in_use > 0
+        self.carriers.tend() || in_use > 0
     }
 
     /// Drops what removed components still hold of wires that were cut, where nobody looks at it any more; in how many
@@ -143,7 +143,8 @@ impl LocalLcm {
         if lost.is_empty() {
             return Vec::new();
         }
-        let far = self.far.as_ref().map_or_else(Vec::new, |far| far.cut_misfits(&instance.id, &lost));
+        let far = self.carriers.halves().flat_map(|halves| halves.cut_misfits(&instance.id, &lost));
+        let far: Vec<u64> = far.collect();
         let gone = |id: &ComponentId, port: &str| *id == instance.id && lost.iter().any(|l| l == port);
         let held = self.held();
         let links = held.links.values().filter(|l| {

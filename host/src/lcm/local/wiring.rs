@@ -24,9 +24,10 @@ impl LocalLcm {
         let client = self.slot(&connection.client.component)?;
         let server = self.slot(&connection.server.component)?;
         let id = connection.id.0;
-        let (from, to) = (server.instance.clone(), client.instance.clone());
+        let carriers = self.carriers.clone();
+        let (from, to) = (server.here(), client.here());
         let ends = (connection.client.clone(), connection.server.clone());
-        let connect = move || Wired::connect(&connection, &to, &from);
+        let connect = move || Wired::connect(&carriers, &connection, &to, &from);
         let wired = between_cycles(&client, &server, deadline, connect).await?;
         if wired.required {
             client.instance.connected(wired.client_port.as_str());

@@ -15,11 +15,11 @@ fn publish(lab: &Lab, frames: u32) {
     done.unwrap_or_else(|refusal| panic!("publishing frames: {refusal}"));
 }
 
-/// The frame that was published. Between processes the first one of a pool comes when that memory is mapped, and what was taken
+/// The frame that was published. In memory that is mapped twice the first one of a pool comes when that memory is mapped, and what was taken
 /// is back when the maker has noticed.
 fn taken(lab: &Lab) -> Value {
     let mut frame = lab.own("take_frame");
-    if lab.is_parted() && whole(&frame["at"]) == 0 {
+    if lab.maps() && whole(&frame["at"]) == 0 {
         frame = eventually("the frame comes", || match lab.own("take_frame") {
             frame if whole(&frame["at"]) != 0 => Ok(frame),
             frame => Err(format!("{frame}")),
@@ -50,9 +50,9 @@ fn behind(at: &Value) -> (u64, u64) {
     found.unwrap_or_else(|| panic!("nothing is mapped at {at:#x}"))
 }
 
-/// The very bytes its maker wrote, not a copy. Each process maps them at an address of its own.
+/// The very bytes its maker wrote, not a copy. Each end that maps them has an address of its own.
 fn lies_where_it_was_made(way: &Way, at: &Value, made: &Value) {
-    if way.deployment.two_processes() {
+    if way.deployment.maps() {
         assert_eq!(behind(at), behind(made), "another file, or another place in it");
     } else {
         assert_eq!(at, made);
@@ -65,8 +65,12 @@ pub fn a_frame_arrives_where_it_was_made(way: &Way) {
     let frame = taken(&lab);
     lies_where_it_was_made(way, &frame["at"], &lab.row("server")["frame_at"]);
     assert_eq!((whole(&frame["len"]), whole(&frame["seq"]), whole(&frame["byte"])), (FRAME, 1, 1));
-    let own = u64::from(!way.deployment.two_processes());
-    assert_eq!(whole(&frame["own"]), own, "nobody else has it, but in another process nobody may write it");
+    let own = u64::from(!way.deployment.maps());
+    assert_eq!(
+        whole(&frame["own"]),
+        own,
+        "nobody else has it, but where it is mapped twice only its maker may write it"
+    );
     assert_eq!(whole(&lab.own("take_frame")["at"]), 0, "each frame is given once");
 }
 
