@@ -9,6 +9,8 @@ mod away;
 mod looking;
 #[path = "links/refusals.rs"]
 mod refusals;
+#[path = "links/wakes.rs"]
+mod wakes;
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, eventually, number};

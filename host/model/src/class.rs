@@ -82,6 +82,41 @@ pub struct Execution {
     pub history: Option<u32>,
     /// What a filter of a stream does when its step fails.
     pub on_failure: Option<OnFailure>,
+    /// How its thread is told that something has come for it; unset = by the length of its period, see [`Execution::polls`].
+    pub wake: Option<Wake>,
+}
+
+/// How a thread is told that a sample, command or event has come for one of its components.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wake {
+    /// It is woken, if it sleeps: whoever sends pays for that, and it does not wait for the next period.
+    Signal,
+    /// It looks at each period: whoever sends pays nothing but the push.
+    Poll,
+}
+
+/// Grids up to this period are looked at often enough by themselves, ns.
+const OFTEN_NS: u64 = 10_000_000;
+
+impl Wake {
+    pub const ALL: [Wake; 2] = [Wake::Signal, Wake::Poll];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Wake::Signal => "signal",
+            Wake::Poll => "poll",
+        }
+    }
+}
+
+impl Execution {
+    /// A thread with these settings looks by itself, at each period, at what has come: as it was asked to, or because its period is
+    /// 10 ms at most.
+    pub fn polls(&self) -> bool {
+        let grid = matches!(self.model, Some(ExecutionModel::Periodic | ExecutionModel::Stream));
+        let period_ns = self.period_ns.filter(|_| grid);
+        period_ns.is_some_and(|ns| self.wake.map_or(ns <= OFTEN_NS, |wake| wake == Wake::Poll))
+    }
 }
 
 /// What happens to the frames of a stream behind a filter whose step failed. The filter is in FAULT either way.

@@ -131,6 +131,7 @@ fn execution(e: &v1::Execution) -> ExecutionView {
         max_step_ns: ns(e.max_step.as_ref()),
         history: e.history.unwrap_or(0),
         on_failure: e.on_failure.clone(),
+        wake: e.wake.clone(),
         thread: String::new(),
     }
 }
@@ -151,6 +152,7 @@ pub(super) fn typed_execution(e: &ExecutionArgs) -> v1::Execution {
         max_step: e.max_step.map(duration),
         history: e.history,
         on_failure: e.on_failure.map(|f| f.wire_name().to_owned()).unwrap_or_default(),
+        wake: e.wake.map(|w| w.wire_name().to_owned()).unwrap_or_default(),
     }
 }
 
@@ -194,6 +196,8 @@ pub(super) fn connection(c: &v1::Connection) -> ConnectionView {
         high_water: c.high_water,
         failed: c.failed,
         unexecuted: c.unexecuted,
+        client_wake: c.client_wake.clone(),
+        server_wake: c.server_wake.clone(),
         proxies: c.proxies.iter().map(proxy).collect(),
     }
 }

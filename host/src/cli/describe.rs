@@ -61,6 +61,9 @@ fn render(view: &DescribeView, colour: bool) -> String {
             let line = format!("{}  {} → {}  {}{}", c.id, c.server, c.client, c.way(), options(&c.options));
             page.line(1, line.trim_end());
             page.line(2, &c.figures());
+            if !c.wakes().is_empty() {
+                page.line(2, &c.wakes());
+            }
             for p in &c.proxies {
                 page.line(2, &half(p));
             }
@@ -185,6 +188,9 @@ impl Page {
         }
         if !e.on_failure.is_empty() {
             add("on failure", e.on_failure.clone());
+        }
+        if !e.wake.is_empty() {
+            add("wake", e.wake.clone());
         }
         if !set.is_empty() {
             self.line(1, &format!("execution: {}", set.join(", ")));

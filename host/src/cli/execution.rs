@@ -46,6 +46,9 @@ pub(super) struct ExecutionArgs {
     /// What happens behind it in its stream when it fails.
     #[arg(long, value_enum)]
     pub(super) on_failure: Option<OnFailure>,
+    /// How its thread is told that something has come; left out: poll up to a period of 10 ms, else signal.
+    #[arg(long, value_enum)]
+    pub(super) wake: Option<Wake>,
 }
 
 impl ExecutionArgs {
@@ -89,6 +92,25 @@ impl Model {
             Model::ExecOut => "exec_out",
             Model::Stream => "stream",
             Model::None => "none",
+        }
+    }
+}
+
+/// How a thread is told that something has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Wake {
+    /// Woken, if it sleeps.
+    Signal,
+    /// It looks at each period.
+    Poll,
+}
+
+impl Wake {
+    /// The spelling of the API and of the system file.
+    pub(super) fn wire_name(self) -> &'static str {
+        match self {
+            Wake::Signal => "signal",
+            Wake::Poll => "poll",
         }
     }
 }

@@ -73,6 +73,8 @@ pub(super) struct ExecutionView {
     pub(super) history: u32,
     /// stop_branch or bypass; "" = not set.
     pub(super) on_failure: String,
+    /// signal or poll; "" = not set.
+    pub(super) wake: String,
     /// Where it runs, in words.
     pub(super) thread: String,
 }
@@ -119,6 +121,9 @@ pub(super) struct ConnectionView {
     pub(super) failed: u64,
     /// Commands that were only sent, and events, that never ran.
     pub(super) unexecuted: u64,
+    /// How each end is told that something has come: signal or poll; "" = it is called, or nothing comes.
+    pub(super) client_wake: String,
+    pub(super) server_wake: String,
     /// Its halves, where its ends are in two processes: the client's, then the server's.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) proxies: Vec<ProxyView>,
@@ -200,6 +205,13 @@ impl ConnectionView {
             }
         }
         text
+    }
+
+    /// How its ends are told that something has come; empty where nobody is.
+    pub(super) fn wakes(&self) -> String {
+        let said = [("client", &self.client_wake), ("server", &self.server_wake)];
+        let said = said.iter().filter(|(_, wake)| !wake.is_empty());
+        said.map(|(end, wake)| format!("wake of the {end}: {wake}")).collect::<Vec<_>>().join(", ")
     }
 
     /// How its data travel, or that they do not.

@@ -94,7 +94,7 @@ fn executions(from: &Execution, to: &Execution) -> String {
 }
 
 /// Every setting by the name it has in a system file.
-pub(super) fn spelled(e: &Execution) -> [(&'static str, Option<Value>); 12] {
+pub(super) fn spelled(e: &Execution) -> [(&'static str, Option<Value>); 13] {
     let scaled = |ns: Option<u64>, unit: f64| ns.map(|ns| Value::from(ns as f64 / unit));
     let text = |text: &Option<String>| text.clone().map(Value::from);
     [
@@ -110,5 +110,6 @@ pub(super) fn spelled(e: &Execution) -> [(&'static str, Option<Value>); 12] {
         ("max_step_ms", scaled(e.max_step_ns, 1e6)),
         ("history", e.history.map(Value::from)),
         ("on_failure", e.on_failure.map(|f| f.name().into())),
+        ("wake", e.wake.map(|w| w.name().into())),
     ]
 }

@@ -248,6 +248,9 @@ pub struct LinkDetail {
     pub connection: u64,
     /// "inline", "heap", "memfd".
     pub carrier: String,
+    /// How each end is told that something has come for it, "signal" or "poll"; empty where nobody is.
+    pub client_wake: &'static str,
+    pub server_wake: &'static str,
     pub passed: u64,
     /// Lost in a full queue or for lack of frames; those in `rejected` too.
     pub dropped: u64,
@@ -296,6 +299,8 @@ impl LinkDetail {
         LinkDetail {
             connection: self.connection,
             carrier: if self.carrier.is_empty() { other.carrier } else { self.carrier },
+            client_wake: if self.client_wake.is_empty() { other.client_wake } else { self.client_wake },
+            server_wake: if self.server_wake.is_empty() { other.server_wake } else { self.server_wake },
             passed: self.passed.max(other.passed),
             dropped: self.dropped.max(other.dropped),
             rejected: self.rejected.max(other.rejected),

@@ -95,7 +95,13 @@ impl Wired {
     }
 
     pub(super) fn detail(&self) -> LinkDetail {
-        self.joined.detail()
+        let mut detail = self.joined.detail();
+        // Called in the same thread nobody has to be told.
+        if detail.carrier != "inline" {
+            detail.client_wake = self.client.wake_mode();
+            detail.server_wake = if self.is_stream() { "" } else { self.server.wake_mode() };
+        }
+        detail
     }
 }
 

@@ -19,9 +19,6 @@ use super::realtime::{self, Memory, Settings};
 
 pub(super) use trocar_rt::executor::Pace;
 
-/// Grids up to this period look at their queues in the cycle only; slower ones are woken in between, ns.
-pub(super) const SLOW_NS: u64 = 10_000_000;
-
 /// The pace an execution asks for.
 pub(super) fn pace_of(execution: &Execution) -> Pace {
     let grid = execution.period_ns.map(|period_ns| Pace::Grid {
@@ -82,6 +79,8 @@ pub(super) struct Executor {
     pub(super) waker: Arc<Waker>,
     /// How it finds its cycles.
     pub(super) pace: Pace,
+    /// It looks at its queues in the cycle only: nobody wakes it in between.
+    pub(super) polls: bool,
     jobs: Mutex<VecDeque<Job>>,
     has_jobs: AtomicBool,
     stop: AtomicBool,
@@ -143,6 +142,7 @@ impl Executor {
             id: NEXT.fetch_add(1, Ordering::Relaxed),
             waker: Arc::new(Waker::new()),
             pace,
+            polls: execution.polls(),
             jobs: Mutex::new(VecDeque::new()),
             has_jobs: AtomicBool::new(false),
             stop: AtomicBool::new(false),
@@ -226,8 +226,8 @@ impl Executor {
             let Crew { members, bells, pacer } = &mut crew;
             bells.hear();
             let clock = Bells { own: &self.waker, bells: &bells.bells };
-            // Who looks often enough by itself is not woken by other processes either.
-            let looks = matches!(pacer.pace(), Pace::Grid { period_ns, .. } if period_ns <= SLOW_NS);
+            // Who looks by itself is not woken by other processes either.
+            let looks = self.polls;
             if !looks {
                 cycle::serve(members, pacer.pace());
             }

@@ -277,7 +277,7 @@ impl Instance {
         let kept = execution.history.map_or(STATE_ROWS, |rows| rows as usize);
         let (writer, rows) = state_table(state_bytes, kept);
         let (status, status_rows) = state_table(system::MAX_BYTES, STATUS_ROWS);
-        let terms = Terms::of(execution, executor.pace);
+        let terms = Terms::of(execution, executor);
         let described = Described::new(ports.clone())?;
         let now = described.now();
         let host = HostContext::new(number, &hub);

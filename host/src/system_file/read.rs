@@ -5,7 +5,9 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use trocar_model::{ComponentId, ConnectOptions, Execution, ExecutionModel, Name, OnFailure, PortId, Queue};
+use trocar_model::{
+    ComponentId, ConnectOptions, Execution, ExecutionModel, Name, OnFailure, PortId, Queue, Wake,
+};
 
 use super::cursor::{Cursor, Document, did_you_mean};
 use super::isolation::isolate;
@@ -35,6 +37,7 @@ pub(super) const EXECUTION: &[&str] = &[
     "max_step_ms",
     "history",
     "on_failure",
+    "wake",
 ];
 pub(super) const CONNECTION: &[&str] =
     &["client", "server", "queue", "max_age_ms", "deadline_ms", "mailbox", "adapt", "carrier"];
@@ -53,6 +56,8 @@ pub(super) const MODELS: &[(&str, ExecutionModel)] = &[
 
 pub(super) const ON_FAILURE: &[(&str, OnFailure)] =
     &[("stop_branch", OnFailure::StopBranch), ("bypass", OnFailure::Bypass)];
+
+pub(super) const WAKES: &[(&str, Wake)] = &[("signal", Wake::Signal), ("poll", Wake::Poll)];
 
 pub(super) const UNHEARD: &[(&str, Unheard)] = &[("never", Unheard::Never)];
 pub(super) const POLICIES: &[(&str, Policy)] =
@@ -334,6 +339,7 @@ fn execution(value: &Cursor<'_>) -> Result<Execution, Problem> {
             .map(|ms| (ms * 1e6).round() as u64),
         history: number("history", 3, 65_536, "a number of rows")?,
         on_failure: fields.get("on_failure").map(|f| f.one_of(ON_FAILURE)).transpose()?,
+        wake: fields.get("wake").map(|w| w.one_of(WAKES)).transpose()?,
     })
 }
 

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 pub fn system_schema() -> Value {
     let models: Vec<&str> = super::read::MODELS.iter().map(|(name, _)| *name).collect();
     let on_failure: Vec<&str> = super::read::ON_FAILURE.iter().map(|(name, _)| *name).collect();
+    let wakes: Vec<&str> = super::read::WAKES.iter().map(|(name, _)| *name).collect();
     let policies: Vec<&str> = super::read::POLICIES.iter().map(|(name, _)| *name).collect();
     let resumes: Vec<&str> = super::read::RESUMES.iter().map(|(name, _)| *name).collect();
     let isolations: Vec<&str> = super::read::ISOLATIONS.iter().map(|(name, _)| *name).collect();
@@ -124,7 +125,8 @@ pub fn system_schema() -> Value {
                     "threads": { "type": "integer", "minimum": 1, "maximum": 64, "default": 1, "description": "Threads that share the work of a stream, set where it begins." },
                     "max_step_ms": { "type": "number", "minimum": 0.1, "default": 50, "description": "Longest stay inside its own code before a component without a period is UNRESPONSIVE, ms." },
                     "history": { "type": "integer", "minimum": 3, "maximum": 65536, "default": 256, "description": "Rows its state table keeps." },
-                    "on_failure": { "enum": on_failure, "default": "stop_branch", "description": "What happens behind a filter of a stream that failed: nothing more comes, or frames pass it unchanged." }
+                    "on_failure": { "enum": on_failure, "default": "stop_branch", "description": "What happens behind a filter of a stream that failed: nothing more comes, or frames pass it unchanged." },
+                    "wake": { "enum": wakes, "description": "How its thread is told that something has come: it is woken, or looks at each period; left out: it looks up to a period of 10 ms." }
                 }
             },
             "connection": {

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use serde_json::json;
-use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request};
+use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request, Wake};
 
 use super::{Problem, SystemFile, system_schema};
 use crate::host::MemoryBounds;
@@ -18,7 +18,7 @@ const GOOD: &str = r#"{
   "components": {
     "host/gray":   { "class": "gray", "execution": { "stream_of": "host/source" } },
     "host/robot":  { "class": "eyerobot", "config": { "seed": 7, "//": "why 7" },
-                     "execution": { "model": "periodic", "rate_hz": 1000, "priority": 80, "cpus": [1], "catch_up": 3, "max_step_ms": 2.5 } },
+                     "execution": { "model": "periodic", "rate_hz": 1000, "priority": 80, "cpus": [1], "catch_up": 3, "max_step_ms": 2.5, "wake": "signal" } },
     "host/source": { "class": "stereo/image_source", "execution": { "model": "stream", "threads": 2, "on_failure": "bypass" } },
     "host/log":    { "class": "recorder", "start": false }
   },
@@ -76,6 +76,7 @@ fn values_arrive_in_the_models_units() {
     assert_eq!(robot.execution.priority, Some(80));
     assert_eq!(robot.execution.cpus, [1]);
     assert_eq!((robot.execution.catch_up, robot.execution.max_step_ns), (Some(3), Some(2_500_000)));
+    assert_eq!(robot.execution.wake, Some(Wake::Signal));
     let source = file.components.iter().find(|c| c.class == "stereo/image_source").unwrap();
     assert_eq!((source.execution.threads, source.execution.on_failure), (Some(2), Some(OnFailure::Bypass)));
     assert_eq!(robot.config, Some(json!({"seed": 7})), "comments do not reach the component");

@@ -390,6 +390,10 @@ pub struct Execution {
     /// Rows its state table keeps, 3–65536; unset = 256.
     #[prost(uint32, optional, tag = "13")]
     pub history: ::core::option::Option<u32>,
+    /// How its thread is told that something has come: "signal" (woken if it sleeps) or "poll" (it looks at each period, and whoever
+    /// sends pays for no wake); unset = poll up to a period of 10 ms, else signal.
+    #[prost(string, tag = "14")]
+    pub wake: ::prost::alloc::string::String,
 }
 /// A component class of a plugin.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -658,6 +662,12 @@ pub struct Connection {
     /// each thing counted once.
     #[prost(message, repeated, tag = "16")]
     pub proxies: ::prost::alloc::vec::Vec<Proxy>,
+    /// How the client is told of samples or events: "signal" or "poll"; empty where it is called in the same thread.
+    #[prost(string, tag = "17")]
+    pub client_wake: ::prost::alloc::string::String,
+    /// How the server is told of commands; empty for streams, and as above.
+    #[prost(string, tag = "18")]
+    pub server_wake: ::prost::alloc::string::String,
 }
 /// One half of a connection between two processes: the end that is there, with a stand-in for the other one.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]

@@ -49,6 +49,7 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
             on_failure: asked
                 .on_failure
                 .or(class.on_failure.filter(|_| model == Some(ExecutionModel::Stream))),
+            wake: asked.wake,
         };
     }
     let model = asked.model.or(class.model);
@@ -69,6 +70,7 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
         max_step_ns: asked.max_step_ns.or(class.max_step_ns.filter(|_| !grid)),
         history: asked.history.or(class.history),
         on_failure: asked.on_failure.or(class.on_failure.filter(|_| stream)),
+        wake: asked.wake.or(class.wake.filter(|_| grid)),
     }
 }
 

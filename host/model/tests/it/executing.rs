@@ -101,6 +101,13 @@ fn every_setting_is_refused_outside_its_limits_with_field_value_and_limits() {
             "model exec_out needs",
         ),
         ("logger", Execution { phase_ns: Some(1), ..e() }, "phase", "1 ns: there is no grid to shift"),
+        ("logger", Execution { wake: Some(Wake::Poll), ..e() }, "wake", "would never look"),
+        (
+            "eyerobot",
+            Execution { model: Some(ExecutionModel::None), wake: Some(Wake::Signal), ..e() },
+            "wake",
+            "no thread to wake",
+        ),
     ];
     for (class, execution, field, want) in cases {
         let request = of(class, execution);
@@ -318,6 +325,26 @@ fn only_a_class_that_devices_call_back_is_run_by_their_calls() {
     let (field, why) = blamed(&graph, &of("eyerobot", called));
     assert_eq!(field, "execution.model");
     assert!(why.contains("`eyerobot` is none and would never run"), "{why}");
+}
+
+#[test]
+fn a_thread_looks_by_itself_when_asked_to_or_when_its_period_is_short() {
+    let every = |period_ns: u64, wake| Execution {
+        model: Some(ExecutionModel::Periodic),
+        period_ns: Some(period_ns),
+        wake,
+        ..e()
+    };
+    let (short, long) = (10_000_000, 10_000_001);
+    assert!(every(short, None).polls() && !every(long, None).polls());
+    assert!(every(long, Some(Wake::Poll)).polls() && !every(short, Some(Wake::Signal)).polls());
+    let mut graph = empty();
+    done(&mut graph, &[of("eyerobot", every(long, Some(Wake::Poll)))]);
+    assert_eq!(execution(&graph, "host/x").wake, Some(Wake::Poll));
+    let on_signal = Execution { model: Some(ExecutionModel::OnSignal), ..e() };
+    done(&mut graph, &[change("host/x", on_signal)]);
+    let now = execution(&graph, "host/x");
+    assert!(now.wake.is_none() && !now.polls(), "without a period it falls away: {now:?}");
 }
 
 #[test]

@@ -82,6 +82,7 @@ fn execution(e: &Execution) -> v1::Execution {
         max_step: e.max_step_ns.map(duration),
         on_failure: e.on_failure.map_or_else(String::new, |f| f.name().to_owned()),
         history: e.history,
+        wake: e.wake.map_or_else(String::new, |w| w.name().to_owned()),
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is encoded here decodes to an equal value, but for numbers, which are doubles in JSON values.
 
-use trocar_model::{End, Name, Proxy, Refusal};
+use trocar_model::{End, Name, Proxy, Refusal, Wake};
 use trocar_proto::v1;
 
 use super::back::unreadable;
@@ -218,6 +218,8 @@ pub(crate) fn link(d: LinkDetail) -> v1::Connection {
         high_water: d.high_water,
         failed: d.failed,
         unexecuted: d.unexecuted,
+        client_wake: d.client_wake.into(),
+        server_wake: d.server_wake.into(),
         proxies: d.halves.iter().map(|(end, half)| proxy(*end, half)).collect(),
         ..Default::default()
     }
@@ -237,8 +239,15 @@ pub(crate) fn link_in(c: v1::Connection) -> Result<LinkDetail, Refusal> {
         high_water: c.high_water,
         failed: c.failed,
         unexecuted: c.unexecuted,
+        client_wake: wake_in(&c.client_wake)?,
+        server_wake: wake_in(&c.server_wake)?,
         halves: c.proxies.into_iter().map(proxy_in).collect::<Result<_, _>>()?,
     })
+}
+
+fn wake_in(said: &str) -> Result<&'static str, Refusal> {
+    let known = std::iter::once("").chain(Wake::ALL.map(Wake::name));
+    known.into_iter().find(|name| *name == said).ok_or_else(|| unreadable("wake"))
 }
 
 const ENDS: [(End, v1::ConnectionEnd); 2] =

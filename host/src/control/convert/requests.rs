@@ -3,7 +3,7 @@
 use prost_types::Duration;
 use trocar_model::{
     ComponentId, ConnectOptions, ConnectionId, Execution, ExecutionModel, Name, OnFailure, PortId, Queue,
-    Refusal, Request, Target, Which, brief, nearest, period_fault,
+    Refusal, Request, Target, Wake, Which, brief, nearest, period_fault,
 };
 use trocar_proto::v1;
 
@@ -132,6 +132,7 @@ fn ns(duration: &Duration, field: &str) -> Result<u64, Refusal> {
 pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
     let model = named(&e.model, "execution.model", ExecutionModel::ALL, ExecutionModel::name)?;
     let on_failure = named(&e.on_failure, "execution.on_failure", OnFailure::ALL, OnFailure::name)?;
+    let wake = named(&e.wake, "execution.wake", Wake::ALL, Wake::name)?;
     let from_rate = e.rate_hz.map(period_of).transpose()?;
     let period = e.period.as_ref().map(|d| ns(d, "execution.period")).transpose()?;
     // The planner knows periods only, and would name the rate.
@@ -155,6 +156,7 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
         max_step_ns: e.max_step.as_ref().map(|d| ns(d, "execution.max_step")).transpose()?,
         history: e.history,
         on_failure,
+        wake,
     })
 }
 

@@ -231,6 +231,7 @@ pub(crate) fn execution_out(e: &model::Execution) -> v1::Execution {
         max_step: e.max_step_ns.map(duration),
         history: e.history,
         on_failure: e.on_failure.map_or("", model::OnFailure::name).into(),
+        wake: e.wake.map_or("", model::Wake::name).into(),
     }
 }
 

@@ -288,6 +288,12 @@ impl Half {
             None => LinkDetail::default(),
         };
         let all = stage.before.clone().followed_by(&now);
-        LinkDetail { connection: self.number(), carrier: CARRIER.into(), ..all }
+        let mine = self.here.instance.wake_mode();
+        let (client_wake, server_wake) = match &stage.linked {
+            Some(Linked { wires: Wires::Server(wires), .. }) if !wires.is_output() => ("", mine),
+            Some(Linked { wires: Wires::Client(_), .. }) => (mine, ""),
+            _ => ("", ""),
+        };
+        LinkDetail { connection: self.number(), carrier: CARRIER.into(), client_wake, server_wake, ..all }
     }
 }

@@ -6,14 +6,14 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicPtr, Ordering};
 
-use trocar_model::{Execution, ExecutionModel, OnFailure, Safety};
+use trocar_model::{Execution, ExecutionModel, OnFailure, Safety, Wake};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick, WOULD_BLOCK};
 use trocar_rt::os;
 use trocar_rt::wake::Waker;
 
 use super::super::boundary::HostContext;
 use super::super::context::{self, ExecutorId};
-use super::super::executor::{Pace, SLOW_NS};
+use super::super::executor::{Executor, Pace};
 use super::super::pending;
 use super::super::supervise::{Entry, Misdeed, Suspicion};
 use super::{Entered, Instance, Misuse};
@@ -30,8 +30,8 @@ pub(super) struct Terms {
     passive: bool,
     /// Runs in threads of its device.
     called_back: bool,
-    /// Its executor looks often by itself, so nobody needs to wake it.
-    on_grid: bool,
+    /// Its executor looks by itself, so nobody needs to wake it.
+    polled: bool,
     /// Frames pass it unchanged when its step has failed.
     bypass: bool,
     /// Steps on a stream of somebody else.
@@ -39,10 +39,10 @@ pub(super) struct Terms {
 }
 
 impl Terms {
-    /// What `execution` means on a thread that runs at `pace`.
-    pub(super) fn of(execution: &Execution, pace: Pace) -> Terms {
+    /// What `execution` means on a thread.
+    pub(super) fn of(execution: &Execution, thread: &Executor) -> Terms {
         // A filter steps when something new is there, not on its thread's grid.
-        let period_ns = match pace {
+        let period_ns = match thread.pace {
             Pace::Grid { period_ns, .. } if execution.stream_of.is_none() => period_ns,
             _ => 0,
         };
@@ -54,7 +54,7 @@ impl Terms {
             },
             passive: execution.model == Some(ExecutionModel::None),
             called_back: execution.model == Some(ExecutionModel::OnCallback),
-            on_grid: matches!(pace, Pace::Grid { period_ns, .. } if period_ns <= SLOW_NS),
+            polled: thread.polls,
             bypass: execution.on_failure == Some(OnFailure::Bypass),
             filter: execution.stream_of.is_some(),
         }
@@ -117,6 +117,15 @@ impl Instance {
         self.terms.called_back
     }
 
+    /// How it is told that something has come for it; empty for one that runs in the threads of others.
+    pub(in crate::lcm) fn wake_mode(&self) -> &'static str {
+        match self.terms.polled {
+            _ if self.terms.passive => "",
+            true => Wake::Poll.name(),
+            false => Wake::Signal.name(),
+        }
+    }
+
     pub(in crate::lcm) fn bypasses(&self) -> bool {
         self.terms.bypass
     }
@@ -154,7 +163,7 @@ impl Instance {
         }
         // In one order with the gate: either this sees that it steps no more, or its thread, on its way to rest, sees the mark.
         self.signalled.set();
-        if self.is_passive() || (self.terms.on_grid && self.is_active()) {
+        if self.is_passive() || (self.terms.polled && self.is_active()) {
             return;
         }
         self.wake();

@@ -6,7 +6,7 @@
 use super::able;
 use crate::refusal::duration;
 use crate::{
-    ClassInfo, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph, Type, defaults, validate,
+    ClassInfo, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph, Type, Wake, defaults, validate,
 };
 
 /// Limits of a period, ns.
@@ -69,6 +69,7 @@ pub(in crate::plan) fn check(
         .and_then(|()| stream(execution))
         .and_then(|()| step(execution))
         .and_then(|()| step_without_period(execution))
+        .and_then(|()| wake(execution))
         .and_then(|()| history(execution, row_bytes));
     checked.map_err(|(field, why)| {
         let field = format!("execution.{field}");
@@ -144,6 +145,8 @@ fn misplaced(execution: &Execution) -> Option<(&'static str, &'static str)> {
         Some(("catch_up", "late periods cannot be made up for"))
     } else if execution.threads.is_some_and(|n| n != 1) {
         Some(("threads", "threads are set where the stream begins and cannot be set here"))
+    } else if execution.wake.is_some() {
+        Some(("wake", "how a thread is woken cannot be set"))
     } else {
         None
     }
@@ -257,6 +260,22 @@ fn step_without_period(execution: &Execution) -> Result<(), Fault> {
              that is longer"
                 .to_owned(),
         )),
+        _ => Ok(()),
+    }
+}
+
+/// Whoever looks by itself needs a period at which it does.
+fn wake(execution: &Execution) -> Result<(), Fault> {
+    let model = execution.model.map_or("nothing", ExecutionModel::name);
+    match execution.wake {
+        Some(Wake::Poll) if execution.period_ns.is_none() => {
+            let why =
+                format!("poll: model {model} has no rate here, so it would never look; \"signal\" wakes it");
+            Err(("wake", why))
+        }
+        Some(_) if execution.model == Some(ExecutionModel::None) => {
+            Err(("wake", "a passive component (model none) has no thread to wake".to_owned()))
+        }
         _ => Ok(()),
     }
 }
