@@ -17,6 +17,7 @@ mod session;
 mod steps;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use card::{Card, LAYOUT, Unreachable};
 pub use links::{Handler, Links};

@@ -51,10 +51,17 @@ pub(crate) struct Failed {
 pub(crate) enum Ask {
     Want(PathBuf),
     Unwant(PathBuf),
+    /// The session of this number is with a process that died.
+    Died(u64),
     Stop,
 }
 
 impl Shared {
+    pub(crate) fn new() -> io::Result<Shared> {
+        let bell = rustix::event::eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?;
+        Ok(Shared { asked: Mutex::default(), bell, known: Mutex::default() })
+    }
+
     pub(crate) fn take(&self) -> Vec<Ask> {
         std::mem::take(&mut *self.asked.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -63,7 +70,7 @@ impl Shared {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn ask(&self, ask: Ask) {
+    pub(crate) fn ask(&self, ask: Ask) {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(ask);
         // A counter that is full wakes as well.
         let _ = rustix::io::write(&self.bell, &1u64.to_ne_bytes());
@@ -83,11 +90,12 @@ impl Links {
     /// # Errors
     /// The socket cannot be made there, or the machine gives no more threads or files.
     pub fn start(card: Card, handler: impl Handler) -> io::Result<Links> {
-        let bell = rustix::event::eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?;
+        let shared = Arc::new(Shared::new()?);
         let listener = address::listen(&card.socket)?;
-        let shared = Arc::new(Shared { asked: Mutex::default(), bell, known: Mutex::default() });
-        let mut server = Server::new(card.clone(), listener, shared.clone(), handler);
-        let thread = std::thread::Builder::new().name("trocar-links".into()).spawn(move || server.run());
+        let (own, asked) = (card.clone(), shared.clone());
+        let thread = std::thread::Builder::new().name("trocar-links".into());
+        // Made there, since the words it leaves behind are that thread's.
+        let thread = thread.spawn(move || Server::new(own, listener, asked, handler).run());
         // Nothing half made: without its thread nobody would answer there.
         let thread = thread.inspect_err(|_| drop(std::fs::remove_file(&card.socket)))?;
         Ok(Links { card, shared, thread: Mutex::new(Some(thread)) })

@@ -11,7 +11,8 @@ use rustix::event::{PollFd, PollFlags, Timespec};
 use rustix::io::Errno;
 use rustix::net::SocketFlags;
 use trocar_rt::os::now_ns;
-use trocar_rt::pulse::Pulse;
+use trocar_rt::pulse::{Life, Pulse};
+use trocar_rt::will::Will;
 
 use crate::address;
 use crate::card::Card;
@@ -21,6 +22,7 @@ use crate::links::{Ask, Failed, Handler, Shared};
 use crate::live::{BEAT_NS, Heart, kernel_says};
 use crate::session::{self, Heard, Lost, Peer, Session, receive, send};
 use crate::steps::{Refusal, Stage, Step, refuse, step};
+use crate::watch::Watch;
 
 /// A greeting takes this long at most, ns.
 const GREETING_NS: u64 = 1_000_000_000;
@@ -48,6 +50,10 @@ pub(crate) struct Server<H> {
     sessions: u64,
     /// When the hearts were looked at last, ns.
     beat_ns: u64,
+    /// How others hear at once that this process died; `None` where the kernel tells nobody.
+    will: Option<Will>,
+    /// How this process hears it of others.
+    watch: Watch,
     turned_away: Seldom,
     unheard: Seldom,
     no_files: Seldom,
@@ -63,7 +69,7 @@ struct Want {
 /// One socket.
 enum End {
     Greeting { socket: OwnedFd, pid: i32, until_ns: u64, stage: Stage },
-    Live { session: Arc<Session>, heart: Heart },
+    Live { session: Arc<Session>, heart: Heart, watched: bool },
 }
 
 impl End {
@@ -81,8 +87,14 @@ impl End {
 }
 
 impl<H: Handler> Server<H> {
+    /// On the thread that runs it.
     pub(crate) fn new(card: Card, listener: OwnedFd, shared: Arc<Shared>, handler: H) -> Server<H> {
+        let told = |e: &std::io::Error| {
+            log::info!("other processes hear of the end of this one by their sockets only: {e}")
+        };
         Server {
+            will: Will::of_this_thread().inspect_err(told).ok(),
+            watch: Watch::new(shared.clone()),
             card,
             spare: None,
             listener,
@@ -149,6 +161,7 @@ impl<H: Handler> Server<H> {
                         session.end();
                     }
                 }
+                Ask::Died(number) => self.died(number),
                 Ask::Stop => return false,
             }
         }
@@ -407,8 +420,27 @@ impl<H: Handler> Server<H> {
         if !self.is_live() {
             self.beat_ns = now;
         }
-        self.ends.push(End::Live { session: session.clone(), heart: Heart::new(now) });
+        if let Some(will) = &mut self.will
+            && let Err(e) = will.add(&session.pulse)
+        {
+            let process = &session.peer().process;
+            log::info!("process {process} hears of the end of this one by its socket only: {e}");
+        }
+        let watched = self.watch.add(&session);
+        self.ends.push(End::Live { session: session.clone(), heart: Heart::new(now), watched });
         self.handler.met(&session);
+    }
+
+    /// The process of this session died: what it said last is heard, nothing else is awaited of it.
+    fn died(&mut self, number: u64) {
+        let now = now_ns();
+        let is_it = |end: &End| matches!(end, End::Live { session, .. } if session.number() == number);
+        if let Some(at) = self.ends.iter().position(is_it) {
+            self.listen(at, now);
+        }
+        if let Some(at) = self.ends.iter().position(is_it) {
+            self.close(at, Lost::Died, now);
+        }
     }
 
     fn close(&mut self, at: usize, why: Lost, now: u64) {
@@ -451,6 +483,10 @@ impl<H: Handler> Server<H> {
             self.failed(&at, Failed { why: why.to_string(), refused: false }, now);
         }
         self.handler.lost(session, why);
+        self.watch.remove(session);
+        if let Some(will) = &mut self.will {
+            will.remove(&session.pulse);
+        }
     }
 
     fn look_at_hearts(&mut self, now: u64) {
@@ -461,10 +497,15 @@ impl<H: Handler> Server<H> {
         self.beat_ns = now;
         let mut gone = Vec::new();
         for (at, end) in self.ends.iter_mut().enumerate() {
-            let End::Live { session, heart } = end else { continue };
+            let End::Live { session, heart, watched } = end else { continue };
             session.pulse.beat(now);
             let pid = session.peer().pid;
-            if let Some(why) = heart.look(session.pulse.theirs(), now, now - due, || kernel_says(pid)) {
+            // Its word may come after it was met.
+            *watched = *watched || self.watch.add(session);
+            if session.pulse.life() == Life::Died {
+                gone.push((at, Lost::Died));
+            } else if let Some(why) = heart.look(session.pulse.theirs(), now, now - due, || kernel_says(pid))
+            {
                 gone.push((at, why));
             }
         }

@@ -1,6 +1,7 @@
 //! Two processes' worth of sessions in one, and strangers at the door.
 #![allow(clippy::unwrap_used)]
 
+mod death;
 mod hostile;
 
 use std::os::fd::{AsFd, OwnedFd};

@@ -28,6 +28,8 @@ pub mod team;
 pub mod timing;
 pub mod turn;
 pub mod wake;
+#[cfg(not(loom))]
+pub mod will;
 
 #[cfg(all(test, loom))]
 mod loom_models;

@@ -110,11 +110,41 @@ pub fn futex_wait_any<'a>(
     expected: u32,
     deadline_ns: Option<u64>,
 ) -> Result<WaitResult, NotAtOnce> {
+    match waitv(words.map(|(word, scope)| (word, expected, scope)), deadline_ns) {
+        Err(libc::ETIMEDOUT) => Ok(WaitResult::TimedOut),
+        Err(libc::EAGAIN) => Ok(WaitResult::Changed),
+        // Sandboxes that do not know the call answer EPERM.
+        Err(libc::ENOSYS | libc::EPERM) => Err(NotAtOnce),
+        _ => Ok(WaitResult::Woken),
+    }
+}
+
+/// As above, while each word holds what is expected of it; which one's sleeper was woken, `None` when one holds something else, or for
+/// no reason.
+///
+/// # Errors
+/// As above, or the machine has no memory for it.
+pub fn futex_wait_each<'a>(
+    words: impl Iterator<Item = (&'a AtomicU32, u32, Scope)>,
+) -> Result<Option<usize>, NotAtOnce> {
+    match waitv(words, None) {
+        Ok(woken) => Ok(Some(woken)),
+        Err(libc::EAGAIN | libc::EINTR) => Ok(None),
+        Err(_) => Err(NotAtOnce),
+    }
+}
+
+/// futex_waitv(2) for words, what they hold, and who wakes; the place of one that was woken, or the errno.
+#[inline]
+fn waitv<'a>(
+    words: impl Iterator<Item = (&'a AtomicU32, u32, Scope)>,
+    deadline_ns: Option<u64>,
+) -> Result<usize, i32> {
     const U32: u32 = 2;
     let mut all: [std::mem::MaybeUninit<libc::futex_waitv>; MOST_WORDS] =
         [const { std::mem::MaybeUninit::uninit() }; MOST_WORDS];
     let mut n = 0;
-    for ((word, scope), place) in words.zip(&mut all) {
+    for ((word, expected, scope), place) in words.zip(&mut all) {
         // SAFETY: a zeroed futex_waitv is one; it has reserved parts that must be 0.
         let mut one: libc::futex_waitv = unsafe { std::mem::zeroed() };
         one.val = u64::from(expected);
@@ -128,16 +158,7 @@ pub fn futex_wait_any<'a>(
     // SAFETY: the first `n` places were written; words and time outlive the call.
     let rc =
         unsafe { libc::syscall(libc::SYS_futex_waitv, all.as_ptr(), n, 0, until, libc::CLOCK_MONOTONIC) };
-    if rc >= 0 {
-        return Ok(WaitResult::Woken);
-    }
-    match errno() {
-        libc::ETIMEDOUT => Ok(WaitResult::TimedOut),
-        libc::EAGAIN => Ok(WaitResult::Changed),
-        // Sandboxes that do not know the call answer EPERM.
-        libc::ENOSYS | libc::EPERM => Err(NotAtOnce),
-        _ => Ok(WaitResult::Woken),
-    }
+    usize::try_from(rc).map_err(|_| errno())
 }
 
 /// Sleeps until the absolute monotonic time; returns at once when it has passed.

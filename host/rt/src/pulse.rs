@@ -7,10 +7,24 @@ use std::os::fd::{BorrowedFd, OwnedFd};
 use std::sync::Arc;
 
 use crate::region::{Layout, Region, Table};
-use crate::sync::{AtomicU64, Ordering};
+use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded};
 
 /// Words of the number that proves that both look at the same page.
 pub const NONCE_WORDS: usize = 2;
+
+/// Of a word of life: the kernel is to wake who sleeps on it.
+pub(crate) const OWNED: u32 = libc::FUTEX_WAITERS;
+
+/// What the word of the other process says of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Life {
+    /// Nothing: it has written none, or took it back, or wrote nonsense.
+    Untold,
+    /// It lived when it wrote this, and the kernel will change that when it does not any more.
+    Lives(u32),
+    /// The kernel has marked it, or somebody who can write there: the other process.
+    Died,
+}
 
 /// Which of the two ends this process is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +37,7 @@ pub struct Pulse {
     region: Arc<Region>,
     beats: Table<AtomicU64>,
     nonce: Table<AtomicU64>,
+    lives: Table<Padded<AtomicU32>>,
     end: End,
 }
 
@@ -35,8 +50,14 @@ impl std::fmt::Debug for Pulse {
     }
 }
 
-fn parts(layout: &mut Layout) -> (Table<AtomicU64>, Table<AtomicU64>) {
-    (layout.table(2, |_| AtomicU64::new(0)), layout.table(NONCE_WORDS, |_| AtomicU64::new(0)))
+type Parts = (Table<AtomicU64>, Table<AtomicU64>, Table<Padded<AtomicU32>>);
+
+fn parts(layout: &mut Layout) -> Parts {
+    (
+        layout.table(2, |_| AtomicU64::new(0)),
+        layout.table(NONCE_WORDS, |_| AtomicU64::new(0)),
+        layout.table(2, |_| Padded(AtomicU32::new(0))),
+    )
 }
 
 impl Pulse {
@@ -63,8 +84,8 @@ impl Pulse {
     }
 
     fn of(region: &Arc<Region>, layout: &mut Layout, end: End) -> Pulse {
-        let (beats, nonce) = parts(layout);
-        Pulse { region: Arc::clone(region), beats, nonce, end }
+        let (beats, nonce, lives) = parts(layout);
+        Pulse { region: Arc::clone(region), beats, nonce, lives, end }
     }
 
     /// What the other process is given.
@@ -85,5 +106,32 @@ impl Pulse {
     /// What the other process wrote at its last beat.
     pub fn theirs(&self) -> u64 {
         self.beats[1 - self.end as usize].load(Ordering::Relaxed)
+    }
+
+    /// What the word of the other process says of it.
+    pub fn life(&self) -> Life {
+        match self.lives[1 - self.end as usize].0.load(Ordering::Acquire) {
+            word if word & libc::FUTEX_OWNER_DIED != 0 => Life::Died,
+            word if word & OWNED != 0 && word & libc::FUTEX_TID_MASK != 0 => Life::Lives(word),
+            _ => Life::Untold,
+        }
+    }
+
+    /// That word, to sleep on.
+    #[cfg(not(loom))]
+    pub fn life_word(&self) -> &AtomicU32 {
+        &self.lives[1 - self.end as usize].0
+    }
+
+    /// Where the word of this process is: in which file, and how far from its begin, B.
+    #[cfg(not(loom))]
+    pub(crate) fn own_life(&self) -> Option<(&Arc<Region>, BorrowedFd<'_>, usize)> {
+        let at = (&raw const self.lives[self.end as usize]).addr();
+        Some((&self.region, self.region.fd()?, at - self.region.at(0).addr()))
+    }
+
+    #[cfg(not(loom))]
+    pub(crate) fn is_in(&self, region: &Arc<Region>) -> bool {
+        Arc::ptr_eq(&self.region, region)
     }
 }

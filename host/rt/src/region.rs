@@ -93,7 +93,7 @@ impl Region {
         }
     }
 
-    fn at(&self, offset: usize) -> *mut u8 {
+    pub(crate) fn at(&self, offset: usize) -> *mut u8 {
         match &self.memory {
             Memory::Heap(buf) => buf.at(offset),
             Memory::Mapped(mapping) => mapping.at(offset),
