@@ -246,7 +246,7 @@ impl Half {
         Some(linked)
     }
 
-    /// The other process is gone: whoever waits for it is answered now; the rest follows. Any thread.
+    /// The other process is gone: whoever waits for it is answered now, inputs have no source; the rest follows. Any thread.
     pub(super) fn lose(&self, session: &Arc<Session>) {
         if let Some(Linked { session: mine, wires: Wires::Client(wires), .. }) = &self.stage().linked
             && Arc::ptr_eq(mine, session)

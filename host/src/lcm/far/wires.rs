@@ -468,11 +468,15 @@ impl ClientWires {
             && targets.iter().all(|target| handlers.next().is_some_and(|now| Arc::ptr_eq(now, target)))
     }
 
-    /// Whoever waits for the server is answered. Any thread.
+    /// Whoever waits for the server is answered, and its output is an input's source no more. Any thread; no memory is given back, which
+    /// takes its time.
     pub(super) fn lose(&self) {
-        if let ClientWires::Calls { server, asks, .. } = self {
-            server.lose();
-            asks.end();
+        match self {
+            ClientWires::Calls { server, asks, .. } => {
+                server.lose();
+                asks.end();
+            }
+            ClientWires::Input { input, .. } => input.connect(None),
         }
     }
 

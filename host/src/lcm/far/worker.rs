@@ -294,13 +294,16 @@ impl Worker {
                 server.lose();
             }
         }
-        let process = &session.peer().process;
-        for half in all(&self.halves) {
-            if self.unlink(&half, Some(session), &format!("process {process}: {why}"), Loss::Peer, false) {
-                let (here, other) = (half.port().port.as_str(), half.other_port());
-                half.here.instance.warn_about(&format!("{here} has lost {other}"), &format!(": {why}"));
-            }
+        let why_not = format!("process {}: {why}", session.peer().process);
+        let unlink =
+            |half: Arc<Half>| half.unlink(Some(session), &why_not, Loss::Peer).map(|cut| (half, cut));
+        let cut: Vec<_> = all(&self.halves).into_iter().filter_map(unlink).collect();
+        for (half, _) in &cut {
+            let (here, other) = (half.port().port.as_str(), half.other_port());
+            half.here.instance.warn_about(&format!("{here} has lost {other}"), &format!(": {why}"));
         }
+        // The memory of all these links goes last: nobody is to wait for that.
+        drop(cut);
     }
 
     fn said(&mut self, session: &Arc<Session>, message: Message) {
