@@ -35,8 +35,8 @@ pub enum End {
 
 pub struct Pulse {
     region: Arc<Region>,
-    beats: Table<AtomicU64>,
-    nonce: Table<AtomicU64>,
+    /// The beats of both, then the number.
+    words: Table<AtomicU64>,
     lives: Table<Padded<AtomicU32>>,
     end: End,
 }
@@ -50,14 +50,12 @@ impl std::fmt::Debug for Pulse {
     }
 }
 
-type Parts = (Table<AtomicU64>, Table<AtomicU64>, Table<Padded<AtomicU32>>);
+/// Words before those of the number.
+const BEATS: usize = 2;
 
-fn parts(layout: &mut Layout) -> Parts {
-    (
-        layout.table(2, |_| AtomicU64::new(0)),
-        layout.table(NONCE_WORDS, |_| AtomicU64::new(0)),
-        layout.table(2, |_| Padded(AtomicU32::new(0))),
-    )
+fn parts(layout: &mut Layout) -> (Table<AtomicU64>, Table<Padded<AtomicU32>>) {
+    let words = layout.table(BEATS + NONCE_WORDS, |_| AtomicU64::new(0));
+    (words, layout.table(2, |_| Padded(AtomicU32::new(0))))
 }
 
 impl Pulse {
@@ -68,7 +66,7 @@ impl Pulse {
     pub fn create(nonce: [u64; NONCE_WORDS]) -> io::Result<Pulse> {
         let region = Region::shared(Layout::measure(parts))?;
         let pulse = Self::of(&region, &mut Layout::fresh(&region), End::Maker);
-        for (word, value) in pulse.nonce.iter().zip(nonce) {
+        for (word, value) in pulse.words[BEATS..].iter().zip(nonce) {
             word.store(value, Ordering::Relaxed);
         }
         Ok(pulse)
@@ -84,8 +82,8 @@ impl Pulse {
     }
 
     fn of(region: &Arc<Region>, layout: &mut Layout, end: End) -> Pulse {
-        let (beats, nonce, lives) = parts(layout);
-        Pulse { region: Arc::clone(region), beats, nonce, lives, end }
+        let (words, lives) = parts(layout);
+        Pulse { region: Arc::clone(region), words, lives, end }
     }
 
     /// What the other process is given.
@@ -95,17 +93,17 @@ impl Pulse {
 
     /// The number written there.
     pub fn nonce(&self) -> [u64; NONCE_WORDS] {
-        std::array::from_fn(|i| self.nonce[i].load(Ordering::Relaxed))
+        std::array::from_fn(|i| self.words[BEATS + i].load(Ordering::Relaxed))
     }
 
     /// This process was alive at `now_ns`.
     pub fn beat(&self, now_ns: u64) {
-        self.beats[self.end as usize].store(now_ns, Ordering::Relaxed);
+        self.words[self.end as usize].store(now_ns, Ordering::Relaxed);
     }
 
     /// What the other process wrote at its last beat.
     pub fn theirs(&self) -> u64 {
-        self.beats[1 - self.end as usize].load(Ordering::Relaxed)
+        self.words[1 - self.end as usize].load(Ordering::Relaxed)
     }
 
     /// What the word of the other process says of it.

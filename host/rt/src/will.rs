@@ -134,7 +134,7 @@ impl Drop for Will {
         // SAFETY: what the C library had registered for this thread, which still runs; null is no list.
         if unsafe { libc::syscall(libc::SYS_set_robust_list, head, bytes) } != 0 {
             // Never seen; the kernel then still goes by this list, which stays.
-            std::mem::forget(std::mem::take(&mut self.words));
+            std::mem::take(&mut self.words).leak();
             return;
         }
         self.words.iter().for_each(|pages| pages.word().store(0, Ordering::Release));

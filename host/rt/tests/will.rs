@@ -1,6 +1,7 @@
 //! A thread that ends leaves its marks, and those only, whatever the other end does with the page.
 #![allow(clippy::unwrap_used)]
 
+use std::mem::ManuallyDrop;
 use std::sync::atomic::Ordering;
 
 use trocar_rt::os::{Scope, futex_wait_each};
@@ -17,9 +18,8 @@ fn page() -> (Pulse, Pulse) {
 /// Runs on a thread of its own that ends as a killed one does: its will stands.
 fn dies(does: impl FnOnce(&mut Will) + Send + 'static) {
     let thread = std::thread::spawn(|| {
-        let mut will = Will::of_this_thread().unwrap();
+        let mut will = ManuallyDrop::new(Will::of_this_thread().unwrap());
         does(&mut will);
-        std::mem::forget(will);
     });
     thread.join().unwrap();
 }
@@ -29,14 +29,14 @@ fn either_end_of_a_page_is_told_that_the_thread_at_the_other_one_died() {
     let (made, opened) = page();
     assert_eq!((made.life(), opened.life()), (Life::Untold, Life::Untold));
     let (first, other) = (made, opened);
+    let (tell, told) = std::sync::mpsc::channel();
     dies(move |will| {
         will.add(&first).unwrap();
         assert!(matches!(other.life(), Life::Lives(_)), "{:?}", other.life());
         assert_eq!(first.life(), Life::Untold, "the word is that of one end");
-        std::mem::forget(first);
-        // Its file is open as long as the process runs: only the thread ends.
-        std::mem::forget(other);
+        tell.send(other).unwrap();
     });
+    assert_eq!(told.recv().unwrap().life(), Life::Died);
     let (made, opened) = page();
     let theirs = Pulse::open(opened.fd().unwrap().try_clone_to_owned().unwrap()).unwrap();
     dies(move |will| will.add(&theirs).unwrap());
@@ -122,11 +122,10 @@ fn whoever_sleeps_on_the_word_is_woken_by_the_death() {
     let ((_, quiet), (made, seen)) = (page(), page());
     let (go, gone) = std::sync::mpsc::channel::<()>();
     let thread = std::thread::spawn(move || {
-        let mut will = Will::of_this_thread().unwrap();
+        let mut will = ManuallyDrop::new(Will::of_this_thread().unwrap());
         will.add(&made).unwrap();
         // Until it is to end.
         let _ = gone.recv();
-        std::mem::forget(will);
     });
     let word = loop {
         match seen.life() {

@@ -1,6 +1,7 @@
 //! Processes that die, and how soon that is known; processes that only say so.
 
 use std::io::Read;
+use std::mem::ManuallyDrop;
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::Ordering;
@@ -105,11 +106,10 @@ fn lives(pulse: Pulse) -> impl FnOnce() {
     let (ready, is_ready) = channel();
     let (go, gone) = channel::<()>();
     let thread = std::thread::spawn(move || {
-        let mut will = Will::of_this_thread().unwrap();
+        let mut will = ManuallyDrop::new(Will::of_this_thread().unwrap());
         will.add(&pulse).unwrap();
         ready.send(()).unwrap();
         let _ = gone.recv();
-        std::mem::forget(will);
     });
     is_ready.recv().unwrap();
     move || {

@@ -171,7 +171,7 @@ fn whatever_an_impostor_hands_over_for_memory_is_looked_at_first() {
         (vec![sealed(4096, true, SealFlags::SHRINK)], "no memfd"),
         (vec![sealed(0, false, both)], "0 bytes instead of"),
         (vec![sealed(1 << 40, false, both)], "bytes instead of"),
-        (vec![sealed(256, false, both)], "only 0 are there"),
+        (vec![sealed(192, false, both)], "only 0 are there"),
     ];
     a.links.want(&at);
     for (files, why) in given {
