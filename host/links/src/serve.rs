@@ -446,7 +446,11 @@ impl<H: Handler> Server<H> {
     fn close(&mut self, at: usize, why: Lost, now: u64) {
         match self.ends.swap_remove(at) {
             End::Live { session, .. } => {
-                let why = session.why_ended().unwrap_or(why);
+                let why = match session.why_ended().unwrap_or(why) {
+                    // The end of its socket may be seen first, on a busy machine.
+                    Lost::Closed if session.pulse.life() == Life::Died => Lost::Died,
+                    why => why,
+                };
                 if let Lost::Nonsense { what } = &why {
                     let process = &session.peer().process;
                     self.unheard.warn(now, &format!("process {process} is not listened to any more: {what}"));

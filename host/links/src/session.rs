@@ -38,7 +38,7 @@ pub struct Peer {
 pub enum Lost {
     /// The other process ended, or closed it.
     Closed,
-    /// The other process died: the kernel marked its word in the page both share, or it did so itself.
+    /// The other process died, or ended on the spot: the kernel marked its word in the page both share, or it did so itself.
     Died,
     /// The other process exists, but stands still.
     Stopped,
@@ -54,7 +54,7 @@ impl fmt::Display for Lost {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Lost::Closed => f.write_str("it ended or closed the connection"),
-            Lost::Died => f.write_str("it died"),
+            Lost::Died => f.write_str("it died, or ended without taking leave"),
             Lost::Stopped => f.write_str("it was stopped (SIGSTOP, a debugger)"),
             Lost::Silent { ms } => write!(f, "nothing was heard of it for {ms} ms"),
             Lost::Nonsense { what } => write!(f, "it said what it may not: {what}"),

@@ -167,6 +167,14 @@ fn a_process_that_comes_back_at_another_place_is_found_there() {
         list if list["processes"][0]["state"] == "PROCESS_STATE_LOST" => Ok(()),
         list => Err(list["processes"].to_string()),
     });
+    eventually("right says how it lost left", || {
+        let all = connections(&grpc);
+        let halves = all.iter().filter_map(|c| c["proxies"].as_array()).flatten();
+        let said = halves
+            .filter_map(|half| half["whyNot"].as_str())
+            .any(|why| why.contains("process left: it died"));
+        if said { Ok(()) } else { Err(format!("{all:?}")) }
+    });
     let elsewhere = world.path("elsewhere");
     let mut args: Vec<std::ffi::OsString> =
         ["host", "--name", "left", "--listen", "127.0.0.1:0", "--gcm", gcm.address(), "--plugins"]
