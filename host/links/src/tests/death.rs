@@ -76,23 +76,38 @@ fn a_process_that_says_it_died_loses_its_own_session_only() {
     let (liar, pulse) = hostile::guest(&b, dir.path()).unwrap();
     let lied = b.met();
     // The word of the guest itself is what the maker of the page looks at.
-    lied.pulse.life_word().store(libc_died(), Ordering::Release);
+    lied.pulse.life_word().store(DIED, Ordering::Release);
     assert_eq!(b.lost(), (lied.number(), Lost::Died));
     assert!(liar.hears().is_none(), "its socket was closed");
     // And what a guest writes into the word of its host costs that host nothing.
     let (other, pulse_too) = hostile::guest(&b, dir.path()).unwrap();
     let second = b.met();
-    pulse_too.life_word().store(libc_died(), Ordering::Release);
+    pulse_too.life_word().store(DIED, Ordering::Release);
     to_b.send(b"undisturbed", &[]).unwrap();
     assert_eq!(b.said().bytes, b"undisturbed");
     assert!(!to_a.is_lost() && !to_b.is_lost() && !second.is_lost());
     drop((other, pulse, pulse_too));
 }
 
-/// What the kernel writes into the word of a thread that died.
-fn libc_died() -> u32 {
-    0x4000_0000
+/// Neither woken for it nor told by its socket: as where the kernel lets nobody sleep on several words.
+#[test]
+fn whoever_died_before_it_was_watched_is_found_with_the_next_heartbeat() {
+    let dir = TempDir::new().unwrap();
+    let b = process(dir.path(), "b");
+    let guest = Stranger::at(b.socket());
+    let card = Card::own("c", dir.path().join("c.sock")).unwrap();
+    guest.greet(&Greeting::Hello { version: VERSION, card });
+    let (_, files) = guest.hears().unwrap();
+    let pulse = Pulse::open(files.into_iter().next().unwrap()).unwrap();
+    let nonce = pulse.nonce();
+    lives(pulse)();
+    guest.greet(&Greeting::Echo { nonce });
+    let session = b.met();
+    assert_eq!(b.lost(), (session.number(), Lost::Died));
 }
+
+/// What the kernel writes into the word of a thread that died.
+const DIED: u32 = 0x4000_0000;
 
 /// A session whose other end is a thread of this process, and that end of its page.
 fn session(number: u64) -> (Arc<Session>, Pulse) {
