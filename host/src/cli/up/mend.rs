@@ -1,14 +1,16 @@
-//! What only the system file says of a process that was started again: what is to go on by itself, and, when the GCM had ended
+//! What only the supervisor knows of a process that was started again: what is to go on by itself, and, when the GCM had ended
 //! with it, what it had.
 //!
 //! Invariant: a GCM makes anew what a process had, and a process brings along what a GCM had; only what both have lost is
-//! taken from the file. What moves something goes on only where the file says `"resume": "auto"`, and never against a Stop.
+//! made as it was last seen, or taken from the file when it never was. What moves something goes on only where the file says
+//! `"resume": "auto"`, when it ran before, and never against a Stop.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use trocar_model::{ComponentId, Request, Target};
 
+use super::memory::Memory;
 use super::standing::Standing;
 use super::telling::Voice;
 use crate::cli::failure::Failure;
@@ -31,9 +33,9 @@ pub(super) struct Mender {
     owed: bool,
     /// The GCM under which it was last seen whole.
     term: u64,
-    /// Whether its components ran then.
-    ran: BTreeMap<String, bool>,
-    /// What was made again from the file, and may wait for connections to processes that are not back yet.
+    /// What it had then.
+    memory: Memory,
+    /// What was made again, and may wait for connections to processes that are not back yet.
     remade: BTreeSet<ComponentId>,
 }
 
@@ -54,7 +56,7 @@ impl Mender {
             restarts: status.restarts,
             owed: false,
             term: standing.term,
-            ran: BTreeMap::new(),
+            memory: Memory::default(),
             remade: BTreeSet::new(),
         };
         mender.look(status, standing);
@@ -68,8 +70,9 @@ impl Mender {
         let whole = status.phase == Phase::Running && standing.is_whole(&self.process, status.pid);
         if whole && !self.owed {
             self.term = standing.term;
-            let here = standing.within(&self.process);
-            self.ran = here.map(|c| (c.path.clone(), c.state == "ACTIVE")).collect();
+            self.memory.take(&self.process, status.pid, standing);
+        } else if standing.heard {
+            self.memory.take_last(&self.process, standing);
         }
         whole && self.owed
     }
@@ -88,16 +91,24 @@ impl Mender {
         Ok(())
     }
 
-    /// A component that nobody has ever seen runs when the file starts it.
-    fn ran(&self, path: &str) -> bool {
-        self.ran.get(path).copied().unwrap_or(true)
+    /// What it is to have.
+    fn should_have(&self, file: &SystemFile) -> Vec<ComponentId> {
+        if self.memory.is_known() {
+            return self.memory.components();
+        }
+        self.here(file).map(|c| c.id.clone()).collect()
+    }
+
+    /// What makes that, and what it is connected to.
+    fn requests(&self, file: &SystemFile) -> Vec<Request> {
+        if self.memory.is_known() { self.memory.requests() } else { file.requests() }
     }
 
     fn here<'f>(&self, file: &'f SystemFile) -> impl Iterator<Item = &'f ComponentSpec> {
         file.components.iter().filter(move |c| c.id.process.as_str() == self.process)
     }
 
-    /// Lets go on what the file says goes on by itself, unless somebody stops it in this moment.
+    /// Lets go on what ran and of which the file says that it goes on by itself, unless somebody stops it in this moment.
     async fn resume(&self, tools: &Tools<'_>) -> Result<(), Failure> {
         let resumes: BTreeSet<String> =
             self.here(tools.file).filter(|c| c.resumes).map(|c| c.id.to_string()).collect();
@@ -105,8 +116,8 @@ impl Mender {
             return Ok(());
         }
         let listed = tools.session.standing().await?;
-        let stopped =
-            listed.components.iter().filter(|c| c.state == "STOPPED{restarted}" && resumes.contains(&c.path));
+        let waits = |c: &&ComponentView| c.state == "STOPPED{restarted}" && self.memory.ran(&c.path);
+        let stopped = listed.components.iter().filter(waits).filter(|c| resumes.contains(&c.path));
         let targets = targets(stopped.map(|c| c.path.as_str()));
         if targets.is_empty() {
             return Ok(());
@@ -120,16 +131,17 @@ impl Mender {
     async fn make(&mut self, tools: &Tools<'_>) -> Result<(), Failure> {
         let Tools { file, session, .. } = tools;
         let listed = session.standing().await?;
-        let missing = missing(self.here(file), &listed);
+        let missing = missing(&self.should_have(file), &listed);
         self.remade.extend(missing.iter().cloned());
-        session.apply(&requests(file, &missing, &self.remade, &listed), WITHIN).await?;
+        let all = self.requests(file);
+        session.apply(&of_missing(all.clone(), &missing, &self.remade, &listed), WITHIN).await?;
         let made = session.standing().await?;
         let (starts, waits) = self.to_start(file, &made);
         if !starts.is_empty() {
             let start = [Request::Start { targets: targets(starts.into_iter()) }];
             session.apply_at(&start, WITHIN, Some(made.revision)).await?;
         }
-        if let Some(other) = self.waits_for(file, &made) {
+        if let Some(other) = self.waits_for(all, &made) {
             let text = format!("its connections to {other} wait for that");
             return Err(Failure::local("PROCESS_LOST", text, "It is tried again."));
         }
@@ -138,7 +150,7 @@ impl Mender {
         let mut said = format!("the GCM had ended together with {}", self.process);
         if !remade.is_empty() {
             let missing: Vec<String> = remade.iter().map(ToString::to_string).collect();
-            said.push_str(&format!(": {} made again from the file", missing.join(", ")));
+            said.push_str(&format!(": {} made again", missing.join(", ")));
         }
         if !waits.is_empty() {
             said.push_str(&format!("; {} can move something and is not started by that", waits.join(", ")));
@@ -148,9 +160,9 @@ impl Mender {
     }
 
     /// A component that is not there yet, to which something made again is to be connected.
-    fn waits_for(&self, file: &SystemFile, listed: &SystemView) -> Option<ComponentId> {
+    fn waits_for(&self, all: Vec<Request>, listed: &SystemView) -> Option<ComponentId> {
         let there = |id: &ComponentId| listed.components.iter().any(|c| c.path == id.to_string());
-        file.requests().into_iter().find_map(|request| {
+        all.into_iter().find_map(|request| {
             let Request::Connect { client, server, .. } = request else { return None };
             let ends = [client.component, server.component];
             let mine = ends.iter().any(|id| self.remade.contains(id));
@@ -158,14 +170,18 @@ impl Mender {
         })
     }
 
-    /// What of the file stands ready here and ran before, and what of that waits for somebody.
+    /// What stands ready here and ran before, and what of that waits for somebody.
     fn to_start<'l>(&self, file: &SystemFile, listed: &'l SystemView) -> (Vec<&'l str>, Vec<&'l str>) {
         let (mut starts, mut waits) = (Vec::new(), Vec::new());
-        for spec in self.here(file).filter(|c| c.start) {
-            let path = spec.id.to_string();
-            let is_it = |c: &&ComponentView| c.path == path && c.state == "READY" && self.ran(&path);
+        for id in self.should_have(file) {
+            let (path, spec) = (id.to_string(), self.here(file).find(|c| c.id == id));
+            let ran = match self.memory.is_known() {
+                true => self.memory.ran(&path),
+                false => spec.is_some_and(|c| c.start),
+            };
+            let is_it = |c: &&ComponentView| c.path == path && c.state == "READY" && ran;
             let Some(component) = listed.components.iter().find(is_it) else { continue };
-            if component.safety != "actuator" || spec.resumes {
+            if component.safety != "actuator" || spec.is_some_and(|c| c.resumes) {
                 starts.push(component.path.as_str());
             } else {
                 waits.push(component.path.as_str());
@@ -221,19 +237,19 @@ fn targets<'a>(paths: impl Iterator<Item = &'a str>) -> Vec<Target> {
     paths.filter_map(|path| ComponentId::parse(path).ok()).map(Target::One).collect()
 }
 
-/// What the file has here and the system has not.
-fn missing<'f>(here: impl Iterator<Item = &'f ComponentSpec>, listed: &SystemView) -> BTreeSet<ComponentId> {
+/// What it should have and the system has not.
+fn missing(should: &[ComponentId], listed: &SystemView) -> BTreeSet<ComponentId> {
     let lost = |id: &&ComponentId| {
         let path = id.to_string();
         listed.components.iter().all(|c| c.path != path)
     };
-    here.map(|c| &c.id).filter(lost).cloned().collect()
+    should.iter().filter(lost).cloned().collect()
 }
 
-/// What of the file makes those that are missing and connects those that were made again, and no Start. A connection whose other end
+/// What of all makes those that are missing and connects those that were made again, and no Start. A connection whose other end
 /// is missing too comes with that one.
-fn requests(
-    file: &SystemFile,
+fn of_missing(
+    mut all: Vec<Request>,
     missing: &BTreeSet<ComponentId>,
     remade: &BTreeSet<ComponentId>,
     listed: &SystemView,
@@ -253,7 +269,8 @@ fn requests(
         }
         _ => false,
     };
-    file.requests().into_iter().filter(concerned).collect()
+    all.retain(concerned);
+    all
 }
 
 #[cfg(test)]
@@ -297,6 +314,7 @@ mod tests {
             components: components
                 .map(|(path, state)| ((*path).to_owned(), component(path, state, "none")))
                 .collect(),
+            connections: BTreeMap::new(),
         }
     }
 
@@ -307,16 +325,17 @@ mod tests {
     #[test]
     fn only_what_both_have_lost_is_taken_from_the_file() {
         let file = file();
-        let here = || file.components.iter().filter(|c| c.id.process.as_str() == "a");
+        let here: Vec<ComponentId> =
+            file.components.iter().filter(|c| c.id.process.as_str() == "a").map(|c| c.id.clone()).collect();
         let there = |path: &str| component(path, "ACTIVE", "none");
         let listed = SystemView {
             components: ["a/y", "a/z", "a/arm", "a/leg"].map(there).into(),
             ..SystemView::default()
         };
-        let lost = missing(here(), &listed);
+        let lost = missing(&here, &listed);
         assert_eq!(lost.iter().map(ToString::to_string).collect::<Vec<_>>(), ["a/x"], "b is not concerned");
         let kinds = |listed: &SystemView| -> Vec<bool> {
-            requests(&file, &lost, &lost, listed)
+            of_missing(file.requests(), &lost, &lost, listed)
                 .iter()
                 .map(|r| matches!(r, Request::Create { .. }))
                 .collect()
@@ -381,5 +400,50 @@ mod tests {
         let mender = Mender::new("a", &running(7, 0), &stopped);
         let (starts, _) = mender.to_start(&file(), &made);
         assert!(!starts.contains(&"a/leg"), "somebody had stopped it: {starts:?}");
+    }
+    #[test]
+    fn what_had_failed_or_was_stopped_before_the_end_is_not_let_go_on() {
+        let seen = |state: &str| standing(1, 7, &[("a/leg", state)]);
+        let mut mender = Mender::new("a", &running(7, 0), &seen("ACTIVE"));
+        assert!(mender.memory.ran("a/leg"));
+        // The last that was heard of it came together with its end.
+        let mut ended = seen("FAULT");
+        ended.processes.get_mut("a").unwrap().state = "LOST".into();
+        assert!(!mender.look(&running(7, 0), &ended) && !mender.memory.ran("a/leg"));
+        let mut back = standing(1, 8, &[("a/leg", "STOPPED{restarted}")]);
+        assert!(mender.look(&running(8, 1), &back) && !mender.memory.ran("a/leg"), "whatever it is now");
+        // And one that ends again before it was let go on is.
+        let mut mender = Mender::new("a", &running(7, 0), &seen("ACTIVE"));
+        assert!(mender.look(&running(8, 1), &back));
+        mender.owed = false;
+        assert!(!mender.look(&running(8, 1), &back) && mender.memory.ran("a/leg"));
+        back.components.insert("a/leg".into(), component("a/leg", "STOPPED{requested}", "none"));
+        assert!(!mender.look(&running(8, 1), &back) && !mender.memory.ran("a/leg"));
+    }
+
+    #[test]
+    fn what_was_made_and_removed_since_the_file_was_read_is_known() {
+        let mut seen = standing(1, 7, &[("a/y", "ACTIVE"), ("a/new", "ACTIVE"), ("b/z", "ACTIVE")]);
+        let to_b = ConnectionView {
+            id: 3,
+            client: "a/new/in".into(),
+            server: "b/z/o".into(),
+            options: crate::cli::view::OptionsView { fifo: Some(7), ..Default::default() },
+            ..Default::default()
+        };
+        seen.connections.insert(3, to_b.clone());
+        seen.connections.insert(4, ConnectionView { id: 4, client: "b/z/i".into(), ..to_b });
+        let mut mender = Mender::new("a", &running(7, 0), &seen);
+        // A GCM that has not heard of b again yet: the connection to it is still remembered.
+        assert!(!mender.look(&running(7, 0), &Standing { term: 2, connections: BTreeMap::new(), ..seen }));
+        let paths: Vec<String> = mender.should_have(&file()).iter().map(ToString::to_string).collect();
+        assert_eq!(paths, ["a/new", "a/y"], "not what somebody removed");
+        let connects: Vec<Request> = mender.requests(&file()).into_iter().skip(2).collect();
+        let [Request::Connect { client, server, options }] = &connects[..] else { panic!("{connects:?}") };
+        assert_eq!((client.to_string(), server.to_string()), ("a/new/in".to_owned(), "b/z/o".to_owned()));
+        assert!(
+            matches!(options.queue, Some(trocar_model::Queue::Fifo { depth: 7, .. })),
+            "as it was made: {options:?}"
+        );
     }
 }

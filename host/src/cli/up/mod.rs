@@ -5,6 +5,7 @@
 
 mod detach;
 mod fill;
+mod memory;
 mod mend;
 mod news;
 pub(super) mod programs;

@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 
 use crate::cli::failure::Failure;
 use crate::cli::session::Session;
-use crate::cli::view::{ChangeView, ComponentView, ProcessView, SystemView};
+use crate::cli::view::{ChangeView, ComponentView, ConnectionView, ProcessView, SystemView};
 
 /// Between two attempts to hear a GCM that does not answer.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -27,14 +27,17 @@ pub(super) struct Standing {
     pub(super) processes: BTreeMap<String, ProcessView>,
     /// By path.
     pub(super) components: BTreeMap<String, ComponentView>,
+    /// By number.
+    pub(super) connections: BTreeMap<u64, ConnectionView>,
 }
 
 impl Standing {
     /// What was just asked of that GCM.
     pub(super) fn of(term: u64, listed: SystemView) -> Standing {
         let mut standing = Standing::default();
-        let SystemView { revision, processes, components, .. } = listed;
-        standing.take(ChangeView { revision, term, processes, components, ..ChangeView::default() });
+        let SystemView { revision, processes, components, connections } = listed;
+        let listed = ChangeView { revision, term, processes, components, connections, ..Default::default() };
+        standing.take(listed);
         standing
     }
 
@@ -52,16 +55,20 @@ impl Standing {
 
     fn take(&mut self, change: ChangeView) {
         if change.snapshot {
-            (self.processes, self.components) = Default::default();
+            (self.processes, self.components, self.connections) = Default::default();
         }
         (self.heard, self.term) = (true, change.term);
         self.processes.extend(change.processes.into_iter().map(|p| (p.name.clone(), p)));
         self.components.extend(change.components.into_iter().map(|c| (c.path.clone(), c)));
+        self.connections.extend(change.connections.into_iter().map(|c| (c.id, c)));
         for name in change.removed_processes {
             self.processes.remove(&name);
         }
         for path in change.removed_components {
             self.components.remove(&path);
+        }
+        for id in change.removed_connections {
+            self.connections.remove(&id);
         }
     }
 }

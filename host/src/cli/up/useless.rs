@@ -107,6 +107,7 @@ mod tests {
             term: 1,
             processes: [("a".to_owned(), process)].into(),
             components: [("a/x".to_owned(), component)].into(),
+            connections: BTreeMap::new(),
         }
     }
 
