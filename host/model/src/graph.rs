@@ -10,7 +10,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::{
-    Change, ClassInfo, ComponentId, End, Execution, Health, Name, Plan, PortId, Ports, Proxy, State,
+    Change, ClassInfo, ComponentId, End, Execution, Health, Name, Plan, PortId, Ports, Proxy, Refusal, State,
 };
 
 /// Identifies a connection within one GCM's life; never reused.
@@ -109,6 +109,30 @@ pub struct Connection {
     pub client: PortId,
     pub server: PortId,
     pub options: ConnectOptions,
+}
+
+impl ProcessState {
+    pub const ALL: [ProcessState; 4] =
+        [ProcessState::Attached, ProcessState::Lost, ProcessState::Restarting, ProcessState::Failed];
+}
+
+impl std::fmt::Display for ProcessState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            ProcessState::Attached => "ATTACHED",
+            ProcessState::Lost => "LOST",
+            ProcessState::Restarting => "RESTARTING",
+            ProcessState::Failed => "FAILED",
+        })
+    }
+}
+
+impl Process {
+    /// Why it cannot be asked, as it stands.
+    pub fn lost(&self, name: &Name) -> Refusal {
+        let last_exit = self.last_exit.clone();
+        Refusal::ProcessLost { process: name.clone(), state: self.state, last_exit }
+    }
 }
 
 impl SystemGraph {

@@ -105,6 +105,15 @@ impl ComponentId {
         Ok(ComponentId { process, component })
     }
 
+    /// Where it is when it has a process of its own: `host/robot` is then `host.robot/robot`.
+    ///
+    /// # Errors
+    /// [`Refusal::BadPath`]: that process would have too long a name.
+    pub fn apart(&self) -> Result<ComponentId, Refusal> {
+        let process = Name::parse(&format!("{}.{}", self.process, self.component))?;
+        Ok(ComponentId { process, component: self.component.clone() })
+    }
+
     pub fn port(&self, port: Name) -> PortId {
         PortId { component: self.clone(), port }
     }

@@ -11,7 +11,7 @@ pub use examples::errors_markdown;
 pub use text::brief;
 pub(crate) use text::{ADAPTABLE, duration, scattered};
 
-use crate::{ComponentId, MemberId, Name, PortId, State, Verb, Violation};
+use crate::{ComponentId, MemberId, Name, PortId, ProcessState, State, Verb, Violation};
 
 /// gRPC status codes by name; the wire numbers live in `control/status.rs`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,8 +39,21 @@ pub enum Refusal {
         process: Name,
         known: Vec<Name>,
     },
+    /// It is known and cannot be asked. `state` says what becomes of it, `last_exit` how it ended; "" when nobody knows.
     ProcessLost {
         process: Name,
+        state: ProcessState,
+        last_exit: String,
+    },
+    /// Nobody is there who would make a process beside this one; `known`: those that somebody keeps.
+    NotSupervised {
+        process: Name,
+        known: Vec<Name>,
+    },
+    /// A process that was to be made for a component.
+    ProcessNotUp {
+        process: Name,
+        why: String,
     },
     /// The name is held by a process that answers.
     ProcessExists {
@@ -272,4 +285,11 @@ pub enum Refusal {
     Internal {
         text: String,
     },
+}
+
+impl Refusal {
+    /// A process that does not answer, of which nothing more is known.
+    pub fn lost(process: Name) -> Refusal {
+        Refusal::ProcessLost { process, state: ProcessState::Lost, last_exit: String::new() }
+    }
 }

@@ -2,13 +2,21 @@
 
 use serde_json::Value;
 
-use crate::{ComponentId, ConnectOptions, ConnectionId, Execution, PortId, Target};
+use crate::{ComponentId, ConnectOptions, ConnectionId, Execution, Name, PortId, Target};
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum Request {
     /// `config: None` means the schema's defaults.
     Create {
         id: ComponentId,
+        class: String,
+        config: Option<Value>,
+        execution: Execution,
+    },
+    /// Create in a process of its own, made like `home`; `id` is where it then is ([`ComponentId::apart`]).
+    CreateApart {
+        id: ComponentId,
+        home: Name,
         class: String,
         config: Option<Value>,
         execution: Execution,

@@ -11,7 +11,7 @@ use trocar_proto::v1;
 
 pub(super) use self::describe::description;
 pub(super) use self::json::{from_struct, from_wire, to_struct, to_wire};
-pub(super) use self::steps::{fate, step};
+pub(super) use self::steps::{fate, step, supervisor, wanted};
 
 use super::execution::ExecutionArgs;
 use super::view::{

@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is not typed is not sent, so the class's defaults apply.
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde_json::Value;
 
 use super::execution::ExecutionArgs;
@@ -21,10 +21,19 @@ pub(super) struct CreateArgs {
     /// Configuration, a JSON object; what is left out takes the class's default.
     #[arg(long, value_name = "JSON", value_parser = json_object)]
     pub(super) config: Option<Value>,
+    /// A process of its own: it is then PROCESS.COMPONENT/COMPONENT. Whoever keeps its process makes it (`trocar up`).
+    #[arg(long, value_enum, value_name = "KIND")]
+    pub(super) isolation: Option<Isolation>,
     #[command(flatten)]
     pub(super) execution: ExecutionArgs,
     #[command(flatten)]
     pub(super) mutation: MutationArgs,
+}
+
+/// How a component is set apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Isolation {
+    Process,
 }
 
 pub(super) async fn run(args: CreateArgs, session: &Session) -> Done {

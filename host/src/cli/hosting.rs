@@ -15,6 +15,7 @@ use crate::host::{
     Host, HostConfig, HostError, MemoryBounds, StateChoice, StopRequest, say_to_keeper, state_home,
 };
 use crate::loader::Trust;
+use crate::system_file::ProcessSpec;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -162,6 +163,15 @@ pub(super) fn plugin_dirs(named: Vec<PathBuf>) -> Vec<PathBuf> {
     }
     let own = std::env::current_exe().ok().and_then(|exe| exe.parent().map(Path::to_owned));
     own.into_iter().collect()
+}
+
+/// The directories `given`, else those of a process of a system file, which are relative to `base`, else as for any host.
+pub(super) fn plugins_of(process: &ProcessSpec, base: &Path, given: Vec<PathBuf>) -> Vec<PathBuf> {
+    match (given.is_empty(), process.plugins.is_empty()) {
+        (false, _) => given,
+        (true, false) => process.plugins.iter().map(|dir| base.join(dir)).collect(),
+        (true, true) => plugin_dirs(Vec::new()),
+    }
 }
 
 /// Waits for the end and ends in order.

@@ -94,11 +94,7 @@ pub(super) fn config(
     listen: String,
 ) -> Result<HostConfig, Failure> {
     let process = file.single_process()?;
-    let plugins = match (plugins.is_empty(), process.plugins.is_empty()) {
-        (false, _) => plugins,
-        (true, false) => process.plugins.iter().map(|dir| base.join(dir)).collect(),
-        (true, true) => hosting::plugin_dirs(Vec::new()),
-    };
+    let plugins = hosting::plugins_of(process, base, plugins);
     let trust = match &process.trust {
         TrustSpec::Dev => Trust::Dev,
         TrustSpec::AllowList(list) => {

@@ -42,11 +42,13 @@ fn asked(requests: &[Request]) -> String {
 fn request(request: &Request) -> Value {
     match request {
         Request::Create { id, class, config, execution } => {
-            let mut body = Map::new();
-            body.insert("path".into(), id.to_string().into());
-            body.insert("class".into(), class.as_str().into());
-            put(&mut body, "config", config.clone());
-            put(&mut body, "execution", settings(execution));
+            let body = create(id.to_string(), class, config.as_ref(), execution);
+            json!({ "create": body })
+        }
+        Request::CreateApart { id, home, class, config, execution } => {
+            let path = format!("{home}/{}", id.component);
+            let mut body = create(path, class, config.as_ref(), execution);
+            body.insert("isolation".into(), "process".into());
             json!({ "create": body })
         }
         Request::Remove { id, force } => json!({ "remove": { "path": id.to_string(), "force": force } }),
@@ -73,6 +75,15 @@ fn request(request: &Request) -> Value {
             json!({ "disconnect": { "client": client.to_string(), "server": server.to_string() } })
         }
     }
+}
+
+fn create(path: String, class: &str, config: Option<&Value>, execution: &Execution) -> Map<String, Value> {
+    let mut body = Map::new();
+    body.insert("path".into(), path.into());
+    body.insert("class".into(), class.into());
+    put(&mut body, "config", config.cloned());
+    put(&mut body, "execution", settings(execution));
+    body
 }
 
 fn put(body: &mut Map<String, Value>, key: &str, value: Option<Value>) {

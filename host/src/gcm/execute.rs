@@ -10,6 +10,7 @@ use trocar_model::{
     inverse, plan_all,
 };
 
+use super::apart::asked_apart;
 use super::manager::lock;
 use super::observed::observe;
 use super::requests::{Answer, Known};
@@ -116,14 +117,20 @@ impl Gcm {
     }
 
     async fn change(&self, requests: &[Request], options: &ExecuteOptions, deadline: Instant) -> Answer {
+        if let Some(done) = self.remove_away(requests, options).await? {
+            return Ok(done);
+        }
         let forced = self.give_way(requests, options.validate_only)?;
+        let apart = asked_apart(requests);
         let decide = |graph: &SystemGraph| {
             if let Some(expected) = options.expected_revision
                 && expected != graph.revision
             {
                 return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
             }
-            plan_all(graph, requests)
+            let plan = plan_all(graph, requests)?;
+            self.can_be_made(&apart)?;
+            Ok(plan)
         };
         let (claim, graph, plan) = match self.claim_part(requests, deadline, decide).await {
             // It went with the request that had made it.
@@ -137,7 +144,15 @@ impl Gcm {
             return Ok(done);
         }
         let carrying = Carrying::begin(self, claim, &done.plan);
-        self.all_or_nothing(&carrying, &mut done, deadline).await?;
+        let made = match self.begin_apart(&apart, deadline).await {
+            Ok(()) => self.all_or_nothing(&carrying, &mut done, deadline).await,
+            not_up => not_up,
+        };
+        if let Err(refusal) = made {
+            self.end_apart(apart.into_iter().map(|a| a.process).collect()).await;
+            return Err(refusal);
+        }
+        self.end_apart(self.emptied(&done.plan)).await;
         for (id, port) in bereft(&graph, &done.plan) {
             if let Some(report) = done.reports.iter_mut().rev().find(|report| report.id == id) {
                 report.warnings.push(format!(
@@ -270,6 +285,7 @@ fn process_of(request: &Request) -> Option<Name> {
         Request::Create { id, .. } | Request::Remove { id, .. } | Request::Configure { id, .. } => {
             Some(id.process.clone())
         }
+        Request::CreateApart { home, .. } => Some(home.clone()),
         Request::Start { targets }
         | Request::Stop { targets }
         | Request::Resume { targets }

@@ -263,7 +263,7 @@ impl Lcm for FakeLcm {
             released.changed().await.unwrap();
         }
         if self.lose.lock().unwrap().remove(&asked) {
-            return Err(Refusal::ProcessLost { process: self.process.clone() });
+            return Err(Refusal::lost(self.process.clone()));
         }
         self.done.lock().unwrap().push(asked.clone());
         let id = super::execute::id_of(&change).clone();

@@ -54,7 +54,7 @@ impl Gcm {
         let mut graphs = self.watch();
         // It lives as long as this GCM.
         let _ = graphs.wait_for(|_| lock(&self.inner.sessions).card(process) != card).await;
-        Refusal::ProcessLost { process: process.clone() }
+        Refusal::lost(process.clone())
     }
 
     /// Has both halves taken away: the client's first, whose component may still call. The half of a process that is away is gone.

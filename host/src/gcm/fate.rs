@@ -40,7 +40,7 @@ pub struct Told {
 impl Gcm {
     /// Enters what a supervisor tells. A process it has seen end is lost at once, whatever its stream still pretends.
     pub fn told(&self, told: &Told) {
-        let (mut cut, mut strays, mut lost) = (Vec::new(), Vec::new(), None);
+        let (mut cut, mut strays, mut lost, mut dismissed) = (Vec::new(), Vec::new(), None, false);
         self.edit_if(|graph| {
             let mut sessions = lock(&self.inner.sessions);
             // Another incarnation is here, or somebody else's; or it was taken down, and this was said before that.
@@ -54,6 +54,7 @@ impl Gcm {
                 lost = sessions.lose(Arc::make_mut(graph), &told.process, session);
             }
             if told.fate == Fate::Dismissed {
+                dismissed = true;
                 sessions.dismiss(&told.process, told.pid);
                 strays = awaited(&mut sessions, &told.process);
                 return dismiss(graph, &told.process, &mut cut);
@@ -79,6 +80,9 @@ impl Gcm {
             true
         });
         said_lost(&told.process, lost);
+        if dismissed {
+            self.not_wanted(&[told.process.clone()].into());
+        }
         // Their other halves.
         self.cut_off(cut);
         self.cut_strays(strays);

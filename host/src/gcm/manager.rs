@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 
+use super::apart::Isolation;
 use super::claims::Claims;
 use super::ids::{Ids, IdsError};
 use super::lines::Lines;
@@ -45,6 +46,8 @@ pub(super) struct Inner {
     /// Everything that changes the graph but Stop.
     pub(super) claims: Claims,
     pub(super) answers: Mutex<Answers>,
+    /// The processes for isolated components.
+    pub(super) isolation: watch::Sender<Isolation>,
     lines: Arc<Lines>,
 }
 
@@ -63,6 +66,7 @@ impl Gcm {
                 sessions: Mutex::default(),
                 claims: Claims::default(),
                 answers: Mutex::default(),
+                isolation: watch::Sender::new(Isolation::default()),
                 lines: Arc::default(),
             }),
         })

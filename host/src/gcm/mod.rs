@@ -2,6 +2,7 @@
 //!
 //! Invariant: only [`Gcm`] changes the graph; no lock that Stop needs is held while an LCM is asked.
 
+mod apart;
 mod audit;
 mod awaiting;
 mod claims;
@@ -24,6 +25,7 @@ pub(crate) mod fake;
 #[cfg(test)]
 mod tests;
 
+pub use apart::{Apart, Supervising, Supervisor};
 pub use awaiting::Listening;
 pub use execute::{ExecuteOptions, Executed};
 pub use fate::{Fate, Told};

@@ -292,14 +292,7 @@ impl Gcm {
             return Ok(session.lcm.clone());
         }
         let graph = self.graph();
-        Err(if graph.processes.contains_key(process) {
-            Refusal::ProcessLost { process: process.clone() }
-        } else {
-            Refusal::ProcessNotFound {
-                process: process.clone(),
-                known: graph.processes.keys().cloned().collect(),
-            }
-        })
+        Err(graph.process(process).map_or_else(|unknown| unknown, |known| known.lost(process)))
     }
 
     /// Waits until the graph has what the LCM of a process has told so far. An LCM tells its news before it answers, so whoever

@@ -366,7 +366,7 @@ impl Host {
     /// ProcessLost once it was shut down.
     fn still_here(&self) -> Result<(), Refusal> {
         match self.lcm() {
-            Some(lcm) if self.has_ended() => Err(Refusal::ProcessLost { process: lcm.process().clone() }),
+            Some(lcm) if self.has_ended() => Err(Refusal::lost(lcm.process().clone())),
             _ => Ok(()),
         }
     }

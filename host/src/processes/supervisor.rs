@@ -1,6 +1,7 @@
 //! All supervised processes of this one, and how they stand.
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -18,12 +19,16 @@ impl Board {
     pub(super) fn change(&self, name: &str, change: &dyn Fn(&mut Status)) {
         self.all.send_modify(|all| change(all.entry(name.to_owned()).or_default()));
     }
+
+    fn forget(&self, name: &str) {
+        self.all.send_modify(|all| _ = all.remove(name));
+    }
 }
 
 /// Keeps processes; dropped, it lets go of what it still keeps, and that ends by itself, devices safe first.
 pub struct Supervisor {
     board: Board,
-    kept: BTreeMap<String, Kept>,
+    kept: Mutex<BTreeMap<String, Kept>>,
 }
 
 struct Kept {
@@ -34,15 +39,16 @@ struct Kept {
 
 impl Default for Supervisor {
     fn default() -> Self {
-        Supervisor { board: Board { all: watch::Sender::new(BTreeMap::new()) }, kept: BTreeMap::new() }
+        Supervisor { board: Board { all: watch::Sender::new(BTreeMap::new()) }, kept: Mutex::default() }
     }
 }
 
 impl Supervisor {
     /// Spawns a process and keeps it. A name that is kept already is left as it is.
-    pub fn start(&mut self, program: Program) {
+    pub fn start(&self, program: Program) {
         let name = program.name.clone();
-        if self.kept.contains_key(&name) {
+        let mut kept = self.kept();
+        if kept.contains_key(&name) {
             return;
         }
         self.board.change(&name, &|_| {});
@@ -50,7 +56,7 @@ impl Supervisor {
         let (put_down, useless) = mpsc::unbounded_channel();
         let orders = Orders { down: asked, put_down: useless };
         let task = tokio::spawn(keep(program, self.board.clone(), orders));
-        self.kept.insert(name, Kept { down, put_down, task });
+        kept.insert(name, Kept { down, put_down, task });
     }
 
     /// How all stand now and whenever something changes; a slow reader sees the newest.
@@ -60,22 +66,34 @@ impl Supervisor {
 
     /// The incarnation of this number is of no use, says why: it is asked to end, soon killed, and treated as one that failed.
     pub fn put_down(&self, name: &str, pid: u32, why: String) {
-        if let Some(kept) = self.kept.get(name) {
+        if let Some(kept) = self.kept().get(name) {
             // One that was given up takes no orders.
             let _ = kept.put_down.send((pid, why));
         }
     }
 
+    /// Asks it to end and does not wait: its status says when it has.
+    pub fn ask_to_end(&self, name: &str) {
+        if let Some(kept) = self.kept().get(name) {
+            kept.down.send_replace(true);
+        }
+    }
+
+    /// One that has ended or was given up: its name is free, and nothing is told of it any more.
+    pub fn forget(&self, name: &str) {
+        self.kept().remove(name);
+        self.board.forget(name);
+    }
+
     /// Asks these to end, all at once, and waits until they have. Answers those that did not end in order.
-    pub async fn end(&mut self, names: &[String]) -> Vec<(String, Exit)> {
+    pub async fn end(&self, names: &[String]) -> Vec<(String, Exit)> {
         for name in names {
-            if let Some(kept) = self.kept.get(name) {
-                kept.down.send_replace(true);
-            }
+            self.ask_to_end(name);
         }
         let mut failed = Vec::new();
         for name in names {
-            if let Some(kept) = self.kept.remove(name) {
+            let kept = self.kept().remove(name);
+            if let Some(kept) = kept {
                 // A keeper that panicked has let go of its child, which ends by itself.
                 let exit = kept.task.await.unwrap_or_default();
                 failed.extend(exit.filter(|exit| !exit.is_orderly()).map(|exit| (name.clone(), exit)));
@@ -83,11 +101,16 @@ impl Supervisor {
         }
         failed
     }
+
+    /// Never held while anything is waited for, and nothing in it is half changed.
+    fn kept(&self) -> MutexGuard<'_, BTreeMap<String, Kept>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Drop for Supervisor {
     fn drop(&mut self) {
-        for kept in self.kept.values() {
+        for kept in self.kept().values() {
             kept.task.abort();
         }
     }

@@ -3,7 +3,7 @@
 //! Invariant: whoever names such a component in the file means it under its written name; `host/robot` then lives in process
 //! `host.robot`. What shares a thread cannot be taken apart.
 
-use trocar_model::{ComponentId, Name};
+use trocar_model::ComponentId;
 
 use super::cursor::Document;
 use super::problem::{Problem, join};
@@ -39,19 +39,17 @@ pub(super) fn isolate(
         }
     }
     for id in &apart {
-        let text = format!("{}.{}", id.process, id.component);
-        let name = Name::parse(&text).map_err(|e| {
-            let what = format!("its own process would be called {text:?}: {e}");
+        let lives = id.apart().map_err(|e| {
+            let what = format!("its own process cannot be called so: {e}");
             wrong(id, "/isolation", what, "give component or process a shorter name")
         })?;
-        if processes.iter().any(|p| p.name == name) {
+        let name = &lives.process;
+        if processes.iter().any(|p| p.name == *name) {
             let what = format!("its own process would be called {name}, and there is one of that name");
             return Err(wrong(id, "/isolation", what, "give that process another name"));
         }
         let Some(home) = processes.iter().find(|p| p.name == id.process).cloned() else { continue };
-        let state = home.state.map(|dir| dir.join(id.component.as_str()));
-        processes.push(ProcessSpec { name: name.clone(), listen: None, state, ..home });
-        let lives = ComponentId::new(name, id.component.clone());
+        processes.push(home.apart(&lives));
         for c in components.iter_mut().filter(|c| c.id == *id) {
             c.id = lives.clone();
         }

@@ -80,6 +80,12 @@ impl ProcessSpec {
             memory: MemoryBounds::default(),
         }
     }
+
+    /// A process made like this one for a component alone, called as [`ComponentId::apart`] says.
+    pub(crate) fn apart(&self, lives: &ComponentId) -> ProcessSpec {
+        let state = self.state.as_ref().map(|dir| dir.join(lives.component.as_str()));
+        ProcessSpec { name: lives.process.clone(), listen: None, state, ..self.clone() }
+    }
 }
 
 /// Which plugin files a process takes.

@@ -2016,6 +2016,10 @@ pub struct CreateRequest {
     /// process/component, instead of process and name.
     #[prost(string, tag = "6")]
     pub path: ::prost::alloc::string::String,
+    /// "process": in a process of its own, PROCESS.NAME, which is made like PROCESS by whoever keeps that (`trocar up`), is
+    /// restarted by the same policy, and goes when the component is removed; the answer says the path. Absent: in PROCESS.
+    #[prost(string, tag = "7")]
+    pub isolation: ::prost::alloc::string::String,
     /// True: answer what would be done, do nothing.
     #[prost(bool, tag = "13")]
     pub validate_only: bool,
@@ -4174,6 +4178,39 @@ pub mod gcm_service_server {
         const NAME: &'static str = SERVICE_NAME;
     }
 }
+/// A process for one component alone.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ApartProcess {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// The process it is made like: same plugins, trust, environment and policy.
+    #[prost(string, tag = "2")]
+    pub home: ::prost::alloc::string::String,
+}
+/// Asks for Supervise.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct SuperviseRequest {
+    /// The processes it keeps, beside which it can make others.
+    #[prost(string, repeated, tag = "1")]
+    pub processes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Those it keeps already for isolated components: a GCM that was restarted learns of them from here.
+    #[prost(message, repeated, tag = "2")]
+    pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
+    /// Incarnation of the GCM that wanted those; 0 = none. That one itself knows better what it wants now.
+    #[prost(uint64, tag = "3")]
+    pub term: u64,
+}
+/// What is wanted of a supervisor.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct SuperviseResponse {
+    /// Incarnation of the GCM.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
+    /// All it is to keep for isolated components; others it kept are to end.
+    #[prost(message, repeated, tag = "2")]
+    pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
+}
 /// Asks for Tell.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct TellRequest {
@@ -4916,6 +4953,32 @@ pub mod attach_service_client {
                 .insert(GrpcMethod::new("trocar.v1.AttachService", "Tell"));
             self.inner.unary(req, path, codec).await
         }
+        /// A supervisor asks which processes it is to keep beside its own, for components that are isolated: all of them at
+        /// once, and again whenever that changes. While the stream is open, such components can be created.
+        pub async fn supervise(
+            &mut self,
+            request: impl tonic::IntoRequest<super::SuperviseRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::SuperviseResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AttachService/Supervise",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AttachService", "Supervise"));
+            self.inner.server_streaming(req, path, codec).await
+        }
     }
 }
 /// Generated server implementations.
@@ -4948,6 +5011,18 @@ pub mod attach_service_server {
             &self,
             request: tonic::Request<super::TellRequest>,
         ) -> std::result::Result<tonic::Response<super::TellResponse>, tonic::Status>;
+        /// Server streaming response type for the Supervise method.
+        type SuperviseStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::SuperviseResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// A supervisor asks which processes it is to keep beside its own, for components that are isolated: all of them at
+        /// once, and again whenever that changes. While the stream is open, such components can be created.
+        async fn supervise(
+            &self,
+            request: tonic::Request<super::SuperviseRequest>,
+        ) -> std::result::Result<tonic::Response<Self::SuperviseStream>, tonic::Status>;
     }
     /// Where LCMs attach, and where whoever supervises their processes tells what became of them.
     #[derive(Debug)]
@@ -5114,6 +5189,52 @@ pub mod attach_service_server {
                                 max_encoding_message_size,
                             );
                         let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.AttachService/Supervise" => {
+                    #[allow(non_camel_case_types)]
+                    struct SuperviseSvc<T: AttachService>(pub Arc<T>);
+                    impl<
+                        T: AttachService,
+                    > tonic::server::ServerStreamingService<super::SuperviseRequest>
+                    for SuperviseSvc<T> {
+                        type Response = super::SuperviseResponse;
+                        type ResponseStream = T::SuperviseStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::SuperviseRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AttachService>::supervise(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = SuperviseSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
                         Ok(res)
                     };
                     Box::pin(fut)

@@ -18,6 +18,8 @@ const NOT_YET: &[(&str, &str)] = &[
     ("PROCESS_EXISTS", "a host meets it when it attaches: deployment.rs"),
     ("UNREACHABLE", "it needs two processes and no memory for them: hostile/limits.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
+    ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
+    ("PROCESS_NOT_UP", "it needs a process that cannot come up: processes/isolated.rs"),
     ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),
     ("NO_MEMORY", "it needs frames that no machine has the memory for: changing_ports.rs"),
     ("NO_THREAD", "it needs a machine that is out of threads"),

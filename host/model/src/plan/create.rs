@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 
 use super::{Planner, execution};
 use crate::{
-    Change, Component, ComponentId, Execution, Health, Refusal, State, complete, defaults, merge,
+    Change, Component, ComponentId, Execution, Health, Name, Refusal, State, complete, defaults, merge,
     unknown_nulls, validate,
 };
 
@@ -61,5 +61,28 @@ impl Planner {
             });
         }
         Ok(())
+    }
+
+    /// In a process that is there as soon as the plan is carried out, with the classes of `home`.
+    pub(super) fn create_apart(
+        &mut self,
+        id: &ComponentId,
+        home: &Name,
+        class: &str,
+        config: Option<&Value>,
+        asked: &Execution,
+    ) -> Result<(), Refusal> {
+        let like = self.graph.attached(home)?.clone();
+        self.graph.class(home, class)?;
+        let written = ComponentId::new(home.clone(), id.component.clone());
+        if let Some(taken) = [&written, id].into_iter().find(|id| self.graph.components.contains_key(id)) {
+            return Err(Refusal::ComponentExists { id: taken.clone() });
+        }
+        if let Some(holder) = self.graph.processes.get(&id.process) {
+            let (process, endpoint, pid) = (id.process.clone(), holder.endpoint.clone(), holder.pid);
+            return Err(Refusal::ProcessExists { process, endpoint, pid });
+        }
+        self.graph.processes.insert(id.process.clone(), like);
+        self.create(id, class, config, asked)
     }
 }

@@ -30,9 +30,7 @@ impl SystemGraph {
         let process = self.process(name)?;
         match process.state {
             ProcessState::Attached => Ok(process),
-            ProcessState::Lost | ProcessState::Restarting | ProcessState::Failed => {
-                Err(Refusal::ProcessLost { process: name.clone() })
-            }
+            ProcessState::Lost | ProcessState::Restarting | ProcessState::Failed => Err(process.lost(name)),
         }
     }
 

@@ -56,6 +56,9 @@ impl Planner {
             Request::Create { id, class, config, execution } => {
                 self.create(id, class, config.as_ref(), execution)
             }
+            Request::CreateApart { id, home, class, config, execution } => {
+                self.create_apart(id, home, class, config.as_ref(), execution)
+            }
             Request::Remove { id, force } => self.remove(id, *force),
             Request::Configure { id, patch, execution } => self.configure(id, patch, execution.as_ref()),
             Request::Start { targets } => self.start(targets),

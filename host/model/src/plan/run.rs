@@ -56,7 +56,7 @@ impl Planner {
             let component = self.graph.component(&id)?;
             if self.graph.is_lost(&id) {
                 if named {
-                    return Err(Refusal::ProcessLost { process: id.process });
+                    return self.graph.attached(&id.process).map(|_| ());
                 }
                 self.skip(&id, "its process is lost");
                 continue;

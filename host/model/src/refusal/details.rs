@@ -46,6 +46,8 @@ impl Refusal {
             Refusal::BadPath { .. } => (InvalidArgument, "BAD_PATH"),
             Refusal::ProcessNotFound { .. } => (NotFound, "PROCESS_NOT_FOUND"),
             Refusal::ProcessLost { .. } => (Unavailable, "PROCESS_LOST"),
+            Refusal::NotSupervised { .. } => (FailedPrecondition, "NOT_SUPERVISED"),
+            Refusal::ProcessNotUp { .. } => (Unavailable, "PROCESS_NOT_UP"),
             Refusal::ProcessExists { .. } => (AlreadyExists, "PROCESS_EXISTS"),
             Refusal::ClassNotFound { .. } => (NotFound, "CLASS_NOT_FOUND"),
             Refusal::ComponentExists { .. } => (AlreadyExists, "COMPONENT_EXISTS"),
@@ -104,7 +106,12 @@ impl Refusal {
         match self {
             BadPath { text, .. } => m.put("text", text),
             ProcessNotFound { process, known } => m.put("process", process).known(process.as_str(), known),
-            ProcessLost { process } => m.put("process", process),
+            ProcessLost { process, state, last_exit } => {
+                m.put("process", process).put("state", state);
+                if last_exit.is_empty() { &mut m } else { m.put("last_exit", last_exit) }
+            }
+            NotSupervised { process, known } => m.put("process", process).list("known", known),
+            ProcessNotUp { process, why } => m.put("process", process).put("why", why),
             ProcessExists { process, endpoint, pid } => {
                 m.put("process", process).put("endpoint", endpoint).put("pid", pid)
             }

@@ -5,8 +5,8 @@
 use std::fmt::Write as _;
 
 use crate::{
-    Arg, ComponentId, MemberId, Name, PortId, Prim, Refusal, State, StopReason, Type, Verb, Violation,
-    check_range,
+    Arg, ComponentId, MemberId, Name, PortId, Prim, ProcessState, Refusal, State, StopReason, Type, Verb,
+    Violation, check_range,
 };
 
 /// Names for examples; every literal below keeps to the grammar, which the tests check.
@@ -48,7 +48,13 @@ fn naming() -> Vec<Refusal> {
             why: "it begins with a slash; wanted process/component".into(),
         },
         Refusal::ProcessNotFound { process: name("hots"), known: vec![name("gui"), name("host")] },
-        Refusal::ProcessLost { process: name("host") },
+        Refusal::ProcessLost {
+            process: name("host"),
+            state: ProcessState::Restarting,
+            last_exit: "was killed by SIGSEGV (core dumped)".into(),
+        },
+        Refusal::NotSupervised { process: name("host"), known: vec![name("gui")] },
+        Refusal::ProcessNotUp { process: name("host.robot"), why: "it was killed by SIGKILL".into() },
         Refusal::ProcessExists { process: name("host"), endpoint: "127.0.0.1:50551".into(), pid: 4242 },
         Refusal::ClassNotFound {
             process: name("host"),

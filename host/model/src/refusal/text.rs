@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::fmt::{self, Display, Write as _};
 
-use crate::{MAX_COPIES, Refusal, nearest};
+use crate::{MAX_COPIES, ProcessState, Refusal, nearest};
 
 /// Entries of a list that are spelled out.
 const MOST: usize = 12;
@@ -84,8 +84,31 @@ impl Display for Refusal {
             ProcessNotFound { process, known } => {
                 write!(f, "there is no process `{process}`{}", choices(process.as_str(), known))
             }
-            ProcessLost { process } => {
-                write!(f, "process `{process}` is lost: it is known but does not answer")
+            ProcessLost { process, state, last_exit } => {
+                let ended = if last_exit.is_empty() { "" } else { &format!(": it {}", brief(last_exit)) };
+                match state {
+                    ProcessState::Restarting => write!(
+                        f,
+                        "process `{process}` is being restarted{ended}; it is not there yet, or not all of its \
+                         components are"
+                    ),
+                    ProcessState::Failed => {
+                        write!(f, "process `{process}` has failed and is not started again{ended}")
+                    }
+                    ProcessState::Lost | ProcessState::Attached if !last_exit.is_empty() => {
+                        write!(f, "process `{process}` has ended{ended}")
+                    }
+                    ProcessState::Lost | ProcessState::Attached => {
+                        write!(f, "process `{process}` is lost: it is known but does not answer")
+                    }
+                }
+            }
+            NotSupervised { process, known } => {
+                write!(f, "nobody is there who would make a process beside `{process}`")?;
+                if known.is_empty() { Ok(()) } else { write!(f, "; kept by somebody: {}", list(known)) }
+            }
+            ProcessNotUp { process, why } => {
+                write!(f, "process `{process}` did not come up: {}", brief(why))
             }
             ProcessExists { process, endpoint, pid } => {
                 let endpoint = if endpoint.is_empty() { "" } else { &format!(", listening on {endpoint}") };
@@ -307,7 +330,24 @@ impl Refusal {
             ProcessNotFound { process, .. } => format!(
                 "Use one of the processes listed by `trocar ls`, or start it: `trocar host --name {process} --plugins DIR`."
             ),
-            ProcessLost { process } => format!(
+            ProcessLost { state: ProcessState::Restarting, .. } => {
+                "Ask again in a moment: its supervisor starts it and its components are made anew; what moves something \
+                 then is STOPPED and waits for Resume. `trocar ls` shows when it is ATTACHED."
+                    .into()
+            }
+            ProcessLost { process, state: ProcessState::Failed, .. } => format!(
+                "Correct what ends it (`trocar ls` shows how it ended, what it printed is in its supervisor's state \
+                 directory, {process}.output.log), then `trocar down` and `trocar up`: it ended too often, or is never to be restarted."
+            ),
+            NotSupervised { process, .. } => format!(
+                "Bring the system up with `trocar up FILE`, which keeps processes and makes more, or start one by hand \
+                 (`trocar host --name NAME --gcm ADDR`) and create the component there; without isolation it is made in {process}."
+            ),
+            ProcessNotUp { process, .. } => format!(
+                "Nothing of it is left. What it printed is in {process}.output.log of its supervisor's state directory; \
+                 correct that and ask again, or create the component without isolation."
+            ),
+            ProcessLost { process, .. } => format!(
                 "Start the process again (`trocar host --name {process}`, which `trocar up` does by itself); its components \
                 are made anew, and what moves something comes back STOPPED and waits for Resume."
             ),

@@ -178,3 +178,23 @@ fn a_refused_plugin_file_is_named_once() {
         assert_eq!(refusal.to_string(), "`/p/libx.so` is not a usable plugin: has no manifest");
     }
 }
+
+#[test]
+fn a_process_that_is_away_is_told_as_it_stands_and_what_happens_next() {
+    let process = Name::parse("right").unwrap();
+    let lost = |state, last_exit: &str| {
+        let refusal = Refusal::ProcessLost { process: process.clone(), state, last_exit: last_exit.into() };
+        (refusal.to_string(), refusal.help())
+    };
+    let (silent, help) = lost(ProcessState::Lost, "");
+    assert!(silent.contains("does not answer") && help.contains("trocar host --name right"), "{silent} {help}");
+    let (ended, _) = lost(ProcessState::Lost, "exited with code 3");
+    assert!(ended.contains("has ended: it exited with code 3"), "{ended}");
+    let (restarting, help) = lost(ProcessState::Restarting, "was killed by SIGSEGV");
+    assert!(restarting.contains("being restarted: it was killed by SIGSEGV"), "{restarting}");
+    assert!(help.contains("in a moment") && !help.contains("trocar host"), "nobody is to start a second one: {help}");
+    let (failed, help) = lost(ProcessState::Failed, "was killed by SIGSEGV");
+    assert!(failed.contains("has failed and is not started again: it was killed by SIGSEGV"), "{failed}");
+    assert!(help.contains("trocar up"), "{help}");
+    assert!(![silent, ended, restarting, failed].iter().any(|text| text.ends_with('.')), "a sentence goes on");
+}

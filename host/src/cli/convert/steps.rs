@@ -1,11 +1,11 @@
 //! Requests of a system file → steps of an Apply.
 
-use trocar_model::{ConnectOptions, Execution, Queue, Request, Target, Which};
+use trocar_model::{ConnectOptions, Execution, Name, Queue, Refusal, Request, Target, Which};
 use trocar_proto::v1;
 use trocar_proto::v1::step::Step as S;
 
 use super::{duration, to_struct};
-use crate::gcm::{Fate, Told};
+use crate::gcm::{Apart, Fate, Supervisor, Told};
 
 pub(in crate::cli) fn step(request: &Request) -> v1::Step {
     let step = match request {
@@ -14,6 +14,14 @@ pub(in crate::cli) fn step(request: &Request) -> v1::Step {
             class: class.clone(),
             config: config.as_ref().map(to_struct),
             execution: Some(self::execution(execution)),
+            ..v1::CreateRequest::default()
+        }),
+        Request::CreateApart { id, home, class, config, execution } => S::Create(v1::CreateRequest {
+            path: format!("{home}/{}", id.component),
+            class: class.clone(),
+            config: config.as_ref().map(to_struct),
+            execution: Some(self::execution(execution)),
+            isolation: "process".to_owned(),
             ..v1::CreateRequest::default()
         }),
         Request::Remove { id, force } => S::Remove(v1::RemoveRequest {
@@ -118,4 +126,22 @@ pub(in crate::cli) fn fate(told: &Told) -> v1::ProcessFate {
         last_exit: told.last_exit.clone(),
         restarts: told.restarts,
     }
+}
+
+/// What a supervisor says of itself.
+pub(in crate::cli) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
+    let apart = |a: &Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
+    v1::SuperviseRequest {
+        processes: who.processes.iter().map(ToString::to_string).collect(),
+        apart: who.apart.iter().map(apart).collect(),
+        term: who.term,
+    }
+}
+
+/// What a GCM wants of it, and which GCM that is.
+pub(in crate::cli) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Vec<Apart>), Refusal> {
+    let one = |a: &v1::ApartProcess| {
+        Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
+    };
+    Ok((told.term, told.apart.iter().map(one).collect::<Result<_, _>>()?))
 }

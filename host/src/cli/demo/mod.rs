@@ -15,7 +15,8 @@ use self::measure::{Parts, measure};
 use self::screen::Screen;
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
-use super::up::{self, System, programs};
+use super::up::programs::{self, Launch};
+use super::up::{self, System};
 use super::{hosting, logging, out, run, session, style};
 use crate::host::{StateChoice, StateDir, StopRequest};
 use crate::system_file::SystemFile;
@@ -143,8 +144,8 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
     let mut stop = StopRequest::listen();
     let state = StateDir::open(&StateChoice::Ephemeral, false)?;
     let gcm = programs::gcm(listen, state.path());
-    let hosts = programs::hosts(file, Path::new("demo.json"), plugins, state.path());
-    let mut system = System::new(up::Gcm::Own(gcm), hosts);
+    let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path());
+    let mut system = System::new(up::Gcm::Own(gcm), launch);
     let came_up = tokio::select! {
         came_up = system.come_up(file) => Some(came_up),
         () = stop.asked() => None,

@@ -8,7 +8,7 @@ use super::Session;
 use crate::cli::configure::ConfigureArgs;
 use crate::cli::connect::{ConnectArgs, Cut};
 use crate::cli::convert;
-use crate::cli::create::CreateArgs;
+use crate::cli::create::{CreateArgs, Isolation};
 use crate::cli::failure::Failure;
 use crate::cli::mutation::{Left, MutationArgs, Outcome, Standing};
 use crate::cli::states::Verb;
@@ -20,6 +20,7 @@ impl Session {
             class: args.class.clone(),
             config: args.config.as_ref().map(convert::to_struct),
             execution: (!args.execution.is_empty()).then(|| convert::typed_execution(&args.execution)),
+            isolation: args.isolation.map(|Isolation::Process| "process".to_owned()).unwrap_or_default(),
             validate_only: args.mutation.dry_run,
             expected_revision: args.mutation.expected_revision,
             ..v1::CreateRequest::default()

@@ -2,16 +2,16 @@
 
 use std::time::Duration;
 
-use trocar_model::Request;
+use trocar_model::{Refusal, Request};
 use trocar_proto::v1;
 
-use super::Session;
 use super::changes::outcome;
+use super::{Follow, Session};
 use crate::cli::convert;
 use crate::cli::failure::Failure;
 use crate::cli::mutation::Outcome;
 use crate::cli::view::SystemView;
-use crate::gcm::Told;
+use crate::gcm::{Apart, Supervisor, Told};
 
 impl Session {
     /// All of the requests as one change.
@@ -71,6 +71,17 @@ impl Session {
             Err(status) if status.code() == tonic::Code::NotFound => Ok(()),
             Err(status) => Err(self.failed(&status)),
         }
+    }
+
+    /// Asks what processes are wanted for isolated components, now and always: with the incarnation of the GCM.
+    pub(in crate::cli) async fn supervise(
+        &self,
+        who: &Supervisor,
+    ) -> Result<Follow<'_, v1::SuperviseResponse, Result<(u64, Vec<Apart>), Refusal>>, Failure> {
+        let ask = convert::supervisor(who);
+        let stream =
+            self.client().await?.attach.supervise(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(Follow { session: self, stream, view: convert::wanted })
     }
 
     /// Tells the GCM how processes stand.

@@ -3,8 +3,10 @@
 //! Invariant: whatever ends it ends its children, devices safe first; what does not come up is named with the reason, and
 //! then nothing is left.
 
+mod apart;
 mod detach;
 mod fill;
+mod keep;
 mod memory;
 mod mend;
 mod news;
@@ -14,12 +16,9 @@ mod telling;
 mod useless;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::convert::Infallible;
 use std::path::{Path, PathBuf};
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::Poll;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args;
 use tokio::net::UnixStream;
@@ -27,12 +26,10 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use trocar_model::{ComponentId, Name};
 
-use self::mend::{Mender, Tools};
-use self::news::Ears;
-use self::programs::GCM;
+use self::apart::Roster;
+use self::programs::{GCM, Launch};
 use self::standing::Standing;
 use self::telling::Voice;
-use self::useless::Patience;
 use super::failure::{Done, Exit, Failure};
 use super::session::{self, Session};
 use super::view::SystemView;
@@ -46,8 +43,6 @@ use crate::system_file::SystemFile;
 const BRING_UP: Duration = Duration::from_secs(60);
 /// How long its components may take to stop in order; then their processes stop them all the same.
 const STOP: Duration = Duration::from_secs(5);
-/// Until what could not be found out of a process is asked again.
-const ASK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Starts the processes of a system file and everything in them; stays until Ctrl-C or `trocar down`.
 #[derive(Args, Debug)]
@@ -84,7 +79,11 @@ pub(super) enum Gcm {
 /// A system on its way up, up, or on its way down.
 pub(super) struct System {
     gcm: Gcm,
+    launch: Launch,
+    /// Those of the file.
     hosts: Vec<Program>,
+    /// Those of components that were isolated since.
+    apart: watch::Sender<Roster>,
     supervisor: Supervisor,
     /// To its GCM, once there is one.
     session: Option<Session>,
@@ -146,8 +145,8 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
         Some(addr) => Gcm::Of(addr.to_owned()),
         None => Gcm::Own(programs::gcm(&args.listen, state.path())),
     };
-    let hosts = programs::hosts(&file, &args.file, &args.plugins, state.path());
-    let mut system = System::new(gcm, hosts);
+    let launch = Launch::new(&file, &args.file, &args.plugins, state.path());
+    let mut system = System::new(gcm, launch);
     let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;
     let own_log = detach::log(state.path());
@@ -242,11 +241,19 @@ pub(super) fn directory(name: &str) -> PathBuf {
 }
 
 impl System {
-    pub(super) fn new(gcm: Gcm, hosts: Vec<Program>) -> System {
-        // Nobody is heard yet.
-        let standing = watch::channel(Arc::default()).1;
-        let supervisor = Supervisor::default();
-        System { gcm, hosts, supervisor, session: None, standing, talking: Vec::new(), is_up: false }
+    pub(super) fn new(gcm: Gcm, launch: Launch) -> System {
+        System {
+            gcm,
+            hosts: launch.hosts(),
+            launch,
+            apart: watch::Sender::default(),
+            supervisor: Supervisor::default(),
+            session: None,
+            // Nobody is heard yet.
+            standing: watch::channel(Arc::default()).1,
+            talking: Vec::new(),
+            is_up: false,
+        }
     }
 
     /// Brings it up and stays; ends only when it cannot come up, with the reason.
@@ -256,81 +263,6 @@ impl System {
             Err(failure) => return failure,
         }
         match self.keep(file, Some(voice)).await {}
-    }
-
-    /// Mends what breaks and tells of it, for ever.
-    pub(super) async fn keep(&self, file: &SystemFile, voice: Option<&Voice>) -> Infallible {
-        let Some(session) = &self.session else { return std::future::pending().await };
-        let making = tokio::sync::Mutex::new(());
-        let tools = Tools { file, session, voice, making: &making };
-        let statuses = self.supervisor.statuses();
-        let now = statuses.borrow().clone();
-        let mut menders: Vec<Pin<Box<dyn Future<Output = Infallible> + '_>>> = Vec::new();
-        for name in self.names() {
-            let status = now.get(&name).cloned().unwrap_or_default();
-            let mender = Mender::new(&name, &status, &self.standing.borrow());
-            let kept = mend::keep_whole(mender, statuses.clone(), self.standing.clone(), &tools);
-            menders.push(Box::pin(kept));
-        }
-        let mended = std::future::poll_fn(|cx| {
-            for mender in &mut menders {
-                if let Poll::Ready(never) = mender.as_mut().poll(cx) {
-                    match never {}
-                }
-            }
-            Poll::<Infallible>::Pending
-        });
-        tokio::select! {
-            never = mended => match never {},
-            never = self.judge(session) => match never {},
-            never = self.tell(voice) => match never {},
-        }
-    }
-
-    /// Puts down what lives and is of no use, for ever.
-    async fn judge(&self, session: &Session) -> Infallible {
-        let policies = self.hosts.iter().map(|h| (h.name.clone(), h.policy.unheard())).collect();
-        let (mut statuses, mut standing) = (self.supervisor.statuses(), self.standing.clone());
-        let mut patience = Patience::default();
-        loop {
-            let (now, stands) = (statuses.borrow_and_update().clone(), standing.borrow_and_update().clone());
-            let (over, mut next) = patience.look(&now, &stands, &policies, Instant::now());
-            if !over.is_empty() {
-                // What was heard last may be old: a GCM that stands still says nothing new.
-                let fresh = session.standing().await.map(|listed| Standing::of(stands.term, listed));
-                for useless in over {
-                    if fresh.as_ref().is_ok_and(|fresh| useless::is_so(fresh, &useless)) {
-                        self.supervisor.put_down(&useless.process, useless.pid, useless.why);
-                    }
-                }
-                next = Some(Instant::now() + ASK_AGAIN);
-            }
-            tokio::select! {
-                _ = statuses.changed() => {}
-                _ = standing.changed() => {}
-                () = until(next) => {}
-            }
-        }
-    }
-
-    /// Tells people what happens, for ever.
-    async fn tell(&self, voice: Option<&Voice>) -> Infallible {
-        let Some(voice) = voice else { return std::future::pending().await };
-        let (mut statuses, mut standing) = (self.supervisor.statuses(), self.standing.clone());
-        let mut before = statuses.borrow_and_update().clone();
-        let mut ears = Ears::of(&standing.borrow());
-        loop {
-            let (news, next) = ears.look(&standing.borrow_and_update(), Instant::now());
-            voice.tell_of(&news);
-            tokio::select! {
-                _ = statuses.changed() => {}
-                _ = standing.changed() => {}
-                () = until(next) => {}
-            }
-            let now = statuses.borrow_and_update().clone();
-            voice.tell(&before, &now);
-            before = now;
-        }
     }
 
     /// Starts its processes, and makes in them what the file has.
@@ -354,9 +286,8 @@ impl System {
         let (standing, following) = standing::follow(&addr);
         self.standing = standing;
         self.talking = vec![telling::keep_told(&addr, self.supervisor.statuses()), following];
-        for host in &mut self.hosts {
-            host.args.extend(["--gcm".into(), addr.clone().into()]);
-            self.supervisor.start(host.clone());
+        for host in &self.hosts {
+            self.supervisor.start(under(host.clone(), &addr));
         }
         self.in_time(&names).await?;
         let fill::Filled { standing, warnings, waiting } = self.fill(file, &names).await?;
@@ -370,8 +301,10 @@ impl System {
         Ok(Up { addr, warnings, standing, waiting, place })
     }
 
+    /// Of all its processes but its GCM.
     fn names(&self) -> Vec<String> {
-        self.hosts.iter().map(|host| host.name.clone()).collect()
+        let apart = self.apart.borrow();
+        self.hosts.iter().chain(apart.values()).map(|host| host.name.clone()).collect()
     }
 
     /// Waits until these serve, for as long as a system may take; answers where the last of them does.
@@ -489,12 +422,10 @@ impl System {
     }
 }
 
-/// Never when there is nothing to wait for.
-async fn until(next: Option<Instant>) {
-    match next {
-        Some(at) => tokio::time::sleep_until(at.into()).await,
-        None => std::future::pending().await,
-    }
+/// A host that attaches to the GCM there.
+fn under(mut host: Program, addr: &str) -> Program {
+    host.args.extend(["--gcm".into(), addr.into()]);
+    host
 }
 
 /// What of these names is listed and not there: said to be gone. One that is there after all is protected by its number.

@@ -6,6 +6,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use trocar_model::{ComponentId, Name};
+
 use crate::cli::hosting;
 use crate::processes::{Limits, Policy, Program};
 use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
@@ -41,10 +43,38 @@ pub(in crate::cli) fn gcm(listen: &str, state: &Path) -> Program {
     }
 }
 
-/// The processes of a file that lies at `at`; its paths are relative to that.
-pub(in crate::cli) fn hosts(file: &SystemFile, at: &Path, plugins: &[PathBuf], state: &Path) -> Vec<Program> {
-    let base = absolute(at.parent().unwrap_or(Path::new("")));
-    file.processes.iter().map(|process| host(process, &base, plugins, state)).collect()
+/// What makes programs of the processes of a file.
+pub(in crate::cli) struct Launch {
+    processes: Vec<ProcessSpec>,
+    /// Its paths are relative to this.
+    base: PathBuf,
+    plugins: Vec<PathBuf>,
+    state: PathBuf,
+}
+
+impl Launch {
+    /// Of a file that lies at `at`; `plugins` instead of its own, when there are any.
+    pub(in crate::cli) fn new(file: &SystemFile, at: &Path, plugins: &[PathBuf], state: &Path) -> Launch {
+        let base = absolute(at.parent().unwrap_or(Path::new("")));
+        let (processes, plugins, state) = (file.processes.clone(), plugins.to_vec(), state.to_owned());
+        Launch { processes, base, plugins, state }
+    }
+
+    pub(super) fn hosts(&self) -> Vec<Program> {
+        self.processes.iter().map(|process| self.host(process)).collect()
+    }
+
+    /// One for an isolated component, made like `home`; `None`: that is no process of the file.
+    pub(super) fn apart(&self, process: &Name, home: &Name) -> Option<Program> {
+        let home = self.processes.iter().find(|p| p.name == *home)?;
+        let component = process.as_str().strip_prefix(home.name.as_str())?.strip_prefix('.')?;
+        let lives = ComponentId::new(process.clone(), Name::parse(component).ok()?);
+        Some(self.host(&home.apart(&lives)))
+    }
+
+    fn host(&self, process: &ProcessSpec) -> Program {
+        host(process, &self.base, &self.plugins, &self.state)
+    }
 }
 
 fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -> Program {
@@ -56,13 +86,8 @@ fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -
     };
     let mut args: Vec<OsString> = ["host", "--name", name, "--state"].map(OsString::from).into();
     args.push(state.into());
-    let dirs: Vec<PathBuf> = match (plugins.is_empty(), process.plugins.is_empty()) {
-        (false, _) => plugins.iter().map(|dir| absolute(dir)).collect(),
-        (true, false) => process.plugins.iter().map(|dir| base.join(dir)).collect(),
-        (true, true) => hosting::plugin_dirs(Vec::new()).iter().map(|dir| absolute(dir)).collect(),
-    };
-    for dir in dirs {
-        args.extend(["--plugins".into(), dir.into()]);
+    for dir in hosting::plugins_of(process, base, plugins.to_vec()) {
+        args.extend(["--plugins".into(), absolute(&dir).into()]);
     }
     if let TrustSpec::AllowList(list) = &process.trust {
         let mut trust = OsString::from("allowlist:");

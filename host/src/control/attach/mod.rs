@@ -97,6 +97,31 @@ impl AttachService for AttachEdge {
         Ok(Response::new(ReceiverStream::new(orders)))
     }
 
+    type SuperviseStream = ReceiverStream<Result<v1::SuperviseResponse, Status>>;
+
+    async fn supervise(
+        &self,
+        request: Request<v1::SuperviseRequest>,
+    ) -> Result<Response<Self::SuperviseStream>, Status> {
+        let who = convert::supervisor(request.into_inner()).map_err(|refusal| status(&refusal))?;
+        let (mut supervising, term) = (self.gcm.supervise(who), self.gcm.term());
+        let (tell, told) = mpsc::channel(1);
+        let mut open = self.open.clone();
+        tokio::spawn(async move {
+            loop {
+                let wanted = tokio::select! {
+                    wanted = supervising.next() => wanted,
+                    () = tell.closed() => return,
+                    _ = open.changed() => return,
+                };
+                if tell.send(Ok(convert::wanted_apart(term, wanted))).await.is_err() {
+                    return;
+                }
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(told)))
+    }
+
     async fn tell(&self, request: Request<v1::TellRequest>) -> Result<Response<v1::TellResponse>, Status> {
         let told: Result<Vec<Told>, Refusal> =
             request.into_inner().processes.into_iter().map(convert::told).collect();

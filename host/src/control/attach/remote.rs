@@ -107,7 +107,7 @@ impl RemoteLcm {
     }
 
     fn lost(&self) -> Refusal {
-        Refusal::ProcessLost { process: self.process.clone() }
+        Refusal::lost(self.process.clone())
     }
 
     fn answered(&self, answer: v1::Answer) {

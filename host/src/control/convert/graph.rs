@@ -8,7 +8,7 @@ use trocar_proto::v1;
 use super::answers::{link, proxy, stats};
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
-use crate::gcm::{Fate, Told};
+use crate::gcm::{Apart, Fate, Supervisor, Told};
 use crate::lcm::{Detail, LinkDetail, Report};
 
 pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
@@ -48,6 +48,24 @@ pub(crate) fn told(fate: v1::ProcessFate) -> Result<Told, Refusal> {
     };
     let v1::ProcessFate { pid, last_exit, restarts, .. } = fate;
     Ok(Told { process, fate: what, pid, last_exit, restarts })
+}
+
+/// A supervisor that asks what is wanted of it.
+pub(crate) fn supervisor(r: v1::SuperviseRequest) -> Result<Supervisor, Refusal> {
+    let apart = |a: &v1::ApartProcess| {
+        Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
+    };
+    Ok(Supervisor {
+        processes: r.processes.iter().map(|name| Name::parse(name)).collect::<Result<_, _>>()?,
+        apart: r.apart.iter().map(apart).collect::<Result<_, _>>()?,
+        term: r.term,
+    })
+}
+
+/// What is wanted of a supervisor.
+pub(crate) fn wanted_apart(term: u64, wanted: Vec<Apart>) -> v1::SuperviseResponse {
+    let one = |a: Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
+    v1::SuperviseResponse { term, apart: wanted.into_iter().map(one).collect() }
 }
 
 pub(crate) fn component(id: &ComponentId, c: &Component, detail: Option<&Detail>) -> v1::Component {

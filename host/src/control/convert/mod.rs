@@ -18,7 +18,9 @@ pub(super) use change::{
     change_in, change_out, classes_in, far_in, far_out, inventory_in, inventory_out, report_in, slice_in,
     slice_out,
 };
-pub(super) use graph::{Figures, component, connection, list, process, report, told};
+pub(super) use graph::{
+    Figures, component, connection, list, process, report, supervisor, told, wanted_apart,
+};
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
 pub(super) use requests::{Common, configure, connect, create, disconnect, remove, steps, targets};

@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 use serde_json::{Value, json};
-use trocar_model::{ComponentId, MemberId, Name, PortId, Refusal, State, Verb, Violation};
+use trocar_model::{ComponentId, MemberId, Name, PortId, ProcessState, Refusal, State, Verb, Violation};
 use trocar_proto::v1;
 
 /// A value that travels as JSON.
@@ -38,7 +38,9 @@ macro_rules! refusals {
 refusals! {
     BadPath { text, why }
     ProcessNotFound { process, known }
-    ProcessLost { process }
+    ProcessLost { process, state, last_exit }
+    NotSupervised { process, known }
+    ProcessNotUp { process, why }
     ProcessExists { process, endpoint, pid }
     ManagedElsewhere { at }
     PluginNotFound { name, known }
@@ -174,7 +176,7 @@ macro_rules! words {
         }
     )*};
 }
-words!(State, Verb);
+words!(State, Verb, ProcessState);
 
 /// Words the refusals use for entries of a component and for kinds of ends.
 const WORDS: [&str; 19] = [

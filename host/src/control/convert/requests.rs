@@ -44,7 +44,18 @@ pub(crate) fn create(r: v1::CreateRequest) -> Result<Request, Refusal> {
         return Err(invalid("Create", "class is missing: name one of the process's classes", "class"));
     }
     let execution = r.execution.map(execution).transpose()?.unwrap_or_default();
-    Ok(Request::Create { id, class: r.class, config: r.config.map(from_struct), execution })
+    let (class, config) = (r.class, r.config.map(from_struct));
+    match r.isolation.as_str() {
+        "" => Ok(Request::Create { id, class, config, execution }),
+        "process" => Ok(Request::CreateApart { id: id.apart()?, home: id.process, class, config, execution }),
+        other => {
+            let why = format!(
+                "isolation \"{}\" is unknown: leave it out, or give \"process\" for a process of its own",
+                brief(other)
+            );
+            Err(invalid(&format!("Create {id}"), why, "isolation"))
+        }
+    }
 }
 
 pub(crate) fn remove(r: v1::RemoveRequest) -> Result<Request, Refusal> {

@@ -53,7 +53,7 @@ impl LocalLcm {
         {
             let held = self.held();
             if held.closed {
-                return Err(Refusal::ProcessLost { process: self.hub.process.clone() });
+                return Err(Refusal::lost(self.hub.process.clone()));
             }
             if held.components.contains_key(&id) {
                 return Err(Refusal::ComponentExists { id });
@@ -110,7 +110,7 @@ impl LocalLcm {
                 };
                 if closed {
                     self.abandon(&slot, executor.1);
-                    return Err(Refusal::ProcessLost { process: self.hub.process.clone() });
+                    return Err(Refusal::lost(self.hub.process.clone()));
                 }
                 self.reorder(&slot);
                 Ok(report)

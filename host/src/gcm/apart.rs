@@ -1,0 +1,225 @@
+//! Processes for single components: who can make them, and which are wanted.
+//!
+//! Invariant: what is wanted is one list, told whole to its supervisors at every change. A process that was wanted for a request
+//! that failed, or whose component was removed, is taken from it again, so none is left behind.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+use trocar_model::{Change, Name, Plan, Process, ProcessState, Refusal, Request};
+
+use super::Gcm;
+use super::execute::{ExecuteOptions, Executed};
+
+/// How long a process that is not wanted any more is waited for: its supervisor ends it all the same.
+const GONE: Duration = Duration::from_secs(3);
+
+/// A process for one component alone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Apart {
+    pub process: Name,
+    /// The one it is made like.
+    pub home: Name,
+}
+
+/// What a supervisor says of itself.
+#[derive(Clone, Debug, Default)]
+pub struct Supervisor {
+    /// The processes beside which it can make others.
+    pub processes: BTreeSet<Name>,
+    /// Those it keeps for isolated components.
+    pub apart: Vec<Apart>,
+    /// The GCM that wanted those.
+    pub term: u64,
+}
+
+#[derive(Default)]
+pub(super) struct Isolation {
+    /// By process: the one it is made like.
+    wanted: BTreeMap<Name, Name>,
+    /// Those that listen, by number: beside what they can make others.
+    listening: BTreeMap<u64, BTreeSet<Name>>,
+    newest: u64,
+}
+
+/// A supervisor that listens; it is counted on until this is dropped.
+pub struct Supervising {
+    gcm: Gcm,
+    number: u64,
+    all: watch::Receiver<Isolation>,
+    told: Option<Vec<Apart>>,
+}
+
+impl Supervising {
+    /// All that is wanted of it: at once, and then whenever that is something else.
+    pub async fn next(&mut self) -> Vec<Apart> {
+        loop {
+            let now = {
+                let all = self.all.borrow_and_update();
+                let homes = all.listening.get(&self.number);
+                let its =
+                    all.wanted.iter().filter(|(_, home)| homes.is_some_and(|homes| homes.contains(*home)));
+                its.map(|(process, home)| Apart { process: process.clone(), home: home.clone() }).collect()
+            };
+            if self.told.as_ref() != Some(&now) {
+                self.told = Some(now.clone());
+                return now;
+            }
+            // It lives as long as the GCM, which this holds.
+            let _ = self.all.changed().await;
+        }
+    }
+}
+
+impl Drop for Supervising {
+    fn drop(&mut self) {
+        self.gcm.inner.isolation.send_modify(|all| _ = all.listening.remove(&self.number));
+    }
+}
+
+impl Gcm {
+    /// Takes a supervisor in. What it keeps for a GCM before this one is wanted; what it keeps for this one is known better here.
+    pub fn supervise(&self, who: Supervisor) -> Supervising {
+        let mut number = 0;
+        self.inner.isolation.send_modify(|all| {
+            all.newest += 1;
+            number = all.newest;
+            if who.term != self.term() {
+                all.wanted.extend(who.apart.into_iter().map(|apart| (apart.process, apart.home)));
+            }
+            all.listening.insert(number, who.processes);
+        });
+        Supervising { gcm: self.clone(), number, all: self.inner.isolation.subscribe(), told: None }
+    }
+
+    /// Whether somebody is there who makes these.
+    pub(super) fn can_be_made(&self, apart: &[Apart]) -> Result<(), Refusal> {
+        let all = self.inner.isolation.borrow();
+        match apart.iter().find(|apart| all.listening.values().all(|homes| !homes.contains(&apart.home))) {
+            Some(apart) => {
+                let known: BTreeSet<&Name> = all.listening.values().flatten().collect();
+                let known = known.into_iter().cloned().collect();
+                Err(Refusal::NotSupervised { process: apart.home.clone(), known })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Has them made, and waits until they are here.
+    ///
+    /// # Errors
+    /// ProcessNotUp, with how it ended; then all of them are to be ended.
+    pub(super) async fn begin_apart(&self, apart: &[Apart], deadline: Instant) -> Result<(), Refusal> {
+        if apart.is_empty() {
+            return Ok(());
+        }
+        let began = Instant::now();
+        let wanted = |a: &Apart| (a.process.clone(), a.home.clone());
+        self.inner.isolation.send_modify(|all| all.wanted.extend(apart.iter().map(wanted)));
+        let mut graphs = self.watch();
+        for Apart { process, .. } in apart {
+            let settled = |p: &Process| match p.state {
+                ProcessState::Attached | ProcessState::Failed => true,
+                ProcessState::Lost => !p.last_exit.is_empty(),
+                ProcessState::Restarting => false,
+            };
+            let settled = graphs.wait_for(|graph| graph.processes.get(process).is_some_and(settled));
+            let why = match tokio::time::timeout_at(deadline.into(), settled).await {
+                Ok(Ok(graph)) => match graph.processes.get(process) {
+                    Some(there) if there.state == ProcessState::Attached => continue,
+                    Some(away) => {
+                        format!("it {}, and {} restarts did not help", away.last_exit, away.restarts)
+                    }
+                    None => "it is gone again".to_owned(),
+                },
+                _ => {
+                    let within = began.elapsed().as_secs_f64();
+                    let ended = self.graph().processes.get(process).map(|p| p.last_exit.clone());
+                    let ended = ended.filter(|exit| !exit.is_empty()).map(|exit| format!("; it {exit}"));
+                    format!("nothing was heard of it within {within:.1} s{}", ended.unwrap_or_default())
+                }
+            };
+            return Err(Refusal::ProcessNotUp { process: process.clone(), why });
+        }
+        Ok(())
+    }
+
+    /// They are not wanted any more. Waits until they have gone.
+    pub(super) async fn end_apart(&self, processes: BTreeSet<Name>) {
+        if processes.is_empty() {
+            return;
+        }
+        self.not_wanted(&processes);
+        let mut graphs = self.watch();
+        let gone = graphs.wait_for(|graph| processes.iter().all(|name| !graph.processes.contains_key(name)));
+        if tokio::time::timeout(GONE, gone).await.is_err() {
+            log::warn!("not ended within {} s: {processes:?}; they are not wanted any more", GONE.as_secs());
+        }
+    }
+
+    /// Removes an isolated component whose process is away, by ending that. `None`: nothing of the kind is asked.
+    ///
+    /// # Errors
+    /// RevisionConflict; ProcessLost when its supervisor does not answer.
+    pub(super) async fn remove_away(
+        &self,
+        requests: &[Request],
+        options: &ExecuteOptions,
+    ) -> Result<Option<Executed>, Refusal> {
+        let [Request::Remove { id, force }] = requests else { return Ok(None) };
+        let graph = self.graph();
+        let Some(process) = graph.processes.get(&id.process) else { return Ok(None) };
+        let used = || {
+            let mut ends = graph.connections.values().flat_map(|c| [&c.client, &c.server]);
+            ends.any(|end| end.component == *id)
+        };
+        let is_here = process.state == ProcessState::Attached || !graph.components.contains_key(id);
+        if options.validate_only || is_here || !force && used() || !self.is_wanted(&id.process) {
+            return Ok(None);
+        }
+        if let Some(expected) = options.expected_revision.filter(|expected| *expected != graph.revision) {
+            return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
+        }
+        self.end_apart([id.process.clone()].into()).await;
+        let graph = self.graph();
+        match graph.processes.get(&id.process) {
+            Some(there) => Err(there.lost(&id.process)),
+            None => Ok(Some(Executed { revision: graph.revision, ..Executed::default() })),
+        }
+    }
+
+    fn is_wanted(&self, process: &Name) -> bool {
+        self.inner.isolation.borrow().wanted.contains_key(process)
+    }
+
+    pub(super) fn not_wanted(&self, processes: &BTreeSet<Name>) {
+        self.inner.isolation.send_if_modified(|all| {
+            let before = all.wanted.len();
+            all.wanted.retain(|process, _| !processes.contains(process));
+            all.wanted.len() != before
+        });
+    }
+
+    /// Those of isolated components that the plan has removed.
+    pub(super) fn emptied(&self, plan: &Plan) -> BTreeSet<Name> {
+        let (graph, all) = (self.graph(), self.inner.isolation.borrow());
+        let left = plan.changes.iter().filter_map(|change| match change {
+            Change::Destroy { id, .. } => Some(&id.process),
+            _ => None,
+        });
+        let is_empty = |process: &Name| graph.components.keys().all(|id| id.process != *process);
+        left.filter(|process| all.wanted.contains_key(*process) && is_empty(process)).cloned().collect()
+    }
+}
+
+/// The processes that requests are to make.
+pub(super) fn asked_apart(requests: &[Request]) -> Vec<Apart> {
+    let apart = requests.iter().filter_map(|request| match request {
+        Request::CreateApart { id, home, .. } => {
+            Some(Apart { process: id.process.clone(), home: home.clone() })
+        }
+        _ => None,
+    });
+    apart.collect()
+}
