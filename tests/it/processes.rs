@@ -130,20 +130,7 @@ fn a_process_that_dies_again_and_again_is_given_up_and_the_others_go_on() {
     let policy = "\"right\": { \"restart\": { \"within_s\": 1000 },";
     let mut two = System::up(&TWO.replacen("\"right\": {", policy, 1), &[]);
     let left = two.host("left");
-    let mut last = 0;
-    eventually("right is FAILED", || {
-        let right = two.host("right");
-        if right["state"] == "PROCESS_STATE_FAILED" {
-            return Ok(());
-        }
-        let now = pid(&right);
-        if right["state"] == "PROCESS_STATE_ATTACHED" && now != last {
-            last = now;
-            kill("-KILL", now);
-        }
-        Err(right.to_string())
-    });
-    let right = two.host("right");
+    let right = two.kill_until_failed("right");
     assert_eq!((right["lastExit"].as_str(), number(&right["restarts"])), (Some("was killed by SIGKILL"), 3));
     eventually("it is told", || {
         let printed = two.process.printed();
@@ -289,12 +276,7 @@ fn the_gcm_of_somebody_else_is_left_as_it_was() {
 #[test]
 fn a_process_that_stood_still_goes_on_as_it_was() {
     let two = System::up(TWO, &[]);
-    let before = two.host("right");
-    kill("-STOP", pid(&before));
-    eventually("it is missed", || match two.host("right") {
-        right if right["state"] == "PROCESS_STATE_LOST" => Ok(()),
-        right => Err(right.to_string()),
-    });
+    let before = two.hold("right");
     assert_eq!(two.grpc.state("left/s"), "ACTIVE");
     kill("-CONT", pid(&before));
     eventually("it is heard again", || {
@@ -428,6 +410,24 @@ fn what_the_file_lets_go_on_by_itself_does() {
     two.await_back("right", &before);
     two.grpc.await_state("right/c", "ACTIVE");
     assert_eq!(two.grpc.state("right/off"), "READY");
+}
+
+#[test]
+fn what_had_failed_before_a_crash_is_not_let_go_on_by_it() {
+    let broken =
+        r#"{ "class": "chaos", "resume": "auto", "config": { "error_in": "step", "good_steps": 20 } }"#;
+    let goes_on = "{ \"class\": \"chaos\", \"resume\": \"auto\" }, \"right/broken\": ".to_owned() + broken;
+    let two = System::up(&TWO.replacen("{ \"class\": \"chaos\" }", &goes_on, 1), &[]);
+    two.grpc.await_state("right/broken", "FAULT");
+    let before = two.host("right");
+    kill("-KILL", pid(&before));
+    two.await_back("right", &before);
+    two.grpc.await_state("right/c", "ACTIVE");
+    // All that goes on by itself is let go on in one step.
+    let broken = two.grpc.component("right/broken");
+    assert_eq!(broken["stopReason"], "STOP_REASON_RESTARTED", "nobody has looked at why: {broken}");
+    assert_eq!(number(&broken["stats"]["executed"]), 0, "{broken}");
+    two.grpc.ok("GcmService/Resume", json!({ "path": "right/broken" }));
 }
 
 #[test]

@@ -25,6 +25,7 @@ mod logging;
 mod logs;
 mod ls;
 mod mutation;
+mod named;
 mod out;
 mod plugin;
 mod plugin_check;

@@ -10,12 +10,13 @@ use serde_json::json;
 use trocar_model::Refusal;
 
 use super::failure::{Done, Exit, Failure};
+use super::named::FileArgs;
 use super::session::Session;
 use super::{hosting, logging, out, session};
 use crate::gcm::ExecuteOptions;
 use crate::host::{Host, HostConfig, StopRequest};
 use crate::loader::{AllowList, Trust};
-use crate::system_file::{BadSet, SystemFile, TrustSpec};
+use crate::system_file::{SystemFile, TrustSpec};
 
 /// How long a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
@@ -29,15 +30,8 @@ Ctrl-C stops it, devices safe first; nothing is kept for the next run.";
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct RunArgs {
-    /// The system file (`trocar schema system` describes it).
-    file: PathBuf,
-    /// Another value for one setting, JSON or plain text: process/component.key=value; may be given several times.
-    #[arg(long = "set", value_name = "ASSIGNMENT")]
-    sets: Vec<String>,
-    /// Plugin directory instead of the file's; may be given several times [where neither: ./plugins, else where this program
-    /// lies].
-    #[arg(long, value_name = "DIR")]
-    plugins: Vec<PathBuf>,
+    #[command(flatten)]
+    named: FileArgs,
     /// Address to listen on; port 0 takes a free one.
     #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
     listen: String,
@@ -54,12 +48,9 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
         ));
     }
     logging::install(log::LevelFilter::Warn);
-    let mut file = SystemFile::read(&args.file)?;
-    for assignment in &args.sets {
-        file.set(assignment)?;
-    }
-    let base = args.file.parent().unwrap_or(Path::new("")).to_owned();
-    let config = config(&file, &base, args.plugins, args.listen)?;
+    let file = args.named.read()?;
+    let base = args.named.file.parent().unwrap_or(Path::new("")).to_owned();
+    let config = config(&file, &base, args.named.plugins, args.listen)?;
     let mut stop = StopRequest::listen();
     let mut host = config.start().await?;
     logging::to_readers(host.own_lines());
@@ -168,10 +159,4 @@ pub(super) fn hints(addr: &str, command: Option<&str>) -> String {
     }
     text.push_str("Ctrl-C stops it, devices safe first.\n");
     text
-}
-
-impl From<BadSet> for Failure {
-    fn from(bad: BadSet) -> Self {
-        Failure::usage(bad.to_string(), bad.help)
-    }
 }

@@ -1,6 +1,7 @@
 //! What a GCM promises, against an LCM that does as it is told.
 #![allow(clippy::unwrap_used)]
 
+mod apart;
 mod between;
 mod hanging;
 mod hearing;

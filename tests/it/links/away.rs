@@ -43,6 +43,47 @@ fn both_ends_killed_at_once_come_back_linked() {
 }
 
 #[test]
+fn what_was_connected_since_the_file_was_read_comes_back_when_the_gcm_is_lost_with_an_end() {
+    let two = pair();
+    two.grpc.ok("GcmService/Disconnect", json!({ "client": "right/e/sample", "server": "left/s/value" }));
+    two.grpc.create("right/late", "echo", json!({}));
+    let options = json!({ "queue": { "fifo": 7, "dropOldest": true } });
+    let late = json!({ "client": "right/late/sample", "server": "left/s/value", "options": options });
+    two.grpc.ok("GcmService/Connect", late);
+    two.grpc.start("right/late");
+    two.grpc.ok("GcmService/Remove", json!({ "path": "right/e" }));
+    await_linked(&two.grpc, "right/late/sample", 0);
+    let (left, right) = (two.host("left"), two.host("right"));
+    kill("-KILL", two.gcm_pid());
+    kill("-KILL", pid(&right));
+    let listed = eventually("all that right had is back", || {
+        let ls = two.trocar().run(&["ls", "--json"]);
+        let listed = if ls.code == 0 { ls.json() } else { Value::Null };
+        let is_active = |path: &str| {
+            let all = listed["components"].as_array();
+            all.is_some_and(|all| all.iter().any(|c| c["path"] == path && c["state"] == "ACTIVE"))
+        };
+        let connections = listed["connections"].as_array().map_or(0, Vec::len);
+        let whole =
+            ["right/late", "right/client", "left/s", "left/server"].iter().all(|path| is_active(path));
+        if whole && connections == 2 { Ok(listed) } else { Err(format!("{ls:?}")) }
+    });
+    let back = await_linked(&two.grpc, "right/late/sample", 0);
+    assert_eq!(
+        (&back["options"]["queue"]["fifo"], &back["options"]["queue"]["dropOldest"]),
+        (&json!(7), &json!(true))
+    );
+    for client in ["right/late/sample", "right/client/Required"] {
+        await_linked(&two.grpc, client, 0);
+        await_flow(&two.grpc, client);
+    }
+    let paths: Vec<&str> =
+        listed["components"].as_array().unwrap().iter().filter_map(|c| c["path"].as_str()).collect();
+    assert!(!paths.contains(&"right/e"), "somebody had removed it: {paths:?}");
+    assert_eq!(pid(&two.host("left")), pid(&left), "nobody else was touched");
+}
+
+#[test]
 fn a_dead_end_is_shown_with_its_reason_and_can_be_disconnected() {
     let once = PAIR.replacen("\"left\": {", "\"left\": { \"restart\": \"never\",", 1);
     let two = System::up_with(&PLUGINS, &once, &[]);
@@ -66,13 +107,8 @@ fn a_dead_end_is_shown_with_its_reason_and_can_be_disconnected() {
 #[test]
 fn a_half_that_was_given_up_while_its_process_stood_still_is_cut_when_it_comes_back() {
     let two = pair();
-    let left = two.host("left");
     let before = await_linked(&two.grpc, "right/client/Required", 0);
-    kill("-STOP", pid(&left));
-    eventually("left is missed", || match two.host("left") {
-        now if now["state"] == "PROCESS_STATE_LOST" => Ok(()),
-        now => Err(now.to_string()),
-    });
+    let left = two.hold("left");
     let new = two.grpc.refused(
         "GcmService/Connect",
         json!({ "client": "right/e/sample", "server": "left/s/value", "options": { "replace": true } }),

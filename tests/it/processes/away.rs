@@ -13,12 +13,7 @@ use super::system::{System, connected, kill, pid};
 #[test]
 fn what_is_stopped_while_its_process_stands_still_is_stopped_when_that_goes_on() {
     let two = System::up(TWO, &[]);
-    let before = two.host("right");
-    kill("-STOP", pid(&before));
-    eventually("it is missed", || match two.host("right") {
-        right if right["state"] == "PROCESS_STATE_LOST" => Ok(()),
-        right => Err(right.to_string()),
-    });
+    let before = two.hold("right");
     let answer = two.grpc.ok("GcmService/Stop", json!({ "path": "right/c" }));
     assert!(answer["skipped"].to_string().contains("right/c"), "nobody could tell it: {answer}");
     kill("-CONT", pid(&before));

@@ -175,19 +175,7 @@ fn one_that_crashes_again_and_again_is_given_up_and_can_be_removed() {
     let policy = "\"right\": { \"restart\": { \"within_s\": 1000 },";
     let two = System::up(&TWO.replacen("\"right\": {", policy, 1), &[]);
     two.grpc.ok("GcmService/Create", isolated("right", "x", "sine"));
-    let mut last = 0;
-    eventually("it is FAILED", || {
-        let own = two.host("right.x");
-        if own["state"] == "PROCESS_STATE_FAILED" {
-            return Ok(());
-        }
-        let now = pid(&own);
-        if own["state"] == "PROCESS_STATE_ATTACHED" && now != last {
-            last = now;
-            kill("-KILL", now);
-        }
-        Err(own.to_string())
-    });
+    two.kill_until_failed("right.x");
     let refused = two.grpc.refused("GcmService/Start", json!({ "path": "right.x/x" }));
     assert_eq!(refused.reason, "PROCESS_LOST", "{refused}");
     assert!(refused.message.contains("failed") && refused.message.contains("SIGKILL"), "{refused}");

@@ -65,6 +65,34 @@ impl System {
         });
     }
 
+    /// Kills every incarnation of a process until it is given up; how it stands then.
+    pub(crate) fn kill_until_failed(&self, name: &str) -> Value {
+        let mut last = 0;
+        eventually(&format!("{name} is FAILED"), || {
+            let process = self.host(name);
+            if process["state"] == "PROCESS_STATE_FAILED" {
+                return Ok(process);
+            }
+            let now = pid(&process);
+            if process["state"] == "PROCESS_STATE_ATTACHED" && now != last {
+                last = now;
+                kill("-KILL", now);
+            }
+            Err(process.to_string())
+        })
+    }
+
+    /// Stops a process from running and waits until that is noticed; how it was before.
+    pub(crate) fn hold(&self, name: &str) -> Value {
+        let before = self.host(name);
+        kill("-STOP", pid(&before));
+        eventually(&format!("{name} is missed"), || match self.host(name) {
+            now if now["state"] == "PROCESS_STATE_LOST" => Ok(()),
+            now => Err(now.to_string()),
+        });
+        before
+    }
+
     /// Its children: the GCM and the hosts.
     pub(crate) fn pids(&self) -> Vec<u64> {
         children(u64::from(self.process.pid()))

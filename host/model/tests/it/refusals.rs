@@ -187,14 +187,23 @@ fn a_process_that_is_away_is_told_as_it_stands_and_what_happens_next() {
         (refusal.to_string(), refusal.help())
     };
     let (silent, help) = lost(ProcessState::Lost, "");
-    assert!(silent.contains("does not answer") && help.contains("trocar host --name right"), "{silent} {help}");
+    assert!(
+        silent.contains("does not answer") && help.contains("trocar host --name right"),
+        "{silent} {help}"
+    );
     let (ended, _) = lost(ProcessState::Lost, "exited with code 3");
     assert!(ended.contains("has ended: it exited with code 3"), "{ended}");
     let (restarting, help) = lost(ProcessState::Restarting, "was killed by SIGSEGV");
     assert!(restarting.contains("being restarted: it was killed by SIGSEGV"), "{restarting}");
-    assert!(help.contains("in a moment") && !help.contains("trocar host"), "nobody is to start a second one: {help}");
+    assert!(
+        help.contains("in a moment") && !help.contains("trocar host"),
+        "nobody is to start a second one: {help}"
+    );
     let (failed, help) = lost(ProcessState::Failed, "was killed by SIGSEGV");
     assert!(failed.contains("has failed and is not started again: it was killed by SIGSEGV"), "{failed}");
     assert!(help.contains("trocar up"), "{help}");
-    assert!(![silent, ended, restarting, failed].iter().any(|text| text.ends_with('.')), "a sentence goes on");
+    assert!(
+        ![silent, ended, restarting, failed].iter().any(|text| text.ends_with('.')),
+        "a sentence goes on"
+    );
 }

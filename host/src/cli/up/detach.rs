@@ -107,12 +107,12 @@ fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
         all.push(text);
     };
     give("listen", args.listen.clone().into());
-    args.sets.iter().for_each(|set| give("set", set.into()));
-    args.plugins.iter().for_each(|dir| give("plugins", dir.into()));
+    args.named.sets.iter().for_each(|set| give("set", set.into()));
+    args.named.plugins.iter().for_each(|dir| give("plugins", dir.into()));
     args.name.iter().for_each(|name| give("name", name.as_str().into()));
     gcm.into_iter().for_each(|addr| give("gcm", addr.into()));
     all.push("--".into());
-    all.push(args.file.clone().into());
+    all.push(args.named.file.clone().into());
     all
 }
 
@@ -158,7 +158,10 @@ mod tests {
         let read = read.try_get_matches_from(&again).unwrap();
         let read = Typed::from_arg_matches(&read).unwrap().up;
         assert!(read.detached && !read.detach, "{again:?}");
-        assert_eq!((read.file, read.sets, read.plugins), (typed.file, typed.sets, typed.plugins));
+        assert_eq!(
+            (read.named.file, read.named.sets, read.named.plugins),
+            (typed.named.file, typed.named.sets, typed.named.plugins)
+        );
         assert_eq!((read.name, read.listen), (typed.name, typed.listen));
         let gcm = super::again(&Typed::try_parse_from(line).unwrap().up, Some("h:1"));
         assert!(gcm.contains(&"--gcm=h:1".into()), "{gcm:?}");

@@ -91,12 +91,17 @@ impl Mender {
         Ok(())
     }
 
-    /// What it is to have.
+    /// What it is to have: what is of the file in its order, then what came since.
     fn should_have(&self, file: &SystemFile) -> Vec<ComponentId> {
-        if self.memory.is_known() {
-            return self.memory.components();
+        let written = self.here(file).map(|c| c.id.clone());
+        if !self.memory.is_known() {
+            return written.collect();
         }
-        self.here(file).map(|c| c.id.clone()).collect()
+        let known = self.memory.components();
+        let mut all: Vec<ComponentId> = written.filter(|id| known.contains(id)).collect();
+        let since: Vec<ComponentId> = known.into_iter().filter(|id| !all.contains(id)).collect();
+        all.extend(since);
+        all
     }
 
     /// What makes that, and what it is connected to.
@@ -437,7 +442,7 @@ mod tests {
         // A GCM that has not heard of b again yet: the connection to it is still remembered.
         assert!(!mender.look(&running(7, 0), &Standing { term: 2, connections: BTreeMap::new(), ..seen }));
         let paths: Vec<String> = mender.should_have(&file()).iter().map(ToString::to_string).collect();
-        assert_eq!(paths, ["a/new", "a/y"], "not what somebody removed");
+        assert_eq!(paths, ["a/y", "a/new"], "not what somebody removed");
         let connects: Vec<Request> = mender.requests(&file()).into_iter().skip(2).collect();
         let [Request::Connect { client, server, options }] = &connects[..] else { panic!("{connects:?}") };
         assert_eq!((client.to_string(), server.to_string()), ("a/new/in".to_owned(), "b/z/o".to_owned()));

@@ -31,6 +31,7 @@ use self::programs::{GCM, Launch};
 use self::standing::Standing;
 use self::telling::Voice;
 use super::failure::{Done, Exit, Failure};
+use super::named::FileArgs;
 use super::session::{self, Session};
 use super::view::SystemView;
 use super::{hosting, logging};
@@ -47,14 +48,8 @@ const STOP: Duration = Duration::from_secs(5);
 /// Starts the processes of a system file and everything in them; stays until Ctrl-C or `trocar down`.
 #[derive(Args, Debug)]
 pub(super) struct UpArgs {
-    /// The system file (`trocar schema system` describes it).
-    file: PathBuf,
-    /// Another value for one setting: process/component.key=value; may be given several times.
-    #[arg(long = "set", value_name = "ASSIGNMENT")]
-    sets: Vec<String>,
-    /// Plugin directories instead of the file's; may be given several times.
-    #[arg(long, value_name = "DIR")]
-    plugins: Vec<PathBuf>,
+    #[command(flatten)]
+    named: FileArgs,
     /// Address of the system's own GCM; port 0 takes a free one. With --gcm there is none.
     #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
     listen: String,
@@ -127,7 +122,7 @@ impl Up {
 }
 
 pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
-    let name = name_of(args.name.as_ref(), &args.file)?;
+    let name = name_of(args.name.as_ref(), &args.named.file)?;
     let place = directory(&name);
     if args.detach {
         return detach::run(&args, &place, &name, session).await;
@@ -145,7 +140,7 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
         Some(addr) => Gcm::Of(addr.to_owned()),
         None => Gcm::Own(programs::gcm(&args.listen, state.path())),
     };
-    let launch = Launch::new(&file, &args.file, &args.plugins, state.path());
+    let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path());
     let mut system = System::new(gcm, launch);
     let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;
@@ -199,13 +194,10 @@ fn no_door(dir: &Path, e: &std::io::Error) -> Failure {
 }
 
 fn read(args: &UpArgs) -> Result<SystemFile, Failure> {
-    let mut file = SystemFile::read(&args.file)?;
-    for assignment in &args.sets {
-        file.set(assignment)?;
-    }
+    let file = args.named.read()?;
     if file.processes.is_empty() {
         return Err(Failure::usage(
-            format!("{} names no process", args.file.display()),
+            format!("{} names no process", args.named.file.display()),
             "add \"processes\", or components such as \"host/robot\"",
         ));
     }

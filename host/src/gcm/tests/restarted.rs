@@ -104,8 +104,12 @@ async fn a_process_its_supervisor_saw_end_is_lost_at_once() {
     assert_eq!((process.last_exit.as_str(), process.restarts), ("was killed by SIGSEGV", 1));
     gcm.told(&fate(Fate::Restarting, std::process::id()));
     assert_eq!(gcm.graph().processes[&name("host")].state, ProcessState::Restarting);
-    assert_eq!(gcm.lcm_of(&name("host")).err().unwrap().reason(), "PROCESS_LOST");
+    let lost = gcm.lcm_of(&name("host")).err().unwrap();
+    assert_eq!(lost.reason(), "PROCESS_LOST");
+    assert!(lost.to_string().contains("is being restarted: it was killed by SIGSEGV"), "{lost}");
     gcm.told(&fate(Fate::Failed, std::process::id()));
+    let lost = ask(&gcm, vec![create("host/new")]).await.unwrap_err();
+    assert!(lost.to_string().contains("has failed and is not started again: it was killed"), "{lost}");
     assert_eq!(gcm.graph().processes[&name("host")].state, ProcessState::Failed);
 }
 
