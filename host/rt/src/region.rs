@@ -58,6 +58,22 @@ impl Region {
         Ok(Self::of(Memory::Mapped(Mapping::open(fd, bytes.max(1), Writers::BothEnds)?)))
     }
 
+    /// Memory another process can be given to look at, and that nobody else ever writes.
+    ///
+    /// # Errors
+    /// The machine has not that much memory.
+    pub fn shown(bytes: usize) -> io::Result<Arc<Self>> {
+        Ok(Self::of(Memory::Mapped(Mapping::create("rows for others", bytes.max(1), Writers::Maker)?)))
+    }
+
+    /// Memory of [`Region::shown`] that another process made. Its parts may be loaded here, never stored to.
+    ///
+    /// # Errors
+    /// It has not that size, could be made smaller under our feet, or takes other writers.
+    pub(crate) fn look(fd: OwnedFd, bytes: usize) -> io::Result<Arc<Self>> {
+        Ok(Self::of(Memory::Mapped(Mapping::open(fd, bytes.max(1), Writers::Maker)?)))
+    }
+
     fn of(memory: Memory) -> Arc<Self> {
         Arc::new(Self {
             memory,

@@ -17,7 +17,7 @@ use crate::wake::Waker;
 /// "trocarLK" of the first word.
 const MAGIC: u64 = u64::from_le_bytes(*b"trocarLK");
 /// How parts are laid out; both ends must have the same.
-pub const LAYOUT: u32 = 1;
+pub const LAYOUT: u32 = 2;
 /// Rows of the table behind a read: its reader is never lapped by less than three publications.
 const READ_ROWS: usize = 4;
 
@@ -66,6 +66,8 @@ pub struct CallShape {
     pub event_bytes: usize,
     /// Bytes of the result of each read the server publishes.
     pub reads: Vec<usize>,
+    /// Reads the client works out itself from the server's rows ([`Rows`]).
+    pub own_reads: usize,
 }
 
 /// A connection of two interfaces; `R` is what stands behind its reads at this end.
@@ -76,6 +78,11 @@ pub struct Calls<R> {
     /// The server pushes, the client drains.
     pub events: Mailbox,
     pub reads: Vec<R>,
+    /// The sentence of each of them that has failed.
+    pub whys: Vec<R>,
+    /// Where each read the client works out itself stands in the server's description, as the server says: 0 nowhere, else its number
+    /// and one.
+    pub own_reads: Vec<Word>,
     /// How the server stands, as it says.
     pub server: Word,
     /// Rung by the client.
@@ -98,6 +105,8 @@ impl<R> Calls<R> {
             replies: ReplyPool::lay_out(layout, shape.reply_cells, shape.ret_bytes, shape.text_bytes),
             events: Mailbox::lay_out(layout, shape.depth, shape.event_bytes, 0),
             reads: shape.reads.iter().map(|bytes| read(layout, *bytes, READ_ROWS)).collect(),
+            whys: shape.reads.iter().map(|_| read(layout, shape.text_bytes, READ_ROWS)).collect(),
+            own_reads: (0..shape.own_reads).map(|_| Word::lay_out(layout)).collect(),
             server: Word::lay_out(layout),
             for_server: Arc::new(Waker::lay_out(layout)),
             for_client: Arc::new(Waker::lay_out(layout)),
@@ -134,6 +143,50 @@ impl FarCalls {
     /// It is not that.
     pub fn open(fd: OwnedFd, shape: &CallShape, agreed: Agreed) -> io::Result<Self> {
         open(fd, |layout| Self::lay_out(layout, shape, agreed, far_state_reader), agreed)
+    }
+}
+
+/// The state rows of one component for all other processes: written by its own process alone, which is why they are memory of their
+/// own. `E` is this end.
+pub struct Rows<E> {
+    pub end: E,
+    region: Option<Arc<Region>>,
+}
+
+impl<E> Rows<E> {
+    fn lay_out(layout: &mut Layout, agreed: Agreed, end: impl FnOnce(&mut Layout) -> E) -> Self {
+        let _header = header(layout, agreed);
+        Rows { end: end(layout), region: layout.region() }
+    }
+}
+
+impl Rows<StateWriter> {
+    /// Memory for rows of so many bytes.
+    ///
+    /// # Errors
+    /// The machine has not that much.
+    pub fn create(row_bytes: usize, agreed: Agreed) -> io::Result<Self> {
+        let end = |layout: &mut Layout| far_state_writer(layout, row_bytes, READ_ROWS);
+        let parts = |layout: &mut Layout| Self::lay_out(layout, agreed, end);
+        Ok(parts(&mut Layout::fresh(&Region::shown(Layout::measure(parts))?)))
+    }
+
+    /// The memory, for other processes to look at.
+    pub fn region(&self) -> Option<Arc<Region>> {
+        self.region.clone()
+    }
+}
+
+impl Rows<StateReader> {
+    /// The memory a component's process made for rows of so many bytes.
+    ///
+    /// # Errors
+    /// It is not that.
+    pub fn open(fd: OwnedFd, row_bytes: usize, agreed: Agreed) -> io::Result<Self> {
+        let end = |layout: &mut Layout| far_state_reader(layout, row_bytes, READ_ROWS);
+        let parts = |layout: &mut Layout| Self::lay_out(layout, agreed, end);
+        let region = Region::look(fd, Layout::measure(parts))?;
+        laid_out(&region, parts, agreed)
     }
 }
 
@@ -205,7 +258,11 @@ fn words(agreed: Agreed) -> [u64; 4] {
 
 fn open<T>(fd: OwnedFd, parts: impl Fn(&mut Layout) -> T, agreed: Agreed) -> io::Result<T> {
     let region = Region::open(fd, Layout::measure(&parts))?;
-    let said = header(&mut Layout::of_other_end(&region), agreed);
+    laid_out(&region, parts, agreed)
+}
+
+fn laid_out<T>(region: &Arc<Region>, parts: impl Fn(&mut Layout) -> T, agreed: Agreed) -> io::Result<T> {
+    let said = header(&mut Layout::of_other_end(region), agreed);
     let what = ["its first word", "the version of its layout", "the hash of its types", "its epoch"];
     for (what, (said, agreed)) in what.iter().zip(said.iter().zip(words(agreed))) {
         let said = said.load(Ordering::Relaxed);
@@ -214,5 +271,5 @@ fn open<T>(fd: OwnedFd, parts: impl Fn(&mut Layout) -> T, agreed: Agreed) -> io:
             return Err(io::Error::new(io::ErrorKind::InvalidData, why));
         }
     }
-    Ok(parts(&mut Layout::of_other_end(&region)))
+    Ok(parts(&mut Layout::of_other_end(region)))
 }

@@ -15,6 +15,8 @@ const HEAD: usize = 2;
 
 /// Attempts of `latest` before it gives up: each lost one means that the writer went round the whole ring.
 const ATTEMPTS: usize = 1000;
+/// The same where another process may go round the ring for no reason but to keep a reader.
+const FAR_ATTEMPTS: usize = 16;
 
 /// Which row was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -78,7 +80,7 @@ impl Table {
 /// With fewer than 3 rows: a reader of the newest row could then be lapped by a single publication.
 pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) {
     let table = Layout::on_heap(|layout| Table::lay_out(layout, row_bytes, rows));
-    (StateWriter::new(Arc::clone(&table)), StateReader { table })
+    (StateWriter::new(Arc::clone(&table)), StateReader { table, attempts: ATTEMPTS })
 }
 
 /// The writer of a table whose readers are in another process; the parts are what [`far_state_reader`] lays out.
@@ -95,7 +97,7 @@ pub fn far_state_writer(layout: &mut Layout, row_bytes: usize, rows: usize) -> S
 /// # Panics
 /// As [`state_table`].
 pub fn far_state_reader(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateReader {
-    StateReader { table: Table::lay_out(layout, row_bytes, rows) }
+    StateReader { table: Table::lay_out(layout, row_bytes, rows), attempts: FAR_ATTEMPTS }
 }
 
 impl Table {
@@ -149,7 +151,7 @@ impl StateWriter {
 
     /// Another reader of the same table.
     pub fn reader(&self) -> StateReader {
-        StateReader { table: Arc::clone(&self.table) }
+        StateReader { table: Arc::clone(&self.table), attempts: ATTEMPTS }
     }
 }
 
@@ -158,6 +160,8 @@ impl StateWriter {
 #[derive(Clone)]
 pub struct StateReader {
     table: Arc<Table>,
+    /// Of `latest`.
+    attempts: usize,
 }
 
 impl StateReader {
@@ -177,7 +181,7 @@ impl StateReader {
     }
 
     /// The newest row. `None` when nothing was published yet, or when the writer went round the whole ring
-    /// during each of 1000 attempts.
+    /// during each of 1000 attempts, 16 where it is another process.
     #[inline]
     pub fn latest(&self, out: &mut [u8]) -> Option<RowInfo> {
         let newest = self.published().checked_sub(1)?;
@@ -187,7 +191,7 @@ impl StateReader {
     /// The writer was faster than the first attempt.
     #[cold]
     fn latest_again(&self, out: &mut [u8]) -> Option<RowInfo> {
-        for _ in 1..ATTEMPTS {
+        for _ in 1..self.attempts {
             let newest = self.published().checked_sub(1)?;
             if let Ok(info) = self.read(newest, out) {
                 return Some(info);

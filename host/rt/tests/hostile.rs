@@ -228,6 +228,7 @@ fn a_server_that_answers_what_nobody_asked_is_no_answer() {
         text_bytes: 16,
         event_bytes: 8,
         reads: vec![8],
+        own_reads: 1,
     };
     let agreed = Agreed { hash: 1, epoch: 2 };
     let server = ServedCalls::create(&shape, agreed).unwrap();

@@ -4,7 +4,8 @@
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
 
-use trocar_rt::segment::{Agreed, CallShape, FarCalls, ServedCalls, Stream, StreamShape};
+use trocar_rt::segment::{Agreed, CallShape, FarCalls, Rows, ServedCalls, Stream, StreamShape};
+use trocar_rt::state::{StateReader, StateWriter};
 use trocar_rt::stream::{FarPools, FarViews};
 use trocar_rt::{
     DropPolicy, EntryHead, Meta, Overflow, Payload, Push, Pushed, Queue, Reply, StreamReader, StreamWriter,
@@ -22,6 +23,7 @@ fn shape() -> CallShape {
         text_bytes: 64,
         event_bytes: 24,
         reads: vec![0, 8, 300],
+        own_reads: 2,
     }
 }
 
@@ -71,6 +73,55 @@ fn commands_answers_events_and_reads_cross_the_memory() {
     assert_eq!(row, [8; 300]);
     server.server.set(2);
     assert_eq!(client.server.get(), 2);
+    server.whys[1].publish(0, 2, |why| why[..2].copy_from_slice(b"no"));
+    let mut why = [0; 64];
+    let said = client.whys[1].latest(&mut why).unwrap();
+    assert_eq!(&why[..said.tick as usize], b"no");
+    server.own_reads[1].set(4);
+    assert_eq!((client.own_reads[0].get(), client.own_reads[1].get()), (0, 4));
+}
+
+fn rows(bytes: usize) -> (Rows<StateWriter>, OwnedFd) {
+    let rows = Rows::create(bytes, AGREED).unwrap();
+    let file = fd(rows.region().unwrap().fd());
+    (rows, file)
+}
+
+#[test]
+fn rows_are_seen_by_any_number_of_others_and_written_by_one() {
+    let (mut rows, file) = rows(24);
+    let readers: Vec<_> =
+        (0..3).map(|_| Rows::<StateReader>::open(file.try_clone().unwrap(), 24, AGREED).unwrap()).collect();
+    assert!(readers[0].end.latest(&mut [0; 24]).is_none(), "nothing was published");
+    for n in 1..=9 {
+        rows.end.publish(n, 10 * n, |row| row.fill(n as u8));
+    }
+    for reader in &readers {
+        let mut row = [0; 24];
+        let info = reader.end.latest(&mut row).unwrap();
+        assert_eq!((info.stamp_ns, info.tick, row), (9, 90, [9; 24]));
+    }
+    let written = std::fs::File::from(file);
+    let refused = std::os::unix::fs::FileExt::write_at(&written, &[1], 0).unwrap_err();
+    assert_eq!(refused.kind(), std::io::ErrorKind::PermissionDenied, "others only look at it");
+}
+
+#[test]
+fn rows_of_another_type_or_size_and_memory_others_may_write_are_refused() {
+    let (_rows, file) = rows(24);
+    let open = |file: &OwnedFd, bytes, agreed| {
+        Rows::<StateReader>::open(file.try_clone().unwrap(), bytes, agreed)
+            .map(|_| ())
+            .unwrap_err()
+            .to_string()
+    };
+    let why = open(&file, 24, Agreed { hash: 8, ..AGREED });
+    assert!(why.contains("hash of its types is 0x7, agreed was 0x8"), "{why}");
+    let why = open(&file, 4000, AGREED);
+    assert!(why.contains("bytes instead of"), "{why}");
+    let link = ServedCalls::create(&shape(), AGREED).unwrap();
+    let why = open(&fd(link.fd()), 24, AGREED);
+    assert!(why.contains("takes new writers"), "{why}");
 }
 
 #[test]

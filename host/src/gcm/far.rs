@@ -15,7 +15,7 @@ use super::Gcm;
 use super::execute::UNDO;
 use super::manager::lock;
 use super::sessions::{Registration, Sessions};
-use crate::lcm::{FarEnd, Report};
+use crate::lcm::{ClassOf, FarEnd, Report};
 
 /// Time to link again what a process that was away has lost.
 const AGAIN: Duration = Duration::from_secs(5);
@@ -158,10 +158,12 @@ impl Gcm {
 
     /// What the other process has to know of one end.
     fn end(&self, graph: &SystemGraph, connection: &Connection, end: &PortId) -> Result<FarEnd, Refusal> {
-        let ports = graph.component(&end.component)?.ports.clone();
+        let component = graph.component(&end.component)?;
+        let class = ClassOf { name: component.class.full_name(), hash: component.class.hash.clone() };
         Ok(FarEnd {
             connection: connection.clone(),
-            ports,
+            ports: component.ports.clone(),
+            class,
             card: self.card_of(connection, &end.component.process)?,
         })
     }

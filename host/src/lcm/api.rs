@@ -60,8 +60,18 @@ pub struct FarEnd {
     pub connection: Connection,
     /// Ports of the component at the other end.
     pub ports: Arc<Ports>,
+    pub class: ClassOf,
     /// Its process.
     pub card: Card,
+}
+
+/// The class of a component.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ClassOf {
+    /// `plugin/class`; empty where nobody told it.
+    pub name: String,
+    /// Of the plugin file, as in [`trocar_model::ClassInfo`].
+    pub hash: String,
 }
 
 /// How a component stands.

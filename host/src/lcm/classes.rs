@@ -20,6 +20,11 @@ pub trait Classes: Send + Sync {
     /// PluginAbi, PluginUntrusted, PluginBadFile; ClassNotFound when the file has gone or changed since it was listed.
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal>;
 
+    /// The class `plugin/class` of the file with this hash, if its code is in this process already; nothing is loaded for it.
+    fn present(&self, _name: &str, _hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
+        None
+    }
+
     /// The files behind the classes, refused ones too.
     fn plugins(&self) -> Vec<PluginInfo>;
 }

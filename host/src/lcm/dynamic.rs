@@ -324,6 +324,7 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     life.kept.push(before.clone());
     drop(life);
     new.renumber(&before);
+    instance.show_positions();
     let ret = &mut entered.inner().ret;
     ret.resize(new.ret_words().max(ret.len()), 0);
     described.now.swap(Box::new(new.clone()));

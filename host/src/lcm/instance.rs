@@ -8,6 +8,7 @@ mod running;
 mod status;
 
 use std::collections::BTreeMap;
+use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -26,7 +27,7 @@ use super::boundary::{EntryError, HostContext, NoRoom, Object, SharedTable};
 use super::context::ExecutorId;
 use super::dynamic::Described;
 use super::executor::Executor;
-use super::far::{Face, Standing};
+use super::far::{Face, ShownRows, Standing};
 use super::gate::{ACTIVE, pack, unpack};
 use super::hub::Hub;
 use super::inbox::Inbox;
@@ -112,11 +113,28 @@ impl Misuse {
 const LAST_WORDS_BYTES: usize = 160;
 
 /// A reason in a place of its own from the beginning.
-struct LastWords(Mutex<String>);
+pub(super) struct LastWords(Mutex<String>);
 
 impl Default for LastWords {
     fn default() -> Self {
         LastWords(Mutex::new(String::with_capacity(LAST_WORDS_BYTES)))
+    }
+}
+
+impl LastWords {
+    /// Real-time.
+    pub(super) fn put(&self, text: &[u8]) {
+        // Somebody else is just saying or reading the same.
+        if let Ok(mut last) = self.0.try_lock() {
+            let text = str::from_utf8(text)
+                .unwrap_or_else(|e| str::from_utf8(&text[..e.valid_up_to()]).unwrap_or_default());
+            last.clear();
+            last.push_str(&text[..text.floor_char_boundary(LAST_WORDS_BYTES)]);
+        }
+    }
+
+    pub(super) fn get(&self) -> String {
+        harmless(&self.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned()
     }
 }
 
@@ -139,21 +157,20 @@ impl Counters {
 
     /// Of a misuse that comes with a reason. Real-time.
     pub(super) fn failed(&self, what: Misuse, text: &[u8]) {
-        self.misuse(what);
-        let Some(last) = what.words().map(|at| &self.last_words[at]) else { return };
-        // Somebody else is just saying or reading the same.
-        if let Ok(mut last) = last.0.try_lock() {
-            let text = str::from_utf8(text)
-                .unwrap_or_else(|e| str::from_utf8(&text[..e.valid_up_to()]).unwrap_or_default());
-            last.clear();
-            last.push_str(&text[..text.floor_char_boundary(LAST_WORDS_BYTES)]);
+        self.failed_times(what, 1, text);
+    }
+
+    /// So many times.
+    pub(super) fn failed_times(&self, what: Misuse, times: u64, text: &[u8]) {
+        self.misuses[what as usize].fetch_add(times, Ordering::Relaxed);
+        if let Some(last) = what.words().map(|at| &self.last_words[at]) {
+            last.put(text);
         }
     }
 
     /// What was last said with `what`; `None` where nothing ever is.
     pub(super) fn last_words(&self, what: Misuse) -> Option<String> {
-        let last = &self.last_words[what.words()?];
-        Some(harmless(&last.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned())
+        Some(self.last_words[what.words()?].get())
     }
 
     /// Only the holder of the entry lock counts, so load and store are enough.
@@ -185,6 +202,14 @@ impl Counters {
     pub(super) fn commands(&self) -> u64 {
         self.commands.load(Ordering::Relaxed)
     }
+}
+
+/// What clients in other processes see of a component.
+#[derive(Default)]
+struct Faces {
+    all: Vec<Arc<Face>>,
+    /// Shared by those that work its reads out themselves.
+    rows: Option<Arc<ShownRows>>,
 }
 
 /// What only the holder of the entry lock touches.
@@ -221,7 +246,7 @@ pub(super) struct Instance {
     pub(super) reading: Reading,
     inboxes: BindingCell<Vec<Arc<Inbox>>>,
     /// What clients in other processes see of it.
-    faces: BindingCell<Vec<Arc<Face>>>,
+    faces: BindingCell<Faces>,
     /// Some do.
     faced: AtomicBool,
     /// Managers change the list one after the other.
@@ -430,10 +455,20 @@ impl Instance {
     /// Changes who sees it from other processes; managers only.
     pub(super) fn edit_faces(&self, f: impl FnOnce(&mut Vec<Arc<Face>>)) {
         let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut faces = self.faces.enter().clone();
-        f(&mut faces);
-        self.faced.store(!faces.is_empty(), Ordering::SeqCst);
-        self.faces.swap(Box::new(faces));
+        let mut all = self.faces.enter().all.clone();
+        f(&mut all);
+        self.faced.store(!all.is_empty(), Ordering::SeqCst);
+        let rows = all.iter().find_map(|face| face.rows.clone());
+        self.faces.swap(Box::new(Faces { all, rows }));
+    }
+
+    /// Its rows for other processes: those that are shown already, or new ones. Managers only.
+    ///
+    /// # Errors
+    /// The machine has not that much memory, or no file to spare.
+    pub(super) fn rows_for_others(&self) -> io::Result<Arc<ShownRows>> {
+        let shown = self.faces.enter().rows.clone();
+        shown.map_or_else(|| ShownRows::create(self), Ok)
     }
 
     /// How it stands for whoever calls it.
@@ -450,15 +485,34 @@ impl Instance {
     /// Shows other processes how it stands, after that has changed.
     pub(super) fn show_standing(&self) {
         if self.faced.load(Ordering::SeqCst) {
-            self.faces.enter().iter().for_each(|face| face.show_standing(self));
+            self.faces.enter().all.iter().for_each(|face| face.show_standing(self));
         }
     }
 
-    /// Shows other processes the results of its reads. Real-time.
+    /// Shows other processes the newest row, or the results of its reads. Real-time.
     #[inline]
     pub(super) fn show_row(&self) {
         if self.faced.load(Ordering::Relaxed) {
-            self.faces.look(|faces| faces.iter().for_each(|face| face.show_row(self)));
+            self.faces.look(|faces| {
+                if let Some(rows) = &faces.rows {
+                    rows.show(self);
+                }
+                faces.all.iter().for_each(|face| face.show_row(self));
+            });
+        }
+    }
+
+    /// Shows other processes its figures. The watchdog's.
+    pub(super) fn show_figures(&self) {
+        if self.faced.load(Ordering::Relaxed) {
+            self.faces.enter().all.iter().for_each(|face| face.show_figures(self));
+        }
+    }
+
+    /// Shows other processes where its reads stand, after that has changed.
+    pub(super) fn show_positions(&self) {
+        if self.faced.load(Ordering::SeqCst) {
+            self.faces.enter().all.iter().for_each(|face| face.show_positions());
         }
     }
 

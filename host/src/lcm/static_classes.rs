@@ -95,6 +95,12 @@ impl Classes for StaticClasses {
         })
     }
 
+    fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
+        let classes = self.plugins.iter().flat_map(|linked| &linked.classes);
+        let class = classes.into_iter().find(|class| hash.is_empty() && class.full_name() == name)?;
+        Some((class.clone(), self.load(class).ok()?))
+    }
+
     fn plugins(&self) -> Vec<PluginInfo> {
         self.plugins.iter().map(|l| self.info(l)).collect()
     }
@@ -115,6 +121,10 @@ impl Classes for Both {
 
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal> {
         if class.hash.is_empty() { self.linked.load(class) } else { self.files.load(class) }
+    }
+
+    fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
+        if hash.is_empty() { self.linked.present(name, hash) } else { self.files.present(name, hash) }
     }
 
     fn plugins(&self) -> Vec<PluginInfo> {

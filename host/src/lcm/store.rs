@@ -115,6 +115,19 @@ impl Classes for StoreClasses {
         Ok(boundary::loaded_class(loaded))
     }
 
+    fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
+        let wanted = |found: &&Hash| found.to_string() == hash;
+        let loaded =
+            self.loaded.lock().unwrap_or_else(PoisonError::into_inner).iter().find(wanted).copied()?;
+        let plugins = self.store.list();
+        let plugin = plugins.iter().filter_map(PluginEntry::listed).find(|plugin| plugin.hash == loaded)?;
+        let classes = self.converted(plugin).as_ref().clone().ok()?;
+        let class = classes.into_iter().find(|class| class.full_name() == name)?;
+        // Another file of that name may be there by now: then this one is as good as gone.
+        let found = self.load(&class).ok()?;
+        Some((class, found))
+    }
+
     fn plugins(&self) -> Vec<PluginInfo> {
         self.store.list().iter().map(|entry| self.info(entry)).collect()
     }

@@ -4499,6 +4499,12 @@ pub struct LinkOrder {
     /// The process of the other end.
     #[prost(message, optional, tag = "3")]
     pub card: ::core::option::Option<Card>,
+    /// Class of the component at the other end, "plugin/class".
+    #[prost(string, tag = "4")]
+    pub class: ::prost::alloc::string::String,
+    /// sha256 of the plugin file it is from, hex; empty when it is linked into its program.
+    #[prost(string, tag = "5")]
+    pub class_hash: ::prost::alloc::string::String,
 }
 /// How other processes of a machine reach a process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]

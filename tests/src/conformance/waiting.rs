@@ -24,7 +24,7 @@ pub(super) enum While {
 
 /// Does it while `call`, made from a thread of the client's own, waits; answers what the call came to.
 pub(super) fn ended(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
-    let reach = way.deployment.reach();
+    let reach = way.reach();
     if reach == Reach::Thread {
         if what == While::Failed {
             lab.perform(Call::call(Function::Crash, 0.0));
@@ -66,7 +66,7 @@ pub(super) fn ended(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
 /// Does it while `call` is inside the server, in the client's own thread where that runs it.
 pub(super) fn begun(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
     let caller = Caller::client(lab);
-    let waits = call.wait && way.deployment.reach().queues();
+    let waits = call.wait && way.reach().queues();
     let call = if waits { call.from_threads(1) } else { call };
     lab.close_gate();
     thread::scope(|scope| {
@@ -83,7 +83,7 @@ pub(super) fn begun(way: &Way, lab: &Lab, call: Call, what: While) -> Answer {
 
 /// Removes the client while `call`, made from a thread of its own, waits; answers what the call came to.
 pub(super) fn leaving(way: &Way, lab: &Lab, call: Call) -> Answer {
-    let reach = way.deployment.reach();
+    let reach = way.reach();
     let caller = Caller::of(reach, lab);
     let left = || {
         thread::scope(|scope| {
@@ -126,7 +126,7 @@ fn await_begun(lab: &Lab, what: While, caller: &Caller<'_>) {
 
 /// Calls a command of the slot `left` while the configuration that takes the slot away is under way; then puts it back.
 pub(super) fn through_configure(way: &Way, lab: &Lab, call: Call) -> Answer {
-    let caller = Caller::slotted(way.deployment.reach(), lab);
+    let caller = Caller::slotted(way.reach(), lab);
     let answer = changing(lab, || {
         thread::scope(|scope| {
             let answer = scope.spawn(|| caller.calls(call));

@@ -15,32 +15,27 @@ pub enum Reach {
     Thread,
     /// Directly, in whatever thread calls: the server has none of its own.
     Caller,
-    /// Through a queue of memory that two processes share. Reads with an argument are the code of a class that only the server's
-    /// process has: they are asked for, and answered there beside the component.
+    /// Through a queue of memory that two processes share, of which both have the code of the server's class: reads are answered as
+    /// in one.
     Process,
+    /// The same where only the server's process has that code: reads with an argument are asked for, and answered there beside the
+    /// component.
+    Apart,
 }
 
 impl Reach {
-    pub const ALL: [Reach; 4] = [Reach::Queue, Reach::Thread, Reach::Caller, Reach::Process];
+    pub const ALL: [Reach; 5] = [Reach::Queue, Reach::Thread, Reach::Caller, Reach::Process, Reach::Apart];
 
     /// Commands wait in a queue for the server's own thread.
     #[must_use]
     pub fn queues(self) -> bool {
-        matches!(self, Reach::Queue | Reach::Process)
+        matches!(self, Reach::Queue | Reach::Process | Reach::Apart)
     }
 }
 
 /// Where client and server run.
 pub trait Deployment: Sync {
     fn name(&self) -> &'static str;
-    fn reach(&self) -> Reach {
-        match (self.client_leads(), self.inline()) {
-            (true, _) => Reach::Thread,
-            (false, true) => Reach::Caller,
-            (false, false) if self.two_processes() => Reach::Process,
-            (false, false) => Reach::Queue,
-        }
-    }
     /// The client's commands reach the server without a queue.
     fn inline(&self) -> bool;
     /// Execution of the client `host/client`, which is made first when [`Deployment::client_leads`].
@@ -77,6 +72,19 @@ pub struct Way {
 }
 
 impl Way {
+    #[must_use]
+    pub fn reach(&self) -> Reach {
+        let Way { deployment: d, languages } = self;
+        match (d.client_leads(), d.inline(), d.two_processes()) {
+            (true, ..) => Reach::Thread,
+            (false, true, _) => Reach::Caller,
+            (false, false, false) => Reach::Queue,
+            // The client's process has the code of the client's plugin, and nothing else.
+            (false, false, true) if languages.client == languages.server => Reach::Process,
+            (false, false, true) => Reach::Apart,
+        }
+    }
+
     /// Names deployment and languages beside whatever fails until the answer is dropped.
     #[must_use]
     pub fn told_in_a_failure(self) -> Told {

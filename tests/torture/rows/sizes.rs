@@ -181,7 +181,7 @@ impl Stranger {
     fn greets(&self) -> Result<(), String> {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").map_err(|e| e.to_string())?;
         let card = json!({
-            "process": "guest", "instance": "0123456789abcdef", "boot": boot.trim(), "layout": 1,
+            "process": "guest", "instance": "0123456789abcdef", "boot": boot.trim(), "layout": 2,
             "uid": rustix::process::geteuid().as_raw(), "socket": "/nowhere/links.sock",
         });
         self.say(format!("g{}", json!({ "Hello": { "version": 1, "card": card } })).as_bytes());

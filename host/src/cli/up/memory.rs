@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use trocar_model::{
-    ComponentId, ConnectOptions, Execution, ExecutionModel, OnFailure, PortId, Queue, Request,
+    ComponentId, ConnectOptions, Execution, ExecutionModel, OnFailure, PortId, Queue, Request, Wake,
 };
 
 use super::standing::Standing;
@@ -115,6 +115,7 @@ fn execution(e: &ExecutionView) -> Execution {
         max_step_ns: some(e.max_step_ns),
         history: few(e.history),
         on_failure: OnFailure::ALL.into_iter().find(|f| f.name() == e.on_failure),
+        wake: Wake::ALL.into_iter().find(|w| w.name() == e.wake),
     }
 }
 

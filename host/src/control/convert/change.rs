@@ -14,7 +14,7 @@ use super::back::{self, unreadable};
 use super::requests::{execution, options};
 use super::types::{class, execution_out, health, options_out, ports, state};
 use crate::gcm::Slice;
-use crate::lcm::{FarEnd, Inventory, Report};
+use crate::lcm::{ClassOf, FarEnd, Inventory, Report};
 
 fn state_out(s: State) -> v1::State {
     let (state, stop_reason) = state(s);
@@ -189,6 +189,8 @@ pub(crate) fn far_out(end: &FarEnd) -> v1::LinkOrder {
     v1::LinkOrder {
         connection: Some(connection_out(&end.connection)),
         ports: Some(super::ports(&end.ports)),
+        class: end.class.name.clone(),
+        class_hash: end.class.hash.clone(),
         card: Some(card_out(&end.card)),
     }
 }
@@ -197,6 +199,7 @@ pub(crate) fn far_in(end: v1::LinkOrder) -> Result<FarEnd, Refusal> {
     Ok(FarEnd {
         connection: connection_in(end.connection.ok_or_else(|| unreadable("connection"))?)?,
         ports: Arc::new(back::ports(end.ports.ok_or_else(|| unreadable("ports"))?)?),
+        class: ClassOf { name: end.class, hash: end.class_hash },
         card: card_in(end.card.ok_or_else(|| unreadable("card"))?),
     })
 }

@@ -1,16 +1,18 @@
 //! Functions whose server is in another process: the same outcomes, through memory both share.
 //!
 //! Invariant: nothing the other process writes is used but as bytes of a result, as a state, or as an outcome; a server that is gone
-//! answers PEER_LOST at once, and a read that would have to ask it is WOULD_BLOCK in a step.
+//! answers PEER_LOST at once, and a read that would have to ask it (`here.rs` answers what can be answered in this process) is
+//! WOULD_BLOCK in a step.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use trocar_plugin_api::abi::{
-    CallOpts, DISABLED, EXECUTED, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, NOT_ACTIVE, Outcome,
-    PEER_LOST, WOULD_BLOCK,
+    CallOpts, DISABLED, EXECUTED, ErrBuf, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, NOT_ACTIVE,
+    Outcome, PEER_LOST, WOULD_BLOCK,
 };
 use trocar_rt::mailbox::Mailbox;
+use trocar_rt::os;
 use trocar_rt::reply::ReplyPool;
 use trocar_rt::segment::Word;
 use trocar_rt::state::StateReader;
@@ -20,6 +22,8 @@ use super::super::context;
 use super::super::far::{Asking, Standing};
 use super::super::instance::Misuse;
 use super::call::{lacks, within_ns, write_err};
+use super::entry::ERR_BYTES;
+use super::here::OwnRead;
 use super::misused;
 use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
@@ -125,10 +129,51 @@ impl FarCommand {
 
 /// Where the results of a read come from.
 pub(in crate::lcm) enum FarSource {
-    /// A table its server's process writes at every publication.
-    Table(StateReader),
+    /// Tables its server's process writes at every publication.
+    Table(FarTable),
+    /// The server's rows, by the code of its class; its process has to be asked where that does not go.
+    Here(OwnRead, Arc<dyn Asking>),
     /// The server's process has to be asked.
     Ask(Arc<dyn Asking>),
+}
+
+/// Results of a read without an argument, of which the outcome is the tick.
+pub(in crate::lcm) struct FarTable {
+    pub(in crate::lcm) results: StateReader,
+    /// Sentences of those that failed, of which the length is the tick.
+    pub(in crate::lcm) whys: StateReader,
+    /// A `ComponentStatus`, which holds until there is another one.
+    pub(in crate::lcm) status: bool,
+}
+
+impl FarTable {
+    /// Outcome and stamp. Real-time.
+    fn latest(&self, place: &mut [u8], err: *mut ErrBuf) -> (Outcome, u64) {
+        let Some(row) = self.results.latest(place) else { return (NOT_ACTIVE, 0) };
+        let outcome = outcome_in(row.tick as i32);
+        if self.status
+            && let Some(stamp) = place.first_chunk_mut::<8>()
+        {
+            // It still stands so: every change publishes a row.
+            let now_ns = os::now_ns();
+            *stamp = now_ns.to_le_bytes();
+            return (outcome, now_ns);
+        }
+        if outcome == FAILED && !err.is_null() {
+            self.say_why(err);
+        }
+        (outcome, row.stamp_ns)
+    }
+
+    #[cold]
+    fn say_why(&self, err: *mut ErrBuf) {
+        let mut text = [0; ERR_BYTES];
+        let room = self.whys.row_bytes().min(ERR_BYTES);
+        if let Some(said) = self.whys.latest(&mut text[..room]) {
+            let bytes = usize::try_from(said.tick).map_or(room, |bytes| bytes.min(room));
+            write_err(err, &text[..bytes]);
+        }
+    }
 }
 
 /// A read of a server in another process.
@@ -158,40 +203,47 @@ impl FarRead {
             // SAFETY: as above.
             _ => unsafe { std::slice::from_raw_parts_mut(ret, bytes) },
         };
-        let place = place(self.ret_bytes);
-        match &self.source {
-            FarSource::Table(table) => match table.latest(place) {
-                Some(row) => {
-                    if let Some(opts) = opts {
-                        opts.stamp_ns = row.stamp_ns;
-                    }
-                    // Its tick is the outcome.
-                    outcome_in(row.tick as i32)
-                }
-                None => NOT_ACTIVE,
+        let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
+        let (outcome, stamp_ns) = match &self.source {
+            FarSource::Table(table) => table.latest(place(self.ret_bytes), err),
+            FarSource::Here(read, asking) => match read.call(arg, ret, err) {
+                Some(answered) => answered,
+                None => self.ask(&**asking, arg, place(self.ret_bytes), opts.as_deref()),
             },
-            FarSource::Ask(_) if context::stepping() => would_block(),
-            FarSource::Ask(asking) => {
-                let arg: &[u8] = match self.arg_bytes {
-                    0 => &[],
-                    // SAFETY: not null, and an argument of the command's type, checked above.
-                    bytes => unsafe { std::slice::from_raw_parts(arg, bytes) },
-                };
-                let within_ns = within_ns(opts.as_ref().map_or(0, |o| o.deadline_ns), self.deadline_ns);
-                let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
-                let answer = match asking.ask(self.index, arg, within_ns) {
-                    Ok(answer) => answer,
-                    Err(why) => return why,
-                };
-                let n = place.len().min(answer.value.len());
-                place[..n].copy_from_slice(&answer.value[..n]);
-                write_err(err, answer.text.as_bytes());
-                if let Some(opts) = opts {
-                    opts.stamp_ns = answer.stamp_ns;
-                }
-                outcome_in(answer.outcome)
-            }
+            FarSource::Ask(asking) => self.ask(&**asking, arg, place(self.ret_bytes), opts.as_deref()),
+        };
+        if let Some(opts) = opts {
+            opts.stamp_ns = stamp_ns;
         }
+        outcome
+    }
+
+    /// Waits for its server's process, where the caller may.
+    #[inline(never)]
+    fn ask(
+        &self,
+        asking: &dyn Asking,
+        arg: *const u8,
+        place: &mut [u8],
+        opts: Option<&CallOpts>,
+    ) -> (Outcome, u64) {
+        if context::stepping() {
+            return (would_block(), 0);
+        }
+        let arg: &[u8] = match self.arg_bytes {
+            0 => &[],
+            // SAFETY: not null, and an argument of the command's type, checked by `call`.
+            bytes => unsafe { std::slice::from_raw_parts(arg, bytes) },
+        };
+        let within_ns = within_ns(opts.map_or(0, |o| o.deadline_ns), self.deadline_ns);
+        let answer = match asking.ask(self.index, arg, within_ns) {
+            Ok(answer) => answer,
+            Err(why) => return (why, 0),
+        };
+        let n = place.len().min(answer.value.len());
+        place[..n].copy_from_slice(&answer.value[..n]);
+        write_err(opts.map_or(std::ptr::null_mut(), |o| o.err), answer.text.as_bytes());
+        (outcome_in(answer.outcome), answer.stamp_ns)
     }
 }
 

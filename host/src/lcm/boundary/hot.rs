@@ -25,7 +25,8 @@ pub(super) use entry;
 
 type Step = unsafe extern "C" fn(*mut c_void, *const Tick, *mut ErrBuf) -> Status;
 type Command = unsafe extern "C" fn(*mut c_void, u32, *const c_void, *mut c_void, *mut ErrBuf) -> Status;
-type Read = unsafe extern "C" fn(*const c_void, u32, *const c_void, *mut c_void, *mut ErrBuf) -> Status;
+pub(super) type Read =
+    unsafe extern "C" fn(*const c_void, u32, *const c_void, *mut c_void, *mut ErrBuf) -> Status;
 type OnEvent = unsafe extern "C" fn(*mut c_void, u32, *const c_void, *mut ErrBuf) -> Status;
 pub(super) type StateCopy = unsafe extern "C" fn(*mut c_void, *mut c_void, usize);
 

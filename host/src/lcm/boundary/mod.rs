@@ -13,6 +13,7 @@ mod event;
 #[cfg(test)]
 pub(super) mod fake;
 mod far;
+mod here;
 mod host_table;
 mod hot;
 mod input;
@@ -37,7 +38,8 @@ pub use class::LoadedClass;
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, Object};
 pub(super) use event::{EventCell, EventSink, Handler, Tap};
 pub(super) use event::{FarEvents, FarHandler};
-pub(super) use far::{FarCommand, FarRead, FarServer, FarSource};
+pub(super) use far::{FarCommand, FarRead, FarServer, FarSource, FarTable};
+pub(super) use here::{OwnClass, OwnRead, OwnRows, Panics};
 pub use host_table::plugin_log;
 pub(super) use host_table::{HostContext, SharedTable};
 pub(super) use input::{InCell, InLink, Newest};

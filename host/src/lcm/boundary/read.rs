@@ -78,30 +78,45 @@ impl ReadTarget {
 /// What came of a read for somebody in another process.
 pub(in crate::lcm) struct Published {
     pub(in crate::lcm) outcome: Outcome,
+    /// It panicked.
+    pub(in crate::lcm) panicked: bool,
     /// Of the row, ns.
     pub(in crate::lcm) stamp_ns: u64,
     /// Bytes of the sentence.
     pub(in crate::lcm) text_bytes: usize,
 }
 
-/// The result of a read, and a sentence as far as there is room. `arg` and `out` have the sizes of the command. Any thread, never
-/// waits.
+/// The result of a read, and a sentence as far as there is room. `arg` and `out` have the sizes of the command. `again`: it panicked last
+/// time, which was counted. Any thread, never waits.
 pub(in crate::lcm) fn read_published(
     server: &Instance,
     from: &Reader,
     arg: &[u8],
     out: &mut [u8],
     text: &mut [u8],
+    again: bool,
 ) -> Published {
     let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+    let mut panicked = false;
     let (outcome, stamp_ns) = match from {
         Reader::System(which) => (EXECUTED, server.system_read(*which, out)),
         Reader::Class(command) => match command.get() {
-            Some(command) => read_row(server, command, arg.as_ptr(), out.as_mut_ptr(), &raw mut err),
+            Some(command) => with_row(server.state_bytes, |row| {
+                let Some(info) = server.rows.latest(bytes_of(row, server.state_bytes)) else {
+                    return (NOT_ACTIVE, 0);
+                };
+                let err = &raw mut err;
+                let status = server.object.read(row, command, arg.as_ptr(), out.as_mut_ptr(), err);
+                panicked = status == STATUS_PANICKED;
+                if panicked && !again {
+                    self::panicked(server, command, err);
+                }
+                (outcome_of(status, err), info.stamp_ns)
+            }),
             None => (DISABLED, 0),
         },
     };
-    Published { outcome, stamp_ns, text_bytes: err.len.min(text.len()) }
+    Published { outcome, panicked, stamp_ns, text_bytes: err.len.min(text.len()) }
 }
 
 /// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step and
@@ -141,6 +156,32 @@ fn read_apart<const N: usize>(
     err: *mut ErrBuf,
 ) -> (Outcome, u64) {
     read_copy::<N>(server, command, arg, ret, err)
+}
+
+/// `f` with a place on the stack for a row of so many bytes: zeroed, in whole words.
+#[inline]
+pub(super) fn with_row<R>(bytes: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
+    match bytes.div_ceil(8) {
+        words if words <= FEW_WORDS => with_words::<FEW_WORDS, R>(words, f),
+        words if words <= TINY_ROW => with_words::<TINY_ROW, R>(words, f),
+        words if words <= SMALL_ROW => with_words::<SMALL_ROW, R>(words, f),
+        words if words <= MIDDLE_ROW => with_words::<MIDDLE_ROW, R>(words, f),
+        words => with_words::<LARGEST_ROW, R>(words, f),
+    }
+}
+
+#[inline(never)]
+fn with_words<const N: usize, R>(words: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
+    let mut place = [0u64; N];
+    f(&mut place[..words])
+}
+
+/// The first `bytes` bytes of a row.
+#[inline]
+pub(super) fn bytes_of(row: &mut [u64], bytes: usize) -> &mut [u8] {
+    let bytes = bytes.min(size_of_val(row));
+    // SAFETY: a u64 slice viewed as its first bytes.
+    unsafe { std::slice::from_raw_parts_mut(row.as_mut_ptr().cast::<u8>(), bytes) }
 }
 
 /// The read on a copy of the newest row in `N` words of the stack; the row fits, by `convert`'s limit.

@@ -74,9 +74,9 @@ impl Halves for Far {
     }
 
     fn add(&self, end: OneEnd, tell: Option<Tell>) -> Result<(), Refusal> {
-        let OneEnd { connection, role, here, required, theirs, card } = end;
-        let half = Half::new((connection, role), here, required, (theirs, card), tell);
-        half.terms()?;
+        let OneEnd { connection, role, here, required, theirs, card, kin } = end;
+        let half = Half::new((connection, role), here, required, (theirs, card, kin), tell);
+        half.terms(false)?;
         Far::add(self, half);
         Ok(())
     }

@@ -17,7 +17,7 @@ use trocar_rt::wake::Waker;
 
 use super::api::{HalfReport, LinkDetail};
 use super::dynamic::PortSet;
-use super::far::{Here, Role, Tell};
+use super::far::{Here, Kin, Role, Tell};
 use super::instance::{Instance, Loss};
 use inline::Inline;
 use memfd::Memfd;
@@ -62,6 +62,8 @@ pub(super) struct OneEnd {
     /// Ports of the component at the other end, and its process.
     pub(super) theirs: Arc<Ports>,
     pub(super) card: Card,
+    /// Of a client: whether the code of the server's class is here.
+    pub(super) kin: Kin,
 }
 
 /// A way for data to travel.

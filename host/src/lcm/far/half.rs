@@ -13,6 +13,7 @@ use super::super::api::{HalfReport, LinkDetail};
 use super::super::connect::passing;
 use super::super::dynamic::PortSet;
 use super::super::instance::Loss;
+use super::kin::Kin;
 use super::terms::{Terms, Way};
 use super::wires::{ClientWires, Here, ServerWires};
 
@@ -41,6 +42,8 @@ pub(in crate::lcm) struct Half {
     pub(super) theirs: Arc<Ports>,
     /// The process of the other end.
     pub(super) card: Card,
+    /// Of a client: whether the code of the server's class is here.
+    pub(super) kin: Kin,
     stage: Mutex<Stage>,
 }
 
@@ -75,11 +78,11 @@ impl Half {
         (connection, role): (Connection, Role),
         here: Here,
         required: bool,
-        (theirs, card): (Arc<Ports>, Card),
+        (theirs, card, kin): (Arc<Ports>, Card, Kin),
         tell: Option<Tell>,
     ) -> Arc<Half> {
         let stage = Mutex::new(Stage { tell, ..Stage::default() });
-        Arc::new(Half { connection, role, here, required, theirs, card, stage })
+        Arc::new(Half { connection, role, here, required, theirs, card, kin, stage })
     }
 
     pub(super) fn number(&self) -> u64 {
@@ -154,17 +157,17 @@ impl Half {
         self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Its terms by the ports that are here now, and those ports.
+    /// Its terms by the ports that are here now, and those ports. `own`: the client works reads out itself.
     ///
     /// # Errors
     /// They do not go together any more.
-    pub(in crate::lcm) fn terms(&self) -> Result<(Arc<PortSet>, Terms), Refusal> {
+    pub(in crate::lcm) fn terms(&self, own: bool) -> Result<(Arc<PortSet>, Terms), Refusal> {
         let set = self.here.instance.described.now();
         let (client, server) = match self.role {
             Role::Client => (&set.ports, &self.theirs),
             Role::Server => (&self.theirs, &set.ports),
         };
-        let terms = Terms::of(&self.connection, client, server)?;
+        let terms = Terms::of(&self.connection, client, server, own)?;
         if let (Role::Server, Way::Stream { input, output, .. }) = (self.role, &terms.way) {
             let (from, to) = (&server.outputs[*output].ty, &client.inputs[*input].ty);
             passing(&self.connection, from, to, set.slots.output(*output))?;
@@ -174,7 +177,7 @@ impl Half {
 
     /// Whether it can stay as it is after the ports here became others, by the rule for connections inside the process.
     pub(super) fn still_fits(&self) -> bool {
-        let Ok((set, terms)) = self.terms() else { return false };
+        let Ok((set, terms)) = self.terms(false) else { return false };
         match (&self.stage().linked, &terms.way) {
             (_, Way::Stream { .. }) => false,
             (None, Way::Calls { .. }) => true,

@@ -7,7 +7,9 @@
 mod asks;
 mod face;
 mod half;
+mod kin;
 mod manager;
+mod mend;
 mod near;
 mod pools;
 mod serving;
@@ -17,8 +19,10 @@ mod words;
 mod worker;
 
 pub(super) use asks::Asking;
-pub(super) use face::{Face, Standing};
+pub(super) use face::{Face, ShownRows, Standing};
 pub(super) use half::{CARRIER as NAME, Half, Role, Tell};
+pub(super) use kin::Kin;
 pub(super) use manager::Far;
+pub(super) use mend::Mend;
 pub(super) use near::Near;
 pub(super) use wires::Here;

@@ -138,7 +138,7 @@ type Ends<'e> = (&'e Connection, &'e Here, &'e Here);
 /// What passes by the ports as they are now, and those ports: the client's and the server's.
 fn terms((connection, client, server): Ends<'_>) -> Result<(Terms, Arc<PortSet>, Arc<PortSet>), Refusal> {
     let (to, from) = (client.instance.described.now(), server.instance.described.now());
-    let mut terms = Terms::of(connection, &to.ports, &typed(connection, &from))?;
+    let mut terms = Terms::of(connection, &to.ports, &typed(connection, &from), false)?;
     match &mut terms.way {
         Way::Stream { input, output, .. } => {
             let (given, taken) = (&from.ports.outputs[*output].ty, &to.ports.inputs[*input].ty);
@@ -176,10 +176,11 @@ impl Pair {
         let offer = Offer::make(&way, agreed, bell)?;
         let memory = offer.fd()?;
         offer.expect_pools(&way, from);
-        let at_server = ServerWires::connect(offer, &way, connection, (server, from), |_| Desk::closed())?;
+        let at_server =
+            ServerWires::connect(offer, &way, connection, (server, from), None, |_| Desk::closed())?;
         let views = FarViews::new(header_bytes(&way));
         let nobody = Asks::of_nobody(connection.id.0, epoch);
-        let ports = (&*from.ports, nobody);
+        let ports = (&*from.ports, nobody, None);
         let at_client =
             ClientWires::connect((memory, agreed), &way, connection, (client, to), ports, views.clone());
         let at_client = match at_client {

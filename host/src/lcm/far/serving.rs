@@ -4,7 +4,7 @@
 
 use std::os::fd::BorrowedFd;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 
 use trocar_links::Session;
 use trocar_plugin_api::abi::{INVALID_ARGUMENT, NOT_ACTIVE};
@@ -36,13 +36,17 @@ pub(super) struct Question {
     pub(super) arg: Vec<u8>,
 }
 
-/// Where the questions of one link are answered, on a thread of its own; it ends with this.
-pub(super) struct Desk(Option<SyncSender<Question>>);
+/// Where the questions of one link are answered: on a thread of its own, which the first one begins and which ends with this.
+pub(super) struct Desk {
+    /// `None`: nobody asks.
+    clerk: Option<Arc<Clerk>>,
+    thread: OnceLock<Option<SyncSender<Question>>>,
+}
 
 impl Desk {
     /// Nobody asks.
     pub(super) fn closed() -> Desk {
-        Desk(None)
+        Desk { clerk: None, thread: OnceLock::new() }
     }
 
     pub(super) fn open(
@@ -51,30 +55,29 @@ impl Desk {
         (connection, epoch): (u64, u64),
         served: Vec<Served>,
     ) -> Desk {
-        // Most connections have reads that are published only.
-        if served.is_empty() {
-            return Desk(None);
-        }
-        let (ask, asked) = sync_channel(DEPTH);
-        let clerk =
-            Clerk { server: Arc::downgrade(server), session: session.clone(), connection, epoch, served };
-        match std::thread::Builder::new().name("trocar-reads".into()).spawn(move || clerk.run(&asked)) {
-            Ok(_) => Desk(Some(ask)),
-            Err(e) => {
-                log::error!(
-                    "{}: reads of other processes are not answered: no thread for it: {e}",
-                    server.id
-                );
-                Desk(None)
-            }
-        }
+        let server = Arc::downgrade(server);
+        let clerk = Arc::new(Clerk { server, session: session.clone(), connection, epoch, served });
+        Desk { clerk: Some(clerk), thread: OnceLock::new() }
     }
 
     /// Takes a question; one too many is not answered.
     pub(super) fn ask(&self, question: Question) {
-        if let Some(desk) = &self.0 {
-            let _ = desk.try_send(question);
+        // Most connections have reads that nobody asks for.
+        if let Some(thread) = self.thread.get_or_init(|| self.begin()) {
+            let _ = thread.try_send(question);
         }
+    }
+
+    fn begin(&self) -> Option<SyncSender<Question>> {
+        let clerk = self.clerk.clone()?;
+        let (ask, asked) = sync_channel(DEPTH);
+        let connection = clerk.connection;
+        let begun = std::thread::Builder::new().name("trocar-reads".into()).spawn(move || clerk.run(&asked));
+        if let Err(e) = begun {
+            log::error!("connection {connection}: reads are not answered: no thread for it: {e}");
+            return None;
+        }
+        Some(ask)
     }
 }
 
@@ -105,7 +108,8 @@ impl Clerk {
             value = vec![0; served.ret_bytes];
             told = match self.server.upgrade() {
                 Some(server) => {
-                    let read = read_published(&server, &served.from, &question.arg, &mut value, &mut text);
+                    let read =
+                        read_published(&server, &served.from, &question.arg, &mut value, &mut text, false);
                     (read.outcome, read.stamp_ns, read.text_bytes)
                 }
                 None => (NOT_ACTIVE, 0, 0),

@@ -5,9 +5,10 @@
 
 use sha2::{Digest, Sha256};
 use trocar_model::{
-    Binding, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Queue, Refusal, Type, bindings,
+    Binding, ClassInfo, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Queue, Refusal,
+    Type, bindings,
 };
-use trocar_rt::segment::{CallShape, StreamShape};
+use trocar_rt::segment::{Agreed, CallShape, StreamShape};
 use trocar_rt::stream::{self, DropPolicy, Payload};
 
 use super::super::boundary::{ERR_BYTES, Shape};
@@ -38,9 +39,37 @@ pub(super) fn size(ty: Option<&Type>) -> usize {
     ty.map_or(0, Type::size)
 }
 
-/// Reads whose results the server's process publishes: the others have to be asked for.
-pub(super) fn is_published(command: &Command) -> bool {
-    command.kind == CommandKind::Read && command.arg.is_none()
+/// Where a client in another process has what a read answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reading {
+    /// The server's process publishes the results.
+    Published,
+    /// The client works them out, from the rows the server's process publishes.
+    Here,
+    /// The server's process has to be asked.
+    Asked,
+}
+
+impl Reading {
+    /// Of the command with this number among `all` of a server; `None` for what is no read. `own`: the client works out what it can.
+    pub(super) fn of(server: &Ports, all: &[&Command], id: usize, own: bool) -> Option<Reading> {
+        let command = all[id];
+        let system = server.provided.len().saturating_sub(1);
+        match (command.kind.is_read(), own && id < server.first_command(system)) {
+            (false, _) => None,
+            (true, true) => Some(Reading::Here),
+            (true, false) if command.kind == CommandKind::Read && command.arg.is_none() => {
+                Some(Reading::Published)
+            }
+            (true, false) => Some(Reading::Asked),
+        }
+    }
+}
+
+/// Bytes of a class's rows, and what both ends know of them.
+pub(super) fn of_rows(class: &ClassInfo) -> (usize, Agreed) {
+    let state = class.ports.state.as_ref();
+    (size(state), Agreed { hash: state.map_or(0, Type::hash), epoch: 0 })
 }
 
 /// The commands of a server, by ABI id.
@@ -49,20 +78,30 @@ pub(super) fn commands(server: &Ports) -> Vec<&Command> {
 }
 
 impl Terms {
+    /// `own`: the client works reads out itself.
+    ///
     /// # Errors
     /// The mismatch refusals of `model::bindings`.
     pub(in crate::lcm) fn of(
         connection: &Connection,
         client: &Ports,
         server: &Ports,
+        own: bool,
     ) -> Result<Terms, Refusal> {
         let options = &connection.options;
         match bindings(client, &connection.client, server, &connection.server, options)? {
             Link::Stream { input, output, adapt } => {
                 stream(connection, client, server, (input, output, adapt))
             }
-            Link::Interface { binding, .. } => Ok(calls(connection, client, server, binding)),
+            Link::Interface { binding, .. } => Ok(calls(connection, client, server, binding, own)),
         }
+    }
+}
+
+impl Terms {
+    /// Some reads of it are worked out by the client, by these terms.
+    pub(super) fn works_reads_out(&self) -> bool {
+        matches!(&self.way, Way::Calls { shape, .. } if shape.own_reads > 0)
     }
 }
 
@@ -106,11 +145,15 @@ fn stream(
     Ok(Terms { hash, way: Way::Stream { input, output, ty, shape, depth, adapt } })
 }
 
-fn calls(connection: &Connection, client: &Ports, server: &Ports, binding: Binding) -> Terms {
+fn calls(connection: &Connection, client: &Ports, server: &Ports, binding: Binding, own: bool) -> Terms {
     let all = commands(server);
     let bound: Vec<&Command> = binding.functions.iter().map(|(_, command)| all[*command]).collect();
     let events: Vec<_> = server.provided.iter().flat_map(|p| &p.events).collect();
     let heard: Vec<_> = binding.handlers.iter().map(|(_, event)| events[*event]).collect();
+    let those = |how| {
+        let ids = binding.functions.iter().map(|(_, id)| *id);
+        ids.filter(|id| Reading::of(server, &all, *id, own) == Some(how)).collect::<Vec<_>>()
+    };
     let arg = |c: &&Command| size(c.arg.as_ref().map(|a| &a.ty));
     let shape = CallShape {
         depth: connection.options.mailbox.unwrap_or(MAILBOX_DEPTH),
@@ -120,7 +163,8 @@ fn calls(connection: &Connection, client: &Ports, server: &Ports, binding: Bindi
         ret_bytes: bound.iter().map(|c| size(c.ret.as_ref())).max().unwrap_or(0),
         text_bytes: ERR_BYTES,
         event_bytes: heard.iter().map(|e| size(e.payload.as_ref())).max().unwrap_or(0),
-        reads: bound.iter().filter(|c| is_published(c)).map(|c| size(c.ret.as_ref())).collect(),
+        reads: those(Reading::Published).iter().map(|id| size(all[*id].ret.as_ref())).collect(),
+        own_reads: those(Reading::Here).len(),
     };
     let functions: Vec<_> = client.required.iter().flat_map(|r| &r.functions).collect();
     let handlers: Vec<_> = client.required.iter().flat_map(|r| &r.handlers).collect();

@@ -5,30 +5,33 @@
 
 use std::io;
 use std::os::fd::OwnedFd;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use trocar_model::{Binding, ComponentId, Connection, CopyRun, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
-use trocar_rt::segment::{Agreed, FarCalls, ServedCalls, Stream};
+use trocar_rt::segment::{Agreed, FarCalls, Rows, ServedCalls, Stream};
+use trocar_rt::state::StateReader;
 use trocar_rt::stream::{FarPools, FarViews, StreamCounters, StreamReader, StreamWriter};
 use trocar_rt::wake::Waker;
 
 use super::super::api::LinkDetail;
 use super::super::boundary::{
     Consumer, DEFAULT_DEADLINE_NS, EventCell, EventSink, FarCommand, FarEvents, FarHandler, FarRead,
-    FarServer, FarSource, FnBinding, FnCell, InCell, InLink, Newest, OutCell, OutLink, RangeCheck, Reader,
+    FarServer, FarSource, FarTable, FnBinding, FnCell, InCell, InLink, Newest, OutCell, OutLink, OwnClass,
+    OwnRead, OwnRows, Panics, RangeCheck, Reader,
 };
 use super::super::connect::lane;
 use super::super::convert::back;
 use super::super::dynamic::PortSet;
 use super::super::executor::Executor;
 use super::super::inbox::{Check, From, Inbox};
-use super::super::instance::{Instance, Loss};
+use super::super::instance::{Instance, Loss, Misuse};
+use super::super::system;
 use super::asks::Asks;
-use super::face::{Face, Shown};
+use super::face::{Face, Shown, ShownRows};
 use super::serving::{Desk, Served};
-use super::terms::{Way, commands, is_published, size};
+use super::terms::{Reading, Way, commands, of_rows, size};
 use trocar_rt::os;
 
 /// A component of this process and its thread.
@@ -71,7 +74,17 @@ pub(super) enum ClientWires {
         events_in: Arc<Inbox>,
         bell: Arc<Waker>,
         asks: Arc<Asks>,
+        /// Of reads worked out here.
+        panics: Arc<Panics>,
+        /// Of how many of them the server's process was told.
+        told: u64,
     },
+}
+
+/// What a client needs to work reads out itself: the class of its server, and the rows its process shows.
+pub(super) struct Own {
+    pub(super) class: OwnClass,
+    pub(super) rows: OwnedFd,
 }
 
 /// The server's memory, before the client has it.
@@ -99,7 +112,17 @@ pub(super) enum ServerWires {
         desk: Desk,
         /// Commands that failed and that never ran, as the client was told.
         toll: (u64, u64),
+        /// Reads that panicked in the client's process, as it told.
+        panicked: AtomicU64,
     },
+}
+
+/// Reads another process is believed to have had panic at once: sums of them fit.
+const MOST_PANICS: u64 = 1 << 32;
+
+/// The command with this number is GetState.
+fn is_status(server: &Ports, id: usize) -> bool {
+    id == server.first_command(server.provided.len().saturating_sub(1)) + system::GET_STATE
 }
 
 fn gone() -> io::Error {
@@ -150,6 +173,7 @@ impl ServerWires {
         way: &Way,
         connection: &Connection,
         (here, set): (&Here, &PortSet),
+        rows: Option<Arc<ShownRows>>,
         desk: impl FnOnce(Vec<Served>) -> Desk,
     ) -> io::Result<ServerWires> {
         match (offer, way) {
@@ -170,7 +194,7 @@ impl ServerWires {
                 })
             }
             (Offer::Calls(calls), Way::Calls { binding, .. }) => {
-                Self::serve(*calls, binding, connection, here, set, desk)
+                Self::serve(*calls, binding, connection, (here, set), rows, desk)
             }
             _ => Err(gone()),
         }
@@ -180,8 +204,8 @@ impl ServerWires {
         calls: ServedCalls,
         binding: &Binding,
         connection: &Connection,
-        here: &Here,
-        set: &PortSet,
+        (here, set): (&Here, &PortSet),
+        rows: Option<Arc<ShownRows>>,
         desk: impl FnOnce(Vec<Served>) -> Desk,
     ) -> io::Result<ServerWires> {
         let all = commands(&set.ports);
@@ -192,18 +216,20 @@ impl ServerWires {
             None => Reader::Class(set.commands[id].clone()),
         };
         let bound = || binding.functions.iter().map(|(_, id)| *id);
-        let published = bound().filter(|id| is_published(all[*id]));
-        let shown = published.zip(calls.reads).map(|(id, table)| Shown {
-            from: reader(id),
-            bytes: size(all[id].ret.as_ref()),
-            table,
-        });
-        let face = Face::new(calls.server, shown.collect());
+        let reading = |id: usize| Reading::of(&set.ports, &all, id, rows.is_some());
+        let published = bound().filter(|id| reading(*id) == Some(Reading::Published));
+        let tables = calls.reads.into_iter().zip(calls.whys);
+        let shown = published
+            .zip(tables)
+            .map(|(id, (results, whys))| Shown::new(reader(id), size(all[id].ret.as_ref()), results, whys));
+        let own = bound().filter(|id| reading(*id) == Some(Reading::Here));
+        let own = own.zip(calls.own_reads).map(|(id, word)| (set.commands[id].clone(), word));
+        let face = Face::new(calls.server, shown.collect(), own.collect(), rows.clone());
         let checks = bound().map(|id| Check {
             bytes: size(all[id].arg.as_ref().map(|a| &a.ty)),
             range: all[id].arg.as_ref().and_then(RangeCheck::of),
         });
-        let asked = |id: usize| all[id].kind.is_read() && !is_published(all[id]);
+        let asked = |id: usize| matches!(reading(id), Some(Reading::Asked | Reading::Here));
         let served = bound().enumerate().filter(|(_, id)| asked(*id)).map(|(index, id)| Served {
             index: index as u32,
             from: reader(id),
@@ -230,10 +256,21 @@ impl ServerWires {
         let events = events.collect();
         server.edit_faces(|faces| faces.push(face.clone()));
         // Afterwards: what is published from now on is shown by whoever publishes it.
-        face.show_row(server);
+        server.show_row();
+        face.show_positions();
+        face.show_figures(server);
         face.show_standing(server);
         server.reclaim();
-        Ok(ServerWires::Calls { events, to, commands_in, face, bell: calls.for_server, desk, toll: (0, 0) })
+        Ok(ServerWires::Calls {
+            events,
+            to,
+            commands_in,
+            face,
+            bell: calls.for_server,
+            desk,
+            toll: (0, 0),
+            panicked: AtomicU64::new(0),
+        })
     }
 
     /// Cuts them.
@@ -306,6 +343,16 @@ impl ServerWires {
         (std::mem::replace(toll, now) != now).then_some(now)
     }
 
+    /// So many of its reads have panicked in the process of its client by now, as that says.
+    pub(super) fn panicked(&self, count: u64, text: &[u8], (here, other): (&Here, &str)) {
+        let ServerWires::Calls { panicked, .. } = self else { return };
+        let more = count.saturating_sub(panicked.fetch_max(count, Ordering::Relaxed)).min(MOST_PANICS);
+        if more > 0 {
+            let text = format!("{} (in process {other})", crate::plain::sentence(text));
+            here.instance.counters.failed_times(Misuse::ReadPanicked, more, text.as_bytes());
+        }
+    }
+
     pub(super) fn detail(&self) -> LinkDetail {
         match self {
             ServerWires::Output { output, stats, .. } => LinkDetail {
@@ -370,7 +417,7 @@ impl ClientWires {
         way: &Way,
         connection: &Connection,
         (here, set): (&Here, &PortSet),
-        (server, asks): (&Ports, Arc<Asks>),
+        (server, asks, own): (&Ports, Arc<Asks>, Option<Own>),
         views: Arc<FarViews>,
     ) -> io::Result<ClientWires> {
         match way {
@@ -381,7 +428,7 @@ impl ClientWires {
             }
             Way::Calls { binding, shape } => {
                 let calls = FarCalls::open(memory, shape, agreed)?;
-                Self::call(calls, binding, connection, (here, set), (server, asks))
+                Self::call(calls, binding, connection, (here, set), (server, asks, own))
             }
         }
     }
@@ -410,9 +457,16 @@ impl ClientWires {
         binding: &Binding,
         connection: &Connection,
         (here, set): (&Here, &PortSet),
-        (ports, asks): (&Ports, Arc<Asks>),
+        (ports, asks, own): (&Ports, Arc<Asks>, Option<Own>),
     ) -> io::Result<ClientWires> {
         let client = &here.instance;
+        let panics = Arc::new(Panics::default());
+        let rows = |own: Own| -> io::Result<_> {
+            let (bytes, agreed) = of_rows(&own.class.info);
+            let rows = Rows::<StateReader>::open(own.rows, bytes, agreed)?;
+            Ok((OwnRows::new(&own.class, rows.end, panics.clone()), own.class))
+        };
+        let own = own.map(rows).transpose()?;
         here.executor.add_bell(calls.for_client.clone(), client.clone()).map_err(full)?;
         let handlers: Vec<_> = set.ports.required.iter().flat_map(|r| &r.handlers).collect();
         let checks = binding
@@ -429,17 +483,28 @@ impl ClientWires {
         let server = FarServer::new(calls.commands, calls.replies, calls.server, calls.for_server);
         let deadline_ns = connection.options.deadline_ns.unwrap_or(DEFAULT_DEADLINE_NS);
         let all = commands(ports);
-        let mut tables = calls.reads.into_iter();
+        let mut tables = calls.reads.into_iter().zip(calls.whys);
+        let mut positions = calls.own_reads.into_iter();
         let functions = binding.functions.iter().enumerate().map(|(index, (function, id))| {
             let command = all[*id];
             let range = command.arg.as_ref().and_then(RangeCheck::of);
             let lane = lane(command, index);
-            let to = if command.kind.is_read() {
-                let table = is_published(command).then(|| tables.next()).flatten();
+            let to = if let Some(reading) = Reading::of(ports, &all, *id, own.is_some()) {
+                let mut here = || own.as_ref().zip(positions.next());
+                let source = match reading {
+                    Reading::Published => tables.next().map(|(results, whys)| {
+                        let status = is_status(ports, *id);
+                        FarSource::Table(FarTable { results, whys, status })
+                    }),
+                    Reading::Here => here().map(|((rows, class), at)| {
+                        FarSource::Here(OwnRead::new(rows, at, command, class, ports), asks.clone())
+                    }),
+                    Reading::Asked => None,
+                };
                 FnBinding::FarRead(FarRead {
                     server: server.clone(),
                     index: lane.index,
-                    source: table.map_or_else(|| FarSource::Ask(asks.clone()), FarSource::Table),
+                    source: source.unwrap_or_else(|| FarSource::Ask(asks.clone())),
                     arg_bytes: lane.arg_bytes,
                     ret_bytes: lane.ret_bytes,
                     range,
@@ -454,7 +519,7 @@ impl ClientWires {
         });
         let functions = functions.collect();
         client.reclaim();
-        Ok(ClientWires::Calls { functions, server, events_in, bell: calls.for_client, asks })
+        Ok(ClientWires::Calls { functions, server, events_in, bell: calls.for_client, asks, panics, told: 0 })
     }
 
     /// Whether these are the wires of a binding as it is now.
@@ -466,6 +531,13 @@ impl ClientWires {
         (functions.len(), targets.len()) == (bound.len(), handlers.len())
             && functions.iter().all(|function| bound.next().is_some_and(|now| Arc::ptr_eq(now, function)))
             && targets.iter().all(|target| handlers.next().is_some_and(|now| Arc::ptr_eq(now, target)))
+    }
+
+    /// Of the reads worked out here how many panicked, and what the last one said, if those are more than last time.
+    pub(super) fn untold_panics(&mut self) -> Option<(u64, String)> {
+        let ClientWires::Calls { panics, told, .. } = self else { return None };
+        let (now, text) = panics.so_far();
+        (std::mem::replace(told, now) != now).then_some((now, text))
     }
 
     /// Whoever waits for the server is answered, and its output is an input's source no more. Any thread; no memory is given back, which

@@ -3,7 +3,7 @@
 //! ```text
 //! client's LCM                     server's LCM
 //!                      ◀──── Offered          its half stands: ask
-//!   Open{hash}         ────▶
+//!   Open{hash, code}   ────▶
 //!                      ◀──── Opened{epoch} + memory    or Declined{why}
 //!   Close              ◀───▶                  either side, when its half goes
 //! ```
@@ -17,10 +17,21 @@ use trocar_rt::pool::PoolShape;
 pub(super) enum Words {
     /// The server's half stands.
     Offered { connection: u64 },
-    /// The client's half stands, and sees the types of this hash.
-    Open { connection: u64, hash: u64 },
-    /// The memory for it; behind it the memory of these pools.
-    Opened { connection: u64, epoch: u64, pools: Vec<Pool> },
+    /// The client's half stands, and sees the types of this hash; its process has this code of the server's class, if any.
+    Open {
+        connection: u64,
+        hash: u64,
+        #[serde(default)]
+        code: Option<String>,
+    },
+    /// The memory for it; behind it, if so, that of the server's rows, then that of these pools.
+    Opened {
+        connection: u64,
+        epoch: u64,
+        #[serde(default)]
+        rows: bool,
+        pools: Vec<Pool>,
+    },
     /// Not now (`later`: ask again when it is offered), or never as things are.
     Declined { connection: u64, why: String, later: bool },
     /// The link of this epoch went.
@@ -29,6 +40,8 @@ pub(super) enum Words {
     Pools { connection: u64, epoch: u64, pools: Vec<Pool> },
     /// Of the commands that were only sent so many failed, and so many never ran, on this link.
     Toll { connection: u64, epoch: u64, failed: u64, unexecuted: u64 },
+    /// Of the reads the client works out itself so many panicked on this link; what the last one said is behind.
+    Panicked { connection: u64, epoch: u64, count: u64 },
     /// The result of a read is wanted within this time, ns; its argument is behind.
     Ask { connection: u64, epoch: u64, number: u64, index: u32, left_ns: u64 },
     /// It is behind, then the sentence.
@@ -83,6 +96,7 @@ impl Words {
             | Words::Declined { connection, .. }
             | Words::Close { connection, .. }
             | Words::Toll { connection, .. }
+            | Words::Panicked { connection, .. }
             | Words::Pools { connection, .. }
             | Words::Ask { connection, .. }
             | Words::Told { connection, .. } => *connection,

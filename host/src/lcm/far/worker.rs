@@ -18,11 +18,13 @@ use super::super::api::HalfReport;
 use super::super::boundary::FarServer;
 use super::super::instance::Loss;
 use super::asks::{Asks, ReadAnswer};
+use super::face::ShownRows;
 use super::half::{Half, Linked, Role, Wires};
+use super::kin::code_of;
 use super::manager::{Halves, Todo, Todos, all, locked};
 use super::pools::{Untold, all_came, map};
 use super::serving::{Desk, Question};
-use super::wires::{ClientWires, Offer, ServerWires, header_bytes};
+use super::wires::{ClientWires, Offer, Own, ServerWires, header_bytes};
 use super::words::{Pool, Words};
 
 /// How often links of frames are looked at for pools their other end was not told of, and for frames that come back.
@@ -72,6 +74,18 @@ pub(super) fn unsaid(links: &Links, half: &Half) -> String {
 fn say(session: &Session, words: &Words, behind: &[u8], files: &[OwnedFd]) -> Result<(), String> {
     let files: Vec<_> = files.iter().map(AsFd::as_fd).collect();
     session.send(&words.encode(behind), &files).map_err(|e| e.to_string())
+}
+
+/// The rows of a half's component and their file, for a client whose process has this code of its class; none where it has not, or
+/// where they cannot be had: then it asks.
+fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedFd)> {
+    let server = &half.here.instance;
+    let reads = half.terms(true).is_ok_and(|(_, terms)| terms.works_reads_out());
+    if !reads || code.is_none() || code != code_of(&server.info) {
+        return None;
+    }
+    let rows = server.rows_for_others().and_then(|rows| Ok((rows.clone(), rows.fd()?)));
+    rows.inspect_err(|e| log::warn!("{}: its clients in other processes ask for reads: {e}", server.id)).ok()
 }
 
 impl Worker {
@@ -143,6 +157,7 @@ impl Worker {
         let pause = |half: Arc<Half>| match (&half.stage().linked, half.role) {
             (Some(Linked { wires: Wires::Server(wires), .. }), _) if wires.lends() => Some(POOLS_LOOK),
             (Some(Linked { wires: Wires::Server(ServerWires::Calls { .. }), .. }), _) => Some(TOLL),
+            (Some(Linked { wires: Wires::Client(ClientWires::Calls { .. }), .. }), _) => Some(TOLL),
             (None, Role::Client) => Some(RETRY),
             _ => None,
         };
@@ -276,11 +291,12 @@ impl Worker {
         if !half.may_ask(&session) {
             return;
         }
-        let hash = match half.terms() {
+        let hash = match half.terms(false) {
             Ok((_, terms)) => terms.hash,
             Err(refusal) => return half.fail(refusal.to_string(), true),
         };
-        let words = Words::Open { connection: half.number(), hash };
+        let code = (half.kin)().and_then(|own| code_of(&own.info));
+        let words = Words::Open { connection: half.number(), hash, code };
         match say(&session, &words, &[], &[]) {
             Ok(()) => half.asked(Some(&session)),
             Err(why) => half.fail(why, false),
@@ -323,8 +339,8 @@ impl Worker {
         };
         match (half.role, words) {
             (Role::Client, Words::Offered { .. }) => self.open(&half),
-            (Role::Client, Words::Opened { epoch, pools, .. }) => {
-                self.opened(session, &half, epoch, &pools, message);
+            (Role::Client, Words::Opened { epoch, rows, pools, .. }) => {
+                self.opened(session, &half, (epoch, rows, &pools), message);
             }
             (Role::Client, Words::Declined { why, later, .. }) => {
                 half.asked(None);
@@ -349,7 +365,14 @@ impl Worker {
             {
                 half.pay(failed, unexecuted);
             }
-            (Role::Server, Words::Open { hash, .. }) => self.opens(session, &half, hash),
+            (Role::Server, Words::Open { hash, code, .. }) => self.opens(session, &half, hash, code),
+            (Role::Server, Words::Panicked { epoch, count, .. }) => {
+                half.with_wires(session, epoch, |wires| {
+                    if let Wires::Server(wires) = wires {
+                        wires.panicked(count, behind, (&half.here, half.other()));
+                    }
+                });
+            }
             (Role::Server, Words::Ask { epoch, number, index, left_ns, .. }) => {
                 let until_ns = os::now_ns().saturating_add(left_ns);
                 let question = Question { number, index, until_ns, arg: behind.to_vec() };
@@ -370,13 +393,13 @@ impl Worker {
     }
 
     /// The client's process asks for the memory.
-    fn opens(&mut self, session: &Arc<Session>, half: &Arc<Half>, hash: u64) {
+    fn opens(&mut self, session: &Arc<Session>, half: &Arc<Half>, hash: u64, code: Option<String>) {
         let connection = half.number();
         let decline = |why: String| {
             half.fail(why.clone(), false);
             let _ = say(session, &Words::Declined { connection, why, later: false }, &[], &[]);
         };
-        let (set, terms) = match half.terms() {
+        let (_, terms) = match half.terms(false) {
             Ok(both) => both,
             Err(refusal) => return decline(refusal.to_string()),
         };
@@ -392,9 +415,14 @@ impl Worker {
         }
         // A client that asks again has lost its end.
         self.unlink(half, None, "its client asked anew", Loss::Cut, true);
+        let rows = rows_for(half, code);
+        let (set, terms) = match half.terms(rows.is_some()) {
+            Ok(both) => both,
+            Err(refusal) => return decline(refusal.to_string()),
+        };
         self.epoch = os::now_ns().max(self.epoch + 1);
         let epoch = self.epoch;
-        let offer = match Offer::make(&terms.way, Agreed { hash, epoch }, &self.todos.bell) {
+        let offer = match Offer::make(&terms.way, Agreed { hash: terms.hash, epoch }, &self.todos.bell) {
             Ok(offer) => offer,
             Err(e) => return decline(format!("no memory for it: {e}")),
         };
@@ -403,17 +431,19 @@ impl Worker {
             Err(e) => return decline(e.to_string()),
         };
         offer.expect_pools(&terms.way, &set);
+        let (rows, rows_file) = rows.unzip();
         let desk = |served| Desk::open(&half.here.instance, session, (connection, epoch), served);
-        let mut wires =
-            match ServerWires::connect(offer, &terms.way, &half.connection, (&half.here, &set), desk) {
-                Ok(wires) => wires,
-                Err(e) => return decline(e.to_string()),
-            };
+        let here = (&half.here, &*set);
+        let mut wires = match ServerWires::connect(offer, &terms.way, &half.connection, here, rows, desk) {
+            Ok(wires) => wires,
+            Err(e) => return decline(e.to_string()),
+        };
         let Untold { pools, files, told } = Untold::of(&wires);
         Untold::note(told, &mut wires);
         half.link(session, epoch, Wires::Server(wires));
-        let files: Vec<OwnedFd> = std::iter::once(memory).chain(files).collect();
-        if let Err(why) = say(session, &Words::Opened { connection, epoch, pools }, &[], &files) {
+        let rows = rows_file.is_some();
+        let files: Vec<OwnedFd> = std::iter::once(memory).chain(rows_file).chain(files).collect();
+        if let Err(why) = say(session, &Words::Opened { connection, epoch, rows, pools }, &[], &files) {
             self.unlink(half, None, &why, Loss::Cut, false);
             let _ = say(session, &Words::Declined { connection, why, later: true }, &[], &[]);
         }
@@ -424,8 +454,7 @@ impl Worker {
         &mut self,
         session: &Arc<Session>,
         half: &Arc<Half>,
-        epoch: u64,
-        pools: &[Pool],
+        (epoch, rows, pools): (u64, bool, &[Pool]),
         message: Message,
     ) {
         let connection = half.number();
@@ -435,7 +464,14 @@ impl Worker {
             all_came(&message)?;
             let mut files = message.files.into_iter();
             let memory = files.next().ok_or("no memory came along")?;
-            let (set, terms) = half.terms().map_err(|refusal| refusal.to_string())?;
+            let own = if rows {
+                let rows = files.next().ok_or("no rows came along")?;
+                let class = (half.kin)().ok_or("it shows rows to this process, which has not their class")?;
+                Some(Own { class, rows })
+            } else {
+                None
+            };
+            let (set, terms) = half.terms(own.is_some()).map_err(|refusal| refusal.to_string())?;
             let views = FarViews::new(header_bytes(&terms.way));
             map(&views, pools, files)?;
             let wires = ClientWires::connect(
@@ -443,7 +479,7 @@ impl Worker {
                 &terms.way,
                 &half.connection,
                 (&half.here, &set),
-                (&half.theirs, Asks::new(session, connection, epoch)),
+                (&half.theirs, Asks::new(session, connection, epoch), own),
                 views,
             );
             half.link(session, epoch, Wires::Client(wires.map_err(|e| e.to_string())?));
@@ -510,7 +546,7 @@ impl Worker {
         }
     }
 
-    /// Tells clients of commands they only sent and that came to nothing here.
+    /// Tells clients of commands they only sent and that came to nothing here, and servers of their reads that panicked here.
     fn tell_tolls(&mut self) {
         if self.tolled.elapsed() < TOLL {
             return;
@@ -518,12 +554,23 @@ impl Worker {
         self.tolled = Instant::now();
         for half in all(&self.halves) {
             let (connection, mut stage) = (half.number(), half.stage());
-            if let Some(Linked { session, epoch, wires: Wires::Server(wires) }) = &mut stage.linked
-                && let Some((failed, unexecuted)) = wires.untold_toll()
-            {
-                let words = Words::Toll { connection, epoch: *epoch, failed, unexecuted };
-                let _ = say(session, &words, &[], &[]);
-            }
+            let Some(Linked { session, epoch, wires }) = &mut stage.linked else { continue };
+            let epoch = *epoch;
+            let _ = match wires {
+                Wires::Server(wires) => match wires.untold_toll() {
+                    Some((failed, unexecuted)) => {
+                        let words = Words::Toll { connection, epoch, failed, unexecuted };
+                        say(session, &words, &[], &[])
+                    }
+                    None => Ok(()),
+                },
+                Wires::Client(wires) => match wires.untold_panics() {
+                    Some((count, text)) => {
+                        say(session, &Words::Panicked { connection, epoch, count }, text.as_bytes(), &[])
+                    }
+                    None => Ok(()),
+                },
+            };
         }
     }
 }

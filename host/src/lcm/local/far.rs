@@ -10,9 +10,10 @@ use trocar_links::Card;
 use trocar_model::{Connection, Link, Ports, Refusal, bindings, idle_connection};
 
 use super::super::Report;
-use super::super::api::FarEnd;
+use super::super::api::{ClassOf, FarEnd};
+use super::super::boundary::OwnClass;
 use super::super::carriers::OneEnd;
-use super::super::far::Role;
+use super::super::far::{Kin, Role};
 use super::super::instance::Loss;
 use super::LocalLcm;
 
@@ -26,7 +27,7 @@ impl LocalLcm {
 
     /// Makes the half of a connection that is here, and for a client waits until it is linked.
     pub(super) async fn link_far(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
-        let FarEnd { connection, ports: theirs, card } = end;
+        let FarEnd { connection, ports: theirs, class, card } = end;
         let unreachable = |why: String| Refusal::Unreachable {
             client: connection.client.clone(),
             server: connection.server.clone(),
@@ -52,8 +53,8 @@ impl LocalLcm {
         };
         let (tell, told) = oneshot::channel();
         let (id, tell) = (connection.id.0, (role == Role::Client).then_some(tell));
-        let end = OneEnd { connection: connection.clone(), role, here: slot.here(), required, theirs, card };
-        halves.add(end, tell)?;
+        let (ours, here, kin) = (connection.clone(), slot.here(), self.kin(role, class));
+        halves.add(OneEnd { connection: ours, role, here, required, theirs, card, kin }, tell)?;
         if role == Role::Client {
             let until = deadline.checked_sub(WAY).unwrap_or(deadline);
             let linked = match tokio::time::timeout_at(until.into(), told).await {
@@ -69,6 +70,17 @@ impl LocalLcm {
         let mut report = slot.instance.report(false);
         report.warnings.extend(idle);
         Ok(report)
+    }
+
+    /// How a client finds the class of its server in this process.
+    fn kin(&self, role: Role, of: ClassOf) -> Kin {
+        match (role, self.classes.clone()) {
+            (Role::Client, Some(classes)) => Box::new(move || {
+                let (info, class) = classes.present(&of.name, &of.hash)?;
+                Some(OwnClass { info, class })
+            }),
+            _ => Box::new(|| None),
+        }
     }
 
     /// The half of a connection goes; the client's or server's report, `None` when there is none.

@@ -172,6 +172,7 @@ impl Charge {
         Misdeed::ALL.iter().filter(|what| done(what)).for_each(|what| instance.warn(what.says()));
         self.mind_peers(now_ns);
         self.tell_misuse(now_ns);
+        instance.show_figures();
     }
 
     /// What moves something and has lost what it requires is made safe and stopped, unless it was only rewired.

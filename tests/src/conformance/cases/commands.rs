@@ -79,6 +79,9 @@ pub fn a_call_from_a_step_runs_inline_or_would_block(way: &Way) {
     }
     // Reads wait for nobody, so a step may call them.
     assert_eq!(lab.perform_in_step(Call::call(Function::Value, 0.0)).only(), Outcome::Executed);
+    let asked = way.reach() == Reach::Apart;
+    let qualified = if asked { Outcome::WouldBlock } else { Outcome::Executed };
+    assert_eq!(lab.perform_in_step(Call::call(Function::Scaled, 1.0)).only(), qualified);
     let executed = u64::from(way.deployment.inline());
     assert_eq!((lab.count("server", "pokes"), lab.count("server", "writes")), (executed, executed));
 }
@@ -99,7 +102,7 @@ pub fn several_threads_of_a_client_use_one_function_at_once(way: &Way) {
     let arrived = sent.count(Outcome::Queued) + sent.count(Outcome::Executed);
     assert_eq!(arrived + sent.count(Outcome::QueueFull), 400, "{sent:?}");
     lab.await_count("server", "pokes", |n| n == arrived);
-    if way.deployment.reach() == Reach::Thread {
+    if way.reach() == Reach::Thread {
         // The thread that would run them waits for those that call.
         let called = lab.perform(Call::call(Function::Poke, 0.0).from_threads(4).times(2).within_ms(10));
         assert_eq!(
@@ -145,6 +148,6 @@ pub fn a_read_waits_for_nobody(way: &Way) {
         read(1);
     } else {
         // What has to be asked for in another process is asked for from a thread that may wait.
-        lab.occupied(|| read(u32::from(way.deployment.two_processes())));
+        lab.occupied(|| read(u32::from(way.reach() == Reach::Apart)));
     }
 }

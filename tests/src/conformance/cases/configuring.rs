@@ -57,7 +57,7 @@ pub fn settings_change_under_load_and_each_answer_is_of_one_of_them(way: &Way) {
             }
         });
         // From a thread that may wait for whoever is inside a server without a thread of its own.
-        let from = u32::from(way.deployment.reach() != Reach::Thread);
+        let from = u32::from(way.reach() != Reach::Thread);
         while !changing.is_finished() {
             let answer = lab.perform(Call::call(Function::Twice, 1.0).from_threads(from));
             assert_eq!(answer.only(), Outcome::Executed, "{answer:?}");

@@ -180,7 +180,7 @@ pub fn a_direct_handler_of_a_client_that_is_busy_waits_like_any_other(way: &Way)
     let mut log: Vec<u64> = serde_json::from_value(lab.row("client")["log"].clone()).expect("numbers");
     let mut late = log.split_off(2);
     assert_eq!(log, [1, 2], "nobody is entered twice: {late:?} came later");
-    if way.deployment.reach().queues() {
+    if way.reach().queues() {
         // Both come while the client looks at its queues, and the order of connections is nobody's promise.
         late.sort_unstable();
     }

@@ -39,10 +39,10 @@ impl Kind {
         self.function().reads()
     }
 
-    /// A read that a client in another process has to ask for.
+    /// A read that a client whose process has not the server's class has to ask for.
     #[must_use]
     pub fn is_asked_for(self, reach: Reach) -> bool {
-        reach == Reach::Process && self == Kind::QualifiedRead
+        reach == Reach::Apart && self == Kind::QualifiedRead
     }
 
     #[must_use]

@@ -65,7 +65,7 @@ fn play(way: &Way, situation: Situation) {
     let mut wrong = Vec::new();
     for kind in Kind::ALL {
         for mode in Mode::ALL {
-            let expected = fate(way.deployment.reach(), situation, kind, mode);
+            let expected = fate(way.reach(), situation, kind, mode);
             let answer = stage.ask(kind, mode);
             if !expected.is(&answer, 1) {
                 wrong.push(format!("{kind:?}, {mode:?}: {expected:?} was expected, this came: {answer:?}"));
@@ -131,7 +131,7 @@ impl<'a> Stage<'a> {
     }
 
     fn reach(&self) -> Reach {
-        self.way.deployment.reach()
+        self.way.reach()
     }
 
     /// From the client's own thread where that may run it, else from a thread that may wait.
