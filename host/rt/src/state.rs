@@ -141,12 +141,14 @@ impl StateWriter {
         RowInfo { stamp_ns, tick, row: n }
     }
 
-    /// As [`StateWriter::publish`], where stamp and tick are known only after the row: `fill` answers them.
+    /// As [`StateWriter::publish`], where stamp and tick are known only after the row: `fill` answers them, or `None` where there is
+    /// nothing to publish.
     #[inline]
-    pub fn publish_with(&mut self, fill: impl FnOnce(&mut [u8]) -> (u64, u64)) {
+    pub fn publish_with(&mut self, fill: impl FnOnce(&mut [u8]) -> Option<(u64, u64)>) {
         let row_bytes = self.table.row_bytes;
-        let (stamp_ns, tick) = fill(&mut self.scratch.as_mut_slice()[..row_bytes]);
-        self.publish(stamp_ns, tick, |_| ());
+        if let Some((stamp_ns, tick)) = fill(&mut self.scratch.as_mut_slice()[..row_bytes]) {
+            self.publish(stamp_ns, tick, |_| ());
+        }
     }
 
     /// Another reader of the same table.

@@ -3,6 +3,7 @@
 
 mod allocations;
 mod answering;
+mod apart;
 mod bells;
 mod branches;
 mod callbacks;
@@ -23,6 +24,7 @@ mod standing;
 mod supervision;
 mod telling;
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -33,7 +35,7 @@ use trocar_model::{
 };
 
 use super::boundary::fake::{Behaviour, FakeClasses, behave, class};
-use super::{Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
+use super::{Classes, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
 
 /// Longest wait for something that should happen soon; a failure, not a speed limit.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -46,12 +48,13 @@ struct World {
 impl World {
     /// `process` is unique over all tests: fakes are found by their path.
     fn new(process: &'static str) -> World {
-        let config = LcmConfig {
-            process: Name::parse(process).unwrap(),
-            classes: Some(Arc::new(FakeClasses)),
-            links: None,
-            lock_memory: false,
-        };
+        World::with(process, Arc::new(FakeClasses), None)
+    }
+
+    /// With these classes, and with a place where it listens for other processes.
+    fn with(process: &'static str, classes: Arc<dyn Classes>, links: Option<PathBuf>) -> World {
+        let process_name = Name::parse(process).unwrap();
+        let config = LcmConfig { process: process_name, classes: Some(classes), links, lock_memory: false };
         World { lcm: LocalLcm::new(config).unwrap(), process }
     }
 

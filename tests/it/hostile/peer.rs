@@ -251,6 +251,7 @@ fn whatever_is_handed_over_for_the_memory_of_a_link_is_refused_with_a_sentence()
         let half = proxies.as_array().into_iter().flatten().find(|half| half["process"] == "left").cloned();
         half.map_or_else(String::new, |half| half["why"].to_string() + &half.to_string())
     };
+    let mut rows = false;
     while let Some((pools, files, why)) = given.last() {
         let Some(words) = impostor.hears() else { continue };
         let connection = number(&words.body["connection"]);
@@ -265,14 +266,19 @@ fn whatever_is_handed_over_for_the_memory_of_a_link_is_refused_with_a_sentence()
                 });
                 given.pop();
             }
-            // Memory of another connection.
+            // Memory of another connection, then rows that do not come along.
             ("Open", connection) if connection == to_calls => {
                 let hash = number(&words.body["hash"]);
-                say(&words.session, &opened(connection, 7, json!([])), &[good(hash).as_fd()]);
+                let mut opened = opened(connection, 7, json!([]));
+                say(&words.session, &opened, &[good(hash).as_fd()]);
+                opened["Opened"]["rows"] = json!(true);
+                say(&words.session, &opened, &[good(hash).as_fd()]);
+                rows |= why_not(&scene, "left/client/Required").contains("no rows came along");
             }
             _ => {}
         }
     }
+    assert!(rows, "rows that did not come along were not refused");
     scene.undisturbed();
     drop(given);
     drop(impostor);
@@ -293,7 +299,10 @@ fn words_that_are_none_and_words_out_of_place_change_nothing_of_anybody_else() {
         let session = impostor.session(&victim);
         for words in [
             json!({ "Open": { "connection": connection, "hash": u64::MAX } }),
+            json!({ "Open": { "connection": connection, "hash": 0, "code": "\u{1b}[2J".repeat(1000) } }),
             json!({ "Opened": { "connection": connection, "epoch": u64::MAX, "pools": [] } }),
+            json!({ "Opened": { "connection": connection, "epoch": 1, "rows": true, "pools": [] } }),
+            json!({ "Panicked": { "connection": connection, "epoch": 0, "count": u64::MAX } }),
             json!({ "Offered": { "connection": connection } }),
             json!({ "Declined": { "connection": connection, "why": "\u{1b}[2J".repeat(1000), "later": true } }),
             json!({ "Close": { "connection": connection, "epoch": u64::MAX } }),

@@ -101,11 +101,7 @@ impl ShownRows {
     /// The newest row, if there is one. Real-time.
     pub(in crate::lcm) fn show(&self, server: &Instance) {
         self.rows.write(|rows| {
-            if server.rows.published() > 0 {
-                rows.end.publish_with(|row| {
-                    server.rows.latest(row).map_or((0, 0), |info| (info.stamp_ns, info.tick))
-                });
-            }
+            rows.end.publish_with(|row| server.rows.latest(row).map(|info| (info.stamp_ns, info.tick)));
         });
     }
 }
@@ -170,7 +166,14 @@ impl Face {
     /// Where the reads stand now that the client works out itself.
     pub(in crate::lcm) fn show_positions(&self) {
         for (position, word) in &self.own {
-            word.set(position.get().map_or(0, |id| u64::from(id) + 1));
+            loop {
+                let now = position.get();
+                word.set(now.map_or(0, |id| u64::from(id) + 1));
+                // Whoever moves it comes here afterwards.
+                if position.get() == now {
+                    break;
+                }
+            }
         }
     }
 
@@ -224,11 +227,11 @@ impl Shown {
                 whys.publish_with(|why| {
                     let said = read.text_bytes.min(why.len());
                     why[..said].copy_from_slice(&text[..said]);
-                    (read.stamp_ns, said as u64)
+                    Some((read.stamp_ns, said as u64))
                 });
             }
             // What a step of the reader looks at is the outcome.
-            (read.stamp_ns, read.outcome as u64)
+            Some((read.stamp_ns, read.outcome as u64))
         });
     }
 }

@@ -76,6 +76,13 @@ fn say(session: &Session, words: &Words, behind: &[u8], files: &[OwnedFd]) -> Re
     session.send(&words.encode(behind), &files).map_err(|e| e.to_string())
 }
 
+/// Tells a server of its reads that panicked here, if there are new ones.
+fn tell_panics(session: &Session, (connection, epoch): (u64, u64), wires: &mut ClientWires) {
+    if let Some((count, text)) = wires.untold_panics() {
+        let _ = say(session, &Words::Panicked { connection, epoch, count }, text.as_bytes(), &[]);
+    }
+}
+
 /// The rows of a half's component and their file, for a client whose process has this code of its class; none where it has not, or
 /// where they cannot be had: then it asks.
 fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedFd)> {
@@ -235,9 +242,13 @@ impl Worker {
         how: Loss,
         tell_other: bool,
     ) -> bool {
-        let Some(Linked { session, epoch, wires }) = half.unlink(of, why, how) else { return false };
+        let Some(Linked { session, epoch, mut wires }) = half.unlink(of, why, how) else { return false };
+        let connection = half.number();
+        if let Wires::Client(wires) = &mut wires {
+            tell_panics(&session, (connection, epoch), wires);
+        }
         if tell_other {
-            let _ = say(&session, &Words::Close { connection: half.number(), epoch }, &[], &[]);
+            let _ = say(&session, &Words::Close { connection, epoch }, &[], &[]);
         }
         match wires {
             _ if session.is_lost() => {}
@@ -555,22 +566,15 @@ impl Worker {
         for half in all(&self.halves) {
             let (connection, mut stage) = (half.number(), half.stage());
             let Some(Linked { session, epoch, wires }) = &mut stage.linked else { continue };
-            let epoch = *epoch;
-            let _ = match wires {
-                Wires::Server(wires) => match wires.untold_toll() {
-                    Some((failed, unexecuted)) => {
-                        let words = Words::Toll { connection, epoch, failed, unexecuted };
-                        say(session, &words, &[], &[])
+            match wires {
+                Wires::Server(wires) => {
+                    if let Some((failed, unexecuted)) = wires.untold_toll() {
+                        let words = Words::Toll { connection, epoch: *epoch, failed, unexecuted };
+                        let _ = say(session, &words, &[], &[]);
                     }
-                    None => Ok(()),
-                },
-                Wires::Client(wires) => match wires.untold_panics() {
-                    Some((count, text)) => {
-                        say(session, &Words::Panicked { connection, epoch, count }, text.as_bytes(), &[])
-                    }
-                    None => Ok(()),
-                },
-            };
+                }
+                Wires::Client(wires) => tell_panics(session, (connection, *epoch), wires),
+            }
         }
     }
 }

@@ -87,6 +87,13 @@ pub fn a_command_that_refuses_has_failed_with_its_own_sentence(way: &Way) {
     assert_eq!(sent, expected);
     // It is an answer, not a fault.
     assert_eq!(lab.perform(waiting(way, Function::Poke, 0.0)).only(), Outcome::Executed);
+    lab.configure("server", serde_json::json!({ "mood": "refuse" })).expect("mood is live");
+    for what in [Function::Value, Function::Scaled] {
+        let read = lab.perform(waiting(way, what, 3.0));
+        assert_eq!((read.only(), read.text.as_str()), (Outcome::Failed, "refused on request"), "{what:?}");
+    }
+    let read = lab.perform_in_step(Call::call(Function::Value, 0.0));
+    assert_eq!((read.only(), read.text.as_str()), (Outcome::Failed, "refused on request"), "in a step");
 }
 
 pub fn a_full_queue_refuses_and_keeps_what_it_has(way: &Way) {
