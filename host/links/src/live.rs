@@ -10,7 +10,7 @@ pub(crate) const BEAT_NS: u64 = 10_000_000;
 /// Silence after which a process that stands still is lost, ns: three beats.
 pub(crate) const STOPPED_NS: u64 = 3 * BEAT_NS;
 /// Silence after which any process is lost, ns. A busy machine keeps threads waiting for a tenth of that; a process that ends is noticed
-/// by its socket, not by this.
+/// by the kernel's mark and by its socket, not by this.
 pub(crate) const SILENT_NS: u64 = 300_000_000;
 
 /// What is known of the heart of one process.
