@@ -349,3 +349,41 @@ async fn a_filter_of_frames_comes_into_a_running_stream_and_goes_again_and_every
     world.all_slots_come_back(&camera, &[(straight.id.0, "screen")]).await;
     world.end().await;
 }
+
+/// A link of shared memory carries frames of sixteen pools in its life. The screen has a frame in its hands at every cut.
+#[tokio::test(flavor = "multi_thread")]
+async fn shared_memory_that_has_seen_too_many_pools_is_made_anew_and_every_slot_comes_back() {
+    let world = World::new("b_pools");
+    let (filter, screen) = (Arc::new(Filter::default()), Arc::new(Screen::default()));
+    world.create_as("filter", class(frames(true, true), Safety::None), periodic(1000), filter.clone()).await;
+    world.create_as("screen", class(frames(true, false), Safety::None), periodic(1000), screen.clone()).await;
+    let shared = ConnectOptions { carrier: "memfd".into(), ..ConnectOptions::default() };
+    world.connect(1, "screen/in", "filter/out", shared.clone()).await;
+    world.start("screen").await;
+    world.start("filter").await;
+    let cameras: Vec<String> = (0..20).map(|n| format!("camera{n}")).collect();
+    for (number, name) in (2..).zip(&cameras) {
+        let fake = Arc::new(Camera::default());
+        world.create_as(name, class(frames(false, true), Safety::None), periodic(1000), fake).await;
+        let wire = world.wire(number, "filter/in", &format!("{name}/out"), shared.clone());
+        world.apply(Change::Connect { connection: wire.clone() }).await.unwrap();
+        world.start(name).await;
+        screen.sees_more(&format!("frames of {name}")).await;
+        world.cut(wire, false).await;
+        world.run(name, Verb::Stop).await.unwrap();
+    }
+    let passed = filter.0.seen().len() as u64;
+    let link = world.accounted(1, passed).await;
+    assert_eq!((link.carrier.as_str(), link.passed), ("memfd", screen.seen().len() as u64), "{link:?}");
+    let behind = world.wire(1, "screen/in", "filter/out", shared);
+    world.cut(behind, false).await;
+    world.destroy("screen", frames(true, false)).await;
+    world.destroy("filter", frames(true, true)).await;
+    for name in &cameras {
+        let instance = world.lcm.instance(&world.id(name)).unwrap();
+        let set = instance.described.now();
+        let pool = || set.slots.output(0).pool().unwrap();
+        eventually(&format!("all slots of {name} are back"), || pool().free == pool().slots).await;
+    }
+    world.end().await;
+}
