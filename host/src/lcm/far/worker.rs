@@ -92,7 +92,8 @@ fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedF
         return None;
     }
     let rows = server.rows_for_others().and_then(|rows| Ok((rows.clone(), rows.fd()?)));
-    rows.inspect_err(|e| log::warn!("{}: its clients in other processes ask for reads: {e}", server.id)).ok()
+    let stem = "its rows cannot be shown to other processes, so that their steps cannot call reads of it with an argument";
+    rows.inspect_err(|e| server.warn_about(stem, &format!(": {e}"))).ok()
 }
 
 impl Worker {
