@@ -4,8 +4,9 @@
 
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
-    ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherThread, Passive, SameStream, SharedMemory,
-    Way, cases,
+    ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherProcessOfFreeClient,
+    OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids, OtherProcessOnTurnedGrids,
+    OtherThread, Passive, SameStream, SharedMemory, Way, cases,
 };
 use trocar_tests::skip;
 
@@ -130,6 +131,7 @@ macro_rules! conform {
                 cases untyped:
                     an_untyped_input_takes_samples_and_frames_as_they_are,
                     an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size,
+                    two_untyped_ends_pass_what_a_third_one_made_of_the_output,
                     an_untyped_function_calls_what_it_is_connected_to_and_nothing_of_another_size,
                     fields_that_only_moved_are_copied_by_name_where_the_connection_adapts;
                 cases rows:
@@ -195,6 +197,15 @@ conform! {
     other_process_cpp: OtherProcess, Cpp calls Cpp;
     other_process_linked: OtherProcess, Linked calls Linked;
     other_process_rust_to_cpp: OtherProcess, Rust calls Cpp;
+    other_process_cpp_to_rust: OtherProcess, Cpp calls Rust;
+    other_process_on_grids_rust: OtherProcessOnGrids, Rust calls Rust;
+    other_process_on_grids_cpp: OtherProcessOnGrids, Cpp calls Cpp;
+    other_process_on_turned_grids_rust: OtherProcessOnTurnedGrids, Rust calls Rust;
+    other_process_on_turned_grids_cpp: OtherProcessOnTurnedGrids, Cpp calls Cpp;
+    other_process_of_free_client_rust: OtherProcessOfFreeClient, Rust calls Rust;
+    other_process_of_free_server_cpp: OtherProcessOfFreeServer, Cpp calls Cpp;
+    other_process_of_passive_rust: OtherProcessOfPassive, Rust calls Rust;
+    other_process_of_passive_cpp: OtherProcessOfPassive, Cpp calls Cpp;
 }
 
 #[test]

@@ -3,12 +3,13 @@
 //! Invariant: either both have their half or none, and the server's is there first, so that its client finds it. While a process is
 //! away its half counts as gone; what it still has when it comes back, and should not, is cut.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use trocar_links::Card;
 use trocar_model::{
-    Change, Connection, ConnectionId, End, Name, Plan, PortId, ProcessState, Proxy, Refusal, Request,
-    SystemGraph,
+    Change, Connection, ConnectionId, End, Name, Plan, PortId, PortType, ProcessState, Proxy, Refusal,
+    Request, SystemGraph, made_of,
 };
 
 use super::Gcm;
@@ -160,9 +161,17 @@ impl Gcm {
     fn end(&self, graph: &SystemGraph, connection: &Connection, end: &PortId) -> Result<FarEnd, Refusal> {
         let component = graph.component(&end.component)?;
         let class = ClassOf { name: component.class.full_name(), hash: component.class.hash.clone() };
+        let mut ports = component.ports.clone();
+        if let Some(ty) = agreed(graph, connection) {
+            let ports = Arc::make_mut(&mut ports);
+            let of_inputs = ports.inputs.iter_mut().map(|i| (&i.name, &mut i.ty));
+            let of_outputs = ports.outputs.iter_mut().map(|o| (&o.name, &mut o.ty));
+            let mine = of_inputs.chain(of_outputs).find(|(name, _)| end.port == name.as_str());
+            mine.into_iter().for_each(|(_, is)| ty.clone_into(is));
+        }
         Ok(FarEnd {
             connection: connection.clone(),
-            ports: component.ports.clone(),
+            ports,
             class,
             card: self.card_of(connection, &end.component.process)?,
         })
@@ -178,6 +187,16 @@ impl Gcm {
             why: format!("process {process} listens for no other process: it runs without a state directory"),
         })
     }
+}
+
+/// What passes between two ends that have no type: what a third one made of the output. Neither process may know that one.
+fn agreed<'g>(graph: &'g SystemGraph, connection: &Connection) -> Option<&'g PortType> {
+    let (client, server) = (&connection.client, &connection.server);
+    let of = |end: &PortId| graph.components.get(&end.component).map(|c| &c.ports);
+    let untyped = |name: &str, port: &PortId, ty: &PortType| port.port == name && *ty == PortType::Any;
+    let input = of(client)?.inputs.iter().any(|i| untyped(&i.name, client, &i.ty));
+    let output = of(server)?.outputs.iter().any(|o| untyped(&o.name, server, &o.ty));
+    made_of(graph, client, server).filter(|_| input && output).map(|(_, ty)| ty)
 }
 
 /// The process of the other end.

@@ -8,6 +8,7 @@ pub mod cases;
 mod language;
 mod looking;
 pub mod matrix;
+mod parted;
 pub mod random;
 mod waiting;
 mod way;
@@ -15,8 +16,11 @@ mod world;
 
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::{Language, Languages};
+pub use parted::{
+    OtherProcess, OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive,
+    OtherProcessOnGrids, OtherProcessOnTurnedGrids,
+};
 pub use way::{
-    Deployment, ExecIn, ExecOut, OtherProcess, OtherThread, Passive, Reach, SameStream, SharedMemory, Told,
-    Way,
+    Deployment, ExecIn, ExecOut, OtherThread, Passive, Reach, SameStream, SharedMemory, Told, Way,
 };
 pub use world::Lab;

@@ -62,6 +62,14 @@ pub trait Deployment: Sync {
     fn server_steps(&self) -> bool {
         true
     }
+    /// The server steps also when there is nothing to do.
+    fn server_steps_unasked(&self) -> bool {
+        matches!(self.server().model, Some(ExecutionModel::Periodic | ExecutionModel::Continuous))
+    }
+    /// The server publishes rows without end, so that what it has just written is soon kept no more.
+    fn server_never_rests(&self) -> bool {
+        self.server().model == Some(ExecutionModel::Continuous)
+    }
 }
 
 /// A deployment and the languages: what a case is given.
@@ -102,7 +110,7 @@ impl Drop for Told {
     }
 }
 
-fn model(model: ExecutionModel) -> Execution {
+pub(super) fn model(model: ExecutionModel) -> Execution {
     Execution { model: Some(model), ..Execution::default() }
 }
 
@@ -230,26 +238,5 @@ impl Deployment for SharedMemory {
     }
     fn carrier(&self) -> &'static str {
         "memfd"
-    }
-}
-
-/// Each in a process of its own, on one machine.
-pub struct OtherProcess;
-
-impl Deployment for OtherProcess {
-    fn name(&self) -> &'static str {
-        "other process"
-    }
-    fn inline(&self) -> bool {
-        false
-    }
-    fn client(&self) -> Execution {
-        model(ExecutionModel::OnSignal)
-    }
-    fn server(&self) -> Execution {
-        model(ExecutionModel::OnSignal)
-    }
-    fn two_processes(&self) -> bool {
-        true
     }
 }

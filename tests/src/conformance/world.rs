@@ -334,6 +334,15 @@ impl Lab {
         made.unwrap_or_else(|refusal| panic!("creating {name} was refused: {refusal}"));
     }
 
+    /// Makes one in the process where another one is.
+    #[track_caller]
+    pub fn create_beside(&self, other: &str, name: &str, class: &str, execution: Execution) {
+        let there = self.places().get(other).copied().unwrap_or(HOST);
+        self.places().insert(name.to_owned(), there);
+        let class = format!("{}/{class}", self.languages.plugin(class));
+        self.done(Request::Create { id: self.id(name), class, config: Some(json!({})), execution });
+    }
+
     #[track_caller]
     pub fn connect(&self, client: &str, server: &str) {
         self.connect_with(client, server, ConnectOptions::default());

@@ -88,6 +88,22 @@ impl Planner {
     }
 }
 
+/// The input with a type, beside this client, that made an untyped output what it is.
+pub fn made_of<'g>(
+    graph: &'g SystemGraph,
+    client: &PortId,
+    server: &PortId,
+) -> Option<(&'g PortId, &'g PortType)> {
+    // The client's present source, should this replace one, says nothing about the server.
+    let others = graph.connections.values().filter(|c| c.server == *server && c.client != *client);
+    let typed = others.filter_map(|c| {
+        let ports = &graph.components.get(&c.client.component)?.ports;
+        let input = ports.inputs.iter().find(|i| c.client.port == i.name.as_str())?;
+        (!matches!(input.ty, PortType::Any)).then_some((&c.client, &input.ty))
+    });
+    typed.min_by_key(|(port, _)| *port)
+}
+
 /// An untyped output is what the first input with a type made of it; two untyped ends alone have nothing to agree on.
 fn check_any(
     graph: &SystemGraph,
@@ -98,14 +114,7 @@ fn check_any(
     if !matches!(output, PortType::Any) {
         return Ok(());
     }
-    // The client's present source, should this replace one, says nothing about the server.
-    let others = graph.connections.values().filter(|c| c.server == *server && c.client != *client);
-    let typed = others.filter_map(|c| {
-        let ports = &graph.components.get(&c.client.component)?.ports;
-        let input = ports.inputs.iter().find(|i| c.client.port == i.name.as_str())?;
-        (!matches!(input.ty, PortType::Any)).then_some((&c.client, &input.ty))
-    });
-    match (input, typed.min_by_key(|(port, _)| *port)) {
+    match (input, made_of(graph, client, server)) {
         (PortType::Any, None) => Err(Refusal::FormatMismatch {
             client: client.clone(),
             server: server.clone(),

@@ -118,7 +118,7 @@ fn stream(
                 client: connection.client.clone(),
                 server: connection.server.clone(),
                 what: "samples".into(),
-                difference: "neither end has a type: give one of them a type".into(),
+                difference: "neither end has a type: connect the output to a typed input first".into(),
             });
         }
         (PortType::Any, typed) => typed.clone(),

@@ -3,7 +3,7 @@
 
 use serde_json::json;
 use tonic::transport::Channel;
-use trocar::lcm::When;
+use trocar::lcm::{Sample, When};
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::read_request::Row;
 use trocar_proto::v1::{ReadRequest, ReadResponse};
@@ -45,6 +45,9 @@ fn five(lab: &Lab) -> Known {
 
 pub fn each_row_is_found_by_its_time_its_tick_and_its_distance(way: &Way) {
     let lab = Lab::running(way);
+    if way.deployment.server_never_rests() {
+        return newest_alone(&lab);
+    }
     let known = five(&lab);
     let value = |when| {
         let row = lab.row_at("server", when).unwrap_or_else(|refusal| panic!("{when:?}: {refusal}"));
@@ -73,8 +76,51 @@ pub fn each_row_is_found_by_its_time_its_tick_and_its_distance(way: &Way) {
     }
 }
 
+/// A server that never rests writes over its rows before anybody could ask for one of them: its newest one is found, and what
+/// is kept no more is refused as such.
+fn newest_alone(lab: &Lab) {
+    lab.invoke("server/ctl/write", Some(json!(50.0)), false).unwrap_or_else(|refusal| panic!("{refusal}"));
+    let first = newest(lab);
+    assert_eq!(first.value["value"], json!(50.0));
+    let later = eventually("it has written over that row", || match newest(lab) {
+        row if row.seq > first.seq + 1000 => Ok(row),
+        row => Err(row.seq),
+    });
+    assert!(later.stamp_ns > first.stamp_ns && later.value["value"] == json!(50.0), "{later:?}");
+    for (when, why) in [
+        (When::Tick(first.seq), "overwritten"),
+        (When::Time(first.stamp_ns), "overwritten"),
+        (When::Tick(u64::MAX), "not there yet"),
+        (When::Time(u64::MAX), "not there yet"),
+    ] {
+        let refused = lab.row_at("server", when).expect_err("there is none");
+        assert_eq!(refused.reason(), "ARGUMENT_INVALID", "{when:?}: {refused}");
+        assert!(refused.to_string().contains(why), "{when:?}: {refused}");
+    }
+}
+
+fn newest(lab: &Lab) -> Sample {
+    lab.row_at("server", When::Newest).unwrap_or_else(|refusal| panic!("{refusal}"))
+}
+
+/// Over gRPC comes a row between the newest of before and of afterwards.
+fn newest_over_grpc(lab: &Lab) {
+    lab.invoke("server/ctl/write", Some(json!(50.0)), false).unwrap_or_else(|refusal| panic!("{refusal}"));
+    let before = newest(lab);
+    let far = read(lab, None).unwrap_or_else(|status| panic!("{status}"));
+    let after = newest(lab);
+    assert!((before.seq..=after.seq).contains(&far.seq), "{} … {} … {}", before.seq, far.seq, after.seq);
+    assert!((before.stamp_ns..=after.stamp_ns).contains(&far.stamp_ns), "{before:?} … {far:?} … {after:?}");
+    assert_eq!(far.encoded.len(), before.encoded.len());
+    let refused = read(lab, Some(Row::Tick(before.seq + u64::from(u32::MAX)))).expect_err("there is none");
+    assert_eq!(refused.code(), tonic::Code::InvalidArgument, "{refused}");
+}
+
 pub fn rows_are_the_same_over_grpc(way: &Way) {
     let lab = Lab::listening(way);
+    if way.deployment.server_never_rests() {
+        return newest_over_grpc(&lab);
+    }
     let known = five(&lab);
     let (stamp_ns, tick, expected) = known[2];
     for (row, when) in [

@@ -1,6 +1,6 @@
 //! Ports without a type, and connections whose ends lay a type out in two ways.
 
-use serde_json::json;
+use serde_json::{Value, json};
 use trocar::model::ConnectOptions;
 use trocar_sdk::Outcome;
 
@@ -52,6 +52,44 @@ pub fn an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size(w
     assert_eq!(told(2.5).outcomes, [(Outcome::Executed, 1), (Outcome::InvalidArgument, 1)]);
     let seen = lab.invoke("second/run/look", None, false).expect("it looks").value.unwrap_or_default();
     assert_eq!((&seen["last"], whole(&seen["count"])), (&json!(2.5), 1));
+}
+
+/// What a probe told, and what came of its three bytes and of its sample.
+fn told(lab: &Lab, probe: &str, value: f64) -> Vec<(Outcome, u64)> {
+    let reply = lab.invoke(&format!("{probe}/run/tell"), Some(json!(value)), false).expect("it is told");
+    super::super::Answer::of(&reply.value.unwrap_or_default()).outcomes
+}
+
+fn seen(lab: &Lab, probe: &str) -> (u64, Value) {
+    let reply = lab.invoke(&format!("{probe}/run/see"), None, false).expect("it looks");
+    let seen = reply.value.unwrap_or_default();
+    (whole(&seen["there"]), seen["value"].clone())
+}
+
+pub fn two_untyped_ends_pass_what_a_third_one_made_of_the_output(way: &Way) {
+    let lab = probe(way);
+    lab.create_beside("server", "there", "Probe", super::own_thread());
+    lab.create("typed", "Client", json!({}), super::own_thread());
+    for name in ["there", "typed"] {
+        lab.start(name);
+    }
+    let taken = [(Outcome::Executed, 1), (Outcome::InvalidArgument, 1)];
+    // From the client's process to the server's, and back: where there are two, each pair is in both of them.
+    for (from, to, input) in [("client", "there", "latest"), ("there", "client", "fifo")] {
+        let output = format!("{from}/any_out");
+        let connect = || lab.try_connect(&format!("{to}/any"), &output, ConnectOptions::default());
+        let nothing = connect().expect_err("two ends without a type agree on none");
+        assert_eq!(nothing.reason(), "FORMAT_MISMATCH", "{nothing}");
+        lab.connect(&format!("typed/{input}"), &output);
+        connect().expect("the output is what the third end made of it");
+        assert_eq!(told(&lab, from, 2.5), taken);
+        assert_eq!(seen(&lab, to), (1, json!(2.5)), "{from} to {to}");
+        lab.disconnect(&format!("typed/{input}"), &output);
+        assert_eq!(told(&lab, from, 3.5), taken, "it stays that as long as anybody is there");
+        assert_eq!(seen(&lab, to), (1, json!(3.5)), "{from} to {to}");
+        lab.disconnect(&format!("{to}/any"), &output);
+        assert_eq!(told(&lab, from, 4.5), [(Outcome::Unbound, 2)]);
+    }
 }
 
 pub fn an_untyped_function_calls_what_it_is_connected_to_and_nothing_of_another_size(way: &Way) {

@@ -1,0 +1,64 @@
+//! Client and server in two processes of one machine, by how each end is executed.
+//!
+//! Invariant: whatever the threads of the two are, commands between them wait in a queue, and nothing else follows from it.
+
+use trocar::model::{Execution, ExecutionModel};
+
+use super::Deployment;
+use super::way::model;
+
+/// A grid whose thread looks at its queues in its cycles only, ns.
+const FAST_NS: u64 = 2_000_000;
+/// One whose thread is woken in between, ns.
+const SLOW_NS: u64 = 25_000_000;
+
+fn grid(period_ns: u64) -> Execution {
+    Execution { period_ns: Some(period_ns), ..model(ExecutionModel::Periodic) }
+}
+
+/// One deployment each: client, server, and whether the server has a step.
+macro_rules! parted {
+    ($($(#[doc = $doc:literal])+ $name:ident, $text:literal: $client:expr, $server:expr, $steps:literal;)+) => {$(
+        $(#[doc = $doc])+
+        pub struct $name;
+
+        impl Deployment for $name {
+            fn name(&self) -> &'static str {
+                $text
+            }
+            fn inline(&self) -> bool {
+                false
+            }
+            fn client(&self) -> Execution {
+                $client
+            }
+            fn server(&self) -> Execution {
+                $server
+            }
+            fn two_processes(&self) -> bool {
+                true
+            }
+            fn server_steps(&self) -> bool {
+                $steps
+            }
+        }
+    )+};
+}
+
+parted! {
+    /// Each in a process of its own, asleep until something arrives.
+    OtherProcess, "other process": model(ExecutionModel::OnSignal), model(ExecutionModel::OnSignal), true;
+    /// The client on a grid that looks at its queues in its cycles, the server on one that is woken in between.
+    OtherProcessOnGrids, "other process, on grids": grid(FAST_NS), grid(SLOW_NS), true;
+    /// The other way round.
+    OtherProcessOnTurnedGrids, "other process, on grids, turned": grid(SLOW_NS), grid(FAST_NS), true;
+    /// The client's thread never sleeps.
+    OtherProcessOfFreeClient, "other process, the client free running":
+        model(ExecutionModel::Continuous), model(ExecutionModel::OnSignal), true;
+    /// The server's thread never sleeps.
+    OtherProcessOfFreeServer, "other process, the server free running":
+        model(ExecutionModel::OnSignal), model(ExecutionModel::Continuous), true;
+    /// The server has no thread for steps: commands of other processes are run by the one it rests on.
+    OtherProcessOfPassive, "other process, the server passive":
+        model(ExecutionModel::OnSignal), model(ExecutionModel::None), false;
+}
