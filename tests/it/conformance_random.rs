@@ -1,23 +1,28 @@
-//! A thousand random interleavings of changes and calls for each language, by seed.
+//! A thousand random interleavings of changes and calls for each language, by seed; and as many between two processes.
 //!
 //! Promise: whatever is asked in whatever order, every call has one outcome, counts add up, desired is observed, and
 //! nothing is left behind. `TROCAR_SEED=n` plays one seed alone, `TROCAR_SEEDS=5` five times as many.
 
-use trocar_tests::conformance::{Language, random};
+use trocar_tests::conformance::random::{self, Servers};
+use trocar_tests::conformance::{Language, Languages};
+
+const CPP_CALLS_RUST: Languages = Languages { client: Language::Cpp, server: Language::Rust };
 
 /// One test for each language, which knows its own name: it plays its seeds in several processes.
 macro_rules! interleavings {
-    ($($name:ident: $language:ident, $seeds:expr;)+) => {$(
+    ($($name:ident: $languages:expr, $servers:ident, $seeds:expr;)+) => {$(
         #[test]
         fn $name() {
             let test = concat!("conformance_random::", stringify!($name));
-            random::interleave(Language::$language, $seeds, test);
+            random::interleave($languages, Servers::$servers, $seeds, test);
         }
     )+};
 }
 
 interleavings! {
-    interleavings_of_linked_classes_leave_the_books_in_order: Linked, 1..1001;
-    interleavings_of_rust_plugins_leave_the_books_in_order: Rust, 1001..2001;
-    interleavings_of_cpp_plugins_leave_the_books_in_order: Cpp, 2001..3001;
+    interleavings_of_linked_classes_leave_the_books_in_order: Language::Linked, Near, 1..1001;
+    interleavings_of_rust_plugins_leave_the_books_in_order: Language::Rust, Near, 1001..2001;
+    interleavings_of_cpp_plugins_leave_the_books_in_order: Language::Cpp, Near, 2001..3001;
+    interleavings_of_rust_plugins_in_two_processes_leave_the_books_in_order: Language::Rust, Far, 3001..3501;
+    interleavings_of_cpp_plugins_that_call_rust_in_two_processes_leave_the_books_in_order: CPP_CALLS_RUST, Far, 3501..4001;
 }

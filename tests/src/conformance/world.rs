@@ -62,6 +62,12 @@ impl Lab {
         Lab::with(languages.into(), |host| host)
     }
 
+    /// Two of them, as two processes.
+    #[must_use]
+    pub fn parted(languages: impl Into<Languages>) -> Lab {
+        Lab::new(languages).part()
+    }
+
     fn with(languages: Languages, more: impl FnOnce(HostBuilder) -> HostBuilder) -> Lab {
         let world = World::new();
         let builder = more(languages.offer(Host::builder().name("host"), &world));
@@ -160,9 +166,13 @@ impl Lab {
 
     /// Puts a component into its process: servers into the other one, if there is one; what shares a thread to that thread.
     fn place(&self, name: &str, class: &str, execution: Execution) -> Execution {
+        // It stays where it is, so that a second one of its name is refused.
+        let before = self.places().get(name).copied();
+        let stays = before.filter(|_| self.stands(name).is_some());
         let leader = |path: &str| path.trim_start_matches("host/").to_owned();
         let with = execution.stream_of.as_deref().or(execution.inside.as_deref()).map(leader);
         let process = match &with {
+            _ if stays.is_some() => stays.unwrap_or(HOST),
             Some(leader) => self.places().get(leader).copied().unwrap_or(HOST),
             None if self.other.is_some() && Languages::is_of_servers(class) => OTHER,
             None => HOST,

@@ -12,7 +12,7 @@ use trocar_sdk::Outcome;
 
 use super::super::answer::whole;
 use super::super::world::PATIENCE;
-use super::super::{Call, Function, Lab, Language, Samples};
+use super::super::{Call, Function, Lab, Samples};
 use super::ops::{CLIENTS, SERVERS, own_thread};
 use crate::eventually;
 
@@ -26,7 +26,10 @@ fn desired_is_observed(lab: &Lab) {
         if desired != observed {
             return Err(format!("desired {desired:?}, observed {observed:?}"));
         }
-        let wanted: Vec<u64> = graph.connections.keys().map(|id| id.0).collect();
+        // Of a connection between two processes each has its half.
+        let halves = |near: bool| if near { 1 } else { 2 };
+        let wanted = graph.connections.iter().flat_map(|(id, c)| vec![id.0; halves(c.is_near())]);
+        let wanted: Vec<u64> = wanted.collect();
         let mut had: Vec<u64> = lab.links().iter().map(|l| l.connection).collect();
         had.sort_unstable();
         if wanted == had { Ok(()) } else { Err(format!("connections {wanted:?}, wired {had:?}")) }
@@ -151,7 +154,11 @@ fn frames_add_up(lab: &Lab, client: &str, server: &str) {
     eventually("every slot of the pool can be lent at once", whole_pool);
     // More than there is room for: what is not taken has its count.
     frames_made(lab, client, server, 5 * SLOTS);
-    whole_pool().unwrap_or_else(|told| panic!("a slot has not come back: {told}"));
+    match lab.is_parted() {
+        false => whole_pool().unwrap_or_else(|told| panic!("a slot has not come back: {told}")),
+        // The writer's process has to notice first.
+        true => eventually("every slot has come back", whole_pool),
+    }
 }
 
 /// Has frames made and taken: those that were asked for were made or found no slot; made, they were taken or dropped. How
@@ -163,7 +170,16 @@ fn frames_made(lab: &Lab, client: &str, server: &str, asked: u64) -> (u64, Strin
     };
     let before = figures();
     outside(lab, &format!("{server}/ctl/publish_frames"), Some(asked as f64));
-    let seqs = let_frames_go(lab, client);
+    let mut seqs = let_frames_go(lab, client);
+    if lab.is_parted() {
+        // The first frame of a pool comes when that memory is mapped.
+        eventually("each frame is taken or counted", || {
+            seqs.extend(let_frames_go(lab, client));
+            let [.., passed, dropped] = figures();
+            let now = passed + dropped - before[2] - before[3];
+            if now == asked { Ok(()) } else { Err(format!("{now} of {asked}")) }
+        });
+    }
     let after = figures();
     let [made, exhausted, passed, dropped] = [0, 1, 2, 3].map(|i| after[i] - before[i]);
     let taken = seqs.len() as u64;
@@ -245,7 +261,7 @@ impl Growth {
     ///
     /// # Panics
     /// It has grown by more than the allocator explains.
-    pub(super) fn judge(&self, language: Language) {
+    pub(super) fn judge(&self, who: &str) {
         let seeds = self.kb.len();
         if seeds < ENOUGH {
             return;
@@ -256,13 +272,11 @@ impl Growth {
         };
         let (then, now) = (least(1), least(3));
         let allowed = LEFT_KB * (seeds as u64).div_ceil(1000);
-        println!(
-            "{language:?}: {seeds} seeds, {then} kB resident in the second quarter, {now} kB in the last"
-        );
+        println!("{who}: {seeds} seeds, {then} kB resident in the second quarter, {now} kB in the last");
         // What the thread sanitizer keeps of threads that have ended is not the host's.
         assert!(
             cfg!(feature = "tsan") || now <= then + allowed,
-            "{language:?}: {then} kB became {now} kB over {} seeds",
+            "{who}: {then} kB became {now} kB over {} seeds",
             seeds / 2
         );
     }

@@ -1,4 +1,4 @@
-//! Random interleavings: by seed, control and calls at the same time, then the books are checked.
+//! Random interleavings: by seed, control and calls at the same time, then the books are checked; in one process and in two.
 //!
 //! Invariant: what is asked follows from the seed alone; a failure prints it, and `TROCAR_SEED=n` asks the same again.
 //! `TROCAR_SEEDS=n` plays that many times as many seeds as usual.
@@ -11,17 +11,32 @@ mod play;
 use std::env;
 use std::panic::{self, AssertUnwindSafe};
 
-use super::{Lab, Language};
+use super::{Lab, Languages};
 use crate::skip;
 use books::{Growth, Resources};
+
+/// Where servers are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Servers {
+    /// In the clients' process.
+    Near,
+    /// In another one; whoever shares the thread of one of them is there, too.
+    Far,
+}
 
 /// Plays these seeds, shared out among processes, or only the one of `TROCAR_SEED`, here. `test`: the full name of the test
 /// that asks.
 ///
 /// # Panics
 /// An invariant did not hold; the seed is printed.
-pub fn interleave(language: Language, seeds: std::ops::Range<u64>, test: &str) {
-    if let Some(why) = language.missing() {
+pub fn interleave(
+    languages: impl Into<Languages>,
+    servers: Servers,
+    seeds: std::ops::Range<u64>,
+    test: &str,
+) {
+    let languages = languages.into();
+    if let Some(why) = languages.missing() {
         return skip(&why);
     }
     let number = |name: &str| {
@@ -29,17 +44,24 @@ pub fn interleave(language: Language, seeds: std::ops::Range<u64>, test: &str) {
         Some(text.parse::<u64>().unwrap_or_else(|e| panic!("{name}={text}: {e}")))
     };
     if let Some(one) = number("TROCAR_SEED") {
-        return interleave_here(language, [one]);
+        return interleave_here(languages, servers, [one]);
     }
     let Some((part, parts)) = parts::part() else { return parts::share_out(test) };
     // A multiple keeps the ranges of the languages apart.
     let times = number("TROCAR_SEEDS").unwrap_or(1);
-    interleave_here(language, (seeds.start * times..seeds.end * times).filter(|seed| seed % parts == part));
+    interleave_here(
+        languages,
+        servers,
+        (seeds.start * times..seeds.end * times).filter(|seed| seed % parts == part),
+    );
 }
 
 /// Plays these seeds in one host of this process.
-fn interleave_here(language: Language, seeds: impl IntoIterator<Item = u64>) {
-    let lab = Lab::new(language);
+fn interleave_here(languages: Languages, servers: Servers, seeds: impl IntoIterator<Item = u64>) {
+    let lab = match servers {
+        Servers::Near => Lab::new(languages),
+        Servers::Far => Lab::parted(languages),
+    };
     lab.open_gate();
     // Taken after the first one, which makes what is made once and kept.
     let mut before = None;
@@ -51,7 +73,9 @@ fn interleave_here(language: Language, seeds: impl IntoIterator<Item = u64>) {
             growth.look();
         }));
         if let Err(why) = played {
-            eprintln!("seed {seed}, {language:?}: TROCAR_SEED={seed} asks the same again");
+            eprintln!(
+                "seed {seed}, {languages:?}, servers {servers:?}: TROCAR_SEED={seed} asks the same again"
+            );
             eprintln!("{}", ops::draw(seed).told());
             for (id, c) in &lab.graph().components {
                 let (model, e) = (c.execution.model, &c.execution);
@@ -66,5 +90,5 @@ fn interleave_here(language: Language, seeds: impl IntoIterator<Item = u64>) {
             panic::resume_unwind(why);
         }
     }
-    growth.judge(language);
+    growth.judge(&format!("{:?} {servers:?}", languages.client));
 }
