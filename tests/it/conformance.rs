@@ -4,7 +4,7 @@
 
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
-    ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherProcessOfFreeClient,
+    BuiltProcesses, ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherProcessOfFreeClient,
     OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids, OtherProcessOnTurnedGrids,
     OtherThread, Passive, SameStream, SharedMemory, Way, cases,
 };
@@ -198,6 +198,8 @@ conform! {
     other_process_linked: OtherProcess, Linked calls Linked;
     other_process_rust_to_cpp: OtherProcess, Rust calls Cpp;
     other_process_cpp_to_rust: OtherProcess, Cpp calls Rust;
+    built_processes_rust: BuiltProcesses, Rust calls Rust;
+    built_processes_cpp_to_rust: BuiltProcesses, Cpp calls Rust;
     other_process_on_grids_rust: OtherProcessOnGrids, Rust calls Rust;
     other_process_on_grids_cpp: OtherProcessOnGrids, Cpp calls Cpp;
     other_process_on_turned_grids_rust: OtherProcessOnTurnedGrids, Rust calls Rust;

@@ -42,13 +42,20 @@ impl Language {
     }
 
     fn offer(self, host: HostBuilder, world: &World) -> HostBuilder {
-        let file = match self {
-            Language::Linked => return host.plugin(LINKED),
-            Language::Rust => Built::plugin("fixture_conform"),
-            Language::Cpp => Built::cpp_plugin("conform_cpp"),
-        };
-        world.drop_in(&file);
+        if self == Language::Linked {
+            return host.plugin(LINKED);
+        }
+        self.drop_in(world);
         host
+    }
+
+    /// Puts its plugin file, if it has one, into the plugin directory.
+    fn drop_in(self, world: &World) {
+        match self {
+            Language::Linked => {}
+            Language::Rust => _ = world.drop_in(&Built::plugin("fixture_conform")),
+            Language::Cpp => _ = world.drop_in(&Built::cpp_plugin("conform_cpp")),
+        }
     }
 }
 
@@ -82,6 +89,12 @@ impl Languages {
     #[must_use]
     pub fn missing(self) -> Option<String> {
         self.client.missing().or_else(|| self.server.missing())
+    }
+
+    /// Puts the plugin files into the plugin directory, for processes of the built program.
+    pub fn drop_in(self, world: &World) {
+        self.client.drop_in(world);
+        self.server.drop_in(world);
     }
 
     /// Gives the classes to a host that is to be started; `world` holds the plugin directory.

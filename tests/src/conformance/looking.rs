@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use trocar::lcm::{Inventory, Item, Lcm, LinkDetail, LocalLcm, Sample, When};
+use trocar::lcm::{Inventory, Item, Lcm, LinkDetail, Sample, When};
 use trocar::model::{ClassInfo, Health, Refusal, State, SystemGraph};
 
 use super::Lab;
@@ -40,7 +40,8 @@ impl Lab {
     /// # Errors
     /// It is not sent in time, or cannot be any more.
     pub fn wait_for_event(&self, path: &str, within: Duration) -> Result<Item, Refusal> {
-        block_on(self.host().wait_for_event(&self.path(path), within))
+        let item = block_on(self.host().wait_for_event(&self.path(path), within))?;
+        Ok(Item { value: self.as_declared(path, item.value), ..item })
     }
 
     /// Calls a command and waits for the event it leads to.
@@ -48,8 +49,9 @@ impl Lab {
     /// # Errors
     /// As of the command, and as of the event.
     pub fn invoke_and_wait(&self, member: &str, arg: Value, event: &str) -> Result<Item, Refusal> {
-        let (member, event) = (self.path(member), self.path(event));
-        block_on(self.host().invoke_and_wait(&member, arg, &event, PATIENCE))
+        let item =
+            block_on(self.host().invoke_and_wait(&self.path(member), arg, &self.path(event), PATIENCE))?;
+        Ok(Item { value: self.as_declared(event, item.value), ..item })
     }
 
     /// An earlier row of a component.
@@ -57,7 +59,8 @@ impl Lab {
     /// # Errors
     /// It is kept no more, or not there yet.
     pub fn row_at(&self, name: &str, when: When) -> Result<Sample, Refusal> {
-        block_on(self.host().read_at(&self.path(name), when))
+        let row = block_on(self.host().read_at(&self.path(name), when))?;
+        Ok(Sample { value: self.as_declared(name, row.value), ..row })
     }
 
     /// Where its gRPC port listens.
@@ -85,9 +88,9 @@ impl Lab {
     #[must_use]
     pub fn row(&self, name: &str) -> Value {
         let path = self.path(name);
-        block_on(self.host().read(&path))
-            .unwrap_or_else(|refusal| panic!("the state of {name}: {refusal}"))
-            .value
+        let row = block_on(self.host().read(&path));
+        let row = row.unwrap_or_else(|refusal| panic!("the state of {name}: {refusal}"));
+        self.as_declared(name, row.value)
     }
 
     /// A whole number in the last published row.
@@ -127,7 +130,7 @@ impl Lab {
     /// Figures of all connections; of one between processes each end gives its own.
     #[must_use]
     pub fn links(&self) -> Vec<LinkDetail> {
-        let links = |lcm: &Arc<LocalLcm>| block_on(lcm.links());
+        let links = |lcm: Arc<dyn Lcm>| block_on(lcm.links());
         let all = self.lcms().into_iter().map(links).collect::<Result<Vec<_>, _>>();
         let all = all.unwrap_or_else(|refusal| panic!("no links: {refusal}"));
         all.into_iter().flatten().collect()

@@ -9,7 +9,9 @@ mod language;
 mod looking;
 pub mod matrix;
 mod parted;
+mod parts;
 pub mod random;
+mod typed;
 mod waiting;
 mod way;
 mod world;
@@ -17,7 +19,7 @@ mod world;
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::{Language, Languages};
 pub use parted::{
-    OtherProcess, OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive,
+    BuiltProcesses, OtherProcess, OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive,
     OtherProcessOnGrids, OtherProcessOnTurnedGrids,
 };
 pub use way::{

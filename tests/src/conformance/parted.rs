@@ -62,3 +62,27 @@ parted! {
     OtherProcessOfPassive, "other process, the server passive":
         model(ExecutionModel::OnSignal), model(ExecutionModel::None), false;
 }
+
+/// Two processes of the built program, asked over gRPC only.
+pub struct BuiltProcesses;
+
+impl Deployment for BuiltProcesses {
+    fn name(&self) -> &'static str {
+        "two processes of the built program"
+    }
+    fn inline(&self) -> bool {
+        false
+    }
+    fn client(&self) -> Execution {
+        OtherProcess.client()
+    }
+    fn server(&self) -> Execution {
+        OtherProcess.server()
+    }
+    fn two_processes(&self) -> bool {
+        true
+    }
+    fn built_processes(&self) -> bool {
+        true
+    }
+}

@@ -58,6 +58,10 @@ pub trait Deployment: Sync {
     fn maps(&self) -> bool {
         self.two_processes() || self.carrier() == "memfd"
     }
+    /// They are processes of the built program.
+    fn built_processes(&self) -> bool {
+        false
+    }
     /// The server has a step.
     fn server_steps(&self) -> bool {
         true

@@ -1,35 +1,28 @@
 //! `Lab`: a host inside the test's own process, with the suite's classes.
 //!
-//! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down.
+//! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down, or the processes.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 use trocar::Host;
-use trocar::gcm::{ExecuteOptions, Executed, Gcm, Registration};
+use trocar::gcm::{ExecuteOptions, Executed, Gcm};
 use trocar::host::HostBuilder;
-use trocar::lcm::{Invoke, Lcm, LocalLcm, Payload, Reply};
-use trocar::model::{
-    ComponentId, ConnectOptions, Execution, MemberId, PortId, Refusal, Request, Target, Which,
-};
+use trocar::lcm::{Invoke, Payload, Reply};
+use trocar::model::{ConnectOptions, Execution, MemberId, Refusal, Request, Which};
 
 use super::{Answer, Call, Languages, Samples, Way};
-use crate::{World, eventually};
+use crate::{HostProcess, World, eventually};
 
 /// For calls that are to come back whatever happens: a watchdog, not a claim.
 pub(super) const PATIENCE: Duration = Duration::from_secs(40);
 
-/// The process of clients.
-const HOST: &str = "host";
-/// The process of servers, where there are two.
-const OTHER: &str = "other";
-
 /// One for all labs of a process, so that threads can be counted.
-fn runtime() -> &'static Runtime {
+pub(super) fn runtime() -> &'static Runtime {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();
     RUNTIME.get_or_init(|| Runtime::new().unwrap_or_else(|e| panic!("no tokio runtime: {e}")))
 }
@@ -42,17 +35,18 @@ pub(super) fn block_on<F: Future>(future: F) -> F::Output {
 /// A host and what is in it.
 pub struct Lab {
     host: Option<Host>,
-    gcm: Gcm,
-    lcm: Arc<LocalLcm>,
+    pub(super) gcm: Gcm,
     /// Another process as far as components can tell: a host of its own, attached to the same GCM.
-    other: Option<Host>,
+    pub(super) other: Option<Host>,
+    /// Processes of the built program; then the host here has nothing but the GCM.
+    pub(super) spawned: BTreeMap<&'static str, HostProcess>,
     /// The process of each component.
-    places: Mutex<BTreeMap<String, &'static str>>,
+    pub(super) places: Mutex<BTreeMap<String, &'static str>>,
     /// What connections between clients and servers are pinned to, and who is on the servers' side.
-    carrier: &'static str,
-    servers: Mutex<BTreeSet<String>>,
-    languages: Languages,
-    world: World,
+    pub(super) carrier: &'static str,
+    pub(super) servers: Mutex<BTreeSet<String>>,
+    pub(super) languages: Languages,
+    pub(super) world: World,
 }
 
 impl Lab {
@@ -72,13 +66,16 @@ impl Lab {
         let world = World::new();
         let builder = more(languages.offer(Host::builder().name("host"), &world));
         let host = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no host: {e}"));
+        Lab::around(host, languages, world)
+    }
+
+    pub(super) fn around(host: Host, languages: Languages, world: World) -> Lab {
         let gcm = host.gcm().cloned().unwrap_or_else(|| panic!("the host has no GCM"));
-        let lcm = host.lcm().cloned().unwrap_or_else(|| panic!("the host has no LCM"));
         Lab {
             host: Some(host),
             gcm,
-            lcm,
             other: None,
+            spawned: BTreeMap::new(),
             places: Mutex::default(),
             carrier: "",
             servers: Mutex::default(),
@@ -87,114 +84,20 @@ impl Lab {
         }
     }
 
-    /// The other process, where servers are then made.
-    fn part(mut self) -> Lab {
-        let builder = self.languages.offer(Host::builder().name(OTHER), &self.world);
-        let other = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no other host: {e}"));
-        let lcm = other.lcm().cloned().unwrap_or_else(|| panic!("the other host has no LCM"));
-        let name = OTHER.parse().unwrap_or_else(|e| panic!("{OTHER}: {e}"));
-        let attached = runtime().block_on(async {
-            let inventory = lcm.inventory().await?;
-            self.gcm.register(Registration::new(name, String::new()), lcm, inventory).await
-        });
-        attached.unwrap_or_else(|refusal| panic!("the other host is not attached: {refusal}"));
-        self.other = Some(other);
-        self
-    }
-
-    /// Servers are in another process than clients.
-    pub(super) fn is_parted(&self) -> bool {
-        self.other.is_some()
-    }
-
-    fn places(&self) -> MutexGuard<'_, BTreeMap<String, &'static str>> {
-        self.places.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn servers(&self) -> MutexGuard<'_, BTreeSet<String>> {
-        self.servers.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// What is between clients and servers carries this connection.
-    fn carried(&self, client: &str, server: &str, mut options: ConnectOptions) -> ConnectOptions {
-        let component = |path: &str| path.split('/').next().unwrap_or_default().to_owned();
-        let sides = [client, server].map(|path| self.servers().contains(&component(path)));
-        if options.carrier.is_empty() && sides == [false, true] {
-            options.carrier = self.carrier.to_owned();
-        }
-        options
-    }
-
-    /// Frames pass between clients and servers in memory that is mapped twice.
-    pub(super) fn maps(&self) -> bool {
-        self.is_parted() || self.carrier == "memfd"
-    }
-
-    /// The path of a component, or of something of it.
-    #[must_use]
-    pub fn path(&self, name: &str) -> String {
-        let component = name.split('/').next().unwrap_or_default();
-        format!("{}/{name}", self.places().get(component).unwrap_or(&HOST))
-    }
-
-    pub(super) fn id(&self, name: &str) -> ComponentId {
-        let path = self.path(name);
-        ComponentId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
-    }
-
-    pub(super) fn port(&self, path: &str) -> PortId {
-        let path = self.path(path);
-        PortId::parse(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
-    }
-
-    fn targets(&self, name: &str) -> Vec<Target> {
-        vec![Target::One(self.id(name))]
-    }
-
-    /// The LCMs of all processes.
-    pub(super) fn lcms(&self) -> Vec<&Arc<LocalLcm>> {
-        let other = self.other.as_ref().and_then(Host::lcm);
-        std::iter::once(&self.lcm).chain(other).collect()
-    }
-
-    /// The LCM of a component's process.
-    pub(super) fn lcm_of(&self, name: &str) -> &Arc<LocalLcm> {
-        let elsewhere = self.places().get(name) == Some(&OTHER);
-        let other = self.other.as_ref().and_then(Host::lcm).filter(|_| elsewhere);
-        other.unwrap_or(&self.lcm)
-    }
-
-    /// Puts a component into its process: servers into the other one, if there is one; what shares a thread to that thread.
-    fn place(&self, name: &str, class: &str, execution: Execution) -> Execution {
-        // It stays where it is, so that a second one of its name is refused.
-        let before = self.places().get(name).copied();
-        let stays = before.filter(|_| self.stands(name).is_some());
-        let leader = |path: &str| path.trim_start_matches("host/").to_owned();
-        let with = execution.stream_of.as_deref().or(execution.inside.as_deref()).map(leader);
-        let process = match &with {
-            _ if stays.is_some() => stays.unwrap_or(HOST),
-            Some(leader) => self.places().get(leader).copied().unwrap_or(HOST),
-            None if self.other.is_some() && Languages::is_of_servers(class) => OTHER,
-            None => HOST,
-        };
-        self.places().insert(name.to_owned(), process);
-        let serves = match &with {
-            Some(leader) => self.servers().contains(leader),
-            None => Languages::is_of_servers(class),
-        };
-        if serves {
-            self.servers().insert(name.to_owned());
-        }
-        let moved = |path: Option<String>| path.map(|path| format!("{process}/{}", leader(&path)));
-        Execution { stream_of: moved(execution.stream_of), inside: moved(execution.inside), ..execution }
-    }
-
     /// The processes of a way, without components.
     #[must_use]
     pub fn of(way: &Way) -> Lab {
-        let mut lab = Lab::new(way.languages);
-        lab.carrier = way.deployment.carrier();
-        if way.deployment.two_processes() { lab.part() } else { lab }
+        Lab::of_with(way, |host| host)
+    }
+
+    fn of_with(way: &Way, more: impl FnOnce(HostBuilder) -> HostBuilder) -> Lab {
+        let deployment = way.deployment;
+        if deployment.built_processes() {
+            return Lab::spawned(way.languages);
+        }
+        let mut lab = Lab::with(way.languages, more);
+        lab.carrier = deployment.carrier();
+        if deployment.two_processes() { lab.part() } else { lab }
     }
 
     /// `host/client` and `host/server`, not connected, READY.
@@ -244,11 +147,7 @@ impl Lab {
     /// Both connected and ACTIVE, in a host with a gRPC port.
     #[must_use]
     pub fn listening(way: &Way) -> Lab {
-        let mut lab = Lab::with(way.languages, |host| host.listen("127.0.0.1:0"));
-        lab.carrier = way.deployment.carrier();
-        if way.deployment.two_processes() {
-            lab = lab.part();
-        }
+        let lab = Lab::of_with(way, |host| host.listen("127.0.0.1:0"));
         let server = lab.gated(json!({}));
         lab.make_pair(way, "Client", "Server", server);
         lab.connect("client/peer", "server/ctl");
@@ -319,7 +218,7 @@ impl Lab {
     }
 
     #[track_caller]
-    fn done(&self, request: Request) -> Executed {
+    pub(super) fn done(&self, request: Request) -> Executed {
         let text = format!("{request:?}");
         self.ask(request).unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"))
     }
@@ -342,15 +241,6 @@ impl Lab {
     pub fn create(&self, name: &str, class: &str, config: Value, execution: Execution) {
         let made = self.try_create(name, class, config, execution);
         made.unwrap_or_else(|refusal| panic!("creating {name} was refused: {refusal}"));
-    }
-
-    /// Makes one in the process where another one is.
-    #[track_caller]
-    pub fn create_beside(&self, other: &str, name: &str, class: &str, execution: Execution) {
-        let there = self.places().get(other).copied().unwrap_or(HOST);
-        self.places().insert(name.to_owned(), there);
-        let class = format!("{}/{class}", self.languages.plugin(class));
-        self.done(Request::Create { id: self.id(name), class, config: Some(json!({})), execution });
     }
 
     #[track_caller]
@@ -429,11 +319,13 @@ impl Lab {
         send: bool,
         within: Duration,
     ) -> Result<Reply, Refusal> {
-        let member = MemberId::parse(&self.path(member))?;
+        let id = MemberId::parse(&self.path(member))?;
         let arg = arg.map_or(Payload::None, Payload::Json);
         let deadline_ns = u64::try_from(within.as_nanos()).unwrap_or(u64::MAX);
-        let lcm = self.lcm_of(member.port.component.component.as_str());
-        runtime().block_on(lcm.invoke(Invoke { member, arg, send, deadline_ns }))
+        let lcm = self.lcm_of(id.port.component.component.as_str());
+        let reply = runtime().block_on(lcm.invoke(Invoke { member: id, arg, send, deadline_ns }))?;
+        let value = reply.value.map(|value| self.as_declared(member, value));
+        Ok(Reply { value, ..reply })
     }
 
     /// Has a client make calls now; it may be refused.
@@ -495,11 +387,6 @@ impl Lab {
     pub(super) fn host(&self) -> &Host {
         self.host.as_ref().unwrap_or_else(|| panic!("the host was shut down"))
     }
-
-    /// The LCM, for what has no shorthand here.
-    pub fn lcm(&self) -> &Arc<LocalLcm> {
-        &self.lcm
-    }
 }
 
 /// Opens the gate when dropped: whoever waits there is waited for.
@@ -514,6 +401,7 @@ impl Drop for OpensAtEnd<'_> {
 impl Drop for Lab {
     fn drop(&mut self) {
         self.open_gate();
+        self.spawned.clear();
         for host in [self.other.take(), self.host.take()].into_iter().flatten() {
             runtime().block_on(host.shutdown());
         }

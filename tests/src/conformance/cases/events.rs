@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use serde_json::json;
-use trocar::lcm::{Lcm, Selection};
+use trocar::lcm::Selection;
 use trocar::model::{ConnectOptions, Execution, ExecutionModel};
 use trocar_sdk::Outcome;
 
@@ -115,7 +115,8 @@ pub fn events_are_followed_from_outside_in_order(way: &Way) {
         let write = waiting(way, Function::Write, f64::from(number));
         assert_eq!(lab.perform(write).only(), Outcome::Executed);
         let item = block_on(items.recv()).expect("the event is told");
-        assert_eq!((item.value, item.seq, item.skipped), (json!(f64::from(number)), u64::from(number), 0));
+        let value = lab.as_declared("server/ctl/written", item.value);
+        assert_eq!((value, item.seq, item.skipped), (json!(f64::from(number)), u64::from(number), 0));
     }
 }
 

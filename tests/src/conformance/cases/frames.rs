@@ -36,10 +36,11 @@ fn connected(way: &Way, options: ConnectOptions) -> Lab {
     lab
 }
 
-/// The file behind an address of this program, and the place in it.
-fn behind(at: &Value) -> (u64, u64) {
+/// The file behind an address of a component's process, and the place in it.
+fn behind(lab: &Lab, (component, at): (&str, &Value)) -> (u64, u64) {
     let at = whole(at);
-    let maps = std::fs::read_to_string("/proc/self/maps").expect("Linux shows what is mapped");
+    let maps = std::fs::read_to_string(format!("/proc/{}/maps", lab.pid_of(component)));
+    let maps = maps.expect("Linux shows what is mapped");
     let found = maps.lines().find_map(|line| {
         let mut parts = line.split_whitespace();
         let (from, to) = parts.next()?.split_once('-')?;
@@ -51,11 +52,11 @@ fn behind(at: &Value) -> (u64, u64) {
 }
 
 /// The very bytes its maker wrote, not a copy. Each end that maps them has an address of its own.
-fn lies_where_it_was_made(way: &Way, at: &Value, made: &Value) {
-    if way.deployment.maps() {
-        assert_eq!(behind(at), behind(made), "another file, or another place in it");
+fn lies_where_it_was_made(lab: &Lab, at: (&str, &Value), made: (&str, &Value)) {
+    if lab.maps() {
+        assert_eq!(behind(lab, at), behind(lab, made), "another file, or another place in it");
     } else {
-        assert_eq!(at, made);
+        assert_eq!(at.1, made.1);
     }
 }
 
@@ -63,7 +64,7 @@ pub fn a_frame_arrives_where_it_was_made(way: &Way) {
     let lab = connected(way, ConnectOptions::default());
     publish(&lab, 1);
     let frame = taken(&lab);
-    lies_where_it_was_made(way, &frame["at"], &lab.row("server")["frame_at"]);
+    lies_where_it_was_made(&lab, ("client", &frame["at"]), ("server", &lab.row("server")["frame_at"]));
     assert_eq!((whole(&frame["len"]), whole(&frame["seq"]), whole(&frame["byte"])), (FRAME, 1, 1));
     let own = u64::from(!way.deployment.maps());
     assert_eq!(
@@ -81,10 +82,10 @@ pub fn a_frame_that_two_have_is_nobody_s_to_change(way: &Way) {
     lab.start("second");
     publish(&lab, 1);
     let frame = taken(&lab);
-    lies_where_it_was_made(way, &frame["at"], &lab.row("server")["frame_at"]);
+    lies_where_it_was_made(&lab, ("client", &frame["at"]), ("server", &lab.row("server")["frame_at"]));
     assert_eq!(whole(&frame["own"]), 0);
     let other = lab.invoke("second/run/take_frame", None, false).expect("the second takes it").value;
-    lies_where_it_was_made(way, &other.unwrap_or_default()["at"], &frame["at"]);
+    lies_where_it_was_made(&lab, ("second", &other.unwrap_or_default()["at"]), ("client", &frame["at"]));
 }
 
 pub fn a_filter_changes_a_frame_in_place(way: &Way) {
@@ -102,7 +103,7 @@ pub fn a_filter_changes_a_frame_in_place(way: &Way) {
     assert_eq!(lab.count("through", "changed"), 1, "it was the only owner");
     let frame = taken(&lab);
     assert_eq!(whole(&frame["byte"]), 2, "what the filter added");
-    lies_where_it_was_made(way, &frame["at"], &lab.row("source")["frame_at"]);
+    lies_where_it_was_made(&lab, ("client", &frame["at"]), ("source", &lab.row("source")["frame_at"]));
 }
 
 fn fifo(depth: usize, drop_oldest: bool) -> ConnectOptions {
@@ -244,7 +245,7 @@ pub fn a_filter_that_failed_is_bypassed_where_its_stream_says_so(way: &Way) {
         frame if whole(&frame["at"]) != 0 => Ok(frame),
         none => Err(none),
     });
-    lies_where_it_was_made(way, &frame["at"], &lab.row("source")["frame_at"]);
+    lies_where_it_was_made(&lab, ("client", &frame["at"]), ("source", &lab.row("source")["frame_at"]));
     assert_eq!(frame["byte"], json!(2), "as it was made");
 }
 
