@@ -21,8 +21,10 @@ pub(crate) const ROWS: &[Row] = &[Row {
 /// What memory in use may grow by, KiB.
 const MOST_KIB: u64 = 1024;
 
-/// Client and server of each kind, by what it is called and its carrier.
-const PAIRS: [(&str, &str, &[(&str, &str)]); 4] = [
+/// What a kind is called, its carrier, its clients with their servers.
+type Kind = (&'static str, &'static str, &'static [(&'static str, &'static str)]);
+
+const PAIRS: [Kind; 4] = [
     ("inline", "inline", &[("a/inside/value", "a/source/value")]),
     (
         "heap",
