@@ -121,8 +121,10 @@ fn by_the_command_line_and_connected_to_its_neighbours_it_is_linked_again_after_
       "components": { "box/server": { "class": "Server" } }
     }"#;
     let one = System::up(file, &[]);
-    let created =
-        one.trocar().run(&["create", "box/client", "Client", "--isolation", "process"]).ends_with(0);
+    let created = one
+        .trocar()
+        .run(&["create", "box/client", "Client", "--isolation", "process", "--timeout", "30s"])
+        .ends_with(0);
     created.says("box.client/client");
     one.grpc.connect("box.client/client/Required", "box/server/Provided");
     one.grpc.start("box.client/client");
