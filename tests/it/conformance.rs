@@ -4,9 +4,9 @@
 
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{
-    BuiltProcesses, ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherProcessOfFreeClient,
-    OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids, OtherProcessOnTurnedGrids,
-    OtherThread, Passive, SameStream, SharedMemory, Way, cases,
+    BuiltProcesses, ExecIn, ExecOut, Lab, Language, Languages, OtherProcess, OtherProcessOfCalledBack,
+    OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids,
+    OtherProcessOnTurnedGrids, OtherThread, Passive, SameStream, SharedMemory, Way, cases,
 };
 use trocar_tests::skip;
 
@@ -206,6 +206,8 @@ conform! {
     other_process_on_turned_grids_cpp: OtherProcessOnTurnedGrids, Cpp calls Cpp;
     other_process_of_free_client_rust: OtherProcessOfFreeClient, Rust calls Rust;
     other_process_of_free_server_cpp: OtherProcessOfFreeServer, Cpp calls Cpp;
+    other_process_of_called_back_rust: OtherProcessOfCalledBack, Rust calls Rust;
+    other_process_of_called_back_cpp: OtherProcessOfCalledBack, Cpp calls Cpp;
     other_process_of_passive_rust: OtherProcessOfPassive, Rust calls Rust;
     other_process_of_passive_cpp: OtherProcessOfPassive, Cpp calls Cpp;
 }

@@ -19,8 +19,8 @@ mod world;
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::{Language, Languages};
 pub use parted::{
-    BuiltProcesses, OtherProcess, OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive,
-    OtherProcessOnGrids, OtherProcessOnTurnedGrids,
+    BuiltProcesses, OtherProcess, OtherProcessOfCalledBack, OtherProcessOfFreeClient,
+    OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids, OtherProcessOnTurnedGrids,
 };
 pub use way::{
     Deployment, ExecIn, ExecOut, OtherThread, Passive, Reach, SameStream, SharedMemory, Told, Way,

@@ -8,7 +8,7 @@ use super::Deployment;
 use super::way::model;
 
 /// A grid whose thread looks at its queues in its cycles only, ns.
-const FAST_NS: u64 = 2_000_000;
+const FAST_NS: u64 = 5_000_000;
 /// One whose thread is woken in between, ns.
 const SLOW_NS: u64 = 25_000_000;
 
@@ -61,6 +61,9 @@ parted! {
     /// The server has no thread for steps: commands of other processes are run by the one it rests on.
     OtherProcessOfPassive, "other process, the server passive":
         model(ExecutionModel::OnSignal), model(ExecutionModel::None), false;
+    /// A thread of the server's own, as of a device, calls it in; what is queued is run by whoever comes out.
+    OtherProcessOfCalledBack, "other process, the server called back":
+        model(ExecutionModel::OnSignal), model(ExecutionModel::OnCallback), false;
 }
 
 /// Two processes of the built program, asked over gRPC only.

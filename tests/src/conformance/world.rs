@@ -13,7 +13,7 @@ use trocar::Host;
 use trocar::gcm::{ExecuteOptions, Executed, Gcm};
 use trocar::host::HostBuilder;
 use trocar::lcm::{Invoke, Payload, Reply};
-use trocar::model::{ConnectOptions, Execution, MemberId, Refusal, Request, Which};
+use trocar::model::{ConnectOptions, Execution, ExecutionModel, MemberId, Refusal, Request, Which};
 
 use super::{Answer, Call, Languages, Samples, Way};
 use crate::{HostProcess, World, eventually};
@@ -232,7 +232,14 @@ impl Lab {
         config: Value,
         execution: Execution,
     ) -> Result<Executed, Refusal> {
-        let execution = self.place(name, class, execution);
+        let mut execution = self.place(name, class, execution);
+        let mut config = config;
+        match (execution.model, class) {
+            (Some(ExecutionModel::OnCallback), "Server") => config["rings"] = json!(true),
+            // Nobody calls the other classes back.
+            (Some(ExecutionModel::OnCallback), _) => execution.model = Some(ExecutionModel::OnSignal),
+            _ => {}
+        }
         let class = format!("{}/{class}", self.languages.plugin(class));
         self.ask(Request::Create { id: self.id(name), class, config: Some(config), execution })
     }
