@@ -1,4 +1,5 @@
-//! The conformance suite, for every way to connect two components of one process, every language, and one calling the other.
+//! The conformance suite, for every way to connect two components of one process or of two, every language, and one calling the
+//! other.
 //!
 //! Promise: a component cannot tell where its peer runs or what it is written in; what may happen is the same.
 
