@@ -23,8 +23,7 @@ macro_rules! tests {
                 if let Some(why) = way.languages.missing() {
                     return skip(&why);
                 }
-                let _told = way.told_in_a_failure();
-                $from::$about::$case(&way);
+                way.play($from::$about::$case);
             }
         )+)+
     };

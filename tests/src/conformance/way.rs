@@ -2,6 +2,9 @@
 //!
 //! Invariant: a deployment says only where client and server run and what follows from it; the cases do the rest.
 
+use std::cell::Cell;
+use std::panic;
+
 use trocar::model::{Execution, ExecutionModel};
 
 use super::Languages;
@@ -34,7 +37,7 @@ impl Reach {
 }
 
 /// Where client and server run.
-pub trait Deployment: Sync {
+pub trait Deployment: Sync + std::panic::RefUnwindSafe {
     fn name(&self) -> &'static str;
     /// The client's commands reach the server without a queue.
     fn inline(&self) -> bool;
@@ -83,6 +86,19 @@ pub struct Way {
     pub languages: Languages,
 }
 
+/// How often a case is played where the machine gives it no time.
+const RUNS: usize = 5;
+
+thread_local! {
+    /// A process of a lab that was dropped on this thread was lost to its GCM, although nobody ended either.
+    static WAS_AWAY: Cell<bool> = const { Cell::new(false) };
+}
+
+/// A process of the lab that is dropped here was lost to its GCM for a while.
+pub(super) fn note_away() {
+    WAS_AWAY.set(true);
+}
+
 impl Way {
     #[must_use]
     pub fn reach(&self) -> Reach {
@@ -95,6 +111,27 @@ impl Way {
             (false, false, true) if languages.client == languages.server => Reach::Process,
             (false, false, true) => Reach::Apart,
         }
+    }
+
+    /// Plays a case. A machine that gives a process of the built program no time for long makes its GCM think it lost, as it should:
+    /// that is another promise's business, and such a run is done again.
+    ///
+    /// # Panics
+    /// As the case.
+    pub fn play(self, case: fn(&Way)) {
+        let _told = self.told_in_a_failure();
+        if !self.deployment.built_processes() {
+            return case(&self);
+        }
+        for _ in 1..RUNS {
+            WAS_AWAY.set(false);
+            match panic::catch_unwind(|| case(&self)) {
+                Ok(()) => return,
+                Err(_) if WAS_AWAY.get() => eprintln!("a process stood still for too long: once more"),
+                Err(why) => panic::resume_unwind(why),
+            }
+        }
+        case(&self);
     }
 
     /// Names deployment and languages beside whatever fails until the answer is dropped.

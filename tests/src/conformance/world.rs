@@ -15,6 +15,7 @@ use trocar::host::HostBuilder;
 use trocar::lcm::{Invoke, Payload, Reply};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel, MemberId, Refusal, Request, Which};
 
+use super::way::note_away;
 use super::{Answer, Call, Languages, Samples, Way};
 use crate::{HostProcess, World, eventually};
 
@@ -408,6 +409,13 @@ impl Drop for OpensAtEnd<'_> {
 impl Drop for Lab {
     fn drop(&mut self) {
         self.open_gate();
+        if self
+            .spawned
+            .values()
+            .any(|process| process.printed().contains(" is lost (this process stood still for "))
+        {
+            note_away();
+        }
         self.spawned.clear();
         for host in [self.other.take(), self.host.take()].into_iter().flatten() {
             runtime().block_on(host.shutdown());
