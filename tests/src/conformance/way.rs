@@ -4,6 +4,7 @@
 
 use std::cell::Cell;
 use std::panic;
+use std::sync::{Mutex, PoisonError};
 
 use trocar::model::{Execution, ExecutionModel};
 
@@ -73,6 +74,10 @@ pub trait Deployment: Sync + std::panic::RefUnwindSafe {
     fn server_steps_unasked(&self) -> bool {
         matches!(self.server().model, Some(ExecutionModel::Periodic | ExecutionModel::Continuous))
     }
+    /// One of them keeps a processor to itself.
+    fn never_rests(&self) -> bool {
+        self.server_never_rests() || self.client().model == Some(ExecutionModel::Continuous)
+    }
     /// The server publishes rows without end, so that what it has just written is soon kept no more.
     fn server_never_rests(&self) -> bool {
         self.server().model == Some(ExecutionModel::Continuous)
@@ -120,6 +125,10 @@ impl Way {
     /// As the case.
     pub fn play(self, case: fn(&Way)) {
         let _told = self.told_in_a_failure();
+        // Threads that never rest leave no processor to each other.
+        static RESTLESS: Mutex<()> = Mutex::new(());
+        let one_at_a_time = || RESTLESS.lock().unwrap_or_else(PoisonError::into_inner);
+        let _alone = self.deployment.never_rests().then(one_at_a_time);
         if !self.deployment.built_processes() {
             return case(&self);
         }

@@ -41,7 +41,7 @@ const MOST: usize = (128 << 10) + 2;
 /// Longest message to the port, B.
 const MOST_GRPC: u32 = 4 << 20;
 /// Where the page two processes share has its number, B.
-const NONCE_AT: u64 = 64;
+const NONCE_AT: u64 = 16;
 
 fn oversize(run: &Run, book: &mut Book) -> Result<(), String> {
     let world = World::new(&["fixture_torture"])?;
