@@ -12,7 +12,7 @@ use trocar_model::{
 
 use super::apart::asked_apart;
 use super::manager::lock;
-use super::observed::observe;
+use super::observed::{observe, stand_by};
 use super::requests::{Answer, Known};
 use super::stop::Carrying;
 use super::{Gcm, audit, text};
@@ -239,10 +239,15 @@ impl Gcm {
         };
         let mut loose = Vec::new();
         self.edit(|graph| {
+            let is_newest = lock(&self.inner.sessions).is_newest(&report);
+            let known = graph.components.get(&report.id).cloned();
             let revision = graph.revision;
             graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
             graph.revision = revision;
             loose = observe(graph, &report);
+            if !is_newest {
+                stand_by(graph, &report.id, known);
+            }
         });
         self.cut_off(loose);
         Ok(report)

@@ -242,6 +242,7 @@ fn event(path: &str, n: u64) -> Item {
 fn report(id: &ComponentId, state: State) -> Report {
     Report {
         id: id.clone(),
+        number: 0,
         state,
         health: Health::Ok,
         fault: String::new(),

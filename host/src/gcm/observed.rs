@@ -5,7 +5,7 @@
 
 use std::time::Instant;
 
-use trocar_model::{Change, ComponentId, Connection, ConnectionId, Refusal, SystemGraph};
+use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Refusal, SystemGraph};
 
 use super::Gcm;
 use super::execute::UNDO;
@@ -42,6 +42,13 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connectio
         halves.extend(loosen(graph, &report.id));
     }
     halves
+}
+
+/// A report came late: the component stands as it was known to, whatever that one, or what was asked for, made of it.
+pub(super) fn stand_by(graph: &mut SystemGraph, id: &ComponentId, known: Option<Component>) {
+    if let (Some(component), Some(known)) = (graph.components.get_mut(id), known) {
+        (component.state, component.health, component.fault) = (known.state, known.health, known.fault);
+    }
 }
 
 /// Takes the connections of a component that do not fit any more out of the graph.

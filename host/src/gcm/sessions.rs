@@ -15,7 +15,7 @@ use trocar_model::{
 };
 
 use super::manager::{Inner, lock};
-use super::observed::{loosen, observe};
+use super::observed::{loosen, observe, stand_by};
 use super::wanted::Wanted;
 use super::{Gcm, far};
 use crate::lcm::{HalfReport, Inventory, Lcm, News, Report};
@@ -84,6 +84,8 @@ pub(super) struct Sessions {
     dismissed: BTreeMap<Name, u32>,
     /// Connections to processes that are not there yet, by the process that brought them along from a GCM before this one.
     pub(super) brought: BTreeMap<Name, Vec<Connection>>,
+    /// Number of the newest report of each component; see [`Report::number`].
+    reported: BTreeMap<ComponentId, u64>,
 }
 
 struct Session {
@@ -97,6 +99,17 @@ struct Session {
 }
 
 impl Sessions {
+    /// Whether this report was looked up later than all that were entered before. News and answers come by different ways.
+    pub(super) fn is_newest(&mut self, report: &Report) -> bool {
+        if report.number == 0 {
+            return true;
+        }
+        let newest = self.reported.entry(report.id.clone()).or_default();
+        let is_newest = report.number > *newest;
+        *newest = report.number.max(*newest);
+        is_newest
+    }
+
     pub(super) fn card(&self, process: &Name) -> Option<Card> {
         self.live.get(process).and_then(|session| session.card.clone())
     }
@@ -186,6 +199,8 @@ impl Gcm {
             // It may be lost, and come back, in the middle of it.
             let goes_on = back && sessions.wanted.is_unfinished(&who.process);
             graph.proxies.retain(|_, half| half.process != who.process);
+            // It may count from the beginning.
+            sessions.reported.retain(|id, _| id.process != who.process);
             if begins || goes_on {
                 sessions.wanted.begin(&who.process);
                 gets_back = Some(already(graph, &who, &inventory));
@@ -472,7 +487,15 @@ fn enter(
     loose: &mut Vec<Connection>,
 ) -> bool {
     match news {
-        News::State(report) => loose.extend(observe(Arc::make_mut(graph), &report)),
+        News::State(report) => {
+            let is_newest = lock(&gcm.inner.sessions).is_newest(&report);
+            let graph = Arc::make_mut(graph);
+            let known = graph.components.get(&report.id).cloned();
+            loose.extend(observe(graph, &report));
+            if !is_newest {
+                stand_by(graph, &report.id, known);
+            }
+        }
         News::Catalog(classes) => {
             if let Some(p) = Arc::make_mut(graph).processes.get_mut(process) {
                 p.classes = classes;

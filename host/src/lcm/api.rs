@@ -78,6 +78,8 @@ pub struct ClassOf {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     pub id: ComponentId,
+    /// Counts up within a run of the process: a higher one was looked up later. 0: nobody counted.
+    pub number: u64,
     pub state: State,
     pub health: Health,
     /// Why it is in FAULT; empty otherwise.

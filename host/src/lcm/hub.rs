@@ -1,5 +1,6 @@
 //! What all components of one LCM share: its name, its news, its log ring, the way to wake its watchdog.
 
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::broadcast;
@@ -29,6 +30,8 @@ pub(super) struct Hub {
     pub(super) ports: Arc<Waker>,
     /// Removed components whose code may still use what the host gave them: kept until the process ends.
     graveyard: Mutex<Vec<Arc<Instance>>>,
+    /// Reports made so far.
+    pub(super) reports: AtomicU64,
     /// What the process itself is warned of.
     pub(super) warnings: Mutex<Vec<String>>,
 }
@@ -44,6 +47,7 @@ impl Hub {
             watch: Arc::new(Waker::new()),
             ports: Arc::new(Waker::new()),
             graveyard: Mutex::new(Vec::new()),
+            reports: AtomicU64::new(0),
             warnings: Mutex::default(),
         })
     }

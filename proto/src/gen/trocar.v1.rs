@@ -562,6 +562,9 @@ pub struct ComponentReport {
     /// Connections that were cut because a port went, by number.
     #[prost(uint64, repeated, tag = "8")]
     pub lost_connections: ::prost::alloc::vec::Vec<u64>,
+    /// Counts up within a run of the process: a higher one was looked up later; 0 = nobody counted. Only between LCM and GCM.
+    #[prost(uint64, tag = "9")]
+    pub number: u64,
 }
 /// A component a request left alone.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]

@@ -154,6 +154,7 @@ pub(crate) fn slice_in(slice: v1::Slice) -> Result<Slice, Refusal> {
 pub(crate) fn report_in(r: v1::ComponentReport) -> Result<Report, Refusal> {
     Ok(Report {
         id: ComponentId::parse(&r.path)?,
+        number: r.number,
         state: back::state(r.state, r.stop_reason)?,
         health: back::health(r.health)?,
         fault: r.fault,

@@ -143,5 +143,6 @@ pub(crate) fn report(r: &Report) -> v1::ComponentReport {
         warnings: r.warnings.clone(),
         ports: r.ports.as_deref().map(ports),
         lost_connections: r.lost_connections.clone(),
+        number: r.number,
     }
 }

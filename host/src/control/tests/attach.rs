@@ -78,6 +78,7 @@ async fn a_port_that_goes_in_an_attached_process_takes_its_connection_with_it() 
     let ports = trocar_model::Ports { provided: vec![], ..(*a.ports).clone() };
     let report = Report {
         id: id("gui/a"),
+        number: 0,
         state: a.state,
         health: Health::Ok,
         fault: String::new(),

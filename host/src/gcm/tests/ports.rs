@@ -32,6 +32,7 @@ fn report(gcm: &Gcm, path: &str, lost: &[u64], change: impl FnOnce(&mut Ports)) 
     change(&mut ports);
     Report {
         id: id(path),
+        number: 0,
         state: component.state,
         health: Health::Ok,
         fault: String::new(),
@@ -140,4 +141,22 @@ async fn a_thread_that_cannot_be_had_leaves_everything_as_it_was() {
     let after = gcm.graph();
     assert_eq!(after.connections, before.connections);
     assert_eq!(after.components, before.components);
+}
+
+#[tokio::test]
+async fn what_was_looked_up_earlier_changes_nothing_when_it_comes_later() {
+    let (gcm, lcm) = wired().await;
+    let of = |path: &str, number: u64, health: Health| Report {
+        number,
+        health,
+        ..report(&gcm, path, &[], |_| {})
+    };
+    let health = |graph: &SystemGraph, path: &str| graph.components[&id(path)].health;
+    lcm.news.send(News::State(of("host/a", 7, Health::Overrun))).unwrap();
+    until(&gcm, "the newer one is entered", |g| health(g, "host/a") == Health::Overrun).await;
+    lcm.news.send(News::State(of("host/a", 6, Health::Ok))).unwrap();
+    // Entered in turn, so the older one was looked at when this is there.
+    lcm.news.send(News::State(of("host/b", 1, Health::Overrun))).unwrap();
+    let graph = until(&gcm, "the other one's is entered", |g| health(g, "host/b") == Health::Overrun).await;
+    assert_eq!(health(&graph, "host/a"), Health::Overrun);
 }

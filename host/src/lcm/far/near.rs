@@ -63,6 +63,8 @@ struct Stage {
     frames: Option<Frames>,
     /// What passed and was lost before it was made anew.
     before: LinkDetail,
+    /// Writes of the output when it was unlinked: what it wrote since is lost.
+    unlinked_at: Option<u64>,
 }
 
 struct Pair {
@@ -269,6 +271,7 @@ impl Stream {
         if let Some(wires) = self.take(stage) {
             let last = wires.client.detail().merged(wires.server.last_detail());
             stage.before = std::mem::take(&mut stage.before).followed_by(&last);
+            stage.unlinked_at = Some(wires.server.written());
         }
         let epoch = epoch.fetch_add(1, Ordering::Relaxed);
         let made = terms(ends).and_then(|(terms, to, from)| {
@@ -276,6 +279,9 @@ impl Stream {
         });
         match made {
             Ok((wires, frames)) => {
+                if let Some(at) = stage.unlinked_at.take() {
+                    stage.before.dropped += wires.server.written().saturating_sub(at);
+                }
                 stage.wires = Some(wires);
                 stage.frames = frames;
             }

@@ -114,6 +114,8 @@ impl Instance {
     pub(in crate::lcm) fn report(&self, with_ports: bool) -> Report {
         Report {
             id: self.id.clone(),
+            // Before the look: whatever changes after it is in a report of a higher number.
+            number: self.hub.reports.fetch_add(1, Ordering::SeqCst) + 1,
             state: self.state(),
             health: self.watch.health(),
             fault: self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone(),
