@@ -101,6 +101,27 @@ impl Plan {
     }
 }
 
+/// A smaller system: `a` has a sink of what `b` sends, and a pair of its own that has nothing to do with it.
+pub(crate) fn pair(restart: Value) -> Value {
+    json!({
+        "version": 1,
+        "processes": {
+            "a": { "plugins": ["plugins"] },
+            "b": { "plugins": ["plugins"], "restart": restart },
+        },
+        "components": {
+            "a/sink": { "class": "fixture-torture/sink" },
+            "a/source": { "class": "fixture-torture/source" },
+            "a/near": { "class": "fixture-torture/sink" },
+            "b/source": { "class": "fixture-torture/source" },
+        },
+        "connections": [
+            { "client": "a/sink/value", "server": "b/source/value" },
+            { "client": "a/near/value", "server": "a/source/value" },
+        ],
+    })
+}
+
 impl Rig {
     /// All of it, running.
     pub(crate) fn up(load: Load) -> Result<Rig, String> {

@@ -1,6 +1,8 @@
 //! The two ends of a link as two processes have them: each lays its parts out in a mapping of its own of the same memory.
 #![allow(clippy::unwrap_used)]
 
+mod parts;
+
 use std::sync::Arc;
 use std::thread;
 
@@ -9,10 +11,12 @@ use trocar_rt::pool::{FramePool, PoolFile};
 use trocar_rt::region::{Layout, Region};
 use trocar_rt::reply::{Reply, ReplyPool};
 use trocar_rt::stream::{
-    DropPolicy, FarPools, FarViews, Meta, POOLS_PER_LINK, Payload, Pushed, Queue, StreamReader, StreamWriter,
-    far_reader, far_writer,
+    FarPools, FarViews, Meta, POOLS_PER_LINK, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader,
+    far_writer,
 };
 use trocar_rt::wake::{self, Waker};
+
+use parts::{FIFO, KEEPS_OLD, QUEUES, reading, writing};
 
 /// Both ends of what `parts` lays out.
 fn both<A, B>(first: impl Fn(&mut Layout) -> A, second: impl Fn(&mut Layout) -> B) -> (A, B) {
@@ -39,9 +43,6 @@ fn stream(payload: Payload, queue: Queue) -> (StreamWriter, StreamReader, Arc<Fa
 fn meta(seq: u64) -> Meta {
     Meta { stamp_ns: 1000 + seq, seq }
 }
-
-const FIFO: Queue = Queue::Fifo { depth: 4, drop: DropPolicy::DropOldest };
-const KEEPS_OLD: Queue = Queue::Fifo { depth: 4, drop: DropPolicy::DropNewest };
 
 #[test]
 fn a_queue_keeps_its_order_and_every_gap_is_counted_at_both_ends() {
@@ -264,25 +265,9 @@ fn no_bits_in_the_memory_of_a_link_crash_or_hang_an_end() {
     for round in 0..300 {
         let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
         tell(&pool, &pools, &views, 0);
-        let queue = [Queue::Latest, FIFO, KEEPS_OLD][round % 3];
-        let lay = |layout: &mut Layout| {
-            (
-                Mailbox::lay_out(layout, 4, 24, 2),
-                ReplyPool::lay_out(layout, 2, 8, 32),
-                Waker::lay_out(layout),
-                far_writer(layout, Payload::Plain { bytes: 24 }, queue, &pools),
-                far_writer(layout, Payload::Frame, queue, &pools),
-            )
-        };
-        let lay_other = |layout: &mut Layout| {
-            (
-                Mailbox::lay_out(layout, 4, 24, 2),
-                ReplyPool::lay_out(layout, 2, 8, 32),
-                Waker::lay_out(layout),
-                far_reader(layout, Payload::Plain { bytes: 24 }, queue, &views),
-                far_reader(layout, Payload::Frame, queue, &views),
-            )
-        };
+        let queue = QUEUES[round % 3];
+        let lay = |layout: &mut Layout| writing(layout, queue, &pools);
+        let lay_other = |layout: &mut Layout| reading(layout, queue, &views);
         let bytes = Layout::measure(lay);
         let (here, there) = regions(lay);
         let hostile = Region::open(here.fd().unwrap().try_clone_to_owned().unwrap(), bytes).unwrap();

@@ -2,6 +2,8 @@
 //! machine that has nothing to give.
 #![allow(clippy::unwrap_used)]
 
+mod parts;
+
 use std::io;
 use std::os::fd::AsRawFd;
 use std::os::unix::process::CommandExt;
@@ -10,21 +12,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 
-use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow};
+use trocar_rt::mailbox::{EntryHead, Overflow};
 use trocar_rt::now_ns;
 use trocar_rt::pool::{FramePool, PoolFile};
 use trocar_rt::region::{Layout, Region};
-use trocar_rt::reply::ReplyPool;
 use trocar_rt::segment::{Agreed, CallShape, FarCalls, ServedCalls};
 use trocar_rt::stream::{
-    DropPolicy, FarPools, FarViews, Meta, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader,
-    far_writer,
+    FarPools, FarViews, Meta, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader, far_writer,
 };
 use trocar_rt::wake::{Waker, wait_any};
 
-const FIFO: Queue = Queue::Fifo { depth: 4, drop: DropPolicy::DropOldest };
-const KEEPS_OLD: Queue = Queue::Fifo { depth: 4, drop: DropPolicy::DropNewest };
-const QUEUES: [Queue; 3] = [Queue::Latest, FIFO, KEEPS_OLD];
+use parts::{QUEUES, reading, writing};
 
 fn again(region: &Region, bytes: usize) -> Arc<Region> {
     Region::open(region.fd().unwrap().try_clone_to_owned().unwrap(), bytes).unwrap()
@@ -76,24 +74,8 @@ fn words_that_change_under_every_look_crash_and_hang_nobody() {
         let pool = FramePool::new(8, 64, 64).unwrap();
         let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(64));
         tell(&pool, &pools, &views);
-        let lay = |layout: &mut Layout| {
-            (
-                Mailbox::lay_out(layout, 4, 24, 2),
-                ReplyPool::lay_out(layout, 2, 8, 32),
-                Waker::lay_out(layout),
-                far_writer(layout, Payload::Plain { bytes: 24 }, queue, &pools),
-                far_writer(layout, Payload::Frame, queue, &pools),
-            )
-        };
-        let lay_other = |layout: &mut Layout| {
-            (
-                Mailbox::lay_out(layout, 4, 24, 2),
-                ReplyPool::lay_out(layout, 2, 8, 32),
-                Waker::lay_out(layout),
-                far_reader(layout, Payload::Plain { bytes: 24 }, queue, &views),
-                far_reader(layout, Payload::Frame, queue, &views),
-            )
-        };
+        let lay = |layout: &mut Layout| writing(layout, queue, &pools);
+        let lay_other = |layout: &mut Layout| reading(layout, queue, &views);
         let bytes = Layout::measure(lay);
         let here = Region::shared(bytes).unwrap();
         let (mail, replies, bell, plain, frames) = lay(&mut Layout::fresh(&here));

@@ -6,12 +6,14 @@
 use std::sync::Arc;
 
 use trocar_model::{
-    Command, ComponentId, ConnectOptions, Connection, Link, Name, PortId, PortType, Refusal, Type, bindings,
+    Command, ComponentId, ConnectOptions, Connection, CopyRun, Input, Link, Name, PortId, PortType, Queue,
+    Refusal, Type, bindings,
 };
 use trocar_rt::mailbox::Overflow;
+use trocar_rt::stream::{self, DropPolicy, Payload};
 
 use super::api::LinkDetail;
-use super::boundary::{CommandTarget, FnBinding, Lane, OutCell, RangeCheck, ReadTarget, Reader};
+use super::boundary::{CommandTarget, FnBinding, Lane, OutCell, RangeCheck, ReadTarget, Reader, Shape};
 use super::carriers::{Both, Carriers, Joined};
 use super::dynamic::PortSet;
 use super::far::Here;
@@ -102,6 +104,39 @@ impl Wired {
             detail.server_wake = if self.is_stream() { "" } else { self.server.wake_mode() };
         }
         detail
+    }
+}
+
+/// How samples pass.
+pub(super) struct Passage {
+    pub(super) payload: Payload,
+    pub(super) queue: stream::Queue,
+    /// Samples that may wait.
+    pub(super) depth: usize,
+    /// What of each is copied where, by name, and how long it is then, B.
+    pub(super) adapt: Option<(Vec<CopyRun>, usize)>,
+}
+
+impl Passage {
+    /// Of samples of type `ty` to the input `to`.
+    pub(super) fn of(connection: &Connection, ty: &PortType, to: &Input, adapt: bool) -> Passage {
+        let adapt = match (ty, &to.ty) {
+            (PortType::Plain(from), PortType::Plain(to)) if adapt => {
+                to.copy_plan(from).map(|plan| (plan, to.size()))
+            }
+            _ => None,
+        };
+        let queue = match connection.options.queue.unwrap_or(to.default_queue()) {
+            Queue::Latest => stream::Queue::Latest,
+            Queue::Fifo { depth, drop_oldest } => stream::Queue::Fifo {
+                depth,
+                drop: if drop_oldest { DropPolicy::DropOldest } else { DropPolicy::DropNewest },
+            },
+        };
+        let depth = if let stream::Queue::Fifo { depth, .. } = queue { depth } else { 1 };
+        let shape = Shape::of(ty);
+        let payload = if shape.frame { Payload::Frame } else { Payload::Plain { bytes: shape.bytes } };
+        Passage { payload, queue, depth, adapt }
     }
 }
 

@@ -13,7 +13,7 @@ use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
 use crate::program::signal_to;
-use crate::rig::Rig;
+use crate::rig::{Rig, pair};
 use crate::run::{Row, Run};
 use crate::world::World;
 
@@ -45,25 +45,9 @@ struct Leak {
 /// Nothing is taken, and there is room for anything.
 const NO_LEAK: Leak = Leak { mib_s: 1, warn_mib: 1 << 20, limit_mib: 1 << 20 };
 
-/// `b` has what ends it; `a` has a sink of it, and a pair of its own that has nothing to do with it.
+/// A pair whose `b` has what ends it.
 fn rig(restart: Value, doom: Option<&Leak>) -> Result<Rig, String> {
-    let mut system = json!({
-        "version": 1,
-        "processes": {
-            "a": { "plugins": ["plugins"] },
-            "b": { "plugins": ["plugins"], "restart": restart },
-        },
-        "components": {
-            "a/sink": { "class": "fixture-torture/sink" },
-            "a/source": { "class": "fixture-torture/source" },
-            "a/near": { "class": "fixture-torture/sink" },
-            "b/source": { "class": "fixture-torture/source" },
-        },
-        "connections": [
-            { "client": "a/sink/value", "server": "b/source/value" },
-            { "client": "a/near/value", "server": "a/source/value" },
-        ],
-    });
+    let mut system = pair(restart);
     if let Some(leak) = doom {
         let config = json!({ "leak_mib_s": leak.mib_s });
         system["components"]["b/doom"] = json!({ "class": "fixture-chaos/doom", "config": config });

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use rustix::process::Signal;
-use serde_json::{Value, json};
+use serde_json::json;
 use trocar_proto::v1::{ConnectOptions, ProcessState};
 
 use crate::book::{Book, Timed};
@@ -15,7 +15,7 @@ use crate::invariants::{Desired, agree, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
 use crate::program::{Program, host_args, signal_to};
-use crate::rig::Rig;
+use crate::rig::{Rig, pair};
 use crate::rpc::Rpc;
 use crate::run::{Row, Run};
 use crate::world::World;
@@ -29,26 +29,6 @@ pub(crate) const ROWS: &[Row] = &[
 /// Longest wait for anything that must come, ms.
 const PATIENCE: u64 = 15_000;
 
-fn system(restart: Value) -> Value {
-    json!({
-        "version": 1,
-        "processes": {
-            "a": { "plugins": ["plugins"] },
-            "b": { "plugins": ["plugins"], "restart": restart },
-        },
-        "components": {
-            "a/sink": { "class": "fixture-torture/sink" },
-            "a/source": { "class": "fixture-torture/source" },
-            "a/near": { "class": "fixture-torture/sink" },
-            "b/source": { "class": "fixture-torture/source" },
-        },
-        "connections": [
-            { "client": "a/sink/value", "server": "b/source/value" },
-            { "client": "a/near/value", "server": "a/source/value" },
-        ],
-    })
-}
-
 /// The process of this name below `up` that runs now, attached or not.
 fn running(rig: &Rig, name: &str) -> Option<u32> {
     let is_it = |pid: &u32| procfs::command_line(*pid).windows(2).any(|two| two == ["--name", name]);
@@ -59,7 +39,7 @@ fn starting(run: &Run, book: &mut Book) -> Result<(), String> {
     let mut random = run.random(book);
     let world = World::new(&["fixture_torture"])?;
     let always = json!({ "max": 1000, "backoff_ms": 1, "most_backoff_ms": 1 });
-    let mut rig = Rig::of(world, &system(always))?;
+    let mut rig = Rig::of(world, &pair(always))?;
     let (desired, witness) = (Desired::now(&rig.rpc)?, Witness::start());
     let own = rig.own_port("a")?;
     let (times, mut last, mut began) = (run.times(20, 200), 0, 0);
@@ -98,7 +78,7 @@ fn starting(run: &Run, book: &mut Book) -> Result<(), String> {
 /// With the policy that holds when none is set: three restarts in ten seconds.
 fn given_up(book: &mut Book) -> Result<(), String> {
     let world = World::new(&["fixture_torture"])?;
-    let mut rig = Rig::of(world, &system(json!("on_failure")))?;
+    let mut rig = Rig::of(world, &pair(json!("on_failure")))?;
     let mut last = 0;
     let failed = within(60_000, "it is given up", || {
         let b = rig.process("b")?;
@@ -122,7 +102,7 @@ fn given_up(book: &mut Book) -> Result<(), String> {
     book.beside("processor time of `up` afterwards", 1, spent, 0.0, 5.0, "%");
     rig.up.terminate()?;
     // What a killed process has left is taken away by the next of its name.
-    rig.up = Program::up(&rig.world, &system(json!("on_failure")).to_string())?;
+    rig.up = Program::up(&rig.world, &pair(json!("on_failure")).to_string())?;
     rig.up.terminate()?;
     nothing_is_left(book, &rig.world);
     Ok(())

@@ -8,7 +8,9 @@ use loom::thread;
 use super::{Plain, model, model_within};
 use crate::pool::{FramePool, PoolFile};
 use crate::region::{Layout, Region};
-use crate::stream::{FarPools, FarViews, Meta, Payload, Pushed, Queue, far_reader, far_writer};
+use crate::stream::{
+    FarPools, FarViews, Meta, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader, far_writer,
+};
 use crate::wake::{Waker, wait_any};
 
 #[test]
@@ -65,19 +67,24 @@ fn loom_a_sample_of_another_process_is_whole_and_stays() {
     });
 }
 
+/// A pool of so many slots, and both ends of a stream of its frames.
+fn frames(slots: u32) -> (Arc<FramePool>, Arc<FarPools>, StreamWriter, StreamReader) {
+    let pool = FramePool::new(slots, 8, 0).unwrap();
+    let file = Arc::clone(pool.file().unwrap());
+    let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+    assert_eq!(pools.place_of(file.number()), Some(0));
+    assert!(views.know(0, PoolFile::numbered(file.number()).unwrap()));
+    let region = Region::heap(Layout::measure(|l| far_writer(l, Payload::Frame, Queue::Latest, &pools)));
+    let writer = far_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
+    let reader = far_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
+    (pool, pools, writer, reader)
+}
+
 /// What the reader saw of a frame comes before whatever is written into its slot afterwards, and every lease ends once.
 #[test]
 fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
     model(|| {
-        let pool = FramePool::new(1, 8, 0).unwrap();
-        let file = Arc::clone(pool.file().unwrap());
-        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
-        assert_eq!(pools.place_of(file.number()), Some(0));
-        assert!(views.know(0, PoolFile::numbered(file.number()).unwrap()));
-        let region = Region::heap(Layout::measure(|l| far_writer(l, Payload::Frame, Queue::Latest, &pools)));
-        let writer = far_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
-        let mut reader =
-            far_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
+        let (pool, pools, writer, mut reader) = frames(1);
         let content = Arc::new(Plain::new());
         let theirs = Arc::clone(&content);
         let other = thread::spawn(move || {
@@ -105,15 +112,7 @@ fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
 #[test]
 fn loom_frames_are_taken_back_beside_a_writer_that_goes_on() {
     model_within(3, || {
-        let pool = FramePool::new(2, 8, 0).unwrap();
-        let file = Arc::clone(pool.file().unwrap());
-        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
-        assert_eq!(pools.place_of(file.number()), Some(0));
-        assert!(views.know(0, PoolFile::numbered(file.number()).unwrap()));
-        let region = Region::heap(Layout::measure(|l| far_writer(l, Payload::Frame, Queue::Latest, &pools)));
-        let writer = far_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
-        let mut reader =
-            far_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
+        let (pool, pools, writer, mut reader) = frames(2);
         let frame = |seq| (pool.loan().map(|writing| writing.freeze(0)), Meta { stamp_ns: 0, seq });
         let (first, meta) = frame(1);
         assert_eq!(writer.push_frame(first.expect("both are free"), meta), Pushed::Queued);

@@ -103,13 +103,7 @@ mod tests {
             fault: if state == "FAULT" { "chaos in step".into() } else { String::new() },
             ..ComponentView::default()
         };
-        Standing {
-            heard: true,
-            term: 1,
-            processes: [("a".to_owned(), process)].into(),
-            components: [("a/x".to_owned(), component)].into(),
-            connections: BTreeMap::new(),
-        }
+        Standing::of_one(process, component)
     }
 
     fn said(news: &[News]) -> Vec<Option<&str>> {

@@ -31,6 +31,20 @@ pub(super) struct Standing {
     pub(super) connections: BTreeMap<u64, ConnectionView>,
 }
 
+#[cfg(test)]
+impl Standing {
+    /// One process with one component, as a GCM that is there tells it.
+    pub(super) fn of_one(process: ProcessView, component: ComponentView) -> Standing {
+        Standing {
+            heard: true,
+            term: 1,
+            processes: [(process.name.clone(), process)].into(),
+            components: [(component.path.clone(), component)].into(),
+            ..Standing::default()
+        }
+    }
+}
+
 impl Standing {
     /// What was just asked of that GCM.
     pub(super) fn of(term: u64, listed: SystemView) -> Standing {

@@ -102,13 +102,7 @@ mod tests {
             safety: safety.into(),
             ..ComponentView::default()
         };
-        Standing {
-            heard: true,
-            term: 1,
-            processes: [("a".to_owned(), process)].into(),
-            components: [("a/x".to_owned(), component)].into(),
-            connections: BTreeMap::new(),
-        }
+        Standing::of_one(process, component)
     }
 
     fn running(pid: u32) -> BTreeMap<String, Status> {

@@ -5,18 +5,18 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use trocar_model::{Binding, Command, Link, PortType, Queue, Refusal, Type};
+use trocar_model::{Binding, Command, Link, Refusal, Type};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::mailbox::Mailbox;
 use trocar_rt::reply::ReplyPool;
-use trocar_rt::stream::{self, DropPolicy, Payload, StreamCounters, stream_link};
+use trocar_rt::stream::{StreamCounters, stream_link};
 
 use super::super::api::LinkDetail;
 use super::super::boundary::{
     Consumer, DEFAULT_DEADLINE_NS, ERR_BYTES, EventCell, EventSink, FnCell, Handler, InCell, InLink, Newest,
     OutCell, OutLink, Shape,
 };
-use super::super::connect::{MAILBOX_DEPTH, REPLY_CELLS, passing, target};
+use super::super::connect::{MAILBOX_DEPTH, Passage, REPLY_CELLS, passing, target};
 use super::super::convert::back;
 use super::super::dynamic::PortSet;
 use super::super::inbox::{From, Inbox};
@@ -179,21 +179,7 @@ fn streams(both: &Both<'_>, input: usize, output: usize, adapt: bool) -> Result<
     let (out_cell, in_cell) = (from_set.slots.output(output), to_set.slots.input(input));
     let ty = passing(connection, from, &to.ty, out_cell)?;
     let shape = Shape::of(&ty);
-    let payload = if shape.frame { Payload::Frame } else { Payload::Plain { bytes: shape.bytes } };
-    let adapt = match (&ty, &to.ty) {
-        (PortType::Plain(from), PortType::Plain(to)) if adapt => {
-            to.copy_plan(from).map(|plan| (plan, to.size()))
-        }
-        _ => None,
-    };
-    let queue = match connection.options.queue.unwrap_or(to.default_queue()) {
-        Queue::Latest => stream::Queue::Latest,
-        Queue::Fifo { depth, drop_oldest } => stream::Queue::Fifo {
-            depth,
-            drop: if drop_oldest { DropPolicy::DropOldest } else { DropPolicy::DropNewest },
-        },
-    };
-    let depth = if let stream::Queue::Fifo { depth, .. } = queue { depth } else { 1 };
+    let Passage { payload, queue, depth, adapt } = Passage::of(connection, &ty, to, adapt);
     let (writer, reader) = stream_link(payload, queue);
     let stats = writer.counters();
     let described: Arc<str> = back::port(&ty).into();

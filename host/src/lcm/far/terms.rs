@@ -5,14 +5,13 @@
 
 use sha2::{Digest, Sha256};
 use trocar_model::{
-    Binding, ClassInfo, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Queue, Refusal,
-    Type, bindings,
+    Binding, ClassInfo, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Refusal, Type,
+    bindings,
 };
 use trocar_rt::segment::{Agreed, CallShape, StreamShape};
-use trocar_rt::stream::{self, DropPolicy, Payload};
 
-use super::super::boundary::{ERR_BYTES, Shape};
-use super::super::connect::{MAILBOX_DEPTH, REPLY_CELLS};
+use super::super::boundary::ERR_BYTES;
+use super::super::connect::{MAILBOX_DEPTH, Passage, REPLY_CELLS};
 use super::super::convert::back;
 
 pub(in crate::lcm) struct Terms {
@@ -124,22 +123,7 @@ fn stream(
         (PortType::Any, typed) => typed.clone(),
         (typed, _) => typed.clone(),
     };
-    let adapt = match (&ty, &to.ty) {
-        (PortType::Plain(from), PortType::Plain(to)) if adapt => {
-            to.copy_plan(from).map(|plan| (plan, to.size()))
-        }
-        _ => None,
-    };
-    let queue = match connection.options.queue.unwrap_or(to.default_queue()) {
-        Queue::Latest => stream::Queue::Latest,
-        Queue::Fifo { depth, drop_oldest } => stream::Queue::Fifo {
-            depth,
-            drop: if drop_oldest { DropPolicy::DropOldest } else { DropPolicy::DropNewest },
-        },
-    };
-    let depth = if let stream::Queue::Fifo { depth, .. } = queue { depth } else { 1 };
-    let kind = Shape::of(&ty);
-    let payload = if kind.frame { Payload::Frame } else { Payload::Plain { bytes: kind.bytes } };
+    let Passage { payload, queue, depth, adapt } = Passage::of(connection, &ty, to, adapt);
     let hash = hash([back::port(&ty), format!("{payload:?} {queue:?}")]);
     let shape = StreamShape { payload, queue };
     Ok(Terms { hash, way: Way::Stream { input, output, ty, shape, depth, adapt } })
