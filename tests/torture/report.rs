@@ -35,6 +35,13 @@ pub(crate) fn table(run: &Run, books: &[Book], left: &[&Row]) -> String {
     let seconds: f64 = books.iter().map(|book| book.took_s).sum();
     let how = if run.full { "full counts" } else { "short counts" };
     let _ = writeln!(text, "seed {}, {how}, {seconds:.0} s", run.seed);
+    for book in books {
+        // Once more where it is seen: the table is long.
+        for Line { what, bound, seen, control, .. } in book.lines.iter().filter(|line| !line.holds) {
+            let (row, seen) = (book.row, cell(seen));
+            let _ = writeln!(text, "torture::{row}: {what}: {seen}; allowed {bound}, control {control}");
+        }
+    }
     for row in &failed {
         let _ = writeln!(text, "test torture::{row} ... FAILED");
     }

@@ -116,6 +116,10 @@ impl Lateness {
         })
     }
 
+    fn of_all(rpc: &Rpc, paths: &[String]) -> Result<Vec<Lateness>, String> {
+        paths.iter().map(|path| Lateness::of(rpc, path)).collect()
+    }
+
     fn say(&self, who: &str) {
         eprintln!(
             "  {who}: {} periods, late by p50 {:.0}, p99 {:.0}, at most {:.0} µs",
@@ -135,41 +139,48 @@ fn hogs(run: &Run, book: &mut Book) -> Result<(), String> {
         ..Execution::default()
     };
     start_late(&rpc, "a/late", json!({}), periodic)?;
-    // Its thread is its own; the host only starts and stops it.
+    // Its thread is its own; the host only starts and stops it. One on each processor, since what is taken away of one (by the
+    // machine below this one, too) is not taken of the other, and a step may be on either.
     let passive = Execution { rate_hz: Some(1.0), ..Execution::default() };
-    start_late(&rpc, "a/bare", json!({ "bare_priority": PRIORITY }), passive)?;
-    // Whatever the first requests cost is over.
-    for path in ["a/late", "a/bare"] {
-        Lateness::of(&rpc, path)?;
+    let processors = thread::available_parallelism().map_or(1, usize::from);
+    let bare: Vec<String> = (0..processors).map(|cpu| format!("a/bare-{cpu}")).collect();
+    for (cpu, path) in bare.iter().enumerate() {
+        let config = json!({ "bare_priority": PRIORITY, "bare_cpu": cpu });
+        start_late(&rpc, path, config, passive.clone())?;
     }
+    // Whatever the first requests cost is over.
+    Lateness::of(&rpc, "a/late")?;
+    Lateness::of_all(&rpc, &bare)?;
     let held = Holdings::of(&[("a", host.pid())]);
     let stats = |path: &str| rpc.component(path).map(|c| c.stats.unwrap_or_default());
     let ms = run.times(3_000, 60_000);
     pause_ms(ms / 2);
     Lateness::of(&rpc, "a/late")?.say("without hogs");
-    Lateness::of(&rpc, "a/bare")?.say("without hogs, a bare thread");
+    Lateness::of_all(&rpc, &bare)?.iter().for_each(|one| one.say("without hogs, a bare thread"));
     let before = stats("a/late")?;
     {
         let _hogs = Hogs::begin(&world)?;
         pause_ms(ms);
         let answered = rpc.brief();
         book.check("the host answers meanwhile", 1, answered.map(drop).map_err(|e| e.to_string()));
-        let (ours, bare) = (Lateness::of(&rpc, "a/late")?, Lateness::of(&rpc, "a/bare")?);
+        let (ours, bare) = (Lateness::of(&rpc, "a/late")?, Lateness::of_all(&rpc, &bare)?);
         ours.say("with hogs");
-        bare.say("with hogs, a bare thread");
+        bare.iter().for_each(|one| one.say("with hogs, a bare thread"));
         let after = stats("a/late")?;
-        if !after.realtime || !bare.granted {
+        if !after.realtime || !bare.iter().all(|one| one.granted) {
             book.leaves_out(
                 "real-time priorities, which this machine does not grant: all threads are ordinary",
             );
         }
         let what = "1 kHz beside hogs: 99th percentile of the lateness, beside 1.5 × a bare thread";
-        book.beside(what, ours.count as usize, ours.p99, 1.5 * bare.p99, BEYOND_US, "µs");
+        let latest = bare.iter().map(|one| one.p99).fold(0.0, f64::max);
+        book.beside(what, ours.count as usize, ours.p99, 1.5 * latest, BEYOND_US, "µs");
         let elapsed = (after.executed + after.skipped).saturating_sub(before.executed + before.skipped);
-        let skipped = (after.skipped - before.skipped) as f64 * 100.0 / elapsed.max(1) as f64;
+        let part = |periods: u64| periods as f64 * 100.0 / elapsed.max(1) as f64;
         // A bare thread notes a period each time it wakes: what is missing it slept through.
-        let missed = elapsed.saturating_sub(bare.count) as f64 * 100.0 / elapsed.max(1) as f64;
-        book.beside("periods missed", elapsed as usize, skipped, missed, 0.5, "%");
+        let missed = bare.iter().map(|one| elapsed.saturating_sub(one.count)).sum();
+        let skipped = part(after.skipped - before.skipped);
+        book.beside("periods missed", elapsed as usize, skipped, part(missed), 0.5, "%");
     }
     book.check("no file, thread, socket, segment more (G5)", 1, held.have_not_grown());
     host.terminate()?;
