@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use trocar_model::{ComponentId, Request, Target};
 
-use super::memory::Memory;
+use super::last_seen::LastSeen;
 use super::standing::Standing;
 use super::telling::Voice;
 use crate::cli::failure::Failure;
@@ -34,7 +34,7 @@ pub(super) struct Mender {
     /// The GCM under which it was last seen whole.
     term: u64,
     /// What it had then.
-    memory: Memory,
+    last_seen: LastSeen,
     /// What was made again, and may wait for connections to processes that are not back yet.
     remade: BTreeSet<ComponentId>,
 }
@@ -56,7 +56,7 @@ impl Mender {
             restarts: status.restarts,
             owed: false,
             term: standing.term,
-            memory: Memory::default(),
+            last_seen: LastSeen::default(),
             remade: BTreeSet::new(),
         };
         mender.look(status, standing);
@@ -70,9 +70,9 @@ impl Mender {
         let whole = status.phase == Phase::Running && standing.is_whole(&self.process, status.pid);
         if whole && !self.owed {
             self.term = standing.term;
-            self.memory.take(&self.process, status.pid, standing);
+            self.last_seen.take(&self.process, status.pid, standing);
         } else if standing.heard {
-            self.memory.take_last(&self.process, standing);
+            self.last_seen.take_last(&self.process, standing);
         }
         whole && self.owed
     }
@@ -94,10 +94,10 @@ impl Mender {
     /// What it is to have: what is of the file in its order, then what came since.
     fn should_have(&self, file: &SystemFile) -> Vec<ComponentId> {
         let written = self.here(file).map(|c| c.id.clone());
-        if !self.memory.is_known() {
+        if !self.last_seen.is_known() {
             return written.collect();
         }
-        let known = self.memory.components();
+        let known = self.last_seen.components();
         let mut all: Vec<ComponentId> = written.filter(|id| known.contains(id)).collect();
         let since: Vec<ComponentId> = known.into_iter().filter(|id| !all.contains(id)).collect();
         all.extend(since);
@@ -106,7 +106,7 @@ impl Mender {
 
     /// What makes that, and what it is connected to.
     fn requests(&self, file: &SystemFile) -> Vec<Request> {
-        if self.memory.is_known() { self.memory.requests() } else { file.requests() }
+        if self.last_seen.is_known() { self.last_seen.requests() } else { file.requests() }
     }
 
     fn here<'f>(&self, file: &'f SystemFile) -> impl Iterator<Item = &'f ComponentSpec> {
@@ -121,7 +121,7 @@ impl Mender {
             return Ok(());
         }
         let listed = tools.session.standing().await?;
-        let waits = |c: &&ComponentView| c.state == "STOPPED{restarted}" && self.memory.ran(&c.path);
+        let waits = |c: &&ComponentView| c.state == "STOPPED{restarted}" && self.last_seen.ran(&c.path);
         let stopped = listed.components.iter().filter(waits).filter(|c| resumes.contains(&c.path));
         let targets = targets(stopped.map(|c| c.path.as_str()));
         if targets.is_empty() {
@@ -180,8 +180,8 @@ impl Mender {
         let (mut starts, mut waits) = (Vec::new(), Vec::new());
         for id in self.should_have(file) {
             let (path, spec) = (id.to_string(), self.here(file).find(|c| c.id == id));
-            let ran = match self.memory.is_known() {
-                true => self.memory.ran(&path),
+            let ran = match self.last_seen.is_known() {
+                true => self.last_seen.ran(&path),
                 false => spec.is_some_and(|c| c.start),
             };
             let is_it = |c: &&ComponentView| c.path == path && c.state == "READY" && ran;
@@ -410,20 +410,20 @@ mod tests {
     fn what_had_failed_or_was_stopped_before_the_end_is_not_let_go_on() {
         let seen = |state: &str| standing(1, 7, &[("a/leg", state)]);
         let mut mender = Mender::new("a", &running(7, 0), &seen("ACTIVE"));
-        assert!(mender.memory.ran("a/leg"));
+        assert!(mender.last_seen.ran("a/leg"));
         // The last that was heard of it came together with its end.
         let mut ended = seen("FAULT");
         ended.processes.get_mut("a").unwrap().state = "LOST".into();
-        assert!(!mender.look(&running(7, 0), &ended) && !mender.memory.ran("a/leg"));
+        assert!(!mender.look(&running(7, 0), &ended) && !mender.last_seen.ran("a/leg"));
         let mut back = standing(1, 8, &[("a/leg", "STOPPED{restarted}")]);
-        assert!(mender.look(&running(8, 1), &back) && !mender.memory.ran("a/leg"), "whatever it is now");
+        assert!(mender.look(&running(8, 1), &back) && !mender.last_seen.ran("a/leg"), "whatever it is now");
         // And one that ends again before it was let go on is.
         let mut mender = Mender::new("a", &running(7, 0), &seen("ACTIVE"));
         assert!(mender.look(&running(8, 1), &back));
         mender.owed = false;
-        assert!(!mender.look(&running(8, 1), &back) && mender.memory.ran("a/leg"));
+        assert!(!mender.look(&running(8, 1), &back) && mender.last_seen.ran("a/leg"));
         back.components.insert("a/leg".into(), component("a/leg", "STOPPED{requested}", "none"));
-        assert!(!mender.look(&running(8, 1), &back) && !mender.memory.ran("a/leg"));
+        assert!(!mender.look(&running(8, 1), &back) && !mender.last_seen.ran("a/leg"));
     }
 
     #[test]

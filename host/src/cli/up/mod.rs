@@ -7,7 +7,7 @@ mod apart;
 mod detach;
 mod fill;
 mod keep;
-mod memory;
+mod last_seen;
 mod mend;
 mod news;
 pub(super) mod programs;

@@ -13,7 +13,7 @@ use super::standing::Standing;
 use crate::cli::view::{ComponentView, ConnectionView, ExecutionView, OptionsView};
 
 #[derive(Default)]
-pub(super) struct Memory {
+pub(super) struct LastSeen {
     /// Of the incarnation that was seen; 0 = none was.
     pid: u32,
     /// By path.
@@ -24,7 +24,7 @@ pub(super) struct Memory {
     connections: BTreeMap<u64, ConnectionView>,
 }
 
-impl Memory {
+impl LastSeen {
     /// Takes in all of a process that is whole.
     pub(super) fn take(&mut self, process: &str, pid: u32, standing: &Standing) {
         self.pid = pid;
