@@ -35,14 +35,37 @@ pub(crate) fn below(dir: &Path) -> BTreeSet<PathBuf> {
     found
 }
 
-/// No process whose output lies in this directory has said that.
+/// No process whose output lies in this directory, or in that of `up`, has said that; at least one has said something.
 pub(crate) fn nowhere_in(dir: &Path, words: &str) -> Result<(), String> {
-    let printed = |file: &PathBuf| file.extension().is_some_and(|e| e == "out" || e == "err");
+    let printed =
+        |file: &PathBuf| file.extension().is_some_and(|e| ["out", "err", "log"].iter().any(|x| e == *x));
+    let mut said = 0;
     for file in below(dir).into_iter().filter(printed) {
-        let text = std::fs::read_to_string(dir.join(&file)).unwrap_or_default();
+        let bytes = std::fs::read(dir.join(&file)).map_err(|e| format!("{}: {e}", file.display()))?;
+        let text = String::from_utf8_lossy(&bytes);
         if let Some(line) = text.lines().find(|line| line.contains(words)) {
             return Err(format!("{}: {line}", file.display()));
         }
+        said += text.len();
     }
-    Ok(())
+    if said > 0 { Ok(()) } else { Err(format!("nobody has said anything in {}", dir.display())) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::nowhere_in;
+
+    #[test]
+    fn what_a_child_of_up_printed_is_read_too() {
+        let dir = tempfile::tempdir().unwrap();
+        assert!(nowhere_in(dir.path(), "panicked at").unwrap_err().contains("nobody"));
+        std::fs::create_dir(dir.path().join("state")).unwrap();
+        for file in ["up.out", "state/a.output.old.log"] {
+            std::fs::write(dir.path().join(file), "host a listening\n").unwrap();
+        }
+        assert_eq!(nowhere_in(dir.path(), "panicked at"), Ok(()));
+        std::fs::write(dir.path().join("state/output.log"), b"\xffthread 'x' panicked at a.rs:1\n").unwrap();
+        let found = nowhere_in(dir.path(), "panicked at").unwrap_err();
+        assert!(found.starts_with("state/output.log: ") && found.contains("a.rs:1"), "{found}");
+    }
 }

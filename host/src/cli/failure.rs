@@ -22,6 +22,8 @@ pub(super) enum Exit {
     NoGcm = 3,
     TimedOut = 4,
     Partial = 5,
+    /// Of a host: it served, stood still, and another process has its name now. 75 is EX_TEMPFAIL of sysexits(3).
+    Replaced = 75,
     Interrupted = 130,
 }
 

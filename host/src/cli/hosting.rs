@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::json;
-use trocar_model::Name;
+use trocar_model::{Name, Refusal};
 
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
@@ -178,8 +178,13 @@ pub(super) fn plugins_of(process: &ProcessSpec, base: &Path, given: Vec<PathBuf>
 pub(super) async fn until_stopped(mut host: Host, mut stop: StopRequest) -> Done {
     let ended = host.until_asked_to_stop(&mut stop).await;
     host.shutdown().await;
-    ended?;
-    Ok(Exit::Ok)
+    match ended {
+        Ok(()) => Ok(Exit::Ok),
+        Err(e @ HostError::Refused(Refusal::ProcessExists { .. })) => {
+            Err(Failure { exit: Exit::Replaced, ..e.into() })
+        }
+        Err(e) => Err(e.into()),
+    }
 }
 
 /// Where it listens, for people and scripts.

@@ -12,7 +12,7 @@ use crate::clock::{Since, Witness, now_ns, pause_ms, within};
 use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
-use crate::program::signal_to;
+use crate::program::{Program, signal_to};
 use crate::rig::{Rig, pair};
 use crate::run::{Row, Run};
 use crate::world::World;
@@ -274,5 +274,9 @@ fn storm(run: &Run, book: &mut Book) -> Result<(), String> {
     let busy = (spent() - before) as f64 / ms as f64 * 100.0;
     book.beside("processor time of `up` and the GCM afterwards", 1, busy, 0.0, 5.0, "%");
     rig.up.terminate()?;
+    // What one that was given up has left is taken away by the next of its name.
+    rig.up = Program::up(&rig.world, &pair(json!("on_failure")).to_string())?;
+    rig.up.terminate()?;
+    nothing_is_left(book, &rig.world);
     Ok(())
 }

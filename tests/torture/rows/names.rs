@@ -137,7 +137,8 @@ fn zombie(run: &Run, book: &mut Book) -> Result<(), String> {
         let ended = b.await_end(PATIENCE)?;
         fenced.push(witness.timed(began, now_ns(), 0.0));
         let said = b.printed();
-        let told = !ended.success() && said.contains("the name `b` is taken");
+        // 75: replaced, and nothing else.
+        let told = ended.code() == Some(75) && said.contains("the name `b` is taken");
         book.check("and says why", 1, if told { Ok(()) } else { Err(format!("{ended}: {said}")) });
         pause_ms(300);
         let books = own.row("a/sink")?["books"].take();
