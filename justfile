@@ -15,8 +15,9 @@ ci:
 
 # The figures of docs/BENCHMARKS.md, alone on the machine.
 bench:
-    cargo build --release
-    cargo run --release -p trocar-tests --bin bench
+    cargo build --profile dist -p trocar -p trocar-tests -p trocar-fixture-gauge -p trocar-eyerobot -p trocar-example
+    cargo build --release --manifest-path tests/bench/peers/Cargo.toml --target-dir target/peers
+    TROCAR_BIN_DIR=$PWD/target/dist GRPCURL=$(find target/outer -name grpcurl -type f | head -1) ./target/dist/bench
 
 # Writes golden files anew: CLI surface, errors.md, INTERFACES.md, generated protocol code.
 bless:

@@ -24,15 +24,22 @@ struct Scene {
     host: Host,
     number: u64,
     watch: &'static Watch,
+    /// What carries its connections; empty = the best there is.
+    carrier: &'static str,
     /// What has to have happened: components and their counts that are not 0 in the end.
     evidence: RefCell<Vec<(String, &'static str)>>,
 }
 
 impl Scene {
     async fn new() -> Result<Scene, HostError> {
+        Scene::over("").await
+    }
+
+    /// All its connections go over this carrier.
+    async fn over(carrier: &'static str) -> Result<Scene, HostError> {
         let host = Host::builder().name("host").plugin(classes::CLASSES).start().await?;
         let (number, watch) = book::watch();
-        Ok(Scene { host, number, watch, evidence: RefCell::default() })
+        Ok(Scene { host, number, watch, carrier, evidence: RefCell::default() })
     }
 
     /// A component whose thread is watched.
@@ -49,7 +56,12 @@ impl Scene {
     }
 
     async fn connect(&self, client: &str, server: &str) -> Done {
-        self.host.connect(&format!("host/{client}"), &format!("host/{server}")).await?;
+        self.connect_with(client, server, ConnectOptions::default()).await
+    }
+
+    async fn connect_with(&self, client: &str, server: &str, options: ConnectOptions) -> Done {
+        let options = ConnectOptions { carrier: self.carrier.into(), ..options };
+        self.host.connect_with(&format!("host/{client}"), &format!("host/{server}"), options).await?;
         Ok(())
     }
 
@@ -76,9 +88,7 @@ impl Scene {
 
     async fn adapted(&self, client: &str, server: &str) -> Done {
         let options = ConnectOptions { adapt: true, ..ConnectOptions::default() };
-        let (client, server) = (format!("host/{client}/turned"), format!("host/{server}/pair"));
-        self.host.connect_with(&client, &server, options).await?;
-        Ok(())
+        self.connect_with(&format!("{client}/turned"), &format!("{server}/pair"), options).await
     }
 
     /// These counts of a component must not be 0 in the end.
@@ -166,6 +176,50 @@ async fn a_component_that_sleeps_until_it_is_signalled() -> Done {
     scene.pair("woken", "source").await?;
     scene.pair("source", "woken").await?;
     scene.proves_pure("of on_signal", book::SLEEP_AND_WAKE).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_whose_peer_is_behind_memory_that_processes_share() -> Done {
+    let scene = Scene::over("memfd").await?;
+    scene.watched("head", "worker", periodic()).await?;
+    scene.beside("other", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.pair("head", "other").await?;
+    scene.pair("other", "head").await?;
+    scene.proves_pure("of periodic, over memfd", book::AND_BELLS).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_component_that_is_signalled_through_memory_that_processes_share() -> Done {
+    let scene = Scene::over("memfd").await?;
+    scene.beside("source", "worker", periodic()).await?;
+    scene.watched("woken", "worker", model(ExecutionModel::OnSignal)).await?;
+    scene.pair("woken", "source").await?;
+    scene.pair("source", "woken").await?;
+    scene.proves_pure("of on_signal, over memfd", book::AND_BELLS).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_camera_and_a_filter_whose_frames_lie_in_memory_that_processes_share() -> Done {
+    for watches_camera in [true, false] {
+        let scene = Scene::over("memfd").await?;
+        let head = Execution { period_ns: Some(100_000), ..model(ExecutionModel::Stream) };
+        let (camera, filter) = match watches_camera {
+            true => (
+                scene.watched("camera", "camera", head).await,
+                scene.beside("filter", "filter", model(ExecutionModel::OnSignal)).await,
+            ),
+            false => (
+                scene.beside("camera", "camera", head).await,
+                scene.watched("filter", "filter", model(ExecutionModel::OnSignal)).await,
+            ),
+        };
+        (camera?, filter?);
+        scene.connect("filter/frame", "camera/frame").await?;
+        scene.proves_pure("of frames over memfd", book::AND_BELLS).await?;
+    }
     Ok(())
 }
 

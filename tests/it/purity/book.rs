@@ -32,6 +32,12 @@ pub(super) const SLEEP_AND_WAKE: Excused =
     Excused { between: &[libc::SYS_futex, libc::SYS_clock_nanosleep], inside: &[], orders: false };
 /// Of one that is rewired: its managers' orders, between steps.
 pub(super) const AND_ORDERS: Excused = Excused { orders: true, ..SLEEP_AND_WAKE };
+/// Of one that other processes wake, or whose connections are like theirs: it sleeps on several words.
+pub(super) const AND_BELLS: Excused = Excused {
+    between: &[libc::SYS_futex, libc::SYS_futex_waitv, libc::SYS_clock_nanosleep],
+    inside: &[],
+    orders: false,
+};
 /// Of one that runs freely: it lets others run between two steps.
 pub(super) const AND_YIELD: Excused = Excused {
     between: &[libc::SYS_futex, libc::SYS_clock_nanosleep, libc::SYS_sched_yield],
