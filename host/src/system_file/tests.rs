@@ -141,6 +141,10 @@ fn a_wrong_type_names_what_was_found() {
     assert!(refused("\"catch_up\": 3", "\"catch_up\": 1001").what.contains("from 0 to 1000"));
     assert!(refused("\"threads\": 2", "\"threads\": 0").what.contains("from 1 to 64"));
     assert!(refused("\"max_step_ms\": 2.5", "\"max_step_ms\": -1").what.contains("above 0 ms"));
+    for never in ["0", "-2.5", "null"] {
+        let p = refused("\"max_age_ms\": 2.5", &format!("\"max_age_ms\": {never}"));
+        assert!(p.what.contains("above 0 ms") && p.pointer == "/connections/1/max_age_ms", "{never}: {p}");
+    }
     assert!(refused("\"bypass\"", "\"bypas\"").help.contains("did you mean \"bypass\"?"));
     assert!(refused("{ \"seed\": 7, \"//\": \"why 7\" }", "[]").what.contains("found a list"));
 }

@@ -124,6 +124,11 @@ fn a_max_age_of_zero_is_refused_and_a_short_one_makes_stale() {
         assert_eq!(refused.violated_fields(), ["options.max_age"], "{refused}");
         assert!(refused.message.contains(why), "{refused}");
     }
+    for max_age in ["0", "0s", "0.1ns"] {
+        let asked = ["connect", "right/second/sample", "left/s/value", "--max-age", max_age];
+        two.trocar().run(&asked).ends_with(2).says("--max-age").says("above 0");
+    }
+    assert_eq!(connections(&two.grpc).len(), 2, "nothing was made");
     let options = json!({ "max_age": "0.05s" });
     two.grpc.ok("GcmService/Connect", connect("right/second/sample", "left/s/value", options));
     two.grpc.start("right/second");
