@@ -20,6 +20,7 @@ mod rig;
 mod rows;
 mod rpc;
 mod run;
+mod watching;
 mod world;
 
 use std::process::ExitCode;

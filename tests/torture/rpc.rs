@@ -75,7 +75,7 @@ impl Rpc {
         Rpc { address: address.to_owned(), channel: endpoint.connect_lazy() }
     }
 
-    fn gcm(&self) -> GcmServiceClient<Channel> {
+    pub(crate) fn gcm(&self) -> GcmServiceClient<Channel> {
         GcmServiceClient::new(self.channel.clone()).max_decoding_message_size(64 << 20)
     }
 

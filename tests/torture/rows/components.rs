@@ -15,6 +15,7 @@ use crate::procfs;
 use crate::program::Program;
 use crate::rpc::{Rpc, state_name};
 use crate::run::{Row, Run};
+use crate::watching::Overruns;
 use crate::world::World;
 
 pub(crate) const ROWS: &[Row] = &[
@@ -281,6 +282,7 @@ fn overruns(run: &Run, book: &mut Book) -> Result<(), String> {
         let execution = Execution { rate_hz: Some(rate_hz), ..Execution::default() };
         rpc.create_with(&path, "fixture-pace/pace", json!({ "slow_periods": slow_periods }), execution)?;
         rpc.start(&path)?;
+        let watched = Overruns::of(rpc, &path)?;
         for n in 1..=times {
             let period = Duration::from_secs_f64(1.0 / rate_hz);
             rpc.invoke(&format!("{path}/ctl/slow"), &json!(1), Duration::from_secs(2))?;
@@ -290,6 +292,11 @@ fn overruns(run: &Run, book: &mut Book) -> Result<(), String> {
             })?;
             std::thread::sleep(2 * period);
         }
+        let (told, seconds) = watched.told();
+        let at_most = seconds.ceil() as u64;
+        let often = format!("told {told} times in {seconds:.1} s");
+        let seldom = if (1..=at_most).contains(&told) { Ok(()) } else { Err(often) };
+        book.check("overruns are told, at most once a second", times as usize, seldom);
         rpc.stop(&path)?;
         let (row, stats) = (rpc.row(&path)?, rpc.component(&path)?.stats.unwrap_or_default());
         // What it noted itself, and what it noted but for the moment between its clock and the host's.
