@@ -13,7 +13,7 @@ const QUIET_NS: u64 = 10_000_000_000;
 
 /// Something that may happen very often and is worth a line now and then.
 #[derive(Debug, Default)]
-pub(crate) struct Seldom {
+pub struct Seldom {
     /// No line before, ns.
     next_ns: u64,
     untold: u64,
@@ -33,7 +33,8 @@ impl Seldom {
         })
     }
 
-    pub(crate) fn warn(&mut self, now_ns: u64, what: &str) {
+    /// Logs the line for it, when there is to be one now.
+    pub fn warn(&mut self, now_ns: u64, what: &str) {
         if let Some(line) = self.line(now_ns, what) {
             log::warn!("{line}");
         }

@@ -20,5 +20,6 @@ mod tests;
 mod watch;
 
 pub use card::{Card, LAYOUT, Unreachable};
+pub use door::Seldom;
 pub use links::{Handler, Links};
 pub use session::{Lost, MOST_BYTES, MOST_FDS, Message, Peer, SendError, Session};

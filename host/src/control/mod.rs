@@ -5,6 +5,7 @@
 mod attach;
 mod convert;
 mod deadline;
+mod incoming;
 mod occupant;
 mod serve;
 mod server;

@@ -13,7 +13,6 @@ use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
-use tonic::transport::server::TcpIncoming;
 use trocar_model::{Name, Refusal};
 use trocar_proto::FILE_DESCRIPTOR_SET;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
@@ -22,6 +21,7 @@ use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use super::attach::{AttachEdge, MAX_MESSAGE};
+use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
 use super::server::Edge;
 use crate::gcm::{Gcm, Lines};
@@ -91,9 +91,8 @@ impl Server {
             help: "rebuild trocar: its service descriptions are damaged".into(),
         })?;
         let (stop, stopped) = oneshot::channel();
-        let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
         let task = tokio::spawn(async move {
-            let served = router.serve_with_incoming_shutdown(incoming, async {
+            let served = router.serve_with_incoming_shutdown(Incoming::new(listener), async {
                 // A dropped sender means the same.
                 let _ = stopped.await;
             });
