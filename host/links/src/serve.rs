@@ -230,11 +230,20 @@ impl<H: Handler> Server<H> {
         for at in due {
             let said = Greeting::Hello { version: VERSION, card: self.card.clone() };
             let dialled = address::dial(&at).and_then(|socket| {
-                send(socket.as_fd(), &[&said.encode()], &[])?;
-                Ok((pid_of(&socket), socket))
+                let (pid, uid) = other_end(&socket)?;
+                let foreign = self.foreign(uid);
+                // Whoever else listens there learns nothing of this process.
+                if foreign.is_none() {
+                    send(socket.as_fd(), &[&said.encode()], &[])?;
+                }
+                Ok((pid, socket, foreign))
             });
             match dialled {
-                Ok((pid, socket)) => {
+                Ok((_, _, Some(why))) => {
+                    let why = format!("another user's process listens at {}: {why}", at.display());
+                    self.failed(&at, Failed { why, refused: true }, now);
+                }
+                Ok((pid, socket, None)) => {
                     if let Some(want) = self.wants.get_mut(&at) {
                         want.busy = true;
                     }
@@ -282,12 +291,17 @@ impl<H: Handler> Server<H> {
         }
     }
 
+    /// Why a process of this user is none to greet, at either end: what its card says of it comes later and counts for nothing here.
+    fn foreign(&self, uid: u32) -> Option<String> {
+        let own = self.card.uid;
+        (uid != own).then(|| format!("user {uid} is not the user of this process, {own}"))
+    }
+
     /// Only processes of the same user may greet, as the kernel tells it.
     fn admit(&mut self, socket: OwnedFd, now: u64) {
-        let Ok(who) = rustix::net::sockopt::socket_peercred(&socket) else { return };
-        if who.uid.as_raw() != self.card.uid {
-            let why = format!("user {} is not the user of this process, {}", who.uid.as_raw(), self.card.uid);
-            self.turn_away(who.pid.as_raw_nonzero().get(), &why, now);
+        let Ok((pid, uid)) = other_end(&socket) else { return };
+        if let Some(why) = self.foreign(uid) {
+            self.turn_away(pid, &why, now);
             refuse(&socket, why);
             return;
         }
@@ -295,7 +309,6 @@ impl<H: Handler> Server<H> {
             // Untold: a friend among the crowd calls again sooner than one that was refused.
             self.ends.swap_remove(at);
         }
-        let pid = who.pid.as_raw_nonzero().get();
         self.ends.push(End::Greeting { socket, pid, until_ns: now + GREETING_NS, stage: Stage::Knocking });
     }
 
@@ -528,6 +541,8 @@ impl<H: Handler> Server<H> {
     }
 }
 
-fn pid_of(socket: &OwnedFd) -> i32 {
-    rustix::net::sockopt::socket_peercred(socket).map_or(0, |who| who.pid.as_raw_nonzero().get())
+/// Process and user at the other end, as the kernel tells it: of one that listens, as it was when it began to.
+fn other_end(socket: &OwnedFd) -> rustix::io::Result<(i32, u32)> {
+    let who = rustix::net::sockopt::socket_peercred(socket)?;
+    Ok((who.pid.as_raw_nonzero().get(), who.uid.as_raw()))
 }

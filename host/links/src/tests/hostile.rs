@@ -337,6 +337,46 @@ fn a_process_of_another_user_is_turned_away_by_what_the_kernel_says() {
     assert!(refused.contains("user 65534 is not the user of this process, 0"), "{refused}");
 }
 
+/// The same the other way round: a listener that would say what it likes is told nothing.
+#[test]
+fn a_listener_of_another_user_is_not_greeted_whatever_its_card_would_say() {
+    if !rustix::process::geteuid().is_root() {
+        return;
+    }
+    let dir = TempDir::new().unwrap();
+    let a = process(dir.path(), "a");
+    std::fs::set_permissions(dir.path(), Permissions::from_mode(0o777)).unwrap();
+    let at = dir.path().join("b.sock");
+    let listens = at.clone();
+    let (begun, begins) = channel();
+    let heard = std::thread::spawn(move || {
+        let nobody = rustix::process::Uid::from_raw(65_534);
+        // Of this thread alone.
+        rustix::thread::set_thread_res_uid(nobody, nobody, nobody).unwrap();
+        let kind = (AddressFamily::UNIX, SocketType::SEQPACKET);
+        let listener = rustix::net::socket_with(kind.0, kind.1, SocketFlags::CLOEXEC, None).unwrap();
+        rustix::net::bind(&listener, &SocketAddrUnix::new(&listens).unwrap()).unwrap();
+        rustix::net::listen(&listener, 64).unwrap();
+        begun.send(()).unwrap();
+        let caller = rustix::net::accept_with(&listener, SocketFlags::CLOEXEC | SocketFlags::NONBLOCK);
+        let heard = Stranger(caller.unwrap()).hears();
+        (heard, listener)
+    });
+    begins.recv_timeout(LONG).unwrap();
+    a.links.want(&at);
+    // Still there when it is called again.
+    let (heard, _listener) = heard.join().unwrap();
+    assert!(heard.is_none(), "it was told {heard:?}");
+    let why = loop {
+        match a.links.why_not(&at) {
+            Some(why) => break why,
+            None => std::thread::yield_now(),
+        }
+    };
+    assert!(why.contains("user 65534 is not the user of this process, 0") && why.contains("b.sock"), "{why}");
+    assert!(a.links.session(&at).is_none() && a.news.try_recv().is_err(), "it was met");
+}
+
 #[test]
 fn nobody_listens_where_it_cannot_and_the_sentence_says_where() {
     let dir = TempDir::new().unwrap();
