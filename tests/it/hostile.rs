@@ -3,6 +3,8 @@
 //! Promise: whatever a stranger says at the socket, whatever a peer writes, says or hands over, the host lives, its other connections
 //! go on, nothing is left behind, and the log tells of it once, not per message. What cannot be made is refused with a sentence.
 
+#[path = "hostile/elsewhere.rs"]
+mod elsewhere;
 #[path = "hostile/impostor.rs"]
 mod impostor;
 #[path = "hostile/limits.rs"]

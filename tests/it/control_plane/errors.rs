@@ -16,7 +16,10 @@ const NOT_YET: &[(&str, &str)] = &[
     ("UNBOUND", "a caller from outside is always bound to the command it names"),
     ("INTERNAL", "it reports a mistake of trocar itself"),
     ("PROCESS_EXISTS", "a host meets it when it attaches: deployment.rs"),
-    ("UNREACHABLE", "it needs two processes and no memory for them: hostile/limits.rs"),
+    (
+        "UNREACHABLE",
+        "it needs two processes that cannot share memory, or have none: hostile/elsewhere.rs, hostile/limits.rs",
+    ),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
     ("PROCESS_NOT_UP", "it needs a process that cannot come up: processes/isolated.rs"),
