@@ -64,8 +64,17 @@ impl Lab {
 
     /// Asks until the process is there: on a busy machine it may be thought lost for a moment.
     fn ask(&self, method: &str, body: &Value) {
+        let mut lost = false;
         eventually(method, || match self.grpc.call(method, body.clone()) {
-            Err(refused) if refused.reason == "PROCESS_LOST" => Err(refused.to_string()),
+            Err(refused) if refused.reason == "PROCESS_LOST" => {
+                lost = true;
+                Err(refused.to_string())
+            }
+            // Lost in the middle of making it: what it comes back with may be half made.
+            Err(refused) if refused.reason == "COMPONENT_EXISTS" && lost => {
+                let _ = self.grpc.call("GcmService/Remove", json!({ "path": body["path"] }));
+                Err(refused.to_string())
+            }
             Err(refused) => panic!("{method} {body}: {refused}"),
             Ok(_) => Ok(()),
         });
