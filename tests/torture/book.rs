@@ -62,6 +62,18 @@ impl Book {
         });
     }
 
+    /// A number without which the claims beside it would show nothing.
+    pub(crate) fn at_least(&mut self, what: &str, tried: usize, seen: u64, least: u64) {
+        self.line(Line {
+            what: what.to_owned(),
+            count: tried,
+            bound: format!("≥ {least}"),
+            seen: seen.to_string(),
+            control: String::new(),
+            holds: seen >= least,
+        });
+    }
+
     /// A number that is to be at most that of the control run, and what is allowed beyond it.
     pub(crate) fn beside(
         &mut self,
@@ -154,6 +166,15 @@ mod tests {
     fn a_claim_that_was_never_tried_does_not_hold() {
         let mut book = Book::new("x", "y");
         book.times("a", &[], 1.0);
+        assert!(!book.holds());
+    }
+
+    #[test]
+    fn what_must_have_happened_and_did_not_makes_its_row_fail() {
+        let mut book = Book::new("x", "y");
+        book.at_least("a", 1, 1, 1);
+        assert!(book.holds());
+        book.at_least("b", 1, 0, 1);
         assert!(!book.holds());
     }
 

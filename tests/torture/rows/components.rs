@@ -221,6 +221,7 @@ fn in_hand(run: &Run, book: &mut Book) -> Result<(), String> {
     let what =
         format!("Connect and Disconnect meanwhile ({} done, {} refused)", churned.made, churned.refused);
     book.times(&what, &[waited], 1_000.0);
+    book.at_least("Connect and Disconnect that were done meanwhile", rounds as usize, churned.made as u64, 1);
     let (spills, grasps) = (rpc.row("a/spills")?, rpc.row("a/grasps")?);
     book.at_most("frames there was no memory for", rounds as usize, number(&spills["exhausted"]), 0);
     book.at_most("frames that were not whole", rounds as usize, number(&grasps["torn"]), 0);

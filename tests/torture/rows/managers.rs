@@ -42,6 +42,13 @@ struct Flow {
     late_ms: BTreeMap<&'static str, f64>,
 }
 
+/// What came of calls in a while: answered, of each caller; not answered, of both.
+#[derive(Default)]
+struct Calls {
+    answered: [u64; 2],
+    failed: u64,
+}
+
 /// Both ends by their own ports.
 struct Ends {
     ports: [(&'static str, Rpc); 2],
@@ -84,15 +91,17 @@ impl Ends {
         Ok(flow)
     }
 
-    /// Calls that did not get their answer, both callers together.
-    fn calls_failed(&self) -> Result<u64, String> {
-        let mut failed = 0;
-        for (process, port) in &self.ports {
+    /// What came of calls since some moment.
+    fn calls(&self, since: &Calls) -> Result<Calls, String> {
+        let mut calls = Calls::default();
+        for (at, (process, port)) in self.ports.iter().enumerate() {
             let row = port.row(&format!("{process}/caller"))?;
             let outcomes = row["outcomes"].as_array().cloned().unwrap_or_default();
-            failed += outcomes.iter().skip(1).map(number).sum::<u64>() + number(&row["wrong"]);
+            calls.answered[at] = outcomes.first().map_or(0, number) - since.answered[at];
+            calls.failed += outcomes.iter().skip(1).map(number).sum::<u64>() + number(&row["wrong"]);
         }
-        Ok(failed)
+        calls.failed -= since.failed;
+        Ok(calls)
     }
 }
 
@@ -161,16 +170,20 @@ fn away(
         pause_ms(run.times(2_000, 20_000));
         Ok(())
     })?;
-    let missed_calls = ends.calls_failed()?;
+    let calls_before = ends.calls(&Calls::default())?;
     // Now this program's own connections are among what they hold.
     let held = Holdings::of(&[("a", before.0.pid), ("b", before.1.pid), ("up", rig.up.pid())]);
     let (mut lost, mut taken, mut went) = (0, 0, Ok(()));
+    // Answered in the round, by the caller, with the fewest.
+    let mut answered = u64::MAX;
     let mut late: BTreeMap<&'static str, Vec<Timed>> = BTreeMap::new();
     for round in rounds {
         witness.begins(Since::Moment);
+        let calls = ends.calls(&Calls::default())?;
         match ends.flow(|| harm(&rig, *round, &witness)) {
             Ok(flow) => {
                 (lost, taken) = (lost + flow.lost, taken + flow.taken);
+                answered = ends.calls(&calls)?.answered.into_iter().fold(answered, u64::min);
                 for (sink, _) in SINKS {
                     // What the machine itself was late in these very seconds, or all of it in the control run.
                     let late_ms = control.late_ms[sink].max(witness.late_since(Since::Moment));
@@ -184,13 +197,24 @@ fn away(
         }
     }
     let n = rounds.len();
+    let went_well = went.is_ok();
     book.check("the system goes on", n, went);
     book.at_most(&format!("of {taken} samples and frames: lost, twice or torn"), n, lost, 0);
     for (sink, rate_hz) in SINKS {
         let seen = late.get(sink).map_or(&[][..], Vec::as_slice);
         book.times(&format!("latest sample at {rate_hz} Hz"), seen, BEYOND_MS);
     }
-    book.at_most("calls without their answer", n, ends.calls_failed()? - missed_calls, 0);
+    let calls = ends.calls(&calls_before)?;
+    let all = calls.answered.iter().sum::<u64>() + calls.failed;
+    book.at_most(&format!("of {all} calls: without their answer"), n, calls.failed, 0);
+    if went_well {
+        book.at_least(
+            "calls with their answer, in the round and of the caller with the fewest",
+            n,
+            answered,
+            1,
+        );
+    }
     book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
     let after = (rig.process("a")?, rig.process("b")?);
     let other = [(&before.0, &after.0), (&before.1, &after.1)].into_iter().find(|(before, after)| {

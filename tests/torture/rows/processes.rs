@@ -74,6 +74,7 @@ fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&
     let slowest = Timed { ms: churned.longest_ms, late_ms: 0.0 };
     let counts = format!("({} done, {} refused)", churned.made, churned.refused);
     book.times(&format!("Connect and Disconnect meanwhile {counts}"), &[slowest], 5_000.0);
+    book.at_least("Connect and Disconnect that were done meanwhile", times as usize, churned.made as u64, 1);
     book.check("everything comes back", times as usize, went);
     book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
     if let Some(held) = held {
