@@ -13,7 +13,7 @@ use crate::book::{Book, Timed};
 use crate::clock::{Since, Witness, now_ns, pause_ms, within};
 use crate::json::number;
 use crate::program::signal_to;
-use crate::rig::{MAX_AGE, PERIOD, Rig, mark_at};
+use crate::rig::{MAX_AGE, PERIOD, Rig, mark_by};
 use crate::rpc::Rpc;
 
 /// What is done to a process.
@@ -43,7 +43,18 @@ const TELLS: usize = 25;
 const STANDS: (u64, u64) = (150, 800);
 /// Longest until an actuator is made safe by the host when its peer stands still, ms: three heartbeats of 10 ms, one that has just
 /// come, and a look of the watchdog. The actuator itself sees its stale input before.
-const STILL: f64 = 30.0 + 10.0 + 4.0 * PERIOD;
+const STILL: f64 = 30.0 + 10.0 + PERIOD;
+
+/// Longest until an actuator sees that its input is stale, ms: its next step.
+const STALE: f64 = MAX_AGE as f64 + PERIOD;
+
+/// Everything one end has of the other: what flows, who takes it, the command that has it count anew, its books.
+const STREAMS: [(&str, &str, &str, &str); 4] = [
+    ("samples", "sink", "ctl/mark", "books"),
+    ("frames", "screen", "ctl/mark", "books"),
+    ("answers to calls", "caller", "run/mark", "answers"),
+    ("events", "caller", "run/mark", "events"),
+];
 
 /// What was seen at all moments together.
 #[derive(Default)]
@@ -52,9 +63,12 @@ pub(crate) struct Seen {
     /// As `safe`, of processes that stand still and close no socket.
     safe_of_still: Vec<Timed>,
     stale: Vec<Timed>,
+    /// Moments in which it stepped with an input that old, and did not see it.
+    never_stale: u64,
     told_ended: Vec<Timed>,
     told_stopped: Vec<Timed>,
-    flowing: Vec<Timed>,
+    /// Of each stream, at both ends.
+    flowing: [Vec<Timed>; STREAMS.len()],
     blocked: Vec<Timed>,
     overtime: Vec<Timed>,
     bystander: Vec<Timed>,
@@ -118,10 +132,12 @@ impl<'a> Trial<'a> {
         let pid = before.pid;
         // The port of the side that lives on answers whatever else happens.
         let alive = rig.own_port(other)?;
-        let sink = format!("{other}/sink");
-        let instance = number(&alive.row(&sink)?["books"]["instance"]);
+        let harmed = rig.own_port(victim)?;
         self.witness.begins(Since::Moment);
         rig.mark("d/sink")?;
+        for worst in ["source/ctl", "camera/ctl", "arm/ctl", "caller/run"] {
+            alive.invoke(&format!("{other}/{worst}/forget"), &Value::Null, Duration::from_secs(2))?;
+        }
         std::thread::sleep(Duration::from_micros(random.u64(0..30_000)));
         self.witness.forget();
         let began = now_ns();
@@ -136,29 +152,20 @@ impl<'a> Trial<'a> {
         let stale = number(&alive.row(&format!("{other}/arm"))?["stale_ns"]);
         if stale >= began {
             self.seen.stale.push(self.witness.timed(began, stale, self.control_ms));
+        } else if safe.ms > STALE + safe.late_ms {
+            self.seen.never_stale += 1;
         }
-        let flows = if fault == Fault::Pause {
+        if fault == Fault::Pause {
             self.seen.told_stopped.push(told);
-            self.goes_on(pid, &alive, &sink, random)?
+            self.goes_on(pid, (other, &alive), (victim, &harmed), random)?;
         } else {
             self.seen.told_ended.push(told);
-            let first = within(PATIENCE, "samples of the next incarnation", || {
-                let books = alive.row(&sink)?["books"].take();
-                let is_new = number(&books["instance"]) > instance;
-                if is_new { Ok(number(&books["first_ns"])) } else { Err(books.to_string()) }
-            })?;
-            self.witness.timed(began, first, self.control_ms)
-        };
-        if flows.ms > FLOWS + flows.late_ms {
-            let moment = self.seen.moments;
-            eprintln!("  moment {moment} ({fault:?} of {victim}): samples again after {:.0} ms", flows.ms);
-            let printed = rig.up.printed();
-            let lines: Vec<&str> = printed.lines().collect();
-            lines.iter().skip(lines.len().saturating_sub(TELLS)).for_each(|line| eprintln!("    {line}"));
+            self.flows_again((other, &alive), "first_ns", began)?;
+            rig.await_back(victim, pid, PATIENCE)?;
+            self.flows_again((victim, &rig.own_port(victim)?), "first_ns", began)?;
         }
-        self.seen.flowing.push(flows);
+        self.mend(fault)?;
         self.look(other, &alive)?;
-        self.mend(victim, pid, fault)?;
         let epoch = rig.process(victim)?.epoch;
         // Whoever only stood still is the same incarnation.
         let right = if fault == Fault::Pause { epoch == before.epoch } else { epoch > before.epoch };
@@ -188,48 +195,71 @@ impl<'a> Trial<'a> {
         })
     }
 
-    /// Lets it stand a while longer; then its samples come again, and none from before.
+    /// Lets it stand a while longer; then all flows again at both ends, and the one that lived on is given nothing from before.
     fn goes_on(
         &mut self,
         pid: u32,
-        alive: &Rpc,
-        sink: &str,
+        alive: (&str, &Rpc),
+        harmed: (&str, &Rpc),
         random: &mut fastrand::Rng,
-    ) -> Result<Timed, String> {
+    ) -> Result<(), String> {
         pause_ms(random.u64(STANDS.0..STANDS.1));
-        mark_at(alive, sink, now_ns())?;
+        for (_, taker, mark, _) in STREAMS {
+            mark_by(alive.1, &format!("{}/{taker}/{mark}", alive.0), now_ns())?;
+        }
         self.witness.forget();
         let at = now_ns();
         signal_to(pid, Signal::CONT)?;
-        let books: Value = within(PATIENCE, "samples after it went on", || {
-            let books = alive.row(sink)?["books"].take();
-            if number(&books["after_mark_ns"]) > 0 { Ok(books) } else { Err(books.to_string()) }
-        })?;
-        self.seen.old += u64::from(number(&books["age"]) / 1_000_000 >= STANDS.0);
-        Ok(self.witness.timed(at, number(&books["after_mark_ns"]), self.control_ms))
+        for (_, taker, mark, _) in STREAMS {
+            mark_by(harmed.1, &format!("{}/{taker}/{mark}", harmed.0), at)?;
+        }
+        let oldest = self.flows_again(alive, "after_mark_ns", at)?;
+        self.seen.old += u64::from(oldest / 1_000_000 >= STANDS.0);
+        self.flows_again(harmed, "after_mark_ns", at)?;
+        Ok(())
+    }
+
+    /// Waits until one end has been given everything again after a moment, by the time its books have under that name; answers the
+    /// age of the oldest it was given since it was marked, ns.
+    fn flows_again(&mut self, (end, port): (&str, &Rpc), first: &str, after: u64) -> Result<u64, String> {
+        let mut oldest = 0;
+        for (at, (what, taker, _, key)) in STREAMS.into_iter().enumerate() {
+            let books: Value = within(PATIENCE, &format!("{what} at {end} again"), || {
+                let books = port.row(&format!("{end}/{taker}"))?[key].take();
+                if number(&books[first]) > after { Ok(books) } else { Err(books.to_string()) }
+            })?;
+            oldest = oldest.max(number(&books["age"]));
+            let flows = self.witness.timed(after, number(&books[first]), self.control_ms);
+            if flows.ms > FLOWS + flows.late_ms {
+                let moment = self.seen.moments;
+                eprintln!("  moment {moment}: {what} at {end} again after {:.0} ms", flows.ms);
+                let printed = self.rig.up.printed();
+                let lines: Vec<&str> = printed.lines().collect();
+                lines.iter().skip(lines.len().saturating_sub(TELLS)).for_each(|line| eprintln!("    {line}"));
+            }
+            self.seen.flowing[at].push(flows);
+        }
+        Ok(oldest)
     }
 
     /// What those who lived on say of it.
     fn look(&mut self, other: &str, alive: &Rpc) -> Result<(), String> {
-        let ms = |row: &Value, what: &str, since| {
-            let late_ms = self.witness.late_since(since).max(self.control_ms);
-            Timed { ms: number(&row[what]) as f64 / 1e6, late_ms }
-        };
+        let late_ms = self.witness.late_since(Since::Moment).max(self.control_ms);
+        let ms = |row: &Value, what: &str| Timed { ms: number(&row[what]) as f64 / 1e6, late_ms };
         let row = |name: &str| alive.row(&format!("{other}/{name}"));
         for writer in ["source", "camera", "arm"] {
-            self.seen.blocked.push(ms(&row(writer)?, "slowest", Since::Ever));
+            self.seen.blocked.push(ms(&row(writer)?, "slowest"));
         }
         let caller = row("caller")?;
-        self.seen.overtime.push(ms(&caller, "overtime", Since::Ever));
+        self.seen.overtime.push(ms(&caller, "overtime"));
         let bystander = self.rig.books("d/sink")?;
-        self.seen.bystander.push(ms(&bystander, "silence", Since::Moment));
+        self.seen.bystander.push(ms(&bystander, "silence"));
         let mut wrong = vec![
             ("answers to another call", number(&caller["wrong"])),
-            ("events twice or too late", number(&caller["disorder"])),
             ("samples a bystander missed (G4)", number(&bystander["gaps"])),
         ];
-        for sink in ["sink", "screen"] {
-            let books = row(sink)?["books"].take();
+        for (_, taker, _, key) in STREAMS {
+            let books = row(taker)?[key].take();
             for (what, key) in [
                 ("data of a former instance", "old"),
                 ("data twice or too late", "disorder"),
@@ -253,11 +283,8 @@ impl<'a> Trial<'a> {
         Ok(())
     }
 
-    /// Waits until all is there again, and lets both arms go on.
-    fn mend(&self, victim: &str, pid: u32, fault: Fault) -> Result<(), String> {
-        if fault != Fault::Pause {
-            self.rig.await_back(victim, pid, PATIENCE)?;
-        }
+    /// Lets both arms go on, and waits until all is well.
+    fn mend(&self, fault: Fault) -> Result<(), String> {
         // Whoever stood still learns only now that it was given up.
         let looks = if fault == Fault::Pause { 20 } else { 1 };
         for _ in 0..looks {
@@ -277,13 +304,16 @@ impl<'a> Trial<'a> {
     pub(crate) fn tell(self, book: &mut Book) {
         let Seen { safe, safe_of_still, stale, told_ended, told_stopped, flowing, .. } = &self.seen;
         let Seen { blocked, overtime, bystander, .. } = &self.seen;
-        let (n, max_age) = (self.seen.moments, MAX_AGE as f64);
+        let n = self.seen.moments;
         if !safe.is_empty() {
-            book.times("the actuator is safe", safe, max_age + 4.0 * PERIOD);
+            book.times("the actuator is safe", safe, STALE);
         }
-        if !stale.is_empty() {
-            book.times("the actuator sees that its input is stale", stale, max_age + 4.0 * PERIOD);
+        // Whoever ends is often noticed before that; whoever stands still is not, so there it must have been seen.
+        if !stale.is_empty() || !safe_of_still.is_empty() {
+            book.times("the actuator sees that its input is stale", stale, STALE);
         }
+        let what = "actuators that went on with an old input and did not see it";
+        book.at_most(what, n, self.seen.never_stale, 0);
         if !safe_of_still.is_empty() {
             book.times("the actuator of a process that stands still is made safe", safe_of_still, STILL);
         }
@@ -295,7 +325,9 @@ impl<'a> Trial<'a> {
             let what = "data from before it stood still, taken after it went on";
             book.at_most(what, told_stopped.len(), self.seen.old, 0);
         }
-        book.times("samples flow again", flowing, FLOWS);
+        for ((what, ..), flowing) in STREAMS.into_iter().zip(flowing) {
+            book.times(&format!("{what} flow again at both ends"), flowing, FLOWS);
+        }
         book.times("longest write of a survivor: nobody is blocked", blocked, 5.0);
         book.times("calls beyond their deadline", overtime, 50.0);
         book.times("longest silence of a bystander's 1 kHz (G4)", bystander, 5.0);

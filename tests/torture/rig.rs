@@ -125,7 +125,9 @@ pub(crate) fn pair(restart: Value) -> Value {
 impl Rig {
     /// All of it, running.
     pub(crate) fn up(load: Load) -> Result<Rig, String> {
-        let world = World::new(&["fixture_torture"])?;
+        // Whoever looks on may be held against a like of it elsewhere.
+        let plugins = ["fixture_torture", "fixture_chaos"];
+        let world = World::new(&plugins[..if load.bystanders { 2 } else { 1 }])?;
         let restart = json!({ "max": 1000, "backoff_ms": 50, "most_backoff_ms": 50 });
         let process = json!({ "plugins": ["plugins"], "restart": restart });
         let mut plan = Plan::default();
@@ -246,7 +248,12 @@ impl Rig {
 
 /// Has a sink or screen count anew from a moment on.
 pub(crate) fn mark_at(rpc: &Rpc, sink: &str, at_ns: u64) -> Result<(), String> {
+    mark_by(rpc, &format!("{sink}/ctl/mark"), at_ns)
+}
+
+/// The same by the command's own name.
+pub(crate) fn mark_by(rpc: &Rpc, command: &str, at_ns: u64) -> Result<(), String> {
     let mark = json!({ "at_ns": at_ns.to_string(), "late_limit": 0 });
-    rpc.invoke(&format!("{sink}/ctl/mark"), &mark, Duration::from_secs(2))?;
+    rpc.invoke(command, &mark, Duration::from_secs(2))?;
     Ok(())
 }

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 
 use crate::book::{Book, Timed};
+use crate::bystander::Bystander;
 use crate::churn::{Churn, Churned};
 use crate::clock::within;
 use crate::invariants::{Desired, agree, nothing_is_left};
@@ -40,6 +41,7 @@ fn moments(run: &Run, book: &mut Book) -> Result<(), String> {
 fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&str]) -> Result<(), String> {
     let mut random = run.random(book);
     let mut rig = Rig::up(LOAD)?;
+    let bystander = Bystander::start(&rig.world, &rig.rpc, "d/late")?;
     let desired = Desired::now(&rig.rpc)?;
     let mut trial = Trial::begin(&rig, run.times(1_000, 10_000))?;
     // While all that goes on, somebody connects and disconnects both ends.
@@ -71,6 +73,7 @@ fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&
         }
     }
     trial.tell(book);
+    bystander.tell(book, times as usize)?;
     let slowest = Timed { ms: churned.longest_ms, late_ms: 0.0 };
     let counts = format!("({} done, {} refused)", churned.made, churned.refused);
     book.times(&format!("Connect and Disconnect meanwhile {counts}"), &[slowest], 5_000.0);
