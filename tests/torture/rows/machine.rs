@@ -25,7 +25,7 @@ pub(crate) const ROWS: &[Row] =
     &[Row { name: "45", fault: "hogs of processors, memory and disk", short: true, run: hogs }];
 
 /// What the host's steps may be late beyond 1.5 times a bare thread, µs: what a step does before it looks at its clock.
-const BEYOND_US: f64 = 100.0;
+const BEYOND_US: f64 = 50.0;
 /// Of memory that is free, a hog takes a quarter, at most so much, MiB.
 const MOST_MIB: u64 = 512;
 /// What a hog of the disk writes again and again, MiB.

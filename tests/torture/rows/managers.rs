@@ -28,8 +28,8 @@ pub(crate) const ROWS: &[Row] = &[
 const LOAD: Load = Load { rate_hz: 1000, frames_hz: 60, holds_ms: 0, fast_hz: 4000, bystanders: false };
 /// How often each sink is given something, Hz.
 const SINKS: [(&str, f64); 3] = [("sink", 1000.0), ("fast_sink", 4000.0), ("screen", 60.0)];
-/// Beyond the control run a sample may be so late, ms: what waking a thread takes here.
-const BEYOND_MS: f64 = 3.0;
+/// Beyond the control run a sample may be so late, ms: the witness wakes once a millisecond and overlooks as much of any stall.
+const BEYOND_MS: f64 = 1.0;
 /// Longest wait for anything that must come, ms.
 const PATIENCE: u64 = 15_000;
 
