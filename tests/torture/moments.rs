@@ -128,12 +128,13 @@ impl<'a> Trial<'a> {
         random: &mut fastrand::Rng,
     ) -> Result<(), String> {
         let rig = self.rig;
+        // Before anything is marked: what stands still when it is marked is silent from before.
+        self.witness.begins(Since::Moment);
         let before = rig.process(victim)?;
         let pid = before.pid;
         // The port of the side that lives on answers whatever else happens.
         let alive = rig.own_port(other)?;
         let harmed = rig.own_port(victim)?;
-        self.witness.begins(Since::Moment);
         rig.mark("d/sink")?;
         for worst in ["source/ctl", "camera/ctl", "arm/ctl", "caller/run"] {
             alive.invoke(&format!("{other}/{worst}/forget"), &Value::Null, Duration::from_secs(2))?;

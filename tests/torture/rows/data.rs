@@ -60,6 +60,9 @@ struct Stretch {
     exhausted: u64,
 }
 
+/// A percentile by its name.
+type Figure = (&'static str, fn(&Stretch) -> f64);
+
 fn stretch(rig: &Rig, during: impl FnOnce() -> Result<(), String>) -> Result<Stretch, String> {
     let costs = || rig.rpc.invoke("a/camera/ctl/costs", &Value::Null, Duration::from_secs(2));
     let exhausted = || Ok::<_, String>(number(&rig.rpc.row("a/camera")?["exhausted"]));
@@ -187,7 +190,7 @@ fn one_size(rig: &Rig, book: &mut Book, name: &str, seconds: u64) -> Result<(), 
 fn costs_no_more(book: &mut Book, name: &str, seen: &Stretch, control: &[Stretch]) {
     let tried = seen.frames as usize;
     let high = if seen.frames < FEW { "p90" } else { "p99" };
-    let figures: [(&str, fn(&Stretch) -> f64); 2] = [("p50", |s| s.p50_us), (high, |s| s.high_us)];
+    let figures: [Figure; 2] = [("p50", |s| s.p50_us), (high, |s| s.high_us)];
     for (which, of) in figures {
         let mut all: Vec<f64> = control.iter().map(of).collect();
         all.sort_by(f64::total_cmp);
