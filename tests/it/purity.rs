@@ -206,17 +206,14 @@ async fn a_camera_and_a_filter_whose_frames_lie_in_memory_that_processes_share()
     for watches_camera in [true, false] {
         let scene = Scene::over("memfd").await?;
         let head = Execution { period_ns: Some(100_000), ..model(ExecutionModel::Stream) };
-        let (camera, filter) = match watches_camera {
-            true => (
-                scene.watched("camera", "camera", head).await,
-                scene.beside("filter", "filter", model(ExecutionModel::OnSignal)).await,
-            ),
-            false => (
-                scene.beside("camera", "camera", head).await,
-                scene.watched("filter", "filter", model(ExecutionModel::OnSignal)).await,
-            ),
-        };
-        (camera?, filter?);
+        let on_signal = model(ExecutionModel::OnSignal);
+        if watches_camera {
+            scene.watched("camera", "camera", head).await?;
+            scene.beside("filter", "filter", on_signal).await?;
+        } else {
+            scene.beside("camera", "camera", head).await?;
+            scene.watched("filter", "filter", on_signal).await?;
+        }
         scene.connect("filter/frame", "camera/frame").await?;
         scene.proves_pure("of frames over memfd", book::AND_BELLS).await?;
     }
