@@ -165,6 +165,9 @@ impl<'a> Trial<'a> {
             rig.await_back(victim, pid, PATIENCE)?;
             self.flows_again((victim, &rig.own_port(victim)?), "first_ns", began)?;
         }
+        let late_ms = self.witness.late_since(Since::Moment).max(self.control_ms);
+        let ms = rig.book("d/sink", "silence")? as f64 / 1e6;
+        self.seen.bystander.push(Timed { ms, late_ms });
         self.mend(fault)?;
         self.look(other, &alive)?;
         let epoch = rig.process(victim)?.epoch;
@@ -254,7 +257,6 @@ impl<'a> Trial<'a> {
         let caller = row("caller")?;
         self.seen.overtime.push(ms(&caller, "overtime"));
         let bystander = self.rig.books("d/sink")?;
-        self.seen.bystander.push(ms(&bystander, "silence"));
         let mut wrong = vec![
             ("answers to another call", number(&caller["wrong"])),
             ("samples a bystander missed (G4)", number(&bystander["gaps"])),
