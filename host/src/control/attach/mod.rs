@@ -26,6 +26,8 @@ pub(super) const BEAT: Duration = Duration::from_millis(100);
 /// After this many beats of silence the other side is lost. Counted, not measured: a machine that stood still must not
 /// take its own pause for the other's silence.
 pub(super) const LEASE: u32 = 5;
+/// Looks for silence in one beat: a process is told lost within half a beat after its lease.
+const LOOKS: u32 = 2;
 /// Largest message of an Attach stream, bytes: a Hello describes every class of a process.
 pub(super) const MAX_MESSAGE: usize = 32 << 20;
 /// Time for the Hello.
@@ -153,9 +155,9 @@ impl Attached {
         out: Outgoing,
         mut open: watch::Receiver<()>,
     ) {
-        let mut beat = tokio::time::interval(BEAT);
-        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut silent, mut sequence) = (0, 0);
+        let mut look = tokio::time::interval(BEAT / LOOKS);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut looks, mut silent, mut sequence) = (0, 0, 0);
         let why = loop {
             tokio::select! {
                 // What has arrived counts before the silence does.
@@ -169,15 +171,19 @@ impl Attached {
                     Err(e) => break e.message().to_owned(),
                 },
                 _ = open.changed() => break "this port is closing".to_owned(),
-                _ = beat.tick() => {
+                _ = look.tick() => {
                     // As by its supervisor, which may be wrong: then it comes back and says so.
                     if !self.gcm.hears(&self.process, self.registered.session) {
                         break "it was given up".to_owned();
                     }
-                    if silent == LEASE {
+                    if silent == LEASE * LOOKS {
                         break format!("silent for {} ms", (BEAT * LEASE).as_millis());
                     }
                     silent += 1;
+                    looks = (looks + 1) % LOOKS;
+                    if looks != 1 {
+                        continue;
+                    }
                     sequence += 1;
                     let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence });
                     // A full queue means it does not read: then its own lease ends.
