@@ -4,7 +4,7 @@
 
 use std::ffi::c_void;
 use std::io;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::PortType;
@@ -40,8 +40,8 @@ pub(in crate::lcm) struct OutLink {
 pub(in crate::lcm) enum Consumer {
     /// A component of this process; with where the stamp of the newest sample goes, for connections with a `max_age`.
     Here(Arc<Instance>, Option<Arc<AtomicU64>>),
-    /// One of another process; likewise.
-    Far { bell: Arc<Waker>, newest_ns: Option<Word> },
+    /// One of another process; likewise, and with where the number of the first sample goes that it is offered.
+    Far { bell: Arc<Waker>, newest_ns: Option<Word>, first: Arc<AtomicU64> },
     /// Somebody outside, who looks by himself.
     Outside,
 }
@@ -313,10 +313,12 @@ impl OutCell {
         outs.publish_owed();
         let meta = self.next_meta(stamp_ns, bytes);
         for link in others {
+            link.begin(meta.seq);
             link.writer.push_frame(frame.clone(), meta);
             link.signal(meta.stamp_ns);
         }
         // The last one gets the handle itself, so that a single reader is the frame's only owner.
+        last.begin(meta.seq);
         last.writer.push_frame(frame, meta);
         last.signal(meta.stamp_ns);
         EXECUTED
@@ -363,9 +365,22 @@ impl OutLink {
             // its cycle ends: nobody else is in it meanwhile, and whoever gets the lock later comes after.
             unsafe { self.writer.push_here(value, meta) };
         } else {
+            self.begin(meta.seq);
             self.writer.push(value, meta);
         }
         self.signal(meta.stamp_ns);
+    }
+
+    /// Notes the number of the first sample for another process, before that is counted.
+    #[inline(always)]
+    fn begin(&self, seq: u64) {
+        if let Consumer::Far { first, .. } = &self.consumer
+            && first.load(Ordering::Relaxed) == 0
+        {
+            first.store(seq, Ordering::Relaxed);
+            // Pairs with the fence of `ServerWires::offered`: who finds it counted finds its number.
+            fence(Ordering::Release);
+        }
     }
 
     #[inline(always)]
@@ -391,7 +406,7 @@ impl OutLink {
                 // SAFETY: as in `signal`.
                 unsafe { told::signal(consumer) };
             }
-            Consumer::Far { bell, newest_ns } => {
+            Consumer::Far { bell, newest_ns, .. } => {
                 if let Some(newest_ns) = newest_ns {
                     newest_ns.set(written_ns());
                 }

@@ -14,6 +14,7 @@ use super::super::connect::passing;
 use super::super::dynamic::PortSet;
 use super::super::instance::Loss;
 use super::kin::Kin;
+use super::missed::Missed;
 use super::terms::{Terms, Way};
 use super::wires::{ClientWires, Here, ServerWires};
 
@@ -58,8 +59,8 @@ pub(super) struct Stage {
     asked: Option<(u64, Instant)>,
     /// What passed and was lost on earlier links of this connection.
     before: LinkDetail,
-    /// Writes of the output when it was unlinked: what it wrote since is lost.
-    unlinked_at: Option<u64>,
+    /// Of an output, what it wrote while it was not linked.
+    missed: Missed,
 }
 
 pub(super) struct Linked {
@@ -120,12 +121,12 @@ impl Half {
 
     /// Takes over what another half of the same connection has counted.
     pub(super) fn go_on_from(&self, other: &Half) {
-        let (before, unlinked_at) = {
+        let (before, missed) = {
             let other = other.stage();
-            (other.before.clone(), other.unlinked_at)
+            (other.before.clone(), other.missed)
         };
         let mut stage = self.stage();
-        (stage.before, stage.unlinked_at) = (before, unlinked_at);
+        (stage.before, stage.missed) = (before, missed);
     }
 
     /// The wires, if it is linked over this session in this epoch.
@@ -199,9 +200,6 @@ impl Half {
     /// It is linked.
     pub(super) fn link(&self, session: &Arc<Session>, epoch: u64, wires: Wires) {
         let mut stage = self.stage();
-        if let (Wires::Server(wires), Some(at)) = (&wires, stage.unlinked_at.take()) {
-            stage.before.dropped += wires.written().saturating_sub(at);
-        }
         stage.linked = Some(Linked { session: session.clone(), epoch, wires });
         stage.why.clear();
         let tell = stage.tell.take();
@@ -231,17 +229,18 @@ impl Half {
         let linked = stage.linked.take_if(is_it)?;
         why.clone_into(&mut stage.why);
         drop(stage);
-        match &linked.wires {
-            Wires::Client(wires) => wires.disconnect(&self.here, how),
-            Wires::Server(wires) => wires.disconnect(&self.connection, &self.here),
-        }
-        let (last, written) = match &linked.wires {
-            Wires::Client(wires) => (wires.detail(), None),
-            Wires::Server(wires) => (wires.last_detail(), wires.is_output().then(|| wires.written())),
+        let (last, offered) = match &linked.wires {
+            Wires::Client(wires) => {
+                wires.disconnect(&self.here, how);
+                (wires.detail(), None)
+            }
+            Wires::Server(wires) => wires.end(&self.connection, &self.here),
         };
         let mut stage = self.stage();
         stage.before = std::mem::take(&mut stage.before).followed_by(&last);
-        stage.unlinked_at = written;
+        if let Some(offered) = offered {
+            stage.missed.ended(offered);
+        }
         drop(stage);
         if self.role == Role::Client && self.required {
             self.here.instance.disconnected(self.connection.client.port.as_str(), how);
@@ -290,7 +289,12 @@ impl Half {
             Some(Linked { wires: Wires::Server(wires), .. }) => wires.detail(),
             None => LinkDetail::default(),
         };
-        let all = stage.before.clone().followed_by(&now);
+        let mut all = stage.before.clone().followed_by(&now);
+        let offered = match &stage.linked {
+            Some(Linked { wires: Wires::Server(wires), .. }) => wires.offered(),
+            _ => None,
+        };
+        all.dropped += stage.missed.so_far(offered);
         let mine = self.here.instance.wake_mode();
         let (client_wake, server_wake) = match &stage.linked {
             Some(Linked { wires: Wires::Server(wires), .. }) if !wires.is_output() => ("", mine),

@@ -10,6 +10,7 @@ mod half;
 mod kin;
 mod manager;
 mod mend;
+mod missed;
 mod near;
 mod pools;
 mod serving;

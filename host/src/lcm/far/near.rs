@@ -21,9 +21,10 @@ use super::super::dynamic::PortSet;
 use super::super::instance::Loss;
 use super::NAME;
 use super::asks::Asks;
+use super::missed::Missed;
 use super::serving::Desk;
 use super::terms::{Terms, Way, commands};
-use super::wires::{ClientWires, Here, Offer, ServerWires, header_bytes};
+use super::wires::{ClientWires, Here, Offer, Offered, ServerWires, header_bytes};
 
 /// Connections of this kind of one process.
 pub(in crate::lcm) struct Near {
@@ -63,8 +64,8 @@ struct Stage {
     frames: Option<Frames>,
     /// What passed and was lost before it was made anew.
     before: LinkDetail,
-    /// Writes of the output when it was unlinked: what it wrote since is lost.
-    unlinked_at: Option<u64>,
+    /// What the output wrote while it was not linked.
+    missed: Missed,
 }
 
 struct Pair {
@@ -207,9 +208,14 @@ impl Pair {
         Ok((Pair { client: at_client, server: at_server }, frames))
     }
 
-    fn cut(&self, connection: &Connection, client: &Here, server: &Here) {
+    /// What is known of it in the end, and what its output has offered to it.
+    fn cut(&self, (connection, client, server): Ends<'_>) -> (LinkDetail, Option<Offered>) {
         self.client.disconnect(client, Loss::Cut);
-        self.server.disconnect(connection, server);
+        let (last, offered) = self.server.end(connection, server);
+        // What a cycle under way still takes is among what was not to be seen any more, and counts once.
+        let taken = offered.map(|offered| offered.count.saturating_sub(last.dropped));
+        let all = self.client.detail().merged(last);
+        (LinkDetail { passed: taken.unwrap_or(all.passed), ..all }, offered)
     }
 }
 
@@ -268,20 +274,13 @@ impl Stream {
     /// Makes it anew: its frames came from more pools than a link carries.
     fn renew(&self, stage: &mut Stage, epoch: &AtomicU64) {
         let ends = (&self.connection, &self.client, &self.server);
-        if let Some(wires) = self.take(stage) {
-            let last = wires.client.detail().merged(wires.server.last_detail());
-            stage.before = std::mem::take(&mut stage.before).followed_by(&last);
-            stage.unlinked_at = Some(wires.server.written());
-        }
+        self.take(stage);
         let epoch = epoch.fetch_add(1, Ordering::Relaxed);
         let made = terms(ends).and_then(|(terms, to, from)| {
             Pair::make(ends, (terms, epoch), (&to, &from), &self.bell).map_err(|e| cannot(ends.0, &e))
         });
         match made {
             Ok((wires, frames)) => {
-                if let Some(at) = stage.unlinked_at.take() {
-                    stage.before.dropped += wires.server.written().saturating_sub(at);
-                }
                 stage.wires = Some(wires);
                 stage.frames = frames;
             }
@@ -293,11 +292,14 @@ impl Stream {
     }
 
     /// Cuts its wires, if it has any; its frames stay as they are until its reader lets go.
-    fn take(&self, stage: &mut Stage) -> Option<Pair> {
-        let wires = stage.wires.take()?;
-        wires.cut(&self.connection, &self.client, &self.server);
+    fn take(&self, stage: &mut Stage) {
+        let Some(wires) = stage.wires.take() else { return };
+        let (last, offered) = wires.cut((&self.connection, &self.client, &self.server));
+        stage.before = std::mem::take(&mut stage.before).followed_by(&last);
+        if let Some(offered) = offered {
+            stage.missed.ended(offered);
+        }
         locked(&self.left).extend(stage.frames.take());
-        Some(wires)
     }
 }
 
@@ -320,7 +322,8 @@ impl Joined for Arc<Stream> {
     fn detail(&self) -> LinkDetail {
         let stage = locked(&self.stage);
         let now = stage.wires.as_ref().map(Pair::detail).unwrap_or_default();
-        let all = stage.before.clone().followed_by(&now);
+        let mut all = stage.before.clone().followed_by(&now);
+        all.dropped += stage.missed.so_far(stage.wires.as_ref().and_then(|wires| wires.server.offered()));
         LinkDetail { connection: self.connection.id.0, carrier: NAME.into(), ..all }
     }
 }
@@ -333,7 +336,7 @@ impl Pair {
 
 impl Joined for Calls {
     fn cut(&self) {
-        self.wires.cut(&self.connection, &self.client, &self.server);
+        self.wires.cut((&self.connection, &self.client, &self.server));
     }
 
     fn still_fits(&self, binding: &Binding, (to, from): (&PortSet, &PortSet)) -> bool {

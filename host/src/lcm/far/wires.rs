@@ -7,7 +7,7 @@ mod client;
 
 use std::io;
 use std::os::fd::OwnedFd;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering, fence};
 use std::sync::{Arc, Weak};
 
 use trocar_model::{Binding, ComponentId, Connection, PortType, Ports};
@@ -66,6 +66,8 @@ pub(super) enum ServerWires {
     Output {
         output: Arc<OutCell>,
         stats: StreamCounters,
+        /// Number of the first sample that was offered; 0: none was.
+        first: Arc<AtomicU64>,
         pools: Arc<FarPools>,
         /// Of how many the client was told.
         told: usize,
@@ -83,6 +85,16 @@ pub(super) enum ServerWires {
         /// Reads that panicked in the client's process, as it told.
         panicked: AtomicU64,
     },
+}
+
+/// What an output has offered to one link: sample number `first` and those after it, `count` in all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Offered {
+    /// 0: nothing yet.
+    pub(super) first: u64,
+    pub(super) count: u64,
+    /// Writes of the output, as they were before.
+    pub(super) written: u64,
 }
 
 /// Reads another process is believed to have had panic at once: sums of them fit.
@@ -149,13 +161,15 @@ impl ServerWires {
                 let cell = set.slots.output(*output).clone();
                 let stats = stream.end.counters();
                 let newest_ns = connection.options.max_age_ns.map(|_| stream.newest_ns);
-                let consumer = Consumer::Far { bell: stream.for_reader, newest_ns };
+                let first = Arc::new(AtomicU64::new(0));
+                let consumer = Consumer::Far { bell: stream.for_reader, newest_ns, first: first.clone() };
                 let link = Arc::new(OutLink::new(connection.id.0, stream.end, consumer));
                 cell.add(link, ty, &back::port(ty).into());
                 here.instance.reclaim();
                 Ok(ServerWires::Output {
                     output: cell,
                     stats,
+                    first,
                     pools,
                     told: 0,
                     frames: matches!(ty, PortType::Frame { .. }),
@@ -296,12 +310,30 @@ impl ServerWires {
         matches!(self, ServerWires::Output { .. })
     }
 
-    /// Writes of the output so far.
-    pub(super) fn written(&self) -> u64 {
-        match self {
-            ServerWires::Output { output, .. } => output.seq.load(Ordering::Relaxed),
-            ServerWires::Calls { .. } => 0,
-        }
+    /// Of an output, what it has offered so far.
+    pub(super) fn offered(&self) -> Option<Offered> {
+        let ServerWires::Output { output, stats, first, .. } = self else { return None };
+        Some(Self::counted(output.seq.load(Ordering::Relaxed), stats.stats().pushed, first))
+    }
+
+    fn counted(written: u64, count: u64, first: &AtomicU64) -> Offered {
+        // What was counted has left its number before.
+        fence(Ordering::Acquire);
+        Offered { first: first.load(Ordering::Relaxed), count, written }
+    }
+
+    /// Cuts them; what is known of them then. Of an output also what it has offered to them: what waits will not be seen any more.
+    pub(super) fn end(&self, connection: &Connection, here: &Here) -> (LinkDetail, Option<Offered>) {
+        let ServerWires::Output { output, stats, first, .. } = self else {
+            self.disconnect(connection, here);
+            return (self.detail(), None);
+        };
+        let written = output.seq.load(Ordering::Relaxed);
+        self.disconnect(connection, here);
+        let stats = stats.stats();
+        let dropped = stats.pushed.saturating_sub(stats.taken);
+        let detail = LinkDetail { dropped, bytes: self.passed_bytes(), ..LinkDetail::default() };
+        (detail, Some(Self::counted(written, stats.pushed, first)))
     }
 
     /// Of the commands that were only sent how many failed and how many never ran, if those are others than last time.
@@ -341,22 +373,7 @@ impl ServerWires {
     fn passed_bytes(&self) -> u64 {
         let ServerWires::Output { output, stats, .. } = self else { return 0 };
         let total = output.total_bytes.load(Ordering::Relaxed);
-        (total as f64 / self.written().max(1) as f64 * stats.stats().taken as f64) as u64
-    }
-
-    /// As above after the end, when what waits will not be seen any more.
-    pub(super) fn last_detail(&self) -> LinkDetail {
-        match self {
-            ServerWires::Output { stats, .. } => {
-                let stats = stats.stats();
-                LinkDetail {
-                    dropped: stats.pushed.saturating_sub(stats.taken),
-                    bytes: self.passed_bytes(),
-                    ..LinkDetail::default()
-                }
-            }
-            ServerWires::Calls { .. } => self.detail(),
-        }
+        (total as f64 / output.seq.load(Ordering::Relaxed).max(1) as f64 * stats.stats().taken as f64) as u64
     }
 }
 
