@@ -150,6 +150,8 @@ pub struct InputDesc {
     pub ty: PortType,
     /// Coordinate frame of the payload, empty = not said.
     pub frame: &'static str,
+    /// "" or "sim": takes only what is tagged so, too; enforced at Connect.
+    pub tag: &'static str,
     pub optional: bool,
     /// Depth of the input's queue in samples; 0 = latest value only.
     pub fifo: usize,
@@ -161,6 +163,8 @@ pub struct OutputDesc {
     pub ty: PortType,
     /// Coordinate frame of the payload, empty = not said.
     pub frame: &'static str,
+    /// "", "truth" or "sim", enforced at Connect.
+    pub tag: &'static str,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -224,7 +228,7 @@ pub struct EventDesc {
 pub struct ProvidedDesc {
     pub name: &'static str,
     pub doc: &'static str,
-    /// "" or a tag such as "truth" and "sim", enforced at Connect.
+    /// "", "truth" or "sim", enforced at Connect.
     pub tag: &'static str,
     pub commands: &'static [CommandDesc],
     pub events: &'static [EventDesc],

@@ -28,7 +28,15 @@ static READS: [ProvidedDesc; 1] = [ProvidedDesc {
 }];
 
 const fn input(ty: &'static TypeDesc) -> InputDesc {
-    InputDesc { name: "image", doc: "", ty: PortType::Plain(ty), frame: "", optional: false, fifo: 0 }
+    InputDesc {
+        name: "image",
+        doc: "",
+        ty: PortType::Plain(ty),
+        frame: "",
+        tag: "",
+        optional: false,
+        fifo: 0,
+    }
 }
 static TAKES_FULL: [InputDesc; 1] = [input(&FULL)];
 static TAKES_LARGE: [InputDesc; 1] = [input(&LARGE)];

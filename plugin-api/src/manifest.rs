@@ -175,6 +175,9 @@ pub struct Input {
     /// Coordinate frame of the payload; said of a type without coordinates it is an error.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub frame: String,
+    /// "" or "sim".
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub tag: String,
     #[serde(default)]
     pub optional: bool,
     #[serde(default)]
@@ -191,6 +194,9 @@ pub struct Output {
     /// Coordinate frame of the payload; said of a type without coordinates it is an error.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub frame: String,
+    /// "", "truth" or "sim".
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub tag: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -198,6 +204,7 @@ pub struct Provided {
     pub name: String,
     #[serde(default)]
     pub doc: String,
+    /// "", "truth" or "sim".
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub tag: String,
     #[serde(default)]

@@ -236,6 +236,7 @@ impl<const N: usize> Out<N> {
             self.key("type", false);
             self.port(inputs[i].ty);
             self.pair_opt("frame", inputs[i].frame);
+            self.pair_opt("tag", inputs[i].tag);
             self.flag("optional", inputs[i].optional);
             self.key("fifo", false);
             self.number(inputs[i].fifo as u64);
@@ -252,6 +253,7 @@ impl<const N: usize> Out<N> {
             self.key("type", false);
             self.port(outputs[i].ty);
             self.pair_opt("frame", outputs[i].frame);
+            self.pair_opt("tag", outputs[i].tag);
             self.byte(b'}');
             i += 1;
         }

@@ -194,6 +194,7 @@ pub struct Input {
     pub name: String,
     pub doc: String,
     pub ty: PortType,
+    pub tag: Tag,
     pub optional: bool,
     /// Default queue depth in samples; 0 = latest value.
     pub fifo: usize,
@@ -211,14 +212,43 @@ pub struct Output {
     pub name: String,
     pub doc: String,
     pub ty: PortType,
+    pub tag: Tag,
+}
+
+/// What a port has to do with a simulation; decides who may be connected to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tag {
+    #[default]
+    None,
+    /// Tells what is really so in a simulated world: for recorders, plots and tests, never for what moves an actuator.
+    Truth,
+    /// Joins simulated devices to each other, as the world joins real ones.
+    Sim,
+}
+
+impl Tag {
+    pub const ALL: [Tag; 3] = [Tag::None, Tag::Truth, Tag::Sim];
+
+    /// As it is written; "" = no tag.
+    pub fn name(self) -> &'static str {
+        match self {
+            Tag::None => "",
+            Tag::Truth => "truth",
+            Tag::Sim => "sim",
+        }
+    }
+
+    /// The tag of that name.
+    pub fn parse(text: &str) -> Option<Tag> {
+        Tag::ALL.into_iter().find(|tag| tag.name() == text)
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Provided {
     pub name: String,
     pub doc: String,
-    /// "" or a tag such as "truth", "sim".
-    pub tag: String,
+    pub tag: Tag,
     pub commands: Vec<Command>,
     pub events: Vec<Event>,
 }

@@ -11,7 +11,7 @@ pub use examples::errors_markdown;
 pub use text::brief;
 pub(crate) use text::{ADAPTABLE, duration, scattered};
 
-use crate::{ComponentId, MemberId, Name, PortId, ProcessState, State, Verb, Violation};
+use crate::{ComponentId, MemberId, Name, PortId, ProcessState, State, Tag, Verb, Violation};
 
 /// gRPC status codes by name; the wire numbers live in `control/status.rs`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -149,6 +149,19 @@ pub enum Refusal {
         server: PortId,
         wants: String,
         has: String,
+    },
+    /// A port for simulated devices only, and one that is not.
+    TagMismatch {
+        client: PortId,
+        server: PortId,
+        has: Tag,
+    },
+    /// What `server` tells would reach an actuator; `path` leads from the client to it.
+    TruthToActuator {
+        client: PortId,
+        server: PortId,
+        tag: Tag,
+        path: Vec<ComponentId>,
     },
     SyncCycle {
         path: Vec<ComponentId>,

@@ -252,6 +252,9 @@ impl Page {
     fn stream(&mut self, s: &StreamView) {
         let mut line = format!("{}: {}", s.name, s.ty.name);
         push(&mut line, " + ", &s.format);
+        if !s.tag.is_empty() {
+            let _ = write!(line, " [{}]", s.tag);
+        }
         if s.fifo > 0 {
             let _ = write!(line, "  fifo {}", s.fifo);
         }

@@ -293,6 +293,8 @@ pub(super) struct StreamView {
     pub(super) ty: TypeView,
     /// Format of the bytes behind a frame's header; "" for plain samples.
     pub(super) format: String,
+    /// `truth` or `sim`; "" for others.
+    pub(super) tag: String,
     pub(super) optional: bool,
     /// Default queue depth, samples; 0 = latest value.
     pub(super) fifo: u32,

@@ -12,7 +12,7 @@ use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionModel,
     Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Provided, Proxy, Refusal, Required, Safety,
-    State, Type,
+    State, Tag, Type,
 };
 
 use super::text;
@@ -76,7 +76,7 @@ pub(crate) fn class() -> Arc<ClassInfo> {
     let provided = Provided {
         name: "arm".into(),
         doc: "the arm".into(),
-        tag: String::new(),
+        tag: Tag::None,
         commands: vec![command],
         events: vec![],
     };
@@ -91,10 +91,16 @@ pub(crate) fn class() -> Arc<ClassInfo> {
         name: "input".into(),
         doc: "a number".into(),
         ty: PortType::Plain(number.clone()),
+        tag: Tag::None,
         optional: true,
         fifo: 0,
     };
-    let output = Output { name: "value".into(), doc: "a number".into(), ty: PortType::Plain(number.clone()) };
+    let output = Output {
+        name: "value".into(),
+        doc: "a number".into(),
+        ty: PortType::Plain(number.clone()),
+        tag: Tag::None,
+    };
     Arc::new(ClassInfo {
         plugin: "toy".into(),
         version: "1.0.0".into(),

@@ -183,6 +183,8 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
                 .port(&input.ty)
                 .and_then(|ty| frames::port(ty, &input.frame))
                 .map_err(|e| format!("input {}: {e}", input.name))?,
+            tag: tag(&input.tag, &[model::Tag::None, model::Tag::Sim])
+                .map_err(|e| format!("input {}: {e}", input.name))?,
             optional: input.optional,
             fifo: depth(input.fifo).map_err(|e| format!("input {}: {e}", input.name))?,
         });
@@ -196,6 +198,7 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
                 .port(&output.ty)
                 .and_then(|ty| frames::port(ty, &output.frame))
                 .map_err(|e| format!("output {}: {e}", output.name))?,
+            tag: tag(&output.tag, &model::Tag::ALL).map_err(|e| format!("output {}: {e}", output.name))?,
         });
     }
     for required in &class.required {
@@ -211,6 +214,14 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
     }
     ports.provided.push(system::interface());
     Ok(ports)
+}
+
+/// The tag of that name, one of `allowed`; a slip of the pen must not leave a port without one.
+fn tag(text: &str, allowed: &[model::Tag]) -> Result<model::Tag, String> {
+    model::Tag::parse(text).filter(|tag| allowed.contains(tag)).ok_or_else(|| {
+        let names: Vec<&str> = allowed.iter().map(|tag| tag.name()).filter(|name| !name.is_empty()).collect();
+        format!("tag \"{text}\" is not one of {}", names.join(", "))
+    })
 }
 
 fn required(required: &wire::Required, types: &mut Types) -> Result<model::Required, String> {
@@ -286,7 +297,8 @@ fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provi
     Ok(model::Provided {
         name: provided.name.clone(),
         doc: provided.doc.clone(),
-        tag: provided.tag.clone(),
+        tag: tag(&provided.tag, &model::Tag::ALL)
+            .map_err(|e| format!("provided interface {}: {e}", provided.name))?,
         commands,
         events,
     })

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use trocar_model::{Command, CommandKind, Event, Field, Overflow, Prim, Provided, StructType, Type};
+use trocar_model::{Command, CommandKind, Event, Field, Overflow, Prim, Provided, StructType, Tag, Type};
 
 /// Its name; no class may use it for a port of its own.
 pub(super) const INTERFACE: &str = "system";
@@ -43,7 +43,7 @@ pub(super) fn interface() -> Provided {
     Provided {
         name: INTERFACE.into(),
         doc: "What every component offers: its state, its timing, its messages.".into(),
-        tag: String::new(),
+        tag: Tag::None,
         commands: vec![
             read("GetState", "State and health of the component.", status_type()),
             read(

@@ -31,7 +31,7 @@ use std::time::{Duration, Instant};
 use trocar_model::{
     Change, ClassInfo, Command, CommandKind, Component, ComponentId, ConnectOptions, Connection,
     ConnectionId, Execution, ExecutionModel, Function, Health, Input, MemberId, Name, OnFailure, Output,
-    Overflow, PortId, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Type, Verb,
+    Overflow, PortId, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Tag, Type, Verb,
 };
 
 use super::boundary::fake::{Behaviour, FakeClasses, behave, class};
@@ -183,7 +183,7 @@ fn ctl() -> Ports {
         ret_unit: String::new(),
         overflow: Overflow::Reject,
     };
-    let (name, doc, tag) = ("ctl".into(), String::new(), String::new());
+    let (name, doc, tag) = ("ctl".into(), String::new(), Tag::None);
     Ports {
         provided: vec![Provided { name, doc, tag, commands: vec![command], events: Vec::new() }],
         ..Ports::default()
@@ -228,10 +228,16 @@ fn plain(input: bool, output: bool) -> Ports {
             name: "in".into(),
             doc: doc(),
             ty: ty(),
+            tag: Tag::None,
             optional,
             fifo,
         })),
-        outputs: Vec::from_iter(output.then(|| Output { name: "out".into(), doc: doc(), ty: ty() })),
+        outputs: Vec::from_iter(output.then(|| Output {
+            name: "out".into(),
+            doc: doc(),
+            ty: ty(),
+            tag: Tag::None,
+        })),
         ..Ports::default()
     }
 }

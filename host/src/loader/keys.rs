@@ -61,9 +61,17 @@ const KINDS: &[(&str, &[(&str, &str)])] = &[
     ("execution", &[("model", ""), ("period_ns", ""), ("max_step_ns", "")]),
     (
         "input",
-        &[("name", ""), ("doc", ""), ("type", "port form"), ("frame", ""), ("optional", ""), ("fifo", "")],
+        &[
+            ("name", ""),
+            ("doc", ""),
+            ("type", "port form"),
+            ("frame", ""),
+            ("tag", ""),
+            ("optional", ""),
+            ("fifo", ""),
+        ],
     ),
-    ("output", &[("name", ""), ("doc", ""), ("type", "port form"), ("frame", "")]),
+    ("output", &[("name", ""), ("doc", ""), ("type", "port form"), ("frame", ""), ("tag", "")]),
     ("provided", &[("name", ""), ("doc", ""), ("tag", ""), ("commands", "command"), ("events", "event")]),
     (
         "command",

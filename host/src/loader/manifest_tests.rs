@@ -16,8 +16,8 @@ fn good() -> Value {
         "classes": [{
             "name": "low_pass",
             "config": setting(json!({"type": "number"})),
-            "inputs": [{"name": "raw", "type": {"plain": {"ref": "Force"}}}, {"name": "spy", "type": "any"}],
-            "provided": [{"name": "ctl", "commands": [
+            "inputs": [{"name": "raw", "type": {"plain": {"ref": "Force"}}, "tag": "sim"}, {"name": "spy", "type": "any"}],
+            "provided": [{"name": "ctl", "tag": "truth", "commands": [
                 {"name": "set", "kind": "write", "arg": {"type": {"ref": "Mode"}}},
                 {"name": "value", "kind": "read", "ret": {"ref": "Force"}}]}]
         }]
@@ -69,6 +69,8 @@ fn what_is_wrong_is_named() {
         // What only the listing of the classes finds.
         ("/classes/0/inputs/1/name", json!("system"), "may not be named system"),
         ("/types/0/fields/1/unit", json!("newton"), "did you mean `N`?"),
+        ("/classes/0/inputs/0/tag", json!("truth"), "input raw: tag \"truth\" is not one of sim"),
+        ("/classes/0/provided/0/tag", json!("thruth"), "tag \"thruth\" is not one of truth, sim"),
         (
             "/classes/0/config",
             setting(json!({"type": "number", "default": "x"})),

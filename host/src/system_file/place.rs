@@ -60,6 +60,8 @@ impl SystemFile {
             | Refusal::CommandKindMismatch { client, server, .. }
             | Refusal::TypeMismatch { client, server, .. }
             | Refusal::FormatMismatch { client, server, .. }
+            | Refusal::TagMismatch { client, server, .. }
+            | Refusal::TruthToActuator { client, server, .. }
             | Refusal::Unreachable { client, server, .. } => pair(client, server),
             Refusal::ArgumentInvalid { what, field, .. } => self.option(what, field),
             _ => None,

@@ -168,6 +168,9 @@ pub struct Input {
     /// Default queue depth in samples; 0 = latest value only.
     #[prost(uint32, tag = "5")]
     pub fifo: u32,
+    /// "sim": takes only outputs that are tagged so, too; empty = no tag.
+    #[prost(string, tag = "6")]
+    pub tag: ::prost::alloc::string::String,
 }
 /// A typed stream that goes out, to any number of inputs.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -181,6 +184,9 @@ pub struct Output {
     /// What it gives.
     #[prost(message, optional, tag = "3")]
     pub r#type: ::core::option::Option<PortType>,
+    /// "truth" or "sim": who may take it is checked at Connect; empty = no tag.
+    #[prost(string, tag = "4")]
+    pub tag: ::prost::alloc::string::String,
 }
 /// A provided interface: commands and events offered to clients.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -191,7 +197,7 @@ pub struct ProvidedInterface {
     /// What it is for.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
-    /// A tag such as "truth" or "sim"; empty = none.
+    /// "truth" or "sim": who may be connected to it is checked at Connect; empty = no tag.
     #[prost(string, tag = "3")]
     pub tag: ::prost::alloc::string::String,
     /// What can be called.

@@ -106,6 +106,18 @@ pub(crate) fn unit(text: &LitStr) -> syn::Result<String> {
     }
 }
 
+/// A tag of those allowed there; the host enforces it at Connect, so a slip of the pen must not pass.
+pub(crate) fn tag(text: &LitStr, allowed: &[&str]) -> syn::Result<String> {
+    let value = text.value();
+    if allowed.contains(&value.as_str()) {
+        return Ok(value);
+    }
+    Err(syn::Error::new(
+        text.span(),
+        format!("`{value}` is no tag of this; there are: {}", allowed.join(", ")),
+    ))
+}
+
 /// The unit of `#[unit("N")]`, empty when the attribute is absent.
 pub(crate) fn unit_attr(attrs: &[Attribute]) -> syn::Result<String> {
     match attrs.iter().find(|a| a.path().is_ident("unit")) {

@@ -147,15 +147,23 @@ fn port_lists(
 ) -> TokenStream {
     let inputs = fields.inputs.iter().filter(|p| p.many == many).map(|p| {
         let (name, doc, optional, fifo) = (&p.set.name, &p.doc, p.set.optional, p.set.fifo);
-        let (ty, frame) = (port_type(p), &p.frame.name);
+        let (ty, frame, tag) = (port_type(p), &p.frame.name, &p.set.tag);
         quote!(::trocar_sdk::__private::InputDesc {
-            name: #name, doc: #doc, ty: #ty, frame: #frame, optional: #optional, fifo: #fifo,
+            name: #name,
+            doc: #doc,
+            ty: #ty,
+            frame: #frame,
+            tag: #tag,
+            optional: #optional,
+            fifo: #fifo,
         })
     });
     let outputs = fields.outputs.iter().filter(|p| p.many == many).map(|p| {
         let (name, doc) = (&p.set.name, &p.doc);
-        let (ty, frame) = (port_type(p), &p.frame.name);
-        quote!(::trocar_sdk::__private::OutputDesc { name: #name, doc: #doc, ty: #ty, frame: #frame })
+        let (ty, frame, tag) = (port_type(p), &p.frame.name, &p.set.tag);
+        quote!(::trocar_sdk::__private::OutputDesc {
+            name: #name, doc: #doc, ty: #ty, frame: #frame, tag: #tag,
+        })
     });
     let required = required.iter().map(required_desc);
     let provided = provided.iter().map(provided_desc);

@@ -28,6 +28,7 @@ pub(crate) struct PortSettings {
     pub(crate) name: String,
     /// The author gave the name.
     named: bool,
+    pub(crate) tag: String,
     pub(crate) optional: bool,
     pub(crate) fifo: usize,
     pub(crate) format: String,
@@ -108,11 +109,11 @@ impl ComponentFields {
             };
             match key.as_str() {
                 "input" => {
-                    let allowed = ["name", "optional", "fifo", "format", "max_bytes"];
+                    let allowed = ["name", "optional", "fifo", "format", "max_bytes", "tag"];
                     out.inputs.push(repeated(port(settings(attr, &allowed)?)).and_then(named)?);
                 }
                 "output" => {
-                    let allowed = ["name", "format", "max_bytes"];
+                    let allowed = ["name", "format", "max_bytes", "tag"];
                     out.outputs.push(repeated(port(settings(attr, &allowed)?)).and_then(named)?);
                 }
                 "required" => {
@@ -258,6 +259,10 @@ fn setting(set: &mut PortSettings, meta: &ParseNestedMeta<'_>, allowed: &[&str])
         "interface" => set.interface = text(true)?,
         "unit" => set.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?,
         "format" => set.format = text(false)?,
+        "tag" => {
+            let tags: &[&str] = if allowed.contains(&"fifo") { &["sim"] } else { &["truth", "sim"] };
+            set.tag = attrs::tag(&meta.value()?.parse::<LitStr>()?, tags)?;
+        }
         "optional" => set.optional = true,
         "fifo" => set.fifo = at_most(meta, MAX_FIFO, "samples wait in an input")?,
         _ => set.max_bytes = at_most(meta, MAX_FRAME, "bytes are in a frame")?,

@@ -30,7 +30,7 @@ impl Parse for InterfaceArgs {
                 args.direct = true;
             } else if key == "tag" {
                 input.parse::<syn::Token![=]>()?;
-                args.tag = input.parse::<LitStr>()?.value();
+                args.tag = attrs::tag(&input.parse::<LitStr>()?, &["truth", "sim"])?;
             } else {
                 return Err(syn::Error::new(
                     key.span(),

@@ -122,6 +122,23 @@ fn a_queue_or_frame_beyond_what_a_host_takes_does_not_compile() {
 }
 
 #[test]
+fn a_tag_that_nobody_enforces_does_not_compile() {
+    for (field, why) in [
+        ("#[input(tag = \"truth\")] x: In<f64>", "`truth` is no tag of this; there are: sim"),
+        ("#[output(tag = \"thruth\")] x: Out<f64>", "`thruth` is no tag of this; there are: truth, sim"),
+        ("#[required(tag = \"sim\")] x: Function", "unknown setting"),
+    ] {
+        refused(field, &of_component(&format!("struct C {{ {field} }}")), why);
+    }
+    for field in ["#[input(tag = \"sim\")] x: In<f64>", "#[output(tag = \"truth\")] x: Out<f64>"] {
+        assert_eq!(of_component(&format!("struct C {{ {field} }}")), "", "{field}");
+    }
+    assert!(parse_str::<provides::InterfaceArgs>("\"truth\", tag = \"truth\"").is_ok());
+    let wrong = parse_str::<provides::InterfaceArgs>("\"truth\", tag = \"true\"");
+    assert!(wrong.err().expect("refused").to_string().contains("there are: truth, sim"));
+}
+
+#[test]
 fn members_that_a_host_refuses_do_not_compile() {
     let provided = |methods: &str| {
         let (args, item) = (parse_str("\"ctl\""), parse_str(&format!("impl C {{ {methods} }}")));

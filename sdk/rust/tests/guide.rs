@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 /// Compiled files the guide may quote.
-const SOURCES: [&str; 8] = [
+const SOURCES: [&str; 9] = [
     "plugins/filters/src/low_pass.rs",
     "plugins/filters/src/low_pass/tests.rs",
     "plugins/example/src/server.rs",
@@ -12,6 +12,7 @@ const SOURCES: [&str; 8] = [
     "sdk/rust/tests/guide_devices.rs",
     "sdk/rust/tests/guide_members.rs",
     "sdk/rust/tests/guide_motion.rs",
+    "sdk/rust/tests/guide_simulated.rs",
     "tests/it/plugin_guide/embedded.rs",
 ];
 

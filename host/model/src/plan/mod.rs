@@ -1,7 +1,7 @@
 //! The planner: `(&SystemGraph, Request) → Plan | Refusal`.
 //!
 //! Invariant: pure, and every check happens here, before anything runs. Checks are made in the order of the error table
-//! (path, process, class, component, interface, direction, connected, types, cycle, state, configuration, arguments), so
+//! (path, process, class, component, interface, direction, connected, types, cycle, tags, state, configuration, arguments), so
 //! that the same mistake always gets the same answer.
 
 mod carrier;
@@ -13,6 +13,7 @@ mod lookup;
 mod remove;
 mod restore;
 mod run;
+mod tags;
 mod wire;
 
 use std::collections::BTreeMap;

@@ -4,6 +4,7 @@
 //! as they are now. Nobody's state changes.
 
 use super::circle::{check_circle, is_stream};
+use super::tags::check_tags;
 use super::{Planner, carrier, host_of};
 use crate::connect::{directions, same_payload};
 use crate::refusal::duration;
@@ -53,6 +54,7 @@ impl Planner {
             connection.options.max_age_ns = default_max_age(&self.graph, &connection);
         }
         check_circle(&self.graph, &connection, &link)?;
+        check_tags(&self.graph, &connection, &link)?;
         check_options(&connection, &link)?;
         carrier::check(&self.graph, "Connect", &connection)?;
         if let Some(connection) = old {

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 
 use super::text::{brief, near};
-use crate::{Code, Refusal};
+use crate::{Code, Refusal, Tag};
 
 /// Entries of a list, and fields, that metadata names.
 const MOST: usize = 100;
@@ -66,6 +66,8 @@ impl Refusal {
             Refusal::CommandKindMismatch { .. } => (FailedPrecondition, "COMMAND_KIND_MISMATCH"),
             Refusal::TypeMismatch { .. } => (FailedPrecondition, "TYPE_MISMATCH"),
             Refusal::FormatMismatch { .. } => (FailedPrecondition, "FORMAT_MISMATCH"),
+            Refusal::TagMismatch { .. } => (FailedPrecondition, "TAG_MISMATCH"),
+            Refusal::TruthToActuator { .. } => (FailedPrecondition, "TRUTH_TO_ACTUATOR"),
             Refusal::SyncCycle { .. } => (FailedPrecondition, "SYNC_CYCLE"),
             Refusal::WrongState { .. } => (FailedPrecondition, "WRONG_STATE"),
             Refusal::Unconnected { .. } => (FailedPrecondition, "UNCONNECTED"),
@@ -146,6 +148,12 @@ impl Refusal {
             }
             FormatMismatch { client, server, wants, has } => {
                 m.ends(client, server).put("wants", wants).put("has", has)
+            }
+            TagMismatch { client, server, has } => {
+                m.ends(client, server).put("has", if *has == Tag::None { "none" } else { has.name() })
+            }
+            TruthToActuator { client, server, tag, path } => {
+                m.ends(client, server).put("tag", tag.name()).list("path", path)
             }
             SyncCycle { path } => m.list("path", path),
             WrongState { id, state, verb, allowed, .. } => {

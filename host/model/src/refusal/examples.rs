@@ -5,8 +5,8 @@
 use std::fmt::Write as _;
 
 use crate::{
-    Arg, ComponentId, MemberId, Name, PortId, Prim, ProcessState, Refusal, State, StopReason, Type, Verb,
-    Violation, check_range,
+    Arg, ComponentId, MemberId, Name, PortId, Prim, ProcessState, Refusal, State, StopReason, Tag, Type,
+    Verb, Violation, check_range,
 };
 
 /// Names for examples; every literal below keeps to the grammar, which the tests check.
@@ -117,10 +117,17 @@ fn connecting() -> Vec<Refusal> {
             difference: "field `f[…]` has unit N here and unit mN there".into(),
         },
         Refusal::FormatMismatch {
-            client: input,
-            server: output,
+            client: input.clone(),
+            server: output.clone(),
             wants: "frames of \"image\"".into(),
             has: "frames of \"spectra\"".into(),
+        },
+        Refusal::TagMismatch { client: input.clone(), server: output.clone(), has: Tag::None },
+        Refusal::TruthToActuator {
+            client: input,
+            server: output,
+            tag: Tag::Truth,
+            path: vec![id("host/bscan"), id("host/robot")],
         },
         Refusal::SyncCycle { path: vec![id("host/gray"), id("host/resize"), id("host/gray")] },
     ]

@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::fmt::{self, Display, Write as _};
 
-use crate::{MAX_COPIES, ProcessState, Refusal, nearest};
+use crate::{MAX_COPIES, ProcessState, Refusal, Tag, nearest};
 
 /// Entries of a list that are spelled out.
 const MOST: usize = 12;
@@ -199,6 +199,22 @@ impl Display for Refusal {
             }
             FormatMismatch { client, server, wants, has } => {
                 write!(f, "`{client}` takes {wants}, but `{server}` gives {has}")
+            }
+            TagMismatch { client, server, has } => {
+                let has = match has {
+                    Tag::None => "has no tag".to_owned(),
+                    tag => format!("is tagged {}", tag.name()),
+                };
+                write!(f, "`{client}` is tagged sim and takes only what is, too, but `{server}` {has}")
+            }
+            TruthToActuator { client, server, tag, path } => {
+                let path: Vec<String> = path.iter().map(|id| format!("`{id}`")).collect();
+                write!(
+                    f,
+                    "`{server}` is tagged {}, and what it tells `{client}` would reach an actuator: {}",
+                    tag.name(),
+                    path.join(" → ")
+                )
             }
             SyncCycle { path } => {
                 let path: Vec<String> = path.iter().map(|id| format!("`{id}`")).collect();
@@ -411,6 +427,10 @@ impl Refusal {
             }
             FormatMismatch { .. } => "Put a filter between them that converts, or set the server's format in its \
                 configuration."
+                .into(),
+            TagMismatch { .. } => "Connect it to a simulated device's port that is tagged sim; `trocar describe` shows tags.".into(),
+            TruthToActuator { .. } => "Let the controller take what its sensors measure. Recorders, plots and tests may be \
+                told the truth, as long as nothing leads from them to an actuator."
                 .into(),
             SyncCycle { .. } => "Let one of them run in a thread of its own (execution without stream_of or inside), or \
                 leave one of the connections queued (carrier: \"heap\")."

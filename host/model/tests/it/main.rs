@@ -17,6 +17,7 @@ mod removing;
 mod restoring;
 mod running;
 mod scene;
+mod tagging;
 mod types;
 mod units;
 mod values;

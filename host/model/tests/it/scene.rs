@@ -54,11 +54,11 @@ pub(crate) fn frame(format: &str, max_bytes: usize) -> PortType {
 }
 
 pub(crate) fn input(name: &str, ty: PortType) -> Input {
-    Input { name: name.into(), doc: String::new(), ty, optional: false, fifo: 0 }
+    Input { name: name.into(), doc: String::new(), ty, tag: Tag::None, optional: false, fifo: 0 }
 }
 
 pub(crate) fn output(name: &str, ty: PortType) -> Output {
-    Output { name: name.into(), doc: String::new(), ty }
+    Output { name: name.into(), doc: String::new(), ty, tag: Tag::None }
 }
 
 pub(crate) fn command(
@@ -107,7 +107,7 @@ pub(crate) fn handler(name: &str, payload: Option<Type>) -> Handler {
 }
 
 pub(crate) fn provided(name: &str, commands: Vec<Command>, events: Vec<Event>) -> Provided {
-    Provided { name: name.into(), doc: String::new(), tag: String::new(), commands, events }
+    Provided { name: name.into(), doc: String::new(), tag: Tag::None, commands, events }
 }
 
 pub(crate) fn event(name: &str, payload: Option<Type>) -> Event {

@@ -40,11 +40,13 @@ fn class(c: &v1::ClassInfo) -> ClassView {
 
 fn ports(p: &v1::Ports) -> PortsView {
     let input = |i: &v1::Input| StreamView {
+        tag: i.tag.clone(),
         optional: i.optional,
         fifo: i.fifo,
         ..stream(&i.name, &i.doc, i.r#type.as_ref())
     };
-    let output = |o: &v1::Output| stream(&o.name, &o.doc, o.r#type.as_ref());
+    let output =
+        |o: &v1::Output| StreamView { tag: o.tag.clone(), ..stream(&o.name, &o.doc, o.r#type.as_ref()) };
     PortsView {
         inputs: p.inputs.iter().map(input).collect(),
         outputs: p.outputs.iter().map(output).collect(),
@@ -61,7 +63,7 @@ fn stream(name: &str, doc: &str, ty: Option<&v1::PortType>) -> StreamView {
         Some(Kind::Frame(f)) => (f.header.as_ref().map(type_view).unwrap_or_default(), f.format.clone()),
         _ => (TypeView { name: "any".to_owned(), ..TypeView::default() }, String::new()),
     };
-    StreamView { name: name.to_owned(), doc: doc.to_owned(), ty, format, optional: false, fifo: 0 }
+    StreamView { name: name.to_owned(), doc: doc.to_owned(), ty, format, ..StreamView::default() }
 }
 
 fn provided(p: &v1::ProvidedInterface) -> ProvidedView {

@@ -113,11 +113,14 @@ pub(crate) fn ports(p: v1::Ports) -> Result<model::Ports, Refusal> {
             name: i.name,
             doc: i.doc,
             ty: port_type(i.r#type)?,
+            tag: tag(&i.tag)?,
             optional: i.optional,
             fifo: i.fifo as usize,
         })
     };
-    let output = |o: v1::Output| Ok(model::Output { name: o.name, doc: o.doc, ty: port_type(o.r#type)? });
+    let output = |o: v1::Output| {
+        Ok(model::Output { name: o.name, doc: o.doc, ty: port_type(o.r#type)?, tag: tag(&o.tag)? })
+    };
     Ok(model::Ports {
         inputs: all(p.inputs, input)?,
         outputs: all(p.outputs, output)?,
@@ -125,6 +128,10 @@ pub(crate) fn ports(p: v1::Ports) -> Result<model::Ports, Refusal> {
         provided: all(p.provided, provided)?,
         state: maybe(p.state)?,
     })
+}
+
+fn tag(text: &str) -> Result<model::Tag, Refusal> {
+    model::Tag::parse(text).ok_or_else(|| unreadable("tag"))
 }
 
 fn all<W, M>(wire: Vec<W>, one: impl Fn(W) -> Result<M, Refusal>) -> Result<Vec<M>, Refusal> {
@@ -168,7 +175,7 @@ fn provided(p: v1::ProvidedInterface) -> Result<model::Provided, Refusal> {
     Ok(model::Provided {
         name: p.name,
         doc: p.doc,
-        tag: p.tag,
+        tag: tag(&p.tag)?,
         commands: all(p.commands, command)?,
         events: all(p.events, event)?,
     })

@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 use serde_json::{Value, json};
-use trocar_model::{ComponentId, MemberId, Name, PortId, ProcessState, Refusal, State, Verb, Violation};
+use trocar_model::{ComponentId, MemberId, Name, PortId, ProcessState, Refusal, State, Tag, Verb, Violation};
 use trocar_proto::v1;
 
 /// A value that travels as JSON.
@@ -59,6 +59,8 @@ refusals! {
     CommandKindMismatch { client, server, function, wants, has }
     TypeMismatch { client, server, what, difference }
     FormatMismatch { client, server, wants, has }
+    TagMismatch { client, server, has }
+    TruthToActuator { client, server, tag, path }
     SyncCycle { path }
     WrongState { id, state, verb, allowed, why }
     Unconnected { id, verb, ports }
@@ -177,6 +179,15 @@ macro_rules! words {
     )*};
 }
 words!(State, Verb, ProcessState);
+
+impl Travels for Tag {
+    fn put(&self) -> Value {
+        json!(self.name())
+    }
+    fn take(value: &Value) -> Option<Self> {
+        Tag::parse(value.as_str()?)
+    }
+}
 
 /// Words the refusals use for entries of a component and for kinds of ends.
 const WORDS: [&str; 19] = [

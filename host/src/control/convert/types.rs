@@ -95,12 +95,18 @@ pub(crate) fn ports(p: &model::Ports) -> v1::Ports {
                 r#type: Some(port_type(&i.ty)),
                 optional: i.optional,
                 fifo: i.fifo as u32,
+                tag: i.tag.name().to_owned(),
             })
             .collect(),
         outputs: p
             .outputs
             .iter()
-            .map(|o| v1::Output { name: o.name.clone(), doc: o.doc.clone(), r#type: Some(port_type(&o.ty)) })
+            .map(|o| v1::Output {
+                name: o.name.clone(),
+                doc: o.doc.clone(),
+                r#type: Some(port_type(&o.ty)),
+                tag: o.tag.name().to_owned(),
+            })
             .collect(),
         required: p.required.iter().map(required).collect(),
         provided: p.provided.iter().map(provided).collect(),
@@ -144,7 +150,7 @@ fn provided(p: &model::Provided) -> v1::ProvidedInterface {
     v1::ProvidedInterface {
         name: p.name.clone(),
         doc: p.doc.clone(),
-        tag: p.tag.clone(),
+        tag: p.tag.name().to_owned(),
         commands: p.commands.iter().map(command).collect(),
         events: p
             .events

@@ -147,6 +147,7 @@ impl Types {
                     doc: i.doc.to_string(),
                     ty: self.port(i.ty),
                     frame: i.frame.to_string(),
+                    tag: i.tag.to_string(),
                     optional: i.optional,
                     fifo: i.fifo,
                 })
@@ -159,6 +160,7 @@ impl Types {
                     doc: o.doc.to_string(),
                     ty: self.port(o.ty),
                     frame: o.frame.to_string(),
+                    tag: o.tag.to_string(),
                 })
                 .collect(),
             required: class

@@ -121,8 +121,13 @@ fn commands() -> Vec<Command> {
 }
 
 fn ports(commands: Vec<Command>) -> Ports {
-    let provided =
-        Provided { name: "ctl".into(), doc: String::new(), tag: String::new(), commands, events: Vec::new() };
+    let provided = Provided {
+        name: "ctl".into(),
+        doc: String::new(),
+        tag: trocar_model::Tag::None,
+        commands,
+        events: Vec::new(),
+    };
     Ports { provided: vec![provided], state: Some(state()), ..Ports::default() }
 }
 

@@ -1,0 +1,119 @@
+//! Who may be connected to simulated worlds: tags of ports, enforced at Connect.
+//!
+//! Invariant: what is tagged `truth` or `sim` never reaches an actuator but through ports tagged `sim`, in no order of
+//! connecting: each new connection is judged together with all there are.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use crate::connect::directions;
+use crate::{
+    ComponentId, Connection, Link, Port, PortId, Ports, Refusal, Safety, SystemGraph, Tag, bindings,
+};
+
+/// Refuses `new`, which takes the place of any other source of its client, when it joins a port for simulated devices to
+/// one that is not, or when it opens a way from what is tagged to an actuator.
+pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> Result<(), Refusal> {
+    let (takes, has) = tags(graph, new)?;
+    if takes == Tag::Sim && has != Tag::Sim {
+        return Err(Refusal::TagMismatch { client: new.client.clone(), server: new.server.clone(), has });
+    }
+    let others = || graph.connections.values().filter(|c| c.client != new.client);
+    let told = others().filter_map(|c| told(graph, c)).chain(told(graph, new));
+    let told: Vec<(Tag, &PortId, &PortId)> = told.collect();
+    if told.is_empty() {
+        return Ok(());
+    }
+    let mut ways = Ways::default();
+    for connection in others() {
+        ways.add(graph, connection, None);
+    }
+    ways.add(graph, new, Some(link));
+    for (tag, client, server) in told {
+        if let Some(path) = ways.to_actuator(graph, &client.component) {
+            return Err(Refusal::TruthToActuator {
+                client: client.clone(),
+                server: server.clone(),
+                tag,
+                path,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Tags of the client's and the server's port.
+fn tags(graph: &SystemGraph, c: &Connection) -> Result<(Tag, Tag), Refusal> {
+    let (a, b) = (graph.component(&c.client.component)?, graph.component(&c.server.component)?);
+    Ok(match directions(&a.ports, &c.client, &b.ports, &c.server)? {
+        (Port::Input(_, input), Port::Output(_, output)) => (input.tag, output.tag),
+        (_, Port::Provided(_, provided)) => (Tag::None, provided.tag),
+        _ => (Tag::None, Tag::None),
+    })
+}
+
+/// What this connection tells a client that is no simulated device, and whom.
+fn told<'c>(graph: &SystemGraph, c: &'c Connection) -> Option<(Tag, &'c PortId, &'c PortId)> {
+    let (takes, has) = tags(graph, c).ok()?;
+    (has != Tag::None && takes != Tag::Sim).then_some((has, &c.client, &c.server))
+}
+
+/// Who tells whom: along each stream, and over each interface to the server what is sent or called, to the client what
+/// is read, answered or raised. A read tells the server nothing.
+#[derive(Default)]
+struct Ways(BTreeMap<ComponentId, BTreeSet<ComponentId>>);
+
+impl Ways {
+    fn add(&mut self, graph: &SystemGraph, c: &Connection, link: Option<&Link>) {
+        let Some(a) = graph.components.get(&c.client.component) else { return };
+        let Some(b) = graph.components.get(&c.server.component) else { return };
+        let (to_client, to_server) = match link {
+            Some(link) => directions_of(link, &a.ports, &b.ports),
+            None => match bindings(&a.ports, &c.client, &b.ports, &c.server, &c.options) {
+                Ok(link) => directions_of(&link, &a.ports, &b.ports),
+                // Its ports are others now; until it is bound again it may tell both.
+                Err(_) => (true, true),
+            },
+        };
+        let (client, server) = (&c.client.component, &c.server.component);
+        for (yes, from, to) in [(to_client, server, client), (to_server, client, server)] {
+            if yes {
+                self.0.entry(from.clone()).or_default().insert(to.clone());
+            }
+        }
+    }
+
+    /// The shortest way from `from` to an actuator, both ends included; `from` alone when it is one.
+    fn to_actuator(&self, graph: &SystemGraph, from: &ComponentId) -> Option<Vec<ComponentId>> {
+        let actuator = |id: &ComponentId| {
+            graph.components.get(id).is_some_and(|found| found.class.safety == Safety::Actuator)
+        };
+        let mut came: BTreeMap<&ComponentId, Option<&ComponentId>> = BTreeMap::from([(from, None)]);
+        let mut queue = VecDeque::from([from]);
+        while let Some(at) = queue.pop_front() {
+            if actuator(at) {
+                let mut path: Vec<ComponentId> =
+                    std::iter::successors(Some(at), |id| came.get(id).copied().flatten()).cloned().collect();
+                path.reverse();
+                return Some(path);
+            }
+            for next in self.0.get(at).into_iter().flatten() {
+                if !came.contains_key(next) {
+                    came.insert(next, Some(at));
+                    queue.push_back(next);
+                }
+            }
+        }
+        None
+    }
+}
+
+/// Does this link tell its client something, and its server?
+fn directions_of(link: &Link, client: &Ports, server: &Ports) -> (bool, bool) {
+    let Link::Interface { required, provided, binding } = link else { return (true, false) };
+    let (functions, commands) = (&client.required[*required].functions, &server.provided[*provided].commands);
+    let first = (client.first_function(*required), server.first_command(*provided));
+    let called = || binding.functions.iter().map(|(f, c)| (&functions[f - first.0], &commands[c - first.1]));
+    let to_client = !binding.handlers.is_empty() || called().any(|(_, command)| command.ret.is_some());
+    let to_server = called().any(|(_, command)| !command.kind.is_read());
+    (to_client, to_server)
+}
