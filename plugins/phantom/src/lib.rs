@@ -6,10 +6,14 @@
 #![forbid(unsafe_code)]
 
 pub mod eye;
+pub mod forces;
+pub mod hand;
 pub mod motion;
 pub mod noise;
 pub mod retina;
+pub mod sensor;
 pub mod tissue;
 mod world;
 
+pub use hand::Hand;
 pub use world::{Below, World};

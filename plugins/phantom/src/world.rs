@@ -14,6 +14,8 @@ use crate::tissue::{Echoes, Membrane, echoes};
 pub(crate) mod streams {
     pub(crate) const PHASES: u64 = 1;
     pub(crate) const SPECKLE: u64 = 2;
+    pub(crate) const HAND: u64 = 3;
+    pub(crate) const PEELING: u64 = 4;
 }
 
 /// Longest way along the tool that is looked for the retina, m.
