@@ -9,6 +9,7 @@ pub mod drive;
 mod joint_mover;
 pub mod joints;
 pub mod kinematics;
+pub mod least_squares;
 mod payloads;
 mod robot;
 pub mod trajectory;
