@@ -1,18 +1,29 @@
 //! The arm: takes CRTK motions, makes a setpoint of them each period, and drives the joints after it.
 //!
-//! Invariant: one `step` per control period is the only place that commands motion; every refusal leaves the running
-//! motion as it was, every fault ends it with the joints held where they are. No allocation, no clock.
+//! Invariant: one `step` per control period is the only place that commands motion, and every velocity of it passes
+//! `allowed`; every refusal leaves the running motion as it was, every fault ends it with the joints held where they are.
+//! No allocation, no clock.
 
-use std::fmt;
+mod commands;
+mod motion;
+mod refused;
 
-use nalgebra::{Isometry3, Vector6};
-use trocar_sdk::crtk::{NotReady, OperatingStateMachine, Refused, StateCommand};
+use nalgebra::{Isometry3, SMatrix, Vector6};
+use trocar_sdk::crtk::OperatingStateMachine;
 use trocar_sdk::data::OperatingMode;
 
-use crate::drive::{Drive, Lost, Measured, SimulatedDrive, Simulation};
-use crate::joints::{Joints, Limits, NAMES, Refusal, per_kind};
-use crate::kinematics::{Kinematics, Unreachable};
-use crate::trajectory::Trajectory;
+use crate::admittance::{Admittance, Law};
+use crate::allowed::{Allowed, Scene};
+use crate::drive::{Drive, Measured, SimulatedDrive, Simulation};
+use crate::fixture::{Fixtures, Stance};
+use crate::joints::{COUNT, Joints, Limits, per_kind};
+use crate::kinematics::{Kinematics, tool_axis};
+use motion::{Ends, Motion, Move};
+
+pub use refused::{ArmError, Fault};
+
+/// A move that a fixture held back may come after its trajectory's end, s.
+const LATE_S: f64 = 1.0;
 
 /// What is set once for an arm. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,12 +34,14 @@ pub struct Settings {
     pub limits: Limits,
     /// Gain of the position loop around the drive's velocity loop, 1/s.
     pub gain_per_s: f64,
-    /// `servo_jv` not repeated for this long holds the arm, s.
+    /// A motion by velocity or force that is not repeated for this long holds the arm, s.
     pub servo_timeout_s: f64,
     /// Largest allowed distance between setpoint and encoder, m and rad.
     pub following: Joints,
     /// How far an encoder may stand outside a limit before it is a fault, m and rad.
     pub margin: Joints,
+    /// Hands-on control.
+    pub law: Law,
 }
 
 impl Default for Settings {
@@ -42,20 +55,15 @@ impl Default for Settings {
             servo_timeout_s: 0.1,
             following: per_kind(0.5e-3, 1f64.to_radians()),
             margin: per_kind(0.1e-3, 0.1f64.to_radians()),
+            law: Law::default(),
         }
     }
 }
 
-#[expect(clippy::large_enum_variant, reason = "a box would allocate on the step path")]
-#[derive(Clone, Copy, Debug)]
-enum Motion {
-    Hold,
-    ServoPosition { goal: Joints },
-    ServoVelocity { velocity: Joints, left_s: f64 },
-    Move { trajectory: Trajectory, elapsed_s: f64, homing: bool },
-}
-
 /// Five joints under control.
+///
+/// Poses and twists are in the frame of `set_base_frame`, in which the kinematic base stands as it says; `local` ones in
+/// the kinematic base itself.
 #[derive(Debug)]
 pub struct Arm<D> {
     settings: Settings,
@@ -65,6 +73,26 @@ pub struct Arm<D> {
     motion: Motion,
     measured: Measured,
     setpoint: Measured,
+    fixtures: Fixtures,
+    admittance: Admittance,
+    /// Of the hand, in the frame of the tip, N and N·m.
+    handle: Vector6<f64>,
+    base: Isometry3<f64>,
+    at_limit: [bool; COUNT],
+    news: News,
+}
+
+/// What happened since it was asked for last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct News {
+    /// Moves that arrived.
+    pub reached: u32,
+    /// Moves that ended before: pre-empted, held, kept away by a fixture.
+    pub missed: u32,
+    /// Joints that came to a limit of their travel and would have gone on.
+    pub limit_hit: [bool; COUNT],
+    /// The force on the handle is above its limit, or below it again.
+    pub force_limit: Option<bool>,
 }
 
 impl Default for Arm<SimulatedDrive> {
@@ -87,14 +115,26 @@ impl<D: Drive> Arm<D> {
             motion: Motion::Hold,
             measured: at_rest,
             setpoint: at_rest,
+            fixtures: Fixtures::default(),
+            admittance: Admittance::new(settings.law),
+            handle: Vector6::zeros(),
+            base: Isometry3::identity(),
+            at_limit: [false; COUNT],
+            news: News::default(),
         }
+    }
+
+    /// The hand's wrench in the frame of the tip (N, N·m), from the next step on.
+    pub fn feel(&mut self, wrench: &Vector6<f64>) {
+        self.handle = *wrench;
     }
 
     /// One control period of `dt_s` seconds: new setpoint, one cycle of the drive, checks.
     pub fn step(&mut self, dt_s: f64) {
         let driven = matches!(self.operating.mode(), OperatingMode::ENABLED | OperatingMode::PAUSED);
+        let hand = self.follow_hand(dt_s);
         if driven {
-            self.advance(dt_s);
+            self.advance(&hand, dt_s);
         } else {
             self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
         }
@@ -110,46 +150,110 @@ impl<D: Drive> Arm<D> {
         }
     }
 
-    fn advance(&mut self, dt_s: f64) {
+    /// The twist with which the tip follows the hand, kinematic base. The filter runs in every state, so that what was
+    /// felt before the hand is followed does not come as a step.
+    fn follow_hand(&mut self, dt_s: f64) -> Vector6<f64> {
+        let turn = self.local_cp().rotation;
+        let beside = match &self.motion {
+            Motion::Tip(tip) => tip.force().map(|force| turned(&turn.inverse(), &force)),
+            _ => None,
+        };
+        let was_too_strong = self.admittance.is_too_strong();
+        let twist = self.admittance.step(&(self.handle + beside.unwrap_or_default()), dt_s);
+        let too_strong = self.admittance.is_too_strong();
+        if too_strong != was_too_strong {
+            self.news.force_limit = Some(too_strong);
+        }
+        turned(&turn, &twist)
+    }
+
+    fn advance(&mut self, hand: &Vector6<f64>, dt_s: f64) {
         let limits = &self.settings.limits;
         let (from, before) = (self.setpoint.position, self.setpoint.velocity);
-        let (position, velocity) = match &mut self.motion {
+        let scene = Scene {
+            settings: &self.settings,
+            fixtures: &self.fixtures,
+            from: self.setpoint,
+            measured: self.measured.position,
+            dt_s,
+        };
+        let mut at_rest = false;
+        let planned = match &mut self.motion {
             Motion::Hold => {
+                at_rest = true;
                 // Brakes the setpoint itself, so that a hold in full motion is no step for the drive.
                 let velocity = Joints::from_fn(|i, _| {
                     let most = limits.acceleration[i] * dt_s;
                     before[i] - before[i].clamp(-most, most)
                 });
-                (from + velocity * dt_s, velocity)
+                Measured { position: from + velocity * dt_s, velocity }
             }
             Motion::ServoPosition { goal } => {
                 let way = Joints::from_fn(|i, _| {
                     (goal[i] - from[i]).clamp(-limits.speed[i] * dt_s, limits.speed[i] * dt_s)
                 });
-                (from + way, way / dt_s)
+                Measured { position: from + way, velocity: way / dt_s }
+            }
+            Motion::Move(Move { trajectory, elapsed_s, .. }) => {
+                *elapsed_s += dt_s;
+                let (position, velocity) = trajectory.at(*elapsed_s);
+                Measured { position, velocity }
             }
             Motion::ServoVelocity { velocity, left_s } => {
-                let velocity = *velocity;
+                let allowed = scene.velocity(velocity);
                 *left_s -= dt_s;
                 if *left_s <= 0.0 {
                     self.motion = Motion::Hold;
                 }
-                (from + velocity * dt_s, velocity)
+                return self.go(&allowed, dt_s);
             }
-            Motion::Move { trajectory, elapsed_s, homing } => {
-                *elapsed_s += dt_s;
-                let at = trajectory.at(*elapsed_s);
-                if *elapsed_s >= trajectory.duration_s() {
-                    self.operating.move_ends();
-                    if *homing {
-                        self.operating.homed();
-                    }
+            Motion::Tip(tip) => {
+                let allowed = scene.twist(&tip.take(hand, &tool_axis(&from), dt_s));
+                if tip.is_over() {
                     self.motion = Motion::Hold;
                 }
-                at
+                return self.go(&allowed, dt_s);
             }
         };
-        self.setpoint = Measured { position, velocity };
+        self.setpoint = match scene.planned(&((planned.position - from) / dt_s), at_rest) {
+            Some(velocity) => Measured { position: from + velocity * dt_s, velocity },
+            None => planned,
+        };
+        self.at_limit = [false; COUNT];
+        self.end_move();
+    }
+
+    /// The setpoint goes on with velocities that are allowed; a joint at its limit is told once.
+    fn go(&mut self, allowed: &Allowed, dt_s: f64) {
+        let velocity = allowed.velocity;
+        self.setpoint = Measured { position: self.setpoint.position + velocity * dt_s, velocity };
+        let (q, limits) = (&self.setpoint.position, &self.settings.limits);
+        let left = per_kind(20e-6, 200e-6);
+        for joint in 0..COUNT {
+            let inside =
+                q[joint] < limits.upper[joint] - left[joint] && q[joint] > limits.lower[joint] + left[joint];
+            self.news.limit_hit[joint] |= allowed.at_limit[joint] && !self.at_limit[joint];
+            self.at_limit[joint] = (self.at_limit[joint] && !inside) || allowed.at_limit[joint];
+        }
+    }
+
+    fn end_move(&mut self) {
+        let Motion::Move(Move { trajectory, goal, elapsed_s, ends }) = &self.motion else { return };
+        let over_s = elapsed_s - trajectory.duration_s();
+        let off = (self.setpoint.position - goal).abs();
+        let arrived = off.iter().zip(near().iter()).all(|(off, near)| off <= near);
+        if over_s < 0.0 || (!arrived && over_s < LATE_S) {
+            return;
+        }
+        match (ends, arrived) {
+            (Ends::Quietly, _) => {}
+            (Ends::Told, true) => self.news.reached += 1,
+            (Ends::Told, false) => self.news.missed += 1,
+            (Ends::Homing, true) => self.operating.homed(),
+            (Ends::Homing, false) => {}
+        }
+        self.operating.move_ends();
+        self.motion = Motion::Hold;
     }
 
     fn out_of_bounds(&self) -> Option<Fault> {
@@ -168,70 +272,23 @@ impl<D: Drive> Arm<D> {
     fn fail(&mut self, fault: Fault) {
         self.drive.make_safe();
         self.operating.fault();
+        if let Fault::Limit { joint, .. } = fault {
+            self.news.limit_hit[joint] = true;
+        }
         self.fault = Some(fault);
         self.stand();
     }
 
     fn stand(&mut self) {
-        self.motion = Motion::Hold;
-        self.operating.move_ends();
+        self.pre_empt(Motion::Hold);
         self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
     }
 
-    /// CRTK `servo_jp`: go to joint positions (m, rad) now, at most at the joints' speeds.
-    ///
-    /// # Errors
-    /// Not enabled and homed; a goal that is not finite or outside the limits.
-    pub fn servo_jp(&mut self, goal: &[f64]) -> Result<(), ArmError> {
-        self.operating.require_ready()?;
-        let goal = self.settings.limits.check_position(goal)?;
-        self.pre_empt(Motion::ServoPosition { goal });
-        Ok(())
-    }
-
-    /// CRTK `servo_jv`: move at joint velocities (m/s, rad/s) until the next command, at most `servo_timeout_s`.
-    ///
-    /// # Errors
-    /// Not enabled and homed; a velocity that is not finite or above the joint's speed.
-    pub fn servo_jv(&mut self, goal: &[f64]) -> Result<(), ArmError> {
-        self.operating.require_ready()?;
-        let velocity = self.settings.limits.check_velocity(goal)?;
-        self.pre_empt(Motion::ServoVelocity { velocity, left_s: self.settings.servo_timeout_s });
-        Ok(())
-    }
-
-    /// CRTK `servo_cp`: bring the tip to a pose (m) now. The turn about the tool's own axis is not followed.
-    ///
-    /// # Errors
-    /// Not enabled and homed; a pose that is not finite or out of reach.
-    pub fn servo_cp(&mut self, goal: &Isometry3<f64>) -> Result<(), ArmError> {
-        self.operating.require_ready()?;
-        let axis = goal.rotation * nalgebra::Vector3::z();
-        let Settings { kinematics, limits, .. } = &self.settings;
-        let goal = kinematics.inverse(&goal.translation.vector, &axis, &self.setpoint.position, limits)?;
-        self.pre_empt(Motion::ServoPosition { goal });
-        Ok(())
-    }
-
-    /// CRTK `move_jp`: go to joint positions (m, rad) along a trajectory; busy until it has ended.
-    ///
-    /// # Errors
-    /// Not enabled and homed; a goal that is not finite or outside the limits.
-    pub fn move_jp(&mut self, goal: &[f64]) -> Result<(), ArmError> {
-        self.operating.require_ready()?;
-        let goal = self.settings.limits.check_position(goal)?;
-        self.start_move(goal, false);
-        Ok(())
-    }
-
-    fn start_move(&mut self, goal: Joints, homing: bool) {
-        let Measured { position, velocity } = self.setpoint;
-        let trajectory = Trajectory::plan(&position, &velocity, &goal, &self.settings.limits);
-        self.pre_empt(Motion::Move { trajectory, elapsed_s: 0.0, homing });
-    }
-
     fn pre_empt(&mut self, motion: Motion) {
-        if matches!(motion, Motion::Move { .. }) {
+        if matches!(self.motion, Motion::Move(Move { ends: Ends::Told, .. })) {
+            self.news.missed += 1;
+        }
+        if motion.is_busy() {
             self.operating.move_begins();
         } else {
             self.operating.move_ends();
@@ -239,42 +296,16 @@ impl<D: Drive> Arm<D> {
         self.motion = motion;
     }
 
-    /// CRTK `hold`: brake and stay. Always taken; does nothing to an arm that is not enabled.
-    pub fn hold(&mut self) {
-        self.pre_empt(Motion::Hold);
-    }
-
-    /// CRTK `state_command`: `enable`, `disable`, `pause`, `resume`, `home`, `unhome`. `home` moves to all zeros.
-    ///
-    /// # Errors
-    /// Another word; a command the CRTK table does not allow now.
-    pub fn state_command(&mut self, word: &str) -> Result<(), ArmError> {
-        let before = self.operating.mode();
-        match self.operating.command(word)? {
-            StateCommand::Home => self.start_move(Joints::zeros(), true),
-            StateCommand::Unhome => self.hold(),
-            StateCommand::Disable => {
-                self.drive.make_safe();
-                self.stand();
-            }
-            StateCommand::Enable | StateCommand::Pause | StateCommand::Resume
-                if self.operating.mode() != before =>
-            {
-                self.hold()
-            }
-            StateCommand::Enable | StateCommand::Pause | StateCommand::Resume => {}
-        }
-        if self.operating.mode() != OperatingMode::FAULT {
-            self.fault = None;
-        }
-        Ok(())
-    }
-
     /// Stops at once, from any state. An enabled arm is PAUSED after it: only `resume` lets it move again.
     pub fn make_safe(&mut self) {
         self.drive.make_safe();
         self.stand();
         self.operating.made_safe();
+    }
+
+    /// What happened since the last asking.
+    pub fn take_news(&mut self) -> News {
+        std::mem::take(&mut self.news)
     }
 
     /// CRTK operating state.
@@ -302,106 +333,101 @@ impl<D: Drive> Arm<D> {
         self.setpoint
     }
 
-    /// Pose of the tip from the encoders, m.
-    pub fn measured_cp(&self) -> Isometry3<f64> {
+    /// What the drive is.
+    pub fn drive(&self) -> &D {
+        &self.drive
+    }
+
+    /// Fixtures in force, in the kinematic base.
+    pub fn fixtures(&self) -> &Fixtures {
+        &self.fixtures
+    }
+
+    /// Gains of hands-on control: m/(s·N), then rad/(s·N·m), in the frame of the tip.
+    pub fn gain(&self) -> Vector6<f64> {
+        self.admittance.law.gain
+    }
+
+    /// Where the kinematic base stands in the frame of `set_base_frame`.
+    pub fn base(&self) -> Isometry3<f64> {
+        self.base
+    }
+
+    /// The setpoint's pose is what was asked for: the motion is no one by velocity or force.
+    pub fn is_position_based(&self) -> bool {
+        self.motion.is_position_based()
+    }
+
+    /// Where the running motion ends, m and rad; none for one by velocity or force, which has no end.
+    pub fn goal(&self) -> Option<Joints> {
+        match &self.motion {
+            Motion::Hold => Some(self.setpoint.position),
+            Motion::ServoPosition { goal } | Motion::Move(Move { goal, .. }) => Some(*goal),
+            Motion::ServoVelocity { .. } | Motion::Tip(_) => None,
+        }
+    }
+
+    /// Pose of the tip from the encoders, in the kinematic base, m.
+    pub fn local_cp(&self) -> Isometry3<f64> {
         self.settings.kinematics.forward(&self.measured.position)
     }
 
-    /// Twist of the tip from the encoders: v (m/s) then ω (rad/s), base frame.
+    /// Pose of the tip from the encoders, m.
+    pub fn measured_cp(&self) -> Isometry3<f64> {
+        self.base * self.local_cp()
+    }
+
+    /// Twist of the tip from the encoders: v (m/s) then ω (rad/s).
     pub fn measured_cv(&self) -> Vector6<f64> {
-        self.settings.kinematics.twist(&self.measured.position, &self.measured.velocity)
+        let Measured { position, velocity } = &self.measured;
+        turned(&self.base.rotation, &self.settings.kinematics.twist(position, velocity))
+    }
+
+    /// Wrench of the hand, N and N·m, with the orientation of the base frame.
+    pub fn measured_cf(&self) -> Vector6<f64> {
+        turned(&self.measured_cp().rotation, &self.handle)
+    }
+
+    /// Wrench of the hand in the frame of the tip, N and N·m.
+    pub fn body_cf(&self) -> Vector6<f64> {
+        self.handle
+    }
+
+    /// Joint velocities to the twist of the tip in its own frame.
+    pub fn body_jacobian(&self) -> SMatrix<f64, 6, COUNT> {
+        let Stance { tip, jacobian, .. } = Stance::of(&self.settings.kinematics, &self.measured.position);
+        let back = tip.rotation.inverse();
+        let columns = std::array::from_fn::<_, COUNT, _>(|i| turned(&back, &jacobian.column(i).into_owned()));
+        SMatrix::from_columns(&columns)
+    }
+
+    /// Pose of the tip at joints `q` (m, rad), m.
+    pub fn pose_at(&self, q: &Joints) -> Isometry3<f64> {
+        self.base * self.settings.kinematics.forward(q)
     }
 
     /// Pose of the tip at the setpoint, m.
     pub fn setpoint_cp(&self) -> Isometry3<f64> {
-        self.settings.kinematics.forward(&self.setpoint.position)
+        self.pose_at(&self.setpoint.position)
+    }
+
+    /// Twist of the tip at the setpoint, m/s and rad/s.
+    pub fn setpoint_cv(&self) -> Vector6<f64> {
+        let Measured { position, velocity } = &self.setpoint;
+        turned(&self.base.rotation, &self.settings.kinematics.twist(position, velocity))
     }
 }
 
-/// Why the arm went to FAULT. `joint` is an index into `joints::NAMES`; values in SI units.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Fault {
-    /// A joint left its limits.
-    Limit {
-        /// Which joint.
-        joint: usize,
-        /// Where it stands, m or rad.
-        value: f64,
-    },
-    /// A joint does not follow its setpoint.
-    Following {
-        /// Which joint.
-        joint: usize,
-        /// Setpoint minus encoder, m or rad.
-        error: f64,
-    },
-    /// The drive lost a joint.
-    Drive(Lost),
+/// Setpoints this near to a goal are there, m and rad.
+fn near() -> Joints {
+    per_kind(1e-6, 10e-6)
 }
 
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Fault::Limit { joint, value } => {
-                write!(f, "joint {} left its limits at {value:.6}", NAMES[*joint])
-            }
-            Fault::Following { joint, error } => {
-                write!(f, "joint {} is {error:.6} behind its setpoint", NAMES[*joint])
-            }
-            Fault::Drive(lost) => lost.fmt(f),
-        }
-    }
+/// Both halves of a twist or wrench, turned.
+fn turned(turn: &nalgebra::UnitQuaternion<f64>, v: &Vector6<f64>) -> Vector6<f64> {
+    let (first, second) = (turn * v.fixed_rows::<3>(0), turn * v.fixed_rows::<3>(3));
+    Vector6::new(first.x, first.y, first.z, second.x, second.y, second.z)
 }
-
-/// Why the arm did not take a command; the running motion goes on.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ArmError {
-    /// Not enabled and homed.
-    NotReady(NotReady),
-    /// A joint goal outside what the joint may do.
-    Joints(Refusal),
-    /// A pose out of reach.
-    Pose(Unreachable),
-    /// A state command that is unknown or not allowed now.
-    State(Refused),
-}
-
-impl From<Refusal> for ArmError {
-    fn from(why: Refusal) -> Self {
-        ArmError::Joints(why)
-    }
-}
-
-impl From<Unreachable> for ArmError {
-    fn from(why: Unreachable) -> Self {
-        ArmError::Pose(why)
-    }
-}
-
-impl From<NotReady> for ArmError {
-    fn from(why: NotReady) -> Self {
-        ArmError::NotReady(why)
-    }
-}
-
-impl From<Refused> for ArmError {
-    fn from(why: Refused) -> Self {
-        ArmError::State(why)
-    }
-}
-
-impl fmt::Display for ArmError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            ArmError::NotReady(why) => why.fmt(f),
-            ArmError::Joints(why) => why.fmt(f),
-            ArmError::Pose(why) => why.fmt(f),
-            ArmError::State(why) => why.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for ArmError {}
 
 #[cfg(test)]
 #[path = "arm_tests.rs"]

@@ -1,12 +1,16 @@
-//! Drives: what turns commanded joint velocities into motion. The trait is the slot for hardware; the simulation here
-//! fills it without any.
+//! Drives: what turns commanded joint velocities into motion. The trait is the slot for hardware; `simulated` fills it
+//! without any.
 //!
 //! Invariant: `cycle` is called once per control period from one thread and never blocks; `make_safe` leaves the joints
-//! standing whatever was commanded before. The simulation is a function of its seed and its calls only: no clock.
+//! standing whatever was commanded before.
+
+mod simulated;
 
 use std::fmt;
 
-use crate::joints::{Joints, per_kind};
+use crate::joints::Joints;
+
+pub use simulated::{SimulatedDrive, Simulation};
 
 /// What a drive measured at the end of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,181 +45,5 @@ pub struct Lost {
 impl fmt::Display for Lost {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "drive of joint {}: {}", crate::joints::NAMES[self.joint], self.why)
-    }
-}
-
-/// How the simulated motors behave. Defaults are design values, not those of a real device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Simulation {
-    /// Time constant of the velocity loop, s.
-    pub lag_s: f64,
-    /// Highest acceleration, m/s² or rad/s².
-    pub acceleration: Joints,
-    /// Step of the encoders, m or rad.
-    pub quantum: Joints,
-    /// Commanded speeds below this do not overcome friction, m/s or rad/s.
-    pub stick_speed: Joints,
-    /// Decides where the encoders' steps lie.
-    pub seed: u64,
-}
-
-impl Default for Simulation {
-    /// 8 ms lag (20 Hz), 0.5 m/s² and 6 rad/s², encoders of 0.5 µm and 9 µrad, friction below 2 µm/s and 36 µrad/s.
-    fn default() -> Self {
-        Simulation {
-            lag_s: 0.008,
-            acceleration: per_kind(0.5, 6.0),
-            quantum: per_kind(0.5e-6, 9e-6),
-            stick_speed: per_kind(2e-6, 36e-6),
-            seed: 1,
-        }
-    }
-}
-
-/// Five simulated motors: velocity loop `v̇ = (v_cmd − v)/τ` with limited acceleration, one period of transport delay,
-/// friction at standstill, and encoders of finite step.
-#[derive(Clone, Debug)]
-pub struct SimulatedDrive {
-    setup: Simulation,
-    position: Joints,
-    velocity: Joints,
-    on_the_way: Joints,
-    phase: Joints,
-}
-
-impl SimulatedDrive {
-    /// Motors at rest at `position` (m, rad).
-    pub fn new(setup: Simulation, position: Joints) -> Self {
-        let mut rng = fastrand::Rng::with_seed(setup.seed);
-        let phase = setup.quantum.map(|quantum| quantum * rng.f64());
-        SimulatedDrive { setup, position, velocity: Joints::zeros(), on_the_way: Joints::zeros(), phase }
-    }
-
-    fn measured(&self) -> Measured {
-        let position = Joints::from_fn(|i, _| {
-            let (q, phase, step) = (self.position[i], self.phase[i], self.setup.quantum[i]);
-            if step > 0.0 { ((q + phase) / step).round() * step - phase } else { q }
-        });
-        Measured { position, velocity: self.velocity }
-    }
-}
-
-impl Drive for SimulatedDrive {
-    fn cycle(&mut self, velocity: &Joints, dt_s: f64) -> Result<Measured, Lost> {
-        let command = std::mem::replace(&mut self.on_the_way, *velocity);
-        // Exact solution of the loop over one period, so that long periods stay stable.
-        let share = 1.0 - (-dt_s / self.setup.lag_s).exp();
-        for i in 0..command.len() {
-            let stick = self.setup.stick_speed[i];
-            let wanted = if command[i].abs() < stick { 0.0 } else { command[i] };
-            let most = self.setup.acceleration[i] * dt_s;
-            let before = self.velocity[i];
-            let mut after = before + ((wanted - before) * share).clamp(-most, most);
-            if wanted == 0.0 && after.abs() < stick {
-                after = 0.0;
-            }
-            self.position[i] += 0.5 * (before + after) * dt_s;
-            self.velocity[i] = after;
-        }
-        Ok(self.measured())
-    }
-
-    fn make_safe(&mut self) {
-        self.velocity = Joints::zeros();
-        self.on_the_way = Joints::zeros();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const DT: f64 = 1e-3;
-
-    fn exact() -> Simulation {
-        Simulation { acceleration: per_kind(1e9, 1e9), quantum: Joints::zeros(), ..Simulation::default() }
-    }
-
-    fn run(drive: &mut SimulatedDrive, velocity: &Joints, cycles: usize) -> Measured {
-        let mut last = drive.measured();
-        for _ in 0..cycles {
-            last = drive.cycle(velocity, DT).expect("the simulation loses no joint");
-        }
-        last
-    }
-
-    #[test]
-    fn a_velocity_step_follows_the_first_order_lag_after_one_period_of_delay() {
-        let mut drive = SimulatedDrive::new(exact(), Joints::zeros());
-        let v = per_kind(0.01, 0.1);
-        assert_eq!(
-            run(&mut drive, &v, 1).velocity,
-            Joints::zeros(),
-            "the first period only carries the command"
-        );
-        let after_lag = run(&mut drive, &v, 8).velocity;
-        for i in 0..5 {
-            assert!(
-                (after_lag[i] / v[i] - (1.0 - (-1f64).exp())).abs() < 1e-12,
-                "joint {i}: {}",
-                after_lag[i]
-            );
-        }
-    }
-
-    #[test]
-    fn the_acceleration_never_exceeds_its_limit() {
-        let mut drive = SimulatedDrive::new(Simulation::default(), Joints::zeros());
-        let (mut before, limit) = (Joints::zeros(), Simulation::default().acceleration);
-        for n in 0..100 {
-            let v = if n < 50 { per_kind(0.01, 0.12) } else { per_kind(-0.01, -0.12) };
-            let now = run(&mut drive, &v, 1).velocity;
-            for i in 0..5 {
-                let a = (now[i] - before[i]).abs() / DT;
-                assert!(a <= limit[i] * (1.0 + 1e-9), "joint {i} cycle {n}: {a}");
-            }
-            before = now;
-        }
-    }
-
-    #[test]
-    fn the_same_seed_gives_the_same_motion_and_another_seed_other_encoder_steps() {
-        let [a, b, c] = [1, 1, 2].map(|seed| {
-            let mut drive =
-                SimulatedDrive::new(Simulation { seed, ..Simulation::default() }, Joints::zeros());
-            run(&mut drive, &per_kind(0.003, 0.02), 137)
-        });
-        assert_eq!(a, b);
-        assert_ne!(a.position, c.position);
-        assert_eq!(a.velocity, c.velocity);
-    }
-
-    #[test]
-    fn encoders_err_by_at_most_half_a_step() {
-        let mut drive = SimulatedDrive::new(Simulation::default(), Joints::zeros());
-        for n in 0..1000 {
-            let measured = run(&mut drive, &per_kind(0.0011, 0.013), 1).position;
-            for i in 0..5 {
-                let off = (measured[i] - drive.position[i]).abs();
-                assert!(off <= drive.setup.quantum[i] * 0.500_001, "joint {i} cycle {n}: {off:e}");
-            }
-        }
-    }
-
-    #[test]
-    fn commands_below_the_friction_do_not_move_a_standing_joint() {
-        let mut drive = SimulatedDrive::new(exact(), Joints::zeros());
-        let crept = run(&mut drive, &per_kind(1.9e-6, 35e-6), 1000);
-        assert_eq!(crept, Measured { position: Joints::zeros(), velocity: Joints::zeros() });
-    }
-
-    #[test]
-    fn make_safe_stops_at_once_and_forgets_the_command_on_its_way() {
-        let mut drive = SimulatedDrive::new(Simulation::default(), Joints::zeros());
-        run(&mut drive, &per_kind(0.01, 0.1), 100);
-        drive.make_safe();
-        let stands = drive.measured();
-        assert_eq!(run(&mut drive, &Joints::zeros(), 1), stands);
-        assert_eq!(stands.velocity, Joints::zeros());
     }
 }

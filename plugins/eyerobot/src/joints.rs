@@ -110,7 +110,11 @@ impl Limits {
     }
 }
 
-fn five(values: &[f64]) -> Result<Joints, Refusal> {
+/// Takes values of any length into joints, whatever their size: changes of positions, for example.
+///
+/// # Errors
+/// Another length than five, a value that is not finite.
+pub fn five(values: &[f64]) -> Result<Joints, Refusal> {
     if values.len() != COUNT {
         return Err(Refusal::Length { got: values.len() });
     }

@@ -96,7 +96,7 @@ impl Kinematics {
 }
 
 /// Direction of the tool at `q`, the third column of `Rz(roll)·Rx(tilt)`: (sin r · sin t, −cos r · sin t, cos t).
-fn tool_axis(q: &Joints) -> Vector3<f64> {
+pub fn tool_axis(q: &Joints) -> Vector3<f64> {
     let (roll, tilt) = (q[3].sin_cos(), q[4].sin_cos());
     Vector3::new(roll.0 * tilt.0, -roll.1 * tilt.0, tilt.1)
 }

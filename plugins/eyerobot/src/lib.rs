@@ -4,8 +4,11 @@
 //! `Drive` trait is the slot for a real one.
 #![forbid(unsafe_code)]
 
+pub mod admittance;
+pub mod allowed;
 pub mod arm;
 pub mod drive;
+pub mod fixture;
 mod joint_mover;
 pub mod joints;
 pub mod kinematics;
@@ -15,6 +18,7 @@ mod robot;
 pub mod trajectory;
 
 pub use joint_mover::JointMover;
-pub use robot::{EyeRobot, PoseRefused};
+pub use payloads::{FixtureKind, Jacobian, VirtualFixture, VirtualFixtures};
+pub use robot::EyeRobot;
 
 trocar_sdk::trocar_plugin!(EyeRobot, JointMover);

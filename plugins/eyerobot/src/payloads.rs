@@ -1,12 +1,96 @@
-//! The way from the arm's joints to the standard payloads.
+//! Payloads of the robot's own, and the way from the arm's values to payloads.
 //!
-//! Invariant: nothing here allocates.
+//! Invariant: nothing here allocates; what comes in is checked, never repaired.
 
-use trocar_sdk::data::{JointConfiguration, JointKind, JointState};
+use nalgebra::SMatrix;
+use trocar_sdk::data::{JointConfiguration, JointKind, JointState, Pose};
 use trocar_sdk::prelude::*;
 
+use crate::arm::ArmError;
 use crate::drive::Measured;
-use crate::joints::{KINDS, Kind, Limits, NAMES};
+use crate::fixture::{Fixture, FixtureRefused, Kind as Holds, MOST_FIXTURES, STIFFNESS_PER_S};
+use crate::joints::{COUNT, Joints, KINDS, Kind, Limits, NAMES};
+
+named_values! {
+    /// What a virtual fixture holds.
+    pub struct FixtureKind: u32 {
+        /// The tip stays on the side of the frame's xy plane to which its z axis points.
+        PLANE = 1,
+        /// The tip stays on the frame's z axis.
+        LINE = 2,
+        /// The tool's shaft passes through the frame's origin (remote centre of motion).
+        RCM = 3,
+    }
+}
+
+/// A virtual fixture.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct VirtualFixture {
+    pub kind: FixtureKind,
+    pub reserved: u32,
+    /// Where; `set` takes it in the arm's base frame.
+    pub frame: Pose,
+    /// Towards the border the tip moves at most at this times the distance that is left, 0 = 20 /s.
+    #[unit("1/s")]
+    pub stiffness: f64,
+}
+
+/// All virtual fixtures in force.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct VirtualFixtures {
+    pub stamp: Stamp,
+    pub fixtures: List<VirtualFixture, MOST_FIXTURES>,
+}
+
+/// Jacobian of the tip: joint velocities to its twist. Rows vx vy vz (m/s) ωx ωy ωz (rad/s), columns joints in the order
+/// of `configuration_js`, row after row.
+#[derive(Payload, Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+pub struct Jacobian {
+    pub stamp: Stamp,
+    pub values: [f64; 6 * COUNT],
+}
+
+impl Default for Jacobian {
+    fn default() -> Self {
+        Jacobian { stamp: Stamp::INVALID, values: [0.0; 6 * COUNT] }
+    }
+}
+
+impl Jacobian {
+    pub(crate) fn of(stamp: Stamp, matrix: &SMatrix<f64, 6, COUNT>) -> Jacobian {
+        Jacobian { stamp, values: std::array::from_fn(|at| matrix[(at / COUNT, at % COUNT)]) }
+    }
+}
+
+impl VirtualFixture {
+    /// The fixture at `place` of a list.
+    ///
+    /// # Errors
+    /// A kind that is none, a frame that is no pose.
+    pub(crate) fn checked(&self, place: usize) -> Result<Fixture, ArmError> {
+        let kind = match self.kind {
+            FixtureKind::PLANE => Holds::Plane,
+            FixtureKind::LINE => Holds::Line,
+            FixtureKind::RCM => Holds::Rcm,
+            FixtureKind(kind) => return Err(FixtureRefused::Kind { place, kind }.into()),
+        };
+        let stiffness_per_s = if self.stiffness == 0.0 { STIFFNESS_PER_S } else { self.stiffness };
+        Ok(Fixture { kind, frame: self.frame.isometry()?, stiffness_per_s })
+    }
+
+    /// The payload of a fixture.
+    pub(crate) fn of(fixture: &Fixture) -> VirtualFixture {
+        let kind = match fixture.kind {
+            Holds::Plane => FixtureKind::PLANE,
+            Holds::Line => FixtureKind::LINE,
+            Holds::Rcm => FixtureKind::RCM,
+        };
+        VirtualFixture { kind, reserved: 0, frame: fixture.frame.into(), stiffness: fixture.stiffness_per_s }
+    }
+}
 
 pub(crate) fn configuration(stamp: Stamp, limits: &Limits) -> JointConfiguration {
     let kind = |k| if k == Kind::Prismatic { JointKind::PRISMATIC } else { JointKind::REVOLUTE };
@@ -23,5 +107,9 @@ pub(crate) fn configuration(stamp: Stamp, limits: &Limits) -> JointConfiguration
 }
 
 pub(crate) fn joint_state(stamp: Stamp, at: &Measured) -> JointState {
-    JointState { stamp, ..JointState::default() }.with_positions(&at.position).with_velocities(&at.velocity)
+    joint_positions(stamp, &at.position).with_velocities(&at.velocity)
+}
+
+pub(crate) fn joint_positions(stamp: Stamp, position: &Joints) -> JointState {
+    JointState { stamp, ..JointState::default() }.with_positions(position)
 }

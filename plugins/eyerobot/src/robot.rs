@@ -1,91 +1,64 @@
-//! The component `eyerobot`: the arm behind the CRTK interface `arm`.
+//! The component `eyerobot`: the arm behind CRTK interfaces, and the place of its simulated self in the world.
 //!
 //! Invariant: commands only hand goals to the arm, `step` alone moves it; every read is a pure function of the state
-//! row, which `publish` fills after each entry that changes the arm.
+//! row, which `publish` fills after each entry that changes the arm. What no encoder sees leaves only by what is tagged
+//! `sim` or `truth`.
+
+mod arm_interface;
+mod config;
+mod frames;
+mod hands_on;
 
 use std::fmt;
 
-use trocar_sdk::GeometryError;
+use nalgebra::{Isometry3, Translation3, Vector6};
+use trocar_phantom::Hand;
 use trocar_sdk::data::{
-    ArmState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Twist,
+    ArmState, CartesianState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Twist,
+    Wrench,
 };
 use trocar_sdk::prelude::*;
 
-use crate::arm::{Arm, ArmError, Settings};
-use crate::drive::{SimulatedDrive, Simulation};
-use crate::joints::{COUNT, Joints, Limits, per_kind};
-use crate::kinematics::Kinematics;
-use crate::payloads;
+use crate::arm::{Arm, Settings};
+use crate::drive::{Measured, SimulatedDrive};
+use crate::fixture::Fixtures;
+use crate::joints::{COUNT, Joints};
+use crate::payloads::{self, Jacobian, VirtualFixtures};
+use config::EyeRobotConfig;
 
 /// Length of the cycle that completes the homing of an arm that stands at home, s.
 const FIRST_CYCLE_S: f64 = 1e-3;
 
-#[derive(Config)]
-struct EyeRobotConfig {
-    /// Enables and homes the arm at Start (it moves to all zeros), so that motions are taken at once. Without it, send
-    /// state_command "enable", then "home"
-    #[config(default = true)]
-    auto_enable: bool,
-    /// Seed of the simulation: where the encoders' steps lie
-    #[config(default = 1)]
-    seed: u64,
-    /// Length of the tool
-    #[config(min = 0.01, max = 0.5, unit = "m", default = 0.12)]
-    tool_length_m: f64,
-    /// Travel of the slides x, y, z to each side
-    #[config(min = 0.001, max = 0.2, unit = "m", default = 0.05)]
-    travel_m: f64,
-    /// Largest roll to each side
-    #[config(min = 0.01, max = 3.14, unit = "rad", default = 1.0471975511965976)]
-    roll_rad: f64,
-    /// Largest tilt to each side
-    #[config(min = 0.01, max = 1.5, unit = "rad", default = 0.7853981633974483)]
-    tilt_rad: f64,
-    /// Highest speed of a slide
-    #[config(min = 0.0001, max = 0.1, unit = "m/s", default = 0.01)]
-    speed_m_s: f64,
-    /// Highest speed of a turning joint
-    #[config(min = 0.001, max = 1.0, unit = "rad/s", default = 0.12217304763960307)]
-    speed_rad_s: f64,
-    /// Highest acceleration of a slide
-    #[config(min = 0.001, max = 0.5, unit = "m/s^2", default = 0.5)]
-    acceleration_m_s2: f64,
-    /// Highest acceleration of a turning joint
-    #[config(min = 0.01, max = 6.0, unit = "rad/s^2", default = 6.0)]
-    acceleration_rad_s2: f64,
-    /// `servo_jv` not repeated for this long holds the arm
-    #[config(min = 0.002, max = 10.0, unit = "s", default = 0.1)]
-    servo_timeout_s: f64,
-}
-
-impl EyeRobotConfig {
-    fn settings(&self) -> Settings {
-        let travel = self.travel_m;
-        let upper = Joints::from_column_slice(&[travel, travel, travel, self.roll_rad, self.tilt_rad]);
-        Settings {
-            kinematics: Kinematics { tool_length_m: self.tool_length_m },
-            limits: Limits {
-                lower: -upper,
-                upper,
-                speed: per_kind(self.speed_m_s, self.speed_rad_s),
-                acceleration: per_kind(self.acceleration_m_s2, self.acceleration_rad_s2),
-            },
-            servo_timeout_s: self.servo_timeout_s,
-            ..Settings::default()
-        }
-    }
-}
-
 /// A simulated five-joint eye robot (x, y, z in m; roll, tilt in rad) at 1 kHz.
 #[derive(Component)]
-#[component(name = "eyerobot", rate_hz = 1000, safety = "actuator", provides("arm"))]
+#[component(
+    name = "eyerobot",
+    rate_hz = 1000,
+    safety = "actuator",
+    provides("arm", "local", "body", "compliance", "axis", "virtual_fixture", "truth")
+)]
 pub struct EyeRobot {
+    /// Force and torque of the hand on the handle, in the frame of the tip; an old one counts as none
+    #[input(optional)]
+    handle: In<Wrench>,
     /// Joints and tip of each cycle
     #[output]
     state: Out<ArmState>,
+    /// True pose and twist of the tip in the simulated world
+    #[output] // tag: sim
+    tip: Out<CartesianState>,
     /// The operating state changed.
     #[event("arm", name = "operating_state")]
     changed: Event<OperatingState>,
+    /// A move_jp, move_jr, move_cp or move_cr is over: whether it arrived.
+    #[event("arm")]
+    goal_reached: Event<Flag>,
+    /// A joint, by its place in configuration_js, came to a limit of its travel and would have gone on.
+    #[event("arm")]
+    limit_hit: Event<u32>,
+    /// The force on the handle is above its limit and no longer followed, or below it again.
+    #[event("arm")]
+    force_limit: Event<Flag>,
     #[state]
     measured_js: JointState,
     #[state]
@@ -93,141 +66,153 @@ pub struct EyeRobot {
     #[state]
     measured_cv: Twist,
     #[state]
+    measured_cf: Wrench,
+    #[state]
     setpoint_js: JointState,
     #[state]
     setpoint_cp: Pose,
     #[state]
+    setpoint_cv: Twist,
+    #[state]
+    goal_js: JointState,
+    #[state]
+    goal_cp: Pose,
+    #[state]
     operating_state: OperatingState,
     #[state]
     configuration_js: JointConfiguration,
+    #[state]
+    local_cp: Pose,
+    #[state]
+    body_cf: Wrench,
+    #[state]
+    body_jacobian: Jacobian,
+    /// Where the kinematic base stands in the base frame.
+    #[state]
+    base_frame: Pose,
+    /// In force, in the kinematic base.
+    #[state]
+    fixtures: VirtualFixtures,
+    /// Gains of hands-on control.
+    #[state]
+    gain: [f64; 6],
+    /// Samples of the handle since Start that were no wrench.
+    #[state]
+    handle_rejected: u64,
+    /// What the output `tip` says.
+    #[state]
+    truth: CartesianState,
     #[config]
     cfg: EyeRobotConfig,
     #[host]
     host: Host,
     arm: Arm<SimulatedDrive>,
-}
-
-/// CRTK interface of the arm. Joints are x, y, z (m), roll, tilt (rad), in this order.
-#[provides("arm")]
-impl EyeRobot {
-    /// Joint positions and velocities from the encoders.
-    #[read]
-    fn measured_js(s: &EyeRobotState) -> JointState {
-        s.measured_js
-    }
-
-    /// Pose of the tip from the encoders.
-    #[read]
-    fn measured_cp(s: &EyeRobotState) -> Pose {
-        s.measured_cp
-    }
-
-    /// Velocity of the tip, in the base frame.
-    #[read]
-    fn measured_cv(s: &EyeRobotState) -> Twist {
-        s.measured_cv
-    }
-
-    /// Where the joints are sent, and how fast.
-    #[read]
-    fn setpoint_js(s: &EyeRobotState) -> JointState {
-        s.setpoint_js
-    }
-
-    /// Where the tip is sent.
-    #[read]
-    fn setpoint_cp(s: &EyeRobotState) -> Pose {
-        s.setpoint_cp
-    }
-
-    /// Names, kinds and limits of the joints.
-    #[read]
-    fn configuration_js(s: &EyeRobotState) -> JointConfiguration {
-        s.configuration_js
-    }
-
-    /// Operating state, and why after a fault.
-    #[read]
-    fn operating_state(s: &EyeRobotState) -> OperatingState {
-        s.operating_state
-    }
-
-    /// Goes to joint positions now, at most at the joints' speeds: `{"position": [0, 0, 0.01, 0, 0]}`.
-    #[command(overflow = "latest_wins")]
-    fn servo_jp(
-        &mut self,
-        #[arg(doc = "position of the five joints; the rest is not looked at")] goal: &JointState,
-    ) -> Result<(), ArmError> {
-        self.arm.servo_jp(&goal.position)
-    }
-
-    /// Moves at joint velocities until the next command, at most for servo_timeout_s.
-    #[command(overflow = "latest_wins")]
-    fn servo_jv(
-        &mut self,
-        #[arg(doc = "velocity of the five joints; the rest is not looked at")] goal: &JointState,
-    ) -> Result<(), ArmError> {
-        self.arm.servo_jv(&goal.velocity)
-    }
-
-    /// Goes to joint positions along a trajectory; is_busy until it has ended.
-    #[command]
-    fn move_jp(
-        &mut self,
-        #[arg(doc = "position of the five joints; the rest is not looked at")] goal: &JointState,
-    ) -> Result<(), ArmError> {
-        self.arm.move_jp(&goal.position)?;
-        self.publish(self.host.now());
-        Ok(())
-    }
-
-    /// Brings the tip to a pose now; the turn about the tool's own axis is not followed.
-    #[command(overflow = "latest_wins")]
-    fn servo_cp(&mut self, goal: &Pose) -> Result<(), PoseRefused> {
-        let wanted = goal.isometry().map_err(PoseRefused::Geometry)?;
-        self.arm.servo_cp(&wanted).map_err(PoseRefused::Arm)
-    }
-
-    /// Brakes and stays.
-    #[command]
-    fn hold(&mut self) {
-        self.arm.hold();
-        self.publish(self.host.now());
-    }
-
-    /// Changes the operating state: enable, disable, pause, resume, home, unhome.
-    #[command]
-    fn state_command(
-        &mut self,
-        #[arg(doc = "enable, disable, pause, resume, home or unhome")] word: &Text<32>,
-    ) -> Result<(), ArmError> {
-        self.arm.state_command(word)?;
-        self.publish(self.host.now());
-        Ok(())
-    }
+    hand: Option<Hand>,
+    /// The handle was felt in this cycle.
+    felt: bool,
 }
 
 impl EyeRobot {
-    /// The arm as the configuration wants it, DISABLED at `position` (m, rad).
+    /// The arm as the configuration wants it, DISABLED at `position` (m, rad), with base frame, fixtures and gains of
+    /// the state row.
     fn build(&mut self, position: Joints) {
-        let drive =
-            SimulatedDrive::new(Simulation { seed: self.cfg.seed, ..Simulation::default() }, position);
+        let drive = SimulatedDrive::new(self.cfg.simulation(), position);
         self.arm = Arm::new(self.cfg.settings(), drive, position);
+        if !self.configuration_js.names.is_empty() {
+            // Gains were checked when they were set; a row of another version may hold others, which are left out.
+            let _ = self.arm.set_gain(&Vector6::from(self.gain));
+        }
+        let fixtures = self.fixtures.fixtures.iter().enumerate();
+        let fixtures = fixtures.filter_map(|(place, fixture)| fixture.checked(place).ok());
+        self.arm.restore_fixtures(Fixtures::restored(fixtures));
+        if let Ok(base) = self.base_frame.isometry() {
+            self.arm.set_base_frame(&base);
+        }
+        self.hand = (self.cfg.hand == "simulated").then(|| Hand::new(self.cfg.seed));
         self.configuration_js = payloads::configuration(self.host.now(), &self.arm.settings().limits);
     }
 
-    /// Fills the state row, and tells when the operating state is another one.
+    /// Feels the handle: what is connected, or the simulated hand.
+    fn feel(&mut self, now: Stamp) {
+        let wrench = match (self.handle.sample(), &self.hand) {
+            (Some(sample), _) if sample.stale => None,
+            (Some(sample), _) => {
+                let wrench = sample.value.vector().ok();
+                if wrench.is_none() && sample.fresh {
+                    self.handle_rejected += 1;
+                }
+                wrench
+            }
+            (None, Some(hand)) => {
+                let turn = self.arm.local_cp().rotation.inverse();
+                let force = turn * hand.sensed_n(now.ns() as f64 * 1e-9);
+                Some(Vector6::new(force.x, force.y, force.z, 0.0, 0.0, 0.0))
+            }
+            (None, None) => None,
+        };
+        self.felt = wrench.is_some();
+        self.arm.feel(&wrench.unwrap_or_default());
+    }
+
+    /// Fills the state row, and tells what happened.
     fn publish(&mut self, stamp: Stamp) {
-        self.measured_js = payloads::joint_state(stamp, &self.arm.measured());
-        self.measured_cp = Pose { stamp, ..self.arm.measured_cp().into() };
-        self.measured_cv = Twist { stamp, ..self.arm.measured_cv().into() };
-        self.setpoint_js = payloads::joint_state(stamp, &self.arm.setpoint());
-        self.setpoint_cp = Pose { stamp, ..self.arm.setpoint_cp().into() };
+        let arm = &self.arm;
+        let only = |valid: bool| if valid { stamp } else { Stamp::INVALID };
+        let felt = only(self.felt);
+        self.measured_js = payloads::joint_state(stamp, &arm.measured());
+        self.measured_cp = Pose { stamp, ..arm.measured_cp().into() };
+        self.measured_cv = Twist { stamp, ..arm.measured_cv().into() };
+        self.measured_cf = Wrench { stamp: felt, ..arm.measured_cf().into() };
+        self.setpoint_js = payloads::joint_state(stamp, &arm.setpoint());
+        let position_based = only(arm.is_position_based());
+        self.setpoint_cp = Pose { stamp: position_based, ..arm.setpoint_cp().into() };
+        self.setpoint_cv = Twist { stamp, ..arm.setpoint_cv().into() };
+        let goal = arm.goal();
+        let end = goal.unwrap_or(arm.setpoint().position);
+        self.goal_js = payloads::joint_positions(only(goal.is_some()), &end);
+        self.goal_cp = Pose { stamp: only(goal.is_some()), ..arm.pose_at(&end).into() };
+        self.local_cp = Pose { stamp, ..arm.local_cp().into() };
+        self.body_cf = Wrench { stamp: felt, ..arm.body_cf().into() };
+        self.body_jacobian = Jacobian::of(stamp, &arm.body_jacobian());
+        self.base_frame = Pose { stamp, ..arm.base().into() };
+        self.gain = arm.gain().into();
+        self.truth = self.true_tip(stamp);
+        self.tell(stamp);
+    }
+
+    /// Pose and twist of the tip in the world, behind what encoders see.
+    fn true_tip(&self, stamp: Stamp) -> CartesianState {
+        let Settings { kinematics, .. } = self.arm.settings();
+        let Measured { position, velocity } = self.arm.drive().truth();
+        let z = -self.cfg.standoff_m - kinematics.tool_length_m;
+        let world_from_base = Isometry3::from(Translation3::new(0.0, 0.0, z));
+        CartesianState {
+            stamp,
+            pose: Pose { stamp, ..(world_from_base * kinematics.forward(&position)).into() },
+            twist: Twist { stamp, ..kinematics.twist(&position, &velocity).into() },
+            wrench: Wrench::default(),
+        }
+    }
+
+    fn tell(&mut self, stamp: Stamp) {
         let (before, fault) = (self.operating_state, self.arm.fault());
         let why = fault.as_ref().map(|fault| fault as &dyn fmt::Display);
         self.operating_state = self.arm.operating().payload(stamp, why);
         if (OperatingState { stamp, ..before }) != self.operating_state {
             self.changed.emit(self.operating_state);
+        }
+        let news = self.arm.take_news();
+        for _ in 0..news.missed {
+            self.goal_reached.emit(Flag::FALSE);
+        }
+        for _ in 0..news.reached {
+            self.goal_reached.emit(Flag::TRUE);
+        }
+        for (joint, _) in news.limit_hit.iter().enumerate().filter(|(_, hit)| **hit) {
+            self.limit_hit.emit(joint as u32);
+        }
+        if let Some(too_strong) = news.force_limit {
+            self.force_limit.emit(too_strong.into());
         }
     }
 }
@@ -241,6 +226,7 @@ impl Component for EyeRobot {
     }
 
     fn start(&mut self) -> Result {
+        self.handle_rejected = 0;
         self.arm.hold();
         if self.cfg.auto_enable {
             let paused = self.arm.operating().mode() == OperatingMode::PAUSED;
@@ -269,6 +255,7 @@ impl Component for EyeRobot {
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
+        self.feel(tick.now());
         self.arm.step(tick.period_s());
         self.publish(tick.now());
         self.state.write(&ArmState {
@@ -276,6 +263,7 @@ impl Component for EyeRobot {
             measured_js: self.measured_js,
             measured_cp: self.measured_cp,
         });
+        self.tip.write(&self.truth);
         Ok(())
     }
 
@@ -297,24 +285,10 @@ impl Component for EyeRobot {
     }
 }
 
-/// Why a pose was not taken.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum PoseRefused {
-    /// No position and unit quaternion.
-    Geometry(GeometryError),
-    /// The arm's own reason.
-    Arm(ArmError),
-}
-
-impl fmt::Display for PoseRefused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            PoseRefused::Geometry(why) => why.fmt(f),
-            PoseRefused::Arm(why) => why.fmt(f),
-        }
-    }
-}
-
 #[cfg(test)]
 #[path = "robot_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "robot_gates_tests.rs"]
+mod gates;

@@ -89,13 +89,13 @@ fn each_change_of_the_operating_state_is_told_once() {
 fn move_jp_is_busy_until_it_arrives() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     bench.step(1);
-    bench.events::<OperatingState>("operating_state");
+    bench.events::<OperatingState>("arm/operating_state");
     bench.command::<_, ()>("move_jp", joints(&[0.001, 0.0, 0.0, 0.0, 0.0])).unwrap();
     assert!(operating(&bench).is_busy.get());
     bench.step(400);
     assert!(!operating(&bench).is_busy.get());
     let busy: Vec<bool> =
-        bench.events::<OperatingState>("operating_state").iter().map(|s| s.is_busy.get()).collect();
+        bench.events::<OperatingState>("arm/operating_state").iter().map(|s| s.is_busy.get()).collect();
     assert_eq!(busy, [true, false]);
 }
 
@@ -114,11 +114,11 @@ fn servo_jv_holds_by_itself_when_it_is_not_repeated() {
 #[test]
 fn servo_cp_reaches_a_pose_and_refuses_one_without_orientation() {
     let mut bench = Bench::<EyeRobot>::new("{}");
-    let mut goal: Pose = bench.read("measured_cp", ()).unwrap();
+    let mut goal: Pose = bench.read("arm/measured_cp", ()).unwrap();
     goal.position[0] += 0.002;
     bench.command::<_, ()>("servo_cp", goal).unwrap();
     bench.step(600);
-    let at: Pose = bench.read("measured_cp", ()).unwrap();
+    let at: Pose = bench.read("arm/measured_cp", ()).unwrap();
     assert!((at.position[0] - goal.position[0]).abs() < 5e-6, "{:?} instead of {:?}", at, goal);
     let refused = bench.command::<_, ()>("servo_cp", Pose { orientation: [0.0; 4], ..goal }).unwrap_err();
     assert!(refused.reason.contains("unit quaternion"), "{refused}");
@@ -220,7 +220,7 @@ fn the_robot_behaves_as_the_contract_of_arms_says() {
 fn a_step_of_the_robot_allocates_nothing_in_any_kind_of_motion() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     let velocity = JointState { velocity: List::of(&[0.001, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
-    let pose: Pose = bench.read("measured_cp", ()).unwrap();
+    let pose: Pose = bench.read("arm/measured_cp", ()).unwrap();
     bench.assert_no_alloc(|bench| {
         bench.step(10);
         bench.command::<_, ()>("servo_jp", joints(&[0.001, 0.0, 0.0, 0.01, 0.0])).unwrap();

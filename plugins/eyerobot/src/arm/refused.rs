@@ -1,0 +1,125 @@
+//! Why an arm went to FAULT, and why it did not take a command.
+//!
+//! Invariant: variants hold values, the sentences are made here: what was asked, what is wrong, what to do.
+
+use std::fmt;
+
+use trocar_sdk::GeometryError;
+use trocar_sdk::crtk::{NotReady, Refused};
+
+use crate::drive::Lost;
+use crate::fixture::FixtureRefused;
+use crate::joints::{NAMES, Refusal};
+use crate::kinematics::Unreachable;
+
+/// Why the arm went to FAULT. `joint` is an index into `joints::NAMES`; values in SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Fault {
+    /// A joint left its limits.
+    Limit {
+        /// Which joint.
+        joint: usize,
+        /// Where it stands, m or rad.
+        value: f64,
+    },
+    /// A joint does not follow its setpoint.
+    Following {
+        /// Which joint.
+        joint: usize,
+        /// Setpoint minus encoder, m or rad.
+        error: f64,
+    },
+    /// The drive lost a joint.
+    Drive(Lost),
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Fault::Limit { joint, value } => {
+                write!(f, "joint {} left its limits at {value:.6}", NAMES[*joint])
+            }
+            Fault::Following { joint, error } => {
+                write!(f, "joint {} is {error:.6} behind its setpoint", NAMES[*joint])
+            }
+            Fault::Drive(lost) => lost.fmt(f),
+        }
+    }
+}
+
+/// Why the arm did not take a command; the running motion goes on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ArmError {
+    /// Not enabled and homed.
+    NotReady(NotReady),
+    /// A payload that is no geometry.
+    Geometry(GeometryError),
+    /// A joint goal outside what the joint may do.
+    Joints(Refusal),
+    /// A pose out of reach.
+    Pose(Unreachable),
+    /// A value above what the tip may do.
+    Above {
+        /// What is too large: "linear speed".
+        what: &'static str,
+        /// Its size.
+        value: f64,
+        /// Largest size that is taken.
+        limit: f64,
+        /// Of both.
+        unit: &'static str,
+    },
+    /// A gain of hands-on control that is negative, not finite, or too large.
+    Gain {
+        /// Place in x, y, z, about x, y, z.
+        place: usize,
+        /// What came.
+        value: f64,
+        /// Largest one that is taken.
+        limit: f64,
+    },
+    /// A virtual fixture that cannot be.
+    Fixture(FixtureRefused),
+    /// A state command that is unknown or not allowed now.
+    State(Refused),
+}
+
+macro_rules! from {
+    ($($variant:ident($ty:ty);)*) => {$(
+        impl From<$ty> for ArmError {
+            fn from(why: $ty) -> Self {
+                ArmError::$variant(why)
+            }
+        }
+    )*};
+}
+from! {
+    NotReady(NotReady);
+    Geometry(GeometryError);
+    Joints(Refusal);
+    Pose(Unreachable);
+    Fixture(FixtureRefused);
+    State(Refused);
+}
+
+impl fmt::Display for ArmError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ArmError::NotReady(why) => why.fmt(f),
+            ArmError::Geometry(why) => why.fmt(f),
+            ArmError::Joints(why) => why.fmt(f),
+            ArmError::Pose(why) => why.fmt(f),
+            ArmError::Above { what, value, limit, unit } => {
+                write!(f, "{what} of the tip: {value} {unit} is above its limit of {limit} {unit}")
+            }
+            ArmError::Gain { place, value, limit } => {
+                let unit = if *place < 3 { "m/(s·N)" } else { "rad/(s·N·m)" };
+                write!(f, "gain[{place}]: {value} {unit} is outside 0 … {limit} {unit}")
+            }
+            ArmError::Fixture(why) => why.fmt(f),
+            ArmError::State(why) => why.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for ArmError {}

@@ -1,0 +1,103 @@
+//! The robot's configuration.
+//!
+//! Invariant: plain data; what the arm and its drive are made of follows from it alone.
+
+use trocar_sdk::prelude::*;
+
+use crate::admittance::Law;
+use crate::arm::Settings;
+use crate::drive::Simulation;
+use crate::joints::{Joints, Limits, per_kind};
+use crate::kinematics::Kinematics;
+
+#[derive(Config)]
+pub(super) struct EyeRobotConfig {
+    /// Enables and homes the arm at Start (it moves to all zeros), so that motions are taken at once. Without it, send
+    /// state_command "enable", then "home"
+    #[config(default = true)]
+    pub(super) auto_enable: bool,
+    /// Seed of the simulation: where the encoders' steps lie, and how the simulated hand moves
+    #[config(default = 1)]
+    pub(super) seed: u64,
+    /// Who holds the handle while the input handle has nothing: nobody, or the hand of the simulated world
+    #[config(one_of = ["none", "simulated"], default = "none")]
+    pub(super) hand: String,
+    /// At all joints zero the tip stands this far above the origin of the simulated world, along the tool
+    #[config(min = -0.1, max = 0.1, unit = "m", default = 0.001)]
+    pub(super) standoff_m: f64,
+    /// Length of the tool
+    #[config(min = 0.01, max = 0.5, unit = "m", default = 0.12)]
+    tool_length_m: f64,
+    /// Travel of the slides x, y, z to each side
+    #[config(min = 0.001, max = 0.2, unit = "m", default = 0.05)]
+    travel_m: f64,
+    /// Largest roll to each side
+    #[config(min = 0.01, max = 3.14, unit = "rad", default = 1.0471975511965976)]
+    roll_rad: f64,
+    /// Largest tilt to each side
+    #[config(min = 0.01, max = 1.5, unit = "rad", default = 0.7853981633974483)]
+    tilt_rad: f64,
+    /// Highest speed of a slide
+    #[config(min = 0.0001, max = 0.1, unit = "m/s", default = 0.01)]
+    speed_m_s: f64,
+    /// Highest speed of a turning joint
+    #[config(min = 0.001, max = 1.0, unit = "rad/s", default = 0.12217304763960307)]
+    speed_rad_s: f64,
+    /// Highest acceleration of a slide
+    #[config(min = 0.001, max = 0.5, unit = "m/s^2", default = 0.5)]
+    acceleration_m_s2: f64,
+    /// Highest acceleration of a turning joint
+    #[config(min = 0.01, max = 6.0, unit = "rad/s^2", default = 6.0)]
+    acceleration_rad_s2: f64,
+    /// A motion by velocity or force that is not repeated for this long holds the arm
+    #[config(min = 0.002, max = 10.0, unit = "s", default = 0.1)]
+    servo_timeout_s: f64,
+    /// Play of the simulated slides, from one side to the other
+    #[config(min = 0.0, max = 1e-5, unit = "m", default = 0.0)]
+    backlash_m: f64,
+    /// Play of the simulated turning joints, from one side to the other
+    #[config(min = 0.0, max = 1e-4, unit = "rad", default = 0.0)]
+    backlash_rad: f64,
+    /// Forces of the hand below this do not move the tip
+    #[config(min = 0.0, max = 1.0, unit = "N", default = 0.03)]
+    dead_band_n: f64,
+    /// Torques of the hand below this do not turn the tip
+    #[config(min = 0.0, max = 0.1, unit = "N.m", default = 0.001)]
+    dead_band_n_m: f64,
+    /// -6 dB corner of the filter of the hand's force
+    #[config(min = 1.0, max = 50.0, unit = "Hz", default = 5.0)]
+    hand_corner_hz: f64,
+    /// Above this force of the hand the arm lets it go
+    #[config(min = 0.1, max = 100.0, unit = "N", default = 20.0)]
+    force_limit_n: f64,
+}
+
+impl EyeRobotConfig {
+    pub(super) fn settings(&self) -> Settings {
+        let travel = self.travel_m;
+        let upper = Joints::from_column_slice(&[travel, travel, travel, self.roll_rad, self.tilt_rad]);
+        Settings {
+            kinematics: Kinematics { tool_length_m: self.tool_length_m },
+            limits: Limits {
+                lower: -upper,
+                upper,
+                speed: per_kind(self.speed_m_s, self.speed_rad_s),
+                acceleration: per_kind(self.acceleration_m_s2, self.acceleration_rad_s2),
+            },
+            servo_timeout_s: self.servo_timeout_s,
+            law: Law {
+                dead_band_n: self.dead_band_n,
+                dead_band_n_m: self.dead_band_n_m,
+                corner_hz: self.hand_corner_hz,
+                limit_n: self.force_limit_n,
+                ..Law::default()
+            },
+            ..Settings::default()
+        }
+    }
+
+    pub(super) fn simulation(&self) -> Simulation {
+        let backlash = per_kind(self.backlash_m, self.backlash_rad);
+        Simulation { seed: self.seed, backlash, ..Simulation::default() }
+    }
+}

@@ -1,0 +1,51 @@
+//! The interfaces `local`, `body` and `truth`: the tip as other frames see it.
+//!
+//! Invariant: reads only; what `truth` says is for tests, recorders and plots, never for a controller.
+
+use trocar_sdk::data::{CartesianState, Pose, Wrench};
+use trocar_sdk::prelude::*;
+
+use super::{EyeRobot, EyeRobotState};
+use crate::payloads::Jacobian;
+
+/// The tip relative to the arm's first link, whatever `set_base_frame` says.
+#[provides("local")]
+impl EyeRobot {
+    /// Pose of the tip from the encoders.
+    #[read(name = "measured_cp")]
+    fn local_measured_cp(s: &EyeRobotState) -> Pose {
+        s.local_cp
+    }
+}
+
+/// The tip in its own frame.
+#[provides("body")]
+impl EyeRobot {
+    /// Force and torque of the hand on the handle; stamp 0 while there is no hand.
+    #[read(name = "measured_cf")]
+    fn body_measured_cf(s: &EyeRobotState) -> Wrench {
+        s.body_cf
+    }
+
+    /// Joint velocities to the twist of the tip.
+    #[read]
+    fn jacobian(s: &EyeRobotState) -> Jacobian {
+        s.body_jacobian
+    }
+}
+
+/// Where the tip really is in the simulated world: behind encoders and backlash.
+#[provides("truth", tag = "truth")]
+impl EyeRobot {
+    /// True pose of the tip.
+    #[read(name = "measured_cp")]
+    fn true_cp(s: &EyeRobotState) -> Pose {
+        s.truth.pose
+    }
+
+    /// True pose and twist of the tip.
+    #[read(name = "measured_cs")]
+    fn true_cs(s: &EyeRobotState) -> CartesianState {
+        s.truth
+    }
+}

@@ -1,0 +1,78 @@
+//! The interfaces `compliance`, `axis` and `virtual_fixture`: hands-on control and what shares the tip with it.
+//!
+//! Invariant: nothing here moves the arm by itself; hand, axis and fixtures meet in the arm's one step.
+
+use nalgebra::Vector6;
+use trocar_sdk::data::{Twist, Wrench};
+use trocar_sdk::prelude::*;
+
+use super::{EyeRobot, EyeRobotState};
+use crate::arm::ArmError;
+use crate::fixture::MOST_FIXTURES;
+use crate::payloads::{VirtualFixture, VirtualFixtures};
+
+/// Hands-on control.
+#[provides("compliance")]
+impl EyeRobot {
+    /// Follows the hand, and this force (in the base frame) beside it, for servo_timeout_s; zero follows the hand alone.
+    #[command(overflow = "latest_wins")]
+    fn servo_cf(&mut self, wrench: &Wrench) -> Result<(), ArmError> {
+        self.arm.follow(&wrench.vector()?)
+    }
+
+    /// Sets how fast the tip follows: along its axes x, y, z in m/(s·N), about them in rad/(s·N·m).
+    #[command]
+    fn set_gain(
+        &mut self,
+        #[arg(doc = "three of 0 to 0.005 m/(s·N), three of 0 to 10 rad/(s·N·m)")] gain: [f64; 6],
+    ) -> Result<(), ArmError> {
+        self.arm.set_gain(&Vector6::from(gain))?;
+        self.publish(self.host.now());
+        Ok(())
+    }
+
+    /// The gains in force.
+    #[read]
+    fn gain(s: &EyeRobotState) -> [f64; 6] {
+        s.gain
+    }
+}
+
+/// The direction of the tool, for a controller that shares the arm with a hand or a scan.
+#[provides("axis")]
+impl EyeRobot {
+    /// Adds the part along the tool of this twist (base frame) to what servo_cv or the hand does, for servo_timeout_s.
+    #[command(name = "servo_cv", overflow = "latest_wins")]
+    fn axis_servo_cv(&mut self, twist: &Twist) -> Result<(), ArmError> {
+        self.arm.servo_axis(&twist.vector()?)
+    }
+}
+
+/// Where the tip may go and how the tool may turn, in every motion.
+#[provides("virtual_fixture")]
+impl EyeRobot {
+    /// Puts these fixtures in the place of those before; an empty list takes all away.
+    #[command]
+    fn set(
+        &mut self,
+        #[arg(doc = "planes, lines and remote centres, frames in the base frame")] list: &VirtualFixtures,
+    ) -> Result<(), ArmError> {
+        let mut checked = [None; MOST_FIXTURES];
+        for (place, fixture) in list.fixtures.iter().enumerate() {
+            checked[place] = Some(fixture.checked(place)?);
+        }
+        self.arm.set_fixtures(checked.iter().flatten())?;
+        self.fixtures = VirtualFixtures { stamp: self.host.now(), ..VirtualFixtures::default() };
+        for fixture in self.arm.fixtures().iter() {
+            self.fixtures.fixtures.push(VirtualFixture::of(fixture));
+        }
+        self.publish(self.host.now());
+        Ok(())
+    }
+
+    /// The fixtures in force, in the arm's kinematic base; stamp 0 while there never were any.
+    #[read]
+    fn fixtures(s: &EyeRobotState) -> VirtualFixtures {
+        s.fixtures
+    }
+}
