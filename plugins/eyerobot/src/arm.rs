@@ -22,8 +22,12 @@ use motion::{Ends, Motion, Move};
 
 pub use refused::{ArmError, Fault};
 
-/// A move that a fixture held back may come after its trajectory's end, s.
+/// Drives and fixtures may let a move arrive this long after its trajectory's end, s.
 const LATE_S: f64 = 1.0;
+
+/// A move has arrived when its setpoint and the encoders are this near to its goal, m and rad.
+const SENT: Joints = per_kind(1e-6, 10e-6);
+const ARRIVED: Joints = per_kind(10e-6, 100e-6);
 
 /// What is set once for an arm. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -240,8 +244,8 @@ impl<D: Drive> Arm<D> {
     fn end_move(&mut self) {
         let Motion::Move(Move { trajectory, goal, elapsed_s, ends }) = &self.motion else { return };
         let over_s = elapsed_s - trajectory.duration_s();
-        let off = (self.setpoint.position - goal).abs();
-        let arrived = off.iter().zip(near().iter()).all(|(off, near)| off <= near);
+        let near = |at: &Joints, near: Joints| (0..COUNT).all(|i| (at[i] - goal[i]).abs() <= near[i]);
+        let arrived = near(&self.setpoint.position, SENT) && near(&self.measured.position, ARRIVED);
         if over_s < 0.0 || (!arrived && over_s < LATE_S) {
             return;
         }
@@ -416,11 +420,6 @@ impl<D: Drive> Arm<D> {
         let Measured { position, velocity } = &self.setpoint;
         turned(&self.base.rotation, &self.settings.kinematics.twist(position, velocity))
     }
-}
-
-/// Setpoints this near to a goal are there, m and rad.
-fn near() -> Joints {
-    per_kind(1e-6, 10e-6)
 }
 
 /// Both halves of a twist or wrench, turned.

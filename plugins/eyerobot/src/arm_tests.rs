@@ -231,16 +231,17 @@ fn make_safe_stops_in_full_motion_and_only_resume_lets_it_move_again() {
     assert!(arm.servo_jp(&[0.0; COUNT]).is_err());
 }
 
-/// A drive that ignores what it is told: x goes on and on, 0.3 mm ahead of a setpoint that began with it.
+/// A drive that ignores what it is told: after its first cycle x goes on and on, 0.3 mm ahead of a setpoint that begins
+/// with it.
 struct Runaway {
     x: f64,
 }
 
 impl Drive for Runaway {
     fn cycle(&mut self, _: &Joints, dt_s: f64) -> Result<Measured, Lost> {
-        self.x += 0.01 * dt_s;
         let mut at = Measured { position: Joints::zeros(), velocity: Joints::zeros() };
         (at.position[0], at.velocity[0]) = (self.x, 0.01);
+        self.x = self.x.max(0.3e-3) + 0.01 * dt_s;
         Ok(at)
     }
 
@@ -249,7 +250,7 @@ impl Drive for Runaway {
 
 #[test]
 fn a_joint_that_leaves_its_limits_is_a_fault_and_told() {
-    let mut arm = Arm::new(Settings::default(), Runaway { x: 0.3e-3 }, Joints::zeros());
+    let mut arm = Arm::new(Settings::default(), Runaway { x: 0.0 }, Joints::zeros());
     arm.state_command("enable").expect("from DISABLED");
     arm.state_command("home").expect("from ENABLED");
     steps(&mut arm, 1);

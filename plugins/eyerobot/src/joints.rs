@@ -40,8 +40,8 @@ impl Kind {
 }
 
 /// The same value for the three slides and the same for the two turning joints (SI units).
-pub fn per_kind(prismatic: f64, revolute: f64) -> Joints {
-    Joints::from_column_slice(&[prismatic, prismatic, prismatic, revolute, revolute])
+pub const fn per_kind(prismatic: f64, revolute: f64) -> Joints {
+    Joints::new(prismatic, prismatic, prismatic, revolute, revolute)
 }
 
 /// What each joint may do.

@@ -21,4 +21,7 @@ pub use joint_mover::JointMover;
 pub use payloads::{FixtureKind, Jacobian, VirtualFixture, VirtualFixtures};
 pub use robot::EyeRobot;
 
+#[cfg(test)]
+mod plant_tests;
+
 trocar_sdk::trocar_plugin!(EyeRobot, JointMover);

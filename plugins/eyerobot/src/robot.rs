@@ -50,7 +50,7 @@ pub struct EyeRobot {
     /// The operating state changed.
     #[event("arm", name = "operating_state")]
     changed: Event<OperatingState>,
-    /// A move_jp, move_jr, move_cp or move_cr is over: whether it arrived.
+    /// A move_jp, move_jr, move_cp or move_cr is over: whether the encoders say that it arrived.
     #[event("arm")]
     goal_reached: Event<Flag>,
     /// A joint, by its place in configuration_js, came to a limit of its travel and would have gone on.

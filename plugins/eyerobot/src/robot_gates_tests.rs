@@ -162,7 +162,8 @@ fn the_noise_of_the_handle_moves_nothing() {
         }
         let to = true_tip(&bench);
         let way = (0..3).map(|i| (to[i] - from[i]).abs()).fold(0.0, f64::max);
-        assert!(way < 0.5e-6, "seed {seed}: the tip crept {way:e} m");
+        // A step of the encoders is 0.5 µm.
+        assert!(way < 1e-6, "seed {seed}: the tip crept {way:e} m");
     }
 }
 
