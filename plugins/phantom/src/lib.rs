@@ -12,6 +12,7 @@ pub mod motion;
 pub mod noise;
 pub mod retina;
 pub mod sensor;
+pub mod spectra;
 pub mod tissue;
 mod world;
 

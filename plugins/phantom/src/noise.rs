@@ -35,6 +35,17 @@ impl Noise {
         (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
     }
 
+    /// Nearly standard normal at `place`, in a tenth of the time: the sum of eight random bytes. Mean 0, variance 1, never
+    /// beyond ±4.9, kurtosis 2.85 instead of 3. For the noise of pixels.
+    pub fn quick_normal(self, place: u64) -> f32 {
+        let bits = self.bits(place);
+        let pairs = (bits & 0x00ff_00ff_00ff_00ff) + ((bits >> 8) & 0x00ff_00ff_00ff_00ff);
+        // The product's upper 16 bits are the sum of the four pairs, at most 2040.
+        let sum = pairs.wrapping_mul(0x0001_0001_0001_0001) >> 48;
+        // Mean 8 · 127.5, variance 8 · (256² − 1) / 12.
+        (sum as u32 as f32 - 1020.0) * (1.0 / 209.022)
+    }
+
     /// The stream within this one that belongs to `part`.
     pub fn part(self, part: u64) -> Noise {
         Noise { key: mix(self.key ^ mix(part)) }
@@ -76,6 +87,9 @@ mod tests {
         assert!(mean(&|i| noise.normal(i)).abs() < 0.01);
         assert!((mean(&|i| noise.normal(i).powi(2)) - 1.0).abs() < 0.02);
         assert!((mean(&|i| noise.normal(i).powi(4)) - 3.0).abs() < 0.15, "tails");
+        let quick = |i: u64| f64::from(noise.quick_normal(i));
+        assert!(mean(&quick).abs() < 0.01);
+        assert!((mean(&|i| quick(i).powi(2)) - 1.0).abs() < 0.02);
         let together = mean(&|i| noise.normal(i) * noise.normal(i + 1));
         assert!(together.abs() < 0.01, "neighbours are independent: {together}");
     }
