@@ -263,12 +263,24 @@ pub const PAYLOADS: &[Payload] = &[
     },
     Payload {
         name: "Distance",
-        doc: "A measured distance.",
+        doc: "A distance from the tip of a tool to a surface, along the tool.",
         fields: &[
-            f("stamp", "stamp", "", ""),
+            f("stamp", "stamp", "", "When it was so: the middle of the exposure."),
             f("distance", "f64", "m", ""),
-            f("confidence", "f64", "", "0 = useless, 1 = certain."),
-            f("valid", "bool", "", ""),
+            f(
+                "velocity",
+                "f64",
+                "m/s",
+                "Of the surface along the tool, away from the tip positive, against the robot's base; NaN where nobody knows it.",
+            ),
+            f("sigma", "f64", "m", "Standard deviation of `distance`."),
+            f("snr_db", "f64", "", "The surface's echo above the noise, dB; 0 without one."),
+            f(
+                "valid",
+                "bool",
+                "",
+                "False: there was no surface to be seen, and the rest is at best a prediction.",
+            ),
             f("reserved", "[u8;7]", "", ""),
         ],
         repr: "",

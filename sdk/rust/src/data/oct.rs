@@ -107,15 +107,23 @@ impl Spectrometer {
     }
 }
 
-/// A measured distance.
+/// A distance from the tip of a tool to a surface, along the tool.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Distance {
+    /// When it was so: the middle of the exposure.
     pub stamp: Stamp,
     #[unit("m")]
     pub distance: f64,
-    /// 0 = useless, 1 = certain.
-    pub confidence: f64,
+    /// Of the surface along the tool, away from the tip positive, against the robot's base; NaN where nobody knows it.
+    #[unit("m/s")]
+    pub velocity: f64,
+    /// Standard deviation of `distance`.
+    #[unit("m")]
+    pub sigma: f64,
+    /// The surface's echo above the noise, dB; 0 without one.
+    pub snr_db: f64,
+    /// False: there was no surface to be seen, and the rest is at best a prediction.
     pub valid: Flag,
     pub reserved: [u8; 7],
 }
