@@ -1,0 +1,73 @@
+//! How many A-scans a second one core makes of raw spectra, surface included (gate A8): prints rates and percentiles.
+//!
+//! Invariant: lines are those of the phantom, different ones, so that no branch is learnt by heart.
+//! `cargo run --release -p trocar-oct-core --example rate`
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use trocar_oct_core::chain::{Chain, Levels};
+use trocar_oct_core::dispersion::Dispersion;
+use trocar_oct_core::grid::{Grid, Interpolation};
+use trocar_oct_core::surface::{Rule, first_surface};
+use trocar_phantom::noise::Noise;
+use trocar_phantom::spectra::{Optics, Spectrograph};
+use trocar_phantom::tissue::Echo;
+
+const LINES: usize = 256;
+const ROUNDS: usize = 400;
+
+fn main() {
+    println!("samples  spectra/s simulated  A-scans/s  with surface  p50 µs  p99 µs  p99.9 µs  max µs");
+    for samples in [1024, 2048] {
+        measure(samples);
+    }
+}
+
+fn measure(samples: usize) {
+    let optics = Optics::with_samples(samples);
+    let mut spectrograph = Spectrograph::new(optics, Noise::new(1, 16)).expect("usual optics");
+    let grid = Grid::from_wavelengths(samples, [840e-9, 50e-9, 0.0, 0.0]).expect("a grid");
+    let mut chain = Chain::new(grid, Interpolation::Cubic, Levels::default());
+    chain.set_dispersion(Dispersion { a2_rad: 18.0, a3_rad: 4.0 });
+    let (mut counts, mut ascan) = (vec![0; samples], vec![0.0; samples / 2]);
+    let begin = Instant::now();
+    let lines: Vec<Vec<u8>> = (0..LINES)
+        .map(|n| {
+            let path_m = 500e-6 + 1e-6 * n as f64;
+            let layers = [(-40e-6, 0.6), (0.0, 1.0), (35e-6, 0.3), (90e-6, 0.3), (240e-6, 0.75)];
+            let echoes = layers.map(|(below, amplitude)| Echo { path_m: path_m + below, amplitude });
+            spectrograph.line(&echoes, 0.0, n as u64, &mut counts);
+            counts.iter().flat_map(|count| count.to_ne_bytes()).collect()
+        })
+        .collect();
+    let simulated = LINES as f64 / begin.elapsed().as_secs_f64();
+    let rule = Rule::default();
+    let begin = Instant::now();
+    for _ in 0..ROUNDS {
+        for line in &lines {
+            black_box(chain.line(black_box(line), &mut ascan)).expect("lengths fit");
+        }
+    }
+    let plain = (ROUNDS * LINES) as f64 / begin.elapsed().as_secs_f64();
+    let mut took = Vec::with_capacity(ROUNDS * LINES);
+    let begin = Instant::now();
+    for _ in 0..ROUNDS {
+        for line in &lines {
+            let one = Instant::now();
+            black_box(chain.line(black_box(line), &mut ascan)).expect("lengths fit");
+            black_box(first_surface(&ascan, &rule));
+            took.push(one.elapsed().as_nanos() as f64 * 1e-3);
+        }
+    }
+    let whole = (ROUNDS * LINES) as f64 / begin.elapsed().as_secs_f64();
+    took.sort_by(f64::total_cmp);
+    let at = |part: f64| took[((took.len() - 1) as f64 * part) as usize];
+    println!(
+        "{samples:7}  {simulated:19.0}  {plain:9.0}  {whole:12.0}  {:6.2}  {:6.2}  {:8.2}  {:6.2}",
+        at(0.5),
+        at(0.99),
+        at(0.999),
+        at(1.0)
+    );
+}

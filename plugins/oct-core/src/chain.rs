@@ -1,0 +1,201 @@
+//! From one raw line to one A-scan: subtract the background, bring to equal steps of wavenumber, window, take dispersion
+//! out, transform, and take the logarithm.
+//!
+//! Invariant: `line` allocates nothing. A line that is dark or saturated gives silence over all bins, so nobody finds a
+//! surface in it, and does not touch the background.
+
+use std::fmt;
+use std::sync::Arc;
+
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
+use crate::background::Background;
+use crate::decibel::{SILENT_DB, decibel};
+use crate::dispersion::{Dispersion, Window, fill_filter};
+use crate::grid::{Grid, Interpolation, Tap, resample};
+
+/// What is said of a line before it is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Levels {
+    /// Bits of a count.
+    pub bits: u32,
+    /// A line whose mean is below this part of the largest count is dark.
+    pub dark: f32,
+    /// A line with more than this part of its pixels at the largest count is saturated.
+    pub full: f32,
+}
+
+impl Default for Levels {
+    fn default() -> Levels {
+        Levels { bits: 12, dark: 0.01, full: 1.0 / 256.0 }
+    }
+}
+
+/// What a line's light was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Light {
+    Good,
+    Dark,
+    Saturated,
+}
+
+/// The processing of one spectrometer's lines.
+#[derive(Clone)]
+pub struct Chain {
+    grid: Grid,
+    levels: Levels,
+    taps: Vec<Tap>,
+    window: Vec<f32>,
+    filter: Vec<Complex<f32>>,
+    dispersion: Dispersion,
+    pub(crate) transform: Transform,
+    background: Background,
+    /// The line as it came, then without its background, counts.
+    line: Vec<f32>,
+    /// The same at equal steps of wavenumber, windowed.
+    linear: Vec<f32>,
+}
+
+/// A Fourier transform with the room it needs.
+#[derive(Clone)]
+pub(crate) struct Transform {
+    fft: Arc<dyn Fft<f32>>,
+    pub(crate) buffer: Vec<Complex<f32>>,
+    scratch: Vec<Complex<f32>>,
+}
+
+impl Transform {
+    fn new(samples: usize) -> Transform {
+        let fft = FftPlanner::new().plan_fft_forward(samples);
+        let scratch = vec![Complex::default(); fft.get_inplace_scratch_len()];
+        Transform { fft, buffer: vec![Complex::default(); samples], scratch }
+    }
+
+    /// Transforms `line` times `filter` into `buffer`.
+    pub(crate) fn run(&mut self, line: &[f32], filter: &[Complex<f32>]) {
+        for ((out, x), f) in self.buffer.iter_mut().zip(line).zip(filter) {
+            *out = Complex::new(x * f.re, x * f.im);
+        }
+        self.fft.process_with_scratch(&mut self.buffer, &mut self.scratch);
+    }
+}
+
+impl Chain {
+    /// A chain without a known background and without dispersion, with a Hann window.
+    pub fn new(grid: Grid, how: Interpolation, levels: Levels) -> Chain {
+        let n = grid.samples();
+        let mut chain = Chain {
+            taps: grid.taps(how),
+            window: vec![0.0; n],
+            filter: vec![Complex::default(); n],
+            dispersion: Dispersion::default(),
+            transform: Transform::new(n),
+            background: Background::new(n),
+            line: vec![0.0; n],
+            linear: vec![0.0; n],
+            grid,
+            levels,
+        };
+        chain.set_window(Window::Hann);
+        chain.set_dispersion(Dispersion::default());
+        chain
+    }
+
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    pub fn dispersion(&self) -> Dispersion {
+        self.dispersion
+    }
+
+    pub fn background(&mut self) -> &mut Background {
+        &mut self.background
+    }
+
+    pub fn set_dispersion(&mut self, dispersion: Dispersion) {
+        self.dispersion = dispersion;
+        fill_filter(&self.grid, dispersion, &mut self.filter);
+    }
+
+    pub fn set_window(&mut self, window: Window) {
+        let n = self.window.len();
+        for (m, w) in self.window.iter_mut().enumerate() {
+            *w = window.value(m, n) as f32;
+        }
+    }
+
+    /// The last line without background, at equal steps of wavenumber, windowed.
+    pub fn linear(&self) -> &[f32] {
+        &self.linear
+    }
+
+    /// One line of counts (`u16` in the machine's byte order) to its A-scan in dB re one count squared, `samples / 2` bins.
+    ///
+    /// # Errors
+    /// The line or the room for the A-scan has another length; nothing is written then.
+    pub fn line(&mut self, raw: &[u8], ascan: &mut [f32]) -> Result<Light, BadLine> {
+        let (n, bins) = (self.grid.samples(), self.grid.bins());
+        if raw.len() != 2 * n || ascan.len() != bins {
+            return Err(BadLine { bytes: raw.len(), wants: 2 * n, bins: ascan.len(), gives: bins });
+        }
+        let light = self.read(raw);
+        if light != Light::Good {
+            ascan.fill(SILENT_DB);
+            return Ok(light);
+        }
+        self.background.see(&self.line);
+        for (x, b) in self.line.iter_mut().zip(self.background.counts()) {
+            *x -= b;
+        }
+        resample(&self.taps, &self.line, &self.window, &mut self.linear);
+        self.transform.run(&self.linear, &self.filter);
+        for (db, x) in ascan.iter_mut().zip(&self.transform.buffer) {
+            *db = decibel(x.re * x.re + x.im * x.im);
+        }
+        Ok(light)
+    }
+
+    /// Counts to numbers, and how much light they mean.
+    fn read(&mut self, raw: &[u8]) -> Light {
+        let most = ((1u32 << self.levels.bits.min(16)) - 1) as u16;
+        let (mut full, mut sum) = (0u32, 0u32);
+        for (x, bytes) in self.line.iter_mut().zip(raw.as_chunks::<2>().0) {
+            let count = u16::from_ne_bytes(*bytes);
+            full += u32::from(count >= most);
+            sum += u32::from(count);
+            *x = f32::from(count);
+        }
+        let n = self.line.len() as f32;
+        if full as f32 > self.levels.full * n {
+            Light::Saturated
+        } else if (sum as f32) < self.levels.dark * n * f32::from(most) {
+            Light::Dark
+        } else {
+            Light::Good
+        }
+    }
+}
+
+/// A line or an A-scan of the wrong length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BadLine {
+    pub bytes: usize,
+    pub wants: usize,
+    pub bins: usize,
+    pub gives: usize,
+}
+
+impl fmt::Display for BadLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let BadLine { bytes, wants, bins, gives } = self;
+        write!(f, "a line of {bytes} B into {bins} bins: this chain takes {wants} B and gives {gives} bins")
+    }
+}
+
+impl std::error::Error for BadLine {}
+
+#[cfg(test)]
+#[path = "chain_tests.rs"]
+mod tests;

@@ -1,0 +1,16 @@
+//! What the OCT plugins compute, without a component: from raw spectra to A-scans, from these to the surface, and from
+//! surface and robot to what the next millisecond brings.
+//!
+//! Invariant: buffers are made when a thing is made or set up; what runs per line allocates nothing and takes no lock.
+#![forbid(unsafe_code)]
+
+pub mod background;
+pub mod chain;
+pub mod decibel;
+pub mod dispersion;
+pub mod grid;
+pub mod kalman;
+pub mod search;
+pub mod surface;
+pub mod tip;
+pub mod tracker;
