@@ -1,0 +1,524 @@
+//! The component `bscan`: Robot-Assisted B-Scan as a behaviour that can be started and aborted at any time.
+//!
+//! Invariant: the robot is commanded in APPROACH and SCAN only, by velocities that end by themselves when they are not
+//! repeated. Every way out, good or bad, ends with velocity zero and `hold`, and is told by exactly one event.
+
+use trocar_oct_core::tip::{Timeline, axis_of};
+use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, PixelFormat, Pose, SampleFormat, Twist};
+use trocar_sdk::prelude::*;
+
+use crate::depth::{Advice, Depth, Settings};
+use crate::image::{AScan, Grey, Rolling, Scan};
+use crate::line::Line;
+use crate::payloads::{Phase, Progress, ScanColumn, ScanDone, ScanRequest};
+
+/// Frames of each output's pool.
+const SLOTS: u32 = 6;
+/// Frames of A-scans of one step at most.
+const BURST: usize = 32;
+/// The loop is not closed above this delay, s. The prediction is stable to 10 ms.
+const LONGEST_DELAY_S: f64 = 0.012;
+/// A surface that was not seen for this long ends a scan, s.
+const SURFACE_LOST_S: f64 = 0.05;
+/// A robot that does not tell where it is for this long ends a scan, s.
+const ROBOT_LOST_S: f64 = 0.02;
+/// The scan sets off this near to its begin and to the offset, m, after so long, s.
+const NEAR_M: f64 = 15e-6;
+const SETTLED_S: f64 = 0.1;
+/// Share of a new delay in their mean.
+const DELAY_SHARE: f64 = 1.0 / 32.0;
+
+#[derive(Config)]
+pub(crate) struct BScanConfig {
+    /// Speed along the tool per distance from the offset
+    #[config(live, min = 0.0, max = 100.0, unit = "1/s", default = 30.0)]
+    kp_per_s: f64,
+    /// The same, summed up over time
+    #[config(live, min = 0.0, max = 2000.0, unit = "1/s^2", default = 100.0)]
+    ki_per_s2: f64,
+    /// Highest speed along the tool
+    #[config(live, min = 1e-5, max = 0.01, unit = "m/s", default = 0.005)]
+    max_speed_m_s: f64,
+    /// Highest speed towards the surface, beside the surface's own
+    #[config(live, min = 1e-5, max = 0.005, unit = "m/s", default = 0.0005)]
+    approach_m_s: f64,
+    /// The tip never goes nearer to the surface
+    #[config(live, min = 0.00015, max = 0.001, unit = "m", default = 0.00015)]
+    min_distance_m: f64,
+    /// An approach that takes longer is given up
+    #[config(live, min = 0.1, max = 600.0, unit = "s", default = 30.0)]
+    approach_timeout_s: f64,
+    /// Rows of the images: bins of an A-scan from the first
+    #[config(min = 1, max = 4096, unit = "px", default = 512)]
+    rows: u32,
+    /// Most columns of a scan
+    #[config(min = 1, max = 4096, unit = "px", default = 1024)]
+    max_columns: u32,
+    /// Columns of the M-scan
+    #[config(min = 1, max = 4096, unit = "px", default = 512)]
+    mscan_columns: u32,
+    /// A-scans of a column of the M-scan
+    #[config(min = 1, max = 10000, default = 16)]
+    mscan_lines: u32,
+    /// Images per second
+    #[config(min = 0.1, max = 100.0, unit = "Hz", default = 15.0)]
+    image_rate_hz: f64,
+    /// Black and white of A-scans in dB; those of bytes are taken as they are
+    #[config(default = [45.0, 95.0])]
+    range_db: [f64; 2],
+}
+
+impl BScanConfig {
+    fn depth(&self) -> Settings {
+        Settings {
+            kp_per_s: self.kp_per_s,
+            ki_per_s2: self.ki_per_s2,
+            max_speed_m_s: self.max_speed_m_s,
+            approach_m_s: self.approach_m_s,
+            min_distance_m: self.min_distance_m,
+            ..Settings::default()
+        }
+    }
+}
+
+/// Robot-Assisted B-Scan: goes along a line at a constant distance from the retina and makes an image of the A-scans.
+#[derive(Component)]
+#[component(name = "bscan", rate_hz = 1000)]
+pub struct BScan {
+    /// From the tip to the retina; its tracker has to know the robot
+    #[input]
+    distance: In<Distance>,
+    /// A-scans, f32 in dB or bytes
+    #[input(optional, fifo = 32)]
+    ascan: In<Frame<AScanHeader>>,
+    /// The image of the scan, while it grows and when it is done
+    #[output]
+    bscan_image: Out<Frame<ImageHeader>>,
+    /// Each column of the image when it is there: where it was taken
+    #[output]
+    column: Out<ScanColumn>,
+    /// The last moments, the newest at the right
+    #[output]
+    mscan_image: Out<Frame<ImageHeader>>,
+    /// Where the tip is.
+    #[required(interface = "robot")]
+    measured_cp: Function<(), Pose>,
+    /// Moves the tip across the tool.
+    #[required(interface = "robot", name = "servo_cv")]
+    servo_across: Function<Twist>,
+    /// Called at the end of each scan.
+    #[required(interface = "robot")]
+    hold: Function,
+    /// Moves the tip along the tool.
+    #[required(interface = "axis", name = "servo_cv")]
+    servo_along: Function<Twist>,
+    /// The scan has come to its end.
+    #[event("scan")]
+    bscan_done: Event<ScanDone>,
+    /// The scan has ended before its end: why.
+    #[event("scan")]
+    bscan_aborted: Event<Text<128>>,
+    #[state]
+    progress: Progress,
+    /// Images for which there was no frame.
+    #[state]
+    left_out: u64,
+    #[config]
+    cfg: BScanConfig,
+    depth: Depth,
+    pose: Pose,
+    /// Along the line, m.
+    gone: Timeline,
+    line: Option<Line>,
+    since: Moments,
+    last: Distance,
+    scan: Scan,
+    rolling: Rolling,
+    next_image: [Stamp; 2],
+    column_pose: Pose,
+    image_index: [u64; 2],
+    /// Rows, columns, columns and A-scans of the M-scan that there is room for.
+    built: Option<(usize, usize, usize, u32)>,
+    /// Of the last step.
+    now: Stamp,
+}
+
+/// When things began or were seen last.
+#[derive(Clone, Copy, Default)]
+struct Moments {
+    phase: Stamp,
+    /// Near to begin and offset.
+    near: Stamp,
+    surface: Stamp,
+    robot: Stamp,
+    delay_known: bool,
+}
+
+/// The scan.
+#[provides("scan")]
+impl BScan {
+    /// Begins a scan: goes to the offset and to the begin of the line, and then along it.
+    #[command(name = "start")]
+    fn begin(&mut self, request: &ScanRequest) -> Result<(), String> {
+        if self.progress.phase != Phase::IDLE {
+            return Err("a scan is running: abort it first, or wait for bscan_done".into());
+        }
+        let now = self.now;
+        let line = self.line_of(request, now)?;
+        self.depth.begin();
+        self.scan.begin(line.columns);
+        self.gone.clear();
+        self.progress.scan += 1;
+        (self.progress.columns, self.progress.of) = (0, line.columns as u32);
+        self.line = Some(line);
+        self.enter(Phase::APPROACH, now);
+        Ok(())
+    }
+
+    /// Ends the scan at once; without one nothing happens.
+    #[command]
+    fn abort(&mut self) {
+        self.give_up("aborted by command");
+    }
+
+    /// How far the scan is.
+    #[read]
+    fn progress(s: &BScanState) -> Progress {
+        s.progress
+    }
+}
+
+impl BScan {
+    /// The line of a request, when all that a scan needs is there.
+    fn line_of(&self, request: &ScanRequest, now: Stamp) -> Result<Line, String> {
+        let axis = axis_of(&self.pose.orientation)
+            .filter(|_| self.pose.is_valid() && now.seconds_since(self.pose.stamp) < ROBOT_LOST_S)
+            .ok_or(
+                "the robot does not tell where it is: connect its interface arm to robot, enable and home it",
+            )?;
+        if !self.last.valid.get() || now.seconds_since(self.last.stamp) > SURFACE_LOST_S {
+            return Err("there is no surface: bring the tip over the retina, some 0.3 to 1 mm away".into());
+        }
+        if self.last.velocity.is_nan() {
+            return Err(
+                "the tracker does not know the robot: connect the robot's state to its input robot".into()
+            );
+        }
+        let delay_s = self.progress.delay;
+        if delay_s > LONGEST_DELAY_S {
+            return Err(format!(
+                "the loop's delay is {:.1} ms, and above {:.0} ms it is not closed: bring source, tracker and robot nearer \
+                 together",
+                1e3 * delay_s,
+                1e3 * LONGEST_DELAY_S
+            ));
+        }
+        let columns = self.cfg.max_columns as usize;
+        Line::of(request, self.pose.position, axis, self.cfg.min_distance_m, columns)
+            .map_err(|why| why.to_string())
+    }
+
+    fn enter(&mut self, phase: Phase, now: Stamp) {
+        self.progress.phase = phase;
+        self.since.phase = now;
+        self.since.near = Stamp::INVALID;
+    }
+
+    /// Ends a scan before its end.
+    fn give_up(&mut self, why: &str) {
+        if self.progress.phase == Phase::IDLE {
+            return;
+        }
+        self.rest();
+        self.bscan_aborted.emit(Text::new(why));
+    }
+
+    /// The robot stands, and is not commanded any more.
+    fn rest(&mut self) {
+        self.send(self.now, [0.0; 3], [0.0; 3]);
+        self.hold.send(());
+        self.enter(Phase::IDLE, self.now);
+        self.progress.error = 0.0;
+        self.line = None;
+    }
+
+    /// Velocities along and across the tool, m/s.
+    fn send(&self, stamp: Stamp, along: [f64; 3], across: [f64; 3]) {
+        let twist = |linear| Twist { stamp, linear, ..Twist::default() };
+        self.servo_along.send(twist(along));
+        self.servo_across.send(twist(across));
+    }
+
+    /// Robot and surface as they are told.
+    fn look(&mut self, now: Stamp) {
+        if let Ok(pose) = self.measured_cp.call(())
+            && pose.is_valid()
+            && pose.stamp != self.pose.stamp
+        {
+            self.pose = pose;
+            self.since.robot = now;
+            self.depth.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
+            if let Some(line) = &self.line {
+                self.gone.push(pose.stamp.ns(), line.along_m(&pose.position));
+            }
+        }
+        let Some(seen) = self.distance.latest() else { return };
+        if seen.stamp == self.last.stamp {
+            return;
+        }
+        self.last = seen;
+        self.progress.surface = seen.valid;
+        let delay_s = now.seconds_since(seen.stamp);
+        let share = if std::mem::replace(&mut self.since.delay_known, true) { DELAY_SHARE } else { 1.0 };
+        self.progress.delay += share * (delay_s - self.progress.delay);
+        if seen.valid.get() && self.depth.surface_at(seen.stamp.ns(), seen.distance, seen.velocity) {
+            self.since.surface = now;
+        }
+    }
+
+    /// Moves the robot for one period; the reason when it cannot go on.
+    fn drive(&mut self, tick: &Tick) -> Result<(), &'static str> {
+        let (now, dt_s) = (tick.now(), tick.period_s());
+        let Some(line) = self.line else { return Ok(()) };
+        if now.seconds_since(self.since.robot) > ROBOT_LOST_S {
+            return Err("the robot has not told for 20 ms where it is");
+        }
+        if now.seconds_since(self.since.surface) > SURFACE_LOST_S {
+            return Err("the surface was not seen for 50 ms");
+        }
+        if self.progress.delay > LONGEST_DELAY_S {
+            return Err("the loop's delay is above 12 ms");
+        }
+        let Some(advice) = self.depth.advise(now.ns(), dt_s, line.offset_m, &self.cfg.depth()) else {
+            // The robot is late: it stands until it is here again, or is lost.
+            self.send(now, [0.0; 3], [0.0; 3]);
+            return Ok(());
+        };
+        let Some(axis) = axis_of(&self.pose.orientation) else {
+            return Err("the robot's orientation is no unit quaternion");
+        };
+        self.progress.distance = advice.distance_m;
+        self.progress.error = advice.distance_m - line.offset_m;
+        let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, now) };
+        self.send(now, axis.map(|a| a * advice.speed_m_s), across);
+        if self.progress.phase == Phase::APPROACH
+            && now.seconds_since(self.since.phase) > self.cfg.approach_timeout_s
+        {
+            return Err("the begin of the line was not reached in time");
+        }
+        Ok(())
+    }
+
+    /// Velocity across the tool; goes on from APPROACH to SCAN.
+    fn across(&mut self, line: &Line, advice: &Advice, now: Stamp) -> [f64; 3] {
+        let tip_m = &self.pose.position;
+        if self.progress.phase == Phase::SCAN {
+            return line.follow(tip_m, now.seconds_since(self.since.phase));
+        }
+        let (velocity, left_m) = line.to_start(tip_m);
+        let near = left_m < NEAR_M && (advice.distance_m - line.offset_m).abs() < NEAR_M;
+        if !near {
+            self.since.near = Stamp::INVALID;
+        } else if !self.since.near.is_valid() {
+            self.since.near = now;
+        } else if now.seconds_since(self.since.near) > SETTLED_S {
+            self.enter(Phase::SCAN, now);
+            self.column_pose = self.pose;
+        }
+        velocity
+    }
+
+    /// Puts A-scans where they belong.
+    fn draw(&mut self) {
+        let grey = Grey { low_db: self.cfg.range_db[0] as f32, high_db: self.cfg.range_db[1] as f32 };
+        for _ in 0..BURST {
+            let Some(frame) = self.ascan.next() else { return };
+            let header = *frame.header();
+            let Ok(lines) = frame.lines() else { continue };
+            for (i, bytes) in lines.iter().enumerate() {
+                let ascan = match header.format {
+                    SampleFormat::U8 => AScan::Bytes(bytes),
+                    SampleFormat::F32 => AScan::Decibels(bytes, grey),
+                    _ => break,
+                };
+                self.rolling.add(ascan);
+                let Some(line) = &self.line else { continue };
+                let ns = header.stamp.ns() + (i as f64 * header.line_period * 1e9).round() as u64;
+                // What was taken on the way to the line belongs to no column.
+                if self.progress.phase != Phase::SCAN || ns < self.since.phase.ns() {
+                    continue;
+                }
+                let Some(gone_m) = self.gone.at(ns).filter(|gone_m| *gone_m >= 0.0) else { continue };
+                if let Some(ended) = self.scan.add((gone_m / line.pitch_m) as usize, ascan) {
+                    tell(&self.column, &self.progress, &self.last, self.column_pose, ended, ns);
+                    self.column_pose = self.pose;
+                }
+            }
+        }
+    }
+
+    /// Has the last A-scan of the line been seen? Without A-scans: is the tip at its end?
+    fn is_over(&self, now: Stamp) -> bool {
+        let Some(line) = &self.line else { return false };
+        if self.progress.phase != Phase::SCAN {
+            return false;
+        }
+        let late_ns = (LONGEST_DELAY_S * 1e9) as u64;
+        let gone_m = self.gone.at(now.ns().saturating_sub(late_ns));
+        gone_m.is_some_and(|gone_m| gone_m >= line.length_m)
+    }
+
+    /// The end of the line has been reached, and its A-scans have arrived.
+    fn finish(&mut self, now: Stamp) {
+        if let Some(ended) = self.scan.end() {
+            tell(&self.column, &self.progress, &self.last, self.column_pose, ended, now.ns());
+        }
+        let filled = self.scan.filled() as u32;
+        self.progress.columns = filled;
+        self.send_scan(now);
+        let done = ScanDone {
+            scan: self.progress.scan,
+            columns: self.progress.of,
+            empty: self.progress.of - filled,
+        };
+        self.rest();
+        self.bscan_done.emit(done);
+    }
+
+    fn send_scan(&mut self, now: Stamp) {
+        let pixels = self.scan.pixels();
+        let header = self.header(now, 0, self.scan.width());
+        let Ok(mut loan) = self.bscan_image.loan() else {
+            self.left_out += 1;
+            return;
+        };
+        *loan.header_mut() = header;
+        if let Some(room) = loan.bytes_mut().get_mut(..pixels.len()) {
+            room.copy_from_slice(pixels);
+        }
+        loan.commit(pixels.len(), now);
+        self.image_index[0] += 1;
+    }
+
+    fn send_rolling(&mut self, now: Stamp) {
+        let header = self.header(now, 1, self.cfg.mscan_columns as usize);
+        let len = (self.cfg.mscan_columns * self.cfg.rows) as usize;
+        let Ok(mut loan) = self.mscan_image.loan() else {
+            self.left_out += 1;
+            return;
+        };
+        *loan.header_mut() = header;
+        if let Some(room) = loan.bytes_mut().get_mut(..len) {
+            self.rolling.write(room);
+        }
+        loan.commit(len, now);
+        self.image_index[1] += 1;
+    }
+
+    fn header(&self, stamp: Stamp, which: usize, width: usize) -> ImageHeader {
+        ImageHeader {
+            stamp,
+            index: self.image_index[which],
+            width: width as u32,
+            height: self.cfg.rows,
+            stride: width as u32,
+            format: PixelFormat::GRAY8,
+        }
+    }
+
+    /// Images that are due.
+    fn send_images(&mut self, now: Stamp) {
+        let period_ns = (1e9 / self.cfg.image_rate_hz) as u64;
+        if now >= self.next_image[1] {
+            self.next_image[1] = Stamp::from_ns(now.ns() + period_ns);
+            self.send_rolling(now);
+        }
+        if self.progress.phase == Phase::SCAN && now >= self.next_image[0] {
+            self.next_image[0] = Stamp::from_ns(now.ns() + period_ns);
+            self.send_scan(now);
+        }
+    }
+}
+
+/// A column is there.
+fn tell(
+    to: &Out<ScanColumn>,
+    progress: &Progress,
+    last: &Distance,
+    pose: Pose,
+    (column, lines): (usize, u32),
+    ns: u64,
+) {
+    to.write(&ScanColumn {
+        stamp: Stamp::from_ns(ns),
+        scan: progress.scan,
+        column: column as u32,
+        lines,
+        pose,
+        distance: last.distance,
+    });
+}
+
+impl Component for BScan {
+    fn configure(&mut self) -> Result {
+        let cfg = &self.cfg;
+        let [low, high] = cfg.range_db;
+        if !(low.is_finite() && high.is_finite() && high - low >= 1.0) {
+            return Err(format!(
+                "range_db: {low} to {high} is no range: the second is at least 1 dB above the first"
+            )
+            .into());
+        }
+        let (rows, columns) = (cfg.rows as usize, cfg.max_columns as usize);
+        let mscan = (cfg.mscan_columns as usize, rows, cfg.mscan_lines);
+        if self.built == Some((rows, columns, mscan.0, mscan.2)) {
+            return Ok(());
+        }
+        self.bscan_image.reserve(rows * columns, SLOTS)?;
+        self.mscan_image.reserve(rows * mscan.0, SLOTS)?;
+        self.scan = Scan::new(columns, rows);
+        self.rolling = Rolling::new(mscan.0, rows, mscan.2);
+        self.built = Some((rows, columns, mscan.0, mscan.2));
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        self.progress = Progress::default();
+        self.since = Moments::default();
+        (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
+        self.depth = Depth::default();
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result {
+        self.give_up("the component was stopped");
+        Ok(())
+    }
+
+    fn make_safe(&mut self) -> Result {
+        self.give_up("the component was made safe");
+        Ok(())
+    }
+
+    fn step(&mut self, tick: &Tick) -> Result {
+        let now = tick.now();
+        self.now = now;
+        self.progress.stamp = now;
+        self.look(now);
+        self.draw();
+        self.progress.columns = self.scan.filled() as u32;
+        if self.progress.phase != Phase::IDLE {
+            if let Err(why) = self.drive(tick) {
+                self.give_up(why);
+            } else if self.is_over(now) {
+                self.finish(now);
+            }
+        }
+        self.send_images(now);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "bscan_tests.rs"]
+mod tests;

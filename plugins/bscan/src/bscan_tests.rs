@@ -1,0 +1,266 @@
+//! The B-scan in a closed loop against the phantom's truth (gates A1, A2, A3, A5, A7), and what it refuses.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::rig::{OFFSET_M, Rig, Setup};
+use trocar_sdk::testing::Bench;
+
+trocar_sdk::testing::count_allocations!();
+
+const SEEDS: std::ops::RangeInclusive<u64> = 1..=20;
+/// The tip is never nearer than this, in no run.
+const NEAREST_M: f64 = 150e-6;
+
+#[test]
+fn the_offset_is_kept_over_a_moving_retina_with_a_membrane_for_twenty_seeds() {
+    let (mut squares, mut uncontrolled) = (0.0, 0.0);
+    for seed in SEEDS {
+        let rig = Rig::run(Setup::new("default", seed));
+        let (rms, largest, nearest) = rig.errors();
+        println!(
+            "default seed {seed}: rms {rms:.3e} largest {largest:.3e} without {:.3e}",
+            rig.without_control()
+        );
+        assert!(rms <= 5.0e-6 && largest <= 30e-6, "seed {seed}: rms {rms:.2e} m, largest {largest:.2e} m");
+        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+        squares += rms * rms;
+        uncontrolled += rig.without_control().powi(2);
+    }
+    let better = (uncontrolled / squares).sqrt();
+    println!("better than without control: {better:.1}");
+    assert!(better >= 30.0, "only {better:.1} times better than without control");
+}
+
+#[test]
+fn without_a_membrane_the_offset_is_kept_better_for_twenty_seeds() {
+    for seed in SEEDS {
+        let (rms, largest, nearest) = Rig::run(Setup::new("no_membrane", seed)).errors();
+        println!("no_membrane seed {seed}: rms {rms:.3e} largest {largest:.3e}");
+        assert!(rms <= 3.5e-6 && largest <= 8e-6, "seed {seed}: rms {rms:.2e} m, largest {largest:.2e} m");
+        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+    }
+}
+
+#[test]
+fn over_an_eye_at_rest_the_offset_is_kept_within_a_micrometre_for_twenty_seeds() {
+    for seed in SEEDS {
+        let (rms, largest, _) = Rig::run(Setup::new("static_no_membrane", seed)).errors();
+        println!("static seed {seed}: rms {rms:.3e} largest {largest:.3e}");
+        assert!(rms <= 0.8e-6, "seed {seed}: rms {rms:.2e} m, largest {largest:.2e} m");
+    }
+}
+
+#[test]
+fn delays_of_five_and_ten_milliseconds_leave_the_loop_stable() {
+    for (latency_ns, most) in [(2_000_000, 5.0e-6), (5_000_000, 5.5e-6), (10_000_000, 6.5e-6)] {
+        for seed in 1..=3 {
+            let (rms, largest, nearest) =
+                Rig::run(Setup { latency_ns, ..Setup::new("default", seed) }).errors();
+            println!("latency {latency_ns} ns seed {seed}: rms {rms:.3e} largest {largest:.3e}");
+            assert!(
+                rms <= most && largest <= 40e-6,
+                "{latency_ns} ns: rms {rms:.2e} m, largest {largest:.2e} m"
+            );
+            assert!(nearest > NEAREST_M);
+        }
+    }
+}
+
+#[test]
+fn above_twelve_milliseconds_of_delay_the_loop_is_not_closed() {
+    let mut rig = Rig::new(Setup { latency_ns: 12_500_000, ..Setup::new("default", 1) });
+    rig.steps(200);
+    let refused = rig.bench.command::<ScanRequest, ()>("scan/start", Rig::request()).unwrap_err().reason;
+    assert!(refused.starts_with("the loop's delay is 1") && refused.contains("above 12 ms"), "{refused}");
+}
+
+#[test]
+fn a_fifth_of_the_signal_loses_some_lines_and_the_scan_goes_on() {
+    for seed in 1..=3 {
+        let rig = Rig::run(Setup { signal: 0.2, ..Setup::new("default", seed) });
+        let (rms, largest, nearest) = rig.errors();
+        let scan = || rig.truth.iter().filter(|t| t.scanning);
+        let lost = scan().filter(|t| !t.measured.valid.get()).count();
+        println!(
+            "signal 0.2 seed {seed}: rms {rms:.3e} largest {largest:.3e} lost {lost} of {}",
+            scan().count()
+        );
+        assert!((1..2400).contains(&lost), "seed {seed}: {lost} lines lost");
+        assert!(rms <= 15e-6 && nearest > NEAREST_M, "seed {seed}: rms {rms:.2e} m");
+        assert_eq!(rig.bench_done(), 1);
+    }
+}
+
+#[test]
+fn an_eye_that_jumps_by_fifty_micrometres_is_caught_within_a_tenth_of_a_second() {
+    for by_m in [50e-6, -50e-6] {
+        for seed in 1..=5 {
+            let mut setup = Setup::new("static_no_membrane", seed);
+            let mut rig = Rig::new(setup);
+            let at_s = rig.bench.now().ns() as f64 * 1e-9 + 3.0;
+            setup.world = setup.world.with_step(at_s, by_m);
+            rig.setup = setup;
+            rig.begin();
+            rig.until_scanning();
+            rig.steps(4000);
+            let late = |t: &&crate::rig::Truth| {
+                let since = t.ns as f64 * 1e-9 - at_s;
+                t.scanning && (0.1..1.5).contains(&since)
+            };
+            let largest =
+                rig.truth.iter().filter(late).map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
+            assert!(rig.truth.iter().filter(late).count() > 4000, "the step was not in the scan");
+            assert!(largest < 5e-6, "seed {seed} by {by_m:e}: {largest:.2e} m after 100 ms");
+            assert!(rig.errors().2 > NEAREST_M);
+        }
+    }
+}
+
+#[test]
+fn a_surface_hidden_for_twenty_lines_makes_the_tip_move_nowhere_it_should_not() {
+    for seed in 1..=5 {
+        let mut rig = Rig::new(Setup::new("default", seed));
+        rig.begin();
+        rig.until_scanning();
+        rig.steps(1500);
+        rig.dark_until_ns = rig.bench.now().ns() + 20 * 250_000;
+        let from = rig.truth.len();
+        rig.steps(200);
+        let largest = rig.truth[from..].iter().map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
+        assert!(largest < 50e-6, "seed {seed}: {largest:.2e} m");
+        assert_eq!(rig.progress().phase, Phase::SCAN);
+    }
+}
+
+#[test]
+fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_at_rest() {
+    for seed in 1..=5 {
+        let mut rig = Rig::new(Setup::new("default", seed));
+        rig.begin();
+        rig.until_scanning();
+        rig.steps(1000);
+        rig.dark_until_ns = u64::MAX;
+        let from = rig.truth.last().unwrap().tip_z_m;
+        rig.steps(300);
+        assert_eq!(
+            rig.bench.events::<Text<128>>("scan/bscan_aborted"),
+            ["the surface was not seen for 50 ms"]
+        );
+        assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+        let moved = rig.truth.last().unwrap().tip_z_m - from;
+        assert!(moved.abs() < 50e-6, "seed {seed}: the tip went on by {moved:.2e} m");
+        let [.., a, b] = &rig.truth[..] else { panic!("no lines") };
+        assert_eq!(a.tip_z_m, b.tip_z_m);
+    }
+}
+
+#[test]
+fn the_image_shows_surface_and_layers_where_they_are() {
+    for world in ["no_membrane", "static_no_membrane"] {
+        let mut rig = Rig::run(Setup { images: true, ..Setup::new(world, 7) });
+        let (header, pixels, _) = rig.bench.frames::<ImageHeader>("bscan_image").pop().unwrap();
+        let (width, rows) = (header.width as usize, header.height as usize);
+        assert_eq!((width, rows, header.stride, pixels.len()), (500, 512, 500, 500 * 512));
+        let columns = rig.bench.outputs::<ScanColumn>("column");
+        assert_eq!(columns.len(), 500, "every column is there");
+        assert!(columns.iter().enumerate().all(|(i, c)| c.column == i as u32 && c.lines > 0));
+        let done = rig.bench.events::<ScanDone>("scan/bscan_done");
+        assert_eq!(done, [ScanDone { scan: 1, columns: 500, empty: 0 }]);
+        let bin_m = 3.5117e-6;
+        let mut squares = 0.0;
+        let mut layers = [0.0; 3];
+        for column in 0..width {
+            let at = |row: usize| f64::from(pixels[row * width + column]);
+            let begin = -1.5e-3 + column as f64 * 6e-6;
+            let inside = |t: &&crate::rig::Truth| t.scanning && (begin..begin + 6e-6).contains(&t.x_m);
+            let (mut sum, mut count) = (0.0, 0.0);
+            for t in rig.truth.iter().filter(inside) {
+                sum += t.ilm_m * 1.336 / bin_m;
+                count += 1.0;
+            }
+            let truth = sum / count;
+            let peak = |around: f64, reach: f64| {
+                let rows = (around - reach).round() as usize..=(around + reach).round() as usize;
+                let best = rows.max_by(|a, b| at(*a).total_cmp(&at(*b))).unwrap();
+                let (a, b, c) = (at(best - 1), at(best), at(best + 1));
+                best as f64 + if a - 2.0 * b + c < 0.0 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 }
+            };
+            let surface = peak(truth, 5.0);
+            squares += (surface - truth).powi(2);
+            for (layer, below_m) in layers.iter_mut().zip([35e-6, 90e-6, 240e-6]) {
+                *layer += (peak(surface + below_m / bin_m, 4.0) - surface - below_m / bin_m) / width as f64;
+            }
+        }
+        let rms = (squares / width as f64).sqrt();
+        println!("{world}: surface rms {rms:.3} rows, layers off by {layers:.3?} bins");
+        assert!(rms <= 1.0, "surface rows off by {rms:.2} rms");
+        assert!(layers.iter().all(|off| off.abs() <= 1.0), "layers off by {layers:?} bins");
+    }
+}
+
+#[test]
+fn abort_ends_a_scan_at_any_moment_with_one_event_and_a_hold() {
+    for after in [0, 1, 50, 300, 1500] {
+        let mut rig = Rig::new(Setup::new("default", 1));
+        rig.begin();
+        rig.steps(after);
+        rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+        rig.step();
+        assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+        rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+        rig.steps(100);
+        assert_eq!(rig.bench.events::<Text<128>>("scan/bscan_aborted"), ["aborted by command"]);
+        let [.., a, b] = &rig.truth[..] else { panic!("no lines") };
+        assert_eq!((a.tip_z_m, a.x_m), (b.tip_z_m, b.x_m), "it stands");
+    }
+}
+
+#[test]
+fn a_scan_does_not_begin_without_robot_surface_or_sense() {
+    let mut bench = Bench::<BScan>::new("{}");
+    let begin = |bench: &mut Bench<BScan>, request| {
+        bench.command::<ScanRequest, ()>("scan/start", request).err().map(|e| e.reason).unwrap_or_default()
+    };
+    bench.step(1);
+    assert!(begin(&mut bench, Rig::request()).contains("the robot does not tell where it is"));
+    let stand = |bench: &mut Bench<BScan>, velocity: f64, valid: bool| {
+        let stamp = bench.now();
+        bench.answer("robot/measured_cp", move |()| Ok(Pose { stamp, ..Pose::default() }));
+        bench.push(
+            "distance",
+            Distance { stamp, distance: 0.5e-3, velocity, valid: valid.into(), ..Distance::default() },
+        );
+        bench.step(1);
+    };
+    stand(&mut bench, 0.0, false);
+    assert!(begin(&mut bench, Rig::request()).contains("there is no surface"));
+    stand(&mut bench, f64::NAN, true);
+    assert!(begin(&mut bench, Rig::request()).contains("the tracker does not know the robot"));
+    stand(&mut bench, 0.0, true);
+    let fast = ScanRequest { speed: 1.0, ..Rig::request() };
+    assert_eq!(begin(&mut bench, fast), "speed: 1 is not from 0.000001 to 0.005 (SI units)");
+    assert_eq!(begin(&mut bench, Rig::request()), "");
+    assert!(begin(&mut bench, Rig::request()).contains("a scan is running"));
+}
+
+#[test]
+fn a_robot_that_falls_silent_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.begin();
+    rig.until_scanning();
+    rig.bench.connect_function("robot/measured_cp", false);
+    rig.steps(25);
+    assert_eq!(
+        rig.bench.events::<Text<128>>("scan/bscan_aborted"),
+        ["the robot has not told for 20 ms where it is"]
+    );
+}
+
+#[test]
+fn a_running_scan_allocates_nothing() {
+    let mut rig = Rig::new(Setup { images: true, ..Setup::new("default", 1) });
+    rig.begin();
+    rig.until_scanning();
+    rig.watched = true;
+    rig.steps(300);
+}

@@ -1,0 +1,173 @@
+//! Keeps the tip at a constant distance from a surface that moves: PI control with the surface's own velocity ahead of it.
+//!
+//! Invariant: the surface is placed where it was when it was seen, on the line of the tip's travel, and only then brought to
+//! now. The speed it asks for never brings the tip nearer than `min_distance_m`, as far as anybody can predict.
+
+use trocar_oct_core::tip::TipTravel;
+
+/// Gains and limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Speed per error, 1/s.
+    pub kp_per_s: f64,
+    /// Acceleration per error, 1/s².
+    pub ki_per_s2: f64,
+    /// Highest speed along the tool, m/s.
+    pub max_speed_m_s: f64,
+    /// Highest speed towards a surface that is still far, beside the surface's own, m/s.
+    pub approach_m_s: f64,
+    /// The tip never goes nearer than this, m.
+    pub min_distance_m: f64,
+    /// Without a new surface the tip follows the last velocity for this long, s; then it stands still.
+    pub coast_s: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            kp_per_s: 30.0,
+            ki_per_s2: 100.0,
+            max_speed_m_s: 5e-3,
+            approach_m_s: 0.5e-3,
+            min_distance_m: 150e-6,
+            coast_s: 0.015,
+        }
+    }
+}
+
+/// Speed per distance to the forbidden region, 1/s: the drive brakes within a few ms.
+const GUARD_PER_S: f64 = 40.0;
+/// Errors above this are on the way in, not to be integrated, m.
+const SMALL_M: f64 = 20e-6;
+
+/// A surface on the line of the tip's travel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Place {
+    ns: u64,
+    at_m: f64,
+    velocity_m_s: f64,
+}
+
+/// What to do now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Advice {
+    /// Along the tool, m/s.
+    pub speed_m_s: f64,
+    /// From tip to surface, m, now.
+    pub distance_m: f64,
+    /// Since the surface was seen, s.
+    pub age_s: f64,
+    /// It is too old to be followed: the speed is 0.
+    pub blind: bool,
+}
+
+/// The controller.
+#[derive(Clone, Debug, Default)]
+pub struct Depth {
+    tip: TipTravel,
+    place: Option<Place>,
+    integral_m_s: f64,
+}
+
+impl Depth {
+    /// Forgets surface and integral; the tip's travel stays.
+    pub fn begin(&mut self) {
+        self.integral_m_s = 0.0;
+    }
+
+    /// Where the tip is by the encoders.
+    pub fn tip_at(&mut self, ns: u64, position_m: [f64; 3], orientation: &[f64; 4]) {
+        self.tip.push(ns, position_m, orientation);
+    }
+
+    /// A surface was seen `distance_m` before the tip, moving at `velocity_m_s`. False when nobody knows where the tip was
+    /// then.
+    pub fn surface_at(&mut self, ns: u64, distance_m: f64, velocity_m_s: f64) -> bool {
+        let Some(tip_m) = self.tip.at(ns) else { return false };
+        if !(distance_m.is_finite() && velocity_m_s.is_finite()) {
+            return false;
+        }
+        if self.place.is_none_or(|place| ns > place.ns) {
+            self.place = Some(Place { ns, at_m: tip_m + distance_m, velocity_m_s });
+        }
+        true
+    }
+
+    /// The speed for the next `dt_s`; none while no surface or no tip is known.
+    pub fn advise(&mut self, ns: u64, dt_s: f64, offset_m: f64, s: &Settings) -> Option<Advice> {
+        let (place, tip_m) = (self.place?, self.tip.at(ns)?);
+        let age_s = ns.saturating_sub(place.ns) as f64 * 1e-9;
+        let distance_m = place.at_m + place.velocity_m_s * age_s - tip_m;
+        if age_s > s.coast_s {
+            return Some(Advice { speed_m_s: 0.0, distance_m, age_s, blind: true });
+        }
+        let error_m = distance_m - offset_m;
+        if error_m.abs() < SMALL_M {
+            self.integral_m_s += s.ki_per_s2 * error_m * dt_s;
+            // It makes up for what the prediction lacks, which is never much.
+            self.integral_m_s = self.integral_m_s.clamp(-s.approach_m_s, s.approach_m_s);
+        }
+        // Away from the surface at any speed, towards it slowly.
+        let towards = (s.kp_per_s * error_m).clamp(-s.max_speed_m_s, s.approach_m_s);
+        let wanted = place.velocity_m_s + towards + self.integral_m_s;
+        let allowed = place.velocity_m_s + GUARD_PER_S * (distance_m - s.min_distance_m);
+        let speed_m_s = wanted.min(allowed).clamp(-s.max_speed_m_s, s.max_speed_m_s);
+        Some(Advice { speed_m_s, distance_m, age_s, blind: false })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const UPRIGHT: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+
+    fn seen(distance_m: f64, velocity_m_s: f64) -> Depth {
+        let mut depth = Depth::default();
+        for n in 0..10 {
+            depth.tip_at(1_000_000 * n, [0.0, 0.0, 0.05], &UPRIGHT);
+        }
+        assert!(depth.surface_at(8_500_000, distance_m, velocity_m_s));
+        depth
+    }
+
+    #[test]
+    fn the_surface_is_brought_to_now_before_it_is_followed() {
+        let s = Settings::default();
+        let advice = seen(500e-6, 1e-3).advise(9_000_000, 1e-3, 500e-6, &s).expect("all is known");
+        assert!((advice.distance_m - 500.5e-6).abs() < 1e-12 && (advice.age_s - 0.5e-3).abs() < 1e-12);
+        let wanted = 1e-3 + (30.0 + 0.1) * 0.5e-6;
+        assert!((advice.speed_m_s - wanted).abs() < 1e-9, "{} for {wanted}", advice.speed_m_s);
+    }
+
+    #[test]
+    fn the_tip_never_goes_on_into_the_forbidden_region_and_leaves_it_at_once() {
+        let s = Settings { approach_m_s: 5e-3, ..Settings::default() };
+        let at =
+            |distance: f64| seen(distance, 0.0).advise(9_000_000, 1e-3, 100e-6, &s).expect("known").speed_m_s;
+        assert!(at(150e-6) <= 0.0 && at(120e-6) < -1e-3);
+        assert!((at(200e-6) - 40.0 * 50e-6).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_old_surface_is_followed_no_further() {
+        let s = Settings::default();
+        let mut depth = seen(600e-6, 1e-3);
+        for n in 10..40 {
+            depth.tip_at(1_000_000 * n, [0.0, 0.0, 0.05], &UPRIGHT);
+        }
+        let advice = depth.advise(39_000_000, 1e-3, 500e-6, &s).expect("known");
+        assert!(advice.blind && advice.speed_m_s == 0.0);
+    }
+
+    #[test]
+    fn nothing_is_advised_while_tip_or_surface_are_unknown() {
+        let s = Settings::default();
+        let mut depth = Depth::default();
+        assert!(!depth.surface_at(1, 1e-3, 0.0));
+        assert_eq!(depth.advise(1, 1e-3, 500e-6, &s), None);
+        let mut depth = seen(500e-6, 0.0);
+        assert!(!depth.surface_at(8_600_000, 500e-6, f64::NAN));
+        assert_eq!(depth.advise(1_000_000_000, 1e-3, 500e-6, &s), None, "the robot is silent");
+    }
+}

@@ -1,0 +1,95 @@
+//! Payloads of the B-scan.
+//!
+//! Invariant: SI; poses are in the robot's base frame, as the robot's interface gives them.
+
+use trocar_sdk::data::Pose;
+use trocar_sdk::prelude::*;
+
+/// A scan to make. Where `width` is above 0, the line goes through the tip, half of it to each side, at `angle` from the
+/// base's x to its y axis; else from `from` to `to`. Only what is across the tool counts: depth is the scan's own affair.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct ScanRequest {
+    #[unit("m")]
+    pub from: [f64; 3],
+    #[unit("m")]
+    pub to: [f64; 3],
+    #[unit("m")]
+    pub width: f64,
+    #[unit("rad")]
+    pub angle: f64,
+    #[unit("m/s")]
+    pub speed: f64,
+    /// From the tip to the surface.
+    #[unit("m")]
+    pub offset: f64,
+    /// Along the line, from one column of the image to the next.
+    #[unit("m")]
+    pub pitch: f64,
+}
+
+named_values! {
+    /// What the scan does.
+    pub struct Phase: u32 {
+        /// Nothing: the robot is not commanded.
+        IDLE = 0,
+        /// Goes to the begin of the line and to the offset.
+        APPROACH = 1,
+        /// Goes along the line.
+        SCAN = 2,
+    }
+}
+
+/// How far a scan is.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct Progress {
+    pub stamp: Stamp,
+    /// Counts the scans since Start, from 1.
+    pub scan: u64,
+    pub phase: Phase,
+    /// Columns of the image that are there.
+    pub columns: u32,
+    /// Columns of the whole image.
+    pub of: u32,
+    /// The tracker's last distance was valid.
+    pub surface: Flag,
+    pub reserved: [u8; 3],
+    /// Predicted for now, from tip to surface.
+    #[unit("m")]
+    pub distance: f64,
+    /// The same less the offset; 0 without a scan.
+    #[unit("m")]
+    pub error: f64,
+    /// From the middle of an exposure to the step that sees its distance, mean.
+    #[unit("s")]
+    pub delay: f64,
+}
+
+/// A column of an image is there.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct ScanColumn {
+    /// Of its last A-scan.
+    pub stamp: Stamp,
+    pub scan: u64,
+    /// From 0.
+    pub column: u32,
+    /// A-scans in it.
+    pub lines: u32,
+    /// Of the tip, in the robot's base frame, when its first A-scan came.
+    pub pose: Pose,
+    /// From the tip to the surface when its last A-scan came, as tracked.
+    #[unit("m")]
+    pub distance: f64,
+}
+
+/// A scan has come to its end.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct ScanDone {
+    pub scan: u64,
+    /// Columns of the image, and how many of them no A-scan fell into.
+    pub columns: u32,
+    pub empty: u32,
+}

@@ -1,0 +1,323 @@
+//! A closed loop in virtual time for tests: phantom, spectra, the whole processing chain, tracker, the component `bscan` on
+//! its bench, and a robot with the drive of the simulated one.
+//!
+//! Invariant: a run is a function of its setup. Control sees encoders and spectra only; truth goes into `Record`.
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use nalgebra::{Point3, Vector3};
+use trocar_oct_core::chain::{Chain, Levels};
+use trocar_oct_core::dispersion::Dispersion;
+use trocar_oct_core::grid::{Grid, Interpolation};
+use trocar_oct_core::tracker::{Settings, Tracker};
+use trocar_phantom::World;
+use trocar_phantom::spectra::{Optics, Spectrograph};
+use trocar_sdk::data::{AScanHeader, Distance, Pose, SampleFormat, Twist};
+use trocar_sdk::prelude::*;
+use trocar_sdk::testing::Bench;
+
+use crate::{BScan, Phase, Progress, ScanRequest};
+
+const STEP_NS: u64 = 1_000_000;
+const LINE_NS: u64 = 250_000;
+pub(crate) const OFFSET_M: f64 = 500e-6;
+/// Where the robot's base stands in the world: above the eye.
+const BASE_Z_M: f64 = -0.08;
+
+#[derive(Clone, Copy)]
+pub(crate) struct Setup {
+    pub(crate) world: World,
+    /// From the end of an exposure to the distance, ns.
+    pub(crate) latency_ns: u64,
+    /// Light from the tissue from the begin of the scan on, beside the usual.
+    pub(crate) signal: f64,
+    /// A-scans go into the component, too.
+    pub(crate) images: bool,
+}
+
+impl Setup {
+    pub(crate) fn new(world: &str, seed: u64) -> Setup {
+        let world = World::named(world, seed).expect("a name");
+        Setup { world, latency_ns: 250_000, signal: 1.0, images: false }
+    }
+}
+
+/// Slides as `trocar_eyerobot::drive` has them: lag, one period of delay, limited acceleration, friction, encoder steps.
+#[derive(Clone, Copy, Default)]
+struct Slide {
+    at_m: f64,
+    before_m: f64,
+    speed_m_s: f64,
+    on_the_way_m_s: f64,
+}
+
+impl Slide {
+    fn cycle(&mut self, command_m_s: f64) {
+        let dt = STEP_NS as f64 * 1e-9;
+        let command = std::mem::replace(&mut self.on_the_way_m_s, command_m_s);
+        let wanted = if command.abs() < 2e-6 { 0.0 } else { command };
+        let before = self.speed_m_s;
+        let share = 1.0 - (-dt / 0.008).exp();
+        let mut after = before + ((wanted - before) * share).clamp(-0.5 * dt, 0.5 * dt);
+        if wanted == 0.0 && after.abs() < 2e-6 {
+            after = 0.0;
+        }
+        self.before_m = self.at_m;
+        self.at_m += 0.5 * (before + after) * dt;
+        self.speed_m_s = after;
+    }
+
+    fn encoder_m(&self) -> f64 {
+        (self.at_m / 0.5e-6).round() * 0.5e-6
+    }
+}
+
+/// What truly happened at one line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Truth {
+    pub(crate) ns: u64,
+    pub(crate) scanning: bool,
+    pub(crate) x_m: f64,
+    pub(crate) tip_z_m: f64,
+    /// First surface.
+    pub(crate) distance_m: f64,
+    pub(crate) ilm_m: f64,
+    /// What the tracker said of it.
+    pub(crate) measured: Distance,
+}
+
+pub(crate) struct Rig {
+    pub(crate) setup: Setup,
+    pub(crate) bench: Bench<BScan>,
+    spectrograph: Spectrograph,
+    chain: Chain,
+    tracker: Tracker,
+    slides: [Slide; 3],
+    pose: Rc<Cell<Pose>>,
+    waiting: Vec<(u64, Distance, Vec<f32>)>,
+    line: u64,
+    /// Lines up to this one see nothing.
+    pub(crate) dark_until_ns: u64,
+    pub(crate) truth: Vec<Truth>,
+    pub(crate) held: usize,
+    /// Steps must not allocate.
+    pub(crate) watched: bool,
+}
+
+impl Rig {
+    pub(crate) fn new(setup: Setup) -> Rig {
+        let rows = if setup.images { 512 } else { 8 };
+        let mut bench =
+            Bench::<BScan>::new(format!(r#"{{"rows": {rows}, "mscan_columns": 8, "range_db": [40, 100]}}"#));
+        let pose = Rc::new(Cell::new(Pose::default()));
+        let told = pose.clone();
+        bench.answer("robot/measured_cp", move |()| Ok(told.get()));
+        let optics = Optics::with_samples(1024);
+        let spectrograph = Spectrograph::new(optics, setup.world.noise(16)).expect("usual optics");
+        let grid = Grid::from_wavelengths(1024, [840e-9, 50e-9, 0.0, 0.0]).expect("a grid");
+        let mut chain = Chain::new(grid, Interpolation::Cubic, Levels::default());
+        chain.set_dispersion(Dispersion { a2_rad: 18.0, a3_rad: 4.0 });
+        let mut rig = Rig {
+            setup,
+            bench,
+            spectrograph,
+            chain,
+            tracker: Tracker::new(Settings::default()),
+            slides: [Slide::default(); 3],
+            pose,
+            waiting: Vec::new(),
+            line: 0,
+            dark_until_ns: 0,
+            truth: Vec::new(),
+            held: 0,
+            watched: false,
+        };
+        rig.capture();
+        let t_s = rig.bench.now().ns() as f64 * 1e-9;
+        rig.place(-1.5e-3, 0.0, 600e-6, t_s);
+        rig
+    }
+
+    /// The background of the reference arm alone.
+    fn capture(&mut self) {
+        self.chain.background().capture(256);
+        let (mut counts, mut ascan) = (vec![0; 1024], vec![0.0; 512]);
+        for n in 0..256 {
+            self.spectrograph.line(&[], 0.0, u64::MAX - n, &mut counts);
+            let bytes: Vec<u8> = counts.iter().flat_map(|c| c.to_ne_bytes()).collect();
+            self.chain.line(&bytes, &mut ascan).expect("lengths fit");
+        }
+    }
+
+    /// Puts the tip over `x`, `y`, `height_m` above the surface at `t_s`.
+    fn place(&mut self, x: f64, y: f64, height_m: f64, t_s: f64) {
+        let z = self.setup.world.surface_z(x, y, t_s) - height_m - BASE_Z_M;
+        for (slide, at) in self.slides.iter_mut().zip([x, y, z]) {
+            *slide = Slide { at_m: at, before_m: at, ..Slide::default() };
+        }
+    }
+
+    /// The usual scan: 3 mm along x through the fovea and two patches.
+    pub(crate) fn request() -> ScanRequest {
+        ScanRequest {
+            from: [-1.5e-3, 0.0, 0.0],
+            to: [1.5e-3, 0.0, 0.0],
+            speed: 0.5e-3,
+            offset: OFFSET_M,
+            pitch: 6e-6,
+            ..ScanRequest::default()
+        }
+    }
+
+    /// One period: exposures, processing, control, motion.
+    pub(crate) fn step(&mut self) {
+        let now_ns = self.bench.now().ns() + STEP_NS;
+        let encoders = self.slides.map(|slide| slide.encoder_m());
+        let stamp = Stamp::from_ns(now_ns);
+        self.pose.set(Pose { stamp, position: encoders, ..Pose::default() });
+        self.tracker.tip_at(now_ns, encoders, &[0.0, 0.0, 0.0, 1.0]);
+        for n in 0..4 {
+            self.expose(now_ns - STEP_NS + n * LINE_NS + LINE_NS / 2, now_ns);
+        }
+        let due = |(arrives, ..): &(u64, Distance, Vec<f32>)| *arrives <= now_ns;
+        let here = self.waiting.iter().take_while(|w| due(w)).count();
+        for (_, distance, ascan) in self.waiting.drain(..here) {
+            self.bench.push("distance", distance);
+            if self.setup.images {
+                let bytes: Vec<u8> = ascan.iter().flat_map(|db| db.to_ne_bytes()).collect();
+                let header = AScanHeader {
+                    stamp: distance.stamp,
+                    lines: 1,
+                    samples: 512,
+                    format: SampleFormat::F32,
+                    line_period: 250e-6,
+                    bin: self.chain.grid().bin_m(),
+                    ..AScanHeader::default()
+                };
+                self.bench.push_frame("ascan", header, &bytes);
+            }
+        }
+        if self.watched {
+            self.bench.assert_no_alloc(|bench| bench.step(1));
+        } else {
+            self.bench.step(1);
+        }
+        let mut command = [0.0; 3];
+        for function in ["axis/servo_cv", "robot/servo_cv"] {
+            if let Some(twist) = self.bench.calls::<Twist>(function).last() {
+                command = [0, 1, 2].map(|i| command[i] + twist.linear[i]);
+            }
+        }
+        self.held += self.bench.calls::<()>("robot/hold").len();
+        for (slide, command) in self.slides.iter_mut().zip(command) {
+            slide.cycle(command);
+        }
+    }
+
+    fn expose(&mut self, ns: u64, now_ns: u64) {
+        // The slides moved from `before_m` to `at_m` in the period that has just gone by.
+        let part = 1.0 - (now_ns - ns) as f64 / STEP_NS as f64;
+        let at = self.slides.map(|s| s.before_m + part * (s.at_m - s.before_m));
+        let tip = Point3::new(at[0], at[1], at[2] + BASE_Z_M);
+        let t_s = ns as f64 * 1e-9;
+        let below = self.setup.world.below(&tip, &Vector3::z_axis(), t_s).expect("over the retina");
+        let echoes = self.setup.world.echoes(&below);
+        let seen = if ns < self.dark_until_ns { &[] } else { echoes.as_slice() };
+        let mut counts = [0; 1024];
+        self.line += 1;
+        self.spectrograph.line(seen, t_s, self.line, &mut counts);
+        let mut bytes = [0; 2048];
+        for (count, bytes) in counts.iter().zip(bytes.as_chunks_mut::<2>().0) {
+            *bytes = count.to_ne_bytes();
+        }
+        let mut ascan = vec![0.0; 512];
+        self.chain.line(&bytes, &mut ascan).expect("lengths fit");
+        let reading = self.tracker.see(ns, &ascan, self.chain.grid().bin_m(), 0.0);
+        let measured = Distance {
+            stamp: Stamp::from_ns(ns),
+            distance: if reading.valid { reading.distance_m } else { 0.0 },
+            velocity: reading.velocity_m_s,
+            sigma: reading.sigma_m,
+            snr_db: reading.snr_db,
+            valid: reading.valid.into(),
+            reserved: [0; 7],
+        };
+        self.truth.push(Truth {
+            ns,
+            scanning: self.progress().phase == Phase::SCAN,
+            x_m: at[0],
+            tip_z_m: tip.z,
+            distance_m: below.distance_m,
+            ilm_m: below.ilm_m,
+            measured,
+        });
+        self.waiting.push((ns + LINE_NS / 2 + self.setup.latency_ns, measured, ascan));
+    }
+
+    pub(crate) fn progress(&self) -> Progress {
+        self.bench.state().progress
+    }
+
+    pub(crate) fn steps(&mut self, count: usize) {
+        (0..count).for_each(|_| self.step());
+    }
+
+    /// Looks for a while and begins the usual scan.
+    pub(crate) fn begin(&mut self) {
+        self.steps(60);
+        self.bench.command::<ScanRequest, ()>("scan/start", Rig::request()).expect("a scan");
+    }
+
+    /// Goes on until the tip is on its way along the line.
+    pub(crate) fn until_scanning(&mut self) {
+        for _ in 0..5000 {
+            if self.progress().phase == Phase::SCAN {
+                return;
+            }
+            self.step();
+        }
+        panic!("the scan does not set off: {:?}", self.progress());
+    }
+
+    /// The whole scan.
+    pub(crate) fn run(setup: Setup) -> Rig {
+        let mut rig = Rig::new(setup);
+        rig.begin();
+        rig.until_scanning();
+        rig.spectrograph.set_light(1.0, Optics::GAIN * setup.signal, 0.55);
+        for _ in 0..8000 {
+            rig.step();
+            if rig.progress().phase == Phase::IDLE {
+                return rig;
+            }
+        }
+        panic!("the scan does not end: {:?}", rig.progress());
+    }
+
+    /// Root mean square and largest deviation from the offset during the scan, and the smallest distance ever, m.
+    pub(crate) fn errors(&self) -> (f64, f64, f64) {
+        let errors: Vec<f64> =
+            self.truth.iter().filter(|t| t.scanning).map(|t| t.distance_m - OFFSET_M).collect();
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+        let largest = errors.iter().fold(0.0, |a: f64, e| a.max(e.abs()));
+        let nearest = self.truth.iter().map(|t| t.distance_m).fold(f64::INFINITY, f64::min);
+        (rms, largest, nearest)
+    }
+
+    /// The same root mean square for a tip that goes along the line at the height where it set off.
+    pub(crate) fn without_control(&self) -> f64 {
+        let scan: Vec<&Truth> = self.truth.iter().filter(|t| t.scanning).collect();
+        let z = scan[0].tip_z_m;
+        let surface = |t: &Truth| self.setup.world.surface_z(t.x_m, 0.0, t.ns as f64 * 1e-9);
+        let squares = scan.iter().map(|t| (surface(t) - z - OFFSET_M).powi(2)).sum::<f64>();
+        (squares / scan.len() as f64).sqrt()
+    }
+}
+
+impl Rig {
+    /// Scans that ended well.
+    pub(crate) fn bench_done(mut self) -> usize {
+        self.bench.events::<crate::ScanDone>("scan/bscan_done").len()
+    }
+}
