@@ -140,14 +140,15 @@ pub struct Spectrograph {
     noise: Noise,
     /// 2π/λ of each pixel, rad/m.
     wavenumber: Vec<f64>,
-    /// Source over the pixels, 1 at its brightest.
-    source: Vec<f32>,
-    /// exp(jφ) of each pixel.
-    dispersion: Vec<[f32; 2]>,
     /// First wavenumber of each run, and its first and second difference.
     runs: Vec<[f64; 3]>,
-    /// Sum over the echoes without dispersion: `RUN` rows of one value per run.
-    field: Vec<[f32; 2]>,
+    /// Source (1 at its brightest) and exp(jφ), as the field lies.
+    source: Vec<f32>,
+    dispersion: [Vec<f32>; 2],
+    /// Sum over the echoes without dispersion: for each pixel of a run one value per run, so that runs lie side by side.
+    field: [Vec<f32>; 2],
+    /// Mean and standard deviation of the electrons, as the field lies.
+    electrons: [Vec<f32>; 2],
 }
 
 impl Spectrograph {
@@ -178,13 +179,17 @@ impl Spectrograph {
             }
         }
         let wavenumber: Vec<f64> = (0..n).map(|i| TAU / optics.wavelength_m(i)).collect();
-        let source = (0..n).map(|i| source_at(&optics, i) as f32).collect();
-        let dispersion =
-            (0..n).map(|i| phase_at(&optics, &wavenumber, i)).map(|p| [p.cos() as f32, p.sin() as f32]);
-        let dispersion = dispersion.collect();
-        let runs = wavenumber.chunks_exact(RUN).map(differences).collect();
-        let field = vec![[0.0; 2]; n];
-        Ok(Spectrograph { optics, noise, wavenumber, source, dispersion, runs, field })
+        let runs: Vec<[f64; 3]> = wavenumber.chunks_exact(RUN).map(differences).collect();
+        let rows = runs.len();
+        // Pixel of a place in the field.
+        let lying =
+            |of: &dyn Fn(usize) -> f64| (0..n).map(|at| of(at % rows * RUN + at / rows) as f32).collect();
+        let phase = |i: usize| phase_at(&optics, &wavenumber, i);
+        let dispersion = [lying(&|i| phase(i).cos()), lying(&|i| phase(i).sin())];
+        let source = lying(&|i| source_at(&optics, i));
+        let zeros = || vec![0.0; n];
+        let (field, electrons) = ([zeros(), zeros()], [zeros(), zeros()]);
+        Ok(Spectrograph { optics, noise, wavenumber, runs, source, dispersion, field, electrons })
     }
 
     pub fn optics(&self) -> &Optics {
@@ -199,7 +204,7 @@ impl Spectrograph {
     /// Line `index` of the detector, taken at `t_s`, into `out` (as many as there are pixels, or the rest is left alone).
     /// Several echoes of one surface, each with its part of the amplitude, blur it as a motion during the exposure does.
     pub fn line(&mut self, echoes: &[Echo], t_s: f64, index: u64, out: &mut [u16]) {
-        self.field.fill([0.0; 2]);
+        self.field.iter_mut().for_each(|part| part.fill(0.0));
         let rows = self.runs.len();
         for echo in echoes {
             let amplitude = self.optics.amplitude(echo) as f32;
@@ -207,18 +212,29 @@ impl Spectrograph {
                 add_echo(&mut self.field, rows, chunk * LANES, runs, 2.0 * echo.path_m, amplitude);
             }
         }
-        let full = self.scale(t_s) as f32;
+        self.count_electrons(self.scale(t_s) as f32);
         let noise = self.noise.part(index);
-        let read = (self.optics.read_noise_e * self.optics.read_noise_e) as f32;
         let most = self.optics.largest_count() as f32;
         let counts = most / self.optics.full_well_e as f32;
-        for (i, out) in out.iter_mut().enumerate().take(self.source.len()) {
-            let [re, im] = self.field[(i % RUN) * rows + i / RUN];
-            let [c, s] = self.dispersion[i];
-            let (re, im) = (1.0 + re * c - im * s, re * s + im * c);
-            let electrons = full * self.source[i] * (re * re + im * im);
-            let noisy = electrons + (electrons + read).sqrt() * noise.quick_normal(i as u64);
-            *out = (noisy * counts + 0.5).clamp(0.0, most) as u16;
+        let [mean, spread] = &self.electrons;
+        for (run, out) in out.chunks_mut(RUN).enumerate().take(rows) {
+            for (i, out) in out.iter_mut().enumerate() {
+                let at = i * rows + run;
+                let noisy = mean[at] + spread[at] * noise.quick_normal((run * RUN + i) as u64);
+                *out = (noisy * counts + 0.5).clamp(0.0, most) as u16;
+            }
+        }
+    }
+
+    /// From the field to electrons and their spread; `full` is what the reference arm has at its brightest.
+    fn count_electrons(&mut self, full: f32) {
+        let read = (self.optics.read_noise_e * self.optics.read_noise_e) as f32;
+        let ([re, im], [cos, sin], [mean, spread]) = (&self.field, &self.dispersion, &mut self.electrons);
+        let field = re.iter().zip(im).zip(cos.iter().zip(sin)).zip(&self.source);
+        for ((((re, im), (cos, sin)), source), (mean, spread)) in field.zip(mean.iter_mut().zip(spread)) {
+            let (a, b) = (1.0 + re * cos - im * sin, re * sin + im * cos);
+            *mean = full * source * (a * a + b * b);
+            *spread = (*mean + read).sqrt();
         }
     }
 
@@ -282,34 +298,47 @@ fn differences(run: &[f64]) -> [f64; 3] {
 }
 
 /// Adds `amplitude · exp(j way k)` over `LANES` runs from `first` on, pixel by pixel: e ← e d, d ← d c.
-fn add_echo(field: &mut [[f32; 2]], rows: usize, first: usize, runs: &[[f64; 3]], way: f64, amplitude: f32) {
+fn add_echo(
+    field: &mut [Vec<f32>; 2],
+    rows: usize,
+    first: usize,
+    runs: &[[f64; 3]],
+    way: f64,
+    amplitude: f32,
+) {
     let unit = |phase: f64| {
         let (sin, cos) = ((phase - TAU * (phase / TAU).round()) as f32).sin_cos();
         [cos, sin]
     };
-    let mut e = [[0.0f32; LANES]; 2];
-    let mut d = [[0.0f32; LANES]; 2];
-    let mut c = [[0.0f32; LANES]; 2];
+    let [mut er, mut ei, mut dr, mut di, mut cr, mut ci] = [[0.0f32; LANES]; 6];
     for (lane, run) in runs.iter().enumerate().take(LANES) {
         let (start, step) = (unit(way * run[0]), unit(way * run[1]));
+        (er[lane], ei[lane]) = (amplitude * start[0], amplitude * start[1]);
+        [dr[lane], di[lane]] = step;
         // Less than 0.01 rad: two terms are exact in f32.
         let bend = (way * run[2]) as f32;
-        for part in 0..2 {
-            e[part][lane] = amplitude * start[part];
-            d[part][lane] = step[part];
-            c[part][lane] = [1.0 - 0.5 * bend * bend, bend][part];
-        }
+        (cr[lane], ci[lane]) = (1.0 - 0.5 * bend * bend, bend);
     }
-    for row in field.chunks_exact_mut(rows) {
-        let Some(row) = row.get_mut(first..first + LANES) else { return };
+    let [re, im] = field;
+    for (re, im) in re.chunks_exact_mut(rows).zip(im.chunks_exact_mut(rows)) {
+        let (re, im) = (re.get_mut(first..), im.get_mut(first..));
+        let (Some(re), Some(im)) =
+            (re.and_then(<[f32]>::first_chunk_mut), im.and_then(<[f32]>::first_chunk_mut))
+        else {
+            return;
+        };
+        let (re, im): (&mut [f32; LANES], &mut [f32; LANES]) = (re, im);
         for lane in 0..LANES {
-            row[lane][0] += e[0][lane];
-            row[lane][1] += e[1][lane];
-            let (er, ei, dr, di) = (e[0][lane], e[1][lane], d[0][lane], d[1][lane]);
-            e[0][lane] = er * dr - ei * di;
-            e[1][lane] = er * di + ei * dr;
-            d[0][lane] = dr * c[0][lane] - di * c[1][lane];
-            d[1][lane] = dr * c[1][lane] + di * c[0][lane];
+            re[lane] += er[lane];
+            im[lane] += ei[lane];
+        }
+        for lane in 0..LANES {
+            let (r, i) = (er[lane], ei[lane]);
+            er[lane] = r * dr[lane] - i * di[lane];
+            ei[lane] = r * di[lane] + i * dr[lane];
+            let (r, i) = (dr[lane], di[lane]);
+            dr[lane] = r * cr[lane] - i * ci[lane];
+            di[lane] = r * ci[lane] + i * cr[lane];
         }
     }
 }
