@@ -3,19 +3,19 @@
 //! Invariant: the robot is commanded in APPROACH and SCAN only, by velocities that end by themselves when they are not
 //! repeated. Every way out, good or bad, ends with velocity zero and `hold`, and is told by exactly one event.
 
+mod pictures;
+
 use trocar_oct_core::tip::{Timeline, axis_of};
-use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, PixelFormat, Pose, SampleFormat, Twist};
+use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, Pose, Twist};
 use trocar_sdk::prelude::*;
 
 use crate::depth::{Advice, Depth, Settings};
-use crate::image::{AScan, Grey, Rolling, Scan};
+use crate::image::{Rolling, Scan};
 use crate::line::Line;
 use crate::payloads::{Phase, Progress, ScanColumn, ScanDone, ScanRequest};
 
 /// Frames of each output's pool.
 const SLOTS: u32 = 6;
-/// Frames of A-scans of one step at most.
-const BURST: usize = 32;
 /// The loop is not closed above this delay, s. The prediction is stable to 10 ms.
 const LONGEST_DELAY_S: f64 = 0.012;
 /// A surface that was not seen for this long ends a scan, s.
@@ -328,35 +328,6 @@ impl BScan {
         velocity
     }
 
-    /// Puts A-scans where they belong.
-    fn draw(&mut self) {
-        let grey = Grey { low_db: self.cfg.range_db[0] as f32, high_db: self.cfg.range_db[1] as f32 };
-        for _ in 0..BURST {
-            let Some(frame) = self.ascan.next() else { return };
-            let header = *frame.header();
-            let Ok(lines) = frame.lines() else { continue };
-            for (i, bytes) in lines.iter().enumerate() {
-                let ascan = match header.format {
-                    SampleFormat::U8 => AScan::Bytes(bytes),
-                    SampleFormat::F32 => AScan::Decibels(bytes, grey),
-                    _ => break,
-                };
-                self.rolling.add(ascan);
-                let Some(line) = &self.line else { continue };
-                let ns = header.stamp.ns() + (i as f64 * header.line_period * 1e9).round() as u64;
-                // What was taken on the way to the line belongs to no column.
-                if self.progress.phase != Phase::SCAN || ns < self.since.phase.ns() {
-                    continue;
-                }
-                let Some(gone_m) = self.gone.at(ns).filter(|gone_m| *gone_m >= 0.0) else { continue };
-                if let Some(ended) = self.scan.add((gone_m / line.pitch_m) as usize, ascan) {
-                    tell(&self.column, &self.progress, &self.last, self.column_pose, ended, ns);
-                    self.column_pose = self.pose;
-                }
-            }
-        }
-    }
-
     /// Has the last A-scan of the line been seen? Without A-scans: is the tip at its end?
     fn is_over(&self, now: Stamp) -> bool {
         let Some(line) = &self.line else { return false };
@@ -370,9 +341,7 @@ impl BScan {
 
     /// The end of the line has been reached, and its A-scans have arrived.
     fn finish(&mut self, now: Stamp) {
-        if let Some(ended) = self.scan.end() {
-            tell(&self.column, &self.progress, &self.last, self.column_pose, ended, now.ns());
-        }
+        self.end_column(now);
         let filled = self.scan.filled() as u32;
         self.progress.columns = filled;
         self.send_scan(now);
@@ -384,79 +353,6 @@ impl BScan {
         self.rest();
         self.bscan_done.emit(done);
     }
-
-    fn send_scan(&mut self, now: Stamp) {
-        let pixels = self.scan.pixels();
-        let header = self.header(now, 0, self.scan.width());
-        let Ok(mut loan) = self.bscan_image.loan() else {
-            self.left_out += 1;
-            return;
-        };
-        *loan.header_mut() = header;
-        if let Some(room) = loan.bytes_mut().get_mut(..pixels.len()) {
-            room.copy_from_slice(pixels);
-        }
-        loan.commit(pixels.len(), now);
-        self.image_index[0] += 1;
-    }
-
-    fn send_rolling(&mut self, now: Stamp) {
-        let header = self.header(now, 1, self.cfg.mscan_columns as usize);
-        let len = (self.cfg.mscan_columns * self.cfg.rows) as usize;
-        let Ok(mut loan) = self.mscan_image.loan() else {
-            self.left_out += 1;
-            return;
-        };
-        *loan.header_mut() = header;
-        if let Some(room) = loan.bytes_mut().get_mut(..len) {
-            self.rolling.write(room);
-        }
-        loan.commit(len, now);
-        self.image_index[1] += 1;
-    }
-
-    fn header(&self, stamp: Stamp, which: usize, width: usize) -> ImageHeader {
-        ImageHeader {
-            stamp,
-            index: self.image_index[which],
-            width: width as u32,
-            height: self.cfg.rows,
-            stride: width as u32,
-            format: PixelFormat::GRAY8,
-        }
-    }
-
-    /// Images that are due.
-    fn send_images(&mut self, now: Stamp) {
-        let period_ns = (1e9 / self.cfg.image_rate_hz) as u64;
-        if now >= self.next_image[1] {
-            self.next_image[1] = Stamp::from_ns(now.ns() + period_ns);
-            self.send_rolling(now);
-        }
-        if self.progress.phase == Phase::SCAN && now >= self.next_image[0] {
-            self.next_image[0] = Stamp::from_ns(now.ns() + period_ns);
-            self.send_scan(now);
-        }
-    }
-}
-
-/// A column is there.
-fn tell(
-    to: &Out<ScanColumn>,
-    progress: &Progress,
-    last: &Distance,
-    pose: Pose,
-    (column, lines): (usize, u32),
-    ns: u64,
-) {
-    to.write(&ScanColumn {
-        stamp: Stamp::from_ns(ns),
-        scan: progress.scan,
-        column: column as u32,
-        lines,
-        pose,
-        distance: last.distance,
-    });
 }
 
 impl Component for BScan {

@@ -3,11 +3,13 @@
 //! Invariant: one A-scan for each line, with its stamp and number; a line that is dark or saturated gives silence, and is
 //! told once when it begins and once when it is over. A search for the dispersion is spread over many steps.
 
+mod frames;
+
 use trocar_oct_core::chain::{Chain, Levels, Light};
 use trocar_oct_core::dispersion::{Dispersion, Window};
 use trocar_oct_core::grid::{Grid, Interpolation};
 use trocar_oct_core::search::{Found, Search};
-use trocar_sdk::data::{AScanHeader, SampleFormat, SpectraHeader};
+use trocar_sdk::data::{AScanHeader, SpectraHeader};
 use trocar_sdk::prelude::*;
 
 use crate::payloads::{DispersionFound, DispersionTerms, RangeDb};
@@ -244,108 +246,6 @@ impl OctProcessor {
                 let found = DispersionFound { a2, a3, sharpness, taken: sure.into(), reserved: [0; 7] };
                 self.dispersion_done.emit(found);
                 return;
-            }
-        }
-    }
-
-    /// One frame; why not, where it cannot be processed.
-    fn frame(&mut self, now: Stamp) -> Option<Result<(), &'static str>> {
-        let frame = self.spectra.next()?;
-        let Some(works) = &mut self.works else { return Some(Ok(())) };
-        let (header, grid) = (*frame.header(), works.chain.grid());
-        let (samples, bins) = (grid.samples(), grid.bins());
-        let done = (|| {
-            if header.format != SampleFormat::U16 {
-                return Err(
-                    "its values are no u16: connect a spectrometer, whose values are what the detector counted",
-                );
-            }
-            if header.samples as usize != samples {
-                return Err(
-                    "its lines have another number of pixels: configure samples as the spectrometer has them",
-                );
-            }
-            if header.lines > self.cfg.max_lines {
-                return Err(
-                    "it has more lines than max_lines: configure a larger one, or smaller frames of the source",
-                );
-            }
-            frame.lines().map_err(|_| "its bytes are fewer than its header says: the source is wrong")
-        })();
-        let lines = match done {
-            Ok(lines) => lines,
-            Err(why) => return Some(Err(why)),
-        };
-        let out = AScanHeader {
-            stamp: header.stamp,
-            index: header.index,
-            lines: header.lines,
-            samples: bins as u32,
-            format: SampleFormat::F32,
-            line_period: header.line_period,
-            bin: grid.bin_m(),
-            first: 0.0,
-            ..AScanHeader::default()
-        };
-        let Ok(mut loan) = self.ascan.loan() else {
-            self.left_out += u64::from(header.lines);
-            return Some(Ok(()));
-        };
-        let mut bytes_loan = self.ascan_u8.loan().ok();
-        *loan.header_mut() = out;
-        if let Some(bytes) = &mut bytes_loan {
-            *bytes.header_mut() = AScanHeader { format: SampleFormat::U8, ..out };
-        }
-        let scale = 255.0 / (self.range.high - self.range.low) as f32;
-        let low = self.range.low as f32;
-        let before = works.light;
-        let (mut last, mut lights) = (before, [0u64; 2]);
-        let mut captured = None;
-        for (i, line) in lines.iter().enumerate() {
-            let missing = works.chain.background().missing();
-            let Ok(light) = works.chain.line(line, &mut works.ascan) else { continue };
-            if missing == 1 && works.chain.background().missing() == 0 {
-                captured = Some(works.capture);
-            }
-            if light == Light::Good {
-                works.search.see(&works.chain);
-            }
-            lights[0] += u64::from(light == Light::Dark);
-            lights[1] += u64::from(light == Light::Saturated);
-            last = light;
-            let at = i * bins;
-            if let Some(room) = loan.bytes_mut().get_mut(4 * at..4 * (at + bins)) {
-                for (db, room) in works.ascan.iter().zip(room.as_chunks_mut::<4>().0) {
-                    *room = db.to_ne_bytes();
-                }
-            }
-            if let Some(room) = bytes_loan.as_mut().and_then(|b| b.bytes_mut().get_mut(at..at + bins)) {
-                for (db, room) in works.ascan.iter().zip(room) {
-                    *room = ((db - low) * scale) as u8;
-                }
-            }
-        }
-        works.light = last;
-        let count = header.lines as usize * bins;
-        loan.commit(4 * count, header.stamp);
-        bytes_loan.map(|loan| loan.commit(count, header.stamp));
-        self.processed += u64::from(header.lines);
-        let span_s = header.line_period * f64::from(header.lines.saturating_sub(1));
-        self.latency = now.seconds_since(header.stamp) - span_s;
-        self.dark_lines += lights[0];
-        self.saturated_lines += lights[1];
-        self.tell(before, last);
-        if let Some(lines) = captured {
-            self.background_done.emit(lines);
-        }
-        Some(Ok(()))
-    }
-
-    /// Tells when the light of the last line of a frame is another one than that of the last line before.
-    fn tell(&self, before: Light, now: Light) {
-        for (of, event) in [(Light::Dark, &self.dark), (Light::Saturated, &self.saturated)] {
-            if (now == of) != (before == of) {
-                event.emit(Flag::from(now == of));
             }
         }
     }

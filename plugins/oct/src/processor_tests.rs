@@ -5,6 +5,7 @@ use super::*;
 use trocar_phantom::noise::Noise;
 use trocar_phantom::spectra::{Optics, Spectrograph};
 use trocar_phantom::tissue::Echo;
+use trocar_sdk::data::SampleFormat;
 use trocar_sdk::testing::Bench;
 
 struct Detector {

@@ -1,0 +1,126 @@
+//! The images of the scan: A-scans come in, columns and frames go out.
+//!
+//! Invariant: an A-scan belongs to the column where the tip was when it was taken, not where it is when it arrives.
+
+use trocar_sdk::data::{Distance, ImageHeader, PixelFormat, Pose, SampleFormat};
+use trocar_sdk::prelude::*;
+
+use super::BScan;
+use crate::image::{AScan, Grey};
+use crate::payloads::{Phase, Progress, ScanColumn};
+
+/// Frames of A-scans of one step at most.
+const BURST: usize = 32;
+
+impl BScan {
+    /// Puts A-scans where they belong.
+    pub(super) fn draw(&mut self) {
+        let grey = Grey { low_db: self.cfg.range_db[0] as f32, high_db: self.cfg.range_db[1] as f32 };
+        for _ in 0..BURST {
+            let Some(frame) = self.ascan.next() else { return };
+            let header = *frame.header();
+            let Ok(lines) = frame.lines() else { continue };
+            for (i, bytes) in lines.iter().enumerate() {
+                let ascan = match header.format {
+                    SampleFormat::U8 => AScan::Bytes(bytes),
+                    SampleFormat::F32 => AScan::Decibels(bytes, grey),
+                    _ => break,
+                };
+                self.rolling.add(ascan);
+                let Some(line) = &self.line else { continue };
+                let ns = header.stamp.ns() + (i as f64 * header.line_period * 1e9).round() as u64;
+                // What was taken on the way to the line belongs to no column.
+                if self.progress.phase != Phase::SCAN || ns < self.since.phase.ns() {
+                    continue;
+                }
+                let Some(gone_m) = self.gone.at(ns).filter(|gone_m| *gone_m >= 0.0) else { continue };
+                if let Some(ended) = self.scan.add((gone_m / line.pitch_m) as usize, ascan) {
+                    tell(&self.column, &self.progress, &self.last, self.column_pose, ended, ns);
+                    self.column_pose = self.pose;
+                }
+            }
+        }
+    }
+
+    /// Ends the column that grows.
+    pub(super) fn end_column(&mut self, now: Stamp) {
+        if let Some(ended) = self.scan.end() {
+            tell(&self.column, &self.progress, &self.last, self.column_pose, ended, now.ns());
+        }
+    }
+
+    /// Sends the image of the scan as it is now.
+    pub(super) fn send_scan(&mut self, now: Stamp) {
+        let pixels = self.scan.pixels();
+        let header = self.header(now, 0, self.scan.width());
+        let Ok(mut loan) = self.bscan_image.loan() else {
+            self.left_out += 1;
+            return;
+        };
+        *loan.header_mut() = header;
+        if let Some(room) = loan.bytes_mut().get_mut(..pixels.len()) {
+            room.copy_from_slice(pixels);
+        }
+        loan.commit(pixels.len(), now);
+        self.image_index[0] += 1;
+    }
+
+    /// Sends the last moments.
+    fn send_rolling(&mut self, now: Stamp) {
+        let header = self.header(now, 1, self.cfg.mscan_columns as usize);
+        let len = (self.cfg.mscan_columns * self.cfg.rows) as usize;
+        let Ok(mut loan) = self.mscan_image.loan() else {
+            self.left_out += 1;
+            return;
+        };
+        *loan.header_mut() = header;
+        if let Some(room) = loan.bytes_mut().get_mut(..len) {
+            self.rolling.write(room);
+        }
+        loan.commit(len, now);
+        self.image_index[1] += 1;
+    }
+
+    fn header(&self, stamp: Stamp, which: usize, width: usize) -> ImageHeader {
+        ImageHeader {
+            stamp,
+            index: self.image_index[which],
+            width: width as u32,
+            height: self.cfg.rows,
+            stride: width as u32,
+            format: PixelFormat::GRAY8,
+        }
+    }
+
+    /// Images that are due.
+    pub(super) fn send_images(&mut self, now: Stamp) {
+        let period_ns = (1e9 / self.cfg.image_rate_hz) as u64;
+        if now >= self.next_image[1] {
+            self.next_image[1] = Stamp::from_ns(now.ns() + period_ns);
+            self.send_rolling(now);
+        }
+        if self.progress.phase == Phase::SCAN && now >= self.next_image[0] {
+            self.next_image[0] = Stamp::from_ns(now.ns() + period_ns);
+            self.send_scan(now);
+        }
+    }
+}
+
+/// A column is there.
+fn tell(
+    to: &Out<ScanColumn>,
+    progress: &Progress,
+    last: &Distance,
+    pose: Pose,
+    (column, lines): (usize, u32),
+    ns: u64,
+) {
+    to.write(&ScanColumn {
+        stamp: Stamp::from_ns(ns),
+        scan: progress.scan,
+        column: column as u32,
+        lines,
+        pose,
+        distance: last.distance,
+    });
+}
