@@ -5,11 +5,14 @@
 //! simulation: no figure taken here is a result of hardware.
 #![forbid(unsafe_code)]
 
+mod backdrop;
+pub mod camera;
 pub mod eye;
 pub mod forces;
 pub mod hand;
 pub mod motion;
 pub mod noise;
+pub mod render;
 pub mod retina;
 pub mod sensor;
 pub mod spectra;
@@ -17,4 +20,9 @@ pub mod tissue;
 mod world;
 
 pub use hand::Hand;
+mod shadow;
+pub mod tissue;
+mod world;
+
+pub use backdrop::Lamp;
 pub use world::{Below, World};
