@@ -207,7 +207,15 @@ pub const PAYLOADS: &[Payload] = &[
         doc: "Pixel formats; rows are `stride` bytes apart.",
         fields: &[],
         repr: "u32",
-        values: &[("GRAY8", 1), ("RGB8", 2), ("BGR8", 3), ("RGBA8", 4), ("GRAY16", 5)],
+        values: &[
+            ("GRAY8", 1),
+            ("RGB8", 2),
+            ("BGR8", 3),
+            ("RGBA8", 4),
+            ("GRAY16", 5),
+            ("BAYER_RG8", 6),
+            ("YUYV", 7),
+        ],
     },
     Payload {
         name: "Spectrometer",
