@@ -1,0 +1,175 @@
+//! `camera`: a camera of this machine, through Video4Linux.
+//!
+//! Invariant: the device is open between Start and Stop only; one that fails or is unplugged is told, and looked for again.
+
+use std::time::Duration;
+
+use trocar_sdk::data::{CameraGeometry, OperatingMode, OperatingState, StereoHeader};
+use trocar_sdk::prelude::*;
+
+use crate::feed::Feed;
+use crate::layout::Layout;
+use crate::live::{Last, Live, SLOTS, Sent};
+use crate::v4l2::V4l2;
+
+#[derive(Config)]
+struct CameraConfig {
+    /// The camera's file
+    #[config(default = "/dev/video0")]
+    device: String,
+    /// Pixels in a row of one image
+    #[config(min = 1, max = 16384, unit = "px", default = 640)]
+    width: u32,
+    /// Rows of one image
+    #[config(min = 1, max = 16384, unit = "px", default = 480)]
+    height: u32,
+    /// How pixels lie in memory
+    #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv"], default = "yuyv")]
+    format: String,
+    /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide; `stacked`: the left
+    /// image above the right one
+    #[config(one_of = ["mono", "side_by_side", "stacked"], default = "mono")]
+    layout: String,
+    /// From the exposure to the last byte, where it is known: stamps are that much before the arrival
+    #[config(min = 0.0, max = 10.0, unit = "s", default = 0.0)]
+    delay_s: f64,
+    /// Images per second to ask the camera for; 0 leaves it its own
+    #[config(min = 0, max = 1000, unit = "Hz", default = 30)]
+    fps: u32,
+    /// A camera that gives nothing for so long has stalled
+    #[config(min = 0.05, max = 3600.0, unit = "s", default = 2.0)]
+    stall_s: f64,
+    /// Whether a device that failed is opened again
+    #[config(default = true)]
+    restart: bool,
+    /// How long after it failed
+    #[config(min = 0.01, max = 3600.0, unit = "s", default = 1.0)]
+    restart_delay_s: f64,
+}
+
+/// Takes the images of a camera such as `/dev/video0`.
+#[derive(Component)]
+#[component(model = "stream", rate_hz = 250, safety = "sensor", hardware)]
+pub struct Camera {
+    /// One frame per step at most, in the layout that the configuration says
+    #[output]
+    image: Out<Frame<StereoHeader>>,
+    /// Frames not sent since Start.
+    #[event("camera")]
+    frame_dropped: Event<u64>,
+    /// The device fails or runs again, and why.
+    #[event("camera", name = "operating_state")]
+    changed: Event<OperatingState>,
+    #[state]
+    sent: Sent,
+    #[state]
+    operating_state: OperatingState,
+    #[state]
+    geometry: CameraGeometry,
+    #[config]
+    cfg: CameraConfig,
+    #[host]
+    host: Host,
+    layout: Option<Layout>,
+    feed: Option<Feed>,
+    last: Last,
+}
+
+/// What the camera sees and sent, and how it is.
+#[provides("camera")]
+impl Camera {
+    /// Size of one image and the rate at which they come.
+    #[read]
+    fn camera_geometry(s: &CameraState) -> CameraGeometry {
+        s.geometry
+    }
+
+    /// Frames sent since Start.
+    #[read]
+    fn emitted(s: &CameraState) -> u64 {
+        s.sent.emitted
+    }
+
+    /// ENABLED while frames come, FAULT with the reason while the device fails, DISABLED otherwise.
+    #[read]
+    fn operating_state(s: &CameraState) -> OperatingState {
+        s.operating_state
+    }
+}
+
+impl Camera {
+    fn live(&mut self) -> (Live<'_>, Option<(&mut Feed, &Layout)>) {
+        let live = Live {
+            image: &mut self.image,
+            frame_dropped: &mut self.frame_dropped,
+            changed: &mut self.changed,
+            sent: &mut self.sent,
+            operating_state: &mut self.operating_state,
+            geometry: &mut self.geometry,
+            last: &mut self.last,
+        };
+        (live, self.feed.as_mut().zip(self.layout.as_ref()))
+    }
+
+    fn open(&mut self) -> Result {
+        self.feed = None;
+        self.last = Last::default();
+        let Some(layout) = self.layout else { return Ok(()) };
+        let source = V4l2 {
+            device: self.cfg.device.clone().into(),
+            layout,
+            fps: self.cfg.fps,
+            stall: Duration::from_secs_f64(self.cfg.stall_s),
+            delay_s: self.cfg.delay_s,
+        };
+        let again = self.cfg.restart.then(|| Duration::from_secs_f64(self.cfg.restart_delay_s));
+        self.feed = Some(Feed::open(source, layout.frame_bytes(), again, self.host.clone())?);
+        Ok(())
+    }
+}
+
+impl Component for Camera {
+    fn configure(&mut self) -> Result {
+        let layout = Layout::of(self.cfg.width, self.cfg.height, &self.cfg.format, &self.cfg.layout)?;
+        self.image.reserve(layout.frame_bytes(), SLOTS)?;
+        self.geometry = CameraGeometry { width: layout.width, height: layout.height, fps: 0.0 };
+        self.layout = Some(layout);
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        self.sent = Sent::default();
+        self.operating_state = OperatingState::default();
+        self.open()
+    }
+
+    fn resume(&mut self) -> Result {
+        self.open()
+    }
+
+    fn stop(&mut self) -> Result {
+        let ended = self.feed.take().map_or(Ok(()), |mut feed| feed.end());
+        let now = self.host.now();
+        self.live().0.tell(OperatingMode::DISABLED, Text::new(""), now);
+        ended
+    }
+
+    /// The device goes with its thread, which is told to end and not waited for.
+    fn make_safe(&mut self) -> Result {
+        if let Some(feed) = &self.feed {
+            feed.halt();
+        }
+        Ok(())
+    }
+
+    fn step(&mut self, tick: &Tick) -> Result {
+        if let (mut live, Some((feed, layout))) = self.live() {
+            live.step(feed, layout, tick.now());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "camera_tests.rs"]
+mod tests;

@@ -1,0 +1,241 @@
+//! Frames from a thread that waits for a device to the component's step, without a lock.
+//!
+//! Invariant: the step takes what is there and never waits; buffers go round and are never freed on its side. The thread ends with
+//! its `Feed`, and with it whatever the device is. A device that fails is told, and opened again where that is asked for.
+
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec};
+use trocar_sdk::prelude::*;
+
+/// Buffers that go round: one being filled, the rest on their way.
+const BUFFERS: usize = 4;
+/// Words of trouble that wait for the step; more are left out.
+const NOTICES: usize = 8;
+
+/// Where frames come from.
+pub(crate) trait Source: Send + 'static {
+    /// The open device.
+    type Session: Send;
+    /// # Errors
+    /// Why it cannot be opened, and what to do.
+    fn open(&self) -> std::result::Result<Self::Session, String>;
+    /// Hands on frames until it is told to stop or the device fails; gives the reason.
+    fn pump(&self, session: Self::Session, giver: &mut Giver, stop: &Stop) -> String;
+}
+
+/// One frame.
+pub(crate) struct Shot {
+    pub(crate) bytes: Vec<u8>,
+    pub(crate) stamp: Stamp,
+    /// Counts the device's frames from 0; one that found no buffer uses up its number.
+    pub(crate) number: u64,
+}
+
+/// How the device is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Notice {
+    /// Frames come (again).
+    Runs,
+    /// Why none come.
+    Failed(Text<128>),
+}
+
+/// The component's end.
+pub(crate) struct Feed {
+    filled: Receiver<Shot>,
+    empty: SyncSender<Vec<u8>>,
+    notices: Receiver<Notice>,
+    stop: Arc<Stop>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Feed {
+    /// Opens the device and begins to take frames of `bytes` each. `again` says after how long a failed device is
+    /// opened again.
+    ///
+    /// # Errors
+    /// As [`Source::open`].
+    pub(crate) fn open<S: Source>(
+        source: S,
+        bytes: usize,
+        again: Option<Duration>,
+        host: Host,
+    ) -> Result<Feed> {
+        let session = source.open()?;
+        let stop = Arc::new(Stop::new()?);
+        let (filled_in, filled) = sync_channel(BUFFERS);
+        let (empty, empty_out) = sync_channel(BUFFERS);
+        let (notices_in, notices) = sync_channel(NOTICES);
+        for _ in 1..BUFFERS {
+            empty.try_send(vec![0; bytes]).map_err(|_| "there is room for all buffers")?;
+        }
+        let mut giver = Giver {
+            filled: filled_in,
+            empty: empty_out,
+            notices: notices_in,
+            spare: Some(vec![0; bytes]),
+            host,
+            number: 0,
+            runs: false,
+        };
+        let stopping = stop.clone();
+        let thread = std::thread::Builder::new()
+            .name("trocar-frames".into())
+            .spawn(move || supervise(&source, session, &mut giver, &stopping, again))
+            .map_err(|why| format!("no thread for the device: {why}"))?;
+        Ok(Feed { filled, empty, notices, stop, thread: Some(thread) })
+    }
+
+    /// The oldest frame that is there. Lock-free: nobody ever waits at the other end.
+    pub(crate) fn next(&mut self) -> Option<Shot> {
+        self.filled.try_recv().ok()
+    }
+
+    /// Gives a frame's buffer back.
+    pub(crate) fn give_back(&mut self, bytes: Vec<u8>) {
+        // There is room for all buffers; a thread that has ended needs none.
+        let _ = self.empty.try_send(bytes);
+    }
+
+    /// What happened to the device since the last asking, one after the other.
+    pub(crate) fn notice(&mut self) -> Option<Notice> {
+        self.notices.try_recv().ok()
+    }
+
+    /// Tells the thread to end, and does not wait for it.
+    pub(crate) fn halt(&self) {
+        self.stop.set();
+    }
+
+    /// Ends the thread and the device.
+    ///
+    /// # Errors
+    /// The thread panicked.
+    pub(crate) fn end(&mut self) -> Result {
+        self.halt();
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        thread.join().map_err(|_| "the thread of the device panicked".into())
+    }
+}
+
+impl Drop for Feed {
+    fn drop(&mut self) {
+        let _ = self.end();
+    }
+}
+
+/// Runs the device, and opens it again after it failed, until it is told to stop.
+fn supervise<S: Source>(
+    source: &S,
+    first: S::Session,
+    giver: &mut Giver,
+    stop: &Stop,
+    again: Option<Duration>,
+) {
+    let mut session = Some(first);
+    loop {
+        let why = match session.take().map_or_else(|| source.open(), Ok) {
+            Ok(open) => source.pump(open, giver, stop),
+            Err(why) => why,
+        };
+        if stop.is_set() {
+            return;
+        }
+        giver.failed(&why);
+        match again {
+            Some(delay) if !stop.wait(delay) => {}
+            _ => return,
+        }
+    }
+}
+
+/// The thread's end.
+pub(crate) struct Giver {
+    filled: SyncSender<Shot>,
+    empty: Receiver<Vec<u8>>,
+    notices: SyncSender<Notice>,
+    /// The buffer to fill; none only inside `give`.
+    spare: Option<Vec<u8>>,
+    host: Host,
+    number: u64,
+    runs: bool,
+}
+
+impl Giver {
+    /// The buffer that the next frame goes into.
+    pub(crate) fn room(&mut self) -> &mut [u8] {
+        self.spare.as_deref_mut().unwrap_or_default()
+    }
+
+    /// Hands on what [`Giver::room`] holds, taken `delay_s` ago. Where the step has not given a buffer back, the frame is
+    /// lost, and its number with it.
+    pub(crate) fn give(&mut self, delay_s: f64) {
+        let number = self.number;
+        self.number += 1;
+        if !self.runs {
+            self.runs = true;
+            let _ = self.notices.try_send(Notice::Runs);
+        }
+        let Ok(next) = self.empty.try_recv() else { return };
+        let Some(bytes) = self.spare.replace(next) else { return };
+        let now = self.host.now().ns();
+        // Never 0, which says that there is no time.
+        let stamp = Stamp::from_ns(now.saturating_sub((delay_s * 1e9) as u64).max(1));
+        let _ = self.filled.try_send(Shot { bytes, stamp, number });
+    }
+
+    fn failed(&mut self, why: &str) {
+        self.runs = false;
+        let _ = self.notices.try_send(Notice::Failed(Text::new(why)));
+    }
+}
+
+/// The word to stop, for a thread that sleeps in `poll`.
+pub(crate) struct Stop {
+    set: AtomicBool,
+    wake: OwnedFd,
+}
+
+impl Stop {
+    fn new() -> Result<Stop> {
+        let wake = rustix::event::eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?;
+        Ok(Stop { set: AtomicBool::new(false), wake })
+    }
+
+    fn set(&self) {
+        self.set.store(true, Ordering::Release);
+        // A counter that is full wakes, too.
+        let _ = rustix::io::write(&self.wake, &1u64.to_ne_bytes());
+    }
+
+    pub(crate) fn is_set(&self) -> bool {
+        self.set.load(Ordering::Acquire)
+    }
+
+    /// Sleeps for a time, or until it is set; tells whether it is.
+    fn wait(&self, time: Duration) -> bool {
+        let begun = std::time::Instant::now();
+        while !self.is_set() && begun.elapsed() < time {
+            self.poll(&[], time.saturating_sub(begun.elapsed()));
+        }
+        self.is_set()
+    }
+
+    /// Sleeps until one of two files at most has something to read or has ended, the time is over, or it is set. Tells which
+    /// files have.
+    pub(crate) fn poll(&self, files: &[BorrowedFd<'_>], time: Duration) -> [bool; 2] {
+        let time = Timespec::try_from(time).unwrap_or(Timespec { tv_sec: 1, tv_nsec: 0 });
+        let none = self.wake.as_fd();
+        let fd = |at: usize| files.get(at).copied().unwrap_or(none);
+        let mut all = [none, fd(0), fd(1)].map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
+        // An interrupted poll comes back as one without news.
+        let _ = rustix::event::poll(&mut all, Some(&time));
+        [1, 2].map(|at| files.len() >= at && !all[at].revents().is_empty())
+    }
+}

@@ -1,0 +1,237 @@
+//! `phantom_source`: stereo pairs of the simulated eye, drawn when they are taken.
+//!
+//! Invariant: an index is used up whether or not its pair could be sent; a pair is that of its stamp: the world's time is the
+//! stamp, and the tool stands where its last sample says it is by then.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use trocar_phantom::World;
+use trocar_phantom::camera::{Rig, Tool};
+use trocar_phantom::render::{Renderer, Scene, Side};
+use trocar_sdk::data::{CameraGeometry, CartesianState, ImageHeader, PixelFormat, StereoHeader};
+use trocar_sdk::prelude::*;
+
+use crate::mosaic;
+
+/// Frames of the output's pool: one in the making, the rest held by readers.
+const SLOTS: u32 = 6;
+/// Longest time over which a sample of the tip is carried on, s: behind it the tool stands still.
+const FARTHEST_S: f64 = 0.05;
+
+#[derive(Config)]
+pub(crate) struct PhantomSourceConfig {
+    /// Which world is simulated
+    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane"], default = "default")]
+    world: String,
+    /// Seed of the world: phases of motion, texture, noise
+    #[config(default = 1)]
+    seed: u64,
+    /// Pixels in a row of one image, an even number
+    #[config(min = 32, max = 4096, unit = "px", default = 1024)]
+    width: usize,
+    /// Rows of one image, an even number
+    #[config(min = 32, max = 4096, unit = "px", default = 768)]
+    height: usize,
+    /// How pixels lie in memory
+    #[config(one_of = ["rgb8", "bayer_rg8", "yuyv"], default = "rgb8")]
+    format: String,
+    /// `rectified`: rows match, no lens errors. `toed_in`: what a microscope gives before rectification
+    #[config(one_of = ["rectified", "toed_in"], default = "rectified")]
+    rig: String,
+    /// Every how many pairs the true disparity is sent; 0 = never. A rectified rig only
+    #[config(min = 0, max = 1000, default = 0)]
+    disparity_every: u64,
+    /// Half the width of the tool
+    #[config(min = 0.00005, max = 0.002, unit = "m", default = 0.0003)]
+    tool_radius_m: f64,
+    /// How much of the tool's shaft is drawn
+    #[config(min = 0.001, max = 0.1, unit = "m", default = 0.025)]
+    tool_length_m: f64,
+}
+
+/// Takes stereo pairs of the simulated eye, at the rate of its execution.
+#[derive(Component)]
+#[component(model = "stream", rate_hz = 30, safety = "sensor")]
+pub struct PhantomSource {
+    /// The robot's true tip, in the world; without it no tool is to be seen
+    // tag: sim
+    #[input(optional)]
+    tip: In<CartesianState>,
+    /// One pair per step
+    #[output]
+    image: Out<Frame<StereoHeader>>,
+    /// True disparity of the left image: GRAY16, px · 256, 0 where the right eye does not see what the left one does.
+    // tag: truth
+    #[output]
+    disparity: Out<Frame<ImageHeader>>,
+    /// Pairs not sent since Start.
+    #[event("camera")]
+    frame_dropped: Event<u64>,
+    /// Pairs sent since Start.
+    #[state]
+    emitted: u64,
+    /// Pairs not sent since Start because readers held all frames.
+    #[state]
+    left_out: u64,
+    /// Whether a tool was to be seen in the last pair.
+    #[state]
+    tool_shown: Flag,
+    #[state]
+    geometry: CameraGeometry,
+    #[config]
+    cfg: PhantomSourceConfig,
+    renderer: Option<Renderer>,
+    /// What the renderer was made of.
+    made_of: Option<(World, Rig)>,
+    /// Disparity in the making.
+    units: Vec<u16>,
+}
+
+/// Size and rate of the pairs, and what became of them.
+#[provides("camera")]
+impl PhantomSource {
+    /// Size and rate of the pairs.
+    #[read]
+    fn camera_geometry(s: &PhantomSourceState) -> CameraGeometry {
+        s.geometry
+    }
+
+    /// Pairs sent since Start.
+    #[read]
+    fn emitted(s: &PhantomSourceState) -> u64 {
+        s.emitted
+    }
+}
+
+impl PhantomSource {
+    fn format(&self) -> PixelFormat {
+        match self.cfg.format.as_str() {
+            "bayer_rg8" => PixelFormat::BAYER_RG8,
+            "yuyv" => PixelFormat::YUYV,
+            _ => PixelFormat::RGB8,
+        }
+    }
+
+    /// The tool as it stands at `now`.
+    fn tool(&mut self, now: Stamp) -> Option<Tool> {
+        let tip = self.tip.latest()?;
+        let ahead_s = now.seconds_since(tip.pose.stamp).clamp(0.0, FARTHEST_S);
+        let pose = carried(&tip, if tip.pose.stamp.is_valid() { ahead_s } else { 0.0 })?;
+        Some(Tool {
+            tip: Point3::from(pose.translation.vector),
+            axis: pose.rotation * Vector3::z_axis(),
+            radius_m: self.cfg.tool_radius_m,
+            length_m: self.cfg.tool_length_m.max(2.0 * self.cfg.tool_radius_m),
+        })
+    }
+}
+
+/// A tip's pose, moved on by its own velocity; `None` when it is no pose.
+fn carried(tip: &CartesianState, ahead_s: f64) -> Option<Isometry3<f64>> {
+    let pose = tip.pose.isometry().ok()?;
+    let [linear, angular] = [tip.twist.linear, tip.twist.angular].map(Vector3::from);
+    if !(linear + angular).iter().all(|v| v.is_finite()) {
+        return Some(pose);
+    }
+    Some(Isometry3::from_parts(
+        Translation3::from(pose.translation.vector + linear * ahead_s),
+        UnitQuaternion::from_scaled_axis(angular * ahead_s) * pose.rotation,
+    ))
+}
+
+impl Component for PhantomSource {
+    fn configure(&mut self) -> Result {
+        let PhantomSourceConfig { width, height, .. } = self.cfg;
+        if !width.is_multiple_of(2) || !height.is_multiple_of(2) {
+            return Err(format!("width, height: {width} × {height} px; both must be even numbers").into());
+        }
+        let world = World::named(&self.cfg.world, self.cfg.seed)
+            .ok_or_else(|| format!("world: {} is none of {}", self.cfg.world, World::NAMES.join(", ")))?;
+        let rig = if self.cfg.rig == "toed_in" {
+            Rig::toed_in(width, height)
+        } else {
+            Rig::rectified(width, height)
+        };
+        if !rig.rectified && self.cfg.disparity_every > 0 {
+            return Err(
+                "disparity_every: only a rectified rig has a disparity; set rig to rectified, or this to 0"
+                    .into(),
+            );
+        }
+        self.image.reserve(2 * width * height * self.format().bytes_per_pixel(), SLOTS)?;
+        if self.cfg.disparity_every > 0 {
+            self.disparity.reserve(2 * width * height, SLOTS)?;
+            self.units = vec![0; width * height];
+        }
+        // Tracing takes most of a second: what is the same is kept.
+        if self.made_of != Some((world, rig)) {
+            self.renderer = Some(Renderer::new(world, rig));
+            self.made_of = Some((world, rig));
+        }
+        self.geometry = CameraGeometry { width: width as u32, height: height as u32, fps: 0.0 };
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        (self.emitted, self.left_out) = (0, 0);
+        Ok(())
+    }
+
+    fn step(&mut self, tick: &Tick) -> Result {
+        let now = tick.now();
+        let index = self.emitted + self.left_out;
+        if tick.period_s() > 0.0 {
+            self.geometry.fps = 1.0 / tick.period_s();
+        }
+        let scene = Scene { t_s: now.ns() as f64 * 1e-9, number: index, tool: self.tool(now) };
+        self.tool_shown = scene.tool.is_some().into();
+        let format = self.format();
+        let Some(renderer) = &mut self.renderer else { return Ok(()) };
+        let PhantomSourceConfig { width, height, disparity_every, .. } = self.cfg;
+        let row_bytes = width * format.bytes_per_pixel();
+        let Ok(mut loan) = self.image.loan() else {
+            self.left_out += 1;
+            self.frame_dropped.emit(self.left_out);
+            return Ok(());
+        };
+        *loan.header_mut() = StereoHeader {
+            stamp: now,
+            index,
+            width: width as u32,
+            height: height as u32,
+            stride: row_bytes as u32,
+            format,
+            right_offset: (height * row_bytes) as u64,
+        };
+        let room = loan.bytes_mut();
+        for (side, at) in [(Side::Left, 0), (Side::Right, height * row_bytes)] {
+            let Some(to) = room.get_mut(at..at + height * row_bytes) else { continue };
+            renderer.draw(side, &scene, |y, rgb| {
+                mosaic::write(format, y, rgb, &mut to[y * row_bytes..(y + 1) * row_bytes]);
+            });
+        }
+        loan.commit(2 * height * row_bytes, now);
+        self.emitted += 1;
+        if disparity_every > 0 && index.is_multiple_of(disparity_every) {
+            renderer.disparity(&scene, &mut self.units);
+            let Ok(mut loan) = self.disparity.loan() else { return Ok(()) };
+            *loan.header_mut() = ImageHeader {
+                stamp: now,
+                index,
+                width: width as u32,
+                height: height as u32,
+                stride: 2 * width as u32,
+                format: PixelFormat::GRAY16,
+            };
+            let (bytes, _) = loan.bytes_mut().as_chunks_mut::<2>();
+            for (bytes, units) in bytes.iter_mut().zip(&self.units) {
+                *bytes = units.to_ne_bytes();
+            }
+            loan.commit(2 * width * height, now);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "phantom_source_tests.rs"]
+mod tests;
