@@ -1,27 +1,68 @@
-//! `display`: an off-screen display; counts what arrives and how old it is.
+//! The component `display`: counts what arrives and how old it is, and shows it where that is asked for.
 //!
-//! Invariant: frames + gaps is what the source sent since the first frame shown.
+//! Invariant: frames + gaps is what the source sent since the first frame shown; showing never changes what is counted.
 
 use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
-/// Takes frames as a screen would and shows nothing: the end of a video chain for tests and measurements.
+use crate::handoff::Giver;
+use crate::http::{Place, Server};
+use crate::latency::{Histogram, Latency};
+use crate::mjpeg::{Encoder, Stream};
+use crate::window::{Settings, Window};
+
+/// Most frames taken in one step, so that a fast source cannot hold a step for ever.
+const BURST: usize = 8;
+
+#[derive(Config)]
+struct DisplayConfig {
+    /// Port of 127.0.0.1 at which a browser sees the frames: `/` lists the displays, `/stream/NAME` shows one, with `/left` or
+    /// `/right` behind it one eye's. 0 is any free one. Displays of a process may share a port. None: not at all
+    #[config(min = 0, max = 65535, default = None)]
+    mjpeg_port: Option<u16>,
+    /// NAME in the address: letters, digits, `_`, `-`; empty for the component's own
+    #[config(default = "")]
+    name: String,
+    /// Most pictures per second for the browser; each costs the step one copy of the frame
+    #[config(live, min = 0.1, max = 240.0, unit = "Hz", default = 15.0)]
+    mjpeg_hz: f64,
+    /// Quality of the browser's pictures
+    #[config(min = 1, max = 100, unit = "%", default = 75)]
+    mjpeg_quality: u8,
+    /// Whether a window is opened
+    #[config(default = false)]
+    window: bool,
+    /// Widest image that is shown in browser or window; larger ones are counted only
+    #[config(min = 1, max = 16384, unit = "px", default = 1920)]
+    max_width: usize,
+    /// Highest image that is shown there
+    #[config(min = 1, max = 16384, unit = "px", default = 1080)]
+    max_height: usize,
+}
+
+/// Takes frames as a screen would: off-screen for tests and measurements, as MJPEG for a browser, in a window.
 #[derive(Component)]
 #[component(model = "on_signal", provides("screen"))]
 pub struct Display {
     /// Frames to show
     #[input]
     image: In<Frame<StereoHeader>>,
+    /// People have closed the window.
+    #[event("screen")]
+    window_closed: Event<u64>,
     /// Frames shown since Start.
     #[state]
     frames: u64,
     /// Frames lost on the way since the first one shown.
     #[state]
     gaps: u64,
-    /// Age of the last frame when it was shown.
+    /// Age of the last frame when it was ready to be shown.
     #[state]
     #[unit("ms")]
     latency_ms: f64,
+    /// The same of all frames since Start or `reset_latency`.
+    #[state]
+    latency: Latency,
     /// Of one image of the last frame.
     #[state]
     #[unit("px")]
@@ -29,8 +70,37 @@ pub struct Display {
     #[state]
     #[unit("px")]
     height: u32,
+    /// Port at which a browser sees the frames; 0 without one.
+    #[state]
+    mjpeg_port: u32,
+    /// Browsers that look.
+    #[state]
+    viewers: u32,
+    /// Pictures made for browsers since Start.
+    #[state]
+    pictures: u64,
+    /// Whether a window is open.
+    #[state]
+    window_open: Flag,
+    #[config]
+    cfg: DisplayConfig,
+    #[host]
+    host: Host,
     /// Sequence number of the last frame; 0 = none yet.
     last_seq: u64,
+    histogram: Histogram,
+    browser: Option<Browser>,
+    screen: Option<(Window, Giver)>,
+}
+
+/// What shows frames to browsers. Its parts are dropped in this order: off the list, then no more pictures.
+struct Browser {
+    _place: Place,
+    _encoder: Encoder,
+    giver: Giver,
+    stream: std::sync::Arc<Stream>,
+    /// When a frame was given last.
+    given: Stamp,
 }
 
 #[provides("screen")]
@@ -40,16 +110,79 @@ impl Display {
     fn frames(s: &DisplayState) -> u64 {
         s.frames
     }
+
+    /// How old frames were when they were ready to be shown: median, 99th percentile, oldest.
+    #[read]
+    fn latency(s: &DisplayState) -> Latency {
+        s.latency
+    }
+
+    /// Forgets the ages so far.
+    #[command]
+    fn reset_latency(&mut self) {
+        self.histogram.clear();
+        self.latency = Latency::default();
+    }
 }
 
-impl Component for Display {
-    fn start(&mut self) -> Result {
-        (self.frames, self.gaps, self.last_seq) = (0, 0, 0);
+impl Display {
+    fn open(&mut self) -> Result {
+        self.close();
+        let max_bytes = 2 * 3 * self.cfg.max_width * self.cfg.max_height;
+        let own = self.host.instance_name().rsplit('/').next().unwrap_or_default().to_owned();
+        let name = if self.cfg.name.is_empty() { own } else { self.cfg.name.clone() };
+        if let Some(port) = self.cfg.mjpeg_port {
+            let stream = std::sync::Arc::new(Stream::new(&name));
+            let place = Server::at(port)?.show(stream.clone())?;
+            let (encoder, giver) = Encoder::start(stream.clone(), max_bytes, self.cfg.mjpeg_quality)?;
+            self.mjpeg_port = u32::from(place.port());
+            let given = Stamp::INVALID;
+            self.browser = Some(Browser { _place: place, _encoder: encoder, giver, stream, given });
+        }
+        if self.cfg.window {
+            let settings = Settings { title: format!("trocar {name}"), width: 1280, height: 480, max_bytes };
+            self.screen = Some(Window::open(settings)?);
+            self.window_open = Flag::TRUE;
+        }
         Ok(())
     }
 
-    fn step(&mut self, tick: &Tick) -> Result {
-        for _ in 0..super::BURST {
+    fn close(&mut self) {
+        (self.browser, self.screen) = (None, None);
+        (self.mjpeg_port, self.viewers, self.window_open) = (0, 0, Flag::FALSE);
+    }
+}
+
+impl Component for Display {
+    fn configure(&mut self) -> Result {
+        let named = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
+        if !self.cfg.name.chars().all(named) || self.cfg.name.len() > 63 {
+            let name = &self.cfg.name;
+            return Err(format!(
+                "name: {name:?} has other than up to 63 letters, digits, `_` and `-`: leave them out"
+            )
+            .into());
+        }
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        (self.frames, self.gaps, self.last_seq, self.pictures) = (0, 0, 0, 0);
+        self.reset_latency();
+        self.open()
+    }
+
+    fn resume(&mut self) -> Result {
+        self.open()
+    }
+
+    fn stop(&mut self) -> Result {
+        self.close();
+        Ok(())
+    }
+
+    fn step(&mut self, _: &Tick) -> Result {
+        for _ in 0..BURST {
             let Some(frame) = self.image.next() else { break };
             self.frames += 1;
             // A number that went back is a new source, not a loss.
@@ -57,9 +190,39 @@ impl Component for Display {
                 self.gaps += frame.seq() - self.last_seq - 1;
             }
             self.last_seq = frame.seq();
-            self.latency_ms = tick.now().seconds_since(frame.stamp()) * 1e3;
             (self.width, self.height) = (frame.header().width, frame.header().height);
+            if let Some((_, giver)) = &mut self.screen {
+                giver.give(&frame);
+            }
+            let now = self.host.now();
+            if let Some(browser) = &mut self.browser {
+                let due =
+                    !browser.given.is_valid() || now.seconds_since(browser.given) * self.cfg.mjpeg_hz >= 0.99;
+                if due && browser.giver.give(&frame) {
+                    browser.given = now;
+                }
+            }
+            // With what it cost to copy it.
+            let age_s = self.host.now().seconds_since(frame.stamp());
+            self.latency_ms = age_s * 1e3;
+            self.histogram.count(age_s);
+        }
+        self.latency = self.histogram.told();
+        if let Some(browser) = &self.browser {
+            self.viewers = browser.stream.viewers.load(std::sync::atomic::Ordering::Relaxed);
+            self.pictures = browser.stream.pictures();
+        }
+        if let Some((window, _)) = &self.screen
+            && self.window_open.get()
+            && !window.is_open()
+        {
+            self.window_open = Flag::FALSE;
+            self.window_closed.emit(self.frames);
         }
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[path = "component_tests.rs"]
+mod tests;

@@ -1,4 +1,4 @@
-//! Image filters on stereo frames: `gray`, `resize`, `pip` (picture in picture), and the sink `display`.
+//! Image filters on stereo frames: `gray`, `resize`, `pip` (picture in picture).
 //!
 //! Invariant: pixels are touched only through `view`, which has checked that every row lies inside its bytes.
 #![forbid(unsafe_code)]
@@ -9,6 +9,6 @@ pub mod pip;
 pub mod resize;
 pub mod view;
 
-pub use components::{Display, Gray, Pip, Resize, Tally};
+pub use components::{Gray, Pip, Resize, Tally};
 
-trocar_sdk::trocar_plugin!(Gray, Resize, Pip, Display);
+trocar_sdk::trocar_plugin!(Gray, Resize, Pip);

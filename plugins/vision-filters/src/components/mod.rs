@@ -2,7 +2,6 @@
 //!
 //! Invariant: a frame that a filter cannot take is counted and left out; it never stops the filter.
 
-mod display;
 mod gray;
 mod pair;
 mod pip;
@@ -10,7 +9,6 @@ mod resize;
 #[cfg(test)]
 mod tests;
 
-pub use display::Display;
 pub use gray::Gray;
 pub use pair::Tally;
 pub use pip::Pip;

@@ -147,28 +147,3 @@ fn pip_hides_an_inset_that_is_switched_off_missing_or_stale() {
     bench.configure(r#"{"visible": false}"#).unwrap();
     assert!(!shown(&mut bench), "the inset is switched off");
 }
-
-#[test]
-fn display_counts_frames_and_knows_their_age() {
-    let mut bench = Bench::<Display>::new("{}");
-    bench.push_frame("image", header(1, 2, PixelFormat::GRAY8), &[0; 4]);
-    bench.advance(4_000_000);
-    bench.step(1);
-    let s = bench.state();
-    assert_eq!((s.frames, s.gaps, s.width, s.height), (1, 0, 2, 1));
-    // 4 ms, and the bench's step of 1 ms.
-    assert!((s.latency_ms - 5.0).abs() < 1e-9, "{} ms", s.latency_ms);
-    assert_eq!(bench.read::<(), u64>("frames", ()).unwrap(), 1);
-}
-
-#[test]
-fn display_counts_what_was_overwritten_before_it_was_shown() {
-    let mut bench = Bench::<Display>::new("{}");
-    for index in 0..4 {
-        bench.push_frame("image", header(index, 1, PixelFormat::GRAY8), &[0; 2]);
-        if index != 1 && index != 2 {
-            bench.step(1);
-        }
-    }
-    assert_eq!((bench.state().frames, bench.state().gaps), (2, 2));
-}

@@ -1,0 +1,196 @@
+//! A display's pictures as JPEG, for whoever looks at them in a browser.
+//!
+//! Invariant: pictures are made only while somebody looks, and only the newest is kept: a slow viewer misses some and holds up
+//! nobody.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use trocar_sdk::Result;
+
+use crate::handoff::{Giver, Taker, pair};
+use crate::pixels::{Part, rgb};
+
+/// How often the encoder looks for a frame while somebody looks at its pictures.
+const LOOKS: Duration = Duration::from_millis(2);
+/// How often it looks whether somebody does.
+const RESTS: Duration = Duration::from_millis(100);
+
+/// What a server shows under one name.
+pub(crate) struct Stream {
+    pub(crate) name: String,
+    /// Who looks, at any part.
+    pub(crate) viewers: Arc<AtomicU32>,
+    parts: [Shown; 3],
+    closed: AtomicBool,
+    /// Pictures made.
+    pictures: AtomicU64,
+}
+
+/// One part of a stream.
+#[derive(Default)]
+struct Shown {
+    viewers: AtomicU32,
+    newest: Mutex<(u64, Arc<Vec<u8>>)>,
+    news: Condvar,
+}
+
+impl Stream {
+    pub(crate) fn new(name: &str) -> Stream {
+        Stream {
+            name: name.to_owned(),
+            viewers: Arc::default(),
+            parts: Default::default(),
+            closed: AtomicBool::new(false),
+            pictures: AtomicU64::new(0),
+        }
+    }
+
+    /// Somebody looks at a part, until the guard is dropped.
+    pub(crate) fn look(self: &Arc<Self>, part: Part) -> Viewer {
+        self.viewers.fetch_add(1, Ordering::Relaxed);
+        self.parts[part as usize].viewers.fetch_add(1, Ordering::Relaxed);
+        Viewer { stream: self.clone(), part, seen: 0 }
+    }
+
+    /// No more pictures come; whoever waits is told.
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::Release);
+        for part in &self.parts {
+            let _held = held(&part.newest);
+            part.news.notify_all();
+        }
+    }
+
+    /// Pictures made since Start.
+    pub(crate) fn pictures(&self) -> u64 {
+        self.pictures.load(Ordering::Relaxed)
+    }
+
+    fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    fn is_seen(&self, part: Part) -> bool {
+        self.parts[part as usize].viewers.load(Ordering::Relaxed) > 0
+    }
+
+    fn publish(&self, part: Part, picture: Vec<u8>) {
+        let shown = &self.parts[part as usize];
+        let mut newest = held(&shown.newest);
+        *newest = (newest.0 + 1, Arc::new(picture));
+        shown.news.notify_all();
+        self.pictures.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// What a lock guards is whole after each of its few lines, so a panic elsewhere spoils nothing.
+fn held<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
+    lock.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Somebody who looks.
+pub(crate) struct Viewer {
+    stream: Arc<Stream>,
+    part: Part,
+    /// Number of the picture seen last.
+    seen: u64,
+}
+
+impl Viewer {
+    /// The newest picture not seen before, waiting for it for a time; `None` when none came. An error when none will.
+    ///
+    /// # Errors
+    /// The display has stopped.
+    pub(crate) fn next(&mut self, wait: Duration) -> std::result::Result<Option<Arc<Vec<u8>>>, Closed> {
+        let shown = &self.stream.parts[self.part as usize];
+        let until = Instant::now() + wait;
+        let mut newest = held(&shown.newest);
+        loop {
+            if self.stream.is_closed() {
+                return Err(Closed);
+            }
+            if newest.0 > self.seen {
+                self.seen = newest.0;
+                return Ok(Some(newest.1.clone()));
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            newest = shown.news.wait_timeout(newest, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+impl Drop for Viewer {
+    fn drop(&mut self) {
+        self.stream.viewers.fetch_sub(1, Ordering::Relaxed);
+        self.stream.parts[self.part as usize].viewers.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// The display has stopped.
+#[derive(Debug)]
+pub(crate) struct Closed;
+
+/// The thread that makes the pictures of a stream; dropped, it ends.
+pub(crate) struct Encoder {
+    stream: Arc<Stream>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Encoder {
+    /// Makes pictures of frames of up to `max_bytes` that come through the giver.
+    ///
+    /// # Errors
+    /// The system has no thread for it.
+    pub(crate) fn start(stream: Arc<Stream>, max_bytes: usize, quality: u8) -> Result<(Encoder, Giver)> {
+        let (giver, taker) = pair(max_bytes, stream.viewers.clone());
+        let seen = stream.clone();
+        let thread = std::thread::Builder::new()
+            .name("trocar-mjpeg".into())
+            .spawn(move || encode(&seen, taker, quality))
+            .map_err(|why| format!("no thread for the pictures: {why}"))?;
+        Ok((Encoder { stream, thread: Some(thread) }, giver))
+    }
+}
+
+impl Drop for Encoder {
+    fn drop(&mut self) {
+        self.stream.close();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn encode(stream: &Stream, mut taker: Taker, quality: u8) {
+    let mut pixels = Vec::new();
+    while !stream.is_closed() {
+        let Some(frame) = taker.take() else {
+            let seen = stream.viewers.load(Ordering::Relaxed) > 0;
+            std::thread::sleep(if seen { LOOKS } else { RESTS });
+            continue;
+        };
+        for part in Part::ALL.into_iter().filter(|part| stream.is_seen(*part)) {
+            // A frame whose header lies has no picture.
+            let Ok((width, height)) = rgb(&frame.header, frame.bytes(), part, &mut pixels) else { continue };
+            if let Some(picture) = jpeg(&pixels, width, height, quality) {
+                stream.publish(part, picture);
+            }
+        }
+        taker.give_back(frame);
+    }
+}
+
+/// `None` for an image that is too large for the format.
+fn jpeg(rgb: &[u8], width: u32, height: u32, quality: u8) -> Option<Vec<u8>> {
+    let (width, height) = (u16::try_from(width).ok()?, u16::try_from(height).ok()?);
+    let mut picture = Vec::with_capacity(rgb.len() / 8);
+    let encoder = jpeg_encoder::Encoder::new(&mut picture, quality);
+    encoder.encode(rgb, width, height, jpeg_encoder::ColorType::Rgb).ok()?;
+    Some(picture)
+}

@@ -1,0 +1,150 @@
+//! Images of every format as red, green, blue, for people to look at.
+//!
+//! Invariant: quick rather than exact: colours of a mosaic are taken from its 2 × 2 squares, halves of 16 bits are dropped.
+
+use trocar_sdk::data::{BadFrame, ImageView, PixelFormat, StereoHeader};
+
+/// Which part of a pair is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// Both images, side by side.
+    Both,
+    Left,
+    Right,
+}
+
+impl Part {
+    pub(crate) const ALL: [Part; 3] = [Part::Both, Part::Left, Part::Right];
+
+    /// The last piece of its address.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Part::Both => "both",
+            Part::Left => "left",
+            Part::Right => "right",
+        }
+    }
+}
+
+/// Fills `rgb` with the pixels of a part, rows touching; gives width and height.
+///
+/// # Errors
+/// The header promises what the bytes do not hold.
+pub(crate) fn rgb(
+    header: &StereoHeader,
+    bytes: &[u8],
+    part: Part,
+    rgb: &mut Vec<u8>,
+) -> Result<(u32, u32), BadFrame> {
+    let images = header.images(bytes)?;
+    let shown = match part {
+        Part::Both => &images[..],
+        Part::Left => &images[..1],
+        Part::Right => &images[1..],
+    };
+    rgb.clear();
+    for y in 0..header.height {
+        for image in shown {
+            row(image, y, rgb);
+        }
+    }
+    Ok((header.width * shown.len() as u32, header.height))
+}
+
+fn row(image: &ImageView<'_>, y: u32, rgb: &mut Vec<u8>) {
+    let row = image.row(y);
+    match image.format() {
+        PixelFormat::RGB8 => rgb.extend_from_slice(row),
+        PixelFormat::GRAY8 => rgb.extend(row.iter().flat_map(|v| [*v; 3])),
+        PixelFormat::BGR8 => rgb.extend(row.as_chunks::<3>().0.iter().flat_map(|[b, g, r]| [*r, *g, *b])),
+        PixelFormat::RGBA8 => rgb.extend(row.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b])),
+        PixelFormat::GRAY16 => {
+            let levels = row.as_chunks::<2>().0.iter().map(|v| (u16::from_ne_bytes(*v) >> 8) as u8);
+            rgb.extend(levels.flat_map(|v| [v; 3]));
+        }
+        PixelFormat::YUYV => {
+            let pairs = row.as_chunks::<4>().0.iter();
+            rgb.extend(pairs.flat_map(|[y0, u, y1, v]| [of_yuv(*y0, *u, *v), of_yuv(*y1, *u, *v)]).flatten());
+            // An odd last pixel has no colour of its own.
+            if row.len() % 4 == 2 {
+                rgb.extend(of_yuv(row[row.len() - 2], 128, 128));
+            }
+        }
+        PixelFormat::BAYER_RG8 => {
+            let (upper, lower) = (image.row(y & !1), image.row((y | 1).min(image.height() - 1)));
+            let at = |row: &[u8], x: usize| row.get(x).or(row.last()).copied().unwrap_or(0);
+            for x in 0..row.len() {
+                let left = x & !1;
+                let green = (u16::from(at(upper, left + 1)) + u16::from(at(lower, left))) / 2;
+                rgb.extend([at(upper, left), green as u8, at(lower, left + 1)]);
+            }
+        }
+        // `images` has refused it.
+        _ => rgb.extend(std::iter::repeat_n(0, 3 * image.width() as usize)),
+    }
+}
+
+/// ITU-R BT.601, 16 to 235, in 1/256.
+fn of_yuv(y: u8, u: u8, v: u8) -> [u8; 3] {
+    let (y, u, v) = (298 * (i32::from(y) - 16), i32::from(u) - 128, i32::from(v) - 128);
+    [y + 409 * v, y - 100 * u - 208 * v, y + 516 * u].map(|c| ((c + 128) >> 8).clamp(0, 255) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn header(format: PixelFormat, width: u32, height: u32) -> StereoHeader {
+        let stride = width * format.bytes_per_pixel() as u32;
+        let right_offset = u64::from(stride * height);
+        StereoHeader { width, height, stride, format, right_offset, ..Default::default() }
+    }
+
+    fn shown(header: &StereoHeader, bytes: &[u8], part: Part) -> Vec<u8> {
+        let mut to = vec![9];
+        let (width, height) = rgb(header, bytes, part, &mut to).unwrap();
+        assert_eq!(to.len() as u32, 3 * width * height);
+        to
+    }
+
+    #[test]
+    fn each_format_becomes_red_green_blue() {
+        for (format, left) in [
+            (PixelFormat::RGB8, vec![1, 2, 3, 4, 5, 6]),
+            (PixelFormat::BGR8, vec![3, 2, 1, 6, 5, 4]),
+            (PixelFormat::RGBA8, vec![1, 2, 3, 99, 4, 5, 6, 99]),
+        ] {
+            let bytes = [left.clone(), vec![0; left.len()]].concat();
+            assert_eq!(shown(&header(format, 2, 1), &bytes, Part::Left), [1, 2, 3, 4, 5, 6], "{format:?}");
+        }
+        let gray = shown(&header(PixelFormat::GRAY8, 2, 1), &[1, 2, 3, 4], Part::Both);
+        assert_eq!(gray, [1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4]);
+        let deep: Vec<u8> = [0x1234u16, 0xff00].iter().flat_map(|v| v.to_ne_bytes()).collect();
+        assert_eq!(
+            shown(&header(PixelFormat::GRAY16, 1, 1), &deep, Part::Both),
+            [0x12, 0x12, 0x12, 255, 255, 255]
+        );
+        let yuyv = header(PixelFormat::YUYV, 2, 1);
+        assert_eq!(shown(&yuyv, &[235, 128, 16, 128, 0, 0, 0, 0], Part::Left), [255, 255, 255, 0, 0, 0]);
+        let red = shown(&yuyv, &[82, 90, 82, 240, 0, 0, 0, 0], Part::Left);
+        assert!(red[0] >= 254 && red[1] < 3 && red[2] < 3, "{red:?}");
+        let mosaic = [10, 20, 40, 30, 0, 0, 0, 0];
+        assert_eq!(shown(&header(PixelFormat::BAYER_RG8, 2, 2), &mosaic, Part::Left), [10, 30, 30].repeat(4));
+    }
+
+    #[test]
+    fn odd_sizes_of_formats_in_pairs_are_shown_without_a_panic() {
+        for format in [PixelFormat::YUYV, PixelFormat::BAYER_RG8] {
+            let header = header(format, 3, 3);
+            let bytes = vec![100; 2 * header.right_offset as usize];
+            assert_eq!(shown(&header, &bytes, Part::Right).len(), 27, "{format:?}");
+        }
+    }
+
+    #[test]
+    fn a_header_that_lies_is_refused() {
+        let lying = StereoHeader { width: 9, ..header(PixelFormat::RGB8, 2, 1) };
+        assert!(rgb(&lying, &[0; 12], Part::Both, &mut Vec::new()).is_err());
+    }
+}

@@ -1,0 +1,131 @@
+//! A window with a display's frames, in a thread of its own.
+//!
+//! Invariant: the display library is looked for when a window is opened, and what goes wrong then is told; a window that people
+//! close stays closed until the next Start. The library ends the process when the display server dies: run a display with a
+//! window in a process of its own.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::thread::JoinHandle;
+
+use trocar_sdk::Result;
+
+use crate::handoff::{Giver, Taker, pair};
+
+/// What a window is opened with.
+pub(crate) struct Settings {
+    pub(crate) title: String,
+    /// Of the first frame, more or less; the window can be resized.
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) max_bytes: usize,
+}
+
+/// An open window; dropped, it is closed.
+pub(crate) struct Window {
+    open: Arc<AtomicU32>,
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Window {
+    /// Opens a window.
+    ///
+    /// # Errors
+    /// There is no display, or no library for it, or the plugin was built without windows.
+    pub(crate) fn open(settings: Settings) -> Result<(Window, Giver)> {
+        let open = Arc::new(AtomicU32::new(1));
+        let ends = Arc::new(AtomicBool::new(false));
+        let (giver, taker) = pair(settings.max_bytes, open.clone());
+        let (shown, ending) = (open.clone(), ends.clone());
+        let (told, tells) = std::sync::mpsc::channel();
+        let thread = std::thread::Builder::new()
+            .name("trocar-window".into())
+            .spawn(move || {
+                run(&settings, taker, &ending, |opened| {
+                    let _ = told.send(opened);
+                });
+                shown.store(0, Ordering::Release);
+            })
+            .map_err(|why| format!("no thread for the window: {why}"))?;
+        let window = Window { open, ends, thread: Some(thread) };
+        match tells.recv() {
+            Ok(Ok(())) => Ok((window, giver)),
+            Ok(Err(why)) => Err(why.into()),
+            Err(_) => Err("the window's thread panicked".into()),
+        }
+    }
+
+    /// False when people have closed it.
+    pub(crate) fn is_open(&self) -> bool {
+        self.open.load(Ordering::Acquire) > 0
+    }
+}
+
+impl Drop for Window {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(not(feature = "window"))]
+fn run(_: &Settings, _: Taker, _: &AtomicBool, told: impl FnOnce(std::result::Result<(), String>)) {
+    told(Err(
+        "window: this plugin was built without its feature `window`; build it with that, or use mjpeg_port"
+            .into(),
+    ));
+}
+
+#[cfg(feature = "window")]
+fn run(
+    settings: &Settings,
+    mut taker: Taker,
+    ends: &AtomicBool,
+    told: impl FnOnce(std::result::Result<(), String>),
+) {
+    use crate::pixels::{Part, rgb};
+    let Settings { title, width, height, .. } = settings;
+    let options = minifb::WindowOptions {
+        resize: true,
+        scale_mode: minifb::ScaleMode::AspectRatioStretch,
+        ..minifb::WindowOptions::default()
+    };
+    let mut window = match minifb::Window::new(title, *width, *height, options) {
+        Ok(window) => {
+            told(Ok(()));
+            window
+        }
+        Err(why) => {
+            let display = std::env::var("DISPLAY").unwrap_or_default();
+            let on = if display.is_empty() {
+                "DISPLAY is not set".to_owned()
+            } else {
+                format!("DISPLAY is {display}")
+            };
+            return told(Err(format!(
+                "window: none can be opened ({why}; {on}): start the host where there is an X11 display and its \
+                 library (libX11), or use mjpeg_port"
+            )));
+        }
+    };
+    let (mut pixels, mut shown) = (Vec::new(), Vec::new());
+    while window.is_open() && !ends.load(Ordering::Acquire) {
+        let Some(frame) = taker.take() else {
+            window.update();
+            std::thread::sleep(std::time::Duration::from_millis(4));
+            continue;
+        };
+        if let Ok((width, height)) = rgb(&frame.header, frame.bytes(), Part::Both, &mut pixels) {
+            shown.clear();
+            shown.extend(
+                pixels.as_chunks::<3>().0.iter().map(|[r, g, b]| u32::from_be_bytes([0, *r, *g, *b])),
+            );
+            // A frame that cannot be shown is left out.
+            let _ = window.update_with_buffer(&shown, width as usize, height as usize);
+        }
+        taker.give_back(frame);
+    }
+}
