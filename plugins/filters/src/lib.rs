@@ -1,9 +1,64 @@
-//! Filters of plain samples, one file each.
+//! Filters of plain samples, one file each: `low_pass`, `biquad`, `moving_median`, `kalman`, `resampler`, `pid`,
+//! `cartesian_transform`, `watchdog`, `add_latency`.
 //!
-//! Invariant: `low_pass.rs` is the sample that the documentation shows; it stays on one screen and is laid out by hand.
+//! Invariant: a number that is not finite is left out and counted, never passed on. `low_pass.rs` is the sample that the
+//! documentation shows, a whole plugin; it stays on one screen and is laid out by hand.
 #![forbid(unsafe_code)]
+
+// `low_pass.rs` ends with `trocar_plugin!(LowPass)`, as the whole plugin it is. Here it has company: in this crate the name
+// `trocar_sdk` is the crate itself, which is the sdk but for what that macro makes of one class.
+extern crate self as trocar_sdk;
+extern crate trocar_sdk as sdk;
+#[doc(hidden)]
+pub use sdk::*;
+#[doc(hidden)]
+#[allow(hidden_glob_reexports)] // Which is what it is for.
+pub mod prelude {
+    pub use sdk::prelude::*;
+
+    pub(crate) use super::plugin_with as trocar_plugin;
+}
+
+mod add_latency;
+mod biquad;
+mod cartesian_transform;
+mod kalman;
+mod lanes;
+mod moving_median;
+mod pid;
+mod resampler;
+mod watchdog;
 
 #[rustfmt::skip]
 mod low_pass;
 
+/// The plugin of a class and of all others in this crate.
+macro_rules! plugin_with {
+    ($class:ty) => {
+        sdk::trocar_plugin!(
+            $class,
+            crate::AddLatency,
+            crate::Biquad,
+            crate::CartesianTransform,
+            crate::Kalman,
+            crate::MovingMedian,
+            crate::Pid,
+            crate::Resampler,
+            crate::Watchdog
+        );
+    };
+}
+pub(crate) use plugin_with;
+
+pub use add_latency::AddLatency;
+pub use biquad::Biquad;
+pub use cartesian_transform::CartesianTransform;
+pub use kalman::{Estimate, Kalman};
 pub use low_pass::Force;
+pub use moving_median::MovingMedian;
+pub use pid::Pid;
+pub use resampler::Resampler;
+pub use watchdog::Watchdog;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,144 @@
+//! Second-order sections: low-pass, high-pass, band-pass, notch.
+//!
+//! Invariant: the filter begins at rest on its first sample, so nothing swings in that was not in the signal.
+use std::f64::consts::TAU;
+
+use trocar_sdk::data::{Scalar, Wrench};
+use trocar_sdk::prelude::*;
+
+use crate::lanes::Lanes;
+
+#[derive(Config)]
+struct BiquadConfig {
+    /// What passes
+    #[config(live, one_of = ["low_pass", "high_pass", "band_pass", "notch"], default = "low_pass")]
+    kind: String,
+    /// -3 dB corner, or the middle of band and notch
+    #[config(live, min = 0.001, max = 1e6, unit = "Hz", default = 20.0)]
+    frequency_hz: f64,
+    /// Quality: 0.7071 is Butterworth's; bands are frequency_hz / q wide
+    #[config(live, min = 0.05, max = 100.0, default = 0.7071067811865476)]
+    q: f64,
+    /// Rate of the samples that come in
+    #[config(live, min = 0.001, max = 1e7, unit = "Hz", default = 1000.0)]
+    sample_hz: f64,
+}
+
+/// Filters each number of scalars and wrenches (R. Bristow-Johnson, *Cookbook formulae for audio EQ biquad filter
+/// coefficients*).
+#[derive(Component)]
+#[component(rate_hz = 1000, provides("ctl"))]
+pub struct Biquad {
+    #[input(fifo = 64, optional)]
+    value: In<Scalar>,
+    #[input(fifo = 64, optional)]
+    wrench: In<Wrench>,
+    #[output]
+    filtered: Out<Scalar>,
+    #[output]
+    filtered_wrench: Out<Wrench>,
+    /// Samples left out: not finite.
+    #[state]
+    rejected: u64,
+    #[config]
+    cfg: BiquadConfig,
+    design: Design,
+    of_value: Option<[Memory; 1]>,
+    of_wrench: Option<[Memory; 6]>,
+}
+
+#[provides("ctl")]
+impl Biquad {
+    /// Forgets the past: the next sample is the first one.
+    #[command]
+    fn clear(&mut self) {
+        (self.of_value, self.of_wrench) = (None, None);
+    }
+}
+
+impl Component for Biquad {
+    fn configure(&mut self) -> Result {
+        let BiquadConfig { frequency_hz, sample_hz, .. } = self.cfg;
+        if frequency_hz >= 0.5 * sample_hz {
+            let half = 0.5 * sample_hz;
+            return Err(
+                format!("frequency_hz: {frequency_hz} Hz is not below half of sample_hz, {half} Hz").into()
+            );
+        }
+        self.design = Design::of(&self.cfg);
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        self.rejected = 0;
+        self.clear();
+        Ok(())
+    }
+
+    fn step(&mut self, _: &Tick) -> Result {
+        self.rejected += self.design.pass(&mut self.value, &self.filtered, &mut self.of_value);
+        self.rejected += self.design.pass(&mut self.wrench, &self.filtered_wrench, &mut self.of_wrench);
+        Ok(())
+    }
+}
+
+/// `H(z) = (b0 + b1 z⁻¹ + b2 z⁻²) / (1 + a1 z⁻¹ + a2 z⁻²)`.
+#[derive(Default)]
+struct Design {
+    b: [f64; 3],
+    a: [f64; 2],
+}
+
+/// What a number's filter remembers (transposed direct form II).
+type Memory = [f64; 2];
+
+impl Design {
+    fn of(cfg: &BiquadConfig) -> Design {
+        let (sine, cosine) = (TAU * cfg.frequency_hz / cfg.sample_hz).sin_cos();
+        let alpha = sine / (2.0 * cfg.q);
+        let b = match cfg.kind.as_str() {
+            "high_pass" => [0.5 * (1.0 + cosine), -1.0 - cosine, 0.5 * (1.0 + cosine)],
+            "band_pass" => [alpha, 0.0, -alpha],
+            "notch" => [1.0, -2.0 * cosine, 1.0],
+            _ => [0.5 * (1.0 - cosine), 1.0 - cosine, 0.5 * (1.0 - cosine)],
+        };
+        let a0 = 1.0 + alpha;
+        Design { b: b.map(|b| b / a0), a: [-2.0 * cosine / a0, (1.0 - alpha) / a0] }
+    }
+
+    /// What a filter remembers that has seen `x` for ever.
+    fn at_rest(&self, x: f64) -> Memory {
+        let y = x * self.b.iter().sum::<f64>() / (1.0 + self.a[0] + self.a[1]);
+        let second = self.b[2] * x - self.a[1] * y;
+        [self.b[1] * x - self.a[0] * y + second, second]
+    }
+
+    fn step(&self, x: f64, memory: &mut Memory) -> f64 {
+        let y = self.b[0] * x + memory[0];
+        *memory = [self.b[1] * x - self.a[0] * y + memory[1], self.b[2] * x - self.a[1] * y];
+        y
+    }
+
+    /// Filters all samples that wait; tells how many were left out.
+    fn pass<T: Payload + Lanes<N>, const N: usize>(
+        &self,
+        from: &mut In<T>,
+        to: &Out<T>,
+        memory: &mut Option<[Memory; N]>,
+    ) -> u64 {
+        let mut rejected = 0;
+        while let Some(sample) = from.next_sample() {
+            if !sample.value.is_finite() {
+                rejected += 1;
+                continue;
+            }
+            let mut numbers = sample.value.numbers();
+            let memory = memory.get_or_insert_with(|| numbers.map(|x| self.at_rest(x)));
+            for (number, memory) in numbers.iter_mut().zip(memory) {
+                *number = self.step(*number, memory);
+            }
+            to.write_at(&sample.value.with(numbers), sample.stamp);
+        }
+        rejected
+    }
+}

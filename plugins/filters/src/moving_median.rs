@@ -1,0 +1,111 @@
+//! The median of the last samples: removes spikes, keeps edges.
+//!
+//! Invariant: the output is always a number that came in; until the window is full, the median is of those that are there.
+use trocar_sdk::data::{Scalar, Wrench};
+use trocar_sdk::prelude::*;
+
+use crate::lanes::Lanes;
+
+/// Longest window, samples.
+const MOST: usize = 101;
+
+#[derive(Config)]
+struct MovingMedianConfig {
+    /// Samples in the window, an odd number; delays an edge by half of them
+    #[config(live, min = 1, max = 101, default = 5)]
+    window: usize,
+}
+
+/// Median of each number of scalars and wrenches over the last samples.
+#[derive(Component)]
+#[component(rate_hz = 1000, provides("ctl"))]
+pub struct MovingMedian {
+    #[input(fifo = 64, optional)]
+    value: In<Scalar>,
+    #[input(fifo = 64, optional)]
+    wrench: In<Wrench>,
+    #[output]
+    filtered: Out<Scalar>,
+    #[output]
+    filtered_wrench: Out<Wrench>,
+    /// Samples left out: not finite.
+    #[state]
+    rejected: u64,
+    #[config]
+    cfg: MovingMedianConfig,
+    of_value: Window<1>,
+    of_wrench: Window<6>,
+}
+
+#[provides("ctl")]
+impl MovingMedian {
+    /// Forgets the past.
+    #[command]
+    fn clear(&mut self) {
+        (self.of_value.seen, self.of_wrench.seen) = (0, 0);
+    }
+}
+
+impl Component for MovingMedian {
+    fn configure(&mut self) -> Result {
+        if self.cfg.window.is_multiple_of(2) {
+            return Err(format!(
+                "window: {} is even: an odd number of samples has a median",
+                self.cfg.window
+            )
+            .into());
+        }
+        self.clear();
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        self.rejected = 0;
+        self.clear();
+        Ok(())
+    }
+
+    fn step(&mut self, _: &Tick) -> Result {
+        let length = self.cfg.window;
+        self.rejected += self.of_value.pass(length, &mut self.value, &self.filtered);
+        self.rejected += self.of_wrench.pass(length, &mut self.wrench, &self.filtered_wrench);
+        Ok(())
+    }
+}
+
+/// The last samples, number by number, the oldest overwritten.
+struct Window<const N: usize> {
+    last: [[f64; MOST]; N],
+    seen: usize,
+}
+
+impl<const N: usize> Default for Window<N> {
+    fn default() -> Self {
+        Window { last: [[0.0; MOST]; N], seen: 0 }
+    }
+}
+
+impl<const N: usize> Window<N> {
+    fn pass<T: Payload + Lanes<N>>(&mut self, length: usize, from: &mut In<T>, to: &Out<T>) -> u64 {
+        let mut rejected = 0;
+        while let Some(sample) = from.next_sample() {
+            if !sample.value.is_finite() {
+                rejected += 1;
+                continue;
+            }
+            let at = self.seen % length;
+            self.seen += 1;
+            let there = self.seen.min(length);
+            let mut numbers = sample.value.numbers();
+            for (number, last) in numbers.iter_mut().zip(&mut self.last) {
+                last[at] = *number;
+                let mut sorted = *last;
+                // Of an even number, the lower one of the two in the middle.
+                let (_, median, _) = sorted[..there].select_nth_unstable_by((there - 1) / 2, f64::total_cmp);
+                *number = *median;
+            }
+            to.write_at(&sample.value.with(numbers), sample.stamp);
+        }
+        rejected
+    }
+}

@@ -1,0 +1,147 @@
+//! A PID controller of one number.
+//!
+//! Invariant: the output lies within its limits, and the integral does not grow while it is held there. Without a fresh
+//! measurement the output is the safe one.
+use trocar_sdk::data::Scalar;
+use trocar_sdk::prelude::*;
+
+#[derive(Config)]
+struct PidConfig {
+    /// Output per error
+    #[config(live, min = -1e12, max = 1e12, default = 1.0)]
+    kp: f64,
+    /// Output per error and second
+    #[config(live, min = -1e12, max = 1e12, unit = "1/s", default = 0.0)]
+    ki: f64,
+    /// Output per change of the measurement in a second
+    #[config(live, min = -1e12, max = 1e12, unit = "s", default = 0.0)]
+    kd: f64,
+    /// Time constant of the low-pass before the derivative
+    #[config(live, min = 0.0, max = 100.0, unit = "s", default = 0.005)]
+    smooth_s: f64,
+    /// Lowest output
+    #[config(live, default = -1.0)]
+    lowest: f64,
+    /// Highest output
+    #[config(live, default = 1.0)]
+    highest: f64,
+    /// Output while there is no setpoint or no fresh measurement
+    #[config(live, default = 0.0)]
+    safe: f64,
+}
+
+/// Output = kp · error + ki · ∫ error − kd · d(measured)/dt, within limits, at the component's rate.
+#[derive(Component)]
+#[component(rate_hz = 1000, provides("ctl"))]
+pub struct Pid {
+    #[input]
+    setpoint: In<Scalar>,
+    #[input]
+    measured: In<Scalar>,
+    #[output]
+    command: Out<Scalar>,
+    /// The output came to a limit (true) or left it.
+    #[event("ctl")]
+    saturated: Event<Flag>,
+    #[state]
+    output: f64,
+    #[state]
+    error: f64,
+    /// The integral's part of the output.
+    #[state]
+    integral: f64,
+    /// Whether it controls; false while it gives the safe output.
+    #[state]
+    controls: Flag,
+    #[state]
+    at_limit: Flag,
+    #[config]
+    cfg: PidConfig,
+    /// Measurement behind the low-pass; none before the first one.
+    smoothed: Option<f64>,
+}
+
+#[provides("ctl")]
+impl Pid {
+    /// Forgets the past: integral and derivative begin anew.
+    #[command]
+    fn clear(&mut self) {
+        (self.integral, self.smoothed) = (0.0, None);
+    }
+    #[read]
+    fn output(s: &PidState) -> f64 {
+        s.output
+    }
+}
+
+impl Component for Pid {
+    fn configure(&mut self) -> Result {
+        let PidConfig { lowest, highest, safe, .. } = self.cfg;
+        if lowest >= highest {
+            return Err(format!("lowest, highest: {lowest} is not below {highest}: exchange them").into());
+        }
+        if !(lowest..=highest).contains(&safe) {
+            return Err(
+                format!("safe: {safe} is not between lowest, {lowest}, and highest, {highest}").into()
+            );
+        }
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result {
+        self.clear();
+        Ok(())
+    }
+
+    fn make_safe(&mut self) -> Result {
+        self.clear();
+        self.give(self.cfg.safe);
+        Ok(())
+    }
+
+    fn step(&mut self, t: &Tick) -> Result {
+        let fresh = |sample: Option<Sample<Scalar>>| sample.filter(|s| !s.stale && s.value.value.is_finite());
+        let wanted = fresh(self.setpoint.sample());
+        let (Some(wanted), Some(is)) = (wanted, fresh(self.measured.sample())) else {
+            self.controls = Flag::FALSE;
+            self.clear();
+            self.give(self.cfg.safe);
+            return Ok(());
+        };
+        self.controls = Flag::TRUE;
+        let (dt, is) = (t.period_s(), is.value.value);
+        self.error = wanted.value.value - is;
+        let before = self.smoothed.unwrap_or(is);
+        let smoothed = before + (is - before) * dt / (dt + self.cfg.smooth_s);
+        self.smoothed = Some(smoothed);
+        // Of the measurement and not of the error: a setpoint that jumps gives no kick.
+        let slope = if dt > 0.0 { (smoothed - before) / dt } else { 0.0 };
+        let PidConfig { kp, ki, kd, lowest, highest, .. } = self.cfg;
+        let others = kp * self.error - kd * slope;
+        let more = self.integral + ki * self.error * dt;
+        let wished = others + more;
+        // It grows up to the limit and not beyond; back it always may.
+        self.integral = if wished > highest {
+            more.min((highest - others).max(self.integral))
+        } else if wished < lowest {
+            more.max((lowest - others).min(self.integral))
+        } else {
+            more
+        };
+        let output = (others + self.integral).clamp(lowest, highest);
+        let at_limit = wished != wished.clamp(lowest, highest);
+        if at_limit != self.at_limit.get() {
+            self.at_limit = at_limit.into();
+            self.saturated.emit(self.at_limit);
+        }
+        self.give(output);
+        Ok(())
+    }
+}
+
+impl Pid {
+    fn give(&mut self, output: f64) {
+        self.output = output;
+        self.command.write(&Scalar { stamp: Stamp::INVALID, value: output });
+    }
+}
