@@ -140,11 +140,10 @@ impl Warp {
         place(self.x, x, self.limits[0])
     }
 
-    /// The pixel of the picture at rest that is nearest to the place of pixel `x`, `y`, counted from its first one.
-    pub(crate) fn nearest(&self, x: usize, y: usize) -> usize {
-        let (column, across) = self.column(x);
+    /// Row of the picture at rest that is nearest to the place of row `y`.
+    pub(crate) fn nearest_row(&self, y: usize) -> usize {
         let (row, down) = self.row(y);
-        (row + usize::from(down >= 0.5)) * self.limits[0] + column + usize::from(across >= 0.5)
+        row + usize::from(down >= 0.5)
     }
 
     /// As [`Warp::column`], of rows.

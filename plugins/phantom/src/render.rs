@@ -8,7 +8,7 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::backdrop::{Backdrop, Lamp, Warp};
-use crate::camera::{Camera, Rig, Tool};
+use crate::camera::{Camera, Rig, Tool, WORKING_DISTANCE_M};
 use crate::noise::Noise;
 use crate::shadow;
 use crate::world::World;
@@ -25,8 +25,11 @@ const POINTS: usize = 48;
 /// Colour of the steel, and how it shines.
 const STEEL: [f64; 3] = [150.0, 155.0, 162.0];
 const SHINE: f64 = 110.0;
+/// Parts of the tool's radius over which its colour and the edge of its shadow change little.
+const MIXED_STEEL: f64 = 0.1;
+const MIXED_SHADOW: f64 = 0.15;
 /// Light that is left in the middle of a shadow.
-const IN_SHADOW: f64 = 0.3;
+const IN_SHADOW: f32 = 0.3;
 /// Disparity is told in this part of a pixel: 16 bits, 0 where there is none, as KITTI stores it.
 pub const DISPARITY_UNITS_PER_PX: f64 = 256.0;
 
@@ -69,6 +72,8 @@ struct Work {
     weights: Vec<i16>,
     /// Columns from (and to where) the place in the picture at rest is so many columns further right.
     runs: Vec<(usize, usize, usize)>,
+    /// Column of the picture at rest nearest to each column's place.
+    columns: Vec<usize>,
     tool: Spans,
     shadow: Spans,
 }
@@ -92,6 +97,7 @@ impl Renderer {
             bytes: vec![0; 3 * width],
             weights: vec![0; 3 * width],
             runs: Vec::with_capacity(width),
+            columns: vec![0; width],
             tool: Spans::new(height),
             shadow: Spans::new(height),
         };
@@ -114,7 +120,7 @@ impl Renderer {
         for y in 0..eye.camera.height {
             work.retina(eye, &warp, y);
             if let Some(tool) = &scene.tool {
-                work.darken(eye, &warp, lamp, tool, &shift, y);
+                work.darken(eye, warp.nearest_row(y), lamp, tool, &shift, y);
                 work.paint(eye, lamp, tool, y);
             }
             work.finish(noise, rows, y);
@@ -135,6 +141,7 @@ impl Renderer {
         let shift = world.motion.shift(scene.t_s);
         let [left, right] = &*eyes;
         let warp = left.warp(&shift);
+        work.follow(&warp, left.camera.width);
         work.mark(world, &right.camera, lamp, scene, &shift);
         // The right eye's spans hide what lies behind; the left one's are needed to see the tool itself.
         std::mem::swap(&mut work.tool, &mut work.shadow);
@@ -143,9 +150,10 @@ impl Renderer {
         let width = left.camera.width;
         for (y, out) in out.chunks_mut(width).enumerate().take(left.camera.height) {
             let (tool, hides) = (work.tool.of(y), work.shadow.of(y));
+            let depths = &left.depth[warp.nearest_row(y) * left.width..];
             for (x, out) in out.iter_mut().enumerate() {
                 let ray = left.rays[y * width + x];
-                let mut depth = f64::from(left.depth[warp.nearest(x, y)]) + shift.z;
+                let mut depth = f64::from(depths[work.columns[x]]) + shift.z;
                 let on_tool = scene.tool.as_ref().filter(|_| tool.contains(&x)).and_then(|tool| {
                     let way = left.turn * Vector3::new(f64::from(ray[0]), f64::from(ray[1]), 1.0);
                     let length = way.norm();
@@ -167,8 +175,9 @@ impl Renderer {
                         continue;
                     }
                 }
-                let units = (disparity * DISPARITY_UNITS_PER_PX).round();
-                *out = if (1.0..=f64::from(u16::MAX)).contains(&units) { units as u16 } else { 0 };
+                // Rounded, and 0 for what does not fit.
+                let units = (disparity * DISPARITY_UNITS_PER_PX + 0.5) as u32;
+                *out = u16::try_from(units).unwrap_or(0);
             }
         }
         std::mem::swap(&mut work.tool, &mut work.shadow);
@@ -181,6 +190,7 @@ impl Work {
         self.runs.clear();
         for x in 0..width {
             let (column, part) = warp.column(x);
+            self.columns[x] = column + usize::from(part >= 0.5);
             self.weights[3 * x..3 * x + 3].fill((part * 32767.0) as i16);
             let ahead = column.wrapping_sub(x);
             match self.runs.last_mut() {
@@ -226,11 +236,12 @@ impl Work {
         }
     }
 
-    /// Takes light from the pixels of row `y` that the lamp does not reach.
+    /// Takes light from the pixels of row `y` that the lamp does not reach. Edges are softer than a few pixels: between those
+    /// the shadow is mixed.
     fn darken(
         &mut self,
         eye: &Backdrop,
-        warp: &Warp,
+        row: usize,
         lamp: &Lamp,
         tool: &Tool,
         shift: &Vector3<f64>,
@@ -238,39 +249,78 @@ impl Work {
     ) {
         let core = tool.core();
         let from = eye.camera.eye();
-        for x in self.shadow.of(y) {
-            let depth = f64::from(eye.depth[warp.nearest(x, y)]) + shift.z;
-            let [rx, ry] = eye.rays[y * eye.camera.width + x];
+        let rays = &eye.rays[y * eye.camera.width..(y + 1) * eye.camera.width];
+        let (depths, columns) = (&eye.depth[row * eye.width..(row + 1) * eye.width], &self.columns);
+        let dark = |x: usize| {
+            let [rx, ry] = rays[x];
+            let depth = f64::from(depths[columns[x]]) + shift.z;
             let at = from + eye.turn * (Vector3::new(f64::from(rx), f64::from(ry), 1.0) * depth);
-            let dark = shadow::depth(&at, &lamp.at, &core, tool.radius_m);
+            shadow::depth(&at, &lamp.at, &core, tool.radius_m) as f32
+        };
+        let row = &mut self.row;
+        let mut put = |x: usize, dark: f32| {
             if dark > 0.0 {
                 let left = (256.0 * (1.0 - (1.0 - IN_SHADOW) * dark)) as i32;
-                for value in &mut self.row[3 * x..3 * x + 3] {
+                for value in &mut row[3 * x..3 * x + 3] {
                     *value = ((i32::from(*value) * left) >> 8) as i16;
                 }
             }
+        };
+        let span = self.shadow.of(y);
+        let Some(mut last) = span.clone().next() else { return };
+        let mut a = dark(last);
+        put(last, a);
+        while last + 1 < span.end {
+            let next = (last + every(eye, tool, MIXED_SHADOW)).min(span.end - 1);
+            let b = dark(next);
+            for x in last + 1..next {
+                put(x, a + (b - a) * ((x - last) as f32 / (next - last) as f32));
+            }
+            put(next, b);
+            (last, a) = (next, b);
         }
     }
 
-    /// Paints the pixels of row `y` where the tool is: Lambert's cosine and a highlight (J. Blinn, *Models of light
-    /// reflection for computer synthesized pictures*, 1977).
+    /// Paints the pixels of row `y` where the tool is. Its outline is found pixel by pixel; within it the colours of some pixels
+    /// are mixed of their neighbours'.
     fn paint(&mut self, eye: &Backdrop, lamp: &Lamp, tool: &Tool, y: usize) {
         let from = eye.camera.eye();
-        for x in self.tool.of(y) {
-            let [rx, ry] = eye.rays[y * eye.camera.width + x];
+        let rays = &eye.rays[y * eye.camera.width..(y + 1) * eye.camera.width];
+        let colour = |x: usize| {
+            let [rx, ry] = rays[x];
             let way = (eye.turn * Vector3::new(f64::from(rx), f64::from(ry), 1.0)).normalize();
-            let Some(far) = tool.meet(&from, &way) else { continue };
-            let at = from + way * far;
-            let normal = tool.normal(&at);
-            let to_lamp = (lamp.at - at).normalize();
-            let half = (to_lamp - way).normalize();
-            let light = lamp.ambient + (1.0 - lamp.ambient) * normal.dot(&to_lamp).max(0.0);
-            // The microscope's own light makes the upper side visible.
-            let light = light + 0.35 * (-normal.dot(&way)).max(0.0);
-            let shine = SHINE * normal.dot(&half).max(0.0).powi(24);
-            for (value, steel) in self.row[3 * x..3 * x + 3].iter_mut().zip(STEEL) {
-                *value = ((steel * light + shine).min(255.0) * f64::from(PARTS)) as i16;
+            tool.meet(&from, &way).map(|far| steel(lamp, tool, &(from + way * far), &way))
+        };
+        let row = &mut self.row;
+        let mut put = |x: usize, colour: [f32; 3]| {
+            for (value, colour) in row[3 * x..3 * x + 3].iter_mut().zip(colour) {
+                *value = (colour.min(255.0) * f32::from(PARTS)) as i16;
             }
+        };
+        let span = self.tool.of(y);
+        let Some(mut last) = span.clone().next() else { return };
+        let mut a = colour(last);
+        if let Some(a) = a {
+            put(last, a);
+        }
+        while last + 1 < span.end {
+            let next = (last + every(eye, tool, MIXED_STEEL)).min(span.end - 1);
+            let b = colour(next);
+            for x in last + 1..next {
+                let part = (x - last) as f32 / (next - last) as f32;
+                let between = match (a, b) {
+                    (Some(a), Some(b)) => Some(std::array::from_fn(|i| a[i] + (b[i] - a[i]) * part)),
+                    (None, None) => None,
+                    _ => colour(x),
+                };
+                if let Some(between) = between {
+                    put(x, between);
+                }
+            }
+            if let Some(b) = b {
+                put(next, b);
+            }
+            (last, a) = (next, b);
         }
     }
 
@@ -282,6 +332,25 @@ impl Work {
             *byte = (value.saturating_add(*noise) >> PART_BITS).clamp(0, 255) as u8;
         }
     }
+}
+
+/// Over how many pixels something about the tool may be mixed that changes over this part of its radius; 1 where it is small.
+fn every(eye: &Backdrop, tool: &Tool, part: f64) -> usize {
+    let radius_px = eye.camera.focal_px * tool.radius_m / WORKING_DISTANCE_M;
+    ((part * radius_px) as usize).clamp(1, 8)
+}
+
+/// Colour of the tool where it is seen along `way`: Lambert's cosine and a highlight (J. Blinn, *Models of light reflection for
+/// computer synthesized pictures*, 1977).
+fn steel(lamp: &Lamp, tool: &Tool, at: &Point3<f64>, way: &Vector3<f64>) -> [f32; 3] {
+    let normal = tool.normal(at);
+    let to_lamp = (lamp.at - at).normalize();
+    let half = (to_lamp - way).normalize();
+    let light = lamp.ambient + (1.0 - lamp.ambient) * normal.dot(&to_lamp).max(0.0);
+    // The microscope's own light makes the upper side visible.
+    let light = light + 0.35 * (-normal.dot(way)).max(0.0);
+    let shine = SHINE * normal.dot(&half).max(0.0).powi(24);
+    STEEL.map(|steel| (steel * light + shine) as f32)
 }
 
 /// Columns of each row in which something may be.

@@ -149,7 +149,7 @@ fn the_spans_leave_out_no_pixel_of_tool_and_shadow() {
         let mut all = Vec::new();
         for y in 0..HEIGHT {
             work.retina(eye, &warp, y);
-            work.darken(eye, &warp, lamp, &tool, &shift, y);
+            work.darken(eye, warp.nearest_row(y), lamp, &tool, &shift, y);
             work.paint(eye, lamp, &tool, y);
             all.extend(work.row.iter().map(|value| ((value + PARTS / 2) >> PART_BITS).clamp(0, 255) as u8));
         }
