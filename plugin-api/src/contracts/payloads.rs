@@ -215,6 +215,8 @@ pub const PAYLOADS: &[Payload] = &[
             ("GRAY16", 5),
             ("BAYER_RG8", 6),
             ("YUYV", 7),
+            ("DISPARITY16", 8),
+            ("DEPTH32F", 9),
         ],
     },
     Payload {

@@ -9,6 +9,21 @@ use trocar_sdk::{Payload, Stamp, named_values};
 named_values! {
     /// Pixel formats; rows are `stride` bytes apart.
     pub struct PixelFormat: u32 { GRAY8 = 1, RGB8 = 2, BGR8 = 3, RGBA8 = 4, GRAY16 = 5, BAYER_RG8 = 6, YUYV = 7 }
+    pub struct PixelFormat: u32 {
+        GRAY8 = 1,
+        RGB8 = 2,
+        BGR8 = 3,
+        RGBA8 = 4,
+        GRAY16 = 5,
+        /// One value per pixel behind a colour filter: rows R G R G … and G B G B …, beginning with R.
+        BAYER_RG8 = 6,
+        /// Y0 U Y1 V for two pixels, ITU-R BT.601 video range.
+        YUYV = 7,
+        /// i16, 1/16 px from the left to the right image of a rectified pair; negative: nothing is known.
+        DISPARITY16 = 8,
+        /// f32, m along the optical axis; not a number: nothing is known.
+        DEPTH32F = 9,
+    }
 }
 
 impl PixelFormat {
@@ -17,8 +32,9 @@ impl PixelFormat {
         match self {
             PixelFormat::GRAY8 | PixelFormat::BAYER_RG8 => 1,
             PixelFormat::GRAY16 | PixelFormat::YUYV => 2,
+            PixelFormat::GRAY16 | PixelFormat::YUYV | PixelFormat::DISPARITY16 => 2,
             PixelFormat::RGB8 | PixelFormat::BGR8 => 3,
-            PixelFormat::RGBA8 => 4,
+            PixelFormat::RGBA8 | PixelFormat::DEPTH32F => 4,
             _ => 0,
         }
     }
