@@ -1,0 +1,13 @@
+//! What the vision plugins share: stereo calibration, brightness of colours, and which instructions the processor has.
+//!
+//! Invariant: functions of pixels give the same bytes whichever instructions they use.
+#![deny(unsafe_code)]
+
+pub mod calibration;
+mod camera;
+mod luma;
+pub mod simd;
+
+pub use calibration::{Calibration, CalibrationError};
+pub use camera::Camera;
+pub use luma::{luma, luma_row};

@@ -1,0 +1,165 @@
+//! The component on the bench, on small pairs of random dots.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::{NONE, SCALE};
+use trocar_sdk::testing::Bench;
+
+trocar_sdk::testing::count_allocations!();
+
+const CONFIG: &str = r#"{"method": "bm", "n_disp": 32, "block": 7, "width": 96, "height": 40,
+    "focal_px": 400, "baseline_m": 0.005}"#;
+
+/// Random dots, the left image shifted by `shift` px.
+fn pair(shift: usize, index: u64) -> (StereoHeader, Vec<u8>) {
+    let mut rng = fastrand::Rng::with_seed(index);
+    let mut dots: Vec<Vec<u8>> = Vec::new();
+    for _ in 0..40 {
+        dots.push(std::iter::repeat_with(|| rng.u8(..)).take(96 + shift).collect());
+    }
+    let left = dots.iter().flat_map(|row| row[..96].to_vec());
+    let right = dots.iter().flat_map(|row| row[shift..].to_vec());
+    let header = StereoHeader {
+        index,
+        width: 96,
+        height: 40,
+        stride: 96,
+        format: PixelFormat::GRAY8,
+        right_offset: 96 * 40,
+        ..Default::default()
+    };
+    (header, left.chain(right).collect())
+}
+
+fn push(bench: &mut Bench<StereoDepth>, shift: usize, index: u64) {
+    let (header, bytes) = pair(shift, index);
+    bench.push_frame("rectified", header, &bytes);
+    bench.step(1);
+}
+
+#[test]
+fn disparity_and_depth_come_with_index_and_stamp_of_the_pair() {
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
+    let (header, bytes) = pair(8, 5);
+    bench.push_frame("rectified", header, &bytes);
+    let pushed = bench.now();
+    bench.step(1);
+    let (header, bytes, stamp) = bench.frames::<ImageHeader>("disparity").remove(0);
+    assert_eq!(
+        (header.index, header.format, header.stride, stamp),
+        (5, PixelFormat::DISPARITY16, 192, pushed)
+    );
+    let at = |u: usize, v: usize| 2 * (96 * v + u);
+    let disparity = |u, v| i16::from_ne_bytes([bytes[at(u, v)], bytes[at(u, v) + 1]]);
+    // Dots have no slope: to a fraction of a pixel their place is not certain.
+    assert!((disparity(50, 20) - 8 * SCALE).abs() <= 4, "{}", disparity(50, 20));
+    assert_eq!(disparity(0, 0), NONE);
+    let (header, bytes, _) = bench.frames::<ImageHeader>("depth").remove(0);
+    assert_eq!((header.format, header.stride), (PixelFormat::DEPTH32F, 384));
+    let depth = |u, v| f32::from_ne_bytes(bytes[2 * at(u, v)..][..4].try_into().unwrap());
+    // 400 px · 5 mm over the disparity.
+    let exact = 400.0 * 0.005 * f32::from(SCALE) / f32::from(disparity(50, 20));
+    assert!((depth(50, 20) - exact).abs() < 1e-6);
+    assert!(depth(0, 0).is_nan());
+    let state = bench.state();
+    assert_eq!((state.frames, state.rejected), (1, 0));
+    assert!(state.density > 0.5 && state.density < 0.9, "{}", state.density);
+}
+
+#[test]
+fn depth_at_answers_for_a_pixel_and_says_when_it_cannot() {
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
+    let at = |bench: &mut Bench<StereoDepth>, u, v| {
+        bench.command::<Pixel, Distance>("map/depth_at", Pixel { u, v })
+    };
+    assert!(at(&mut bench, 1, 1).unwrap_err().to_string().contains("no pair has come yet"));
+    push(&mut bench, 8, 1);
+    let there = at(&mut bench, 50, 20).unwrap();
+    assert!(there.valid.get() && there.stamp.is_valid() && (there.distance - 0.25).abs() < 0.01, "{there:?}");
+    let nothing = at(&mut bench, 0, 0).unwrap();
+    assert!(!nothing.valid.get() && !nothing.stamp.is_valid());
+    let outside = at(&mut bench, 96, 3).unwrap_err().to_string();
+    assert!(outside.contains("(96, 3) px is outside of the image: u is 0 to 95, v 0 to 39"), "{outside}");
+}
+
+#[test]
+fn without_cameras_there_is_disparity_only() {
+    let mut bench =
+        Bench::<StereoDepth>::new(r#"{"method": "sgm", "n_disp": 32, "width": 96, "height": 40}"#);
+    push(&mut bench, 8, 1);
+    assert_eq!(bench.frames::<ImageHeader>("disparity").len(), 1);
+    assert_eq!(bench.frames::<ImageHeader>("depth").len(), 0);
+    let why =
+        bench.command::<Pixel, Distance>("map/depth_at", Pixel { u: 50, v: 20 }).unwrap_err().to_string();
+    assert!(why.contains("focal_px and baseline_m"), "{why}");
+}
+
+#[test]
+fn method_and_range_change_while_it_runs() {
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
+    push(&mut bench, 40, 1);
+    let known = |bench: &mut Bench<StereoDepth>| {
+        let (_, bytes, _) = bench.frames::<ImageHeader>("disparity").pop().unwrap();
+        bytes.as_chunks::<2>().0.iter().filter(|d| (i16::from_ne_bytes(**d) - 40 * SCALE).abs() <= 8).count()
+    };
+    assert_eq!(known(&mut bench), 0, "40 px are beyond 32");
+    bench.configure(CONFIG.replace("32", "64")).unwrap();
+    push(&mut bench, 40, 2);
+    assert!(known(&mut bench) > 1000);
+    bench.configure(CONFIG.replace("32", "64").replace("bm", "sgm")).unwrap();
+    push(&mut bench, 40, 3);
+    assert!(known(&mut bench) > 1500);
+}
+
+#[test]
+fn frames_of_wrong_sizes_and_formats_are_counted_and_the_next_one_is_taken() {
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
+    let (good, bytes) = pair(8, 1);
+    let bad = [
+        (StereoHeader { width: 95, ..good }, "configure the size"),
+        (StereoHeader { stride: 95, ..good }, "right_offset"),
+        (StereoHeader { right_offset: u64::MAX, ..good }, "right_offset"),
+        (StereoHeader { height: u32::MAX, ..good }, "right_offset"),
+        (StereoHeader { format: PixelFormat::YUYV, ..good }, "GRAY8 or RGB8"),
+        (StereoHeader { format: PixelFormat(99), ..good }, "GRAY8 or RGB8"),
+    ];
+    for (n, (header, says)) in (1..).zip(bad) {
+        bench.push_frame("rectified", header, &bytes);
+        bench.step(1);
+        let state = bench.state();
+        assert_eq!((state.frames, state.rejected), (0, n), "{header:?}");
+        assert!(state.problem.contains(says), "{} for {header:?}", state.problem);
+    }
+    push(&mut bench, 8, 2);
+    assert_eq!(bench.state().frames, 1);
+    bench.exhaust("depth", true);
+    push(&mut bench, 8, 3);
+    assert!(bench.state().problem.contains("held by readers"));
+}
+
+#[test]
+fn configurations_that_cannot_be_are_refused_with_the_reason() {
+    let refused = |config: &str| Bench::<StereoDepth>::created().configure(config).unwrap_err().reason;
+    assert!(refused(r#"{"n_disp": 80}"#).contains("take 96"));
+    assert!(refused(r#"{"p1": 50}"#).contains("p1 ≤ p2"));
+    assert!(refused(r#"{"focal_px": 400}"#).contains("needs both above 0"));
+    assert!(
+        refused(r#"{"calibration": "nowhere.json"}"#)
+            .starts_with("calibration: nowhere.json: cannot be read")
+    );
+    assert!(refused(r#"{"calibration": "x", "focal_px": 1}"#).contains("one or the other"));
+    assert!(refused(r#"{"method": "ncc"}"#).contains(r#""bm", "sgm""#));
+}
+
+#[test]
+fn a_step_allocates_nothing() {
+    for method in ["bm", "sgm"] {
+        let mut bench = Bench::<StereoDepth>::new(CONFIG.replace("bm", method));
+        bench.assert_no_alloc(|bench| {
+            let (header, bytes) = pair(8, 1);
+            bench.push_frame("rectified", header, &bytes);
+            bench.step(1);
+        });
+        assert_eq!(bench.state().frames, 1);
+    }
+}
