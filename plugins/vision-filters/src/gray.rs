@@ -2,26 +2,18 @@
 //!
 //! Invariant: the weights add to 256 and the sum fits 16 bits, so black stays 0, white stays 255, grey stays itself.
 
+use trocar_imaging::luma_row;
+use trocar_imaging::simd::Avx2;
+
+pub use trocar_imaging::luma;
+
 use crate::view::{Format, View, ViewMut};
-
-/// Weights of red, green, blue in 1/256.
-const WEIGHTS: [u16; 3] = [77, 150, 29];
-
-/// Brightness of one pixel.
-pub fn luma(red: u8, green: u8, blue: u8) -> u8 {
-    let [r, g, b] = WEIGHTS;
-    ((r * u16::from(red) + g * u16::from(green) + b * u16::from(blue) + 128) >> 8) as u8
-}
 
 /// Writes one row of pixels of one format as another: brightness of colours, or brightness in all three colours.
 /// The shorter of the two rows decides how many pixels.
 pub fn convert_row(from: Format, src: &[u8], to: Format, dst: &mut [u8]) {
     match (from, to) {
-        (Format::Rgb8, Format::Gray8) => {
-            for (d, s) in dst.iter_mut().zip(src.as_chunks::<3>().0) {
-                *d = luma(s[0], s[1], s[2]);
-            }
-        }
+        (Format::Rgb8, Format::Gray8) => luma_row(Avx2::detect(), src, dst),
         (Format::Gray8, Format::Rgb8) => {
             for (d, s) in dst.as_chunks_mut::<3>().0.iter_mut().zip(src) {
                 *d = [*s; 3];

@@ -1,14 +1,24 @@
-//! Image filters on stereo frames: `gray`, `resize`, `pip` (picture in picture).
+//! Image filters on stereo frames: `rectify`, `debayer`, `color`, `gray`, `resize`, `crop`, `flip`, `overlay`, `pip`
+//! (picture in picture).
 //!
 //! Invariant: pixels are touched only through `view`, which has checked that every row lies inside its bytes.
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
+pub mod color;
 mod components;
+pub mod debayer;
+pub mod flip;
 pub mod gray;
+pub mod overlay;
 pub mod pip;
+pub mod remap;
 pub mod resize;
+mod simd;
 pub mod view;
 
-pub use components::{Gray, Pip, Resize, Tally};
+pub use components::{
+    Color, Crop, Debayer, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture, OverlayText, Pip,
+    PipRect, RectifiedGeometry, Rectify, Resize, Tally,
+};
 
-trocar_sdk::trocar_plugin!(Gray, Resize, Pip);
+trocar_sdk::trocar_plugin!(Rectify, Debayer, Color, Gray, Resize, Crop, Flip, Overlay, Pip);

@@ -3,8 +3,9 @@
 //! Invariant: wherever the inset is asked to go, only pixels of the big image are written, and as much of the inset as
 //! fits is visible.
 
-use crate::gray::convert_row;
-use crate::view::{View, ViewMut};
+use crate::gray::{convert_row, luma};
+use crate::overlay::mix;
+use crate::view::{Format, View, ViewMut};
 
 /// Pixels of the big image that an inset covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,17 +31,41 @@ pub fn place(x: i64, y: i64, inset: (usize, usize), big: (usize, usize)) -> Rect
     Rect { x, y, width, height }
 }
 
-/// Copies `inset` into `big` with its upper left corner asked to be at (`x`, `y`); formats are converted. Returns the
-/// pixels covered.
-pub fn lay(inset: &View<'_>, big: &mut ViewMut<'_>, x: i64, y: i64) -> Rect {
+/// Lays `inset` into `big` with its upper left corner asked to be at (`x`, `y`); formats are converted. Of 255 parts
+/// `part` are the inset's, the others those of what is below. Returns the pixels covered.
+pub fn lay(inset: &View<'_>, big: &mut ViewMut<'_>, x: i64, y: i64, part: u32) -> Rect {
     let (from, to) = (inset.shape(), big.shape());
     let rect = place(x, y, (from.width, from.height), (to.width, to.height));
     let columns = rect.x * to.format.bytes()..(rect.x + rect.width) * to.format.bytes();
     for n in 0..rect.height {
         let src = &inset.row(n)[..rect.width * from.format.bytes()];
-        convert_row(from.format, src, to.format, &mut big.row_mut(rect.y + n)[columns.clone()]);
+        let dst = &mut big.row_mut(rect.y + n)[columns.clone()];
+        if part >= 255 {
+            convert_row(from.format, src, to.format, dst);
+        } else {
+            mix_row(from.format, src, to.format, dst, part);
+        }
     }
     rect
+}
+
+/// As [`convert_row`], with what is below showing through.
+fn mix_row(from: Format, src: &[u8], to: Format, dst: &mut [u8], part: u32) {
+    match (from, to) {
+        (Format::Rgb8, Format::Gray8) => {
+            for (to, from) in dst.iter_mut().zip(src.as_chunks::<3>().0) {
+                *to = mix(*to, luma(from[0], from[1], from[2]), part);
+            }
+        }
+        (Format::Gray8, Format::Rgb8) => {
+            for (to, &from) in dst.as_chunks_mut::<3>().0.iter_mut().zip(src) {
+                *to = to.map(|below| mix(below, from, part));
+            }
+        }
+        (Format::Gray8, Format::Gray8) | (Format::Rgb8, Format::Rgb8) => {
+            dst.iter_mut().zip(src).for_each(|(to, &from)| *to = mix(*to, from, part));
+        }
+    }
 }
 
 #[cfg(test)]
@@ -60,6 +85,7 @@ mod tests {
             &mut ViewMut::packed(gray(4, 3), &mut big).expect("fits"),
             1,
             1,
+            255,
         );
         assert_eq!(big, [0, 0, 0, 0, 0, 1, 2, 0, 0, 3, 4, 0]);
         assert_eq!(covered, Rect { x: 1, y: 1, width: 2, height: 2 });
@@ -81,6 +107,7 @@ mod tests {
             &mut ViewMut::packed(gray(2, 1), &mut big).expect("fits"),
             1,
             1,
+            255,
         );
         assert_eq!(big, [1, 2]);
     }
@@ -94,6 +121,7 @@ mod tests {
             &mut ViewMut::packed(colour, &mut big).expect("fits"),
             1,
             0,
+            255,
         );
         assert_eq!(big, [0, 0, 0, 50, 50, 50]);
         let mut big = [0; 2];
@@ -102,8 +130,32 @@ mod tests {
             &mut ViewMut::packed(gray(2, 1), &mut big).expect("fits"),
             0,
             0,
+            255,
         );
         assert_eq!(big, [77, 29]);
+    }
+
+    #[test]
+    fn an_inset_that_hides_half_lets_half_of_what_is_below_through() {
+        let mut big = [100, 200];
+        let half = |inset: &[u8], format, big: &mut [u8], to| {
+            let (small, wide) = (Shape { format, ..gray(1, 1) }, Shape { format: to, ..gray(1, 1) });
+            lay(
+                &View::packed(small, inset).expect("fits"),
+                &mut ViewMut::packed(wide, big).expect("fits"),
+                0,
+                0,
+                128,
+            );
+        };
+        half(&[0], Format::Gray8, &mut big[..1], Format::Gray8);
+        half(&[255, 255, 255], Format::Rgb8, &mut big[1..], Format::Gray8);
+        assert_eq!(big, [50, 228]);
+        let mut colour = [0, 100, 200];
+        half(&[100], Format::Gray8, &mut colour, Format::Rgb8);
+        assert_eq!(colour, [50, 100, 150]);
+        half(&[200, 100, 0], Format::Rgb8, &mut colour, Format::Rgb8);
+        assert_eq!(colour, [125, 100, 75]);
     }
 
     #[test]
@@ -118,6 +170,7 @@ mod tests {
                 &mut ViewMut::packed(gray(w, h), &mut big).expect("fits"),
                 x,
                 y,
+                255,
             );
             for (n, &pixel) in big.iter().enumerate() {
                 let inside = (rect.x..rect.x + rect.width).contains(&(n % w))

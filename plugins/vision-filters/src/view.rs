@@ -96,6 +96,16 @@ impl<'a> View<'a> {
         let start = y.min(self.shape.height - 1) * self.stride;
         &self.bytes[start..start + self.shape.row_bytes()]
     }
+
+    /// All bytes, from the first pixel on; they may reach beyond the last one.
+    pub(crate) fn bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+
+    /// Bytes from row to row.
+    pub(crate) fn stride(&self) -> usize {
+        self.stride
+    }
 }
 
 impl<'a> ViewMut<'a> {
@@ -125,6 +135,16 @@ impl<'a> ViewMut<'a> {
     pub fn row_mut(&mut self, y: usize) -> &mut [u8] {
         let start = y.min(self.shape.height - 1) * self.stride;
         &mut self.bytes[start..start + self.shape.row_bytes()]
+    }
+
+    /// Two rows at once, `above` before `below`; empty ones when they are not in this order or not in the image.
+    pub(crate) fn two_rows_mut(&mut self, above: usize, below: usize) -> (&mut [u8], &mut [u8]) {
+        if above >= below || below >= self.shape.height {
+            return (&mut [], &mut []);
+        }
+        let row = self.shape.row_bytes();
+        let (first, second) = self.bytes.split_at_mut(below * self.stride);
+        (&mut first[above * self.stride..][..row], &mut second[..row])
     }
 }
 

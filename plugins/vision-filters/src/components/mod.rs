@@ -2,16 +2,31 @@
 //!
 //! Invariant: a frame that a filter cannot take is counted and left out; it never stops the filter.
 
+mod color;
+mod crop;
+mod debayer;
+mod flip;
 mod gray;
+mod in_place;
+mod overlay;
 mod pair;
 mod pip;
+mod rectify;
 mod resize;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_changes;
 
+pub use color::Color;
+pub use crop::Crop;
+pub use debayer::Debayer;
+pub use flip::Flip;
 pub use gray::Gray;
+pub use overlay::{Eye, Overlay, OverlayLine, OverlayPicture, OverlayText};
 pub use pair::Tally;
-pub use pip::Pip;
+pub use pip::{Pip, PipRect};
+pub use rectify::{RectifiedGeometry, Rectify};
 pub use resize::Resize;
 
 /// Most frames taken in one step, so that a fast source cannot hold a step for ever.

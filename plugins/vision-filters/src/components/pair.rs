@@ -2,7 +2,7 @@
 //!
 //! Invariant: header fields come from a peer and are believed only after `View` has checked them against the bytes.
 
-use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::data::{BadFrame, ImageView, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 use trocar_sdk::{FrameLoan, FrameView};
 
@@ -19,6 +19,18 @@ pub(super) enum Unfit {
     Large,
     /// No frame to fill.
     NoRoom,
+    /// Not what the calibration was made with.
+    Calibration,
+    /// A format without a colour filter.
+    NotBayer,
+    /// Too small to hold the pattern of a colour filter.
+    NoPattern,
+    /// A format that is no picture.
+    NoWay,
+    /// A part that reaches beyond the image.
+    Part,
+    /// Images that lie in each other.
+    Overlap,
 }
 
 impl Unfit {
@@ -27,6 +39,12 @@ impl Unfit {
             Unfit::Format => "pixel format is not GRAY8 or RGB8: convert it at the source",
             Unfit::Short => "size, stride or right_offset do not fit the bytes: repair the source",
             Unfit::Large => "larger than max_width x max_height: configure larger ones",
+            Unfit::Calibration => "not the size the calibration was made with: calibrate at this size",
+            Unfit::NotBayer => "pixel format is not BAYER_RG8, RGB8 or GRAY8: convert it at the source",
+            Unfit::NoPattern => "an image with a colour filter has at least 2 x 2 px: repair the source",
+            Unfit::NoWay => "pixel format is not GRAY8, RGB8, BGR8, RGBA8 or YUYV: convert it at the source",
+            Unfit::Part => "x + width or y + height is beyond the image: configure a part that lies in it",
+            Unfit::Overlap => "right_offset lies in the left image: repair the source",
             Unfit::NoRoom => "all frames of the output are held by readers: let fewer or faster ones read",
         }
     }
@@ -72,19 +90,41 @@ pub(super) fn reserve(out: &mut Out<Frame<StereoHeader>>, made: &mut usize, shap
     Ok(())
 }
 
+/// Both images of a received frame in any format, left first.
+pub(super) fn raw<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[ImageView<'a>; 2], Unfit> {
+    frame.images().map_err(|why| match why {
+        BadFrame::PixelFormat { .. } => Unfit::Format,
+        _ => Unfit::Short,
+    })
+}
+
+/// Both images of a frame that may be changed, left first.
+pub(super) fn images_mut<'a>(header: &StereoHeader, bytes: &'a mut [u8]) -> Result<[ViewMut<'a>; 2], Unfit> {
+    let shape = shape(header)?;
+    let right = usize::try_from(header.right_offset).map_err(|_| Unfit::Short)?;
+    let (left, right) = bytes.split_at_mut_checked(right).ok_or(Unfit::Short)?;
+    let stride = header.stride as usize;
+    let right = ViewMut::new(shape, stride, right).map_err(|_| Unfit::Short)?;
+    Ok([ViewMut::new(shape, stride, left).map_err(|_| Unfit::Overlap)?, right])
+}
+
 /// Both images of a received frame, left first.
 pub(super) fn images<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[View<'a>; 2], Unfit> {
     let header = frame.header();
+    let shape = shape(header)?;
+    let bytes = frame.bytes();
+    let right = usize::try_from(header.right_offset).ok().and_then(|at| bytes.get(at..));
+    let view = |bytes| View::new(shape, header.stride as usize, bytes).map_err(|_| Unfit::Short);
+    Ok([view(bytes)?, view(right.ok_or(Unfit::Short)?)?])
+}
+
+fn shape(header: &StereoHeader) -> Result<Shape, Unfit> {
     let format = match header.format {
         PixelFormat::GRAY8 => Format::Gray8,
         PixelFormat::RGB8 => Format::Rgb8,
         _ => return Err(Unfit::Format),
     };
-    let shape = Shape { width: header.width as usize, height: header.height as usize, format };
-    let bytes = frame.bytes();
-    let right = usize::try_from(header.right_offset).ok().and_then(|at| bytes.get(at..));
-    let view = |bytes| View::new(shape, header.stride as usize, bytes).map_err(|_| Unfit::Short);
-    Ok([view(bytes)?, view(right.ok_or(Unfit::Short)?)?])
+    Ok(Shape { width: header.width as usize, height: header.height as usize, format })
 }
 
 /// Two packed images of `shape` to be filled; the rest of the header is that of `from`.
@@ -93,14 +133,25 @@ pub(super) fn blank<'a>(
     from: &StereoHeader,
     shape: Shape,
 ) -> Result<[ViewMut<'a>; 2], Unfit> {
+    let format = match shape.format {
+        Format::Gray8 => PixelFormat::GRAY8,
+        Format::Rgb8 => PixelFormat::RGB8,
+    };
+    blank_as(loan, from, shape, format)
+}
+
+/// As [`blank`]; the header says `format`, which has as many bytes as the shape's.
+pub(super) fn blank_as<'a>(
+    loan: &'a mut FrameLoan<'_, StereoHeader>,
+    from: &StereoHeader,
+    shape: Shape,
+    format: PixelFormat,
+) -> Result<[ViewMut<'a>; 2], Unfit> {
     *loan.header_mut() = StereoHeader {
         width: shape.width as u32,
         height: shape.height as u32,
         stride: shape.row_bytes() as u32,
-        format: match shape.format {
-            Format::Gray8 => PixelFormat::GRAY8,
-            Format::Rgb8 => PixelFormat::RGB8,
-        },
+        format,
         right_offset: shape.packed_bytes() as u64,
         ..*from
     };

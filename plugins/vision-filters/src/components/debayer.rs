@@ -1,0 +1,88 @@
+//! `debayer`: the colours of a sensor with a colour filter.
+//!
+//! Invariant: what comes as RGB8 or GRAY8 already passes without a copy; stamps and indices are those of the source.
+
+use trocar_sdk::FrameView;
+use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::prelude::*;
+
+use super::pair::{self, Tally, Unfit};
+use crate::debayer::{neighbours, row};
+use crate::view::{Format, Shape};
+
+#[derive(Config)]
+struct DebayerConfig {
+    /// Widest image that will come; sets the size of the output's frames
+    #[config(min = 2, max = 16384, unit = "px", default = 1920)]
+    max_width: u32,
+    /// Highest image that will come
+    #[config(min = 2, max = 16384, unit = "px", default = 1080)]
+    max_height: u32,
+}
+
+/// Makes BAYER_RG8 stereo frames RGB8 by bilinear interpolation; RGB8 and GRAY8 frames pass unchanged.
+#[derive(Component)]
+#[component(model = "on_signal")]
+pub struct Debayer {
+    /// Stereo frames, BAYER_RG8
+    #[input]
+    image: In<Frame<StereoHeader>>,
+    /// The same frames in RGB8
+    #[output]
+    color: Out<Frame<StereoHeader>>,
+    #[state]
+    tally: Tally,
+    #[config]
+    cfg: DebayerConfig,
+    /// Bytes of the output's frames.
+    reserved: usize,
+}
+
+impl Component for Debayer {
+    fn configure(&mut self) -> Result {
+        let DebayerConfig { max_width, max_height } = self.cfg;
+        let most = Shape { width: max_width as usize, height: max_height as usize, format: Format::Rgb8 };
+        pair::reserve(&mut self.color, &mut self.reserved, most)
+    }
+
+    fn start(&mut self) -> Result {
+        self.tally = Tally::default();
+        Ok(())
+    }
+
+    fn step(&mut self, _: &Tick) -> Result {
+        for _ in 0..super::BURST {
+            let Some(frame) = self.image.next() else { break };
+            self.tally.count(filter(&frame, &mut self.color));
+        }
+        Ok(())
+    }
+}
+
+fn filter(frame: &FrameView<'_, StereoHeader>, out: &mut Out<Frame<StereoHeader>>) -> Result<(), Unfit> {
+    match frame.header().format {
+        PixelFormat::BAYER_RG8 => {}
+        PixelFormat::RGB8 | PixelFormat::GRAY8 => {
+            out.forward(frame);
+            return Ok(());
+        }
+        _ => return Err(Unfit::NotBayer),
+    }
+    let source = pair::raw(frame)?;
+    let shape = Shape {
+        width: source[0].width() as usize,
+        height: source[0].height() as usize,
+        format: Format::Rgb8,
+    };
+    if shape.width < 2 || shape.height < 2 {
+        return Err(Unfit::NoPattern);
+    }
+    let mut loan = out.loan()?;
+    for (from, to) in source.iter().zip(&mut pair::blank(&mut loan, frame.header(), shape)?) {
+        for y in 0..shape.height {
+            row(neighbours(shape, y).map(|y| from.row(y as u32)), y % 2 == 1, to.row_mut(y));
+        }
+    }
+    loan.commit(2 * shape.packed_bytes(), frame.stamp());
+    Ok(())
+}

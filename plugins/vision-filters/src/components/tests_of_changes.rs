@@ -1,0 +1,243 @@
+//! Filters that change size, colour or place of pixels, and what is drawn over them, on the bench.
+#![allow(clippy::unwrap_used)]
+
+use super::overlay::{Eye, OverlayLine, OverlayPicture, OverlayText};
+use super::*;
+use trocar_sdk::Class;
+use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::testing::Bench;
+use trocar_sdk::{Flag, Text};
+
+trocar_sdk::testing::count_allocations!();
+
+/// Two images with touching rows.
+fn header(width: u32, height: u32, format: PixelFormat) -> StereoHeader {
+    let stride = width * format.bytes_per_pixel() as u32;
+    let right_offset = u64::from(stride * height);
+    StereoHeader { index: 1, width, height, stride, format, right_offset, ..Default::default() }
+}
+
+/// What the class's only output gives for a frame.
+fn filtered<C: Class>(
+    bench: &mut Bench<C>,
+    header: StereoHeader,
+    bytes: &[u8],
+) -> Vec<(StereoHeader, Vec<u8>)> {
+    bench.push_frame("image", header, bytes);
+    bench.step(1);
+    bench
+        .frames::<StereoHeader>(C::DESC.outputs[0].name)
+        .into_iter()
+        .map(|(h, bytes, _)| (h, bytes))
+        .collect()
+}
+
+#[test]
+fn color_brings_every_format_to_the_one_that_is_asked_for() {
+    let mut bench = Bench::<Color>::new("{}");
+    let bgr = header(1, 1, PixelFormat::BGR8);
+    assert_eq!(
+        filtered(&mut bench, bgr, &[1, 2, 3, 4, 5, 6]),
+        [(header(1, 1, PixelFormat::RGB8), vec![3, 2, 1, 6, 5, 4])]
+    );
+    let yuyv = header(2, 1, PixelFormat::YUYV);
+    let out = filtered(&mut bench, yuyv, &[16, 128, 235, 128, 235, 128, 16, 128]);
+    assert_eq!(
+        out,
+        [(header(2, 1, PixelFormat::RGB8), vec![0, 0, 0, 255, 255, 255, 255, 255, 255, 0, 0, 0])]
+    );
+    bench.configure(r#"{"to": "gray8"}"#).unwrap();
+    let rgba = header(1, 1, PixelFormat::RGBA8);
+    let out = filtered(&mut bench, rgba, &[255, 0, 0, 9, 0, 255, 0, 9]);
+    assert_eq!(out, [(header(1, 1, PixelFormat::GRAY8), vec![77, 149])]);
+    bench.configure(r#"{"to": "bgr8"}"#).unwrap();
+    let out = filtered(&mut bench, header(1, 1, PixelFormat::RGB8), &[1, 2, 3, 4, 5, 6]);
+    assert_eq!(out, [(bgr, vec![3, 2, 1, 6, 5, 4])]);
+    assert_eq!(filtered(&mut bench, bgr, &[1, 2, 3, 4, 5, 6]), [(bgr, vec![1, 2, 3, 4, 5, 6])], "it passes");
+    assert!(filtered(&mut bench, header(1, 1, PixelFormat::GRAY16), &[0; 4]).is_empty());
+    assert!(bench.state().tally.problem.contains("YUYV"));
+}
+
+#[test]
+fn debayer_gives_colours_and_refuses_what_has_no_pattern() {
+    let mut bench = Bench::<Debayer>::new("{}");
+    let bayer = header(2, 2, PixelFormat::BAYER_RG8);
+    let out = filtered(&mut bench, bayer, &[200, 100, 100, 50, 10, 20, 20, 30]);
+    let colours = [[200, 100, 50].repeat(4), [10, 20, 30].repeat(4)].concat();
+    assert_eq!(out, [(header(2, 2, PixelFormat::RGB8), colours)]);
+    let rgb = header(1, 1, PixelFormat::RGB8);
+    assert_eq!(filtered(&mut bench, rgb, &[1; 6]), [(rgb, vec![1; 6])]);
+    assert!(filtered(&mut bench, header(3, 1, PixelFormat::BAYER_RG8), &[0; 6]).is_empty());
+    assert!(bench.state().tally.problem.contains("2 x 2"));
+    assert!(filtered(&mut bench, header(2, 2, PixelFormat::YUYV), &[0; 16]).is_empty());
+    assert!(bench.state().tally.problem.contains("BAYER_RG8"));
+    assert!(filtered(&mut bench, StereoHeader { stride: 1, ..bayer }, &[0; 8]).is_empty());
+    assert!(bench.state().tally.problem.contains("stride"));
+}
+
+#[test]
+fn crop_cuts_the_same_part_out_of_both_images_and_moves_while_it_runs() {
+    let config = |x: u32| format!(r#"{{"x": {x}, "y": 1, "width": 2, "height": 1}}"#);
+    let mut bench = Bench::<Crop>::new(config(0));
+    let image = header(3, 2, PixelFormat::GRAY8);
+    let bytes = [1, 2, 3, 4, 5, 6, 11, 12, 13, 14, 15, 16];
+    let part = header(2, 1, PixelFormat::GRAY8);
+    assert_eq!(filtered(&mut bench, image, &bytes), [(part, vec![4, 5, 14, 15])]);
+    bench.configure(config(1)).unwrap();
+    assert_eq!(filtered(&mut bench, image, &bytes), [(part, vec![5, 6, 15, 16])]);
+    bench.configure(config(2)).unwrap();
+    assert!(filtered(&mut bench, image, &bytes).is_empty());
+    assert!(bench.state().tally.problem.contains("beyond the image"));
+}
+
+#[test]
+fn flip_mirrors_both_images_and_changes_eyes_when_asked() {
+    let mut bench = Bench::<Flip>::new(r#"{"direction": "horizontal"}"#);
+    let image = header(2, 1, PixelFormat::RGB8);
+    let bytes = [1, 2, 3, 4, 5, 6, 11, 12, 13, 14, 15, 16];
+    assert_eq!(
+        filtered(&mut bench, image, &bytes),
+        [(image, vec![4, 5, 6, 1, 2, 3, 14, 15, 16, 11, 12, 13])]
+    );
+    bench.configure(r#"{"direction": "none", "swap_eyes": true}"#).unwrap();
+    assert_eq!(
+        filtered(&mut bench, image, &bytes),
+        [(image, vec![11, 12, 13, 14, 15, 16, 1, 2, 3, 4, 5, 6])]
+    );
+    bench.configure(r#"{"direction": "none"}"#).unwrap();
+    assert_eq!(filtered(&mut bench, image, &bytes), [(image, bytes.to_vec())]);
+    assert!(
+        filtered(&mut bench, header(2, 1, PixelFormat::YUYV), &bytes).is_empty(),
+        "its pattern would break"
+    );
+}
+
+#[test]
+fn images_that_lie_in_each_other_are_not_changed_in_place() {
+    let mut bench = Bench::<Flip>::new("{}");
+    let lying = StereoHeader { right_offset: 1, ..header(2, 1, PixelFormat::GRAY8) };
+    filtered(&mut bench, lying, &[1, 2, 3]);
+    let tally = bench.state().tally;
+    // Alone with the frame it refuses; a copy has room for both.
+    assert_eq!(tally.frames + tally.rejected, 1);
+    assert!(tally.rejected == 0 || tally.problem.contains("right_offset"), "{}", tally.problem);
+}
+
+fn ink(bytes: &[u8]) -> usize {
+    bytes.iter().filter(|&&b| b > 0).count()
+}
+
+#[test]
+fn overlay_draws_what_commands_set_in_the_eye_that_they_say() {
+    let mut bench = Bench::<Overlay>::new("{}");
+    let image = header(60, 30, PixelFormat::GRAY8);
+    let black = vec![0; 3600];
+    assert_eq!(filtered(&mut bench, image, &black), [(image, black.clone())], "nothing is set");
+    let text = OverlayText {
+        text: Text::new("OK"),
+        item: 3,
+        x: 4,
+        y: 4,
+        size: 16,
+        color: [255; 4],
+        eye: Eye::BOTH,
+        disparity: 4,
+        ..Default::default()
+    };
+    bench.command::<OverlayText, ()>("items/set_text", text).unwrap();
+    let out = filtered(&mut bench, image, &black).remove(0).1;
+    let (left, right) = out.split_at(1800);
+    assert!(ink(left) > 20);
+    // In the right image it is 4 px further left.
+    assert!(left.chunks(60).zip(right.chunks(60)).all(|(l, r)| l[4..] == r[..56]));
+    let line = OverlayLine {
+        item: 3,
+        from: [0, 0],
+        to: [59, 29],
+        width: 1,
+        color: [255; 4],
+        eye: Eye::LEFT,
+        disparity: 0,
+    };
+    bench.command::<OverlayLine, ()>("items/set_line", line).unwrap();
+    assert_eq!(bench.read::<(), u64>("items/items", ()).unwrap(), 1, "the line took the text's place");
+    let out = filtered(&mut bench, image, &black).remove(0).1;
+    assert!(ink(&out[..1800]) >= 60 && ink(&out[1800..]) == 0);
+    bench.configure(r#"{"visible": false}"#).unwrap();
+    assert_eq!(ink(&filtered(&mut bench, image, &black).remove(0).1), 0);
+    bench.configure("{}").unwrap();
+    bench.command::<u32, ()>("items/remove", 3).unwrap();
+    assert_eq!(ink(&filtered(&mut bench, image, &black).remove(0).1), 0);
+}
+
+#[test]
+fn overlay_refuses_items_that_cannot_be() {
+    let mut bench = Bench::<Overlay>::new("{}");
+    let refused = |bench: &mut Bench<Overlay>, line| {
+        bench.command::<OverlayLine, ()>("items/set_line", line).unwrap_err().to_string()
+    };
+    let line = OverlayLine { width: 1, ..Default::default() };
+    assert!(refused(&mut bench, OverlayLine { item: 32, ..line }).contains("item 32 is above 31"));
+    assert!(refused(&mut bench, OverlayLine { width: 0, ..line }).contains("0 px is not 1 to 64"));
+    assert!(refused(&mut bench, OverlayLine { eye: Eye(5), ..line }).contains("none of BOTH"));
+    let picture = OverlayPicture { picture: 1, ..Default::default() };
+    let why = bench.command::<OverlayPicture, ()>("items/set_picture", picture).unwrap_err().to_string();
+    assert!(why.contains("no picture 1: 0 are configured"), "{why}");
+    let why = Bench::<Overlay>::created().configure(r#"{"pictures": ["nowhere.png"]}"#).unwrap_err().reason;
+    assert!(why.contains("nowhere.png: cannot be opened"), "{why}");
+}
+
+#[test]
+fn overlay_lays_a_picture_of_a_file() {
+    let picture = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/retina.jpg");
+    let mut bench = Bench::<Overlay>::new(format!(r#"{{"pictures": ["{picture}"]}}"#));
+    let image = header(40, 40, PixelFormat::RGB8);
+    let item = OverlayPicture { x: -700, y: -700, alpha: 255, ..Default::default() };
+    bench.command::<OverlayPicture, ()>("items/set_picture", item).unwrap();
+    let out = filtered(&mut bench, image, &[0; 9600]).remove(0).1;
+    assert!(out.chunks(3).all(|p| p[0] > p[2]), "the middle of a retina is red");
+}
+
+#[test]
+fn pip_goes_where_commands_say_in_the_size_and_strength_they_say() {
+    let mut bench = Bench::<Pip>::new(r#"{"x": 0, "y": 0}"#);
+    let (big, small) = (header(4, 2, PixelFormat::GRAY8), header(1, 1, PixelFormat::GRAY8));
+    bench.push_frame("inset", small, &[100, 200]);
+    bench
+        .command::<PipRect, ()>("inset_control/set_rect", PipRect { x: 1, y: 0, w: 2, h: 2, alpha: 0.5 })
+        .unwrap();
+    assert_eq!(
+        filtered(&mut bench, big, &[0; 16]),
+        [(big, vec![0, 50, 50, 0, 0, 50, 50, 0, 0, 100, 100, 0, 0, 100, 100, 0])]
+    );
+    let rect = bench.read::<(), PipRect>("inset_control/rect", ()).unwrap();
+    assert_eq!((rect.x, rect.w, rect.alpha), (1, 2, 0.5));
+    bench.command::<Flag, ()>("inset_control/set_visible", false.into()).unwrap();
+    assert_eq!(filtered(&mut bench, big, &[0; 16]), [(big, vec![0; 16])]);
+    for (rect, says) in [
+        (PipRect { alpha: 1.5, ..rect }, "alpha of 1.5"),
+        (PipRect { alpha: f64::NAN, ..rect }, "alpha of NaN"),
+        (PipRect { w: 20_000, ..rect }, "20000 × 2 px"),
+    ] {
+        let why = bench.command::<PipRect, ()>("inset_control/set_rect", rect).unwrap_err().to_string();
+        assert!(why.contains(says), "{why}");
+    }
+}
+
+#[test]
+fn steps_of_the_filters_allocate_nothing() {
+    fn quiet<C: Class>(config: &str, header: StereoHeader, bytes: &[u8]) {
+        let mut bench = Bench::<C>::new(config);
+        bench.assert_no_alloc(|bench| {
+            bench.push_frame("image", header, bytes);
+            bench.step(1);
+        });
+        assert_eq!(bench.frames::<StereoHeader>(C::DESC.outputs[0].name).len(), 1, "{config}");
+    }
+    let rgb = header(8, 8, PixelFormat::RGB8);
+    quiet::<Color>(r#"{"to": "bgr8"}"#, rgb, &[7; 384]);
+    quiet::<Debayer>("{}", header(8, 8, PixelFormat::BAYER_RG8), &[7; 128]);
+    quiet::<Crop>(r#"{"width": 4, "height": 4}"#, rgb, &[7; 384]);
+    quiet::<Flip>("{}", rgb, &[7; 384]);
+    quiet::<Gray>("{}", rgb, &[7; 384]);
+}
