@@ -27,6 +27,9 @@ const TONES: usize = 24;
 /// Stiffness with which a hand holds a handle, N/m (2 N/mm).
 pub const STIFFNESS_N_M: f64 = 2_000.0;
 
+/// Part of a push along the axis of the eye against the parts across it: nobody means to push into the retina.
+const ALONG: f64 = 0.2;
+
 /// A hand and the sensor it pushes on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hand {
@@ -102,7 +105,8 @@ impl Hand {
             return Vector3::zeros();
         }
         let pushes = self.noise.part(parts::PUSHES).part((number / 2.0).floor() as i64 as u64);
-        let towards = Vector3::from_fn(|axis, _| pushes.normal(axis as u64)).normalize();
+        let side = |axis: u64| pushes.normal(axis);
+        let towards = Vector3::new(side(0), side(1), ALONG * side(2)).normalize();
         let peak = peak_n * (0.5 + 0.5 * pushes.uniform(3));
         let back = if number.rem_euclid(2.0) == 0.0 { 1.0 } else { -1.0 };
         // 16 s²(1 − s)² is 1 in the middle.
