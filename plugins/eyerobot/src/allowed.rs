@@ -69,7 +69,8 @@ impl Scene<'_> {
         self.solve(&near(wanted, &self.scale()), &at)
     }
 
-    /// What fixtures leave of a motion whose joint velocities are planned; none when they leave it as it is.
+    /// What fixtures, and beside them the acceleration, leave of a motion whose joint velocities are planned; none when
+    /// they leave it as it is. Without a fixture only speeds are bounded: the plan is then the client's.
     pub fn planned(&self, wanted: &Joints, at_rest: bool) -> Option<Joints> {
         let speed = &self.settings.limits.speed;
         let clamped = Joints::from_fn(|i, _| wanted[i].clamp(-speed[i], speed[i]));
@@ -78,23 +79,25 @@ impl Scene<'_> {
             return if as_wanted { None } else { Some(clamped) };
         }
         let at = Stance::of(&self.settings.kinematics, &self.from.position);
-        let mut set = HalfSpaces::within(&-speed, speed);
-        self.restrict(&at, at_rest, &mut set);
-        if as_wanted && set.hold(&clamped) {
-            return None;
-        }
         let (h, g) = near(&clamped, &self.scale());
-        Some(nearest(&h, &g, &set).map_or_else(|_| Joints::zeros(), |found| found.velocity))
+        let (slowest, fastest) = self.reachable(&-speed, speed);
+        for (lower, upper) in [(&slowest, &fastest), (&-speed, speed)] {
+            let mut set = HalfSpaces::within(lower, upper);
+            self.restrict(&at, at_rest, &mut set);
+            if as_wanted && set.hold(&clamped) {
+                return None;
+            }
+            if let Ok(found) = nearest(&h, &g, &set) {
+                return Some(found.velocity);
+            }
+        }
+        Some(Joints::zeros())
     }
 
     fn solve(&self, (h, g): &(Square, Joints), at: &Stance) -> Allowed {
         let (lower, upper) = self.bounds();
         let (from, limits) = (&self.from, &self.settings.limits);
-        // The part of the bounds that the acceleration reaches in this period; a bound out of its reach holds all the same.
-        let within = |v: f64, i: usize| v.max(lower[i]).min(upper[i]);
-        let most = limits.acceleration * self.dt_s;
-        let slowest = Joints::from_fn(|i, _| within(from.velocity[i] - most[i], i));
-        let fastest = Joints::from_fn(|i, _| within(from.velocity[i] + most[i], i));
+        let (slowest, fastest) = self.reachable(&lower, &upper);
         for (lower, upper) in [(&slowest, &fastest), (&lower, &upper)] {
             let mut set = HalfSpaces::within(lower, upper);
             self.restrict(at, false, &mut set);
@@ -108,6 +111,14 @@ impl Scene<'_> {
             return Allowed { velocity: found.velocity, at_limit };
         }
         Allowed { velocity: Joints::zeros(), at_limit: [false; COUNT] }
+    }
+
+    /// The part of the bounds that the acceleration reaches in this period; a bound out of its reach holds all the same.
+    fn reachable(&self, lower: &Joints, upper: &Joints) -> (Joints, Joints) {
+        let most = self.settings.limits.acceleration * self.dt_s;
+        let within = |v: f64, i: usize| v.max(lower[i]).min(upper[i]);
+        let slowest = Joints::from_fn(|i, _| within(self.from.velocity[i] - most[i], i));
+        (slowest, Joints::from_fn(|i, _| within(self.from.velocity[i] + most[i], i)))
     }
 
     /// Velocities between which each joint stays within its speed and can still brake before its limits.

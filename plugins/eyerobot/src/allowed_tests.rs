@@ -207,12 +207,15 @@ fn on_a_line_the_tip_goes_along_it_only() {
 fn a_planned_motion_that_fixtures_allow_is_left_as_it_is() {
     let arm = Ideal::at([0.0; COUNT]);
     let floor = fixture(Kind::Plane, arm.tip() + Vector3::z() * 1e-3, -Vector3::z());
-    let arm = arm.fixed(&[floor]);
+    let mut arm = arm.fixed(&[floor]);
     let aside = Joints::from_column_slice(&[0.005, 0.0, 0.0, 0.0, 0.0]);
-    assert_eq!(arm.scene().planned(&aside, false), None);
+    let at_once = arm.scene().planned(&aside, false).expect("no drive follows that");
+    assert!((at_once[0] - 0.5e-3).abs() < 1e-12, "{at_once:?}");
+    arm.at.velocity = Joints::from_column_slice(&[0.005, 0.0, 0.0098, 0.0, 0.0]);
+    assert_eq!(arm.scene().planned(&(arm.at.velocity * 0.99), false), None);
     let down = Joints::from_column_slice(&[0.005, 0.0, 0.03, 0.0, 0.0]);
-    let left = arm.scene().planned(&down, false).expect("too fast for what is left");
-    assert!((left[0] - 0.005).abs() < 1e-9 && left[2] <= 0.01 + 1e-12, "{left:?}");
+    let left = arm.scene().planned(&down, false).expect("faster than a slide");
+    assert!((left[0] - 0.005).abs() < 1e-9 && (left[2] - 0.01).abs() < 1e-9, "{left:?}");
 }
 
 #[test]
@@ -223,7 +226,7 @@ fn an_arm_at_rest_outside_of_a_fixture_stays_and_one_in_motion_comes_back_slowly
     assert_eq!(arm.scene().planned(&Joints::zeros(), true), None);
     arm.go(&Vector6::zeros());
     let back = arm.twist();
-    assert!((-0.5e-3 - 1e-9..-0.4e-3).contains(&back[2]), "{back:?}");
+    assert!((-1e-3 - 1e-9..-0.9e-3).contains(&back[2]), "{back:?}");
 }
 
 #[test]

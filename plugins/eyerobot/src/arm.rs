@@ -6,18 +6,20 @@
 
 mod commands;
 mod motion;
+mod readings;
 mod refused;
 
-use nalgebra::{Isometry3, SMatrix, Vector6};
+use nalgebra::{Isometry3, Vector6};
 use trocar_sdk::crtk::OperatingStateMachine;
 use trocar_sdk::data::OperatingMode;
 
 use crate::admittance::{Admittance, Law};
 use crate::allowed::{Allowed, Scene};
 use crate::drive::{Drive, Measured, SimulatedDrive, Simulation};
-use crate::fixture::{Fixtures, Stance};
+use crate::fixture::Fixtures;
 use crate::joints::{COUNT, Joints, Limits, per_kind};
 use crate::kinematics::{Kinematics, tool_axis};
+use crate::trajectory::approach;
 use motion::{Ends, Motion, Move};
 
 pub use refused::{ArmError, Fault};
@@ -192,11 +194,19 @@ impl<D: Drive> Arm<D> {
                 });
                 Measured { position: from + velocity * dt_s, velocity }
             }
-            Motion::ServoPosition { goal } => {
+            Motion::ServoPosition { goal } if self.fixtures.is_empty() => {
                 let way = Joints::from_fn(|i, _| {
                     (goal[i] - from[i]).clamp(-limits.speed[i] * dt_s, limits.speed[i] * dt_s)
                 });
                 Measured { position: from + way, velocity: way / dt_s }
+            }
+            Motion::ServoPosition { goal } => {
+                // Near a fixture no joint may be sent faster than its drive follows: the tip would leave the path.
+                let velocity = Joints::from_fn(|i, _| {
+                    let Limits { speed, acceleration, .. } = limits;
+                    approach(from[i], before[i], goal[i], speed[i], acceleration[i], dt_s)
+                });
+                Measured { position: from + velocity * dt_s, velocity }
             }
             Motion::Move(Move { trajectory, elapsed_s, .. }) => {
                 *elapsed_s += dt_s;
@@ -311,115 +321,6 @@ impl<D: Drive> Arm<D> {
     pub fn take_news(&mut self) -> News {
         std::mem::take(&mut self.news)
     }
-
-    /// CRTK operating state.
-    pub fn operating(&self) -> OperatingStateMachine {
-        self.operating
-    }
-
-    /// Why the arm is in FAULT; none in other states.
-    pub fn fault(&self) -> Option<Fault> {
-        self.fault
-    }
-
-    /// What was set.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// Encoder positions (m, rad) and joint velocities (m/s, rad/s) at the end of the last step.
-    pub fn measured(&self) -> Measured {
-        self.measured
-    }
-
-    /// Where the joints should be (m, rad) and how fast (m/s, rad/s).
-    pub fn setpoint(&self) -> Measured {
-        self.setpoint
-    }
-
-    /// What the drive is.
-    pub fn drive(&self) -> &D {
-        &self.drive
-    }
-
-    /// Fixtures in force, in the kinematic base.
-    pub fn fixtures(&self) -> &Fixtures {
-        &self.fixtures
-    }
-
-    /// Gains of hands-on control: m/(s·N), then rad/(s·N·m), in the frame of the tip.
-    pub fn gain(&self) -> Vector6<f64> {
-        self.admittance.law.gain
-    }
-
-    /// Where the kinematic base stands in the frame of `set_base_frame`.
-    pub fn base(&self) -> Isometry3<f64> {
-        self.base
-    }
-
-    /// The setpoint's pose is what was asked for: the motion is no one by velocity or force.
-    pub fn is_position_based(&self) -> bool {
-        self.motion.is_position_based()
-    }
-
-    /// Where the running motion ends, m and rad; none for one by velocity or force, which has no end.
-    pub fn goal(&self) -> Option<Joints> {
-        match &self.motion {
-            Motion::Hold => Some(self.setpoint.position),
-            Motion::ServoPosition { goal } | Motion::Move(Move { goal, .. }) => Some(*goal),
-            Motion::ServoVelocity { .. } | Motion::Tip(_) => None,
-        }
-    }
-
-    /// Pose of the tip from the encoders, in the kinematic base, m.
-    pub fn local_cp(&self) -> Isometry3<f64> {
-        self.settings.kinematics.forward(&self.measured.position)
-    }
-
-    /// Pose of the tip from the encoders, m.
-    pub fn measured_cp(&self) -> Isometry3<f64> {
-        self.base * self.local_cp()
-    }
-
-    /// Twist of the tip from the encoders: v (m/s) then ω (rad/s).
-    pub fn measured_cv(&self) -> Vector6<f64> {
-        let Measured { position, velocity } = &self.measured;
-        turned(&self.base.rotation, &self.settings.kinematics.twist(position, velocity))
-    }
-
-    /// Wrench of the hand, N and N·m, with the orientation of the base frame.
-    pub fn measured_cf(&self) -> Vector6<f64> {
-        turned(&self.measured_cp().rotation, &self.handle)
-    }
-
-    /// Wrench of the hand in the frame of the tip, N and N·m.
-    pub fn body_cf(&self) -> Vector6<f64> {
-        self.handle
-    }
-
-    /// Joint velocities to the twist of the tip in its own frame.
-    pub fn body_jacobian(&self) -> SMatrix<f64, 6, COUNT> {
-        let Stance { tip, jacobian, .. } = Stance::of(&self.settings.kinematics, &self.measured.position);
-        let back = tip.rotation.inverse();
-        let columns = std::array::from_fn::<_, COUNT, _>(|i| turned(&back, &jacobian.column(i).into_owned()));
-        SMatrix::from_columns(&columns)
-    }
-
-    /// Pose of the tip at joints `q` (m, rad), m.
-    pub fn pose_at(&self, q: &Joints) -> Isometry3<f64> {
-        self.base * self.settings.kinematics.forward(q)
-    }
-
-    /// Pose of the tip at the setpoint, m.
-    pub fn setpoint_cp(&self) -> Isometry3<f64> {
-        self.pose_at(&self.setpoint.position)
-    }
-
-    /// Twist of the tip at the setpoint, m/s and rad/s.
-    pub fn setpoint_cv(&self) -> Vector6<f64> {
-        let Measured { position, velocity } = &self.setpoint;
-        turned(&self.base.rotation, &self.settings.kinematics.twist(position, velocity))
-    }
 }
 
 /// Both halves of a twist or wrench, turned.
@@ -431,3 +332,7 @@ fn turned(turn: &nalgebra::UnitQuaternion<f64>, v: &Vector6<f64>) -> Vector6<f64
 #[cfg(test)]
 #[path = "arm_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "arm/anything_tests.rs"]
+mod anything;

@@ -25,8 +25,9 @@ pub const STIFFEST_PER_S: f64 = 30.0;
 /// Half of the width of lines and remote centres, m: less than a step of the encoders.
 const SLACK_M: f64 = 0.2e-6;
 
-/// What is outside comes back at most this fast, m/s.
-const RETURN_M_S: f64 = 0.5e-3;
+/// What is outside comes back at most this fast, m/s: faster than a retina moves with pulse and breath, should a plane
+/// follow it.
+const RETURN_M_S: f64 = 1e-3;
 
 /// A fixture that the arm is further outside of than this is refused, m.
 pub const FAR_M: f64 = 0.1e-3;

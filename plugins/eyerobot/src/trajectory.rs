@@ -52,6 +52,19 @@ impl Trajectory {
     }
 }
 
+/// Part of the acceleration with which `approach` means to brake; the rest is for what the period rounds.
+const BRAKING: f64 = 0.8;
+
+/// Velocity of one joint for the next period of `dt_s` that brings it to `goal` soon and at rest, within `speed` and
+/// `acceleration`, from `position` with `velocity`: for goals that may be another one in each period.
+pub fn approach(position: f64, velocity: f64, goal: f64, speed: f64, acceleration: f64, dt_s: f64) -> f64 {
+    let way = goal - position;
+    let stoppable = (2.0 * BRAKING * acceleration * way.abs()).sqrt();
+    let wanted = (way.abs() / dt_s).min(stoppable).min(speed).copysign(way);
+    let most = acceleration * dt_s;
+    wanted.max(velocity - most).min(velocity + most)
+}
+
 /// One joint's motion: change to the cruise velocity, cruise, brake.
 #[derive(Clone, Copy, Debug)]
 struct Profile {
@@ -115,6 +128,24 @@ impl Profile {
 mod tests {
     use super::*;
     use crate::joints::per_kind;
+
+    #[test]
+    fn an_approach_reaches_its_goal_exactly_at_rest_without_passing_it_by_more_than_a_micrometre() {
+        let mut rng = fastrand::Rng::with_seed(8);
+        for _ in 0..200 {
+            let (mut q, mut v) = (0.0, 0.01 * (2.0 * rng.f64() - 1.0));
+            let goal = 0.01 * (2.0 * rng.f64() - 1.0);
+            let braking_way = v * v;
+            for _ in 0..2_500 {
+                let after = approach(q, v, goal, 0.01, 0.5, 1e-3);
+                assert!(after.abs() <= 0.01 + 1e-12 && (after - v).abs() <= 0.5e-3 + 1e-12);
+                (q, v) = (q + after * 1e-3, after);
+                let passed = if goal > 0.0 { q - goal } else { goal - q };
+                assert!(passed < 1e-6 + braking_way, "{passed} m beyond");
+            }
+            assert!((q - goal).abs() < 1e-15 && v.abs() < 1e-12, "{q} instead of {goal}, {v} m/s");
+        }
+    }
 
     fn random(rng: &mut fastrand::Rng, lower: &Joints, upper: &Joints) -> Joints {
         Joints::from_fn(|i, _| lower[i] + rng.f64() * (upper[i] - lower[i]))
