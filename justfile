@@ -19,6 +19,10 @@ bench:
     cargo build --release --manifest-path tests/bench/peers/Cargo.toml --target-dir target/peers
     TROCAR_BIN_DIR=$PWD/target/dist GRPCURL=$(find target/outer -name grpcurl -type f | head -1) ./target/dist/bench
 
+# Vision plugins beside OpenCV, and the OCT chain in numpy: makes a venv under target/.
+bench-vision:
+    python3 tests/bench/peers/vision.py --output target/peers/vision.json
+
 # Writes golden files anew: CLI surface, errors.md, INTERFACES.md, generated protocol code.
 bless:
     TROCAR_BLESS=1 cargo test -p trocar-proto -p trocar-model
