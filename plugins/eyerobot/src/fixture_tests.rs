@@ -1,4 +1,6 @@
 //! Distances and half-spaces of fixtures against finite differences of the kinematics.
+//!
+//! Invariant: fixed seeds; the arm is nothing but its kinematics here.
 
 use super::*;
 use crate::joints::Limits;

@@ -1,4 +1,6 @@
 //! The solver against brute force over all sets of active half-spaces, and its corner cases.
+//!
+//! Invariant: random problems are small enough that every set of active half-spaces can be tried.
 
 use super::*;
 use proptest::prelude::*;

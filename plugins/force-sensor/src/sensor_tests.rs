@@ -1,4 +1,6 @@
 //! The sensor on the bench: forces of the world, bias, range, and what is not a tip.
+//!
+//! Invariant: time is the bench's; every tip is pushed with the stamp of the step that sees it.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
