@@ -45,7 +45,7 @@ pub struct EyeRobot {
     #[output]
     state: Out<ArmState>,
     /// True pose and twist of the tip in the simulated world
-    #[output] // tag: sim
+    #[output(tag = "sim")]
     tip: Out<CartesianState>,
     /// The operating state changed.
     #[event("arm", name = "operating_state")]

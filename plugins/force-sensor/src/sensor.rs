@@ -48,7 +48,7 @@ struct ForceSensorConfig {
 #[component(name = "force_sensor", rate_hz = 1000, safety = "sensor")]
 pub struct ForceSensor {
     /// True pose and twist of the tip in the simulated world
-    #[input] // tag: sim
+    #[input(tag = "sim")]
     tip: In<CartesianState>,
     /// Each measurement
     #[output(name = "wrench")]

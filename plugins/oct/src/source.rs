@@ -69,13 +69,13 @@ pub(crate) struct OctSourceConfig {
 #[component(name = "oct_source", model = "stream", rate_hz = 1000, safety = "sensor", provides("truth"))]
 pub struct OctSource {
     /// True pose and twist of the tip in the world
-    #[input(optional)] // tag: sim
+    #[input(optional, tag = "sim")]
     tip: In<CartesianState>,
     /// Raw spectra
     #[output]
     spectra: Out<Frame<SpectraHeader>>,
     /// The true distance from the tip to the first surface, for each line
-    #[output] // tag: truth
+    #[output(tag = "truth")]
     true_distance: Out<Distance>,
     /// Lines lost since Start.
     #[event("spectrometer")]

@@ -15,14 +15,11 @@ pub mod noise;
 pub mod render;
 pub mod retina;
 pub mod sensor;
+mod shadow;
 pub mod spectra;
 pub mod tissue;
 mod world;
 
-pub use hand::Hand;
-mod shadow;
-pub mod tissue;
-mod world;
-
 pub use backdrop::Lamp;
+pub use hand::Hand;
 pub use world::{Below, World};

@@ -142,7 +142,8 @@ impl StereoDepth {
             Distance {
                 stamp: self.taken,
                 distance: f64::from(depth_m),
-                confidence: 1.0,
+                velocity: f64::NAN,
+                sigma: f64::NAN,
                 valid: true.into(),
                 ..Distance::default()
             }

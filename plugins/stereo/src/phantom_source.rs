@@ -53,15 +53,13 @@ pub(crate) struct PhantomSourceConfig {
 #[component(model = "stream", rate_hz = 30, safety = "sensor")]
 pub struct PhantomSource {
     /// The robot's true tip, in the world; without it no tool is to be seen
-    // tag: sim
-    #[input(optional)]
+    #[input(optional, tag = "sim")]
     tip: In<CartesianState>,
     /// One pair per step
     #[output]
     image: Out<Frame<StereoHeader>>,
     /// True disparity of the left image: GRAY16, px · 256, 0 where the right eye does not see what the left one does.
-    // tag: truth
-    #[output]
+    #[output(tag = "truth")]
     disparity: Out<Frame<ImageHeader>>,
     /// Pairs not sent since Start.
     #[event("camera")]

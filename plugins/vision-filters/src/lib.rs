@@ -17,8 +17,8 @@ mod simd;
 pub mod view;
 
 pub use components::{
-    Color, Crop, Debayer, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture, OverlayText, Pip,
-    PipRect, RectifiedGeometry, Rectify, Resize, Tally,
+    Color, Crop, Debayer, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture, OverlayText, Pip, PipRect,
+    RectifiedGeometry, Rectify, Resize, Tally,
 };
 
 trocar_sdk::trocar_plugin!(Rectify, Debayer, Color, Gray, Resize, Crop, Flip, Overlay, Pip);

@@ -8,7 +8,6 @@ use trocar_sdk::{Payload, Stamp, named_values};
 
 named_values! {
     /// Pixel formats; rows are `stride` bytes apart.
-    pub struct PixelFormat: u32 { GRAY8 = 1, RGB8 = 2, BGR8 = 3, RGBA8 = 4, GRAY16 = 5, BAYER_RG8 = 6, YUYV = 7 }
     pub struct PixelFormat: u32 {
         GRAY8 = 1,
         RGB8 = 2,
@@ -31,7 +30,6 @@ impl PixelFormat {
     pub const fn bytes_per_pixel(self) -> usize {
         match self {
             PixelFormat::GRAY8 | PixelFormat::BAYER_RG8 => 1,
-            PixelFormat::GRAY16 | PixelFormat::YUYV => 2,
             PixelFormat::GRAY16 | PixelFormat::YUYV | PixelFormat::DISPARITY16 => 2,
             PixelFormat::RGB8 | PixelFormat::BGR8 => 3,
             PixelFormat::RGBA8 | PixelFormat::DEPTH32F => 4,
