@@ -18,6 +18,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-links", &["trocar-rt"]),
     ("trocar", &["trocar-model", "trocar-links", "trocar-rt", "trocar-proto", "trocar-plugin-api"]),
     ("trocar-conform-classes", &["trocar-sdk"]),
+    ("trocar-oct-core", &[]),
     (
         "trocar-tests",
         &["trocar", "trocar-links", "trocar-rt", "trocar-sdk", "trocar-proto", "trocar-conform-classes"],
@@ -25,7 +26,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-torture", &["trocar-proto"]),
 ];
 
-const PLUGINS_MAY: &[&str] = &["trocar-sdk", "trocar-phantom", "trocar-conform-classes"];
+const PLUGINS_MAY: &[&str] = &["trocar-sdk", "trocar-phantom", "trocar-oct-core", "trocar-conform-classes"];
 
 /// What must never reach a plugin author's build.
 const BANNED_IN_SDK: &[&str] = &["tokio", "tonic", "trocar"];
