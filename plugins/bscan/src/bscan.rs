@@ -1,6 +1,6 @@
 //! The component `bscan`: Robot-Assisted B-Scan as a behaviour that can be started and aborted at any time.
 //!
-//! Invariant: the robot is commanded in APPROACH and SCAN only, by velocities that end by themselves when they are not
+//! Invariant: the robot is commanded in APPROACH, SCAN and RETRACT only, by velocities that end by themselves when they are not
 //! repeated. Every way out, good or bad, ends with velocity zero and `hold`, and is told by exactly one event.
 
 mod pictures;
@@ -45,6 +45,9 @@ pub(crate) struct BScanConfig {
     /// The tip never goes nearer to the surface
     #[config(live, min = 0.00015, max = 0.001, unit = "m", default = 0.00015)]
     min_distance_m: f64,
+    /// Way back from the surface at the end of the line: an eye that moves comes near a tip that stands
+    #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.0003)]
+    retract_m: f64,
     /// An approach that takes longer is given up
     #[config(live, min = 0.1, max = 600.0, unit = "s", default = 30.0)]
     approach_timeout_s: f64,
@@ -289,7 +292,8 @@ impl BScan {
         if self.progress.delay > LONGEST_DELAY_S {
             return Err("the loop's delay is above 12 ms");
         }
-        let Some(advice) = self.depth.advise(now.ns(), dt_s, line.offset_m, &self.cfg.depth()) else {
+        let offset_m = line.offset_m + self.retracted_m(now);
+        let Some(advice) = self.depth.advise(now.ns(), dt_s, offset_m, &self.cfg.depth()) else {
             // The robot is late: it stands until it is here again, or is lost.
             self.send(now, [0.0; 3], [0.0; 3]);
             return Ok(());
@@ -298,7 +302,7 @@ impl BScan {
             return Err("the robot's orientation is no unit quaternion");
         };
         self.progress.distance = advice.distance_m;
-        self.progress.error = advice.distance_m - line.offset_m;
+        self.progress.error = advice.distance_m - offset_m;
         let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, now) };
         self.send(now, axis.map(|a| a * advice.speed_m_s), across);
         if self.progress.phase == Phase::APPROACH
@@ -309,11 +313,21 @@ impl BScan {
         Ok(())
     }
 
+    /// How much further than the offset the tip is wanted by now, m.
+    fn retracted_m(&self, now: Stamp) -> f64 {
+        if self.progress.phase != Phase::RETRACT {
+            return 0.0;
+        }
+        self.cfg.retract_m.min(self.cfg.approach_m_s * now.seconds_since(self.since.phase))
+    }
+
     /// Velocity across the tool; goes on from APPROACH to SCAN.
     fn across(&mut self, line: &Line, advice: &Advice, now: Stamp) -> [f64; 3] {
         let tip_m = &self.pose.position;
-        if self.progress.phase == Phase::SCAN {
-            return line.follow(tip_m, now.seconds_since(self.since.phase));
+        match self.progress.phase {
+            Phase::SCAN => return line.follow(tip_m, now.seconds_since(self.since.phase)),
+            Phase::RETRACT => return [0.0; 3],
+            _ => {}
         }
         let (velocity, left_m) = line.to_start(tip_m);
         let near = left_m < NEAR_M && (advice.distance_m - line.offset_m).abs() < NEAR_M;
@@ -331,25 +345,29 @@ impl BScan {
     /// Has the last A-scan of the line been seen? Without A-scans: is the tip at its end?
     fn is_over(&self, now: Stamp) -> bool {
         let Some(line) = &self.line else { return false };
-        if self.progress.phase != Phase::SCAN {
-            return false;
-        }
         let late_ns = (LONGEST_DELAY_S * 1e9) as u64;
         let gone_m = self.gone.at(now.ns().saturating_sub(late_ns));
         gone_m.is_some_and(|gone_m| gone_m >= line.length_m)
     }
 
+    /// Has the tip been given the time to go away, and to come to rest?
+    fn is_away(&self, now: Stamp) -> bool {
+        let away_s = self.cfg.retract_m / self.cfg.approach_m_s + SETTLED_S;
+        now.seconds_since(self.since.phase) > away_s
+    }
+
     /// The end of the line has been reached, and its A-scans have arrived.
     fn finish(&mut self, now: Stamp) {
         self.end_column(now);
-        let filled = self.scan.filled() as u32;
-        self.progress.columns = filled;
+        self.progress.columns = self.scan.filled() as u32;
         self.send_scan(now);
-        let done = ScanDone {
-            scan: self.progress.scan,
-            columns: self.progress.of,
-            empty: self.progress.of - filled,
-        };
+        self.enter(Phase::RETRACT, now);
+    }
+
+    /// The tip is as far away as it is wanted, or cannot get there: the image is there all the same.
+    fn end(&mut self) {
+        let Progress { scan, of, columns, .. } = self.progress;
+        let done = ScanDone { scan, columns: of, empty: of - columns };
         self.rest();
         self.bscan_done.emit(done);
     }
@@ -404,10 +422,13 @@ impl Component for BScan {
         self.draw();
         self.progress.columns = self.scan.filled() as u32;
         if self.progress.phase != Phase::IDLE {
-            if let Err(why) = self.drive(tick) {
-                self.give_up(why);
-            } else if self.is_over(now) {
-                self.finish(now);
+            let driven = self.drive(tick);
+            match (driven, self.progress.phase) {
+                (Err(_), Phase::RETRACT) => self.end(),
+                (Err(why), _) => self.give_up(why),
+                (Ok(()), Phase::SCAN) if self.is_over(now) => self.finish(now),
+                (Ok(()), Phase::RETRACT) if self.is_away(now) => self.end(),
+                _ => {}
             }
         }
         self.send_images(now);

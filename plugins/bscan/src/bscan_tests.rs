@@ -199,6 +199,31 @@ fn the_image_shows_surface_and_layers_where_they_are() {
 }
 
 #[test]
+fn after_the_line_the_tip_goes_away_from_the_eye_before_it_rests() {
+    let mut rig = Rig::run(Setup::new("static_no_membrane", 1));
+    assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+    rig.steps(20);
+    let away = rig.truth.last().unwrap().distance_m - OFFSET_M;
+    // Where exactly it rests matters to nobody.
+    assert!((away - 300e-6).abs() < 20e-6, "{away:.2e} m");
+    let image = rig.bench.frames::<ImageHeader>("bscan_image").len();
+    assert!(image > 50, "{image} images while it grew");
+    // Without a surface it rests where it is, and the image counts.
+    let mut rig = Rig::new(Setup::new("default", 2));
+    rig.begin();
+    rig.until_scanning();
+    while rig.progress().phase == Phase::SCAN {
+        rig.step();
+    }
+    assert_eq!(rig.progress().phase, Phase::RETRACT);
+    rig.dark_until_ns = u64::MAX;
+    rig.steps(100);
+    assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+    assert!(rig.bench.events::<Text<128>>("scan/bscan_aborted").is_empty());
+    assert_eq!(rig.bench_done(), 1);
+}
+
+#[test]
 fn abort_ends_a_scan_at_any_moment_with_one_event_and_a_hold() {
     for after in [0, 1, 50, 300, 1500] {
         let mut rig = Rig::new(Setup::new("default", 1));

@@ -37,6 +37,8 @@ named_values! {
         APPROACH = 1,
         /// Goes along the line.
         SCAN = 2,
+        /// Has the image, and goes away from the surface.
+        RETRACT = 3,
     }
 }
 
@@ -58,7 +60,7 @@ pub struct Progress {
     /// Predicted for now, from tip to surface.
     #[unit("m")]
     pub distance: f64,
-    /// The same less the offset; 0 without a scan.
+    /// The same less the distance that is wanted now; 0 without a scan.
     #[unit("m")]
     pub error: f64,
     /// From the middle of an exposure to the step that sees its distance, mean.
