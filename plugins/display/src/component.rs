@@ -2,7 +2,7 @@
 //!
 //! Invariant: frames + gaps is what the source sent since the first frame shown; showing never changes what is counted.
 
-use trocar_sdk::data::StereoHeader;
+use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use crate::handoff::Giver;
@@ -44,9 +44,12 @@ struct DisplayConfig {
 #[derive(Component)]
 #[component(model = "on_signal", provides("screen"))]
 pub struct Display {
-    /// Frames to show
-    #[input]
+    /// Pairs to show
+    #[input(optional)]
     image: In<Frame<StereoHeader>>,
+    /// Single images to show, instead
+    #[input(optional)]
+    picture: In<Frame<ImageHeader>>,
     /// People have closed the window.
     #[event("screen")]
     window_closed: Event<u64>,
@@ -86,11 +89,32 @@ pub struct Display {
     cfg: DisplayConfig,
     #[host]
     host: Host,
-    /// Sequence number of the last frame; 0 = none yet.
-    last_seq: u64,
+    /// Sequence number of the last frame of either input; 0 = none yet.
+    last_seq: [u64; 2],
     histogram: Histogram,
+    viewing: Viewing,
+}
+
+/// Where frames are shown to people.
+#[derive(Default)]
+struct Viewing {
     browser: Option<Browser>,
     screen: Option<(Window, Giver)>,
+}
+
+impl Viewing {
+    /// Copies a frame for those who look.
+    fn show(&mut self, header: &StereoHeader, bytes: &[u8], now: Stamp, mjpeg_hz: f64) {
+        if let Some((_, giver)) = &mut self.screen {
+            giver.give(header, bytes);
+        }
+        if let Some(browser) = &mut self.browser {
+            let due = !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
+            if due && browser.giver.give(header, bytes) {
+                browser.given = now;
+            }
+        }
+    }
 }
 
 /// What shows frames to browsers. Its parts are dropped in this order: off the list, then no more pictures.
@@ -126,30 +150,63 @@ impl Display {
 }
 
 impl Display {
+    /// Shows frames where that is asked for; where one thing does not work, nothing is shown.
     fn open(&mut self) -> Result {
         self.close();
-        let max_bytes = 2 * 3 * self.cfg.max_width * self.cfg.max_height;
-        let own = self.host.instance_name().rsplit('/').next().unwrap_or_default().to_owned();
-        let name = if self.cfg.name.is_empty() { own } else { self.cfg.name.clone() };
-        if let Some(port) = self.cfg.mjpeg_port {
-            let stream = std::sync::Arc::new(Stream::new(&name));
-            let place = Server::at(port)?.show(stream.clone())?;
-            let (encoder, giver) = Encoder::start(stream.clone(), max_bytes, self.cfg.mjpeg_quality)?;
-            self.mjpeg_port = u32::from(place.port());
-            let given = Stamp::INVALID;
-            self.browser = Some(Browser { _place: place, _encoder: encoder, giver, stream, given });
+        let opened = self.show_in_browser().and_then(|()| self.show_in_window());
+        if opened.is_err() {
+            self.close();
         }
+        opened
+    }
+
+    fn show_in_browser(&mut self) -> Result {
+        let Some(port) = self.cfg.mjpeg_port else { return Ok(()) };
+        let stream = std::sync::Arc::new(Stream::new(&self.name()));
+        let place = Server::at(port)?.show(stream.clone())?;
+        let (encoder, giver) = Encoder::start(stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality)?;
+        self.mjpeg_port = u32::from(place.port());
+        let given = Stamp::INVALID;
+        self.viewing.browser = Some(Browser { _place: place, _encoder: encoder, giver, stream, given });
+        Ok(())
+    }
+
+    fn show_in_window(&mut self) -> Result {
         if self.cfg.window {
-            let settings = Settings { title: format!("trocar {name}"), width: 1280, height: 480, max_bytes };
-            self.screen = Some(Window::open(settings)?);
+            let title = format!("trocar {}", self.name());
+            let settings = Settings { title, width: 1280, height: 480, max_bytes: self.max_bytes() };
+            self.viewing.screen = Some(Window::open(settings)?);
             self.window_open = Flag::TRUE;
         }
         Ok(())
     }
 
+    fn name(&self) -> String {
+        let own = self.host.instance_name().rsplit('/').next().unwrap_or_default();
+        if self.cfg.name.is_empty() { own.to_owned() } else { self.cfg.name.clone() }
+    }
+
+    fn max_bytes(&self) -> usize {
+        2 * 3 * self.cfg.max_width * self.cfg.max_height
+    }
+
     fn close(&mut self) {
-        (self.browser, self.screen) = (None, None);
+        self.viewing = Viewing::default();
         (self.mjpeg_port, self.viewers, self.window_open) = (0, 0, Flag::FALSE);
+    }
+
+    /// Counts a frame that was taken, and shown if need be.
+    fn count(&mut self, input: usize, seq: u64, stamp: Stamp) {
+        self.frames += 1;
+        let last = std::mem::replace(&mut self.last_seq[input], seq);
+        // A number that went back is a new source, not a loss.
+        if last > 0 && seq > last {
+            self.gaps += seq - last - 1;
+        }
+        // With what it cost to copy it.
+        let age_s = self.host.now().seconds_since(stamp);
+        self.latency_ms = age_s * 1e3;
+        self.histogram.count(age_s);
     }
 }
 
@@ -167,7 +224,7 @@ impl Component for Display {
     }
 
     fn start(&mut self) -> Result {
-        (self.frames, self.gaps, self.last_seq, self.pictures) = (0, 0, 0, 0);
+        (self.frames, self.gaps, self.last_seq, self.pictures) = (0, 0, [0; 2], 0);
         self.reset_latency();
         self.open()
     }
@@ -181,38 +238,30 @@ impl Component for Display {
         Ok(())
     }
 
-    fn step(&mut self, _: &Tick) -> Result {
+    fn step(&mut self, tick: &Tick) -> Result {
+        let (now, mjpeg_hz) = (tick.now(), self.cfg.mjpeg_hz);
         for _ in 0..BURST {
             let Some(frame) = self.image.next() else { break };
-            self.frames += 1;
-            // A number that went back is a new source, not a loss.
-            if self.last_seq > 0 && frame.seq() > self.last_seq {
-                self.gaps += frame.seq() - self.last_seq - 1;
-            }
-            self.last_seq = frame.seq();
             (self.width, self.height) = (frame.header().width, frame.header().height);
-            if let Some((_, giver)) = &mut self.screen {
-                giver.give(&frame);
-            }
-            let now = self.host.now();
-            if let Some(browser) = &mut self.browser {
-                let due =
-                    !browser.given.is_valid() || now.seconds_since(browser.given) * self.cfg.mjpeg_hz >= 0.99;
-                if due && browser.giver.give(&frame) {
-                    browser.given = now;
-                }
-            }
-            // With what it cost to copy it.
-            let age_s = self.host.now().seconds_since(frame.stamp());
-            self.latency_ms = age_s * 1e3;
-            self.histogram.count(age_s);
+            self.viewing.show(frame.header(), frame.bytes(), now, mjpeg_hz);
+            let (seq, stamp) = (frame.seq(), frame.stamp());
+            self.count(0, seq, stamp);
+        }
+        for _ in 0..BURST {
+            let Some(frame) = self.picture.next() else { break };
+            let ImageHeader { stamp, index, width, height, stride, format } = *frame.header();
+            (self.width, self.height) = (width, height);
+            let both = StereoHeader { stamp, index, width, height, stride, format, right_offset: 0 };
+            self.viewing.show(&both, frame.bytes(), now, mjpeg_hz);
+            let (seq, stamp) = (frame.seq(), frame.stamp());
+            self.count(1, seq, stamp);
         }
         self.latency = self.histogram.told();
-        if let Some(browser) = &self.browser {
+        if let Some(browser) = &self.viewing.browser {
             self.viewers = browser.stream.viewers.load(std::sync::atomic::Ordering::Relaxed);
             self.pictures = browser.stream.pictures();
         }
-        if let Some((window, _)) = &self.screen
+        if let Some((window, _)) = &self.viewing.screen
             && self.window_open.get()
             && !window.is_open()
         {

@@ -164,6 +164,32 @@ fn a_browser_sees_both_eyes_or_one_of_them() {
 }
 
 #[test]
+fn single_images_are_shown_and_counted_as_pairs_are() {
+    let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0}"#);
+    let picture =
+        ImageHeader { width: 16, height: 16, stride: 16, format: PixelFormat::GRAY8, ..Default::default() };
+    let reader = {
+        let mut connection = get(&bench, "/stream/display");
+        std::thread::spawn(move || {
+            let mut bytes = vec![0; 300];
+            connection.read_exact(&mut bytes).unwrap();
+            String::from_utf8_lossy(&bytes).into_owned()
+        })
+    };
+    let begun = Instant::now();
+    while !reader.is_finished() {
+        bench.push_frame("picture", picture, &[90; 256]);
+        bench.step(1);
+        assert!(begun.elapsed() < Duration::from_secs(30), "no picture within 30 s");
+        std::thread::yield_now();
+    }
+    assert!(reader.join().unwrap().contains("Content-Type: image/jpeg"));
+    let s = bench.state();
+    assert_eq!((s.width, s.height, s.gaps), (16, 16, 0));
+    assert_eq!(s.frames, s.latency.frames);
+}
+
+#[test]
 fn while_nobody_looks_no_frame_is_copied_and_a_step_allocates_nothing() {
     let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0}"#);
     for index in 0..50 {

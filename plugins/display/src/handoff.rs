@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-use trocar_sdk::FrameView;
 use trocar_sdk::data::StereoHeader;
 
 /// Buffers that go round: one being shown, one on its way.
@@ -51,18 +50,17 @@ pub(crate) fn pair(max_bytes: usize, lookers: Arc<AtomicU32>) -> (Giver, Taker) 
 }
 
 impl Giver {
-    /// Copies the frame when somebody looks, its bytes fit and a buffer is free; tells whether it did.
-    pub(crate) fn give(&mut self, frame: &FrameView<'_, StereoHeader>) -> bool {
+    /// Copies a frame when somebody looks, its bytes fit and a buffer is free; tells whether it did.
+    pub(crate) fn give(&mut self, header: &StereoHeader, from: &[u8]) -> bool {
         if self.lookers.load(Ordering::Relaxed) == 0 {
             return false;
         }
-        let from = frame.bytes();
         let Ok(mut bytes) = self.empty.try_recv() else { return false };
         let fits = from.len() <= bytes.len();
         let len = if fits { from.len() } else { 0 };
         bytes[..len].copy_from_slice(&from[..len]);
         // One that does not fit goes round empty: its reader leaves it out.
-        self.filled.try_send(Snapshot { header: *frame.header(), bytes, len }).is_ok() && fits
+        self.filled.try_send(Snapshot { header: *header, bytes, len }).is_ok() && fits
     }
 }
 

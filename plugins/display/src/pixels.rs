@@ -38,6 +38,8 @@ pub(crate) fn rgb(
 ) -> Result<(u32, u32), BadFrame> {
     let images = header.images(bytes)?;
     let shown = match part {
+        // One image for both eyes is shown once.
+        Part::Both if header.right_offset == 0 => &images[..1],
         Part::Both => &images[..],
         Part::Left => &images[..1],
         Part::Right => &images[1..],
@@ -131,6 +133,13 @@ mod tests {
         assert!(red[0] >= 254 && red[1] < 3 && red[2] < 3, "{red:?}");
         let mosaic = [10, 20, 40, 30, 0, 0, 0, 0];
         assert_eq!(shown(&header(PixelFormat::BAYER_RG8, 2, 2), &mosaic, Part::Left), [10, 30, 30].repeat(4));
+    }
+
+    #[test]
+    fn an_image_for_both_eyes_is_shown_once() {
+        let mono = StereoHeader { right_offset: 0, ..header(PixelFormat::GRAY8, 2, 1) };
+        assert_eq!(shown(&mono, &[7, 8], Part::Both), [7, 7, 7, 8, 8, 8]);
+        assert_eq!(shown(&mono, &[7, 8], Part::Right), [7, 7, 7, 8, 8, 8]);
     }
 
     #[test]
