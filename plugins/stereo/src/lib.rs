@@ -19,7 +19,7 @@ mod v4l2;
 pub use camera::Camera;
 pub use image_source::ImageSource;
 pub use live::Sent;
-pub use phantom_source::PhantomSource;
+pub use phantom_source::{PhantomSource, StereoGeometry};
 pub use pipe_source::PipeSource;
 
 trocar_sdk::trocar_plugin!(ImageSource, PhantomSource, PipeSource, Camera);

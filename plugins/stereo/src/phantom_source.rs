@@ -5,7 +5,7 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use trocar_phantom::World;
-use trocar_phantom::camera::{Rig, Tool};
+use trocar_phantom::camera::{BASELINE_M, Lens, Rig, Tool};
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::data::{CameraGeometry, CartesianState, ImageHeader, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
@@ -48,6 +48,29 @@ pub(crate) struct PhantomSourceConfig {
     tool_length_m: f64,
 }
 
+/// What leads from a disparity to a distance, and from a pixel to a direction.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct StereoGeometry {
+    #[unit("px")]
+    pub focal_px: f64,
+    /// From the left camera to the right one.
+    #[unit("m")]
+    pub baseline_m: f64,
+    /// Of a rectified pair: distance = focal_px · baseline_m / (disparity + offset_px), disparity being the left column less
+    /// the right one; 0 of another pair.
+    #[unit("px")]
+    pub offset_px: f64,
+    /// Where the axis meets the left image: column, row.
+    #[unit("px")]
+    pub centre_left_px: [f64; 2],
+    /// As above, of the right image.
+    #[unit("px")]
+    pub centre_right_px: [f64; 2],
+    /// Lens errors k1, k2, p1, p2 of both cameras, as OpenCV names them.
+    pub lens: [f64; 4],
+}
+
 /// Takes stereo pairs of the simulated eye, at the rate of its execution.
 #[derive(Component)]
 #[component(model = "stream", rate_hz = 30, safety = "sensor")]
@@ -75,6 +98,8 @@ pub struct PhantomSource {
     tool_shown: Flag,
     #[state]
     geometry: CameraGeometry,
+    #[state]
+    stereo_geometry: StereoGeometry,
     #[config]
     cfg: PhantomSourceConfig,
     renderer: Option<Renderer>,
@@ -91,6 +116,12 @@ impl PhantomSource {
     #[read]
     fn camera_geometry(s: &PhantomSourceState) -> CameraGeometry {
         s.geometry
+    }
+
+    /// The two cameras: what a matcher and a rectifier have to know of them.
+    #[read]
+    fn stereo_geometry(s: &PhantomSourceState) -> StereoGeometry {
+        s.stereo_geometry
     }
 
     /// Pairs sent since Start.
@@ -112,14 +143,28 @@ impl PhantomSource {
     /// The tool as it stands at `now`.
     fn tool(&mut self, now: Stamp) -> Option<Tool> {
         let tip = self.tip.latest()?;
-        let ahead_s = now.seconds_since(tip.pose.stamp).clamp(0.0, FARTHEST_S);
-        let pose = carried(&tip, if tip.pose.stamp.is_valid() { ahead_s } else { 0.0 })?;
+        // A sample without any time is as old as it is: it stands still.
+        let taken = [tip.pose.stamp, tip.stamp].into_iter().find(|stamp| stamp.is_valid()).unwrap_or(now);
+        let pose = carried(&tip, now.seconds_since(taken).clamp(0.0, FARTHEST_S))?;
         Some(Tool {
             tip: Point3::from(pose.translation.vector),
             axis: pose.rotation * Vector3::z_axis(),
             radius_m: self.cfg.tool_radius_m,
             length_m: self.cfg.tool_length_m.max(2.0 * self.cfg.tool_radius_m),
         })
+    }
+}
+
+fn geometry(rig: &Rig) -> StereoGeometry {
+    let [left, right] = &rig.cameras;
+    let Lens { k1, k2, p1, p2 } = left.lens;
+    StereoGeometry {
+        focal_px: left.focal_px,
+        baseline_m: BASELINE_M,
+        offset_px: if rig.rectified { right.centre_px[0] - left.centre_px[0] } else { 0.0 },
+        centre_left_px: left.centre_px,
+        centre_right_px: right.centre_px,
+        lens: [k1, k2, p1, p2],
     }
 }
 
@@ -166,6 +211,7 @@ impl Component for PhantomSource {
             self.made_of = Some((world, rig));
         }
         self.geometry = CameraGeometry { width: width as u32, height: height as u32, fps: 0.0 };
+        self.stereo_geometry = geometry(&rig);
         Ok(())
     }
 

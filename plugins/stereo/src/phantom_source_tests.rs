@@ -116,6 +116,25 @@ fn disparity_is_sent_as_often_as_asked_and_belongs_to_its_pair() {
 }
 
 #[test]
+fn the_geometry_leads_from_the_disparity_to_the_distance() {
+    let mut bench = bench(r#", "disparity_every": 1, "world": "static""#);
+    bench.step(1);
+    let told: StereoGeometry = bench.read("stereo_geometry", ()).unwrap();
+    let bytes = bench.frames::<ImageHeader>("disparity").remove(0).1;
+    let at = 2 * (24 * 64 + 32);
+    let disparity = f64::from(u16::from_ne_bytes([bytes[at], bytes[at + 1]])) / 256.0;
+    let distance = told.focal_px * told.baseline_m / (disparity + told.offset_px);
+    // The pit is 0.1 mm deep; a 256th of a pixel are 25 µm here.
+    assert!((distance - 0.2).abs() < 0.3e-3, "{distance} m, {told:?}");
+    let toed_in: StereoGeometry =
+        Bench::<PhantomSource>::ready(r#"{"width": 64, "height": 48, "rig": "toed_in"}"#)
+            .read("stereo_geometry", ())
+            .unwrap();
+    assert_eq!((toed_in.offset_px, toed_in.centre_left_px), (0.0, [31.5, 23.5]));
+    assert_ne!(toed_in.lens, [0.0; 4]);
+}
+
+#[test]
 fn a_pair_allocates_nothing() {
     let mut bench = bench(r#", "disparity_every": 1"#);
     bench.step(1);
