@@ -17,6 +17,7 @@ pub mod retina;
 pub mod sensor;
 mod shadow;
 pub mod spectra;
+mod spans;
 pub mod tissue;
 mod world;
 

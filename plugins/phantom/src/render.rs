@@ -11,6 +11,7 @@ use crate::backdrop::{Backdrop, Lamp, Warp};
 use crate::camera::{Camera, Rig, Tool, WORKING_DISTANCE_M};
 use crate::noise::Noise;
 use crate::shadow;
+use crate::spans::{POINTS, Spans};
 use crate::world::World;
 
 /// Random numbers of the sensors.
@@ -20,8 +21,6 @@ const NOISE_PLACES: usize = 1 << 16;
 /// Brightness between two levels is kept in this many parts until the noise is added.
 const PARTS: i16 = 1 << PART_BITS;
 const PART_BITS: u32 = 7;
-/// Points along the tool that say where in the picture it lies.
-const POINTS: usize = 48;
 /// Colour of the steel, and how it shines.
 const STEEL: [f64; 3] = [150.0, 155.0, 162.0];
 const SHINE: f64 = 110.0;
@@ -351,67 +350,6 @@ fn steel(lamp: &Lamp, tool: &Tool, at: &Point3<f64>, way: &Vector3<f64>) -> [f32
     let light = light + 0.35 * (-normal.dot(way)).max(0.0);
     let shine = SHINE * normal.dot(&half).max(0.0).powi(24);
     STEEL.map(|steel| (steel * light + shine) as f32)
-}
-
-/// Columns of each row in which something may be.
-struct Spans {
-    rows: Vec<(u32, u32)>,
-    width: usize,
-}
-
-impl Spans {
-    fn new(height: usize) -> Spans {
-        Spans { rows: vec![(0, 0); height], width: 0 }
-    }
-
-    fn of(&self, y: usize) -> std::ops::Range<usize> {
-        self.rows.get(y).map_or(0..0, |(from, to)| *from as usize..*to as usize)
-    }
-
-    fn clear(&mut self) {
-        self.rows.fill((0, 0));
-    }
-
-    fn mark_tool(&mut self, camera: &Camera, tool: Option<&Tool>) {
-        self.clear();
-        let Some(tool) = tool else { return };
-        let [front, back] = tool.core();
-        let points = (0..POINTS).map(|n| {
-            let along = n as f64 / (POINTS - 1) as f64;
-            (front + (back - front) * along, tool.radius_m)
-        });
-        self.mark(camera, points);
-    }
-
-    /// Marks what lies within a radius (m) of a line through points (m, world), one after the other.
-    fn mark(&mut self, camera: &Camera, points: impl Iterator<Item = (Point3<f64>, f64)>) {
-        self.width = camera.width;
-        let mut before: Option<[f64; 3]> = None;
-        for (point, radius) in points {
-            let Some(([u, v], depth)) = camera.project(&point) else { break };
-            // A tenth and two pixels more: a ball looks larger from near, and lenses bend.
-            let now = [u, v, 1.1 * camera.focal_px * radius / depth + 2.0];
-            let [u0, v0, r0] = before.unwrap_or(now);
-            let [lowest, highest] = [(v - now[2]).min(v0 - r0), (v + now[2]).max(v0 + r0)];
-            let [from, to] = [(u - now[2]).min(u0 - r0), (u + now[2]).max(u0 + r0)];
-            before = Some(now);
-            let inside = |at: f64, size: usize| at.clamp(0.0, size as f64) as usize;
-            let (from, to) = (inside(from.floor(), self.width), inside(to.ceil() + 1.0, self.width));
-            if from >= to {
-                continue;
-            }
-            let height = self.rows.len();
-            for row in &mut self.rows[inside(lowest.floor(), height)..inside(highest.ceil() + 1.0, height)] {
-                let (start, end) = *row;
-                let empty = start >= end;
-                *row = if empty {
-                    (from as u32, to as u32)
-                } else {
-                    (start.min(from as u32), end.max(to as u32))
-                };
-            }
-        }
-    }
 }
 
 #[cfg(test)]
