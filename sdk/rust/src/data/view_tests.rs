@@ -32,7 +32,7 @@ fn a_header_that_says_more_than_the_bytes_hold_is_refused_with_both_sizes() {
             "a 640 × 480 RGB8 image with a stride of 1920 B needs 921600 B, and the frame has 921599 B",
         ),
         (image(2, 2, 5, PixelFormat::RGB8), 99, "a stride of 5 B is less than a row of 2 RGB8 pixels, 6 B"),
-        (image(2, 2, 2, PixelFormat(9)), 99, "9 is no pixel format"),
+        (image(2, 2, 2, PixelFormat(99)), 99, "99 is no pixel format"),
         (image(0, 2, 2, PixelFormat::GRAY8), 99, "an image of 0 × 2 has no pixels"),
         (image(2, 0, 2, PixelFormat::GRAY8), 0, "an image of 2 × 0 has no pixels"),
         // A product that is small again in 32 bits: 65536 · 65536 = 0.
