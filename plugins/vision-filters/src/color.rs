@@ -7,6 +7,8 @@ use trocar_imaging::simd::Avx2;
 use trocar_imaging::{luma, luma_row};
 use trocar_sdk::data::PixelFormat;
 
+use crate::simd;
+
 /// What a row of pixels is made to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum To {
@@ -49,8 +51,7 @@ pub fn convert_row(from: PixelFormat, src: &[u8], to: To, dst: &mut [u8]) -> boo
         }
         (PixelFormat::RGBA8, To::Rgb8) => to_colour::<4>(src, dst, |[r, g, b, _]| [r, g, b]),
         (PixelFormat::RGBA8, To::Bgr8) => to_colour::<4>(src, dst, |[r, g, b, _]| [b, g, r]),
-        (PixelFormat::YUYV, To::Rgb8) => from_yuyv(src, dst, |rgb| rgb),
-        (PixelFormat::YUYV, To::Bgr8) => from_yuyv(src, dst, |[r, g, b]| [b, g, r]),
+        (PixelFormat::YUYV, To::Rgb8 | To::Bgr8) => yuyv(Avx2::detect(), src, to == To::Bgr8, dst),
         _ => return false,
     }
     true
@@ -66,31 +67,34 @@ fn to_colour<const N: usize>(src: &[u8], dst: &mut [u8], of: impl Fn([u8; N]) ->
     dst.as_chunks_mut::<3>().0.iter_mut().zip(src.as_chunks::<N>().0).for_each(|(to, from)| *to = of(*from));
 }
 
-#[inline(always)]
-fn from_yuyv(src: &[u8], dst: &mut [u8], order: impl Fn([u8; 3]) -> [u8; 3]) {
+fn yuyv(lanes: Option<Avx2>, src: &[u8], bgr: bool, dst: &mut [u8]) {
+    // An odd last pixel has no V of its own.
+    let before = src.len().checked_sub(3).map_or(128, |at| src[at]);
+    // Whole pairs, so that the rest begins with a pair, too.
+    let done = lanes.map_or(0, |lanes| simd::yuyv(lanes, src, bgr, dst));
+    let (src, dst) = (&src[2 * done..], &mut dst[3 * done..]);
+    let order = |[r, g, b]: [u8; 3]| if bgr { [b, g, r] } else { [r, g, b] };
     let (pairs, rest) = src.as_chunks::<4>();
     let pixels = dst.as_chunks_mut::<3>().0;
     let (twos, last) = pixels.as_chunks_mut::<2>();
-    let mut colour = (128, 128);
     for (to, &[y0, u, y1, v]) in twos.iter_mut().zip(pairs) {
         *to = [order(yuv(y0, u, v)), order(yuv(y1, u, v))];
-        colour = (u, v);
     }
     if let ([last], [y, u]) = (last, rest) {
-        let v = if pairs.is_empty() { 128 } else { colour.1 };
-        *last = order(yuv(*y, *u, v));
+        *last = order(yuv(*y, *u, before));
     }
 }
+
+// 255/219, and 1.596, 0.813, 0.391, 2.018 of the standard, times 2^20.
+pub(crate) const Y: i32 = 1_220_542;
+pub(crate) const RV: i32 = 1_673_527;
+pub(crate) const GV: i32 = -852_492;
+pub(crate) const GU: i32 = -409_993;
+pub(crate) const BU: i32 = 2_116_026;
 
 /// BT.601 video range to full range red, green, blue.
 #[inline(always)]
 fn yuv(y: u8, u: u8, v: u8) -> [u8; 3] {
-    // 255/219, and 1.596, 0.813, 0.391, 2.018 of the standard, times 2^20.
-    const Y: i32 = 1_220_542;
-    const RV: i32 = 1_673_527;
-    const GV: i32 = -852_492;
-    const GU: i32 = -409_993;
-    const BU: i32 = 2_116_026;
     let light = (i32::from(y) - 16).max(0) * Y;
     let (u, v) = (i32::from(u) - 128, i32::from(v) - 128);
     [RV * v, GV * v + GU * u, BU * u].map(|tint| ((light + tint + (1 << 19)) >> 20).clamp(0, 255) as u8)
@@ -151,6 +155,20 @@ mod tests {
                         assert!(off <= 1.0, "({y}, {u}, {v}): {got}, exact {exact}");
                     }
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn yuyv_is_the_same_with_and_without_wide_instructions_at_every_length() {
+        let mut rng = fastrand::Rng::with_seed(3);
+        for pixels in (1..70).chain([640]) {
+            let src: Vec<u8> = std::iter::repeat_with(|| rng.u8(..)).take(2 * pixels).collect();
+            for bgr in [false, true] {
+                let (mut wide, mut plain) = (vec![1; 3 * pixels], vec![2; 3 * pixels]);
+                yuyv(Avx2::detect(), &src, bgr, &mut wide);
+                yuyv(None, &src, bgr, &mut plain);
+                assert_eq!(wide, plain, "{pixels} pixels");
             }
         }
     }

@@ -3,12 +3,16 @@
 //! Invariant: bilinear: a missing colour is the mean of its two or four nearest, rounded half up; outside of the image
 //! lies its mirror image, which keeps the pattern.
 
+use crate::simd::{self, Avx2};
 use crate::view::Shape;
 
 /// Fills a row of RGB pixels. `rows` are the one above, the row itself and the one below; `odd` when it is one of the
 /// G B rows. All three have at least two pixels, and `dst` as many.
-#[inline]
 pub fn row(rows: [&[u8]; 3], odd: bool, dst: &mut [u8]) {
+    row_with(Avx2::detect(), rows, odd, dst);
+}
+
+fn row_with(lanes: Option<Avx2>, rows: [&[u8]; 3], odd: bool, dst: &mut [u8]) {
     let width = rows[1].len();
     let pixels = dst.as_chunks_mut::<3>().0;
     if width < 2 || pixels.len() < width || rows.iter().any(|row| row.len() < width) {
@@ -18,17 +22,14 @@ pub fn row(rows: [&[u8]; 3], odd: bool, dst: &mut [u8]) {
     pixels[0] = pixel(rows, [1, 0, 1], true, odd);
     let end = width - 1;
     pixels[end] = pixel(rows, [end - 1, end, end - 1], end.is_multiple_of(2), odd);
-    // Pairs of one pixel in an odd column and one in an even column, so that neither asks which it is.
-    let inner = &mut pixels[1..end];
-    let [above, here, below] = rows.map(|row| row[..width].windows(4).step_by(2));
-    let (pairs, last) = inner.as_chunks_mut::<2>();
-    for (((to, a), h), b) in pairs.iter_mut().zip(above).zip(here).zip(below) {
-        let window = [a, h, b];
-        *to = [pixel(window, [0, 1, 2], false, odd), pixel(window, [1, 2, 3], true, odd)];
-    }
-    if let [last] = last {
-        let x = end - 1;
-        *last = pixel(rows, [x - 1, x, x + 1], x.is_multiple_of(2), odd);
+    let done = match lanes {
+        Some(lanes) if end > 2 => {
+            simd::debayer(lanes, rows.map(|row| &row[..width]), odd, &mut pixels[2..end])
+        }
+        _ => 0,
+    };
+    for x in (1..end).take(1).chain(2 + done..end) {
+        pixels[x] = pixel(rows, [x - 1, x, x + 1], x.is_multiple_of(2), odd);
     }
 }
 
@@ -99,6 +100,22 @@ mod tests {
         for y in 1..8 {
             for x in 1..11 {
                 assert_eq!(out[3 * (12 * y + x)..][..3], picture(x, y), "({x}, {y})");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_are_the_same_with_and_without_wide_instructions_at_every_length() {
+        let mut rng = fastrand::Rng::with_seed(4);
+        for width in (2..80).chain([641]) {
+            let level = |rng: &mut fastrand::Rng| if rng.bool() { 255 } else { rng.u8(..) };
+            let sensor: Vec<u8> = std::iter::repeat_with(|| level(&mut rng)).take(3 * width).collect();
+            let rows = [0, 1, 2].map(|y| &sensor[y * width..][..width]);
+            for odd in [false, true] {
+                let (mut wide, mut plain) = (vec![1; 3 * width], vec![2; 3 * width]);
+                row_with(Avx2::detect(), rows, odd, &mut wide);
+                row_with(None, rows, odd, &mut plain);
+                assert_eq!(wide, plain, "{width} pixels");
             }
         }
     }
