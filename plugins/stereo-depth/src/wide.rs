@@ -38,8 +38,12 @@ pub(crate) fn pick<const NV: usize>(sums: &Sums<NV>, most: usize, uniqueness: u8
     let mut sums = *sums;
     if most < 32 * NV - 1 {
         let last = _mm256_set1_epi16(most as i16);
-        for (sums, d) in sums.iter_mut().flatten().zip(disparities::<NV>().iter().flatten()) {
-            *sums = _mm256_or_si256(*sums, _mm256_cmpgt_epi16(*d, last));
+        let d = disparities::<NV>();
+        for k in 0..NV {
+            for half in 0..2 {
+                let beyond = _mm256_cmpgt_epi16(d[k][half], last);
+                sums[k][half] = _mm256_or_si256(sums[k][half], beyond);
+            }
         }
     }
     let mut low = _mm256_min_epu16(sums[0][0], sums[0][1]);
@@ -64,8 +68,9 @@ pub(crate) fn pick<const NV: usize>(sums: &Sums<NV>, most: usize, uniqueness: u8
     }
 
     let mut memory = [[Block::ZERO; 2]; NV];
-    for (to, from) in memory.iter_mut().flatten().zip(sums.iter().flatten()) {
-        store(to, *from);
+    for k in 0..NV {
+        store(&mut memory[k][0], sums[k][0]);
+        store(&mut memory[k][1], sums[k][1]);
     }
     let sum = |d: usize| {
         let (k, half, lane) = place(d);

@@ -95,13 +95,13 @@ pub(crate) fn row<const NV: usize>(state: &mut Wide, row: &CensusRow<'_>, to: &m
 #[inline]
 fn costs_of<const NV: usize>(row: &CensusRow<'_>, width: usize, x: usize) -> Costs<NV> {
     let at = width - 1 - x;
-    let own = [0, 1, 2].map(|plane| _mm256_set1_epi8(row.left[plane][x] as i8));
-    let others = [0, 1, 2].map(|plane| &row.right[plane][at..].as_chunks::<32>().0[..NV]);
     let mut costs = [_mm256_setzero_si256(); NV];
-    for (k, cost) in costs.iter_mut().enumerate() {
-        for plane in 0..3 {
-            let differ = _mm256_xor_si256(own[plane], load_bytes(&others[plane][k]));
-            *cost = _mm256_add_epi8(*cost, ones(differ));
+    for plane in 0..3 {
+        let own = _mm256_set1_epi8(row.left[plane][x] as i8);
+        let others = &row.right[plane][at..].as_chunks::<32>().0[..NV];
+        for k in 0..NV {
+            let differ = _mm256_xor_si256(own, load_bytes(&others[k]));
+            costs[k] = _mm256_add_epi8(costs[k], ones(differ));
         }
     }
     costs
@@ -155,12 +155,18 @@ fn step<const NV: usize>(
 #[inline]
 fn get<const NV: usize>(from: &[Block]) -> Costs<NV> {
     let mut costs = [_mm256_setzero_si256(); NV];
-    costs.iter_mut().zip(&from[..NV]).for_each(|(to, from)| *to = load(from));
+    let from = &from[..NV];
+    for k in 0..NV {
+        costs[k] = load(&from[k]);
+    }
     costs
 }
 
 #[target_feature(enable = "avx2")]
 #[inline]
 fn put<const NV: usize>(costs: &Costs<NV>, to: &mut [Block]) {
-    to[..NV].iter_mut().zip(costs).for_each(|(to, from)| store(to, *from));
+    let to = &mut to[..NV];
+    for k in 0..NV {
+        store(&mut to[k], costs[k]);
+    }
 }
