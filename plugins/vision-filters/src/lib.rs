@@ -1,4 +1,4 @@
-//! Image filters on stereo frames: `rectify`, `debayer`, `color`, `gray`, `resize`, `crop`, `flip`, `overlay`, `pip`
+//! Image filters on stereo frames: `rectify`, `debayer`, `color`, `gray`, `resize`, `crop`, `flip`, `exposure`, `overlay`, `pip`
 //! (picture in picture).
 //!
 //! Invariant: pixels are touched only through `view`, which has checked that every row lies inside its bytes.
@@ -7,6 +7,7 @@
 pub mod color;
 mod components;
 pub mod debayer;
+pub mod exposure;
 pub mod flip;
 pub mod gray;
 pub mod overlay;
@@ -17,8 +18,10 @@ mod simd;
 pub mod view;
 
 pub use components::{
-    Color, Crop, Debayer, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture, OverlayText, Pip, PipRect,
-    RectifiedGeometry, Rectify, Resize, Tally,
+    Color, Crop, Debayer, Exposure, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture,
+    OverlayText, Pip, PipRect, RectifiedGeometry, Rectify, Resize, Tally,
 };
 
-trocar_sdk::trocar_plugin!(Rectify, Debayer, Color, Gray, Resize, Crop, Flip, Overlay, Pip);
+trocar_sdk::trocar_plugin!(
+    Rectify, Debayer, Color, Gray, Resize, Crop, Flip, Exposure, Overlay, Pip, Display
+);

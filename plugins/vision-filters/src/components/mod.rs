@@ -5,6 +5,7 @@
 mod color;
 mod crop;
 mod debayer;
+mod exposure;
 mod flip;
 mod gray;
 mod in_place;
@@ -21,6 +22,7 @@ mod tests_of_changes;
 pub use color::Color;
 pub use crop::Crop;
 pub use debayer::Debayer;
+pub use exposure::Exposure;
 pub use flip::Flip;
 pub use gray::Gray;
 pub use overlay::{Eye, Overlay, OverlayLine, OverlayPicture, OverlayText};

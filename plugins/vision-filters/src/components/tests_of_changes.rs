@@ -113,6 +113,18 @@ fn flip_mirrors_both_images_and_changes_eyes_when_asked() {
 }
 
 #[test]
+fn exposure_changes_levels_while_it_runs() {
+    let mut bench = Bench::<Exposure>::new("{}");
+    let image = header(2, 1, PixelFormat::GRAY8);
+    assert_eq!(filtered(&mut bench, image, &[1, 2, 3, 4]), [(image, vec![1, 2, 3, 4])]);
+    bench.configure(r#"{"gain": 2.0}"#).unwrap();
+    assert_eq!(filtered(&mut bench, image, &[10, 100, 200, 0]), [(image, vec![20, 200, 255, 0])]);
+    assert!(Bench::<Exposure>::created().configure(r#"{"gamma": 0}"#).unwrap_err().reason.contains("gamma"));
+    assert!(filtered(&mut bench, header(2, 1, PixelFormat::YUYV), &[0; 8]).is_empty());
+    assert!(bench.state().tally.problem.contains("GRAY8 or RGB8"));
+}
+
+#[test]
 fn images_that_lie_in_each_other_are_not_changed_in_place() {
     let mut bench = Bench::<Flip>::new("{}");
     let lying = StereoHeader { right_offset: 1, ..header(2, 1, PixelFormat::GRAY8) };
@@ -239,5 +251,6 @@ fn steps_of_the_filters_allocate_nothing() {
     quiet::<Debayer>("{}", header(8, 8, PixelFormat::BAYER_RG8), &[7; 128]);
     quiet::<Crop>(r#"{"width": 4, "height": 4}"#, rgb, &[7; 384]);
     quiet::<Flip>("{}", rgb, &[7; 384]);
+    quiet::<Exposure>(r#"{"gain": 2.0}"#, rgb, &[7; 384]);
     quiet::<Gray>("{}", rgb, &[7; 384]);
 }
