@@ -46,6 +46,8 @@ pub(crate) struct Pushed {
 pub(crate) struct InCell {
     pub(crate) connected: bool,
     pub(crate) stale: bool,
+    /// Somebody else reads the frames, too.
+    pub(crate) shared: bool,
     /// Depth of the queue; 0 = latest value only.
     pub(crate) fifo: usize,
     pub(crate) pushed: u64,
@@ -64,6 +66,7 @@ impl InCell {
         InCell {
             connected: true,
             stale: false,
+            shared: false,
             fifo,
             pushed: 0,
             latest: None,
@@ -147,9 +150,10 @@ impl InCell {
         unsafe extern "C" fn writable(ctx: *mut c_void, _: *mut SampleView) -> *mut u8 {
             let _quiet = alloc::pause();
             // SAFETY: as in `latest`; the held copy is the bench's own, so its only owner is this input.
-            match unsafe { &mut (*ctx.cast::<InCell>()).held } {
-                Some(held) => held.bytes.as_mut_ptr(),
-                None => null_mut(),
+            let cell = unsafe { &mut *ctx.cast::<InCell>() };
+            match &mut cell.held {
+                Some(held) if !cell.shared => held.bytes.as_mut_ptr(),
+                _ => null_mut(),
             }
         }
         unsafe extern "C" fn header_len(ctx: *mut c_void) -> u64 {

@@ -64,6 +64,12 @@ impl<C: Class> Bench<C> {
         self.inputs[self.shape.input(input)].get().stale = true;
     }
 
+    /// Lets somebody else read the frames of an input, too, or no longer: then none may be changed in place.
+    #[track_caller]
+    pub fn share(&mut self, input: &str, shared: bool) {
+        self.inputs[self.shape.input(input)].get().shared = shared;
+    }
+
     /// Cuts or restores the connection of an input.
     #[track_caller]
     pub fn connect_input(&mut self, input: &str, connected: bool) {

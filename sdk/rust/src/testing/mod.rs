@@ -41,7 +41,7 @@
 //! | to | use |
 //! |---|---|
 //! | let time pass | `step`, `late_step`, `skip`, `advance`, `now` |
-//! | feed inputs | `push`, `push_at`, `push_frame`; `lose`, `make_stale`, `connect_input` |
+//! | feed inputs | `push`, `push_at`, `push_frame`; `share`, `lose`, `make_stale`, `connect_input` |
 //! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; `expect_outputs`, `expect_events`, `expect_calls` |
 //! | play the peers | `answer`, `emit`, `command`, `read`; `fail`, `overflow`, `exhaust`, `connect_output`, `connect_function`, `lose_peer` |
 //! | tie untyped ports | `connect_as`, `connect_as_frames`, `connect_as_command`; `push` and `answer` do so by themselves |
