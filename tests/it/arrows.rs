@@ -26,7 +26,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-torture", &["trocar-proto"]),
 ];
 
-const PLUGINS_MAY: &[&str] = &["trocar-sdk", "trocar-imaging", "trocar-oct-core", "trocar-phantom", "trocar-conform-classes"];
+const PLUGINS_MAY: &[&str] =
+    &["trocar-sdk", "trocar-imaging", "trocar-oct-core", "trocar-phantom", "trocar-conform-classes"];
 
 /// What must never reach a plugin author's build.
 const BANNED_IN_SDK: &[&str] = &["tokio", "tonic", "trocar"];

@@ -16,8 +16,8 @@ pub mod render;
 pub mod retina;
 pub mod sensor;
 mod shadow;
-pub mod spectra;
 mod spans;
+pub mod spectra;
 pub mod tissue;
 mod world;
 

@@ -18,10 +18,8 @@ mod simd;
 pub mod view;
 
 pub use components::{
-    Color, Crop, Debayer, Exposure, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture,
-    OverlayText, Pip, PipRect, RectifiedGeometry, Rectify, Resize, Tally,
+    Color, Crop, Debayer, Exposure, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture, OverlayText, Pip,
+    PipRect, RectifiedGeometry, Rectify, Resize, Tally,
 };
 
-trocar_sdk::trocar_plugin!(
-    Rectify, Debayer, Color, Gray, Resize, Crop, Flip, Exposure, Overlay, Pip, Display
-);
+trocar_sdk::trocar_plugin!(Rectify, Debayer, Color, Gray, Resize, Crop, Flip, Exposure, Overlay, Pip);
