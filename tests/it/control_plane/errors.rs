@@ -168,6 +168,15 @@ rows! {
         Stage::new(&["fixture_misfit"]).with(&[("i", "other_format"), ("g", "one_format")])
             .refuses_connect("g/image", "i/image");
 
+    a_port_for_simulated_devices_only "FAILED_PRECONDITION" "TAG_MISMATCH" ["host/s/tip", "has no tag"]
+        Stage::new(&["filters", "force_sensor"]).with(&[("l", "add_latency"), ("s", "force_sensor/force_sensor")])
+            .refuses_connect("s/tip", "l/delayed");
+
+    the_truth_reaches_no_actuator "FAILED_PRECONDITION" "TRUTH_TO_ACTUATOR" ["tagged truth", "host/b", "host/r"]
+        Stage::new(&["bscan", "eyerobot", "oct"])
+            .with(&[("r", "eyerobot/eyerobot"), ("o", "oct_source"), ("b", "bscan/bscan")])
+            .connected("b/axis", "r/axis").refuses_connect("b/distance", "o/true_distance");
+
     a_circle_of_direct_connections "FAILED_PRECONDITION" "SYNC_CYCLE" ["host/a", "host/b"]
         Stage::new(&["sine"]).refuses("GcmService/Apply", json!({ "steps": [
             { "create": { "path": "host/a", "class": "sine", "execution": { "inside": "host/b" } } },
