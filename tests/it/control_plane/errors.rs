@@ -169,7 +169,7 @@ rows! {
             .refuses_connect("g/image", "i/image");
 
     a_port_for_simulated_devices_only "FAILED_PRECONDITION" "TAG_MISMATCH" ["host/s/tip", "has no tag"]
-        Stage::new(&["filters", "force_sensor"]).with(&[("l", "add_latency"), ("s", "force_sensor/force_sensor")])
+        Stage::new(&["filters", "force_sensor"]).with(&[("l", "add_latency"), ("s", "force_sensor")])
             .refuses_connect("s/tip", "l/delayed");
 
     the_truth_reaches_no_actuator "FAILED_PRECONDITION" "TRUTH_TO_ACTUATOR" ["tagged truth", "host/b", "host/r"]
