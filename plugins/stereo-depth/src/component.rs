@@ -153,12 +153,14 @@ impl StereoDepth {
 
 impl Component for StereoDepth {
     fn configure(&mut self) -> Result {
-        self.scale = self.cfg.scale()?;
+        // Whatever can refuse comes before the first change: a refused setting leaves all as it was.
+        let scale = self.cfg.scale()?;
         let StereoDepthConfig { width, height, .. } = self.cfg;
         let settings = self.cfg.settings();
         if !self.matcher.as_ref().is_some_and(|m| m.size() == (width, height) && *m.settings() == settings) {
             self.matcher = Some(Matcher::new(width, height, settings)?);
         }
+        self.scale = scale;
         let pixels = width * height;
         if self.reserved != pixels {
             self.disparity.reserve(2 * pixels, SLOTS)?;

@@ -83,6 +83,19 @@ fn depth_at_answers_for_a_pixel_and_says_when_it_cannot() {
 }
 
 #[test]
+fn a_refused_configuration_leaves_the_cameras_as_they_were() {
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
+    bench.stop().unwrap();
+    let other = CONFIG.replace("0.005", "0.010").replace("\"n_disp\": 32", "\"n_disp\": 80");
+    let refused = bench.configure(other).unwrap_err();
+    assert!(refused.reason.contains("80"), "{}", refused.reason);
+    bench.start().unwrap();
+    push(&mut bench, 8, 1);
+    let there = bench.command::<Pixel, Distance>("map/depth_at", Pixel { u: 50, v: 20 }).unwrap();
+    assert!((there.distance - 0.25).abs() < 0.01, "{there:?}");
+}
+
+#[test]
 fn without_cameras_there_is_disparity_only() {
     let mut bench =
         Bench::<StereoDepth>::new(r#"{"method": "sgm", "n_disp": 32, "width": 96, "height": 40}"#);

@@ -1,4 +1,4 @@
-//! Filters that change a frame where it lies, or a copy of it when others read it, too.
+//! Filters that change a frame where it lies, or a copy of it when others read it, too, or when its images share rows.
 //!
 //! Invariant: what goes out has the header that came in, but for a copy, whose rows touch.
 
@@ -40,7 +40,9 @@ impl InPlace<'_, '_> {
             return Ok(());
         };
         let header = *self.frame.header();
-        if let Some(bytes) = self.frame.bytes_mut() {
+        if !pair::share_rows(&header)?
+            && let Some(bytes) = self.frame.bytes_mut()
+        {
             change(&mut pair::images_mut(&header, bytes)?)?;
             self.out.forward(&self.frame);
             return Ok(());

@@ -98,6 +98,13 @@ pub(super) fn raw<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[ImageVi
     })
 }
 
+/// Is this one image for both eyes, or a pair side by side? Their rows cannot be lent apart from each other.
+pub(super) fn share_rows(header: &StereoHeader) -> Result<bool, Unfit> {
+    let (row, right) = (shape(header)?.row_bytes() as u64, header.right_offset);
+    let beside = right >= row && right.checked_add(row).is_some_and(|end| end <= u64::from(header.stride));
+    Ok(right == 0 || beside)
+}
+
 /// Both images of a frame that may be changed, left first.
 pub(super) fn images_mut<'a>(header: &StereoHeader, bytes: &'a mut [u8]) -> Result<[ViewMut<'a>; 2], Unfit> {
     let shape = shape(header)?;

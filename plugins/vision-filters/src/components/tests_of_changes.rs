@@ -152,6 +152,38 @@ fn a_frame_that_others_read_too_is_copied_with_the_same_result() {
 }
 
 #[test]
+fn one_image_for_both_eyes_and_pairs_side_by_side_are_changed_alone_as_beside_other_readers() {
+    fn every_layout<C: Class>(config: &str, set: impl Fn(&mut Bench<C>)) {
+        let image = header(3, 2, PixelFormat::GRAY8);
+        let (left, right): (Vec<u8>, Vec<u8>) = ((1..7).collect(), (7..13).collect());
+        let beside: Vec<u8> =
+            left.chunks(3).zip(right.chunks(3)).flat_map(|(l, r)| [l, r].concat()).collect();
+        for (laid, bytes, both) in [
+            (StereoHeader { right_offset: 0, ..image }, left.clone(), [&left[..], &left[..]].concat()),
+            (StereoHeader { stride: 6, right_offset: 3, ..image }, beside, [&left[..], &right[..]].concat()),
+        ] {
+            for shared in [false, true] {
+                let mut bench = Bench::<C>::new(config);
+                set(&mut bench);
+                let stacked = filtered(&mut bench, image, &both);
+                assert_ne!(stacked[0].1, both, "something was changed");
+                bench.share("image", shared);
+                assert_eq!(filtered(&mut bench, laid, &bytes), stacked, "shared: {shared}");
+            }
+        }
+    }
+    every_layout::<Flip>(r#"{"direction": "both"}"#, |_| {});
+    every_layout::<Exposure>(r#"{"gain": 3.0}"#, |_| {});
+    every_layout::<Pip>(r#"{"x": 1, "y": 0}"#, |bench| {
+        bench.push_frame("inset", header(1, 1, PixelFormat::GRAY8), &[100, 200]);
+    });
+    every_layout::<Overlay>("{}", |bench| {
+        let line = OverlayLine { to: [2, 0], width: 1, color: [255; 4], ..Default::default() };
+        bench.command::<OverlayLine, ()>("items/set_line", line).unwrap();
+    });
+}
+
+#[test]
 fn images_that_lie_in_each_other_are_not_changed_in_place() {
     let mut bench = Bench::<Flip>::new("{}");
     let lying = StereoHeader { right_offset: 1, ..header(2, 1, PixelFormat::GRAY8) };
