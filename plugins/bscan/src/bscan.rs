@@ -6,7 +6,7 @@
 mod pictures;
 
 use trocar_oct_core::tip::{Timeline, axis_of};
-use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, Pose, Twist};
+use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, OperatingMode, OperatingState, Pose, Twist};
 use trocar_sdk::prelude::*;
 
 use crate::depth::{Advice, Depth, Settings};
@@ -22,6 +22,9 @@ const LONGEST_DELAY_S: f64 = 0.012;
 const SURFACE_LOST_S: f64 = 0.05;
 /// A robot that does not tell where it is for this long ends a scan, s.
 const ROBOT_LOST_S: f64 = 0.02;
+/// A scan ends when the line takes longer than so many times its length over its speed, and so much more, s.
+const SLOWEST: f64 = 1.5;
+const LATEST_S: f64 = 2.0;
 /// The scan sets off this near to its begin and to the offset, m, after so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
@@ -106,6 +109,9 @@ pub struct BScan {
     /// Where the tip is.
     #[required(interface = "robot")]
     measured_cp: Function<(), Pose>,
+    /// Whether it takes motions.
+    #[required(interface = "robot")]
+    operating_state: Function<(), OperatingState>,
     /// Moves the tip across the tool.
     #[required(interface = "robot", name = "servo_cv")]
     servo_across: Function<Twist>,
@@ -130,6 +136,8 @@ pub struct BScan {
     cfg: BScanConfig,
     depth: Depth,
     pose: Pose,
+    /// As the robot told last.
+    robot: OperatingState,
     /// Along the line, m.
     gone: Timeline,
     line: Option<Line>,
@@ -199,6 +207,12 @@ impl BScan {
             .ok_or(
                 "the robot does not tell where it is: connect its interface arm to robot, enable and home it",
             )?;
+        if !is_ready(&self.robot) {
+            return Err(
+                "the robot takes no motion: send it state_command \"enable\" or \"resume\", then \"home\""
+                    .into(),
+            );
+        }
         if !self.last.valid.get() || now.seconds_since(self.last.stamp) > SURFACE_LOST_S {
             return Err("there is no surface: bring the tip over the retina, some 0.3 to 1 mm away".into());
         }
@@ -265,6 +279,9 @@ impl BScan {
                 self.gone.push(pose.stamp.ns(), line.along_m(&pose.position));
             }
         }
+        if let Ok(state) = self.operating_state.call(()) {
+            self.robot = state;
+        }
         let Some(seen) = self.distance.latest() else { return };
         if seen.stamp == self.last.stamp {
             return;
@@ -285,6 +302,9 @@ impl BScan {
         let Some(line) = self.line else { return Ok(()) };
         if now.seconds_since(self.since.robot) > ROBOT_LOST_S {
             return Err("the robot has not told for 20 ms where it is");
+        }
+        if !is_ready(&self.robot) {
+            return Err("the robot is no longer enabled and homed");
         }
         if now.seconds_since(self.since.surface) > SURFACE_LOST_S {
             return Err("the surface was not seen for 50 ms");
@@ -309,6 +329,10 @@ impl BScan {
             && now.seconds_since(self.since.phase) > self.cfg.approach_timeout_s
         {
             return Err("the begin of the line was not reached in time");
+        }
+        let latest_s = SLOWEST * line.length_m / line.speed_m_s + LATEST_S;
+        if self.progress.phase == Phase::SCAN && now.seconds_since(self.since.phase) > latest_s {
+            return Err("the end of the line was not reached in time");
         }
         Ok(())
     }
@@ -373,6 +397,11 @@ impl BScan {
     }
 }
 
+/// Does a robot in this state take motions?
+fn is_ready(robot: &OperatingState) -> bool {
+    robot.state == OperatingMode::ENABLED && robot.is_homed.get()
+}
+
 impl Component for BScan {
     fn configure(&mut self) -> Result {
         let cfg = &self.cfg;
@@ -400,6 +429,7 @@ impl Component for BScan {
         self.progress = Progress::default();
         self.since = Moments::default();
         (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
+        self.robot = OperatingState::default();
         self.depth = Depth::default();
         Ok(())
     }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::rig::{OFFSET_M, Rig, Setup};
+use crate::rig::{OFFSET_M, Rig, Setup, ready};
 use trocar_sdk::testing::Bench;
 
 trocar_sdk::testing::count_allocations!();
@@ -251,6 +251,7 @@ fn a_scan_does_not_begin_without_robot_surface_or_sense() {
     let stand = |bench: &mut Bench<BScan>, velocity: f64, valid: bool| {
         let stamp = bench.now();
         bench.answer("robot/measured_cp", move |()| Ok(Pose { stamp, ..Pose::default() }));
+        bench.answer("robot/operating_state", move |()| Ok(ready()));
         bench.push(
             "distance",
             Distance { stamp, distance: 0.5e-3, velocity, valid: valid.into(), ..Distance::default() },
@@ -266,6 +267,48 @@ fn a_scan_does_not_begin_without_robot_surface_or_sense() {
     assert_eq!(begin(&mut bench, fast), "speed: 1 is not from 0.000001 to 0.005 (SI units)");
     assert_eq!(begin(&mut bench, Rig::request()), "");
     assert!(begin(&mut bench, Rig::request()).contains("a scan is running"));
+    bench.command::<(), ()>("scan/abort", ()).unwrap();
+    for not in [
+        OperatingState { state: OperatingMode::PAUSED, ..ready() },
+        OperatingState { state: OperatingMode::FAULT, ..ready() },
+        OperatingState { is_homed: false.into(), ..ready() },
+    ] {
+        bench.answer("robot/operating_state", move |()| Ok(not));
+        bench.step(1);
+        assert!(begin(&mut bench, Rig::request()).contains("the robot takes no motion"), "{not:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_is_paused_or_fails_ends_the_scan_and_resume_moves_nothing() {
+    for state in [OperatingMode::PAUSED, OperatingMode::FAULT, OperatingMode::DISABLED] {
+        let mut rig = Rig::new(Setup::new("default", 1));
+        rig.begin();
+        rig.until_scanning();
+        rig.robot.set(OperatingState { state, ..ready() });
+        rig.steps(2);
+        let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+        assert_eq!(told, ["the robot is no longer enabled and homed"], "{state:?}");
+        assert_eq!(rig.bench.state().progress.phase, Phase::IDLE);
+        rig.steps(100);
+        let place = |rig: &Rig| rig.truth.last().map(|t| (t.x_m, t.tip_z_m)).unwrap();
+        let stood = place(&rig);
+        rig.robot.set(ready());
+        rig.steps(100);
+        assert_eq!(place(&rig), stood, "nothing moves by itself");
+    }
+}
+
+#[test]
+fn a_tip_that_something_holds_back_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("static", 1));
+    rig.begin();
+    rig.until_scanning();
+    // 3 mm at 0.5 mm/s, once and a half, and 2 s.
+    rig.stuck = true;
+    rig.steps(11_100);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the end of the line was not reached in time"]);
 }
 
 #[test]

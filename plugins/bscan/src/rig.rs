@@ -13,7 +13,7 @@ use trocar_oct_core::grid::{Grid, Interpolation};
 use trocar_oct_core::tracker::{Settings, Tracker};
 use trocar_phantom::World;
 use trocar_phantom::spectra::{Optics, Spectrograph};
-use trocar_sdk::data::{AScanHeader, Distance, Pose, SampleFormat, Twist};
+use trocar_sdk::data::{AScanHeader, Distance, OperatingMode, OperatingState, Pose, SampleFormat, Twist};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
@@ -95,6 +95,10 @@ pub(crate) struct Rig {
     tracker: Tracker,
     slides: [Slide; 3],
     pose: Rc<Cell<Pose>>,
+    /// What the robot tells of its operating state.
+    pub(crate) robot: Rc<Cell<OperatingState>>,
+    /// Something holds the tip back along x.
+    pub(crate) stuck: bool,
     waiting: Vec<(u64, Distance, Vec<f32>)>,
     line: u64,
     /// Lines up to this one see nothing.
@@ -105,6 +109,11 @@ pub(crate) struct Rig {
     pub(crate) watched: bool,
 }
 
+/// What a robot tells that takes motions.
+pub(crate) fn ready() -> OperatingState {
+    OperatingState { state: OperatingMode::ENABLED, is_homed: true.into(), ..OperatingState::default() }
+}
+
 impl Rig {
     pub(crate) fn new(setup: Setup) -> Rig {
         let rows = if setup.images { 512 } else { 8 };
@@ -113,6 +122,9 @@ impl Rig {
         let pose = Rc::new(Cell::new(Pose::default()));
         let told = pose.clone();
         bench.answer("robot/measured_cp", move |()| Ok(told.get()));
+        let robot = Rc::new(Cell::new(ready()));
+        let state = robot.clone();
+        bench.answer("robot/operating_state", move |()| Ok(state.get()));
         let optics = Optics::with_samples(1024);
         let spectrograph = Spectrograph::new(optics, setup.world.noise(16)).expect("usual optics");
         let grid = Grid::from_wavelengths(1024, [840e-9, 50e-9, 0.0, 0.0]).expect("a grid");
@@ -126,6 +138,8 @@ impl Rig {
             tracker: Tracker::new(Settings::default()),
             slides: [Slide::default(); 3],
             pose,
+            robot,
+            stuck: false,
             waiting: Vec::new(),
             line: 0,
             dark_until_ns: 0,
@@ -210,6 +224,9 @@ impl Rig {
             }
         }
         self.held += self.bench.calls::<()>("robot/hold").len();
+        if self.stuck {
+            command[0] = 0.0;
+        }
         for (slide, command) in self.slides.iter_mut().zip(command) {
             slide.cycle(command);
         }
