@@ -323,7 +323,8 @@ impl Mailbox {
 
     /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's thread: sleeps
     /// until a push that is just copying is done, so that one which was suspended gets a processor whatever their
-    /// priorities are.
+    /// priorities are. Where another process pushes, which may have died over it, some ms are enough: what it has not
+    /// written then is handed out as a head of zeros.
     pub fn close(&self, mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.fetch_or(CLOSED, Ordering::AcqRel) & !CLOSED;
         let mut rest_ns = *RESTS_NS.start();
@@ -339,7 +340,9 @@ impl Mailbox {
                     left -= 1;
                 }
                 // Another process may have died in the middle of its push.
-                Claim::InWork if self.scope == Scope::Machine && rest_ns == *RESTS_NS.end() => return,
+                Claim::InWork if self.scope == Scope::Machine && rest_ns == *RESTS_NS.end() => {
+                    return self.abandon(end, left, skip);
+                }
                 // By the clock: a push that looked for sleepers would cost every push.
                 Claim::InWork => {
                     rest(rest_ns);
@@ -348,6 +351,26 @@ impl Mailbox {
                 Claim::Empty => return,
             }
         }
+    }
+
+    /// Takes what is left of a closed mailbox behind an entry that stays in another's hands, `left` entries at most. A push that has
+    /// its position and goes on later is told that it is queued, so it counts here; what is just being taken is its taker's.
+    fn abandon(&self, end: u64, left: usize, mut skip: impl FnMut(EntryHead)) {
+        let oldest = self.theirs.0.head.load(Ordering::Acquire);
+        for at in (oldest..end).take(left) {
+            let head = if self.claim(at) {
+                // SAFETY: the slot of `at` is owned by this thread, for good.
+                unsafe { *self.slot(at).body.exclusive() }.head
+            } else if self.slot(at).sequence.load(Ordering::Acquire) == phase(at, FREE) {
+                EntryHead::default()
+            } else {
+                continue;
+            };
+            count(&self.theirs.0.skipped);
+            skip(head);
+        }
+        // Whoever drains later finds none of them.
+        self.theirs.0.head.store(end.max(oldest), Ordering::Release);
     }
 
     /// Whether nothing is queued, nor just being pushed.

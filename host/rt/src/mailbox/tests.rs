@@ -1,6 +1,6 @@
 //! A close beside a push that stands still.
 //!
-//! Promise: it sleeps meanwhile, and leaves no entry behind.
+//! Promise: it sleeps meanwhile, and leaves no entry behind, nor uncounted where it cannot wait for it.
 
 use std::sync::mpsc;
 
@@ -44,4 +44,36 @@ fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_a
     });
     assert!(mail.is_empty());
     assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
+}
+
+/// Another process may never come on; if it does, it is told that its entry is queued.
+#[test]
+fn a_close_that_cannot_wait_for_another_process_hands_out_what_that_has_not_written_and_all_behind_it() {
+    let mut mail = Mailbox::new(4, 8, 0);
+    mail.scope = Scope::Machine;
+    let head = |reply| EntryHead { reply, ..EntryHead::default() };
+    assert_eq!(mail.push(head(1), &[], Overflow::Reject), Push::Queued);
+    assert!(mail.claim_tail(1), "a push that was suspended here");
+    assert_eq!(mail.push(head(3), &[], Overflow::Reject), Push::Queued);
+    let mut dropped = Vec::new();
+    mail.close(|head| dropped.push(head));
+    assert_eq!(dropped, [head(1), EntryHead::default(), head(3)]);
+    assert_eq!(mail.stats().dropped, 3);
+    mail.fill(1, head(2), &[0; 8], Overflow::Reject);
+    assert_eq!(mail.drain(|_, _| {}, |_| {}), 0, "who comes on late is not run: it was counted");
+}
+
+/// What a drain has in hand runs: it is not handed out as well.
+#[test]
+fn a_close_that_cannot_wait_for_a_drain_leaves_it_the_entry_it_has_in_hand() {
+    let mut mail = Mailbox::new(4, 8, 0);
+    mail.scope = Scope::Machine;
+    let head = |reply| EntryHead { reply, ..EntryHead::default() };
+    for reply in [1, 2] {
+        assert_eq!(mail.push(head(reply), &[], Overflow::Reject), Push::Queued);
+    }
+    assert!(mail.claim(0), "a drain that was suspended here");
+    let mut dropped = Vec::new();
+    mail.close(|head| dropped.push(head));
+    assert_eq!(dropped, [head(2)]);
 }
