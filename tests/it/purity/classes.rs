@@ -99,7 +99,7 @@ impl Worker {
             self.row[1] = sample.value;
         }
         self.out.write(&Scalar { value: self.steps as f64, ..Scalar::default() });
-        self.write.send(self.steps as f64);
+        self.note(self.write.send(self.steps as f64));
         if let Ok(value) = self.value.call(()) {
             self.row[2] = value;
         }
@@ -116,6 +116,13 @@ impl Worker {
         }
     }
 
+    /// A queue that was full wakes its server at once.
+    fn note(&self, sent: Outcome) {
+        if let (Outcome::QueueFull, Some(watch)) = (sent, self.watch) {
+            watch.was_refused();
+        }
+    }
+
     fn work_adapted(&mut self) {
         self.pair.write(&Pair { left: self.steps as f64, right: 0.5 });
         if let Some(turned) = self.turned.fresh() {
@@ -125,7 +132,9 @@ impl Worker {
 
     fn work_untyped(&mut self) {
         bridge(&mut self.any, &mut self.any_out);
-        self.done.any_called += call_any(&self.any_call);
+        let (sent, called) = call_any(&self.any_call);
+        self.note(sent);
+        self.done.any_called += called;
         while let Some(sample) = self.back.next() {
             self.row[4] = sample.value;
             self.done.came_back += 1;
@@ -141,14 +150,14 @@ fn bridge(any: &mut AnyIn, out: &mut AnyOut) {
     }
 }
 
-/// Sends and calls with bytes that are not aligned, as those of a packet are not; 1 when the call was answered. From here
-/// to another thread it is refused, which costs nothing either.
-fn call_any(call: &AnyFunction) -> u64 {
+/// Sends and calls with bytes that are not aligned, as those of a packet are not: what became of the send, and 1 when the call was
+/// answered. From here to another thread it is refused, which costs nothing either.
+fn call_any(call: &AnyFunction) -> (Outcome, u64) {
     let mut room = [0; 17];
     room[1..9].copy_from_slice(&2.5_f64.to_ne_bytes());
     let (arg, ret) = room.split_at_mut(9);
-    call.send_bytes(&arg[1..]);
-    u64::from(call.call_into(&arg[1..], ret).is_ok())
+    let sent = call.send_bytes(&arg[1..]);
+    (sent, u64::from(call.call_into(&arg[1..], ret).is_ok()))
 }
 
 /// Counts of what worked.
