@@ -1,17 +1,19 @@
 //! Robot-Assisted B-Scan: the tip goes along a line at a constant distance from a retina that moves, and an image grows.
 //!
-//! Invariant: `depth`, `line` and `image` decide and compute; the component `bscan` alone commands the robot.
+//! Invariant: `depth`, `line` and `image` decide and compute; the component `bscan` alone commands the robot; `mscan` commands nobody.
 #![forbid(unsafe_code)]
 
 mod bscan;
 pub mod depth;
 pub mod image;
 pub mod line;
+mod mscan;
 mod payloads;
 #[cfg(test)]
 mod rig;
 
 pub use bscan::BScan;
+pub use mscan::MScan;
 pub use payloads::{Phase, Progress, ScanColumn, ScanDone, ScanRequest};
 
-trocar_sdk::trocar_plugin!(BScan);
+trocar_sdk::trocar_plugin!(BScan, MScan);

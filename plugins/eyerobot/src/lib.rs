@@ -1,4 +1,4 @@
-//! A simulated five-joint eye robot behind a CRTK interface, and a client that moves it.
+//! A simulated five-joint eye robot behind a CRTK interface, clients that move it or let a hand lead it, and a hand without it.
 //!
 //! Invariant: every goal passes `joints::Limits` before the arm sees it, and the arm alone commands the drive, whose
 //! `Drive` trait is the slot for a real one.
@@ -7,8 +7,10 @@
 pub mod admittance;
 pub mod allowed;
 pub mod arm;
+mod cooperative;
 pub mod drive;
 pub mod fixture;
+mod free_hand;
 mod joint_mover;
 pub mod joints;
 pub mod kinematics;
@@ -17,6 +19,8 @@ mod payloads;
 mod robot;
 pub mod trajectory;
 
+pub use cooperative::Cooperative;
+pub use free_hand::FreeHand;
 pub use joint_mover::JointMover;
 pub use payloads::{FixtureKind, Jacobian, VirtualFixture, VirtualFixtures};
 pub use robot::EyeRobot;
@@ -24,4 +28,4 @@ pub use robot::EyeRobot;
 #[cfg(test)]
 mod plant_tests;
 
-trocar_sdk::trocar_plugin!(EyeRobot, JointMover);
+trocar_sdk::trocar_plugin!(EyeRobot, JointMover, Cooperative, FreeHand);

@@ -1,0 +1,76 @@
+//! The rolling image on the bench.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use trocar_sdk::testing::Bench;
+
+const CONFIG: &str = r#"{"rows": 4, "columns": 3, "lines": 2, "image_rate_hz": 100, "range_db": [50, 90]}"#;
+
+fn header(format: SampleFormat, lines: u32, samples: u32) -> AScanHeader {
+    AScanHeader { lines, samples, format, ..AScanHeader::default() }
+}
+
+fn newest(bench: &mut Bench<MScan>) -> (ImageHeader, Vec<u8>) {
+    let (header, pixels, _) = bench.frames::<ImageHeader>("image").pop().unwrap();
+    (header, pixels)
+}
+
+#[test]
+fn columns_are_means_of_their_a_scans_and_the_newest_is_at_the_right() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    bench.push_frame("ascan", header(SampleFormat::U8, 2, 4), &[10, 0, 0, 1, 20, 0, 0, 2]);
+    let decibels: Vec<u8> =
+        [90.0f32, 50.0, 70.0, 50.0].repeat(2).iter().flat_map(|db| db.to_ne_bytes()).collect();
+    bench.push_frame("ascan", header(SampleFormat::F32, 2, 4), &decibels);
+    bench.step(1);
+    let (image, pixels) = newest(&mut bench);
+    assert_eq!((image.width, image.height, image.stride, image.format), (3, 4, 3, PixelFormat::GRAY8));
+    assert_eq!(pixels, [0, 15, 255, 0, 0, 0, 0, 0, 128, 0, 2, 0]);
+    assert_eq!((bench.state().seen, bench.state().refused_frames), (4, 0));
+}
+
+#[test]
+fn what_are_no_a_scans_is_counted_and_the_next_good_one_is_shown() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    let bad = [
+        (header(SampleFormat::U8, 2, 4), 7),
+        (header(SampleFormat::F32, 1, 4), 4),
+        (header(SampleFormat::U8, u32::MAX, u32::MAX), 8),
+        (header(SampleFormat::U16, 1, 4), 8),
+        (header(SampleFormat(99), 1, 4), 8),
+    ];
+    for (header, len) in bad {
+        bench.push_frame("ascan", header, &vec![200; len]);
+    }
+    bench.step(1);
+    assert_eq!((bench.state().seen, bench.state().refused_frames), (0, bad.len() as u64));
+    assert_eq!(newest(&mut bench).1, [0; 12]);
+    bench.push_frame("ascan", header(SampleFormat::U8, 2, 4), &[8; 8]);
+    bench.step(1);
+    assert_eq!(newest(&mut bench).1, [0, 0, 8].repeat(4));
+}
+
+#[test]
+fn images_come_at_their_rate_and_without_a_free_frame_they_are_counted_as_left_out() {
+    let mut bench = Bench::<MScan>::new(r#"{"rows": 4, "columns": 3, "image_rate_hz": 25}"#);
+    bench.step(100);
+    assert_eq!(bench.frames::<ImageHeader>("image").len(), 25);
+    bench.exhaust("image", true);
+    bench.step(8);
+    assert_eq!(bench.state().left_out, 2);
+}
+
+#[test]
+fn a_range_that_is_none_is_refused() {
+    let mut bench = Bench::<MScan>::new("{}");
+    for range in ["[50, 50]", "[90, 50]"] {
+        let refused = bench.configure(format!(r#"{{"range_db": {range}}}"#));
+        assert!(refused.unwrap_err().to_string().contains("range_db"), "{range}");
+    }
+}
+
+#[test]
+fn a_step_allocates_nothing() {
+    let mut bench = Bench::<MScan>::new("{}");
+    bench.assert_no_alloc(|bench| bench.step(50));
+}
