@@ -1,7 +1,7 @@
 //! Resizing: bilinear between pixels, or the mean of the covered area.
 //!
 //! Invariant: the weights of one output pixel add to exactly 2²³ (2¹² down the columns, 2¹¹ along the rows), so a flat
-//! image stays flat and 32 bits never overflow. A [`Resizer`] allocates when it is made, never when it runs.
+//! image stays flat and 32 bits never overflow. A [`Resizer`] allocates when it is made, never when it is prepared or runs.
 
 use crate::view::{Format, Shape, View, ViewMut};
 
@@ -26,19 +26,51 @@ pub struct Resizer {
     columns: Taps,
     rows: Taps,
     sums: Vec<u32>,
+    /// Longest sides of images and of results, px.
+    room: (usize, usize),
 }
 
 impl Resizer {
     /// Prepares for `width` × `height` pixels out of images of shape `from`, in the same format. A size of 0 is taken as 1.
     pub fn new(from: Shape, width: usize, height: usize, method: Method) -> Self {
-        let to = Shape { width: width.max(1), height: height.max(1), format: from.format };
+        let side = |a: usize, b: usize| a.max(b).max(1);
+        let mut resizer = Resizer::with_room(side(from.width, from.height), side(width, height));
+        resizer.fill(from, width, height, method);
+        resizer
+    }
+
+    /// One that can be [prepared](Self::prepare) without allocating: for images whose sides are up to `from_side` px, and
+    /// results whose sides are up to `to_side` px.
+    pub fn with_room(from_side: usize, to_side: usize) -> Self {
+        let nothing = Shape { width: 1, height: 1, format: Format::Gray8 };
         Resizer {
-            from,
-            to,
-            columns: Taps::new(from.height, to.height, method, COLUMN_BITS),
-            rows: Taps::new(from.width, to.width, method, ROW_BITS),
-            sums: vec![0; from.row_bytes()],
+            from: nothing,
+            to: nothing,
+            columns: Taps::with_room(from_side, to_side),
+            rows: Taps::with_room(from_side, to_side),
+            sums: Vec::with_capacity(from_side * Format::Rgb8.bytes()),
+            room: (from_side, to_side),
         }
+    }
+
+    /// Prepares anew, as [`new`](Self::new), within the room there is; allocates nothing. False, with nothing changed, when
+    /// a side is longer.
+    #[must_use]
+    pub fn prepare(&mut self, from: Shape, width: usize, height: usize, method: Method) -> bool {
+        let fits = from.width.max(from.height) <= self.room.0 && width.max(height) <= self.room.1;
+        if fits {
+            self.fill(from, width, height, method);
+        }
+        fits
+    }
+
+    fn fill(&mut self, from: Shape, width: usize, height: usize, method: Method) {
+        self.from = from;
+        self.to = Shape { width: width.max(1), height: height.max(1), format: from.format };
+        self.columns.fill(from.height, self.to.height, method, COLUMN_BITS);
+        self.rows.fill(from.width, self.to.width, method, ROW_BITS);
+        self.sums.clear();
+        self.sums.resize(from.row_bytes(), 0);
     }
 
     /// Shape this takes.
@@ -99,7 +131,13 @@ struct Taps {
 }
 
 impl Taps {
-    fn new(from: usize, to: usize, method: Method, bits: u32) -> Self {
+    fn with_room(from_side: usize, to_side: usize) -> Self {
+        // An output pixel has at most from / to + 2 weights, or two.
+        let weights = Vec::with_capacity(from_side + 2 * to_side);
+        Taps { first: Vec::with_capacity(to_side), weights, per_output: 0 }
+    }
+
+    fn fill(&mut self, from: usize, to: usize, method: Method, bits: u32) {
         let scale = from as f64 / to as f64;
         let one = f64::from(1u32 << bits);
         let per_output = match method {
@@ -107,8 +145,9 @@ impl Taps {
             Method::Area => scale.ceil() as usize + 1,
         }
         .min(from);
-        let mut taps =
-            Taps { first: Vec::with_capacity(to), weights: Vec::with_capacity(to * per_output), per_output };
+        self.first.clear();
+        self.weights.clear();
+        self.per_output = per_output;
         for n in 0..to {
             // Edges of this output pixel on the input's axis, pixel i covering i … i + 1.
             let (begin, end) = match method {
@@ -130,12 +169,11 @@ impl Taps {
             for i in first..first + per_output {
                 covered += share(i);
                 let upto = if i + 1 == first + per_output { one } else { (covered * one).round() } as u16;
-                taps.weights.push(upto - given);
+                self.weights.push(upto - given);
                 given = upto;
             }
-            taps.first.push(first);
+            self.first.push(first);
         }
-        taps
     }
 
     fn of(&self, n: usize) -> (usize, &[u16]) {
@@ -271,6 +309,36 @@ mod tests {
             .flat_map(|v| (0..w).map(move |u| (u, v)))
             .map(|(u, v)| down[v] * across[u] * f64::from(src[v * w + u]))
             .sum()
+    }
+
+    #[test]
+    fn one_prepared_again_does_as_a_new_one_and_refuses_what_it_has_no_room_for() {
+        let mut rng = fastrand::Rng::with_seed(11);
+        let mut again = Resizer::with_room(24, 16);
+        let room = (again.rows.weights.capacity(), again.rows.first.capacity(), again.sums.capacity());
+        for n in 0..400 {
+            let format = if rng.bool() { Format::Rgb8 } else { Format::Gray8 };
+            // The extremes first: all weights there can be.
+            let from =
+                Shape { width: if n == 0 { 24 } else { rng.usize(1..25) }, height: rng.usize(1..25), format };
+            let (width, height) = (if n == 0 { 16 } else { rng.usize(1..17) }, rng.usize(1..17));
+            let method = if rng.bool() { Method::Area } else { Method::Bilinear };
+            let src: Vec<u8> = std::iter::repeat_with(|| rng.u8(..)).take(from.packed_bytes()).collect();
+            assert!(again.prepare(from, width, height, method));
+            let mut out = vec![0; again.to().packed_bytes()];
+            let src_view = View::packed(from, &src).expect("fits");
+            assert!(again.run(&src_view, &mut ViewMut::packed(again.to(), &mut out).expect("fits")));
+            let expected = resized(format, (from.width, from.height), &src, (width, height), method);
+            assert_eq!(out, expected, "{from} → {width}×{height} {method:?}");
+        }
+        assert_eq!(
+            room,
+            (again.rows.weights.capacity(), again.rows.first.capacity(), again.sums.capacity()),
+            "nothing was allocated"
+        );
+        let shape = Shape { width: 25, height: 1, format: Format::Gray8 };
+        assert!(!again.prepare(shape, 2, 2, Method::Area), "too wide an image");
+        assert!(!again.prepare(Shape { width: 2, ..shape }, 17, 2, Method::Area), "too wide a result");
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod exposure;
 mod flip;
 mod gray;
 mod in_place;
+mod inset;
 mod overlay;
 mod pair;
 mod pip;
@@ -18,6 +19,8 @@ mod resize;
 mod tests;
 #[cfg(test)]
 mod tests_of_changes;
+#[cfg(test)]
+mod tests_of_insets;
 
 pub use color::Color;
 pub use crop::Crop;

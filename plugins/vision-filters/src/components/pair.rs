@@ -17,6 +17,8 @@ pub(super) enum Unfit {
     Short,
     /// The result is larger than the output's frames.
     Large,
+    /// An inset with more pixels than can be brought to another size.
+    Inset,
     /// No frame to fill.
     NoRoom,
     /// Not what the calibration was made with.
@@ -44,6 +46,9 @@ impl Unfit {
             Unfit::NoPattern => "an image with a colour filter has at least 2 x 2 px: repair the source",
             Unfit::NoWay => "pixel format is not GRAY8, RGB8, BGR8, RGBA8 or YUYV: convert it at the source",
             Unfit::Part => "x + width or y + height is beyond the image: configure a part that lies in it",
+            Unfit::Inset => {
+                "too large to be scaled: ask for w and h of at most max_width and max_height, none of them 0"
+            }
             Unfit::Overlap => "right_offset lies in the left image: repair the source",
             Unfit::NoRoom => "all frames of the output are held by readers: let fewer or faster ones read",
         }
@@ -117,9 +122,12 @@ pub(super) fn images_mut<'a>(header: &StereoHeader, bytes: &'a mut [u8]) -> Resu
 
 /// Both images of a received frame, left first.
 pub(super) fn images<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[View<'a>; 2], Unfit> {
-    let header = frame.header();
+    images_in(frame.header(), frame.bytes())
+}
+
+/// Both images in the bytes that came with a header, left first.
+pub(super) fn images_in<'a>(header: &StereoHeader, bytes: &'a [u8]) -> Result<[View<'a>; 2], Unfit> {
     let shape = shape(header)?;
-    let bytes = frame.bytes();
     let right = usize::try_from(header.right_offset).ok().and_then(|at| bytes.get(at..));
     let view = |bytes| View::new(shape, header.stride as usize, bytes).map_err(|_| Unfit::Short);
     Ok([view(bytes)?, view(right.ok_or(Unfit::Short)?)?])

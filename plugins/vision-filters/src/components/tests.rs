@@ -113,37 +113,3 @@ fn resize_refuses_a_method_that_does_not_exist() {
     let refused = Bench::<Resize>::created().configure(r#"{"method": "cubic"}"#).unwrap_err();
     assert_eq!(refused.reason, r#"method: "cubic" is not one of "area", "bilinear""#);
 }
-
-#[test]
-fn pip_lays_the_newest_inset_into_both_images_where_it_is_told_while_running() {
-    let mut bench = Bench::<Pip>::new(r#"{"x": 0, "y": 0}"#);
-    bench.push_frame("inset", header(1, 1, PixelFormat::GRAY8), &[8, 9]);
-    let big = header(1, 3, PixelFormat::GRAY8);
-    bench.push_frame("image", big, &[0; 6]);
-    bench.step(1);
-    assert_eq!(out(&mut bench), [(big, vec![8, 0, 0, 9, 0, 0])]);
-    bench.configure(r#"{"x": 2, "y": 0}"#).unwrap();
-    bench.push_frame("image", big, &[0; 6]);
-    bench.step(1);
-    assert_eq!(out(&mut bench), [(big, vec![0, 0, 8, 0, 0, 9])]);
-    assert!(bench.state().inset_shown.get());
-}
-
-#[test]
-fn pip_hides_an_inset_that_is_switched_off_missing_or_stale() {
-    let mut bench = Bench::<Pip>::new(r#"{"x": 0, "y": 0}"#);
-    let big = header(1, 2, PixelFormat::GRAY8);
-    let shown = |bench: &mut Bench<Pip>| {
-        bench.push_frame("image", big, &[0; 4]);
-        bench.step(1);
-        out(bench) != [(big, vec![0; 4])]
-    };
-    assert!(!shown(&mut bench), "nothing was ever put in");
-    bench.push_frame("inset", header(1, 1, PixelFormat::GRAY8), &[8, 9]);
-    assert!(shown(&mut bench));
-    bench.make_stale("inset");
-    assert!(!shown(&mut bench), "the inset is stale");
-    bench.push_frame("inset", header(2, 1, PixelFormat::GRAY8), &[8, 9]);
-    bench.configure(r#"{"visible": false}"#).unwrap();
-    assert!(!shown(&mut bench), "the inset is switched off");
-}

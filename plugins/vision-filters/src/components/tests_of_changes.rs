@@ -4,9 +4,9 @@
 use super::overlay::{Eye, OverlayLine, OverlayPicture, OverlayText};
 use super::*;
 use trocar_sdk::Class;
+use trocar_sdk::Text;
 use trocar_sdk::data::{PixelFormat, StereoHeader};
 use trocar_sdk::testing::Bench;
-use trocar_sdk::{Flag, Text};
 
 trocar_sdk::testing::count_allocations!();
 
@@ -266,32 +266,6 @@ fn overlay_lays_a_picture_of_a_file() {
     bench.command::<OverlayPicture, ()>("items/set_picture", item).unwrap();
     let out = filtered(&mut bench, image, &[0; 9600]).remove(0).1;
     assert!(out.chunks(3).all(|p| p[0] > p[2]), "the middle of a retina is red");
-}
-
-#[test]
-fn pip_goes_where_commands_say_in_the_size_and_strength_they_say() {
-    let mut bench = Bench::<Pip>::new(r#"{"x": 0, "y": 0}"#);
-    let (big, small) = (header(4, 2, PixelFormat::GRAY8), header(1, 1, PixelFormat::GRAY8));
-    bench.push_frame("inset", small, &[100, 200]);
-    bench
-        .command::<PipRect, ()>("inset_control/set_rect", PipRect { x: 1, y: 0, w: 2, h: 2, alpha: 0.5 })
-        .unwrap();
-    assert_eq!(
-        filtered(&mut bench, big, &[0; 16]),
-        [(big, vec![0, 50, 50, 0, 0, 50, 50, 0, 0, 100, 100, 0, 0, 100, 100, 0])]
-    );
-    let rect = bench.read::<(), PipRect>("inset_control/rect", ()).unwrap();
-    assert_eq!((rect.x, rect.w, rect.alpha), (1, 2, 0.5));
-    bench.command::<Flag, ()>("inset_control/set_visible", false.into()).unwrap();
-    assert_eq!(filtered(&mut bench, big, &[0; 16]), [(big, vec![0; 16])]);
-    for (rect, says) in [
-        (PipRect { alpha: 1.5, ..rect }, "alpha of 1.5"),
-        (PipRect { alpha: f64::NAN, ..rect }, "alpha of NaN"),
-        (PipRect { w: 20_000, ..rect }, "20000 × 2 px"),
-    ] {
-        let why = bench.command::<PipRect, ()>("inset_control/set_rect", rect).unwrap_err().to_string();
-        assert!(why.contains(says), "{why}");
-    }
 }
 
 #[test]

@@ -80,6 +80,14 @@ pub struct StereoHeader {
     pub right_offset: u64,
 }
 
+impl From<ImageHeader> for StereoHeader {
+    /// The same image for both eyes: the right one begins where the left one does.
+    fn from(image: ImageHeader) -> StereoHeader {
+        let ImageHeader { stamp, index, width, height, stride, format } = image;
+        StereoHeader { stamp, index, width, height, stride, format, right_offset: 0 }
+    }
+}
+
 /// Size and rate of a camera (`camera_geometry`).
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]

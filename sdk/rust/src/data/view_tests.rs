@@ -51,6 +51,14 @@ fn a_header_that_says_more_than_the_bytes_hold_is_refused_with_both_sizes() {
 }
 
 #[test]
+fn one_image_is_a_pair_of_the_same_image() {
+    let one = image(2, 1, 2, PixelFormat::GRAY8);
+    let [left, right] = StereoHeader::from(one).images(&[3, 4]).unwrap();
+    assert_eq!((left.row(0), right.row(0)), (&[3, 4][..], &[3, 4][..]));
+    assert_eq!(StereoHeader::from(ImageHeader { index: 7, ..one }).index, 7);
+}
+
+#[test]
 fn the_right_image_must_lie_in_the_bytes_too() {
     let pair = |right_offset| StereoHeader {
         width: 2,
