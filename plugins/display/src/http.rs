@@ -14,7 +14,7 @@ use std::time::Duration;
 use trocar_sdk::Result;
 
 use crate::mjpeg::Stream;
-use crate::pixels::Part;
+use trocar_imaging::pixels::Part;
 
 /// Connections at a time.
 const MOST: usize = 16;

@@ -9,7 +9,6 @@ mod handoff;
 mod http;
 mod latency;
 mod mjpeg;
-mod pixels;
 mod window;
 
 pub use component::Display;

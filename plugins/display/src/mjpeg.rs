@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use trocar_sdk::Result;
 
 use crate::handoff::{Giver, Taker, pair};
-use crate::pixels::{Part, rgb};
+use trocar_imaging::pixels::{Part, rgb};
 
 /// How often the encoder looks for a frame while somebody looks at its pictures.
 const LOOKS: Duration = Duration::from_millis(2);

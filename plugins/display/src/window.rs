@@ -86,7 +86,7 @@ fn run(
     ends: &AtomicBool,
     told: impl FnOnce(std::result::Result<(), String>),
 ) {
-    use crate::pixels::{Part, rgb};
+    use trocar_imaging::pixels::{Part, rgb};
     let Settings { title, width, height, .. } = settings;
     let options = minifb::WindowOptions {
         resize: true,

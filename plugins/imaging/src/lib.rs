@@ -1,4 +1,5 @@
-//! What the vision plugins share: stereo calibration, brightness of colours, and which instructions the processor has.
+//! What the vision plugins share: stereo calibration, brightness of colours, images as people look at them, and which
+//! instructions the processor has.
 //!
 //! Invariant: functions of pixels give the same bytes whichever instructions they use.
 #![deny(unsafe_code)]
@@ -6,6 +7,8 @@
 pub mod calibration;
 mod camera;
 mod luma;
+pub mod nearness;
+pub mod pixels;
 pub mod simd;
 
 pub use calibration::{Calibration, CalibrationError};

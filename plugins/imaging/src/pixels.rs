@@ -1,23 +1,29 @@
 //! Images of every format as red, green, blue, for people to look at.
 //!
 //! Invariant: quick rather than exact: colours of a mosaic are taken from its 2 × 2 squares, halves of 16 bits are dropped.
+//! Disparity and depth have [colours of their own](crate::nearness), scaled to what the frame holds.
 
 use trocar_sdk::data::{BadFrame, ImageView, PixelFormat, StereoHeader};
 
+use crate::nearness::Scale;
+
 /// Which part of a pair is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Part {
+pub enum Part {
     /// Both images, side by side.
     Both,
+    /// The left one.
     Left,
+    /// The right one; the left one where there is one image for both.
     Right,
 }
 
 impl Part {
-    pub(crate) const ALL: [Part; 3] = [Part::Both, Part::Left, Part::Right];
+    /// Each part once.
+    pub const ALL: [Part; 3] = [Part::Both, Part::Left, Part::Right];
 
     /// The last piece of its address.
-    pub(crate) fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Part::Both => "both",
             Part::Left => "left",
@@ -30,7 +36,7 @@ impl Part {
 ///
 /// # Errors
 /// The header promises what the bytes do not hold.
-pub(crate) fn rgb(
+pub fn rgb(
     header: &StereoHeader,
     bytes: &[u8],
     part: Part,
@@ -45,15 +51,16 @@ pub(crate) fn rgb(
         Part::Right => &images[1..],
     };
     rgb.clear();
+    let scale = Scale::of(shown);
     for y in 0..header.height {
         for image in shown {
-            row(image, y, rgb);
+            row(image, y, scale, rgb);
         }
     }
     Ok((header.width * shown.len() as u32, header.height))
 }
 
-fn row(image: &ImageView<'_>, y: u32, rgb: &mut Vec<u8>) {
+fn row(image: &ImageView<'_>, y: u32, scale: Scale, rgb: &mut Vec<u8>) {
     let row = image.row(y);
     match image.format() {
         PixelFormat::RGB8 => rgb.extend_from_slice(row),
@@ -81,6 +88,7 @@ fn row(image: &ImageView<'_>, y: u32, rgb: &mut Vec<u8>) {
                 rgb.extend([at(upper, left), green as u8, at(lower, left + 1)]);
             }
         }
+        PixelFormat::DISPARITY16 | PixelFormat::DEPTH32F => scale.row(image.format(), row, rgb),
         // `images` has refused it.
         _ => rgb.extend(std::iter::repeat_n(0, 3 * image.width() as usize)),
     }
@@ -133,6 +141,26 @@ mod tests {
         assert!(red[0] >= 254 && red[1] < 3 && red[2] < 3, "{red:?}");
         let mosaic = [10, 20, 40, 30, 0, 0, 0, 0];
         assert_eq!(shown(&header(PixelFormat::BAYER_RG8, 2, 2), &mosaic, Part::Left), [10, 30, 30].repeat(4));
+    }
+
+    #[test]
+    fn disparity_and_depth_are_coloured_by_nearness_and_black_where_nothing_is_known() {
+        let disparities = [-16i16, 160, 320, 480].map(i16::to_ne_bytes).concat();
+        let mono = StereoHeader { right_offset: 0, ..header(PixelFormat::DISPARITY16, 4, 1) };
+        let by_disparity = shown(&mono, &disparities, Part::Both);
+        let pixels = by_disparity.as_chunks::<3>().0;
+        assert_eq!(pixels[0], [0; 3]);
+        assert!(
+            pixels[1][2] > pixels[1][0] && pixels[3][0] > pixels[3][2],
+            "far is blue, near red: {pixels:?}"
+        );
+        // The same scene as depth looks the same: depth is 1 / disparity.
+        let depths = [f32::NAN, 0.3, 0.15, 0.1].map(f32::to_ne_bytes).concat();
+        let mono = StereoHeader { right_offset: 0, ..header(PixelFormat::DEPTH32F, 4, 1) };
+        let by_depth = shown(&mono, &depths, Part::Left);
+        for (one, other) in by_disparity.iter().zip(&by_depth) {
+            assert!(one.abs_diff(*other) <= 6, "{by_disparity:?} {by_depth:?}");
+        }
     }
 
     #[test]

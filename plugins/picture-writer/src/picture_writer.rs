@@ -1,0 +1,106 @@
+//! The component `picture_writer`: the newest frame of a video as a file, whenever it is asked for one.
+//!
+//! Invariant: frames pass without being copied; only `save` copies, the one frame that it writes.
+
+use trocar_imaging::pixels::{Part, rgb};
+use trocar_sdk::data::{ImageHeader, StereoHeader};
+use trocar_sdk::prelude::*;
+
+use crate::file::{self, Picture, SaveRequest, SavedPicture};
+use crate::saving::Saving;
+
+#[derive(Config)]
+struct PictureWriterConfig {
+    /// Which images of a pair are written: both side by side, or one
+    #[config(live, one_of = ["both", "left", "right"], default = "both")]
+    part: String,
+}
+
+/// Writes the newest frame to a PNG file when asked to. Disparity and depth become colours: near is red, far is blue,
+/// unknown is black, over the range of the frame.
+#[derive(Component)]
+#[component(model = "on_signal", provides("ctl"), max_step_ms = 10_000)]
+pub struct PictureWriter {
+    /// Pairs
+    #[input(optional)]
+    frame: In<Frame<StereoHeader>>,
+    /// Single images; of both inputs the frame with the later stamp is written
+    #[input(optional)]
+    picture: In<Frame<ImageHeader>>,
+    /// Frames seen since Start.
+    #[state]
+    frames: u64,
+    /// Files written since Start.
+    #[state]
+    saved: u64,
+    #[config]
+    cfg: PictureWriterConfig,
+    #[host]
+    host: Host,
+    saving: Saving,
+}
+
+#[provides("ctl")]
+impl PictureWriter {
+    /// Writes the newest frame to a new file, and answers when that is there.
+    #[command]
+    fn save(&mut self, request: &SaveRequest) -> Result<SavedPicture> {
+        let path = file::named(&request.path)?;
+        let (header, bytes) = self.newest().ok_or(
+            "no frame has come yet: connect `frame` or `picture`, start what sends them, and ask again",
+        )?;
+        let part = Part::ALL.into_iter().find(|part| part.name() == self.cfg.part).unwrap_or(Part::Both);
+        let name = self.host.instance_name().rsplit('/').next().unwrap_or_default();
+        let saved = self.saving.run(name, move || {
+            let mut picture = Picture { width: 0, height: 0, rgb: Vec::new() };
+            (picture.width, picture.height) = rgb(&header, &bytes, part, &mut picture.rgb)
+                .map_err(|why| format!("the newest frame cannot be shown: {why}"))?;
+            file::write(&path, &picture)
+        })?;
+        self.saved += 1;
+        Ok(saved)
+    }
+}
+
+impl PictureWriter {
+    /// A copy of the newest frame of both inputs.
+    fn newest(&mut self) -> Option<(StereoHeader, Vec<u8>)> {
+        let pair = self.frame.latest();
+        let single = self.picture.latest();
+        let later = single.as_ref().map(|frame| frame.stamp()) > pair.as_ref().map(|frame| frame.stamp());
+        match (pair, single) {
+            (Some(frame), single) if single.is_none() || !later => {
+                Some((*frame.header(), frame.bytes().to_vec()))
+            }
+            (_, Some(frame)) => Some((one_for_both(frame.header()), frame.bytes().to_vec())),
+            (_, None) => None,
+        }
+    }
+}
+
+/// A single image as a pair: it is for both eyes.
+fn one_for_both(of: &ImageHeader) -> StereoHeader {
+    let ImageHeader { stamp, index, width, height, stride, format } = *of;
+    StereoHeader { stamp, index, width, height, stride, format, right_offset: 0 }
+}
+
+impl Component for PictureWriter {
+    fn start(&mut self) -> Result {
+        (self.frames, self.saved) = (0, 0);
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result {
+        self.saving = Saving::default();
+        Ok(())
+    }
+
+    fn step(&mut self, _: &Tick) -> Result {
+        self.frames += u64::from(self.frame.fresh().is_some()) + u64::from(self.picture.fresh().is_some());
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "picture_writer_tests.rs"]
+mod tests;
