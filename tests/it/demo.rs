@@ -1,13 +1,14 @@
 //! The newcomer's first command.
 //!
-//! Promise: `trocar demo` runs the robot at 1 kHz and the video at 30 pairs/s from real plugins and real images, in one
-//! process or three with the same figures, loses nothing, and stops cleanly; a process of it that is killed comes back.
+//! Promise: `trocar demo` runs robot or hand at 1 kHz, OCT at 4 kHz and video at 30 pairs/s, in one process or three with the same
+//! figures, loses no picture, shows what was done in pictures, and stops cleanly; a process of it that is killed comes back.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::path::Path;
 
 use serde_json::{Value, json};
-use trocar_tests::{HostProcess, Trocar, World, eventually, number, repository};
+use trocar_tests::{HostProcess, Trocar, World, eventually, number};
 
 use crate::processes::system::{children, gone, kill, pid};
 
@@ -21,7 +22,6 @@ fn ten_seconds_of_demo_account_for_every_period_and_drop_no_frame_in_one_process
     for processes in ["1", "3"] {
         let world = World::new();
         let output = Trocar::new(&world)
-            .in_dir(&repository())
             .run(&["demo", "--processes", processes, "--listen", "127.0.0.1:0", "--seconds", "10", "--json"])
             .ends_with(0);
         let figures = output.json();
@@ -39,6 +39,7 @@ fn ten_seconds_of_demo_account_for_every_period_and_drop_no_frame_in_one_process
         let pairs = number(&video["pairs"]);
         assert!(pairs.abs_diff(300) <= 3, "30 pairs/s for 10 s: {figures}");
         assert_eq!(number(&video["drops"]), 0, "{figures}");
+        assert_eq!(figures["behavior"], "bscan");
     }
 }
 
@@ -48,7 +49,7 @@ fn a_running_demo_answers_grpcurl_and_ends_cleanly_on_ctrl_c() {
     let mut demo = demo(&world, &[]);
     let list = demo.grpcurl().ok("GcmService/List", json!({}));
     let components = list["components"].as_array().cloned().unwrap_or_default();
-    assert!(components.len() >= 5, "robot, client, source and filters: {list}");
+    assert_eq!(components.len(), 14, "robot, OCT, behaviour, video and what writes pictures: {list}");
     for component in &components {
         assert_eq!(component["state"], "COMPONENT_STATE_ACTIVE", "{component}");
     }
@@ -67,11 +68,11 @@ fn in_three_processes_it_is_one_system_and_leaves_nothing_behind() {
         let all = list[key].as_array().cloned().unwrap_or_default();
         all.iter().map(|one| one[field].as_str().unwrap_or_default().to_owned()).collect()
     };
-    assert_eq!(of(&list, "processes", "name"), ["host", "host.robot", "host.source"], "{list}");
+    assert_eq!(of(&list, "processes", "name"), ["host", "oct", "robot"], "{list}");
     let states = of(&list, "components", "state");
-    assert_eq!(states, ["COMPONENT_STATE_ACTIVE"; 7], "{list}");
+    assert_eq!(states, ["COMPONENT_STATE_ACTIVE"; 14], "{list}");
     let far = of(&list, "connections", "carrier").iter().filter(|c| *c == "memfd").count();
-    assert_eq!(far, 2, "the robot's and the source's connections pass between processes: {list}");
+    assert_eq!(far, 9, "what the robot's and the OCT's processes have to do with others: {list}");
 
     let pids = children(u64::from(demo.pid()));
     assert_eq!(pids.len(), 4, "three hosts and their GCM: {pids:?}");
@@ -96,7 +97,7 @@ fn a_killed_process_of_it_comes_back_and_the_table_says_so() {
         let all = list["processes"].as_array().cloned().unwrap_or_default();
         all.into_iter().find(|p| p["name"] == name).unwrap_or_default()
     };
-    for name in ["host.source", "host.robot"] {
+    for name in ["oct", "robot"] {
         let before = process(name);
         kill("-KILL", pid(&before));
         eventually(&format!("{name} is back"), || match process(name) {
@@ -104,20 +105,20 @@ fn a_killed_process_of_it_comes_back_and_the_table_says_so() {
             now => Err(now),
         });
     }
-    grpc.await_state("host.source/source", "ACTIVE");
-    grpc.await_state("host.robot/robot", "STOPPED");
-    grpc.ok("GcmService/Resume", json!({ "path": "host.robot/robot" }));
+    grpc.await_state("oct/source", "ACTIVE");
+    grpc.await_state("robot/robot", "STOPPED");
+    grpc.ok("GcmService/Resume", json!({ "path": "robot/robot" }));
     let pairs = number(&shown());
     eventually("video flows again", || match number(&shown()) {
         now if now > pairs + 30 => Ok(()),
         now => Err(now),
     });
-    let commands = || number(&grpc.component("host.robot/robot")["stats"]["commands"]);
+    let commands = || number(&grpc.component("robot/robot")["stats"]["commands"]);
     let moved = commands();
     eventually("the robot is moved again", || if commands() > moved { Ok(()) } else { Err("no command") });
     eventually("the table tells of both", || {
         let printed = demo.printed();
-        let rows = ["host.robot ", "host.source "].map(|name| {
+        let rows = ["robot ", "oct "].map(|name| {
             printed.lines().any(|row| row.starts_with(name) && row.ends_with("was killed by SIGKILL"))
         });
         if rows == [true; 2] { Ok(()) } else { Err(printed) }
@@ -132,10 +133,56 @@ fn another_number_of_processes_is_refused_with_what_is_possible() {
     }
 }
 
+/// Pictures of each behaviour, as PNG files of the size they are said to have.
+#[test]
+fn each_behaviour_writes_pictures_of_what_it_did_and_overwrites_none() {
+    for (behavior, of_oct) in
+        [("bscan", "demo-bscan.png"), ("cooperative", "demo-mscan.png"), ("free-hand", "demo-mscan.png")]
+    {
+        let world = World::new();
+        let dir = world.path("pictures");
+        let words = || {
+            let fixed = ["demo", "--listen", "127.0.0.1:0", "--json", "--behavior", behavior, "--pictures"];
+            let mut words: Vec<OsString> = fixed.map(OsString::from).to_vec();
+            words.push(dir.clone().into());
+            words
+        };
+        let figures = Trocar::new(&world).run(&words()).ends_with(0).json();
+        let names = ["demo-tracking.png", "demo.png", of_oct, "demo-depth.png"];
+        let written = figures["pictures"].as_array().cloned().unwrap_or_default();
+        assert_eq!(written.len(), names.len(), "{behavior}: {figures}");
+        for (name, told) in names.iter().zip(&written) {
+            let path = dir.join(name);
+            assert_eq!(told.as_str(), path.to_str(), "{behavior}: {figures}");
+            let (width, height, distinct) = png(&path);
+            let expected = match *name {
+                "demo.png" => (2048, 768),
+                "demo-depth.png" => (1024, 768),
+                "demo-tracking.png" => (1200, 600),
+                "demo-bscan.png" => (500, 512),
+                _ => (512, 512),
+            };
+            assert_eq!((width, height), expected, "{behavior}: {name}");
+            assert!(distinct > 8, "{behavior}: {name} has {distinct} colours");
+        }
+        Trocar::new(&world).run(&words()).ends_with(1).says("is there already");
+    }
+}
+
+/// Width, height and number of colours of a PNG file.
+fn png(path: &Path) -> (u32, u32, usize) {
+    let file = std::fs::File::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("a PNG file");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("a size that fits")];
+    let frame = reader.next_frame(&mut pixels).expect("pixels");
+    let each = frame.color_type.samples();
+    let colours: BTreeSet<&[u8]> = pixels.chunks_exact(each).collect();
+    (frame.width, frame.height, colours.len())
+}
+
 /// A demo that runs.
 fn demo(world: &World, more: &[&str]) -> HostProcess {
-    let mut args: Vec<OsString> = ["demo", "--listen", "127.0.0.1:0", "--data"].map(OsString::from).to_vec();
-    args.push(repository().join("tests/data/chessboard").into());
+    let mut args: Vec<OsString> = ["demo", "--listen", "127.0.0.1:0"].map(OsString::from).to_vec();
     args.extend(more.iter().map(OsString::from));
     HostProcess::spawn(world, "demo", &args)
 }

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
+use super::acting::Scanned;
 use crate::cli::failure::Failure;
 use crate::cli::session::Session;
 use crate::cli::top::rates::since;
@@ -22,19 +23,24 @@ const PATIENCE: Duration = Duration::from_millis(500);
 
 /// Paths of what is measured.
 pub(super) struct Parts {
+    pub(super) behavior: &'static str,
     pub(super) robot: String,
     pub(super) source: String,
-    /// The input where video ends.
-    pub(super) chain_end: String,
+    /// The inputs of the video on its way; the last one is where it ends.
+    pub(super) chain: Vec<String>,
 }
 
 /// What `--json` prints at the end.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Report {
+    behavior: &'static str,
     seconds: f64,
     processes: usize,
     robot: Steps,
     video: Video,
+    /// The last scan, where one came to its end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scan: Option<Scanned>,
 }
 
 /// What a component did in a window.
@@ -60,13 +66,8 @@ struct Video {
     latency_p99_ns: u64,
 }
 
-/// Measures for exactly `seconds`; for ever without them.
-pub(super) async fn measure(
-    session: &Session,
-    parts: &Parts,
-    seconds: Option<u64>,
-) -> Result<Report, Failure> {
-    let Some(seconds) = seconds else { return std::future::pending().await };
+/// Measures for exactly `seconds`.
+pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> Result<Report, Failure> {
     let window = Duration::from_secs(seconds);
     tokio::time::sleep(SETTLE).await;
     let robot = async {
@@ -134,15 +135,19 @@ impl Reading {
         found.map(|c| c.stats.clone()).unwrap_or_default()
     }
 
-    /// Lost on the way of the video; the robot's connection carries commands.
+    /// Lost on the way of the video.
     fn lost(&self, parts: &Parts) -> u64 {
-        let of_robot = format!("{}/", parts.robot);
-        let video = self.all.connections.iter().filter(|c| !c.server.starts_with(&of_robot));
+        let video = self.all.connections.iter().filter(|c| parts.chain.contains(&c.client));
         video.map(|c| c.dropped).sum()
     }
 
     fn end(&self, parts: &Parts) -> ConnectionView {
-        self.all.connections.iter().find(|c| c.client == parts.chain_end).cloned().unwrap_or_default()
+        self.all
+            .connections
+            .iter()
+            .find(|c| Some(&c.client) == parts.chain.last())
+            .cloned()
+            .unwrap_or_default()
     }
 }
 
@@ -181,6 +186,7 @@ impl Report {
         let end = b.end(parts);
         let pairs = since(a.end(parts).passed, end.passed);
         Report {
+            behavior: parts.behavior,
             seconds,
             processes: b.all.processes.len(),
             robot: Steps::between(&from.stats, &to.stats, beyond, stepping.as_secs_f64()),
@@ -191,13 +197,19 @@ impl Report {
                 latency_p50_ns: end.latency_p50_ns,
                 latency_p99_ns: end.latency_p99_ns,
             },
+            scan: None,
         }
+    }
+
+    pub(super) fn with(self, scan: Option<Scanned>) -> Report {
+        Report { scan, ..self }
     }
 
     pub(super) fn summary(&self) -> String {
         let (robot, video) = (&self.robot, &self.video);
+        let scan = self.scan.as_ref().map(Scanned::summary).unwrap_or_default();
         format!(
-            "in {:.1} s: robot {} steps, {} skipped, {} overruns, late p99 {}; video {} pairs ({}), {} dropped, latency p99 {}\n",
+            "in {:.1} s: robot {} steps, {} skipped, {} overruns, late p99 {}; video {} pairs ({}), {} dropped, latency p99 {}\n{scan}",
             self.seconds,
             robot.executed,
             robot.skipped,
@@ -227,7 +239,8 @@ mod tests {
         let component = ComponentView { path: "r".into(), execution, ..ComponentView::default() };
         let all = SystemView { components: vec![component], ..SystemView::default() };
         let system = || Reading { at, all: all.clone() };
-        let parts = Parts { robot: "r".into(), source: "s".into(), chain_end: "d".into() };
+        let parts =
+            Parts { behavior: "bscan", robot: "r".into(), source: "s".into(), chain: vec!["d".into()] };
         let stepped = (robot(at, 100, 1), robot(at + Duration::from_millis(1003), 1101, 3));
         let report = Report::between(&stepped, &(system(), system()), &parts, Duration::from_secs(1));
         assert_eq!((report.robot.executed, report.robot.skipped), (998, 2), "{report:?}");
