@@ -51,7 +51,8 @@ pub fn header() -> &'static LibHeader {
 #[macro_export]
 macro_rules! export_layout {
     () => {
-        #[unsafe(no_mangle)]
+        #[cfg_attr(not(test), unsafe(no_mangle))]
+        #[cfg_attr(test, allow(dead_code))]
         pub extern "C" fn trocar_layout_v1() -> &'static $crate::layout::LibHeader {
             $crate::layout::header()
         }

@@ -149,8 +149,7 @@ fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_a
         assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
         let moved = rig.truth.last().unwrap().tip_z_m - from;
         assert!(moved.abs() < 50e-6, "seed {seed}: the tip went on by {moved:.2e} m");
-        let [.., a, b] = &rig.truth[..] else { panic!("no lines") };
-        assert_eq!(a.tip_z_m, b.tip_z_m);
+        assert!(rig.stands());
     }
 }
 
@@ -235,8 +234,7 @@ fn abort_ends_a_scan_at_any_moment_with_one_event_and_a_hold() {
         rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
         rig.steps(100);
         assert_eq!(rig.bench.events::<Text<128>>("scan/bscan_aborted"), ["aborted by command"]);
-        let [.., a, b] = &rig.truth[..] else { panic!("no lines") };
-        assert_eq!((a.tip_z_m, a.x_m), (b.tip_z_m, b.x_m), "it stands");
+        assert!(rig.stands());
     }
 }
 
@@ -285,17 +283,14 @@ fn a_robot_that_is_paused_or_fails_ends_the_scan_and_resume_moves_nothing() {
         let mut rig = Rig::new(Setup::new("default", 1));
         rig.begin();
         rig.until_scanning();
-        rig.robot.set(OperatingState { state, ..ready() });
+        rig.pretends = Some(OperatingState { state, ..ready() });
         rig.steps(2);
         let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
         assert_eq!(told, ["the robot is no longer enabled and homed"], "{state:?}");
         assert_eq!(rig.bench.state().progress.phase, Phase::IDLE);
         rig.steps(100);
-        let place = |rig: &Rig| rig.truth.last().map(|t| (t.x_m, t.tip_z_m)).unwrap();
-        let stood = place(&rig);
-        rig.robot.set(ready());
-        rig.steps(100);
-        assert_eq!(place(&rig), stood, "nothing moves by itself");
+        rig.pretends = None;
+        assert!(rig.stands(), "nothing moves by itself");
     }
 }
 

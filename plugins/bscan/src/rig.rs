@@ -1,5 +1,5 @@
-//! A closed loop in virtual time for tests: phantom, spectra, the whole processing chain, tracker, the component `bscan` on
-//! its bench, and a robot with the drive of the simulated one.
+//! A closed loop in virtual time for tests: phantom, spectra, the whole processing chain, tracker, the component `bscan` and
+//! the component `eyerobot`, each on its bench.
 //!
 //! Invariant: a run is a function of its setup. Control sees encoders and spectra only; truth goes into `Record`.
 
@@ -7,13 +7,17 @@ use std::cell::Cell;
 use std::rc::Rc;
 
 use nalgebra::{Point3, Vector3};
+use trocar_eyerobot::EyeRobot;
 use trocar_oct_core::chain::{Chain, Levels};
 use trocar_oct_core::dispersion::Dispersion;
 use trocar_oct_core::grid::{Grid, Interpolation};
 use trocar_oct_core::tracker::{Settings, Tracker};
 use trocar_phantom::World;
 use trocar_phantom::spectra::{Optics, Spectrograph};
-use trocar_sdk::data::{AScanHeader, Distance, OperatingMode, OperatingState, Pose, SampleFormat, Twist};
+use trocar_sdk::data::{
+    AScanHeader, CartesianState, Distance, JointState, OperatingMode, OperatingState, Pose, SampleFormat,
+    Twist,
+};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
@@ -22,8 +26,10 @@ use crate::{BScan, Phase, Progress, ScanRequest};
 const STEP_NS: u64 = 1_000_000;
 const LINE_NS: u64 = 250_000;
 pub(crate) const OFFSET_M: f64 = 500e-6;
-/// Where the robot's base stands in the world: above the eye.
-const BASE_Z_M: f64 = -0.08;
+/// With all joints zero the robot's tip stands so far above the world's origin, m.
+const STANDOFF_M: f64 = 1e-3;
+/// Periods in which the robot is brought over the eye.
+const PLACING: u64 = 400;
 
 #[derive(Clone, Copy)]
 pub(crate) struct Setup {
@@ -34,42 +40,22 @@ pub(crate) struct Setup {
     pub(crate) signal: f64,
     /// A-scans go into the component, too.
     pub(crate) images: bool,
+    /// Over which place of the eye (x, y) the tip begins, and how high above the surface, m.
+    pub(crate) place_m: [f64; 3],
+    pub(crate) offset_m: f64,
 }
 
 impl Setup {
     pub(crate) fn new(world: &str, seed: u64) -> Setup {
         let world = World::named(world, seed).expect("a name");
-        Setup { world, latency_ns: 250_000, signal: 1.0, images: false }
-    }
-}
-
-/// Slides as `trocar_eyerobot::drive` has them: lag, one period of delay, limited acceleration, friction, encoder steps.
-#[derive(Clone, Copy, Default)]
-struct Slide {
-    at_m: f64,
-    before_m: f64,
-    speed_m_s: f64,
-    on_the_way_m_s: f64,
-}
-
-impl Slide {
-    fn cycle(&mut self, command_m_s: f64) {
-        let dt = STEP_NS as f64 * 1e-9;
-        let command = std::mem::replace(&mut self.on_the_way_m_s, command_m_s);
-        let wanted = if command.abs() < 2e-6 { 0.0 } else { command };
-        let before = self.speed_m_s;
-        let share = 1.0 - (-dt / 0.008).exp();
-        let mut after = before + ((wanted - before) * share).clamp(-0.5 * dt, 0.5 * dt);
-        if wanted == 0.0 && after.abs() < 2e-6 {
-            after = 0.0;
+        Setup {
+            world,
+            latency_ns: 250_000,
+            signal: 1.0,
+            images: false,
+            place_m: [-1.5e-3, 0.0, 600e-6],
+            offset_m: OFFSET_M,
         }
-        self.before_m = self.at_m;
-        self.at_m += 0.5 * (before + after) * dt;
-        self.speed_m_s = after;
-    }
-
-    fn encoder_m(&self) -> f64 {
-        (self.at_m / 0.5e-6).round() * 0.5e-6
     }
 }
 
@@ -93,10 +79,13 @@ pub(crate) struct Rig {
     spectrograph: Spectrograph,
     chain: Chain,
     tracker: Tracker,
-    slides: [Slide; 3],
+    pub(crate) robot: Bench<EyeRobot>,
+    /// Position and velocity of the true tip at the end of the last two periods.
+    tips: [CartesianState; 2],
     pose: Rc<Cell<Pose>>,
-    /// What the robot tells of its operating state.
-    pub(crate) robot: Rc<Cell<OperatingState>>,
+    told: Rc<Cell<OperatingState>>,
+    /// What the robot tells of its operating state, where it is not what it is.
+    pub(crate) pretends: Option<OperatingState>,
     /// Something holds the tip back along x.
     pub(crate) stuck: bool,
     waiting: Vec<(u64, Distance, Vec<f32>)>,
@@ -105,6 +94,8 @@ pub(crate) struct Rig {
     pub(crate) dark_until_ns: u64,
     pub(crate) truth: Vec<Truth>,
     pub(crate) held: usize,
+    /// Commands that the robot did not take.
+    pub(crate) refused: Vec<String>,
     /// Steps must not allocate.
     pub(crate) watched: bool,
 }
@@ -120,11 +111,13 @@ impl Rig {
         let mut bench =
             Bench::<BScan>::new(format!(r#"{{"rows": {rows}, "mscan_columns": 8, "range_db": [40, 100]}}"#));
         let pose = Rc::new(Cell::new(Pose::default()));
-        let told = pose.clone();
-        bench.answer("robot/measured_cp", move |()| Ok(told.get()));
-        let robot = Rc::new(Cell::new(ready()));
-        let state = robot.clone();
+        let at = pose.clone();
+        bench.answer("robot/measured_cp", move |()| Ok(at.get()));
+        let told = Rc::new(Cell::new(ready()));
+        let state = told.clone();
         bench.answer("robot/operating_state", move |()| Ok(state.get()));
+        let seed = setup.world.seed;
+        let robot = Bench::<EyeRobot>::new(format!(r#"{{"seed": {seed}, "standoff_m": {STANDOFF_M}}}"#));
         let optics = Optics::with_samples(1024);
         let spectrograph = Spectrograph::new(optics, setup.world.noise(16)).expect("usual optics");
         let grid = Grid::from_wavelengths(1024, [840e-9, 50e-9, 0.0, 0.0]).expect("a grid");
@@ -136,20 +129,22 @@ impl Rig {
             spectrograph,
             chain,
             tracker: Tracker::new(Settings::default()),
-            slides: [Slide::default(); 3],
-            pose,
             robot,
+            tips: [CartesianState::default(); 2],
+            pose,
+            told,
+            pretends: None,
             stuck: false,
             waiting: Vec::new(),
             line: 0,
             dark_until_ns: 0,
             truth: Vec::new(),
             held: 0,
+            refused: Vec::new(),
             watched: false,
         };
         rig.capture();
-        let t_s = rig.bench.now().ns() as f64 * 1e-9;
-        rig.place(-1.5e-3, 0.0, 600e-6, t_s);
+        rig.place();
         rig
     }
 
@@ -164,21 +159,33 @@ impl Rig {
         }
     }
 
-    /// Puts the tip over `x`, `y`, `height_m` above the surface at `t_s`.
-    fn place(&mut self, x: f64, y: f64, height_m: f64, t_s: f64) {
-        let z = self.setup.world.surface_z(x, y, t_s) - height_m - BASE_Z_M;
-        for (slide, at) in self.slides.iter_mut().zip([x, y, z]) {
-            *slide = Slide { at_m: at, before_m: at, ..Slide::default() };
-        }
+    /// Brings the tip over the eye, and both benches to the same time.
+    fn place(&mut self) {
+        let [x, y, height_m] = self.setup.place_m;
+        let t_s = (self.robot.now().ns() + PLACING * STEP_NS) as f64 * 1e-9;
+        let z = self.setup.world.surface_z(x, y, t_s) - height_m + STANDOFF_M;
+        let goal = JointState { position: List::of(&[x, y, z, 0.0, 0.0]), ..JointState::default() };
+        self.robot.command::<_, ()>("arm/move_jp", goal).expect("in reach");
+        self.robot.step(PLACING);
+        self.bench.advance(self.robot.now().ns() - self.bench.now().ns());
+        self.tips = [self.true_tip(); 2];
+    }
+
+    fn true_tip(&self) -> CartesianState {
+        self.robot.read("truth/measured_cs", ()).expect("a read")
     }
 
     /// The usual scan: 3 mm along x through the fovea and two patches.
     pub(crate) fn request() -> ScanRequest {
+        Rig::request_at(OFFSET_M)
+    }
+
+    pub(crate) fn request_at(offset_m: f64) -> ScanRequest {
         ScanRequest {
             from: [-1.5e-3, 0.0, 0.0],
             to: [1.5e-3, 0.0, 0.0],
             speed: 0.5e-3,
-            offset: OFFSET_M,
+            offset: offset_m,
             pitch: 6e-6,
             ..ScanRequest::default()
         }
@@ -187,10 +194,14 @@ impl Rig {
     /// One period: exposures, processing, control, motion.
     pub(crate) fn step(&mut self) {
         let now_ns = self.bench.now().ns() + STEP_NS;
-        let encoders = self.slides.map(|slide| slide.encoder_m());
-        let stamp = Stamp::from_ns(now_ns);
-        self.pose.set(Pose { stamp, position: encoders, ..Pose::default() });
-        self.tracker.tip_at(now_ns, encoders, &[0.0, 0.0, 0.0, 1.0]);
+        self.robot.step(1);
+        assert_eq!(self.robot.now().ns(), now_ns, "one time for both");
+        self.tips = [self.tips[1], self.true_tip()];
+        let pose: Pose = self.robot.read("arm/measured_cp", ()).expect("a read");
+        self.pose.set(pose);
+        let state = self.robot.read("arm/operating_state", ()).expect("a read");
+        self.told.set(self.pretends.unwrap_or(state));
+        self.tracker.tip_at(now_ns, pose.position, &pose.orientation);
         for n in 0..4 {
             self.expose(now_ns - STEP_NS + n * LINE_NS + LINE_NS / 2, now_ns);
         }
@@ -217,26 +228,32 @@ impl Rig {
         } else {
             self.bench.step(1);
         }
-        let mut command = [0.0; 3];
-        for function in ["axis/servo_cv", "robot/servo_cv"] {
-            if let Some(twist) = self.bench.calls::<Twist>(function).last() {
-                command = [0, 1, 2].map(|i| command[i] + twist.linear[i]);
+        self.pass_on();
+    }
+
+    /// Brings what the component has sent to the robot.
+    fn pass_on(&mut self) {
+        let mut done = Vec::new();
+        for (from, to) in [("axis/servo_cv", "axis/servo_cv"), ("robot/servo_cv", "arm/servo_cv")] {
+            if let Some(mut twist) = self.bench.calls::<Twist>(from).pop() {
+                if self.stuck {
+                    twist.linear[0] = 0.0;
+                }
+                done.push(self.robot.command::<_, ()>(to, twist));
             }
         }
-        self.held += self.bench.calls::<()>("robot/hold").len();
-        if self.stuck {
-            command[0] = 0.0;
+        for () in self.bench.calls::<()>("robot/hold") {
+            self.held += 1;
+            done.push(self.robot.command::<_, ()>("arm/hold", ()));
         }
-        for (slide, command) in self.slides.iter_mut().zip(command) {
-            slide.cycle(command);
-        }
+        self.refused.extend(done.into_iter().filter_map(|done| done.err()).map(|why| why.reason));
     }
 
     fn expose(&mut self, ns: u64, now_ns: u64) {
-        // The slides moved from `before_m` to `at_m` in the period that has just gone by.
+        // The tip moved from the first to the second place in the period that has just gone by.
         let part = 1.0 - (now_ns - ns) as f64 / STEP_NS as f64;
-        let at = self.slides.map(|s| s.before_m + part * (s.at_m - s.before_m));
-        let tip = Point3::new(at[0], at[1], at[2] + BASE_Z_M);
+        let [before, after] = self.tips.map(|tip| tip.pose.position);
+        let tip = Point3::from([0, 1, 2].map(|i| before[i] + part * (after[i] - before[i])));
         let t_s = ns as f64 * 1e-9;
         let below = self.setup.world.below(&tip, &Vector3::z_axis(), t_s).expect("over the retina");
         let echoes = self.setup.world.echoes(&below);
@@ -263,7 +280,7 @@ impl Rig {
         self.truth.push(Truth {
             ns,
             scanning: self.progress().phase == Phase::SCAN,
-            x_m: at[0],
+            x_m: tip.x,
             tip_z_m: tip.z,
             distance_m: below.distance_m,
             ilm_m: below.ilm_m,
@@ -283,7 +300,9 @@ impl Rig {
     /// Looks for a while and begins the usual scan.
     pub(crate) fn begin(&mut self) {
         self.steps(60);
-        self.bench.command::<ScanRequest, ()>("scan/start", Rig::request()).expect("a scan");
+        self.bench
+            .command::<ScanRequest, ()>("scan/start", Rig::request_at(self.setup.offset_m))
+            .expect("a scan");
     }
 
     /// Goes on until the tip is on its way along the line.
@@ -315,7 +334,7 @@ impl Rig {
     /// Root mean square and largest deviation from the offset during the scan, and the smallest distance ever, m.
     pub(crate) fn errors(&self) -> (f64, f64, f64) {
         let errors: Vec<f64> =
-            self.truth.iter().filter(|t| t.scanning).map(|t| t.distance_m - OFFSET_M).collect();
+            self.truth.iter().filter(|t| t.scanning).map(|t| t.distance_m - self.setup.offset_m).collect();
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
         let largest = errors.iter().fold(0.0, |a: f64, e| a.max(e.abs()));
         let nearest = self.truth.iter().map(|t| t.distance_m).fold(f64::INFINITY, f64::min);
@@ -327,12 +346,20 @@ impl Rig {
         let scan: Vec<&Truth> = self.truth.iter().filter(|t| t.scanning).collect();
         let z = scan[0].tip_z_m;
         let surface = |t: &Truth| self.setup.world.surface_z(t.x_m, 0.0, t.ns as f64 * 1e-9);
-        let squares = scan.iter().map(|t| (surface(t) - z - OFFSET_M).powi(2)).sum::<f64>();
+        let squares = scan.iter().map(|t| (surface(t) - z - self.setup.offset_m).powi(2)).sum::<f64>();
         (squares / scan.len() as f64).sqrt()
     }
 }
 
 impl Rig {
+    /// In the next tenth of a second the true tip moves by less than a step of the encoders.
+    pub(crate) fn stands(&mut self) -> bool {
+        let from = self.true_tip().pose.position;
+        self.steps(100);
+        let to = self.true_tip().pose.position;
+        (0..3).all(|i| (to[i] - from[i]).abs() < 0.5e-6)
+    }
+
     /// Scans that ended well.
     pub(crate) fn bench_done(mut self) -> usize {
         self.bench.events::<crate::ScanDone>("scan/bscan_done").len()

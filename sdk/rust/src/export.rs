@@ -7,6 +7,9 @@
 /// The plugin's name is the crate's without a leading `trocar-`; version, licence and description are the crate's.
 /// `trocar_plugin!(LowPass; unload)` says that the library may be unmapped when no instance is left: it starts no
 /// threads and leaves nothing behind.
+///
+/// A build for tests (`cfg(test)`) exports nothing, so the tests of a plugin may have one other plugin as a
+/// `dev-dependency` and drive both on benches.
 #[macro_export]
 macro_rules! trocar_plugin {
     ($($class:ty),+ $(,)?) => { $crate::__trocar_plugin!(false, $($class),+); };
@@ -26,7 +29,9 @@ macro_rules! __trocar_plugin {
 
             $crate::__trocar_layout!();
 
-            #[unsafe(no_mangle)]
+            // Not in a plugin's own tests, so that they can link another plugin, which exports the same name.
+            #[cfg_attr(not(test), unsafe(no_mangle))]
+            #[cfg_attr(test, allow(dead_code))]
             extern "C" fn trocar_plugin_v1() -> *const p::PluginTable {
                 &raw const TABLE.0
             }
