@@ -25,6 +25,10 @@ const ROBOT_LOST_S: f64 = 0.02;
 /// A scan ends when the line takes longer than so many times its length over its speed, and so much more, s.
 const SLOWEST: f64 = 1.5;
 const LATEST_S: f64 = 2.0;
+/// A robot that is further from where the line has it ends the scan, m.
+const LAG_M: f64 = 0.2e-3;
+/// Across the tool the tip goes to the begin only when it is this near to the offset, m.
+const CLOSE_M: f64 = 50e-6;
 /// The scan sets off this near to its begin and to the offset, m, after so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
@@ -140,6 +144,8 @@ pub struct BScan {
     robot: OperatingState,
     /// Along the line, m.
     gone: Timeline,
+    /// The same as it was sent, m.
+    planned_m: f64,
     line: Option<Line>,
     since: Moments,
     last: Distance,
@@ -270,6 +276,7 @@ impl BScan {
     fn look(&mut self, now: Stamp) {
         if let Ok(pose) = self.measured_cp.call(())
             && pose.is_valid()
+            && pose.position.iter().all(|p| p.is_finite())
             && pose.stamp != self.pose.stamp
         {
             self.pose = pose;
@@ -323,7 +330,10 @@ impl BScan {
         };
         self.progress.distance = advice.distance_m;
         self.progress.error = advice.distance_m - offset_m;
-        let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, now) };
+        let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, tick) };
+        if self.progress.phase == Phase::SCAN && line.lag_m(&self.pose.position, self.planned_m) > LAG_M {
+            return Err("the robot is more than 0.2 mm away from where it should be on the line");
+        }
         self.send(now, axis.map(|a| a * advice.speed_m_s), across);
         if self.progress.phase == Phase::APPROACH
             && now.seconds_since(self.since.phase) > self.cfg.approach_timeout_s
@@ -346,24 +356,31 @@ impl BScan {
     }
 
     /// Velocity across the tool; goes on from APPROACH to SCAN.
-    fn across(&mut self, line: &Line, advice: &Advice, now: Stamp) -> [f64; 3] {
-        let tip_m = &self.pose.position;
+    fn across(&mut self, line: &Line, advice: &Advice, tick: &Tick) -> [f64; 3] {
+        let (now, tip_m) = (tick.now(), &self.pose.position);
         match self.progress.phase {
-            Phase::SCAN => return line.follow(tip_m, now.seconds_since(self.since.phase)),
+            Phase::SCAN => {
+                let since_s = now.seconds_since(self.since.phase);
+                self.planned_m += line.pace_m_s(since_s) * tick.period_s();
+                return line.follow(tip_m, since_s);
+            }
             Phase::RETRACT => return [0.0; 3],
             _ => {}
         }
         let (velocity, left_m) = line.to_start(tip_m);
-        let near = left_m < NEAR_M && (advice.distance_m - line.offset_m).abs() < NEAR_M;
+        let off_m = (advice.distance_m - line.offset_m).abs();
+        let near = left_m < NEAR_M && off_m < NEAR_M;
         if !near {
             self.since.near = Stamp::INVALID;
         } else if !self.since.near.is_valid() {
             self.since.near = now;
         } else if now.seconds_since(self.since.near) > SETTLED_S {
+            self.planned_m = line.along_m(tip_m);
             self.enter(Phase::SCAN, now);
             self.column_pose = self.pose;
         }
-        velocity
+        // Low over the retina nothing goes across: first to the offset, then to the begin.
+        if off_m < CLOSE_M { velocity } else { [0.0; 3] }
     }
 
     /// Has the last A-scan of the line been seen? Without A-scans: is the tip at its end?

@@ -299,11 +299,29 @@ fn a_tip_that_something_holds_back_ends_the_scan() {
     let mut rig = Rig::new(Setup::new("static", 1));
     rig.begin();
     rig.until_scanning();
-    // 3 mm at 0.5 mm/s, once and a half, and 2 s.
     rig.stuck = true;
-    rig.steps(11_100);
+    let from = rig.truth.len();
+    rig.steps(600);
     let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
-    assert_eq!(told, ["the end of the line was not reached in time"]);
+    assert_eq!(told, ["the robot is more than 0.2 mm away from where it should be on the line"]);
+    // 0.2 mm at 0.5 mm/s, and the robot's own lag.
+    let scanned = rig.truth[from..].iter().filter(|t| t.scanning).count();
+    assert!((1500..1800).contains(&scanned), "after {scanned} lines");
+}
+
+#[test]
+fn a_scan_that_begins_low_and_aside_rises_to_the_offset_before_it_slides() {
+    for seed in SEEDS {
+        let setup = Setup::new("default", seed);
+        let mut rig = Rig::new(Setup { place_m: [-1.1e-3, 0.0, 250e-6], ..setup });
+        rig.begin();
+        rig.until_scanning();
+        let start_m = rig.truth[0].x_m;
+        let slides = |t: &&crate::rig::Truth| (t.x_m - start_m).abs() > 5e-6;
+        let first = rig.truth.iter().find(slides).expect("0.4 mm to the begin");
+        assert!(first.distance_m > OFFSET_M - 60e-6, "seed {seed}: slides at {:.2e} m", first.distance_m);
+        assert!(rig.errors().2 > NEAREST_M, "seed {seed}");
+    }
 }
 
 #[test]

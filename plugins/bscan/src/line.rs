@@ -24,6 +24,8 @@ pub const MARGIN_M: f64 = 50e-6;
 const ACCELERATION_M_S2: f64 = 0.02;
 /// Speed per distance from the line, 1/s.
 const ACROSS_PER_S: f64 = 10.0;
+/// Highest speed of that, m/s: a tip that is far off comes back slowly.
+const CORRECTION_M_S: f64 = 1e-3;
 /// Highest speed on the way to the begin, m/s.
 const COMING_M_S: f64 = 2e-3;
 
@@ -105,13 +107,31 @@ impl Line {
         (left.map(|l| if distance_m > 0.0 { l / distance_m * speed } else { 0.0 }), distance_m)
     }
 
+    /// Speed along the line, `since_s` after the tip set off, m/s.
+    pub fn pace_m_s(&self, since_s: f64) -> f64 {
+        self.speed_m_s.min(ACCELERATION_M_S2 * since_s)
+    }
+
     /// Velocity across the tool that keeps a tip on the line, `since_s` after it set off, m/s.
     pub fn follow(&self, tip_m: &[f64; 3], since_s: f64) -> [f64; 3] {
-        let speed = self.speed_m_s.min(ACCELERATION_M_S2 * since_s);
+        let speed = self.pace_m_s(since_s);
+        let beside = self.beside(tip_m);
+        let off_m = along(&beside, &beside).sqrt();
+        let back_per_s = if off_m > 0.0 { ACROSS_PER_S.min(CORRECTION_M_S / off_m) } else { 0.0 };
+        [0, 1, 2].map(|i| self.direction[i] * speed - back_per_s * beside[i])
+    }
+
+    /// How far a tip is from where the line has it, `planned_m` after its begin, m.
+    pub fn lag_m(&self, tip_m: &[f64; 3], planned_m: f64) -> f64 {
+        let beside = self.beside(tip_m);
+        along(&beside, &beside).sqrt().hypot(planned_m - self.along_m(tip_m))
+    }
+
+    /// From the line's nearest place to a tip, m.
+    fn beside(&self, tip_m: &[f64; 3]) -> [f64; 3] {
         let from_start = across(&[0, 1, 2].map(|i| tip_m[i] - self.start_m[i]), &self.axis);
         let gone = along(&from_start, &self.direction);
-        [0, 1, 2]
-            .map(|i| self.direction[i] * speed - ACROSS_PER_S * (from_start[i] - gone * self.direction[i]))
+        [0, 1, 2].map(|i| from_start[i] - gone * self.direction[i])
     }
 }
 
@@ -170,6 +190,25 @@ mod tests {
         assert!((left_m - 1.5e-3).abs() < 1e-12 && (velocity[0] + 2e-3).abs() < 1e-12 && velocity[2] == 0.0);
         let follow = line.follow(&[0.0, 2.1e-3, 0.0], 1.0);
         assert!((follow[0] - 0.5e-3).abs() < 1e-12 && (follow[1] + 1e-3).abs() < 1e-9, "{follow:?}");
+    }
+
+    #[test]
+    fn a_tip_beside_the_line_is_brought_back_at_a_millimetre_per_second_at_most() {
+        let line = Line::of(&request(), [0.0; 3], DOWN, 150e-6, 4096).expect("a line");
+        for off_m in [1e-6, 1e-4, 1e-3, 0.5, 1e6] {
+            let [x, y, z] = line.follow(&[0.0, off_m, 0.0], 1.0);
+            assert!((x - 0.5e-3).abs() < 1e-12 && z == 0.0);
+            let wanted = (10.0 * off_m).min(1e-3);
+            assert!((y + wanted).abs() < 1e-12, "{y} m/s at {off_m} m");
+        }
+        assert_eq!(line.follow(&[0.0; 3], 1.0)[1], 0.0);
+    }
+
+    #[test]
+    fn the_lag_counts_along_the_line_and_beside_it() {
+        let line = Line::of(&request(), [0.0; 3], DOWN, 150e-6, 4096).expect("a line");
+        let at = [-1.5e-3 + 0.3e-3, 0.4e-3, 0.7];
+        assert!((line.lag_m(&at, 0.6e-3) - 0.5e-3).abs() < 1e-12, "{}", line.lag_m(&at, 0.6e-3));
     }
 
     #[test]
