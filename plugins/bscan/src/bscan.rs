@@ -9,7 +9,7 @@ use trocar_oct_core::tip::{Timeline, axis_of};
 use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, OperatingMode, OperatingState, Pose, Twist};
 use trocar_sdk::prelude::*;
 
-use crate::depth::{Advice, Depth, Settings};
+use crate::depth::{Advice, Depth, JUMP_M, Settings};
 use crate::image::{Rolling, Scan};
 use crate::line::Line;
 use crate::payloads::{Phase, Progress, ScanColumn, ScanDone, ScanRequest};
@@ -169,6 +169,8 @@ struct Moments {
     surface: Stamp,
     robot: Stamp,
     delay_known: bool,
+    /// The last surface was none that can be followed.
+    jumped: bool,
 }
 
 /// The scan.
@@ -226,6 +228,13 @@ impl BScan {
             return Err(
                 "the tracker does not know the robot: connect the robot's state to its input robot".into()
             );
+        }
+        if self.last.distance < self.cfg.min_distance_m {
+            return Err(format!(
+                "the tip is {:.0} um from the surface, and min_distance_m is {:.0} um: bring it away first",
+                1e6 * self.last.distance,
+                1e6 * self.cfg.min_distance_m
+            ));
         }
         let delay_s = self.progress.delay;
         if delay_s > LONGEST_DELAY_S {
@@ -298,7 +307,13 @@ impl BScan {
         let delay_s = now.seconds_since(seen.stamp);
         let share = if std::mem::replace(&mut self.since.delay_known, true) { DELAY_SHARE } else { 1.0 };
         self.progress.delay += share * (delay_s - self.progress.delay);
-        if seen.valid.get() && self.depth.surface_at(seen.stamp.ns(), seen.distance, seen.velocity) {
+        if !seen.valid.get() {
+            return;
+        }
+        // Before a scan the surface is wherever it is seen; in a scan another layer is none.
+        self.since.jumped =
+            self.progress.phase != Phase::IDLE && self.depth.jump_m(seen.stamp.ns(), seen.distance) > JUMP_M;
+        if !self.since.jumped && self.depth.surface_at(seen.stamp.ns(), seen.distance, seen.velocity) {
             self.since.surface = now;
         }
     }
@@ -314,7 +329,11 @@ impl BScan {
             return Err("the robot is no longer enabled and homed");
         }
         if now.seconds_since(self.since.surface) > SURFACE_LOST_S {
-            return Err("the surface was not seen for 50 ms");
+            return Err(if self.since.jumped {
+                "the surface was not where it can be for 50 ms: perhaps a deeper layer was seen in its place"
+            } else {
+                "the surface was not seen for 50 ms"
+            });
         }
         if self.progress.delay > LONGEST_DELAY_S {
             return Err("the loop's delay is above 12 ms");
@@ -325,6 +344,9 @@ impl BScan {
             self.send(now, [0.0; 3], [0.0; 3]);
             return Ok(());
         };
+        if self.progress.phase != Phase::RETRACT && advice.distance_m < self.cfg.min_distance_m {
+            return Err("the tip is nearer to the surface than min_distance_m");
+        }
         let Some(axis) = axis_of(&self.pose.orientation) else {
             return Err("the robot's orientation is no unit quaternion");
         };

@@ -154,6 +154,48 @@ fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_a
 }
 
 #[test]
+fn a_deeper_layer_that_is_taken_for_the_surface_is_not_followed() {
+    for seed in SEEDS {
+        let mut rig = Rig::new(Setup::new("default", seed));
+        rig.begin();
+        rig.until_scanning();
+        rig.steps(1000);
+        // The tracker takes it after 12 ms; the surface is back in time.
+        rig.deep_until_ns = rig.bench.now().ns() + 25_000_000;
+        let from = rig.truth.len();
+        rig.steps(200);
+        assert!(rig.truth[from..].iter().any(|t| t.measured.valid.get() && t.measured.distance > 620e-6));
+        let largest = rig.truth[from..].iter().map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
+        assert!(largest < 50e-6, "seed {seed}: {largest:.2e} m");
+        assert_eq!(rig.progress().phase, Phase::SCAN, "seed {seed}");
+        // It stays.
+        rig.deep_until_ns = u64::MAX;
+        let from = rig.truth.len();
+        rig.steps(62);
+        let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+        assert_eq!(told.len(), 1, "seed {seed}");
+        assert!(told[0].starts_with("the surface was not where it can be for 50 ms"), "{}", told[0]);
+        let nearest = rig.truth[from..].iter().map(|t| t.distance_m).fold(f64::INFINITY, f64::min);
+        assert!(nearest > OFFSET_M - 50e-6, "seed {seed}: {nearest:.2e} m");
+    }
+}
+
+#[test]
+fn a_tip_nearer_than_the_least_distance_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.begin();
+    rig.until_scanning();
+    rig.steps(100);
+    // As near as 500 µm is too near from now on.
+    rig.bench
+        .configure(r#"{"rows": 8, "mscan_columns": 8, "range_db": [40, 100], "min_distance_m": 0.00055}"#)
+        .unwrap();
+    rig.steps(2);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the tip is nearer to the surface than min_distance_m"]);
+}
+
+#[test]
 fn the_image_shows_surface_and_layers_where_they_are() {
     for world in ["no_membrane", "static_no_membrane"] {
         let mut rig = Rig::run(Setup { images: true, ..Setup::new(world, 7) });
@@ -260,6 +302,14 @@ fn a_scan_does_not_begin_without_robot_surface_or_sense() {
     assert!(begin(&mut bench, Rig::request()).contains("there is no surface"));
     stand(&mut bench, f64::NAN, true);
     assert!(begin(&mut bench, Rig::request()).contains("the tracker does not know the robot"));
+    stand(&mut bench, 0.0, true);
+    let stamp = bench.now();
+    bench.push(
+        "distance",
+        Distance { stamp, distance: 0.12e-3, velocity: 0.0, valid: true.into(), ..Distance::default() },
+    );
+    bench.step(1);
+    assert!(begin(&mut bench, Rig::request()).starts_with("the tip is 120 um from the surface"));
     stand(&mut bench, 0.0, true);
     let fast = ScanRequest { speed: 1.0, ..Rig::request() };
     assert_eq!(begin(&mut bench, fast), "speed: 1 is not from 0.000001 to 0.005 (SI units)");

@@ -37,6 +37,9 @@ impl Default for Settings {
 
 /// Speed per distance to the forbidden region, 1/s: the drive brakes within a few ms.
 const GUARD_PER_S: f64 = 40.0;
+/// A surface that is further from where it was expected is none, m: no eye moves so far between two looks, and the next layer
+/// with an echo of its own lies 67 µm below.
+pub const JUMP_M: f64 = 60e-6;
 /// Errors above this are on the way in, not to be integrated, m.
 const SMALL_M: f64 = 20e-6;
 
@@ -93,6 +96,13 @@ impl Depth {
         true
     }
 
+    /// How far a surface `distance_m` before the tip is from where the last one has gone meanwhile, m; 0 while none is known.
+    pub fn jump_m(&self, ns: u64, distance_m: f64) -> f64 {
+        let Some((place, tip_m)) = self.place.zip(self.tip.at(ns)) else { return 0.0 };
+        let age_s = ns.saturating_sub(place.ns) as f64 * 1e-9;
+        (tip_m + distance_m - place.at_m - place.velocity_m_s * age_s).abs()
+    }
+
     /// The speed for the next `dt_s`; none while no surface or no tip is known.
     pub fn advise(&mut self, ns: u64, dt_s: f64, offset_m: f64, s: &Settings) -> Option<Advice> {
         let (place, tip_m) = (self.place?, self.tip.at(ns)?);
@@ -147,6 +157,18 @@ mod tests {
             |distance: f64| seen(distance, 0.0).advise(9_000_000, 1e-3, 100e-6, &s).expect("known").speed_m_s;
         assert!(at(150e-6) <= 0.0 && at(120e-6) < -1e-3);
         assert!((at(200e-6) - 40.0 * 50e-6).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_jump_is_measured_from_where_the_surface_has_gone_meanwhile() {
+        let mut depth = seen(500e-6, 1e-3);
+        for n in 10..20 {
+            depth.tip_at(1_000_000 * n, [0.0, 0.0, 0.05 + 2e-6 * (n - 9) as f64], &UPRIGHT);
+        }
+        // 10 ms later the surface is 10 µm deeper, and the tip 19 µm.
+        assert!(depth.jump_m(18_500_000, 491e-6) < 1e-12, "{:e}", depth.jump_m(18_500_000, 491e-6));
+        assert!((depth.jump_m(18_500_000, 671e-6) - 180e-6).abs() < 1e-12);
+        assert_eq!(Depth::default().jump_m(1, 1.0), 0.0);
     }
 
     #[test]

@@ -92,6 +92,8 @@ pub(crate) struct Rig {
     line: u64,
     /// Lines up to this one see nothing.
     pub(crate) dark_until_ns: u64,
+    /// Lines up to this one see the deepest layer alone.
+    pub(crate) deep_until_ns: u64,
     pub(crate) truth: Vec<Truth>,
     pub(crate) held: usize,
     /// Commands that the robot did not take.
@@ -138,6 +140,7 @@ impl Rig {
             waiting: Vec::new(),
             line: 0,
             dark_until_ns: 0,
+            deep_until_ns: 0,
             truth: Vec::new(),
             held: 0,
             refused: Vec::new(),
@@ -257,7 +260,9 @@ impl Rig {
         let t_s = ns as f64 * 1e-9;
         let below = self.setup.world.below(&tip, &Vector3::z_axis(), t_s).expect("over the retina");
         let echoes = self.setup.world.echoes(&below);
-        let seen = if ns < self.dark_until_ns { &[] } else { echoes.as_slice() };
+        let all = echoes.as_slice();
+        let from = if ns < self.deep_until_ns { all.len() - 1 } else { 0 };
+        let seen = if ns < self.dark_until_ns { &[] } else { &all[from..] };
         let mut counts = [0; 1024];
         self.line += 1;
         self.spectrograph.line(seen, t_s, self.line, &mut counts);

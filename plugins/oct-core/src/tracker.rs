@@ -1,7 +1,8 @@
 //! Follows the surface from A-scan to A-scan: detection, plausibility, prediction.
 //!
 //! Invariant: a reading is valid only when this very A-scan shows a surface where one can be; a jump that no eye makes is
-//! left out until it has stayed for a while, and then the filter begins anew.
+//! left out until it has stayed for a while; then the surface counts as lost, and the filter begins anew. A filter that gets
+//! no measurements is forgotten, whether it was believed or not.
 
 use crate::kalman::{Kalman, Noises};
 use crate::surface::{Rule, first_surface};
@@ -85,7 +86,11 @@ pub struct Tracker {
     /// Since when measurements are left out.
     off_since_ns: Option<u64>,
     last_valid_ns: Option<u64>,
+    /// When a measurement last went into the filter.
+    last_taken_ns: u64,
     found: bool,
+    /// The filter has begun anew elsewhere with this A-scan.
+    elsewhere: bool,
 }
 
 impl Tracker {
@@ -98,7 +103,9 @@ impl Tracker {
             accepted: 0,
             off_since_ns: None,
             last_valid_ns: None,
+            last_taken_ns: 0,
             found: false,
+            elsewhere: false,
         }
     }
 
@@ -166,18 +173,19 @@ impl Tracker {
             let since = *self.off_since_ns.get_or_insert(ns);
             if ns.saturating_sub(since) as f64 * 1e-9 >= s.patience_s {
                 self.begin(ns, place_m);
+                self.elsewhere = true;
             }
             return false;
         }
         filter.update(place_m, &s.noises);
-        self.off_since_ns = None;
+        (self.off_since_ns, self.last_taken_ns) = (None, ns);
         self.accepted = self.accepted.saturating_add(1);
         self.accepted >= BELIEVED_AFTER
     }
 
     fn begin(&mut self, ns: u64, place_m: f64) {
         self.filter = Some(Kalman::at(ns, place_m, &self.settings.noises));
-        (self.accepted, self.off_since_ns) = (1, None);
+        (self.accepted, self.off_since_ns, self.last_taken_ns) = (1, None, ns);
     }
 
     fn judge(&mut self, ns: u64, valid: bool) -> Change {
@@ -186,15 +194,13 @@ impl Tracker {
             return if std::mem::replace(&mut self.found, true) { Change::None } else { Change::Found };
         }
         let since = *self.last_valid_ns.get_or_insert(ns);
-        if ns.saturating_sub(since) as f64 * 1e-9 <= self.settings.lost_after_s {
-            return Change::None;
+        let is_old = |since: u64| ns.saturating_sub(since) as f64 * 1e-9 > self.settings.lost_after_s;
+        if is_old(self.last_taken_ns) {
+            // What is known of it is too old to go on with.
+            (self.filter, self.off_since_ns, self.accepted) = (None, None, 0);
         }
-        if !std::mem::replace(&mut self.found, false) {
-            return Change::None;
-        }
-        // What is known of it is too old to go on with.
-        (self.filter, self.off_since_ns) = (None, None);
-        Change::Lost
+        let lost = std::mem::take(&mut self.elsewhere) || is_old(since);
+        if lost && std::mem::replace(&mut self.found, false) { Change::Lost } else { Change::None }
     }
 }
 

@@ -71,6 +71,27 @@ fn a_deeper_layer_is_not_taken_for_the_surface_and_a_surface_that_stays_elsewher
 }
 
 #[test]
+fn a_surface_that_is_somewhere_else_is_lost_and_then_found_there() {
+    let mut tracker = Tracker::new(Settings::default());
+    (1..200).for_each(|line| _ = see(&mut tracker, line, Some(500e-6)));
+    let moved: Vec<Reading> = (200..300).map(|line| see(&mut tracker, line, Some(680e-6))).collect();
+    let at = |change| (0..100).filter(|i| moved[*i].change == change).collect::<Vec<_>>();
+    assert_eq!((at(Change::Lost), at(Change::Found)), (vec![40], vec![47]));
+}
+
+#[test]
+fn a_filter_that_was_never_believed_is_forgotten_when_nothing_more_comes() {
+    let mut tracker = Tracker::new(Settings::default());
+    (1..6).for_each(|line| _ = see(&mut tracker, line, Some(500e-6)));
+    let waited: Vec<Reading> = (6..300).map(|line| see(&mut tracker, line, None)).collect();
+    assert!(waited[150].distance_m.is_finite() && waited[250].distance_m.is_nan(), "50 ms are 200 lines");
+    assert!(waited.iter().all(|r| !r.valid && r.change == Change::None));
+    // Nothing of it counts for another one: eight lines of belief again.
+    let again: Vec<Reading> = (300..330).map(|line| see(&mut tracker, line, Some(510e-6))).collect();
+    assert_eq!(again.iter().position(|r| r.valid), Some(7));
+}
+
+#[test]
 fn the_velocity_is_the_surfaces_own_whatever_the_tip_does() {
     let mut tracker = Tracker::new(Settings::default());
     let mut last = None;

@@ -53,7 +53,7 @@ pub struct SurfaceTracker {
     /// One distance for each A-scan
     #[output]
     distance: Out<Distance>,
-    /// The surface was not seen for lost_after_s: the last distance.
+    /// The surface was not seen for lost_after_s, or is somewhere else now: the last distance.
     #[event("surface")]
     surface_lost: Event<Distance>,
     /// The surface is there: its distance.
