@@ -31,6 +31,9 @@ const LATE_S: f64 = 1.0;
 const SENT: Joints = per_kind(1e-6, 10e-6);
 const ARRIVED: Joints = per_kind(10e-6, 100e-6);
 
+/// A joint slower than this stands, m/s and rad/s.
+const STANDS: Joints = per_kind(10e-6, 100e-6);
+
 /// What is set once for an arm. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -40,7 +43,7 @@ pub struct Settings {
     pub limits: Limits,
     /// Gain of the position loop around the drive's velocity loop, 1/s.
     pub gain_per_s: f64,
-    /// A motion by velocity or force that is not repeated for this long holds the arm, s.
+    /// A motion by velocity or force that is not repeated for this long is braked by the drive, s.
     pub servo_timeout_s: f64,
     /// Largest allowed distance between setpoint and encoder, m and rad.
     pub following: Joints,
@@ -51,14 +54,15 @@ pub struct Settings {
 }
 
 impl Default for Settings {
-    /// Tool of 120 mm; 31.25 /s is the critically damped gain around a lag of 8 ms; faults at 0.5 mm and 1° of
+    /// Tool of 120 mm; velocities are braked after 8 ms without a new one, so that from 5 mm/s the arm stands 20 ms after a
+    /// client was lost; 31.25 /s is the critically damped gain around a lag of 8 ms; faults at 0.5 mm and 1° of
     /// following error, 0.1 mm and 0.1° outside a limit.
     fn default() -> Self {
         Settings {
             kinematics: Kinematics { tool_length_m: 0.12 },
             limits: Limits::default(),
             gain_per_s: 31.25,
-            servo_timeout_s: 0.1,
+            servo_timeout_s: 0.008,
             following: per_kind(0.5e-3, 1f64.to_radians()),
             margin: per_kind(0.1e-3, 0.1f64.to_radians()),
             law: Law::default(),
@@ -85,6 +89,8 @@ pub struct Arm<D> {
     handle: Vector6<f64>,
     base: Isometry3<f64>,
     at_limit: [bool; COUNT],
+    /// The drive brakes by itself; the setpoint goes with it.
+    braking: bool,
     news: News,
 }
 
@@ -109,6 +115,20 @@ impl Default for Arm<SimulatedDrive> {
     }
 }
 
+impl Arm<SimulatedDrive> {
+    /// Time went by without steps: what was braking stands now.
+    pub fn settle(&mut self) {
+        if !self.braking {
+            return;
+        }
+        self.drive.settle();
+        self.braking = false;
+        self.measured = self.drive.measured();
+        self.pre_empt(Motion::Hold);
+        self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
+    }
+}
+
 impl<D: Drive> Arm<D> {
     /// An arm in DISABLED that stands at `position` (m, rad).
     pub fn new(settings: Settings, drive: D, position: Joints) -> Self {
@@ -126,6 +146,7 @@ impl<D: Drive> Arm<D> {
             handle: Vector6::zeros(),
             base: Isometry3::identity(),
             at_limit: [false; COUNT],
+            braking: false,
             news: News::default(),
         }
     }
@@ -139,17 +160,27 @@ impl<D: Drive> Arm<D> {
     pub fn step(&mut self, dt_s: f64) {
         let driven = matches!(self.operating.mode(), OperatingMode::ENABLED | OperatingMode::PAUSED);
         let hand = self.follow_hand(dt_s);
-        if driven {
+        if self.motion.is_over() {
+            // Nobody sends it any more: the drive brakes harder than its velocity loop follows.
+            self.brake();
+        }
+        let follows = driven && !self.braking;
+        if follows {
             self.advance(&hand, dt_s);
-        } else {
+        } else if !driven {
             self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
         }
         let error = self.setpoint.position - self.measured.position;
         let wanted =
-            if driven { self.setpoint.velocity + error * self.settings.gain_per_s } else { Joints::zeros() };
+            if follows { self.setpoint.velocity + error * self.settings.gain_per_s } else { Joints::zeros() };
         match self.drive.cycle(&wanted, dt_s) {
             Ok(measured) => self.measured = measured,
             Err(lost) => self.fail(Fault::Drive(lost)),
+        }
+        if self.braking {
+            self.setpoint = self.towards_measured(dt_s);
+            let (v, off) = (self.measured.velocity, self.setpoint.position - self.measured.position);
+            self.braking = (0..COUNT).any(|i| v[i].abs() > STANDS[i] || off[i] != 0.0);
         }
         if let Some(fault) = self.out_of_bounds() {
             self.fail(fault);
@@ -194,14 +225,8 @@ impl<D: Drive> Arm<D> {
                 });
                 Measured { position: from + velocity * dt_s, velocity }
             }
-            Motion::ServoPosition { goal } if self.fixtures.is_empty() => {
-                let way = Joints::from_fn(|i, _| {
-                    (goal[i] - from[i]).clamp(-limits.speed[i] * dt_s, limits.speed[i] * dt_s)
-                });
-                Measured { position: from + way, velocity: way / dt_s }
-            }
             Motion::ServoPosition { goal } => {
-                // Near a fixture no joint may be sent faster than its drive follows: the tip would leave the path.
+                // No joint is sent faster than its drive follows.
                 let velocity = Joints::from_fn(|i, _| {
                     let Limits { speed, acceleration, .. } = limits;
                     approach(from[i], before[i], goal[i], speed[i], acceleration[i], dt_s)
@@ -216,16 +241,10 @@ impl<D: Drive> Arm<D> {
             Motion::ServoVelocity { velocity, left_s } => {
                 let allowed = scene.velocity(velocity);
                 *left_s -= dt_s;
-                if *left_s <= 0.0 {
-                    self.motion = Motion::Hold;
-                }
                 return self.go(&allowed, dt_s);
             }
             Motion::Tip(tip) => {
                 let allowed = scene.twist(&tip.take(hand, &tool_axis(&from), dt_s));
-                if tip.is_over() {
-                    self.motion = Motion::Hold;
-                }
                 return self.go(&allowed, dt_s);
             }
         };
@@ -283,19 +302,31 @@ impl<D: Drive> Arm<D> {
         Some(Fault::Following { joint, error: error[joint] })
     }
 
-    fn fail(&mut self, fault: Fault) {
+    /// The drive brakes as hard as it can, and the arm holds where it comes to rest.
+    pub(super) fn brake(&mut self) {
         self.drive.make_safe();
+        self.braking = true;
+        self.pre_empt(Motion::Hold);
+    }
+
+    /// The setpoint on its way back to where the encoders are, at the joints' speeds: it never jumps.
+    fn towards_measured(&self, dt_s: f64) -> Measured {
+        let (from, to) = (&self.setpoint.position, &self.measured.position);
+        let most = self.settings.limits.speed * dt_s;
+        let position = Joints::from_fn(|i, _| {
+            let way = to[i] - from[i];
+            if way.abs() <= most[i] { to[i] } else { from[i] + most[i].copysign(way) }
+        });
+        Measured { position, velocity: Joints::zeros() }
+    }
+
+    fn fail(&mut self, fault: Fault) {
         self.operating.fault();
         if let Fault::Limit { joint, .. } = fault {
             self.news.limit_hit[joint] = true;
         }
         self.fault = Some(fault);
-        self.stand();
-    }
-
-    fn stand(&mut self) {
-        self.pre_empt(Motion::Hold);
-        self.setpoint = Measured { position: self.measured.position, velocity: Joints::zeros() };
+        self.brake();
     }
 
     fn pre_empt(&mut self, motion: Motion) {
@@ -310,10 +341,9 @@ impl<D: Drive> Arm<D> {
         self.motion = motion;
     }
 
-    /// Stops at once, from any state. An enabled arm is PAUSED after it: only `resume` lets it move again.
+    /// Brakes at once, from any state. An enabled arm is PAUSED after it: only `resume` lets it move again.
     pub fn make_safe(&mut self) {
-        self.drive.make_safe();
-        self.stand();
+        self.brake();
         self.operating.made_safe();
     }
 

@@ -87,7 +87,7 @@ fn servo_jp_goes_at_most_at_the_joints_speed() {
     arm.servo_jp(&[0.05, 0.0, 0.0, 1.0, 0.0]).expect("inside");
     steps(&mut arm, 1_000);
     let q = arm.measured().position;
-    assert!((q[0] - 0.010).abs() < 1e-4 && (q[3] - 7f64.to_radians()).abs() < 1e-3, "{q:?}");
+    assert!((q[0] - 0.010).abs() < 1e-4 && (q[3] - 7f64.to_radians()).abs() < 1.5e-3, "{q:?}");
     assert_eq!(arm.operating().mode(), OperatingMode::ENABLED, "{:?}", arm.fault());
 }
 
@@ -134,13 +134,74 @@ fn a_refused_goal_leaves_the_running_motion_as_it_was() {
 }
 
 #[test]
+fn servo_jp_keeps_the_acceleration_of_each_joint() {
+    let mut arm = ready();
+    let most = arm.settings().limits.acceleration * DT * (1.0 + 1e-9);
+    let mut before = arm.setpoint().velocity;
+    for n in 0..600 {
+        // Goals that jump about, and one that is met in between.
+        let side = if n / 90 % 2 == 0 { 1.0 } else { -1.0 };
+        arm.servo_jp(&[4e-3 * side, 1e-5 * side, 0.0, 0.05 * side, 0.0]).expect("inside");
+        arm.step(DT);
+        let change = (arm.setpoint().velocity - before).abs();
+        assert!((0..COUNT).all(|i| change[i] <= most[i]), "period {n}: {change:?}");
+        before = arm.setpoint().velocity;
+    }
+}
+
+#[test]
+fn an_arm_whose_client_is_lost_stands_within_20_milliseconds_from_5_millimetres_a_second() {
+    let mut longest_m = 0.0_f64;
+    for seed in 0..40 {
+        let home = Joints::zeros();
+        let simulation = Simulation { seed, ..Simulation::default() };
+        let mut arm = Arm::new(Settings::default(), SimulatedDrive::new(simulation, home), home);
+        for word in ["enable", "home"] {
+            arm.state_command(word).expect("a new arm takes it");
+        }
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let mut some = || 5e-3 * (2.0 * rng.f64() - 1.0);
+        let (aside, along) = (some(), some());
+        // As a scan moves it: across and along the tool, here for longer and shorter times.
+        for _ in 0..50 + 10 * seed {
+            arm.step(DT);
+            arm.servo_cv(&Vector6::new(aside, 0.0, 0.0, 0.0, 0.0, 0.0)).expect("slow");
+            arm.servo_axis(&Vector6::new(0.0, 0.0, along, 0.0, 0.0, 0.0)).expect("slow");
+        }
+        // The period after the last command is the first without one.
+        let from = arm.drive().truth().position;
+        let mut before = arm.drive().truth().velocity;
+        for n in 1..=200 {
+            arm.step(DT);
+            let now = arm.drive().truth();
+            let change = (now.velocity - before).abs();
+            assert!(
+                (0..COUNT).all(|i| change[i] <= 0.5 * DT * 12.0 / if i < 3 { 12.0 } else { 1.0 } + 1e-12)
+            );
+            before = now.velocity;
+            if n >= 20 {
+                assert_eq!(now.velocity, Joints::zeros(), "seed {seed}: {n} ms after the last command");
+            }
+        }
+        longest_m = longest_m.max((arm.drive().truth().position - from).amax());
+        assert!(arm.operating().is_ready() && arm.is_position_based(), "it holds: {:?}", arm.operating());
+    }
+    // 9 ms at 5 mm/s and 25 µm of braking.
+    println!("from loss to standstill {longest_m:e} m at most");
+    assert!(longest_m < 80e-6, "{longest_m:e} m");
+}
+
+#[test]
 fn servo_jv_that_is_not_repeated_holds_the_arm_after_its_timeout() {
     let mut arm = ready();
-    arm.servo_jv(&[0.01, 0.0, 0.0, 0.0, 0.0]).expect("at the speed limit");
-    steps(&mut arm, 1_000);
-    // 0.1 s at 10 mm/s; what the ramp takes at the beginning, braking gives back.
+    for _ in 0..100 {
+        arm.servo_jv(&[0.01, 0.0, 0.0, 0.0, 0.0]).expect("at the speed limit");
+        arm.step(DT);
+    }
+    steps(&mut arm, 900);
+    // 0.1 s and 8 ms at 10 mm/s, less what the drive lags behind, and 0.1 mm of braking.
     let q = arm.measured().position[0];
-    assert!((0.0009..=0.0011).contains(&q), "stopped at {q} m");
+    assert!((0.001..=0.0012).contains(&q), "stopped at {q} m");
     assert_eq!(arm.setpoint().velocity, Joints::zeros());
 }
 
@@ -215,19 +276,25 @@ fn pause_refuses_motions_and_resume_takes_them_again() {
 }
 
 #[test]
-fn make_safe_stops_in_full_motion_and_only_resume_lets_it_move_again() {
+fn make_safe_brakes_in_full_motion_and_only_resume_lets_it_move_again() {
     let mut arm = ready();
     arm.move_jp(&[0.02, 0.0, 0.0, 0.1, 0.0]).expect("inside");
     steps(&mut arm, 500);
+    let from = arm.measured();
     arm.make_safe();
-    let stands = arm.measured().position;
     let now = arm.operating();
     assert_eq!((now.mode(), now.is_homed(), now.is_busy()), (OperatingMode::PAUSED, true, false));
-    steps(&mut arm, 1_000);
-    let crept = (arm.measured().position - stands).abs();
+    steps(&mut arm, 30);
+    let stands = arm.measured();
+    assert_eq!(stands.velocity, Joints::zeros());
+    let way = stands.position - from.position;
+    let Simulation { quantum, acceleration, .. } = Simulation::default();
     for i in 0..COUNT {
-        assert!(crept[i] <= Simulation::default().quantum[i], "joint {i} crept by {:e}", crept[i]);
+        let braking = 0.5 * from.velocity[i].powi(2) / acceleration[i];
+        assert!((way[i] - braking).abs() <= quantum[i] + 1e-12, "joint {i}: {} m for {braking}", way[i]);
     }
+    steps(&mut arm, 1_000);
+    assert_eq!(arm.measured(), stands, "and stays there");
     assert!(arm.servo_jp(&[0.0; COUNT]).is_err());
 }
 
@@ -290,7 +357,7 @@ fn a_joint_that_does_not_follow_is_a_fault() {
     let mut arm = stuck(usize::MAX);
     arm.servo_jp(&[0.0, 0.01, 0.0, 0.0, 0.0]).expect("inside");
     let periods = steps_until(&mut arm, 100, |arm| arm.operating().mode() == OperatingMode::FAULT);
-    assert!((50..=52).contains(&periods), "0.5 mm at 10 mm/s are 50 periods, not {periods}");
+    assert!((60..=62).contains(&periods), "0.5 mm at 10 mm/s, 20 ms of ramp, are 60 periods, not {periods}");
     assert!(matches!(arm.fault(), Some(Fault::Following { joint: 1, .. })), "{:?}", arm.fault());
 }
 

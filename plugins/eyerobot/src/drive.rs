@@ -1,8 +1,8 @@
 //! Drives: what turns commanded joint velocities into motion. The trait is the slot for hardware; `simulated` fills it
 //! without any.
 //!
-//! Invariant: `cycle` is called once per control period from one thread and never blocks; `make_safe` leaves the joints
-//! standing whatever was commanded before.
+//! Invariant: `cycle` is called once per control period from one thread and never blocks; after `make_safe` the joints brake
+//! and stand whatever was commanded before.
 
 mod simulated;
 
@@ -29,7 +29,8 @@ pub trait Drive {
     /// The device lost a joint; the arm stops and shows a CRTK fault.
     fn cycle(&mut self, velocity: &Joints, dt_s: f64) -> Result<Measured, Lost>;
 
-    /// Stops all joints at once and holds them, without waiting for the next cycle.
+    /// Brakes all joints from now on, as hard as they can, and holds them: without waiting for the next cycle, and without
+    /// needing one. Cycles measure the braking; a velocity counts again when all joints stand.
     fn make_safe(&mut self);
 }
 

@@ -227,7 +227,7 @@ impl Component for EyeRobot {
 
     fn start(&mut self) -> Result {
         self.handle_rejected = 0;
-        self.arm.hold();
+        self.arm.settle();
         if self.cfg.auto_enable {
             let paused = self.arm.operating().mode() == OperatingMode::PAUSED;
             self.arm.state_command(if paused { "resume" } else { "enable" })?;

@@ -103,8 +103,10 @@ fn move_jp_is_busy_until_it_arrives() {
 fn servo_jv_holds_by_itself_when_it_is_not_repeated() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     let goal = JointState { velocity: List::of(&[0.005, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
-    bench.command::<_, ()>("servo_jv", goal).unwrap();
-    bench.step(50);
+    for _ in 0..50 {
+        bench.command::<_, ()>("servo_jv", goal).unwrap();
+        bench.step(1);
+    }
     assert!(bench.read::<(), Twist>("measured_cv", ()).unwrap().linear[0] > 0.004);
     bench.step(200);
     let v = bench.read::<(), Twist>("measured_cv", ()).unwrap().linear[0];
@@ -127,7 +129,7 @@ fn servo_cp_reaches_a_pose_and_refuses_one_without_orientation() {
 }
 
 #[test]
-fn make_safe_stops_at_once_and_resume_goes_on() {
+fn make_safe_brakes_at_once_and_resume_goes_on() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     bench.command::<_, ()>("servo_jp", joints(&[0.02, 0.0, 0.0, 0.0, 0.0])).unwrap();
     bench.step(500);
@@ -136,8 +138,9 @@ fn make_safe_stops_at_once_and_resume_goes_on() {
     assert_eq!(operating(&bench).state, OperatingMode::PAUSED);
     assert!(bench.command::<_, ()>("servo_jp", joints(&[0.0; 5])).is_err());
     bench.step(100);
-    let way = (position(&bench)[0] - stood[0]).abs();
-    assert!(way < 2e-6, "the arm went on for {way} m");
+    // 10 mm/s and 0.5 m/s² are 0.1 mm.
+    let way = position(&bench)[0] - stood[0];
+    assert!((0.0..0.102e-3).contains(&way), "the arm went on for {way} m");
     bench.stop().unwrap();
     bench.resume().unwrap();
     assert_eq!(operating(&bench).state, OperatingMode::ENABLED);

@@ -208,10 +208,7 @@ impl<D: Drive> Arm<D> {
         match self.operating.command(word)? {
             StateCommand::Home => self.start_move(Joints::zeros(), Ends::Homing),
             StateCommand::Unhome => self.hold(),
-            StateCommand::Disable => {
-                self.drive.make_safe();
-                self.stand();
-            }
+            StateCommand::Disable => self.brake(),
             StateCommand::Enable | StateCommand::Pause | StateCommand::Resume
                 if self.operating.mode() != before =>
             {

@@ -7,6 +7,9 @@ use nalgebra::{Vector3, Vector6};
 use crate::joints::Joints;
 use crate::trajectory::Trajectory;
 
+/// What rounding leaves of a time that is over, s.
+const OVER_S: f64 = 1e-9;
+
 #[expect(clippy::large_enum_variant, reason = "a box would allocate on the step path")]
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Motion {
@@ -21,6 +24,15 @@ impl Motion {
     /// The setpoint's pose is what was asked for, not the sum of velocities.
     pub(super) fn is_position_based(&self) -> bool {
         matches!(self, Motion::Hold | Motion::ServoPosition { .. } | Motion::Move(_))
+    }
+
+    /// A motion by velocity or force that nobody has repeated in time.
+    pub(super) fn is_over(&self) -> bool {
+        match self {
+            Motion::ServoVelocity { left_s, .. } => *left_s <= OVER_S,
+            Motion::Tip(tip) => tip.is_over(),
+            Motion::Hold | Motion::ServoPosition { .. } | Motion::Move(_) => false,
+        }
     }
 
     /// Shown as `is_busy`.
@@ -68,7 +80,7 @@ struct Timed<T> {
 
 impl<T: Copy> Timed<T> {
     fn take(&mut self, dt_s: f64) -> Option<T> {
-        if self.left_s <= 0.0 {
+        if self.left_s <= OVER_S {
             return None;
         }
         self.left_s -= dt_s;
@@ -108,7 +120,7 @@ impl Tip {
     }
 
     /// Nothing of it is left.
-    pub(super) fn is_over(&self) -> bool {
-        [self.twist.left_s, self.force.left_s, self.axis.left_s].iter().all(|&left_s| left_s <= 0.0)
+    fn is_over(&self) -> bool {
+        [self.twist.left_s, self.force.left_s, self.axis.left_s].iter().all(|&left_s| left_s <= OVER_S)
     }
 }

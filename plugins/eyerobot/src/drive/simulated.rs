@@ -39,7 +39,8 @@ impl Default for Simulation {
 }
 
 /// Five simulated motors: velocity loop `v̇ = (v_cmd − v)/τ` with limited acceleration, one period of transport delay,
-/// friction at standstill, play behind the motor, and encoders of finite step.
+/// friction at standstill, play behind the motor, and encoders of finite step. The brake is no part of the loop: it knows no lag,
+/// but the same highest acceleration.
 #[derive(Clone, Debug)]
 pub struct SimulatedDrive {
     setup: Simulation,
@@ -50,6 +51,7 @@ pub struct SimulatedDrive {
     truth: Measured,
     on_the_way: Joints,
     phase: Joints,
+    braking: bool,
 }
 
 impl SimulatedDrive {
@@ -65,7 +67,40 @@ impl SimulatedDrive {
             truth: Measured { position, velocity },
             on_the_way,
             phase,
+            braking: false,
         }
+    }
+
+    /// Time goes by without cycles: what brakes comes to its end.
+    pub fn settle(&mut self) {
+        // Half a minute brakes whatever a drive can do.
+        for _ in 0..30_000 {
+            if !self.braking {
+                return;
+            }
+            self.brake(1e-3);
+        }
+    }
+
+    fn brake(&mut self, dt_s: f64) {
+        for i in 0..self.velocity.len() {
+            let most = self.setup.acceleration[i] * dt_s;
+            let before = self.velocity[i];
+            self.go(i, before - before.clamp(-most, most), dt_s);
+        }
+        self.braking = self.velocity.iter().any(|v| *v != 0.0);
+    }
+
+    /// Motor `i` goes on for a period, at whose end it has velocity `after`.
+    fn go(&mut self, i: usize, after: f64, dt_s: f64) {
+        self.position[i] += 0.5 * (self.velocity[i] + after) * dt_s;
+        self.velocity[i] = after;
+        // A motor that turns back first goes through the play; the joint stands meanwhile.
+        let play = 0.5 * self.setup.backlash[i];
+        let joint = self.truth.position[i].max(self.position[i] - play).min(self.position[i] + play);
+        let carried = play == 0.0 || joint != self.truth.position[i];
+        self.truth.position[i] = joint;
+        self.truth.velocity[i] = if carried { after } else { 0.0 };
     }
 
     /// Where the joints really are and how fast they move, m, rad and per second: what no encoder shows.
@@ -73,7 +108,8 @@ impl SimulatedDrive {
         self.truth
     }
 
-    fn measured(&self) -> Measured {
+    /// What encoders say at the end of the last cycle, m, rad and per second.
+    pub fn measured(&self) -> Measured {
         let position = Joints::from_fn(|i, _| {
             let (q, phase, step) = (self.position[i], self.phase[i], self.setup.quantum[i]);
             if step > 0.0 { ((q + phase) / step).round() * step - phase } else { q }
@@ -84,6 +120,10 @@ impl SimulatedDrive {
 
 impl Drive for SimulatedDrive {
     fn cycle(&mut self, velocity: &Joints, dt_s: f64) -> Result<Measured, Lost> {
+        if self.braking {
+            self.brake(dt_s);
+            return Ok(self.measured());
+        }
         let command = std::mem::replace(&mut self.on_the_way, *velocity);
         // Exact solution of the loop over one period, so that long periods stay stable.
         let share = 1.0 - (-dt_s / self.setup.lag_s).exp();
@@ -96,22 +136,14 @@ impl Drive for SimulatedDrive {
             if wanted == 0.0 && after.abs() < stick {
                 after = 0.0;
             }
-            self.position[i] += 0.5 * (before + after) * dt_s;
-            self.velocity[i] = after;
-            // A motor that turns back first goes through the play; the joint stands meanwhile.
-            let play = 0.5 * self.setup.backlash[i];
-            let joint = self.truth.position[i].max(self.position[i] - play).min(self.position[i] + play);
-            let carried = play == 0.0 || joint != self.truth.position[i];
-            self.truth.position[i] = joint;
-            self.truth.velocity[i] = if carried { after } else { 0.0 };
+            self.go(i, after, dt_s);
         }
         Ok(self.measured())
     }
 
     fn make_safe(&mut self) {
-        self.velocity = Joints::zeros();
-        self.truth.velocity = Joints::zeros();
         self.on_the_way = Joints::zeros();
+        self.braking = true;
     }
 }
 
@@ -216,12 +248,36 @@ mod tests {
     }
 
     #[test]
-    fn make_safe_stops_at_once_and_forgets_the_command_on_its_way() {
+    fn made_safe_it_brakes_with_its_highest_acceleration_whatever_is_commanded_and_then_takes_commands() {
+        let v = per_kind(0.01, 0.1);
+        let mut drive = SimulatedDrive::new(Simulation::default(), Joints::zeros());
+        let mut before = run(&mut drive, &v, 100).velocity;
+        let from = drive.position;
+        drive.make_safe();
+        let mut cycles = 0;
+        while before != Joints::zeros() {
+            let now = run(&mut drive, &v, 1).velocity;
+            cycles += 1;
+            for i in 0..5 {
+                let most = Simulation::default().acceleration[i] * DT * (1.0 + 1e-9);
+                assert!((now[i] - before[i]).abs() <= most && now[i].abs() <= before[i].abs(), "joint {i}");
+            }
+            before = now;
+        }
+        assert_eq!(cycles, 20, "10 mm/s at 0.5 m/s²");
+        assert!((drive.position[0] - from[0] - 0.1e-3).abs() < 1e-8, "v²/2a, {}", drive.position[0]);
+        assert!(run(&mut drive, &v, 30).velocity[0] > 0.008);
+    }
+
+    #[test]
+    fn without_cycles_a_braking_drive_settles_where_it_would_have_come_to_rest() {
         let mut drive = SimulatedDrive::new(Simulation::default(), Joints::zeros());
         run(&mut drive, &per_kind(0.01, 0.1), 100);
         drive.make_safe();
-        let stands = drive.measured();
-        assert_eq!(run(&mut drive, &Joints::zeros(), 1), stands);
-        assert_eq!(stands.velocity, Joints::zeros());
+        let mut cycled = drive.clone();
+        run(&mut cycled, &Joints::zeros(), 50);
+        drive.settle();
+        assert_eq!((drive.truth(), drive.measured()), (cycled.truth(), cycled.measured()));
+        assert_eq!(drive.truth().velocity, Joints::zeros());
     }
 }

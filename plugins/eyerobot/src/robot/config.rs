@@ -49,8 +49,9 @@ pub(super) struct EyeRobotConfig {
     /// Highest acceleration of a turning joint
     #[config(min = 0.01, max = 6.0, unit = "rad/s^2", default = 6.0)]
     acceleration_rad_s2: f64,
-    /// A motion by velocity or force that is not repeated for this long holds the arm
-    #[config(min = 0.002, max = 10.0, unit = "s", default = 0.1)]
+    /// A motion by velocity or force that is not repeated for this long is braked and held: for clients that send less than 125
+    /// times per second, make it longer
+    #[config(min = 0.002, max = 10.0, unit = "s", default = 0.008)]
     servo_timeout_s: f64,
     /// Play of the simulated slides, from one side to the other
     #[config(min = 0.0, max = 1e-5, unit = "m", default = 0.0)]
