@@ -1,7 +1,7 @@
 //! Hands-on control: turns the force of a hand into a velocity of the tip.
 //!
 //! Invariant: nothing below the dead band moves anything, and three times the dead band counts in full; the law between
-//! is continuous, so no force makes the velocity jump. Wrenches and twists are in the frame of the tip. Source: R. H.
+//! is continuous, so no force makes the velocity jump. What is too strong or no number lets go and leaves nothing behind. Wrenches and twists are in the frame of the tip. Source: R. H.
 //! Taylor et al., *A steady-hand robotic system for microsurgical augmentation*, IJRR 18 (1999): velocity in proportion to
 //! the force on the handle.
 
@@ -25,6 +25,9 @@ pub struct Law {
 /// Largest gain that is taken: m/(s·N) and rad/(s·N·m). With a hand of 2 N/mm the loop through the hand then has a gain of
 /// 10 /s, which filter and arm leave a phase margin of 50°.
 pub const HIGHEST_GAIN: [f64; 2] = [0.005, 10.0];
+
+/// A stronger torque lets go, N·m: twice what `compliance/servo_cf` may ask for.
+const LIMIT_N_M: f64 = 2.0;
 
 /// Part of the limit below which a force that was too strong counts again.
 const AGAIN: f64 = 0.9;
@@ -60,19 +63,31 @@ impl Admittance {
 
     /// One period of `dt_s` with this `wrench` (N, N·m): the twist of the tip that follows it, m/s and rad/s.
     pub fn step(&mut self, wrench: &Vector6<f64>, dt_s: f64) -> Vector6<f64> {
+        if wrench.iter().any(|part| !part.is_finite()) {
+            self.let_go();
+            return Vector6::zeros();
+        }
         let strength_n = wrench.fixed_rows::<3>(0).norm();
-        self.too_strong = strength_n > self.law.limit_n * if self.too_strong { AGAIN } else { 1.0 };
+        let torque_n_m = wrench.fixed_rows::<3>(3).norm();
+        let part = if self.too_strong { AGAIN } else { 1.0 };
+        self.too_strong = strength_n > self.law.limit_n * part || torque_n_m > LIMIT_N_M * part;
+        if self.too_strong {
+            self.let_go();
+            return Vector6::zeros();
+        }
         // Two equal low-passes in a row: critically damped, so a hand that lets go is not followed by a swing back.
         let share = 1.0 - (-std::f64::consts::TAU * self.law.corner_hz * dt_s).exp();
         self.first += (wrench - self.first) * share;
         self.second += (self.first - self.second) * share;
-        if self.too_strong {
-            return Vector6::zeros();
-        }
         let force = beyond(&self.second.fixed_rows::<3>(0).into_owned(), self.law.dead_band_n);
         let torque = beyond(&self.second.fixed_rows::<3>(3).into_owned(), self.law.dead_band_n_m);
         let counted = Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z);
         counted.component_mul(&self.law.gain)
+    }
+
+    /// Empties the filter: a blow would be followed long after it is over.
+    fn let_go(&mut self) {
+        (self.first, self.second) = (Vector6::zeros(), Vector6::zeros());
     }
 
     /// The force is, or was and is still nearly, above the limit.
@@ -131,7 +146,37 @@ mod tests {
         assert!(admittance.step(&push(4.9), DT)[2] > 4e-3);
         assert_eq!(admittance.step(&push(5.1), DT), Vector6::zeros());
         assert_eq!(admittance.step(&push(4.6), DT), Vector6::zeros());
+        assert!(admittance.step(&push(4.4), DT)[2] < 0.1e-3, "it is followed from rest");
+        (0..500).for_each(|_| _ = admittance.step(&push(4.4), DT));
         assert!(admittance.step(&push(4.4), DT)[2] > 4e-3);
+    }
+
+    #[test]
+    fn a_blow_or_a_wrench_that_is_no_number_leaves_nothing_behind() {
+        let least = Vector6::new(0.0, 0.0, 0.5, 0.0, 0.0, 0.0);
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, 500.0, f64::MAX] {
+            for place in 0..3 {
+                let mut admittance = Admittance::new(Law::default());
+                (0..100).for_each(|_| _ = admittance.step(&least, DT));
+                let mut blow = least;
+                blow[place] = bad;
+                assert_eq!(admittance.step(&blow, DT), Vector6::zeros());
+                for _ in 0..1000 {
+                    let v = admittance.step(&least, DT);
+                    assert!(v.iter().all(|v| v.is_finite()) && v.norm() <= 0.5e-3 + 1e-9, "{bad}: {v:?}");
+                }
+                assert!(
+                    (admittance.step(&least, DT)[2] - 0.5e-3).abs() < 1e-6,
+                    "{bad}: it is followed again"
+                );
+            }
+        }
+        // A torque that is no number, too.
+        let mut admittance = Admittance::new(Law::default());
+        for bad in [f64::NAN, 1e300, 3.0] {
+            admittance.step(&Vector6::new(0.0, 0.0, 0.0, bad, 0.0, 0.0), DT);
+            assert_eq!(admittance.step(&Vector6::zeros(), DT), Vector6::zeros());
+        }
     }
 
     #[test]

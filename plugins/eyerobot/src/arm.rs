@@ -151,6 +151,16 @@ impl<D: Drive> Arm<D> {
         }
     }
 
+    /// The joints are referenced already: an arm stood here before, whose encoders still count.
+    pub fn referenced(&mut self) {
+        self.operating.homed();
+    }
+
+    /// All joints are where `home` brings them.
+    pub fn is_at_home(&self) -> bool {
+        (0..COUNT).all(|i| self.measured.position[i].abs() <= ARRIVED[i])
+    }
+
     /// The hand's wrench in the frame of the tip (N, N·m), from the next step on.
     pub fn feel(&mut self, wrench: &Vector6<f64>) {
         self.handle = *wrench;

@@ -38,7 +38,8 @@ const FIRST_CYCLE_S: f64 = 1e-3;
     provides("arm", "local", "body", "compliance", "axis", "virtual_fixture", "truth")
 )]
 pub struct EyeRobot {
-    /// Force and torque of the hand on the handle, in the frame of the tip; an old one counts as none
+    /// Force and torque of the hand on the handle, in the frame of the tip; one with stamp 0 or older than handle_timeout_s
+    /// counts as none
     #[input(optional)]
     handle: In<Wrench>,
     /// Joints and tip of each cycle
@@ -114,10 +115,13 @@ pub struct EyeRobot {
 
 impl EyeRobot {
     /// The arm as the configuration wants it, DISABLED at `position` (m, rad), with base frame, fixtures and gains of
-    /// the state row.
-    fn build(&mut self, position: Joints) {
+    /// the state row; referenced, if the one before was.
+    fn build(&mut self, position: Joints, homed: bool) {
         let drive = SimulatedDrive::new(self.cfg.simulation(), position);
         self.arm = Arm::new(self.cfg.settings(), drive, position);
+        if homed {
+            self.arm.referenced();
+        }
         if !self.configuration_js.names.is_empty() {
             // Gains were checked when they were set; a row of another version may hold others, which are left out.
             let _ = self.arm.set_gain(&Vector6::from(self.gain));
@@ -137,6 +141,11 @@ impl EyeRobot {
         let wrench = match (self.handle.sample(), &self.hand) {
             (Some(sample), _) if sample.stale => None,
             (Some(sample), _) => {
+                // An invalid one (stamp 0, CRTK) is none, and so is one that nobody renews.
+                let age_s = now.seconds_since(sample.value.stamp);
+                if !sample.value.is_valid() || age_s.abs() > self.cfg.handle_timeout_s {
+                    return self.felt_wrench(None);
+                }
                 let wrench = sample.value.vector().ok();
                 if wrench.is_none() && sample.fresh {
                     self.handle_rejected += 1;
@@ -150,6 +159,10 @@ impl EyeRobot {
             }
             (None, None) => None,
         };
+        self.felt_wrench(wrench);
+    }
+
+    fn felt_wrench(&mut self, wrench: Option<Vector6<f64>>) {
         self.felt = wrench.is_some();
         self.arm.feel(&wrench.unwrap_or_default());
     }
@@ -219,8 +232,9 @@ impl EyeRobot {
 
 impl Component for EyeRobot {
     fn configure(&mut self) -> Result {
-        // The arm stands where it stood; a new one stands at home.
-        self.build(self.arm.measured().position);
+        // The arm stands where it stood, and knows where that is; a new one stands at home.
+        self.arm.settle();
+        self.build(self.arm.measured().position, self.arm.operating().is_homed());
         self.publish(self.host.now());
         Ok(())
     }
@@ -231,9 +245,11 @@ impl Component for EyeRobot {
         if self.cfg.auto_enable {
             let paused = self.arm.operating().mode() == OperatingMode::PAUSED;
             self.arm.state_command(if paused { "resume" } else { "enable" })?;
-            if !self.arm.operating().is_homed() {
+            if !self.arm.operating().is_homed() && self.arm.is_at_home() {
                 self.arm.state_command("home")?;
                 self.arm.step(FIRST_CYCLE_S);
+            } else if !self.arm.operating().is_homed() {
+                log::warn!("not homed, and away from home: nothing moves until state_command \"home\"");
             }
         }
         self.publish(self.host.now());
@@ -279,7 +295,7 @@ impl Component for EyeRobot {
             return Err(format!("snapshot of {} bytes: an arm's has {}", snapshot.len(), 8 * COUNT).into());
         }
         let position = Joints::from_fn(|i, _| f64::from_le_bytes(values[i]));
-        self.build(position);
+        self.build(position, self.operating_state.is_homed.get());
         self.publish(self.host.now());
         Ok(())
     }

@@ -18,6 +18,14 @@ fn force(force: [f64; 3]) -> Wrench {
     Wrench { force, ..Wrench::default() }
 }
 
+/// Steps with this force on the handle, told anew in each.
+fn push(bench: &mut Bench<EyeRobot>, newton: [f64; 3], steps: u32) {
+    for _ in 0..steps {
+        bench.push("handle", Wrench { stamp: bench.now(), ..force(newton) });
+        bench.step(1);
+    }
+}
+
 fn say(bench: &mut Bench<EyeRobot>, word: &str) -> bool {
     bench.command::<Text<32>, ()>("state_command", word.into()).is_ok()
 }
@@ -93,9 +101,8 @@ fn cartesian_values_carry_the_stamp_of_the_joints_and_what_is_not_known_stamp_0(
     let all: CartesianState = bench.read("arm/measured_cs", ()).unwrap();
     assert_eq!([all.stamp, all.pose.stamp, all.twist.stamp], [stamp; 3]);
     assert_eq!(all.wrench.stamp, Stamp::INVALID, "nobody holds the handle");
-    bench.push("handle", force([0.0, 0.0, 0.5]));
     bench.command::<_, ()>("arm/servo_cv", Twist { linear: [0.001, 0.0, 0.0], ..Twist::default() }).unwrap();
-    bench.step(1);
+    push(&mut bench, [0.0, 0.0, 0.5], 1);
     for of in ["arm/setpoint_cp", "arm/goal_cp"] {
         assert_eq!(pose(&bench, of), Stamp::INVALID, "{of} of a motion by velocity");
     }
@@ -137,11 +144,10 @@ fn a_servo_motion_pre_empts_a_move_and_a_move_is_busy_until_it_says_that_it_arri
 fn one_newton_is_one_millimetre_per_second_within_2_percent_in_every_direction() {
     for direction in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [0.6, 0.0, 0.8]] {
         let mut bench = Bench::<EyeRobot>::new("{}");
-        bench.push("handle", force(direction));
         bench.command::<(), ()>("free", ()).unwrap();
-        bench.step(500);
+        push(&mut bench, direction, 500);
         let from = true_tip(&bench);
-        bench.step(2_000);
+        push(&mut bench, direction, 2_000);
         let to = true_tip(&bench);
         let v: f64 = (0..3).map(|i| (to[i] - from[i]) / 2.0 * direction[i]).sum();
         assert!((v / 1e-3 - 1.0).abs() < 0.02, "{direction:?}: {v} m/s");
@@ -158,8 +164,7 @@ fn the_noise_of_the_handle_moves_nothing() {
         bench.command::<(), ()>("free", ()).unwrap();
         let from = true_tip(&bench);
         for n in 0..1_000 {
-            bench.push("handle", force(hand.sensor_error_n(DT * f64::from(n)).into()));
-            bench.step(1);
+            push(&mut bench, hand.sensor_error_n(DT * f64::from(n)).into(), 1);
         }
         let to = true_tip(&bench);
         let way = (0..3).map(|i| (to[i] - from[i]).abs()).fold(0.0, f64::max);
@@ -169,13 +174,12 @@ fn the_noise_of_the_handle_moves_nothing() {
 }
 
 /// Tip of an arm that follows a hand with these forces, after each period, m in the world.
-fn led(seed: u64, periods: u32, mut push: impl FnMut(f64, [f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
+fn led(seed: u64, periods: u32, mut hand: impl FnMut(f64, [f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
     let mut bench = Bench::<EyeRobot>::new(format!(r#"{{"seed": {seed}, "backlash_m": 1e-6}}"#));
     bench.command::<(), ()>("free", ()).unwrap();
     let way = |n: u32, bench: &mut Bench<EyeRobot>| {
         let tip = true_tip(bench);
-        bench.push("handle", force(push(DT * f64::from(n), tip)));
-        bench.step(1);
+        push(bench, hand(DT * f64::from(n), tip), 1);
         true_tip(bench)
     };
     let mut way = way;
@@ -251,12 +255,11 @@ fn no_hand_and_no_controller_drives_the_tip_10_micrometres_into_a_forbidden_regi
         let mut deepest = f64::NEG_INFINITY;
         for n in 0..800 {
             let t = DT * f64::from(n);
-            let push = hand.force_n(t);
-            bench.push("handle", force([push.x, push.y, push.z + 4.0]));
             if n > 400 {
                 bench.command::<_, ()>("axis/servo_cv", down).unwrap();
             }
-            bench.step(1);
+            let by_hand = hand.force_n(t);
+            push(&mut bench, [by_hand.x, by_hand.y, by_hand.z + 4.0], 1);
             deepest = deepest.max(true_tip(&bench)[2] - border);
         }
         assert!(deepest < 10e-6, "seed {seed}: {deepest:e} m beyond");
@@ -292,49 +295,72 @@ fn with_a_plane_above_the_retina_the_tip_stays_150_micrometres_away_from_it() {
 
 #[test]
 fn the_simulated_hand_moves_the_arm_only_when_it_is_configured_and_nothing_is_connected() {
-    let way = |config: &str, push: Option<Wrench>| {
+    let way = |config: &str, nothing: bool| {
         let mut bench = Bench::<EyeRobot>::new(config);
         // To the beginning of a push.
         bench.advance(2_000_000_000 - bench.now().ns());
         bench.command::<(), ()>("free", ()).unwrap();
-        if let Some(push) = push {
-            bench.push("handle", push);
-        }
         let from = true_tip(&bench);
-        bench.step(1_000);
+        if nothing {
+            push(&mut bench, [0.0; 3], 1_000);
+        } else {
+            bench.step(1_000);
+        }
         let to = true_tip(&bench);
         (0..3).map(|i| (to[i] - from[i]).powi(2)).sum::<f64>().sqrt()
     };
-    let led = way(r#"{"hand": "simulated"}"#, None);
+    let led = way(r#"{"hand": "simulated"}"#, false);
     assert!((0.2e-3..2e-3).contains(&led), "{led}");
-    assert!(way("{}", None) < 1e-6);
-    assert!(way(r#"{"hand": "simulated"}"#, Some(Wrench::default())) < 1e-6);
+    assert!(way("{}", false) < 1e-6);
+    assert!(way(r#"{"hand": "simulated"}"#, true) < 1e-6);
 }
 
 #[test]
 fn a_wrench_that_is_no_number_is_counted_and_not_followed() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     bench.command::<(), ()>("free", ()).unwrap();
-    bench.push("handle", force([0.0, f64::NAN, 0.0]));
-    bench.step(50);
+    push(&mut bench, [0.0, f64::NAN, 0.0], 1);
+    bench.step(49);
     assert_eq!(bench.state().handle_rejected, 1);
     assert_eq!(operating(&bench).state, OperatingMode::ENABLED);
-    assert!(true_tip(&bench).iter().all(|v| v.is_finite()));
+    let from = true_tip(&bench);
+    assert!(from.iter().all(|v| v.is_finite()));
+    push(&mut bench, [0.0, 1.0, 0.0], 500);
+    assert!(true_tip(&bench)[1] > from[1] + 0.3e-3, "the next ones are followed");
+}
+
+#[test]
+fn a_wrench_without_a_stamp_or_one_that_is_not_renewed_is_none() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    bench.command::<(), ()>("free", ()).unwrap();
+    let from = true_tip(&bench);
+    for _ in 0..300 {
+        bench.push("handle", force([0.0, 0.0, 2.0]));
+        bench.step(1);
+    }
+    assert!((true_tip(&bench)[2] - from[2]).abs() < 1e-6, "stamp 0 (CRTK): not measured");
+    assert_eq!(bench.state().handle_rejected, 0);
+    push(&mut bench, [0.0, 0.0, 2.0], 500);
+    let let_go = true_tip(&bench)[2];
+    assert!(let_go > from[2] + 0.5e-3);
+    // Its own age counts, whatever the connection allows: 50 ms, and what the filter still holds.
+    bench.step(1_000);
+    let way = true_tip(&bench)[2] - let_go;
+    assert!(way < 0.35e-3, "{way} m after the last wrench");
+    assert_eq!(bench.read::<(), Wrench>("body/measured_cf", ()).unwrap().stamp, Stamp::INVALID);
 }
 
 #[test]
 fn a_force_above_the_limit_is_told_and_not_followed() {
     let mut bench = Bench::<EyeRobot>::new(r#"{"force_limit_n": 3}"#);
     bench.command::<(), ()>("free", ()).unwrap();
-    bench.push("handle", force([0.0, 0.0, 3.5]));
-    bench.step(500);
+    push(&mut bench, [0.0, 0.0, 3.5], 500);
     let stands = true_tip(&bench);
     assert_eq!(bench.events::<Flag>("arm/force_limit"), [Flag::TRUE]);
-    bench.step(300);
+    push(&mut bench, [0.0, 0.0, 3.5], 300);
     let crept = (0..3).map(|i| (true_tip(&bench)[i] - stands[i]).abs()).fold(0.0, f64::max);
     assert!(crept < 0.5e-6, "{crept}");
-    bench.push("handle", force([0.0, 0.0, 1.0]));
-    bench.step(300);
+    push(&mut bench, [0.0, 0.0, 1.0], 300);
     assert_eq!(bench.events::<Flag>("arm/force_limit"), [Flag::FALSE]);
     assert!(true_tip(&bench)[2] > stands[2] + 0.1e-3);
 }

@@ -162,6 +162,42 @@ fn stop_and_start_leave_the_arm_where_it_stands() {
 }
 
 #[test]
+fn configure_and_start_away_from_home_move_nothing_and_the_arm_knows_where_it_is() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    bench.command::<_, ()>("move_jp", joints(&[0.003, 0.0, -0.002, 0.1, 0.0])).unwrap();
+    bench.step(2000);
+    bench.stop().unwrap();
+    let stood = position(&bench);
+    bench.configure(r#"{"speed_m_s": 0.005}"#).unwrap();
+    bench.start().unwrap();
+    assert!(operating(&bench).is_homed.get() && !operating(&bench).is_busy.get());
+    bench.step(1000);
+    let moved = position(&bench).iter().zip(&stood).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(moved < 10e-6, "{moved}: it stood at {stood:?}");
+    bench.command::<_, ()>("servo_jp", joints(&[0.004, 0.0, -0.002, 0.1, 0.0])).unwrap();
+    bench.step(1000);
+    assert!((position(&bench)[0] - 0.004).abs() < 2e-6);
+}
+
+#[test]
+fn an_arm_that_forgot_its_home_away_from_it_goes_there_only_when_it_is_asked() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    bench.command::<_, ()>("move_jp", joints(&[0.003, 0.0, 0.0, 0.0, 0.0])).unwrap();
+    bench.step(1000);
+    say(&mut bench, "unhome").unwrap();
+    bench.stop().unwrap();
+    bench.start().unwrap();
+    bench.expect_log(log::Level::Warn, "not homed, and away from home");
+    bench.step(1000);
+    assert!((position(&bench)[0] - 0.003).abs() < 2e-6 && !operating(&bench).is_homed.get());
+    assert_eq!(operating(&bench).state, OperatingMode::ENABLED);
+    assert!(bench.command::<_, ()>("servo_jp", joints(&[0.0; 5])).unwrap_err().reason.contains("home"));
+    say(&mut bench, "home").unwrap();
+    bench.step(1000);
+    assert!(operating(&bench).is_homed.get() && position(&bench)[0].abs() < 2e-6);
+}
+
+#[test]
 fn hold_brakes_a_running_motion() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     bench.command::<_, ()>("move_jp", joints(&[0.02, 0.0, 0.0, 0.0, 0.0])).unwrap();

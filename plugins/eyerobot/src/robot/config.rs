@@ -12,8 +12,8 @@ use crate::kinematics::Kinematics;
 
 #[derive(Config)]
 pub(super) struct EyeRobotConfig {
-    /// Enables and homes the arm at Start (it moves to all zeros), so that motions are taken at once. Without it, send
-    /// state_command "enable", then "home"
+    /// Enables the arm at Start, and homes it if it stands at all zeros, so that motions are taken at once; nothing moves. Without
+    /// it, send state_command "enable", then "home", which moves to all zeros
     #[config(default = true)]
     pub(super) auto_enable: bool,
     /// Seed of the simulation: where the encoders' steps lie, and how the simulated hand moves
@@ -68,6 +68,9 @@ pub(super) struct EyeRobotConfig {
     /// -6 dB corner of the filter of the hand's force
     #[config(min = 1.0, max = 50.0, unit = "Hz", default = 5.0)]
     hand_corner_hz: f64,
+    /// A wrench of the hand whose stamp is older than this counts as none
+    #[config(min = 0.002, max = 1.0, unit = "s", default = 0.05)]
+    pub(super) handle_timeout_s: f64,
     /// Above this force of the hand the arm lets it go
     #[config(min = 0.1, max = 100.0, unit = "N", default = 20.0)]
     force_limit_n: f64,
