@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 
-use crate::lanes::Lanes;
+use crate::lanes;
 
 #[derive(Config)]
 struct BiquadConfig {
@@ -37,7 +37,7 @@ pub struct Biquad {
     filtered: Out<Scalar>,
     #[output]
     filtered_wrench: Out<Wrench>,
-    /// Samples left out: not finite.
+    /// Samples left out: not finite, or beyond 1e100.
     #[state]
     rejected: u64,
     #[config]
@@ -76,8 +76,9 @@ impl Component for Biquad {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        self.rejected += self.design.pass(&mut self.value, &self.filtered, &mut self.of_value);
-        self.rejected += self.design.pass(&mut self.wrench, &self.filtered_wrench, &mut self.of_wrench);
+        let Biquad { design, of_value, of_wrench, .. } = self;
+        self.rejected += lanes::pass(&mut self.value, &self.filtered, |n| design.each(n, of_value));
+        self.rejected += lanes::pass(&mut self.wrench, &self.filtered_wrench, |n| design.each(n, of_wrench));
         Ok(())
     }
 }
@@ -119,26 +120,12 @@ impl Design {
         y
     }
 
-    /// Filters all samples that wait; tells how many were left out.
-    fn pass<T: Payload + Lanes<N>, const N: usize>(
-        &self,
-        from: &mut In<T>,
-        to: &Out<T>,
-        memory: &mut Option<[Memory; N]>,
-    ) -> u64 {
-        let mut rejected = 0;
-        while let Some(sample) = from.next_sample() {
-            if !sample.value.is_finite() {
-                rejected += 1;
-                continue;
-            }
-            let mut numbers = sample.value.numbers();
-            let memory = memory.get_or_insert_with(|| numbers.map(|x| self.at_rest(x)));
-            for (number, memory) in numbers.iter_mut().zip(memory) {
-                *number = self.step(*number, memory);
-            }
-            to.write_at(&sample.value.with(numbers), sample.stamp);
+    /// One sample of all numbers; the first one finds the filters at rest on it.
+    fn each<const N: usize>(&self, mut numbers: [f64; N], memory: &mut Option<[Memory; N]>) -> [f64; N] {
+        let memory = memory.get_or_insert_with(|| numbers.map(|x| self.at_rest(x)));
+        for (number, memory) in numbers.iter_mut().zip(memory) {
+            *number = self.step(*number, memory);
         }
-        rejected
+        numbers
     }
 }

@@ -1,13 +1,16 @@
 //! Poses in another frame: a fixed transform from the configuration, or the newest one that comes in.
 //!
-//! Invariant: what is not a pose, and what comes while the transform is stale or none, is left out, never repaired.
+//! Invariant: what is not a pose, and what is older than `max_age_s`, is left out, never repaired; a pose is never multiplied
+//! with a transform that is so much older than itself.
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use trocar_sdk::data::{Pose, Transform};
 use trocar_sdk::prelude::*;
 
+use crate::good;
+
 #[derive(Config)]
 struct CartesianTransformConfig {
-    /// Of the transform that holds while none comes in
+    /// Of the transform that holds as long as none has come in
     #[config(live, unit = "m", min = -1000.0, max = 1000.0, default = [0.0, 0.0, 0.0])]
     translation_m: [f64; 3],
     /// Unit quaternion x, y, z, w of it
@@ -19,6 +22,9 @@ struct CartesianTransformConfig {
     /// `before`: T · pose, another reference; `behind`: pose · T, another point of the tool
     #[config(live, one_of = ["before", "behind"], default = "before")]
     side: String,
+    /// Oldest pose that is multiplied, and how much older than it the transform that came in may be; 0: any age
+    #[config(live, min = 0.0, max = 3600.0, unit = "s", default = 0.1)]
+    max_age_s: f64,
 }
 
 /// Multiplies poses with a transform.
@@ -32,12 +38,19 @@ pub struct CartesianTransform {
     transform: In<Transform>,
     #[output]
     transformed: Out<Pose>,
-    /// Poses left out: none, or the transform is none or stale.
+    /// Poses left out: none, too old, from far ahead, or the transform is too old.
     #[state]
     rejected: u64,
+    /// Transforms left out: none, or from far ahead. The one before holds until it is too old.
+    #[state]
+    rejected_transforms: u64,
     #[config]
     cfg: CartesianTransformConfig,
     fixed: Isometry3<f64>,
+    /// The newest good one that came in.
+    live: Option<(Isometry3<f64>, Stamp)>,
+    /// Whether ever one came in since Start: then the configured one is out of use.
+    came: bool,
 }
 
 impl Component for CartesianTransform {
@@ -55,26 +68,42 @@ impl Component for CartesianTransform {
     }
 
     fn start(&mut self) -> Result {
-        self.rejected = 0;
+        (self.rejected, self.rejected_transforms) = (0, 0);
+        (self.live, self.came) = (None, false);
         Ok(())
     }
 
-    fn step(&mut self, _: &Tick) -> Result {
-        let live = self.transform.sample();
-        let by = match &live {
-            Some(live) if live.stale => None,
-            Some(live) => live.value.isometry().ok(),
-            None => Some(self.fixed),
-        };
-        let by = by.map(|by| if self.cfg.inverse { by.inverse() } else { by });
+    fn step(&mut self, t: &Tick) -> Result {
+        let now = t.now();
+        self.take_transform(now);
+        let oldest_s = if self.cfg.max_age_s == 0.0 { f64::INFINITY } else { self.cfg.max_age_s };
         while let Some(sample) = self.pose.next_sample() {
-            let (Some(by), Ok(pose)) = (by, sample.value.isometry()) else {
+            let young = good::stamp(sample.stamp, now) && now.seconds_since(sample.stamp) <= oldest_s;
+            let pose = good::pose(&sample.value).filter(|_| young && !sample.stale);
+            let live = self.live.filter(|(_, since)| sample.stamp.seconds_since(*since) <= oldest_s);
+            let by = if self.came { live.map(|(by, _)| by) } else { Some(self.fixed) };
+            let (Some(by), Some(pose)) = (by, pose) else {
                 self.rejected += 1;
                 continue;
             };
+            let by = if self.cfg.inverse { by.inverse() } else { by };
             let other = if self.cfg.side == "behind" { pose * by } else { by * pose };
             self.transformed.write(&Pose { stamp: sample.stamp, ..other.into() });
         }
         Ok(())
+    }
+}
+
+impl CartesianTransform {
+    fn take_transform(&mut self, now: Stamp) {
+        let Some(sample) = self.transform.sample() else { return };
+        self.came = true;
+        if sample.stale {
+            self.live = None;
+        } else if let Some(by) = good::pose(&sample.value.pose).filter(|_| good::stamp(sample.stamp, now)) {
+            self.live = Some((by, sample.stamp));
+        } else {
+            self.rejected_transforms += u64::from(sample.fresh);
+        }
     }
 }

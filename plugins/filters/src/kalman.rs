@@ -5,6 +5,8 @@
 use trocar_sdk::data::{CartesianState, Pose, Scalar, Twist};
 use trocar_sdk::prelude::*;
 
+use crate::good;
+
 #[derive(Config)]
 struct KalmanConfig {
     /// Standard deviation of a measurement, in its unit
@@ -52,7 +54,7 @@ pub struct Kalman {
     /// Pose and linear velocity
     #[output]
     moving: Out<CartesianState>,
-    /// Samples left out: not finite, without a stamp, back in time, or outliers.
+    /// Samples left out: no number or pose, without a stamp, back in time or from far ahead, or outliers.
     #[state]
     rejected: u64,
     #[config]
@@ -77,11 +79,14 @@ impl Component for Kalman {
         Ok(())
     }
 
-    fn step(&mut self, _: &Tick) -> Result {
+    fn step(&mut self, t: &Tick) -> Result {
+        let now = t.now();
         let ahead = self.cfg.predict_s;
         while let Some(sample) = self.value.next_sample() {
-            let Some([innovation]) = self.of_value.measure([sample.value.value], sample.stamp, &self.cfg)
-            else {
+            let good = good::number(sample.value.value) && good::stamp(sample.stamp, now);
+            let track = &mut self.of_value;
+            let taken = good.then(|| track.measure([sample.value.value], sample.stamp, &self.cfg)).flatten();
+            let Some([innovation]) = taken else {
                 self.rejected += 1;
                 continue;
             };
@@ -92,7 +97,8 @@ impl Component for Kalman {
         }
         while let Some(sample) = self.pose.next_sample() {
             let stamp = sample.stamp;
-            if self.of_pose.measure(sample.value.position, stamp, &self.cfg).is_none() {
+            let good = good::pose(&sample.value).is_some() && good::stamp(stamp, now);
+            if !good || self.of_pose.measure(sample.value.position, stamp, &self.cfg).is_none() {
                 self.rejected += 1;
                 continue;
             }
@@ -123,12 +129,9 @@ impl<const N: usize> Default for Track<N> {
 }
 
 impl<const N: usize> Track<N> {
-    /// Takes a measurement; gives what it was beside the expected, or `None` when it is left out. White-noise acceleration:
+    /// Takes a measurement that is good; gives what it was beside the expected, or `None` when it is left out. White-noise acceleration:
     /// Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, 6.2.
     fn measure(&mut self, z: [f64; N], stamp: Stamp, cfg: &KalmanConfig) -> Option<[f64; N]> {
-        if !stamp.is_valid() || !z.iter().all(|z| z.is_finite()) {
-            return None;
-        }
         let r = cfg.sigma * cfg.sigma;
         let dt = stamp.seconds_since(self.stamp);
         if self.stamp.is_valid() && dt <= 0.0 {

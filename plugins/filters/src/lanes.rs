@@ -1,8 +1,10 @@
 //! Payloads as the numbers in them, for filters that treat each number alike.
 //!
-//! Invariant: the numbers of a payload are always the same ones in the same order; its stamp is none of them.
-
+//! Invariant: the numbers of a payload are always the same ones in the same order; its stamp is none of them, and stays.
 use trocar_sdk::data::{Scalar, Wrench};
+use trocar_sdk::prelude::*;
+
+use crate::good;
 
 /// A payload of `N` numbers.
 pub(crate) trait Lanes<const N: usize>: Copy {
@@ -10,9 +12,26 @@ pub(crate) trait Lanes<const N: usize>: Copy {
     /// The same payload with other numbers.
     fn with(self, numbers: [f64; N]) -> Self;
 
-    fn is_finite(&self) -> bool {
-        self.numbers().iter().all(|n| n.is_finite())
+    fn is_good(&self) -> bool {
+        self.numbers().iter().all(|n| good::number(*n))
     }
+}
+
+/// Filters all samples that wait; tells how many were left out.
+pub(crate) fn pass<T: Payload + Lanes<N>, const N: usize>(
+    from: &mut In<T>,
+    to: &Out<T>,
+    mut filter: impl FnMut([f64; N]) -> [f64; N],
+) -> u64 {
+    let mut rejected = 0;
+    while let Some(sample) = from.next_sample() {
+        if sample.value.is_good() {
+            to.write_at(&sample.value.with(filter(sample.value.numbers())), sample.stamp);
+        } else {
+            rejected += 1;
+        }
+    }
+    rejected
 }
 
 impl Lanes<1> for Scalar {

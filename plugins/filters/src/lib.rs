@@ -1,7 +1,8 @@
 //! Filters of plain samples, one file each: `low_pass`, `biquad`, `moving_median`, `kalman`, `resampler`, `pid`,
 //! `cartesian_transform`, `watchdog`, `add_latency`.
 //!
-//! Invariant: a number that is not finite is left out and counted, never passed on. `low_pass.rs` is the sample that the
+//! Invariant: a sample with a number that nothing can have measured is left out and counted, and the filter goes on with the next
+//! one as if it had not come; `add_latency` alone looks at no numbers. `low_pass.rs` is the sample that the
 //! documentation shows, a whole plugin; it stays on one screen and is laid out by hand.
 #![forbid(unsafe_code)]
 
@@ -22,6 +23,7 @@ pub mod prelude {
 mod add_latency;
 mod biquad;
 mod cartesian_transform;
+mod good;
 mod kalman;
 mod lanes;
 mod moving_median;

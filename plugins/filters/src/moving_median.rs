@@ -4,7 +4,7 @@
 use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 
-use crate::lanes::Lanes;
+use crate::lanes;
 
 /// Longest window, samples.
 const MOST: usize = 101;
@@ -28,7 +28,7 @@ pub struct MovingMedian {
     filtered: Out<Scalar>,
     #[output]
     filtered_wrench: Out<Wrench>,
-    /// Samples left out: not finite.
+    /// Samples left out: not finite, or beyond 1e100.
     #[state]
     rejected: u64,
     #[config]
@@ -67,8 +67,9 @@ impl Component for MovingMedian {
 
     fn step(&mut self, _: &Tick) -> Result {
         let length = self.cfg.window;
-        self.rejected += self.of_value.pass(length, &mut self.value, &self.filtered);
-        self.rejected += self.of_wrench.pass(length, &mut self.wrench, &self.filtered_wrench);
+        let MovingMedian { of_value, of_wrench, .. } = self;
+        self.rejected += lanes::pass(&mut self.value, &self.filtered, |n| of_value.each(length, n));
+        self.rejected += lanes::pass(&mut self.wrench, &self.filtered_wrench, |n| of_wrench.each(length, n));
         Ok(())
     }
 }
@@ -86,26 +87,18 @@ impl<const N: usize> Default for Window<N> {
 }
 
 impl<const N: usize> Window<N> {
-    fn pass<T: Payload + Lanes<N>>(&mut self, length: usize, from: &mut In<T>, to: &Out<T>) -> u64 {
-        let mut rejected = 0;
-        while let Some(sample) = from.next_sample() {
-            if !sample.value.is_finite() {
-                rejected += 1;
-                continue;
-            }
-            let at = self.seen % length;
-            self.seen += 1;
-            let there = self.seen.min(length);
-            let mut numbers = sample.value.numbers();
-            for (number, last) in numbers.iter_mut().zip(&mut self.last) {
-                last[at] = *number;
-                let mut sorted = *last;
-                // Of an even number, the lower one of the two in the middle.
-                let (_, median, _) = sorted[..there].select_nth_unstable_by((there - 1) / 2, f64::total_cmp);
-                *number = *median;
-            }
-            to.write_at(&sample.value.with(numbers), sample.stamp);
+    /// Takes one sample of all numbers; their medians.
+    fn each(&mut self, length: usize, mut numbers: [f64; N]) -> [f64; N] {
+        let at = self.seen % length;
+        self.seen += 1;
+        let there = self.seen.min(length);
+        for (number, last) in numbers.iter_mut().zip(&mut self.last) {
+            last[at] = *number;
+            let mut sorted = *last;
+            // Of an even number, the lower one of the two in the middle.
+            let (_, median, _) = sorted[..there].select_nth_unstable_by((there - 1) / 2, f64::total_cmp);
+            *number = *median;
         }
-        rejected
+        numbers
     }
 }

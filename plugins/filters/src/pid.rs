@@ -1,9 +1,11 @@
 //! A PID controller of one number.
 //!
-//! Invariant: the output lies within its limits, and the integral does not grow while it is held there. Without a fresh
-//! measurement the output is the safe one.
+//! Invariant: the output lies within its limits, and the integral does not grow while it is held there. Without a setpoint and
+//! a measurement that are young enough the output is the safe one.
 use trocar_sdk::data::Scalar;
 use trocar_sdk::prelude::*;
+
+use crate::good;
 
 #[derive(Config)]
 struct PidConfig {
@@ -25,9 +27,15 @@ struct PidConfig {
     /// Highest output
     #[config(live, default = 1.0)]
     highest: f64,
-    /// Output while there is no setpoint or no fresh measurement
+    /// Output while setpoint or measurement are missing or too old
     #[config(live, default = 0.0)]
     safe: f64,
+    /// Oldest measurement that is controlled by
+    #[config(live, min = 0.0001, max = 3600.0, unit = "s", default = 0.1)]
+    max_age_s: f64,
+    /// Oldest setpoint that is controlled to; 0: it holds until another one comes
+    #[config(live, min = 0.0, max = 3600.0, unit = "s", default = 0.1)]
+    setpoint_max_age_s: f64,
 }
 
 /// Output = kp · error + ki · ∫ error − kd · d(measured)/dt, within limits, at the component's rate.
@@ -55,10 +63,15 @@ pub struct Pid {
     controls: Flag,
     #[state]
     at_limit: Flag,
+    /// Samples left out: not finite, beyond 1e100, or from far ahead. The one before holds until it is too old.
+    #[state]
+    rejected: u64,
     #[config]
     cfg: PidConfig,
     /// Measurement behind the low-pass; none before the first one.
     smoothed: Option<f64>,
+    wanted: Held,
+    is: Held,
 }
 
 #[provides("ctl")]
@@ -89,6 +102,8 @@ impl Component for Pid {
     }
 
     fn start(&mut self) -> Result {
+        self.rejected = 0;
+        (self.wanted, self.is) = (Held::default(), Held::default());
         self.clear();
         Ok(())
     }
@@ -100,17 +115,21 @@ impl Component for Pid {
     }
 
     fn step(&mut self, t: &Tick) -> Result {
-        let fresh = |sample: Option<Sample<Scalar>>| sample.filter(|s| !s.stale && s.value.value.is_finite());
-        let wanted = fresh(self.setpoint.sample());
-        let (Some(wanted), Some(is)) = (wanted, fresh(self.measured.sample())) else {
+        let PidConfig { max_age_s, setpoint_max_age_s, .. } = self.cfg;
+        let forever = setpoint_max_age_s == 0.0;
+        let oldest_setpoint_s = if forever { f64::INFINITY } else { setpoint_max_age_s };
+        let rejected = &mut self.rejected;
+        let wanted = self.wanted.newest(&mut self.setpoint, t.now(), oldest_setpoint_s, rejected);
+        let is = self.is.newest(&mut self.measured, t.now(), max_age_s, rejected);
+        let (Some(wanted), Some(is)) = (wanted, is) else {
             self.controls = Flag::FALSE;
             self.clear();
             self.give(self.cfg.safe);
             return Ok(());
         };
         self.controls = Flag::TRUE;
-        let (dt, is) = (t.period_s(), is.value.value);
-        self.error = wanted.value.value - is;
+        let dt = t.period_s();
+        self.error = wanted - is;
         let before = self.smoothed.unwrap_or(is);
         let smoothed = before + (is - before) * dt / (dt + self.cfg.smooth_s);
         self.smoothed = Some(smoothed);
@@ -136,6 +155,31 @@ impl Component for Pid {
         }
         self.give(output);
         Ok(())
+    }
+}
+
+/// The newest good sample of an input.
+#[derive(Default)]
+struct Held(Option<(f64, Stamp)>);
+
+impl Held {
+    /// Its value, unless it is older than `max_age_s` or than the connection allows.
+    fn newest(
+        &mut self,
+        input: &mut In<Scalar>,
+        now: Stamp,
+        max_age_s: f64,
+        rejected: &mut u64,
+    ) -> Option<f64> {
+        match input.sample() {
+            Some(s) if s.stale => self.0 = None,
+            Some(s) if good::number(s.value.value) && good::stamp(s.stamp, now) => {
+                self.0 = Some((s.value.value, s.stamp));
+            }
+            Some(s) => *rejected += u64::from(s.fresh),
+            None => self.0 = None,
+        }
+        self.0.filter(|(_, stamp)| now.seconds_since(*stamp) <= max_age_s).map(|(value, _)| value)
     }
 }
 

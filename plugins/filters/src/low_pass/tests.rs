@@ -75,3 +75,14 @@ fn a_disconnected_peer_stops_nobody() {
     bench.step(1);
     assert_eq!(bench.events::<f64>("overload").len(), 1);
 }
+
+#[test]
+fn a_force_that_is_no_number_is_left_out_and_forgotten() {
+    crate::tests::as_if_the_bad_ones_had_not_come::<LowPass, Force, Force>(
+        (r#"{"limit": 1000}"#, "raw", "filtered"),
+        |_| {},
+        force,
+        force,
+        |bench| bench.state().rejected,
+    );
+}

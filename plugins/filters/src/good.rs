@@ -1,0 +1,34 @@
+//! What a sample must be to be taken: numbers that something can measure, poses that are poses, stamps that are not ahead.
+//!
+//! Invariant: what passes here keeps every filter of this plugin finite, whatever its settings: products of three such numbers
+//! with the largest setting are finite.
+use nalgebra::Isometry3;
+use trocar_sdk::data::Pose;
+use trocar_sdk::prelude::*;
+
+/// Largest number that is taken, in whatever unit: nothing is measured beyond it.
+pub(crate) const LARGEST: f64 = 1e100;
+
+/// How far a stamp may lie ahead of the step that takes it, s: who predicts stamps what it predicts.
+const AHEAD_S: f64 = 1.0;
+
+/// A number that something can have measured.
+pub(crate) fn number(n: f64) -> bool {
+    // Not a number is not below anything.
+    n.abs() <= LARGEST
+}
+
+/// The pose as an isometry; none when it is no pose.
+pub(crate) fn pose(pose: &Pose) -> Option<Isometry3<f64>> {
+    pose.isometry().ok().filter(|pose| pose.translation.vector.iter().all(|n| number(*n)))
+}
+
+/// A stamp of the past, or hardly ahead: one from far ahead would make all that follow it late.
+pub(crate) fn stamp(stamp: Stamp, now: Stamp) -> bool {
+    stamp.is_valid() && at_most_ahead(stamp, now, AHEAD_S)
+}
+
+/// A stamp that lies no more than that ahead, s. Not a difference of both: that is small again for the largest ones.
+pub(crate) fn at_most_ahead(stamp: Stamp, now: Stamp, ahead_s: f64) -> bool {
+    stamp.ns() <= now.ns().saturating_add((ahead_s * 1e9) as u64)
+}
