@@ -148,7 +148,14 @@ fn a_calibration_that_is_missing_or_singular_is_refused_with_what_is_wrong() {
     json["left"]["projection"][0][0] = 0.0.into();
     std::fs::write(&path, json.to_string()).unwrap();
     let why = refused(format!(r#"{{"calibration": {path:?}}}"#));
-    assert!(why.starts_with("calibration: left.projection: focal lengths 0 and"), "{why}");
+    assert!(why.contains("singular.json: left.projection: focal lengths 0 and"), "{why}");
+    json["left"]["projection"][0][0] = json["right"]["projection"][0][0].clone();
+    json["left"]["projection"][1][2] = 1.0.into();
+    std::fs::write(&path, json.to_string()).unwrap();
+    let why = refused(format!(r#"{{"calibration": {path:?}}}"#));
+    assert!(why.contains("must be equal in cy (1 and "), "{why}");
     std::fs::write(&path, &text[..text.len() / 2]).unwrap();
-    assert!(refused(format!(r#"{{"calibration": {path:?}}}"#)).contains("no calibration: EOF"));
+    assert!(
+        refused(format!(r#"{{"calibration": {path:?}}}"#)).contains("singular.json: no calibration: EOF")
+    );
 }

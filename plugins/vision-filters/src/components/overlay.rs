@@ -1,6 +1,7 @@
 //! `overlay`: text, lines and pictures over stereo frames, set by commands while they run.
 //!
-//! Invariant: items are drawn in the order of their numbers; a number has at most one item; a step allocates nothing.
+//! Invariant: items are drawn in the order of their numbers; a number has at most one item; a step allocates nothing. Files
+//! are read only while it does not run.
 
 use std::path::Path;
 
@@ -135,6 +136,10 @@ pub struct Overlay {
     cfg: OverlayConfig,
     room: Room,
     pictures: Vec<Picture>,
+    /// The files they are of.
+    files: Vec<String>,
+    /// Between Start and Stop, when no file is read: `pictures` cannot change then.
+    runs: bool,
     drawn: [Option<Item>; ITEMS],
 }
 
@@ -210,7 +215,10 @@ impl Overlay {
 
 impl Component for Overlay {
     fn configure(&mut self) -> Result {
-        self.pictures = self.cfg.pictures.iter().map(|path| load(path)).collect::<Result<_>>()?;
+        if !self.runs || self.files != self.cfg.pictures {
+            self.pictures = self.cfg.pictures.iter().map(|path| load(path)).collect::<Result<_>>()?;
+            self.files.clone_from(&self.cfg.pictures);
+        }
         // What shows a picture that is no longer there goes with it.
         let there = self.pictures.len();
         for place in &mut self.drawn {
@@ -224,6 +232,16 @@ impl Component for Overlay {
 
     fn start(&mut self) -> Result {
         self.tally = Tally::default();
+        self.resume()
+    }
+
+    fn resume(&mut self) -> Result {
+        self.runs = true;
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result {
+        self.runs = false;
         Ok(())
     }
 

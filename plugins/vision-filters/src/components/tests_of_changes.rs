@@ -269,6 +269,34 @@ fn overlay_lays_a_picture_of_a_file() {
 }
 
 #[test]
+fn overlay_reads_its_files_when_it_is_stopped_and_not_when_a_setting_changes_while_it_runs() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("mark.png");
+    let save = |level: u8| image::GrayImage::from_pixel(1, 1, image::Luma([level])).save(&path).unwrap();
+    let config = |visible: bool| format!(r#"{{"pictures": [{path:?}], "visible": {visible}}}"#);
+    save(200);
+    let mut bench = Bench::<Overlay>::new(config(true));
+    let item = OverlayPicture { alpha: 255, ..Default::default() };
+    bench.command::<OverlayPicture, ()>("items/set_picture", item).unwrap();
+    let image = header(1, 1, PixelFormat::GRAY8);
+    let shown = |bench: &mut Bench<Overlay>| filtered(bench, image, &[0; 2]).remove(0).1[0];
+    assert_eq!(shown(&mut bench), 200);
+    // Neither another file nor none is noticed while it runs.
+    save(100);
+    bench.configure(config(true)).unwrap();
+    assert_eq!(shown(&mut bench), 200);
+    std::fs::remove_file(&path).unwrap();
+    bench.configure(config(false)).unwrap();
+    bench.configure(config(true)).unwrap();
+    assert_eq!(shown(&mut bench), 200);
+    save(50);
+    bench.stop().unwrap();
+    bench.configure(config(true)).unwrap();
+    bench.start().unwrap();
+    assert_eq!(shown(&mut bench), 50, "what is configured at rest is read");
+}
+
+#[test]
 fn steps_of_the_filters_allocate_nothing() {
     fn quiet<C: Class>(config: &str, header: StereoHeader, bytes: &[u8]) {
         let mut bench = Bench::<C>::new(config);
