@@ -1,7 +1,7 @@
 //! The calibration of a stereo camera, read from the JSON that `calibrate.py` writes, checked whole.
 //!
-//! Invariant: a `Calibration` that exists can rectify: focal lengths are positive, rotations are rotations, the new
-//! projections are not singular, the baseline is not zero, every number is finite.
+//! Invariant: a `Calibration` that exists can rectify: focal lengths are those of cameras, rotations are rotations, both new
+//! projections have the same rows, the baseline is not zero, every number is finite.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -17,6 +17,12 @@ pub const FORMAT: &str = "trocar-stereo-calibration";
 const MAX_SIDE: usize = 16_384;
 /// How far R·Rᵀ may be from one, per entry.
 const ROTATION_ERROR: f64 = 1e-6;
+/// Shortest focal length, px.
+const LEAST_FOCAL_PX: f64 = 1e-3;
+/// Largest of all numbers: beyond it products overflow, and no camera has it.
+const LARGEST: f64 = 1e9;
+/// How far what must be equal in both projections may differ, of the focal length.
+const UNEQUAL: f64 = 1e-6;
 
 /// Both cameras and what rectified images of them measure.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,11 +45,12 @@ impl Calibration {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// It cannot be read, is not such JSON, or [what it says](CalibrationError) cannot be.
+    /// It cannot be read, is not such JSON, or [what it says](CalibrationError) cannot be; each names the file.
     pub fn load(path: &Path) -> Result<Self, CalibrationError> {
         let text = std::fs::read_to_string(path)
             .map_err(|why| CalibrationError::Unreadable { path: path.into(), why: why.to_string() })?;
         Calibration::parse(&text)
+            .map_err(|why| CalibrationError::File { path: path.into(), why: Box::new(why) })
     }
 
     /// Checks the text of a file.
@@ -63,9 +70,9 @@ impl Calibration {
         let left = camera("left", &file.left)?;
         let right = camera("right", &file.right)?;
         let focal_px = file.left.projection[0][0];
-        let other = file.right.projection[0][0];
-        if (other - focal_px).abs() > 1e-6 * focal_px {
-            return Err(CalibrationError::Focal { left: focal_px, right: other });
+        let differ = differences(&file.left.projection, &file.right.projection);
+        if !differ.is_empty() {
+            return Err(CalibrationError::Projections { differ });
         }
         let baseline_m = -file.right.projection[0][3] / focal_px;
         if baseline_m.is_nan() || baseline_m <= 0.0 {
@@ -98,6 +105,17 @@ struct Side {
     projection: [[f64; 4]; 3],
 }
 
+/// What both projections must have in common and have not: the name of each number, and what left and right say. Only the
+/// columns of the principal points and of the cameras may differ.
+fn differences(left: &[[f64; 4]; 3], right: &[[f64; 4]; 3]) -> Vec<(&'static str, f64, f64)> {
+    let shared = [("fx", 0, 0), ("skew", 0, 1), ("fy", 1, 1), ("cy", 1, 2), ("row of the camera", 1, 3)];
+    shared
+        .into_iter()
+        .map(|(name, row, column)| (name, left[row][column], right[row][column]))
+        .filter(|(_, l, r)| (l - r).abs() > UNEQUAL * left[0][0])
+        .collect()
+}
+
 fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
     let bad = |key, why: String| CalibrationError::Camera { side, key, why };
     let numbers: [(&'static str, Vec<f64>); 4] = [
@@ -107,8 +125,12 @@ fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
         ("projection", from.projection.concat()),
     ];
     for (key, values) in numbers {
-        if let Some(n) = values.iter().position(|v| !v.is_finite()) {
-            return Err(bad(key, format!("number {n} is {}, not finite", values[n])));
+        if let Some((n, value)) = values.iter().enumerate().find(|(_, v)| !(-LARGEST..=LARGEST).contains(*v))
+        {
+            return Err(bad(
+                key,
+                format!("number {n} is {value:e}, not between -{LARGEST:e} and {LARGEST:e}"),
+            ));
         }
     }
     if ![4, 5, 8].contains(&from.distortion.len()) {
@@ -124,17 +146,28 @@ fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
     let [k, r] = [matrix(&from.matrix), matrix(&from.rectification)];
     let p = Matrix3::from_fn(|row, column| from.projection[row][column]);
     for (key, m) in [("matrix", &k), ("projection", &p)] {
-        if m[(0, 0)] <= 0.0 || m[(1, 1)] <= 0.0 {
-            let (x, y) = (m[(0, 0)], m[(1, 1)]);
+        let (x, y, least) = (m[(0, 0)], m[(1, 1)], LEAST_FOCAL_PX);
+        if x < least || y < least {
             return Err(bad(
                 key,
-                format!("focal lengths {x} and {y} px are not both above 0: it is singular"),
+                format!("focal lengths {x} and {y} px are not both at least {least} px: it is singular"),
             ));
         }
         let lower = [m[(1, 0)], m[(2, 0)], m[(2, 1)], m[(2, 2)] - 1.0];
         if lower.iter().any(|v| v.abs() > 1e-9) {
             return Err(bad(key, "it is not of the form f 0 c, 0 f c, 0 0 1".into()));
         }
+    }
+    // Rectified images share the axes of the left camera: its column is 0, and no camera stands in front of the other.
+    let behind = from.projection[2][3];
+    if behind != 0.0 || (side == "left" && from.projection[0][3] != 0.0) {
+        let (x, z) = (from.projection[0][3], behind);
+        return Err(bad(
+            "projection",
+            format!(
+                "its last column, {x} and {z}, says another place than beside the left camera: calibrate again"
+            ),
+        ));
     }
     let error = (r * r.transpose() - Matrix3::identity()).abs().max();
     if error > ROTATION_ERROR || r.determinant() < 0.0 {
@@ -189,12 +222,17 @@ pub enum CalibrationError {
         /// What is wrong with it.
         why: String,
     },
-    /// The rectified images would not have one scale.
-    Focal {
-        /// px.
-        left: f64,
-        /// px.
-        right: f64,
+    /// A file was read, and cannot be used.
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        why: Box<CalibrationError>,
+    },
+    /// The rectified images would not have one scale, or what lies in a row of one would not lie in the same row of the other.
+    Projections {
+        /// What must be equal and is not: its name, and what the left and the right projection say, px.
+        differ: Vec<(&'static str, f64, f64)>,
     },
     /// Cameras in one place see no depth; a negative one is left and right swapped.
     Baseline {
@@ -222,10 +260,15 @@ impl fmt::Display for CalibrationError {
                 write!(f, "image_size: {width} × {height} px is outside of 1 to {MAX_SIDE} px a side")
             }
             CalibrationError::Camera { side, key, why } => write!(f, "{side}.{key}: {why}"),
-            CalibrationError::Focal { left, right } => write!(
-                f,
-                "projection: the focal lengths of the rectified images, {left} and {right} px, must be equal"
-            ),
+            CalibrationError::File { path, why } => write!(f, "{}: {why}", path.display()),
+            CalibrationError::Projections { differ } => {
+                write!(f, "projection: left and right must be equal in")?;
+                for (n, (name, left, right)) in differ.iter().enumerate() {
+                    let comma = if n == 0 { "" } else { "," };
+                    write!(f, "{comma} {name} ({left} and {right} px)")?;
+                }
+                write!(f, ", or rows of the rectified images do not agree: calibrate again")
+            }
             CalibrationError::Baseline { baseline_m } => write!(
                 f,
                 "right.projection: a baseline of {baseline_m} m is not above 0: the cameras stand in one place, or left \

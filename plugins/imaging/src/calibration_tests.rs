@@ -49,7 +49,7 @@ fn a_missing_key_is_named() {
 fn singular_matrices_no_rotations_and_no_baseline_are_refused_with_the_key() {
     assert_eq!(
         refused("/left/matrix/0/0", Some(json!(0.0))),
-        "left.matrix: focal lengths 0 and 510 px are not both above 0: it is singular"
+        "left.matrix: focal lengths 0 and 510 px are not both at least 0.001 px: it is singular"
     );
     assert!(
         refused("/right/projection/1/1", Some(json!(0.0))).starts_with("right.projection: focal lengths")
@@ -63,7 +63,73 @@ fn singular_matrices_no_rotations_and_no_baseline_are_refused_with_the_key() {
     assert!(mirror.contains("determinant is -1"), "{mirror}");
     assert!(refused("/right/projection/0/3", Some(json!(0.0))).contains("baseline of -0 m is not above 0"));
     assert!(refused("/right/projection/0/3", Some(json!(9.8))).contains("left and right are swapped"));
-    assert!(refused("/right/projection/0/0", Some(json!(480.0))).contains("490 and 480 px, must be equal"));
+    assert!(refused("/right/projection/0/0", Some(json!(1e-300))).contains("it is singular"));
+    assert!(
+        refused("/left/rectification/1/2", Some(json!(1e308)))
+            .contains("left.rectification: number 5 is 1e308, not between -1e9 and 1e9")
+    );
+}
+
+#[test]
+fn projections_whose_rows_or_scales_differ_are_refused_with_what_differs() {
+    for (pointer, other, says) in [
+        ("/right/projection/0/0", 480.0, "fx (490 and 480 px)"),
+        ("/left/projection/1/1", 480.0, "fy (480 and 490 px)"),
+        ("/right/projection/1/2", 251.0, "cy (250 and 251 px)"),
+        ("/left/projection/0/1", 2.0, "skew (2 and 0 px)"),
+        // Cameras one above the other.
+        ("/right/projection/1/3", -24.5, "row of the camera (0 and -24.5 px)"),
+    ] {
+        let why = refused(pointer, Some(json!(other)));
+        assert_eq!(
+            why,
+            format!(
+                "projection: left and right must be equal in {says}, or rows of the rectified images do not agree: \
+                 calibrate again"
+            )
+        );
+    }
+    let mut both = good();
+    both["right"]["projection"][1] = json!([0.0, 489.0, 251.0, 0.0]);
+    let why = Calibration::parse(&both.to_string()).expect_err("two differ").to_string();
+    assert!(why.contains("in fy (490 and 489 px), cy (250 and 251 px), or"), "{why}");
+    // What a fit leaves in the last places is no difference, and columns of the principal points may differ.
+    let mut near = good();
+    near["right"]["projection"][1][2] = json!(250.0 + 1e-9);
+    near["right"]["projection"][0][2] = json!(330.0);
+    assert!((Calibration::parse(&near.to_string()).expect("near").offset_px - 30.0).abs() < 1e-9);
+    assert!(refused("/right/projection/2/3", Some(json!(0.1))).contains("another place than beside"));
+    assert!(refused("/left/projection/0/3", Some(json!(3.0))).contains("another place than beside"));
+}
+
+#[test]
+fn whatever_numbers_stand_in_the_file_it_is_refused_or_can_rectify() {
+    let extremes = [0.0, -0.0, 1.0, -1.0, 1e-308, 1e308, -1e308, 5e-324, 1e154, 490.0];
+    let mut rng = fastrand::Rng::with_seed(17);
+    let mut taken = 0;
+    for _ in 0..4_000 {
+        let mut file = good();
+        for _ in 0..rng.usize(1..3) {
+            let side = if rng.bool() { "left" } else { "right" };
+            let value = json!(extremes[rng.usize(..extremes.len())]);
+            match rng.usize(..4) {
+                0 => file[side]["matrix"][rng.usize(..3)][rng.usize(..3)] = value,
+                1 => file[side]["distortion"][rng.usize(..5)] = value,
+                2 => file[side]["rectification"][rng.usize(..3)][rng.usize(..3)] = value,
+                _ => file[side]["projection"][rng.usize(..3)][rng.usize(..4)] = value,
+            }
+        }
+        let Ok(calibration) = Calibration::parse(&file.to_string()) else { continue };
+        taken += 1;
+        let numbers = [calibration.focal_px, calibration.baseline_m, calibration.offset_px];
+        assert!(numbers.iter().all(|n| n.is_finite()) && calibration.baseline_m > 0.0, "{file}");
+        for camera in &calibration.cameras {
+            for (u, v) in [(0.0, 0.0), (639.0, 479.0), (320.0, 1.0)] {
+                let _ = (camera.source(u, v), camera.rectified(u, v));
+            }
+        }
+    }
+    assert!(taken > 100, "{taken}");
 }
 
 #[test]
@@ -79,9 +145,22 @@ fn wrong_shapes_and_sizes_are_refused() {
 }
 
 #[test]
-fn a_file_that_is_not_there_is_named() {
+fn a_file_that_is_not_there_or_cannot_be_used_is_named() {
     let why = Calibration::load(Path::new("nowhere/at/all.json")).expect_err("missing").to_string();
     assert!(why.starts_with("nowhere/at/all.json: cannot be read"), "{why}");
+    let dir = tempfile::tempdir().expect("a directory");
+    let path = dir.path().join("singular.json");
+    let mut file = good();
+    file["right"]["matrix"][1][1] = json!(0.0);
+    std::fs::write(&path, file.to_string()).expect("written");
+    let why = Calibration::load(&path).expect_err("singular").to_string();
+    assert_eq!(
+        why,
+        format!(
+            "{}: right.matrix: focal lengths 500 and 0 px are not both at least 0.001 px: it is singular",
+            path.display()
+        )
+    );
 }
 
 #[test]

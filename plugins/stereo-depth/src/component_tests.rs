@@ -165,6 +165,35 @@ fn configurations_that_cannot_be_are_refused_with_the_reason() {
 }
 
 #[test]
+fn a_calibration_whose_rows_differ_is_refused_with_its_file_and_what_differs() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("pair.json");
+    let side = |cy: f64, last: f64| {
+        serde_json::json!({
+            "matrix": [[90.0, 0.0, 48.0], [0.0, 90.0, 20.0], [0.0, 0.0, 1.0]],
+            "distortion": [0.0, 0.0, 0.0, 0.0],
+            "rectification": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "projection": [[90.0, 0.0, 48.0, last], [0.0, 90.0, cy, 0.0], [0.0, 0.0, 1.0, 0.0]],
+        })
+    };
+    let configured = |cy: f64| {
+        let file = serde_json::json!({
+            "format": "trocar-stereo-calibration", "version": 1, "image_size": [96, 40],
+            "left": side(20.0, 0.0), "right": side(cy, -0.45),
+        });
+        std::fs::write(&path, file.to_string()).unwrap();
+        let config = format!(r#"{{"n_disp": 32, "width": 96, "height": 40, "calibration": {path:?}}}"#);
+        Bench::<StereoDepth>::created().configure(config).map_err(|refused| refused.reason)
+    };
+    assert_eq!(configured(20.0), Ok(()));
+    let why = configured(21.5).unwrap_err();
+    assert!(
+        why.contains("pair.json: projection: left and right must be equal in cy (20 and 21.5 px)"),
+        "{why}"
+    );
+}
+
+#[test]
 fn a_step_allocates_nothing() {
     for method in ["bm", "sgm"] {
         let mut bench = Bench::<StereoDepth>::new(CONFIG.replace("bm", method));
