@@ -128,26 +128,62 @@ fn method_and_range_change_while_it_runs() {
 fn frames_of_wrong_sizes_and_formats_are_counted_and_the_next_one_is_taken() {
     let mut bench = Bench::<StereoDepth>::new(CONFIG);
     let (good, bytes) = pair(8, 1);
-    let bad = [
-        (StereoHeader { width: 95, ..good }, "configure the size"),
-        (StereoHeader { stride: 95, ..good }, "right_offset"),
-        (StereoHeader { right_offset: u64::MAX, ..good }, "right_offset"),
-        (StereoHeader { height: u32::MAX, ..good }, "right_offset"),
-        (StereoHeader { format: PixelFormat::YUYV, ..good }, "GRAY8 or RGB8"),
-        (StereoHeader { format: PixelFormat(99), ..good }, "GRAY8 or RGB8"),
+    let all = bytes.len();
+    let (size, lie, format) = ("configure the size", "right_offset", "GRAY8 or RGB8");
+    let right = |right_offset| StereoHeader { right_offset, ..good };
+    let of = |format| StereoHeader { format, ..good };
+    let mut bad = vec![
+        (StereoHeader { width: 95, ..good }, all, size),
+        (StereoHeader { height: 39, ..good }, all, size),
+        (StereoHeader { width: 1, height: 1, ..good }, all, size),
+        (good, all - 1, lie),
+        (good, all / 2, lie),
+        (good, 0, lie),
+        (StereoHeader::default(), all, format),
     ];
-    for (n, (header, says)) in (1..).zip(bad) {
-        bench.push_frame("rectified", header, &bytes);
-        bench.step(1);
+    bad.extend([0, 97, 1 << 31, u32::MAX].map(|width| (StereoHeader { width, ..good }, all, lie)));
+    bad.extend([0, 41, 1 << 31, u32::MAX].map(|height| (StereoHeader { height, ..good }, all, lie)));
+    bad.extend([0, 95, 97, u32::MAX].map(|stride| (StereoHeader { stride, ..good }, all, lie)));
+    bad.extend([96 * 40 + 1, all as u64, 1 << 63, u64::MAX].map(|offset| (right(offset), all, lie)));
+    let formats = [PixelFormat::YUYV, PixelFormat::GRAY16, PixelFormat::DEPTH32F, PixelFormat(u32::MAX)];
+    bad.extend(formats.map(|f| (of(f), all, format)));
+    for (n, (header, there, says)) in (1..).zip(bad) {
+        bench.assert_no_alloc(|bench| {
+            bench.push_frame("rectified", header, &bytes[..there]);
+            bench.step(1);
+        });
         let state = bench.state();
-        assert_eq!((state.frames, state.rejected), (0, n), "{header:?}");
+        assert_eq!((state.frames, state.rejected), (n - 1, n), "{header:?} with {there} B");
         assert!(state.problem.contains(says), "{} for {header:?}", state.problem);
+        assert!(bench.frames::<ImageHeader>("disparity").is_empty(), "{header:?}");
+        push(&mut bench, 8, 2);
+        assert_eq!(bench.state().frames, n, "behind {header:?}");
+        assert_eq!(bench.frames::<ImageHeader>("disparity").len(), 1);
     }
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
     push(&mut bench, 8, 2);
     assert_eq!(bench.state().frames, 1);
     bench.exhaust("depth", true);
     push(&mut bench, 8, 3);
     assert!(bench.state().problem.contains("held by readers"));
+}
+
+#[test]
+fn pairs_side_by_side_give_the_same_map_and_one_image_for_both_eyes_is_infinitely_far() {
+    let mut bench = Bench::<StereoDepth>::new(CONFIG);
+    let (header, bytes) = pair(8, 1);
+    let map = |bench: &mut Bench<StereoDepth>, header, bytes: &[u8]| {
+        bench.push_frame("rectified", header, bytes);
+        bench.step(1);
+        bench.frames::<ImageHeader>("disparity").pop().unwrap().1
+    };
+    let stacked = map(&mut bench, header, &bytes);
+    let (left, right) = bytes.split_at(96 * 40);
+    let beside: Vec<u8> = left.chunks(96).zip(right.chunks(96)).flat_map(|(l, r)| [l, r].concat()).collect();
+    let laid = StereoHeader { stride: 192, right_offset: 96, ..header };
+    assert!(map(&mut bench, laid, &beside) == stacked);
+    let one = map(&mut bench, StereoHeader { right_offset: 0, ..header }, left);
+    assert!(one.as_chunks::<2>().0.iter().all(|d| i16::from_ne_bytes(*d) <= 4), "no disparity at all");
 }
 
 #[test]

@@ -74,7 +74,7 @@ fn main() -> Result<(), Failed> {
     let mosaic = View::packed(grey, &sensor)?;
     bench.time("debayer", &mut three, |to| {
         for (y, to) in to.chunks_mut(3 * width).enumerate() {
-            debayer::row(debayer::neighbours(grey, y).map(|y| mosaic.row(y)), y % 2 == 1, to);
+            debayer::row(debayer::neighbours(grey.height, y).map(|y| mosaic.row(y)), y % 2 == 1, to);
         }
     })?;
     bench.time("yuyv", &mut three, |to| {

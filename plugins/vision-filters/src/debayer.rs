@@ -4,7 +4,6 @@
 //! lies its mirror image, which keeps the pattern.
 
 use crate::simd::{self, Avx2};
-use crate::view::Shape;
 
 /// Fills a row of RGB pixels. `rows` are the one above, the row itself and the one below; `odd` when it is one of the
 /// G B rows. All three have at least two pixels, and `dst` as many.
@@ -52,9 +51,9 @@ fn pixel(rows: [&[u8]; 3], [l, x, r]: [usize; 3], even: bool, odd: bool) -> [u8;
     }
 }
 
-/// Rows above and below `y` in an image of this shape, mirrored at its ends.
-pub fn neighbours(shape: Shape, y: usize) -> [usize; 3] {
-    let last = shape.height.saturating_sub(1);
+/// Rows above and below `y`, and itself, in an image of `height` rows, mirrored at its ends.
+pub fn neighbours(height: usize, y: usize) -> [usize; 3] {
+    let last = height.saturating_sub(1);
     let above = if y == 0 { 1.min(last) } else { y - 1 };
     let below = if y >= last { last.saturating_sub(1) } else { y + 1 };
     [above, y, below]
@@ -63,14 +62,12 @@ pub fn neighbours(shape: Shape, y: usize) -> [usize; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::Format;
 
     /// The image's colours, all rows.
     fn debayered(width: usize, height: usize, src: &[u8]) -> Vec<u8> {
-        let shape = Shape { width, height, format: Format::Gray8 };
         let mut out = vec![9; 3 * src.len()];
         for (y, to) in out.chunks_mut(3 * width).enumerate() {
-            row(neighbours(shape, y).map(|y| &src[y * width..][..width]), y % 2 == 1, to);
+            row(neighbours(height, y).map(|y| &src[y * width..][..width]), y % 2 == 1, to);
         }
         out
     }

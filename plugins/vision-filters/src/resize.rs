@@ -53,6 +53,11 @@ impl Resizer {
         }
     }
 
+    /// Longest sides of images and of results it has room for, px.
+    pub fn room(&self) -> (usize, usize) {
+        self.room
+    }
+
     /// Prepares anew, as [`new`](Self::new), within the room there is; allocates nothing. False, with nothing changed, when
     /// a side is longer.
     #[must_use]

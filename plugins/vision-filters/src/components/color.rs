@@ -59,35 +59,19 @@ impl Component for Color {
             "bgr8" => To::Bgr8,
             _ => To::Rgb8,
         };
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            self.tally.count(filter(&frame, &mut self.converted, to));
-        }
+        pair::each(&mut self.image, &mut self.tally, |frame| filter(&frame, &mut self.converted, to));
         Ok(())
     }
 }
 
-fn filter(
+/// Sends the frame in another format.
+pub(super) fn filter(
     frame: &FrameView<'_, StereoHeader>,
     out: &mut Out<Frame<StereoHeader>>,
     to: To,
 ) -> Result<(), Unfit> {
     if frame.header().format == to.format() {
-        out.forward(frame);
-        return Ok(());
+        return pair::forward(frame, out);
     }
-    let source = pair::raw(frame)?;
-    let format = if to == To::Gray8 { Format::Gray8 } else { Format::Rgb8 };
-    let shape = Shape { width: source[0].width() as usize, height: source[0].height() as usize, format };
-    let mut loan = out.loan()?;
-    let mut images = pair::blank_as(&mut loan, frame.header(), shape, to.format())?;
-    for (from, image) in source.iter().zip(&mut images) {
-        for (y, row) in from.rows().enumerate() {
-            if !convert_row(from.format(), row, to, image.row_mut(y)) {
-                return Err(Unfit::NoWay);
-            }
-        }
-    }
-    loan.commit(2 * shape.packed_bytes(), frame.stamp());
-    Ok(())
+    pair::convert(frame, out, to.format(), |from, y, row| convert_row(from.format(), from.row(y), to, row))
 }

@@ -55,10 +55,7 @@ impl Component for Crop {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            self.tally.count(filter(&frame, &mut self.part, &self.cfg));
-        }
+        pair::each(&mut self.image, &mut self.tally, |frame| filter(&frame, &mut self.part, &self.cfg));
         Ok(())
     }
 }

@@ -51,10 +51,7 @@ impl Component for Debayer {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            self.tally.count(filter(&frame, &mut self.color));
-        }
+        pair::each(&mut self.image, &mut self.tally, |frame| filter(&frame, &mut self.color));
         Ok(())
     }
 }
@@ -62,27 +59,17 @@ impl Component for Debayer {
 fn filter(frame: &FrameView<'_, StereoHeader>, out: &mut Out<Frame<StereoHeader>>) -> Result<(), Unfit> {
     match frame.header().format {
         PixelFormat::BAYER_RG8 => {}
-        PixelFormat::RGB8 | PixelFormat::GRAY8 => {
-            out.forward(frame);
-            return Ok(());
-        }
+        PixelFormat::RGB8 | PixelFormat::GRAY8 => return pair::forward(frame, out),
         _ => return Err(Unfit::NotBayer),
     }
-    let source = pair::raw(frame)?;
-    let shape = Shape {
-        width: source[0].width() as usize,
-        height: source[0].height() as usize,
-        format: Format::Rgb8,
-    };
-    if shape.width < 2 || shape.height < 2 {
+    let StereoHeader { width, height, .. } = *frame.header();
+    pair::raw(frame)?;
+    if width < 2 || height < 2 {
         return Err(Unfit::NoPattern);
     }
-    let mut loan = out.loan()?;
-    for (from, to) in source.iter().zip(&mut pair::blank(&mut loan, frame.header(), shape)?) {
-        for y in 0..shape.height {
-            row(neighbours(shape, y).map(|y| from.row(y as u32)), y % 2 == 1, to.row_mut(y));
-        }
-    }
-    loan.commit(2 * shape.packed_bytes(), frame.stamp());
-    Ok(())
+    pair::convert(frame, out, PixelFormat::RGB8, |from, y, to| {
+        let [above, _, below] = neighbours(height as usize, y as usize);
+        row([above as u32, y, below as u32].map(|y| from.row(y)), y % 2 == 1, to);
+        true
+    })
 }

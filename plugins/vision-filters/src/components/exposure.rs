@@ -6,7 +6,7 @@ use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
 use super::in_place::{InPlace, Room};
-use super::pair::{Tally, Unfit};
+use super::pair::{self, Tally};
 use crate::exposure::Curve;
 use crate::view::ViewMut;
 
@@ -60,16 +60,12 @@ impl Component for Exposure {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            let curve = &self.curve;
-            let change =
-                (!curve.is_identity()).then_some(|images: &mut [ViewMut<'_>; 2]| -> Result<(), Unfit> {
-                    images.iter_mut().for_each(|image| curve.apply(image));
-                    Ok(())
-                });
-            self.tally.count(InPlace { frame, out: &mut self.exposed }.run(change));
-        }
+        let curve = &self.curve;
+        let change = |images: &mut [ViewMut<'_>; 2]| images.iter_mut().for_each(|image| curve.apply(image));
+        let change = (!curve.is_identity()).then_some(change);
+        pair::each(&mut self.image, &mut self.tally, |frame| {
+            InPlace { frame, out: &mut self.exposed }.run(change)
+        });
         self.image.release();
         Ok(())
     }

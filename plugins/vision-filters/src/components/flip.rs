@@ -6,7 +6,7 @@ use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
 use super::in_place::{InPlace, Room};
-use super::pair::{Tally, Unfit};
+use super::pair::{self, Tally};
 use crate::flip::{Flip as How, flip};
 use crate::view::ViewMut;
 
@@ -61,22 +61,19 @@ impl Component for Flip {
             _ => None,
         };
         let swap = self.cfg.swap_eyes;
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            let change =
-                (how.is_some() || swap).then_some(|images: &mut [ViewMut<'_>; 2]| -> Result<(), Unfit> {
-                    if let Some(how) = how {
-                        images.iter_mut().for_each(|image| flip(image, how));
-                    }
-                    if swap {
-                        let [left, right] = images;
-                        (0..left.shape().height)
-                            .for_each(|y| left.row_mut(y).swap_with_slice(right.row_mut(y)));
-                    }
-                    Ok(())
-                });
-            self.tally.count(InPlace { frame, out: &mut self.flipped }.run(change));
-        }
+        let change = |images: &mut [ViewMut<'_>; 2]| {
+            if let Some(how) = how {
+                images.iter_mut().for_each(|image| flip(image, how));
+            }
+            if swap {
+                let [left, right] = images;
+                (0..left.shape().height).for_each(|y| left.row_mut(y).swap_with_slice(right.row_mut(y)));
+            }
+        };
+        let change = (how.is_some() || swap).then_some(change);
+        pair::each(&mut self.image, &mut self.tally, |frame| {
+            InPlace { frame, out: &mut self.flipped }.run(change)
+        });
         self.image.release();
         Ok(())
     }

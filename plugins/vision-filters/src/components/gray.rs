@@ -1,13 +1,13 @@
-//! `gray`: colour stereo frames to brightness.
+//! `gray`: colour stereo frames to brightness; `color` with one result.
 //!
 //! Invariant: grey frames pass without a copy; stamps and indices are those of the source.
 
-use trocar_sdk::FrameView;
-use trocar_sdk::data::{PixelFormat, StereoHeader};
+use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
-use super::pair::{self, Tally, Unfit};
-use crate::gray::convert;
+use super::color::filter;
+use super::pair::{self, Tally};
+use crate::color::To;
 use crate::view::{Format, Shape};
 
 #[derive(Config)]
@@ -20,11 +20,11 @@ struct GrayConfig {
     max_height: u32,
 }
 
-/// Makes RGB8 stereo frames GRAY8 (ITU-R BT.601); GRAY8 frames pass unchanged.
+/// Makes stereo frames GRAY8 (ITU-R BT.601); GRAY8 frames pass unchanged.
 #[derive(Component)]
 #[component(model = "on_signal")]
 pub struct Gray {
-    /// Stereo frames, RGB8 or GRAY8
+    /// Stereo frames, GRAY8, RGB8, BGR8, RGBA8 or YUYV
     #[input]
     image: In<Frame<StereoHeader>>,
     /// The same frames in GRAY8
@@ -51,25 +51,7 @@ impl Component for Gray {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            self.tally.count(filter(&frame, &mut self.gray));
-        }
+        pair::each(&mut self.image, &mut self.tally, |frame| filter(&frame, &mut self.gray, To::Gray8));
         Ok(())
     }
-}
-
-fn filter(frame: &FrameView<'_, StereoHeader>, out: &mut Out<Frame<StereoHeader>>) -> Result<(), Unfit> {
-    if frame.header().format == PixelFormat::GRAY8 {
-        out.forward(frame);
-        return Ok(());
-    }
-    let source = pair::images(frame)?;
-    let shape = Shape { format: Format::Gray8, ..source[0].shape() };
-    let mut loan = out.loan()?;
-    for (from, to) in source.iter().zip(&mut pair::blank(&mut loan, frame.header(), shape)?) {
-        convert(from, to);
-    }
-    loan.commit(2 * shape.packed_bytes(), frame.stamp());
-    Ok(())
 }

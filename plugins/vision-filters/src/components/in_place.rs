@@ -32,7 +32,7 @@ impl InPlace<'_, '_> {
     /// Lets `change` work on both images and sends them; without one the frame passes as it is.
     pub(super) fn run<F>(mut self, change: Option<F>) -> Result<(), Unfit>
     where
-        F: FnOnce(&mut [ViewMut<'_>; 2]) -> Result<(), Unfit>,
+        F: FnOnce(&mut [ViewMut<'_>; 2]),
     {
         let Some(change) = change else {
             pair::images(&self.frame)?;
@@ -43,7 +43,7 @@ impl InPlace<'_, '_> {
         if !pair::share_rows(&header)?
             && let Some(bytes) = self.frame.bytes_mut()
         {
-            change(&mut pair::images_mut(&header, bytes)?)?;
+            change(&mut pair::images_mut(&header, bytes)?);
             self.out.forward(&self.frame);
             return Ok(());
         }
@@ -52,7 +52,7 @@ impl InPlace<'_, '_> {
         let mut loan = self.out.loan()?;
         let mut images = pair::blank(&mut loan, &header, shape)?;
         source.iter().zip(&mut images).for_each(|(from, to)| convert(from, to));
-        change(&mut images)?;
+        change(&mut images);
         loan.commit(2 * shape.packed_bytes(), self.frame.stamp());
         Ok(())
     }

@@ -21,6 +21,8 @@ mod tests;
 mod tests_of_changes;
 #[cfg(test)]
 mod tests_of_insets;
+#[cfg(test)]
+mod tests_of_lies;
 
 pub use color::Color;
 pub use crop::Crop;

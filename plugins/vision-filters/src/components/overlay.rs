@@ -9,7 +9,7 @@ use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
 use super::in_place::{InPlace, Room};
-use super::pair::{Tally, Unfit};
+use super::pair::{self, Tally};
 use crate::overlay::{self, Picture};
 use crate::view::ViewMut;
 
@@ -246,16 +246,14 @@ impl Component for Overlay {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            let (items, pictures) = (&self.drawn, &self.pictures);
-            let shown = self.cfg.visible && self.items > 0;
-            let change = shown.then_some(|images: &mut [ViewMut<'_>; 2]| -> Result<(), Unfit> {
-                items.iter().flatten().for_each(|item| draw(item, pictures, images));
-                Ok(())
-            });
-            self.tally.count(InPlace { frame, out: &mut self.overlaid }.run(change));
-        }
+        let (items, pictures) = (&self.drawn, &self.pictures);
+        let change = |images: &mut [ViewMut<'_>; 2]| {
+            items.iter().flatten().for_each(|item| draw(item, pictures, images));
+        };
+        let change = (self.cfg.visible && self.items > 0).then_some(change);
+        pair::each(&mut self.image, &mut self.tally, |frame| {
+            InPlace { frame, out: &mut self.overlaid }.run(change)
+        });
         self.image.release();
         Ok(())
     }

@@ -17,6 +17,8 @@ pub(super) enum Unfit {
     Short,
     /// The result is larger than the output's frames.
     Large,
+    /// Wider or higher than can be resized.
+    Side,
     /// An inset with more pixels than can be brought to another size.
     Inset,
     /// No frame to fill.
@@ -46,6 +48,7 @@ impl Unfit {
             Unfit::NoPattern => "an image with a colour filter has at least 2 x 2 px: repair the source",
             Unfit::NoWay => "pixel format is not GRAY8, RGB8, BGR8, RGBA8 or YUYV: convert it at the source",
             Unfit::Part => "x + width or y + height is beyond the image: configure a part that lies in it",
+            Unfit::Side => "a side of more than 16384 px: crop it before",
             Unfit::Inset => {
                 "too large to be scaled: ask for w and h of at most max_width and max_height, none of them 0"
             }
@@ -85,6 +88,18 @@ impl Tally {
     }
 }
 
+/// Lets `filter` take the frames that wait, a burst at most, and counts what became of them.
+pub(super) fn each(
+    from: &mut In<Frame<StereoHeader>>,
+    tally: &mut Tally,
+    mut filter: impl FnMut(FrameView<'_, StereoHeader>) -> Result<(), Unfit>,
+) {
+    for _ in 0..super::BURST {
+        let Some(frame) = from.next() else { break };
+        tally.count(filter(frame));
+    }
+}
+
 /// The pool that holds frames of two packed images of `shape`, made once per size.
 pub(super) fn reserve(out: &mut Out<Frame<StereoHeader>>, made: &mut usize, shape: Shape) -> Result {
     let bytes = 2 * shape.packed_bytes();
@@ -101,6 +116,41 @@ pub(super) fn raw<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[ImageVi
         BadFrame::PixelFormat { .. } => Unfit::Format,
         _ => Unfit::Short,
     })
+}
+
+/// Sends a frame of the same size whose rows are made one by one: `row` makes row `y` of a received image, or says that it
+/// cannot.
+pub(super) fn convert(
+    frame: &FrameView<'_, StereoHeader>,
+    out: &mut Out<Frame<StereoHeader>>,
+    format: PixelFormat,
+    row: impl Fn(&ImageView<'_>, u32, &mut [u8]) -> bool,
+) -> Result<(), Unfit> {
+    let source = raw(frame)?;
+    let layout = if format.bytes_per_pixel() == 1 { Format::Gray8 } else { Format::Rgb8 };
+    let (width, height) = (source[0].width() as usize, source[0].height() as usize);
+    let shape = Shape { width, height, format: layout };
+    let mut loan = out.loan()?;
+    let mut images = blank_as(&mut loan, frame.header(), shape, format)?;
+    for (from, to) in source.iter().zip(&mut images) {
+        for y in 0..from.height() {
+            if !row(from, y, to.row_mut(y as usize)) {
+                return Err(Unfit::NoWay);
+            }
+        }
+    }
+    loan.commit(2 * shape.packed_bytes(), frame.stamp());
+    Ok(())
+}
+
+/// Passes a frame on as it is, when it is what its header says.
+pub(super) fn forward(
+    frame: &FrameView<'_, StereoHeader>,
+    out: &mut Out<Frame<StereoHeader>>,
+) -> Result<(), Unfit> {
+    raw(frame)?;
+    out.forward(frame);
+    Ok(())
 }
 
 /// Is this one image for both eyes, or a pair side by side? Their rows cannot be lent apart from each other.

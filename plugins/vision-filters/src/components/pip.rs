@@ -8,7 +8,7 @@ use trocar_sdk::prelude::*;
 
 use super::in_place::{InPlace, Room};
 use super::inset::{Given, Scaled};
-use super::pair::{Tally, Unfit};
+use super::pair::{self, Tally};
 use crate::pip::lay;
 use crate::view::ViewMut;
 
@@ -148,26 +148,24 @@ impl Component for Pip {
     }
 
     fn step(&mut self, _: &Tick) -> Result {
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
+        let rect = self.rect;
+        let part = (rect.alpha * 255.0).round() as u32;
+        pair::each(&mut self.image, &mut self.tally, |frame| {
             let pair = if self.visible { self.inset.latest() } else { None }.filter(|i| !i.is_stale());
             let one = if self.visible && pair.is_none() { self.picture.latest() } else { None };
             let one = one.filter(|p| !p.is_stale());
             let given = pair.as_ref().map(Given::pair).or_else(|| one.as_ref().map(Given::picture));
-            let rect = self.rect;
             let inset = given.and_then(|given| self.scaled.ready(&given, &rect, &mut self.insets));
             self.inset_shown = inset.is_some().into();
             let change = inset.map(|inset| {
-                move |big: &mut [ViewMut<'_>; 2]| -> Result<(), Unfit> {
-                    let part = (rect.alpha * 255.0).round() as u32;
+                move |big: &mut [ViewMut<'_>; 2]| {
                     for (small, big) in inset.iter().zip(big) {
                         lay(small, big, i64::from(rect.x), i64::from(rect.y), part);
                     }
-                    Ok(())
                 }
             });
-            self.tally.count(InPlace { frame, out: &mut self.composed }.run(change));
-        }
+            InPlace { frame, out: &mut self.composed }.run(change)
+        });
         self.image.release();
         Ok(())
     }

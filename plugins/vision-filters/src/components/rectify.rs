@@ -88,10 +88,7 @@ impl Component for Rectify {
 
     fn step(&mut self, _: &Tick) -> Result {
         let Some(maps) = &self.maps else { return Ok(()) };
-        for _ in 0..super::BURST {
-            let Some(frame) = self.image.next() else { break };
-            self.tally.count(filter(&frame, &mut self.rectified, maps));
-        }
+        pair::each(&mut self.image, &mut self.tally, |frame| filter(&frame, &mut self.rectified, maps));
         Ok(())
     }
 }

@@ -75,9 +75,9 @@ fn a_frame_that_lies_about_its_size_is_counted_and_the_next_one_is_taken() {
 #[test]
 fn unknown_formats_too_large_frames_and_a_full_pool_each_say_what_to_do() {
     let mut bench = Bench::<Gray>::new(r#"{"max_width": 1, "max_height": 1}"#);
-    bench.push_frame("image", header(1, 1, PixelFormat::RGBA8), &[0; 8]);
+    bench.push_frame("image", header(1, 1, PixelFormat::GRAY16), &[0; 4]);
     bench.step(1);
-    assert!(bench.state().tally.problem.contains("GRAY8 or RGB8"));
+    assert!(bench.state().tally.problem.contains("not GRAY8, RGB8, BGR8, RGBA8 or YUYV"));
     bench.push_frame("image", header(1, 2, PixelFormat::RGB8), &[0; 12]);
     bench.step(1);
     assert!(bench.state().tally.problem.contains("max_width"));
@@ -106,6 +106,17 @@ fn resize_brings_both_images_of_any_size_and_format_to_one_size() {
             (header(3, 1, PixelFormat::RGB8), vec![1, 2, 3, 4, 5, 6]),
         ]
     );
+}
+
+#[test]
+fn resize_takes_images_up_to_its_longest_side_and_no_longer_ones() {
+    let mut bench = Bench::<Resize>::new(r#"{"width": 2, "height": 2}"#);
+    bench.push_frame("image", header(1, 16_384, PixelFormat::GRAY8), &[100; 2 * 16_384]);
+    bench.step(1);
+    assert_eq!(out(&mut bench).remove(0).1, [100; 8]);
+    bench.push_frame("image", header(1, 16_385, PixelFormat::GRAY8), &[100; 2 * 16_385]);
+    bench.step(1);
+    assert!(bench.state().tally.problem.contains("more than 16384 px"), "{}", bench.state().tally.problem);
 }
 
 #[test]
