@@ -1,8 +1,11 @@
-//! Views of images in memory: bytes with a width, a height, a stride and a pixel format.
+//! Images that the filters work on, to read and to write: grey ones and coloured ones.
 //!
-//! Invariant: a view that exists covers `height` rows of `width` pixels inside its bytes; rows never panic.
+//! Invariant: a view that exists covers `height` rows of `width` pixels inside its bytes, as `ImageHeader::image` has checked;
+//! rows never panic.
 
 use std::fmt;
+
+use trocar_sdk::data::{BadFrame, ImageHeader, ImageView, PixelFormat};
 
 /// How a pixel lies in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +22,23 @@ impl Format {
         match self {
             Format::Gray8 => 1,
             Format::Rgb8 => 3,
+        }
+    }
+
+    /// As a header says it.
+    pub const fn in_header(self) -> PixelFormat {
+        match self {
+            Format::Gray8 => PixelFormat::GRAY8,
+            Format::Rgb8 => PixelFormat::RGB8,
+        }
+    }
+
+    /// What a header says; none when it is another format.
+    pub const fn of(format: PixelFormat) -> Option<Format> {
+        match format {
+            PixelFormat::GRAY8 => Some(Format::Gray8),
+            PixelFormat::RGB8 => Some(Format::Rgb8),
+            _ => None,
         }
     }
 }
@@ -52,12 +72,11 @@ impl fmt::Display for Shape {
     }
 }
 
-/// An image to read.
+/// An image to read, of a format that the filters work on.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
-    shape: Shape,
-    stride: usize,
-    bytes: &'a [u8],
+    image: ImageView<'a>,
+    format: Format,
 }
 
 /// An image to write.
@@ -73,38 +92,49 @@ impl<'a> View<'a> {
     ///
     /// # Errors
     /// No pixels, a stride below one row, or fewer bytes than the rows need.
-    pub fn new(shape: Shape, stride: usize, bytes: &'a [u8]) -> Result<Self, BadView> {
-        check(shape, stride, bytes.len())?;
-        Ok(View { shape, stride, bytes })
+    pub fn new(shape: Shape, stride: usize, bytes: &'a [u8]) -> Result<Self, BadFrame> {
+        // What is beyond a header's numbers is beyond the bytes, too.
+        let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        let (width, height, stride) = (number(shape.width), number(shape.height), number(stride));
+        let format = shape.format.in_header();
+        let image = ImageHeader { width, height, stride, format, ..Default::default() }.image(bytes)?;
+        Ok(View { image, format: shape.format })
     }
 
     /// Looks at `bytes` as an image whose rows touch.
     ///
     /// # Errors
     /// As [`View::new`].
-    pub fn packed(shape: Shape, bytes: &'a [u8]) -> Result<Self, BadView> {
+    pub fn packed(shape: Shape, bytes: &'a [u8]) -> Result<Self, BadFrame> {
         View::new(shape, shape.row_bytes(), bytes)
     }
 
-    /// Size and format.
-    pub fn shape(&self) -> Shape {
-        self.shape
+    /// The image of a frame; none when its format is another one.
+    pub fn of(image: ImageView<'a>) -> Option<Self> {
+        Format::of(image.format()).map(|format| View { image, format })
     }
 
-    /// Row `y` without its padding; the last row when `y` lies below the image.
+    /// Size and format.
+    #[inline]
+    pub fn shape(&self) -> Shape {
+        let (width, height) = (self.image.width() as usize, self.image.height() as usize);
+        Shape { width, height, format: self.format }
+    }
+
+    /// Row `y` without its padding; empty below the image.
+    #[inline]
     pub fn row(&self, y: usize) -> &'a [u8] {
-        let start = y.min(self.shape.height - 1) * self.stride;
-        &self.bytes[start..start + self.shape.row_bytes()]
+        self.image.row(u32::try_from(y).unwrap_or(u32::MAX))
     }
 
     /// All bytes, from the first pixel on; they may reach beyond the last one.
     pub(crate) fn bytes(&self) -> &'a [u8] {
-        self.bytes
+        self.image.bytes()
     }
 
     /// Bytes from row to row.
     pub(crate) fn stride(&self) -> usize {
-        self.stride
+        self.image.stride()
     }
 }
 
@@ -113,8 +143,9 @@ impl<'a> ViewMut<'a> {
     ///
     /// # Errors
     /// As [`View::new`].
-    pub fn new(shape: Shape, stride: usize, bytes: &'a mut [u8]) -> Result<Self, BadView> {
-        check(shape, stride, bytes.len())?;
+    pub fn new(shape: Shape, stride: usize, bytes: &'a mut [u8]) -> Result<Self, BadFrame> {
+        let view = View::new(shape, stride, bytes)?;
+        let (shape, stride) = (view.shape(), view.stride());
         Ok(ViewMut { shape, stride, bytes })
     }
 
@@ -122,7 +153,7 @@ impl<'a> ViewMut<'a> {
     ///
     /// # Errors
     /// As [`View::new`].
-    pub fn packed(shape: Shape, bytes: &'a mut [u8]) -> Result<Self, BadView> {
+    pub fn packed(shape: Shape, bytes: &'a mut [u8]) -> Result<Self, BadFrame> {
         ViewMut::new(shape, shape.row_bytes(), bytes)
     }
 
@@ -148,64 +179,6 @@ impl<'a> ViewMut<'a> {
     }
 }
 
-fn check(shape: Shape, stride: usize, got: usize) -> Result<(), BadView> {
-    if shape.width == 0 || shape.height == 0 {
-        return Err(BadView::Empty { shape });
-    }
-    let row = shape.width.checked_mul(shape.format.bytes());
-    if row.is_none_or(|row| stride < row) {
-        return Err(BadView::Stride { shape, stride });
-    }
-    // The last row needs no padding behind it.
-    let needed = row.and_then(|row| (shape.height - 1).checked_mul(stride)?.checked_add(row));
-    match needed {
-        Some(needed) if needed <= got => Ok(()),
-        _ => Err(BadView::Short { shape, stride, got }),
-    }
-}
-
-/// Why bytes are not the image they were said to be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BadView {
-    /// No width or no height.
-    Empty {
-        /// What was said.
-        shape: Shape,
-    },
-    /// Rows would overlap.
-    Stride {
-        /// What was said.
-        shape: Shape,
-        /// Bytes from row to row.
-        stride: usize,
-    },
-    /// Rows would lie behind the end.
-    Short {
-        /// What was said.
-        shape: Shape,
-        /// Bytes from row to row.
-        stride: usize,
-        /// Bytes there are.
-        got: usize,
-    },
-}
-
-impl fmt::Display for BadView {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            BadView::Empty { shape } => write!(f, "an image of {shape} has no pixels"),
-            BadView::Stride { shape, stride } => {
-                write!(f, "a stride of {stride} bytes is shorter than one row of {shape}")
-            }
-            BadView::Short { shape, stride, got } => {
-                write!(f, "{got} bytes are too few for {shape} with a stride of {stride} bytes")
-            }
-        }
-    }
-}
-
-impl std::error::Error for BadView {}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -218,19 +191,25 @@ mod tests {
         let view = View::new(SHAPE, 8, &bytes).expect("2 strides and a row");
         assert_eq!(view.row(0), [0, 1, 2, 3, 4, 5]);
         assert_eq!(view.row(2), [16, 17, 18, 19, 20, 21]);
-        assert_eq!(view.row(9), view.row(2));
+        assert!(view.row(9).is_empty());
     }
 
     #[test]
     fn sizes_that_do_not_fit_are_refused_with_their_numbers() {
+        let refused = |done: Result<View<'_>, BadFrame>| done.map(|_| ()).expect_err("refused").to_string();
         assert_eq!(
-            View::new(SHAPE, 8, &[0; 21]).map(|_| ()),
-            Err(BadView::Short { shape: SHAPE, stride: 8, got: 21 })
+            refused(View::new(SHAPE, 8, &[0; 21])),
+            "a 2 × 3 RGB8 image with a stride of 8 B needs 22 B, and the frame has 21 B"
         );
-        let refused = View::new(SHAPE, 5, &[0; 99]).expect_err("overlapping rows");
-        assert_eq!(refused.to_string(), "a stride of 5 bytes is shorter than one row of 2×3 Rgb8");
+        assert_eq!(
+            refused(View::new(SHAPE, 5, &[0; 99])),
+            "a stride of 5 B is less than a row of 2 RGB8 pixels, 6 B"
+        );
         let empty = Shape { height: 0, ..SHAPE };
-        assert_eq!(View::packed(empty, &[]).map(|_| ()), Err(BadView::Empty { shape: empty }));
+        assert_eq!(refused(View::packed(empty, &[])), "an image of 2 × 0 has no pixels");
+        assert!(
+            ViewMut::new(SHAPE, 8, &mut [0; 21]).is_err() && ViewMut::new(SHAPE, 8, &mut [0; 22]).is_ok()
+        );
     }
 
     #[test]

@@ -64,6 +64,15 @@ impl From<NoFrame> for Unfit {
     }
 }
 
+impl From<BadFrame> for Unfit {
+    fn from(why: BadFrame) -> Unfit {
+        match why {
+            BadFrame::PixelFormat { .. } => Unfit::Format,
+            _ => Unfit::Short,
+        }
+    }
+}
+
 /// What became of the frames of a filter.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
@@ -112,10 +121,7 @@ pub(super) fn reserve(out: &mut Out<Frame<StereoHeader>>, made: &mut usize, shap
 
 /// Both images of a received frame in any format, left first.
 pub(super) fn raw<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[ImageView<'a>; 2], Unfit> {
-    frame.images().map_err(|why| match why {
-        BadFrame::PixelFormat { .. } => Unfit::Format,
-        _ => Unfit::Short,
-    })
+    Ok(frame.images()?)
 }
 
 /// Sends a frame of the same size whose rows are made one by one: `row` makes row `y` of a received image, or says that it
@@ -177,18 +183,12 @@ pub(super) fn images<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[View
 
 /// Both images in the bytes that came with a header, left first.
 pub(super) fn images_in<'a>(header: &StereoHeader, bytes: &'a [u8]) -> Result<[View<'a>; 2], Unfit> {
-    let shape = shape(header)?;
-    let right = usize::try_from(header.right_offset).ok().and_then(|at| bytes.get(at..));
-    let view = |bytes| View::new(shape, header.stride as usize, bytes).map_err(|_| Unfit::Short);
-    Ok([view(bytes)?, view(right.ok_or(Unfit::Short)?)?])
+    let [left, right] = header.images(bytes)?.map(View::of);
+    left.zip(right).map(|(left, right)| [left, right]).ok_or(Unfit::Format)
 }
 
 fn shape(header: &StereoHeader) -> Result<Shape, Unfit> {
-    let format = match header.format {
-        PixelFormat::GRAY8 => Format::Gray8,
-        PixelFormat::RGB8 => Format::Rgb8,
-        _ => return Err(Unfit::Format),
-    };
+    let format = Format::of(header.format).ok_or(Unfit::Format)?;
     Ok(Shape { width: header.width as usize, height: header.height as usize, format })
 }
 
@@ -198,11 +198,7 @@ pub(super) fn blank<'a>(
     from: &StereoHeader,
     shape: Shape,
 ) -> Result<[ViewMut<'a>; 2], Unfit> {
-    let format = match shape.format {
-        Format::Gray8 => PixelFormat::GRAY8,
-        Format::Rgb8 => PixelFormat::RGB8,
-    };
-    blank_as(loan, from, shape, format)
+    blank_as(loan, from, shape, shape.format.in_header())
 }
 
 /// As [`blank`]; the header says `format`, which has as many bytes as the shape's.

@@ -70,6 +70,11 @@ impl<'a> ImageView<'a> {
         self.format
     }
 
+    /// The frame's bytes from the first pixel on; they hold all rows and may reach beyond the last one.
+    pub fn bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+
     /// The pixels of row `y`, 0 at the top, without the gap behind them; empty below the image.
     #[inline]
     pub fn row(&self, y: u32) -> &'a [u8] {

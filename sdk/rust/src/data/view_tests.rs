@@ -19,6 +19,7 @@ fn rows_skip_the_gap_between_them_and_the_last_one_needs_none() {
     assert_eq!((view.row(0), view.row(1)), (&[0, 1, 2, 3, 4, 5][..], &[8, 9, 10, 11, 12, 13][..]));
     assert_eq!((view.rows().len(), view.rows().next()), (2, Some(view.row(0))));
     assert_eq!(view.pixel(1, 1), [11, 12, 13]);
+    assert_eq!(view.bytes(), bytes);
     assert_eq!((view.row(2), view.pixel(2, 0), view.pixel(u32::MAX, u32::MAX)), (&[][..], &[][..], &[][..]));
 }
 
