@@ -1,7 +1,6 @@
 //! Filters that change size, colour or place of pixels, and what is drawn over them, on the bench.
 #![allow(clippy::unwrap_used)]
 
-use super::overlay::{Eye, OverlayLine, OverlayPicture, OverlayText};
 use super::*;
 use trocar_sdk::Class;
 use trocar_sdk::Text;
