@@ -1,4 +1,5 @@
-//! What the vision plugins share: stereo calibration, brightness of colours, images as people look at them, and which
+//! What the vision plugins share: stereo calibration, brightness of colours, colours of YUYV and of mosaics, images as people look
+//! at them, and which
 //! instructions the processor has.
 //!
 //! Invariant: functions of pixels give the same bytes whichever instructions they use.
@@ -6,10 +7,12 @@
 
 pub mod calibration;
 mod camera;
+pub mod debayer;
 mod luma;
 pub mod nearness;
 pub mod pixels;
 pub mod simd;
+pub mod yuyv;
 
 pub use calibration::{Calibration, CalibrationError};
 pub use camera::Camera;

@@ -1,13 +1,10 @@
 //! Between pixel formats: RGB8, BGR8, RGBA8, YUYV and GRAY8.
 //!
-//! Invariant: a row that cannot be converted is not begun; YUYV follows ITU-R BT.601, video range, with 20 bits after the
-//! point, as OpenCV does.
+//! Invariant: a row that cannot be converted is not begun.
 
 use trocar_imaging::simd::Avx2;
-use trocar_imaging::{luma, luma_row};
+use trocar_imaging::{luma, luma_row, yuyv};
 use trocar_sdk::data::PixelFormat;
-
-use crate::simd;
 
 /// What a row of pixels is made to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,14 +41,16 @@ pub fn convert_row(from: PixelFormat, src: &[u8], to: To, dst: &mut [u8]) -> boo
         (PixelFormat::BGR8, To::Gray8) => to_gray::<3>(src, dst, |[b, g, r]| luma(r, g, b)),
         (PixelFormat::RGBA8, To::Gray8) => to_gray::<4>(src, dst, |[r, g, b, _]| luma(r, g, b)),
         // In a YUYV row every other byte is the brightness, video range.
-        (PixelFormat::YUYV, To::Gray8) => to_gray::<2>(src, dst, |[y, _]| yuv(y, 128, 128)[0]),
+        (PixelFormat::YUYV, To::Gray8) => to_gray::<2>(src, dst, |[y, _]| yuyv::pixel(y, 128, 128)[0]),
         (PixelFormat::GRAY8, To::Rgb8 | To::Bgr8) => to_colour::<1>(src, dst, |[y]| [y; 3]),
         (PixelFormat::BGR8, To::Rgb8) | (PixelFormat::RGB8, To::Bgr8) => {
             to_colour::<3>(src, dst, |[a, b, c]| [c, b, a]);
         }
         (PixelFormat::RGBA8, To::Rgb8) => to_colour::<4>(src, dst, |[r, g, b, _]| [r, g, b]),
         (PixelFormat::RGBA8, To::Bgr8) => to_colour::<4>(src, dst, |[r, g, b, _]| [b, g, r]),
-        (PixelFormat::YUYV, To::Rgb8 | To::Bgr8) => yuyv(Avx2::detect(), src, to == To::Bgr8, dst),
+        (PixelFormat::YUYV, To::Rgb8 | To::Bgr8) => {
+            yuyv::row(Avx2::detect(), src, to == To::Bgr8, dst);
+        }
         _ => return false,
     }
     true
@@ -65,39 +64,6 @@ fn to_gray<const N: usize>(src: &[u8], dst: &mut [u8], of: impl Fn([u8; N]) -> u
 #[inline(always)]
 fn to_colour<const N: usize>(src: &[u8], dst: &mut [u8], of: impl Fn([u8; N]) -> [u8; 3]) {
     dst.as_chunks_mut::<3>().0.iter_mut().zip(src.as_chunks::<N>().0).for_each(|(to, from)| *to = of(*from));
-}
-
-fn yuyv(lanes: Option<Avx2>, src: &[u8], bgr: bool, dst: &mut [u8]) {
-    // An odd last pixel has no V of its own.
-    let before = src.len().checked_sub(3).map_or(128, |at| src[at]);
-    // Whole pairs, so that the rest begins with a pair, too.
-    let done = lanes.map_or(0, |lanes| simd::yuyv(lanes, src, bgr, dst));
-    let (src, dst) = (&src[2 * done..], &mut dst[3 * done..]);
-    let order = |[r, g, b]: [u8; 3]| if bgr { [b, g, r] } else { [r, g, b] };
-    let (pairs, rest) = src.as_chunks::<4>();
-    let pixels = dst.as_chunks_mut::<3>().0;
-    let (twos, last) = pixels.as_chunks_mut::<2>();
-    for (to, &[y0, u, y1, v]) in twos.iter_mut().zip(pairs) {
-        *to = [order(yuv(y0, u, v)), order(yuv(y1, u, v))];
-    }
-    if let ([last], [y, u]) = (last, rest) {
-        *last = order(yuv(*y, *u, before));
-    }
-}
-
-// 255/219, and 1.596, 0.813, 0.391, 2.018 of the standard, times 2^20.
-pub(crate) const Y: i32 = 1_220_542;
-pub(crate) const RV: i32 = 1_673_527;
-pub(crate) const GV: i32 = -852_492;
-pub(crate) const GU: i32 = -409_993;
-pub(crate) const BU: i32 = 2_116_026;
-
-/// BT.601 video range to full range red, green, blue.
-#[inline(always)]
-fn yuv(y: u8, u: u8, v: u8) -> [u8; 3] {
-    let light = (i32::from(y) - 16).max(0) * Y;
-    let (u, v) = (i32::from(u) - 128, i32::from(v) - 128);
-    [RV * v, GV * v + GU * u, BU * u].map(|tint| ((light + tint + (1 << 19)) >> 20).clamp(0, 255) as u8)
 }
 
 #[cfg(test)]
@@ -137,40 +103,6 @@ mod tests {
             panic!("one pixel")
         };
         assert!(r <= 1 && g <= 1 && b >= 253, "{r} {g} {b}");
-    }
-
-    #[test]
-    fn every_yuyv_colour_is_within_one_level_of_the_formula_in_floating_point() {
-        for y in (0..=255u8).step_by(5) {
-            for u in (0..=255u8).step_by(3) {
-                for v in (0..=255u8).step_by(3) {
-                    let (l, cu, cv) = (
-                        (f64::from(y) - 16.0).max(0.0) * 255.0 / 219.0,
-                        f64::from(u) - 128.0,
-                        f64::from(v) - 128.0,
-                    );
-                    let exact = [l + 1.596 * cv, l - 0.813 * cv - 0.391 * cu, l + 2.018 * cu];
-                    for (got, exact) in yuv(y, u, v).into_iter().zip(exact) {
-                        let off = (f64::from(got) - exact.clamp(0.0, 255.0)).abs();
-                        assert!(off <= 1.0, "({y}, {u}, {v}): {got}, exact {exact}");
-                    }
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn yuyv_is_the_same_with_and_without_wide_instructions_at_every_length() {
-        let mut rng = fastrand::Rng::with_seed(3);
-        for pixels in (1..70).chain([640]) {
-            let src: Vec<u8> = std::iter::repeat_with(|| rng.u8(..)).take(2 * pixels).collect();
-            for bgr in [false, true] {
-                let (mut wide, mut plain) = (vec![1; 3 * pixels], vec![2; 3 * pixels]);
-                yuyv(Avx2::detect(), &src, bgr, &mut wide);
-                yuyv(None, &src, bgr, &mut plain);
-                assert_eq!(wide, plain, "{pixels} pixels");
-            }
-        }
     }
 
     #[test]

@@ -6,7 +6,6 @@
 
 pub mod color;
 mod components;
-pub mod debayer;
 pub mod exposure;
 pub mod flip;
 pub mod gray;
@@ -16,6 +15,8 @@ pub mod remap;
 pub mod resize;
 mod simd;
 pub mod view;
+
+pub use trocar_imaging::debayer;
 
 pub use components::{
     Color, Crop, Debayer, Exposure, Eye, Flip, Gray, Overlay, OverlayLine, OverlayPicture, OverlayText, Pip,
