@@ -6,13 +6,18 @@ use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use crate::handoff::Giver;
-use crate::http::{Place, Server};
 use crate::latency::{Histogram, Latency};
 use crate::mjpeg::{Encoder, Stream};
+use crate::server::{Place, Server, Serving};
 use crate::window::{Settings, Window};
 
 /// Most frames taken in one step, so that a fast source cannot hold a step for ever.
 const BURST: usize = 8;
+/// What is copied while nobody looks, B/s, so that who comes late sees the newest frame: images that come now and then are
+/// copied all, a video a few times a second.
+const KEPT_BYTES_PER_S: f64 = 16e6;
+/// What may be copied at once of smaller frames, B.
+const KEPT_AT_ONCE: f64 = 1e6;
 
 #[derive(Config)]
 struct DisplayConfig {
@@ -23,7 +28,8 @@ struct DisplayConfig {
     /// NAME in the address: letters, digits, `_`, `-`; empty for the component's own
     #[config(default = "")]
     name: String,
-    /// Most pictures per second for the browser; each costs the step one copy of the frame
+    /// Most pictures per second for a browser; each costs the step one copy of the frame. While nobody looks, up to 16 MB/s are
+    /// copied, so that who comes sees the newest frame
     #[config(live, min = 0.1, max = 240.0, unit = "Hz", default = 15.0)]
     mjpeg_hz: f64,
     /// Quality of the browser's pictures
@@ -73,6 +79,9 @@ pub struct Display {
     #[state]
     #[unit("px")]
     height: u32,
+    /// Whether browsers can see the frames: OFF, WAITING (somebody has the port, it is tried again), LISTENING, REFUSED.
+    #[state]
+    mjpeg: Serving,
     /// Port at which a browser sees the frames; 0 without one.
     #[state]
     mjpeg_port: u32,
@@ -105,26 +114,50 @@ struct Viewing {
 impl Viewing {
     /// Copies a frame for those who look.
     fn show(&mut self, header: &StereoHeader, bytes: &[u8], now: Stamp, mjpeg_hz: f64) {
-        if let Some((_, giver)) = &mut self.screen {
+        if let Some((window, giver)) = &mut self.screen
+            && window.is_open()
+        {
             giver.give(header, bytes);
         }
-        if let Some(browser) = &mut self.browser {
-            let due = !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
-            if due && browser.giver.give(header, bytes) {
-                browser.given = now;
-            }
+        let Some(browser) = &mut self.browser else { return };
+        browser.stream.limit(mjpeg_hz);
+        let due = !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
+        let wanted = due && browser.stream.viewers() > 0;
+        if wanted || browser.kept.takes(bytes.len(), now) {
+            let given = browser.giver.give(header, bytes);
+            browser.given = if given && wanted { now } else { browser.given };
         }
+    }
+}
+
+/// How many bytes may be copied for nobody in particular.
+#[derive(Default)]
+struct Allowance {
+    bytes: f64,
+    since: Stamp,
+}
+
+impl Allowance {
+    fn takes(&mut self, bytes: usize, now: Stamp) -> bool {
+        let bytes = bytes as f64;
+        let passed_s = if self.since.is_valid() { now.seconds_since(self.since) } else { f64::INFINITY };
+        self.since = now;
+        self.bytes = (self.bytes + passed_s * KEPT_BYTES_PER_S).min(bytes.max(KEPT_AT_ONCE));
+        let enough = self.bytes >= bytes;
+        self.bytes -= if enough { bytes } else { 0.0 };
+        enough
     }
 }
 
 /// What shows frames to browsers. Its parts are dropped in this order: off the list, then no more pictures.
 struct Browser {
-    _place: Place,
+    place: Place,
     _encoder: Encoder,
     giver: Giver,
     stream: std::sync::Arc<Stream>,
-    /// When a frame was given last.
+    /// When a frame was given last because somebody looks.
     given: Stamp,
+    kept: Allowance,
 }
 
 #[provides("screen")]
@@ -164,26 +197,39 @@ impl Display {
         let Some(port) = self.cfg.mjpeg_port else { return Ok(()) };
         let stream = std::sync::Arc::new(Stream::new(&self.name()));
         let place = Server::at(port)?.show(stream.clone())?;
-        let (encoder, giver) = Encoder::start(stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality)?;
-        self.mjpeg_port = u32::from(place.port());
-        let given = Stamp::INVALID;
-        self.viewing.browser = Some(Browser { _place: place, _encoder: encoder, giver, stream, given });
+        let thread = format!("{} mjpeg", self.own_name());
+        let (encoder, giver) =
+            Encoder::start(&thread, stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality)?;
+        let (given, kept) = (Stamp::INVALID, Allowance::default());
+        self.viewing.browser = Some(Browser { place, _encoder: encoder, giver, stream, given, kept });
+        self.tell_serving();
         Ok(())
     }
 
     fn show_in_window(&mut self) -> Result {
         if self.cfg.window {
             let title = format!("trocar {}", self.name());
-            let settings = Settings { title, width: 1280, height: 480, max_bytes: self.max_bytes() };
+            let thread = format!("{} window", self.own_name());
+            let settings = Settings { title, thread, width: 1280, height: 480, max_bytes: self.max_bytes() };
             self.viewing.screen = Some(Window::open(settings)?);
             self.window_open = Flag::TRUE;
         }
         Ok(())
     }
 
+    /// The component's, without that of its process.
+    fn own_name(&self) -> &str {
+        self.host.instance_name().rsplit('/').next().unwrap_or_default()
+    }
+
     fn name(&self) -> String {
-        let own = self.host.instance_name().rsplit('/').next().unwrap_or_default();
-        if self.cfg.name.is_empty() { own.to_owned() } else { self.cfg.name.clone() }
+        if self.cfg.name.is_empty() { self.own_name().to_owned() } else { self.cfg.name.clone() }
+    }
+
+    fn tell_serving(&mut self) {
+        let Some(browser) = &self.viewing.browser else { return };
+        let (serving, port) = browser.place.serving();
+        (self.mjpeg, self.mjpeg_port) = (serving, port.into());
     }
 
     fn max_bytes(&self) -> usize {
@@ -192,7 +238,8 @@ impl Display {
 
     fn close(&mut self) {
         self.viewing = Viewing::default();
-        (self.mjpeg_port, self.viewers, self.window_open) = (0, 0, Flag::FALSE);
+        (self.mjpeg, self.mjpeg_port) = (Serving::OFF, 0);
+        (self.viewers, self.window_open) = (0, Flag::FALSE);
     }
 
     /// Counts a frame that was taken, and shown if need be.
@@ -257,9 +304,13 @@ impl Component for Display {
             self.count(1, seq, stamp);
         }
         self.latency = self.histogram.told();
+        self.tell_serving();
         if let Some(browser) = &self.viewing.browser {
-            self.viewers = browser.stream.viewers.load(std::sync::atomic::Ordering::Relaxed);
+            self.viewers = browser.stream.viewers();
             self.pictures = browser.stream.pictures();
+            if self.mjpeg == Serving::REFUSED {
+                return Err(browser.place.refusal().into());
+            }
         }
         if let Some((window, _)) = &self.viewing.screen
             && self.window_open.get()

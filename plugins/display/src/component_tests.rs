@@ -71,32 +71,34 @@ fn shows_until<T>(bench: &mut Bench<Display>, mut done: impl FnMut(&mut Bench<Di
     unreachable!()
 }
 
-/// The first picture of a stream: its type, width, height, and colours left and right of its middle.
+/// The first picture of a stream: what was said before it, width, height, and colours left and right of its middle.
 fn first_picture(bench: &mut Bench<Display>, path: &str) -> (String, u32, u32, [[u8; 3]; 2]) {
-    let mut connection = get(bench, path);
-    let reader = std::thread::spawn(move || {
-        let (mut bytes, mut more) = (Vec::new(), [0; 4096]);
-        loop {
-            let n = connection.read(&mut more).unwrap();
-            assert!(n > 0, "the stream ended: {}", String::from_utf8_lossy(&bytes));
-            bytes.extend_from_slice(&more[..n]);
-            let text = String::from_utf8_lossy(&bytes).into_owned();
-            let Some((head, rest)) = text.split_once("\r\n\r\n") else { continue };
-            let Some((part, _)) = rest.split_once("\r\n\r\n") else { continue };
-            let length = part.split("Content-Length: ").nth(1).unwrap().trim().parse::<usize>().unwrap();
-            // Positions count in bytes; what stands before the picture is plain ASCII.
-            let begin = head.len() + 4 + part.len() + 4;
-            if bytes.len() < begin + length {
-                continue;
-            }
-            let picture = image::load_from_memory(&bytes[begin..begin + length]).unwrap().to_rgb8();
-            let (width, height) = picture.dimensions();
-            let at = |x| picture.get_pixel(x, height / 2).0;
-            return (head.to_owned(), width, height, [at(width / 4), at(3 * width / 4)]);
-        }
-    });
+    let connection = get(bench, path);
+    let reader = std::thread::spawn(move || picture_of(connection));
     shows_until(bench, |_| reader.is_finished().then_some(()));
     reader.join().unwrap()
+}
+
+fn picture_of(mut connection: TcpStream) -> (String, u32, u32, [[u8; 3]; 2]) {
+    let (mut bytes, mut more) = (Vec::new(), [0; 4096]);
+    loop {
+        let n = connection.read(&mut more).unwrap();
+        assert!(n > 0, "the stream ended: {}", String::from_utf8_lossy(&bytes));
+        bytes.extend_from_slice(&more[..n]);
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let Some((head, rest)) = text.split_once("\r\n\r\n") else { continue };
+        let Some((part, _)) = rest.split_once("\r\n\r\n") else { continue };
+        let length = part.split("Content-Length: ").nth(1).unwrap().trim().parse::<usize>().unwrap();
+        // Positions count in bytes; what stands before the picture is plain ASCII.
+        let begin = head.len() + 4 + part.len() + 4;
+        if bytes.len() < begin + length {
+            continue;
+        }
+        let picture = image::load_from_memory(&bytes[begin..begin + length]).unwrap().to_rgb8();
+        let (width, height) = picture.dimensions();
+        let at = |x| picture.get_pixel(x, height / 2).0;
+        return (head.to_owned(), width, height, [at(width / 4), at(3 * width / 4)]);
+    }
 }
 
 #[test]
@@ -164,6 +166,36 @@ fn a_browser_sees_both_eyes_or_one_of_them() {
 }
 
 #[test]
+fn who_comes_late_sees_the_last_frame_though_no_other_ever_comes() {
+    let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0}"#);
+    for index in 0..5 {
+        show(&mut bench, index);
+    }
+    // The last one is green.
+    bench.push_frame("image", header(5, 16), &[0, 200, 0].repeat(2 * 16 * 16));
+    bench.step(1);
+    for path in ["/stream/display/left", "/stream/display/right", "/stream/display/left"] {
+        let seen = picture_of(get(&bench, path)).3;
+        assert!(seen[0][1] > 150 && seen[0][0] < 60 && seen[0][2] < 60, "{path}: {seen:?}");
+    }
+}
+
+#[test]
+fn while_nobody_looks_a_large_video_is_copied_a_few_times_a_second_only() {
+    let mut allowance = Allowance::default();
+    let mut copied = 0;
+    // A pair of 1024 × 768 px at 30 Hz for 10 s.
+    for n in 1..=300u64 {
+        copied += u64::from(allowance.takes(2 * 3 * 1024 * 768, Stamp::from_ns(n * 33_333_333)));
+    }
+    assert!((30..=36).contains(&copied), "{copied}");
+    // A B-scan of 0.4 MB, ten times a second, is copied each time, and two at once, too.
+    let mut allowance = Allowance::default();
+    assert!((1..=100u64).all(|n| allowance.takes(400_000, Stamp::from_ns(n * 100_000_000))));
+    assert!(allowance.takes(400_000, Stamp::from_ns(10_000_000_001)));
+}
+
+#[test]
 fn single_images_are_shown_and_counted_as_pairs_are() {
     let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0}"#);
     let picture =
@@ -171,7 +203,7 @@ fn single_images_are_shown_and_counted_as_pairs_are() {
     let reader = {
         let mut connection = get(&bench, "/stream/display");
         std::thread::spawn(move || {
-            let mut bytes = vec![0; 300];
+            let mut bytes = vec![0; 900];
             connection.read_exact(&mut bytes).unwrap();
             String::from_utf8_lossy(&bytes).into_owned()
         })
@@ -190,7 +222,7 @@ fn single_images_are_shown_and_counted_as_pairs_are() {
 }
 
 #[test]
-fn while_nobody_looks_no_frame_is_copied_and_a_step_allocates_nothing() {
+fn while_nobody_looks_no_picture_is_made_and_a_step_allocates_nothing() {
     let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0}"#);
     for index in 0..50 {
         show(&mut bench, index);
@@ -248,12 +280,25 @@ fn displays_share_a_port_and_each_name_is_there_once() {
 }
 
 #[test]
-fn a_port_that_somebody_else_has_is_refused() {
+fn a_port_that_somebody_else_keeps_is_waited_for_and_then_a_fault() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
     let mut bench = Bench::<Display>::ready(format!(r#"{{"mjpeg_port": {port}}}"#));
-    let why = bench.start().unwrap_err().reason;
-    assert!(why.starts_with(&format!("mjpeg_port: {port} on 127.0.0.1 cannot be had: ")), "{why}");
+    bench.start().unwrap();
+    assert_eq!((bench.state().mjpeg, bench.state().mjpeg_port), (Serving::WAITING, 0));
+    let begun = Instant::now();
+    let why = loop {
+        bench.push_frame("image", header(1, 2), &[0; 192]);
+        match bench.try_step() {
+            Ok(()) => assert!(begun.elapsed() < Duration::from_secs(30), "it waits for ever"),
+            Err(why) => break why.reason,
+        }
+        std::thread::yield_now();
+    };
+    assert!(
+        why.starts_with(&format!("mjpeg_port: {port} on 127.0.0.1 cannot be had: somebody else")),
+        "{why}"
+    );
 }
 
 #[test]
@@ -274,24 +319,6 @@ fn what_is_not_there_and_what_is_not_asked_properly_is_answered_with_what_to_do(
     assert!(answer(ask(&bench, "nonsense\r\n\r\n")).starts_with("HTTP/1.1 400"));
     let endless = format!("GET /{} HTTP/1.1\r\n", "x".repeat((8 << 10) - 16));
     assert!(answer(ask(&bench, &endless)).starts_with("HTTP/1.1 400"));
-}
-
-#[test]
-fn connections_beyond_the_most_are_refused_and_room_comes_back() {
-    let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0}"#);
-    let many: Vec<_> = (0..16).map(|_| get(&bench, "/stream/display")).collect();
-    shows_until(&mut bench, |bench| (bench.state().viewers == 16).then_some(()));
-    // What it had to say is lost where the refused request was still on its way.
-    let mut refused = TcpStream::connect(("127.0.0.1", bench.state().mjpeg_port as u16)).unwrap();
-    let mut said = String::new();
-    refused.read_to_string(&mut said).unwrap();
-    assert!(said.starts_with("HTTP/1.1 503") && said.contains("close one"), "{said}");
-    drop(many);
-    shows_until(&mut bench, |bench| (bench.state().viewers == 0).then_some(()));
-    let begun = Instant::now();
-    while !answer(get(&bench, "/")).starts_with("HTTP/1.1 200") {
-        assert!(begun.elapsed() < Duration::from_secs(30), "no room within 30 s");
-    }
 }
 
 #[test]

@@ -1,18 +1,14 @@
-//! Copies of frames for threads that show them: as many as they can take, and no more.
+//! Copies of frames for a thread that shows them: the newest one, whatever it has time for.
 //!
-//! Invariant: the step never waits and never allocates: it copies into a buffer that is free, or not at all. Nobody sleeps in
-//! a channel's queue, so that using one is free of locks.
+//! Invariant: the step never waits and never allocates: of three buffers one is always its own. What is handed over is whole: a
+//! frame whose header lies, or that does not fit, leaves the one before it where it is.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use triple_buffer::{Input, Output, triple_buffer};
 
 use trocar_sdk::data::StereoHeader;
 
-/// Buffers that go round: one being shown, one on its way.
-const BUFFERS: usize = 2;
-
 /// A copy of a frame.
+#[derive(Clone, Default)]
 pub(crate) struct Snapshot {
     pub(crate) header: StereoHeader,
     bytes: Vec<u8>,
@@ -26,51 +22,62 @@ impl Snapshot {
 }
 
 /// The step's end.
-pub(crate) struct Giver {
-    filled: SyncSender<Snapshot>,
-    empty: Receiver<Vec<u8>>,
-    lookers: Arc<AtomicU32>,
-}
+pub(crate) struct Giver(Input<Snapshot>);
 
 /// The thread's end.
-pub(crate) struct Taker {
-    filled: Receiver<Snapshot>,
-    empty: SyncSender<Vec<u8>>,
-}
+pub(crate) struct Taker(Output<Snapshot>);
 
-/// Both ends, for frames of up to `max_bytes`; copies are made while `lookers` is not 0.
-pub(crate) fn pair(max_bytes: usize, lookers: Arc<AtomicU32>) -> (Giver, Taker) {
-    let (filled_in, filled) = sync_channel(BUFFERS);
-    let (empty_in, empty) = sync_channel(BUFFERS);
-    for _ in 0..BUFFERS {
-        // There is room for all.
-        let _ = empty_in.try_send(vec![0; max_bytes]);
-    }
-    (Giver { filled: filled_in, empty, lookers }, Taker { filled, empty: empty_in })
+/// Both ends, for frames of up to `max_bytes`.
+pub(crate) fn pair(max_bytes: usize) -> (Giver, Taker) {
+    let (input, output) = triple_buffer(&Snapshot { bytes: vec![0; max_bytes], ..Snapshot::default() });
+    (Giver(input), Taker(output))
 }
 
 impl Giver {
-    /// Copies a frame when somebody looks, its bytes fit and a buffer is free; tells whether it did.
+    /// Copies a frame when its header is true and its bytes fit; tells whether it did.
     pub(crate) fn give(&mut self, header: &StereoHeader, from: &[u8]) -> bool {
-        if self.lookers.load(Ordering::Relaxed) == 0 {
+        let copy = self.0.input_buffer_mut();
+        if header.images(from).is_err() || from.len() > copy.bytes.len() {
             return false;
         }
-        let Ok(mut bytes) = self.empty.try_recv() else { return false };
-        let fits = from.len() <= bytes.len();
-        let len = if fits { from.len() } else { 0 };
-        bytes[..len].copy_from_slice(&from[..len]);
-        // One that does not fit goes round empty: its reader leaves it out.
-        self.filled.try_send(Snapshot { header: *header, bytes, len }).is_ok() && fits
+        copy.bytes[..from.len()].copy_from_slice(from);
+        (copy.header, copy.len) = (*header, from.len());
+        self.0.publish();
+        true
     }
 }
 
 impl Taker {
-    /// The oldest copy that is there.
-    pub(crate) fn take(&mut self) -> Option<Snapshot> {
-        self.filled.try_recv().ok()
+    /// Looks for a newer copy; tells whether there is one.
+    pub(crate) fn renew(&mut self) -> bool {
+        self.0.update()
     }
 
-    pub(crate) fn give_back(&mut self, copy: Snapshot) {
-        let _ = self.empty.try_send(copy.bytes);
+    /// The newest copy of the last look; without an image before the first one.
+    pub(crate) fn newest(&self) -> &Snapshot {
+        self.0.output_buffer()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_sdk::data::PixelFormat;
+
+    #[test]
+    fn the_newest_whole_frame_arrives_and_stays() {
+        let (mut giver, mut taker) = pair(4);
+        let header =
+            StereoHeader { width: 2, height: 1, stride: 2, format: PixelFormat::GRAY8, ..Default::default() };
+        assert!(!taker.renew() && taker.newest().bytes().is_empty());
+        for level in 1..=20 {
+            assert!(giver.give(&header, &[level; 2]));
+        }
+        assert!(taker.renew() && !taker.renew());
+        assert_eq!(taker.newest().bytes(), [20; 2]);
+        assert!(!giver.give(&StereoHeader { width: 3, ..header }, &[9; 2]), "its header lies");
+        assert!(!giver.give(&header, &[9; 5]), "it is too large");
+        assert!(!taker.renew());
+        assert_eq!((taker.newest().bytes(), taker.newest().header.width), (&[20; 2][..], 2));
     }
 }

@@ -1,17 +1,20 @@
 //! `display`: where video ends: off-screen with its figures, in a browser as MJPEG, in a window.
 //!
-//! Invariant: the step counts, and copies a frame where somebody looks and a free buffer is there; whatever waits for people or
+//! Invariant: the step counts, and copies a frame where somebody looks, or may come, and a free buffer is there; whatever waits for people or
 //! networks is in threads of its own.
 #![forbid(unsafe_code)]
 
 mod component;
 mod handoff;
-mod http;
 mod latency;
 mod mjpeg;
+mod reply;
+mod request;
+mod server;
 mod window;
 
 pub use component::Display;
 pub use latency::Latency;
+pub use server::Serving;
 
 trocar_sdk::trocar_plugin!(Display);

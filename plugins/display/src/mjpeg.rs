@@ -1,28 +1,31 @@
 //! A display's pictures as JPEG, for whoever looks at them in a browser.
 //!
 //! Invariant: pictures are made only while somebody looks, and only the newest is kept: a slow viewer misses some and holds up
-//! nobody.
+//! nobody. Who comes late sees the newest frame at once, also when no other ever comes.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use trocar_imaging::pixels::{Part, rgb};
+use trocar_imaging::side;
 use trocar_sdk::Result;
 
 use crate::handoff::{Giver, Taker, pair};
-use trocar_imaging::pixels::{Part, rgb};
 
 /// How often the encoder looks for a frame while somebody looks at its pictures.
 const LOOKS: Duration = Duration::from_millis(2);
-/// How often it looks whether somebody does.
-const RESTS: Duration = Duration::from_millis(100);
+/// How often it looks whether somebody does, and for the newest frame for who may come.
+const RESTS: Duration = Duration::from_millis(20);
 
 /// What a server shows under one name.
 pub(crate) struct Stream {
     pub(crate) name: String,
     /// Who looks, at any part.
-    pub(crate) viewers: Arc<AtomicU32>,
+    viewers: AtomicU32,
+    /// Most pictures of a part per second, the bits of an f64.
+    most_hz: AtomicU64,
     parts: [Shown; 3],
     closed: AtomicBool,
     /// Pictures made.
@@ -33,7 +36,8 @@ pub(crate) struct Stream {
 #[derive(Default)]
 struct Shown {
     viewers: AtomicU32,
-    newest: Mutex<(u64, Arc<Vec<u8>>)>,
+    /// Pictures so far, and the newest while it shows the newest frame or one shortly before.
+    newest: Mutex<(u64, Option<Arc<Vec<u8>>>)>,
     news: Condvar,
 }
 
@@ -41,11 +45,22 @@ impl Stream {
     pub(crate) fn new(name: &str) -> Stream {
         Stream {
             name: name.to_owned(),
-            viewers: Arc::default(),
+            viewers: AtomicU32::new(0),
+            most_hz: AtomicU64::new(f64::INFINITY.to_bits()),
             parts: Default::default(),
             closed: AtomicBool::new(false),
             pictures: AtomicU64::new(0),
         }
+    }
+
+    /// Who looks, at any part.
+    pub(crate) fn viewers(&self) -> u32 {
+        self.viewers.load(Ordering::Relaxed)
+    }
+
+    /// Makes no more pictures of a part per second.
+    pub(crate) fn limit(&self, most_hz: f64) {
+        self.most_hz.store(most_hz.to_bits(), Ordering::Relaxed);
     }
 
     /// Somebody looks at a part, until the guard is dropped.
@@ -80,9 +95,14 @@ impl Stream {
     fn publish(&self, part: Part, picture: Vec<u8>) {
         let shown = &self.parts[part as usize];
         let mut newest = held(&shown.newest);
-        *newest = (newest.0 + 1, Arc::new(picture));
+        *newest = (newest.0 + 1, Some(Arc::new(picture)));
         shown.news.notify_all();
         self.pictures.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The picture of a part is old: who comes now gets a new one.
+    fn forget(&self, part: Part) {
+        held(&self.parts[part as usize].newest).1 = None;
     }
 }
 
@@ -112,9 +132,11 @@ impl Viewer {
             if self.stream.is_closed() {
                 return Err(Closed);
             }
-            if newest.0 > self.seen {
-                self.seen = newest.0;
-                return Ok(Some(newest.1.clone()));
+            if let (number, Some(picture)) = &*newest
+                && *number > self.seen
+            {
+                self.seen = *number;
+                return Ok(Some(picture.clone()));
             }
             let left = until.saturating_duration_since(Instant::now());
             if left.is_zero() {
@@ -143,16 +165,19 @@ pub(crate) struct Encoder {
 }
 
 impl Encoder {
-    /// Makes pictures of frames of up to `max_bytes` that come through the giver.
+    /// Makes pictures of frames of up to `max_bytes` that come through the giver, in a thread of that name.
     ///
     /// # Errors
     /// The system has no thread for it.
-    pub(crate) fn start(stream: Arc<Stream>, max_bytes: usize, quality: u8) -> Result<(Encoder, Giver)> {
-        let (giver, taker) = pair(max_bytes, stream.viewers.clone());
+    pub(crate) fn start(
+        name: &str,
+        stream: Arc<Stream>,
+        max_bytes: usize,
+        quality: u8,
+    ) -> Result<(Encoder, Giver)> {
+        let (giver, taker) = pair(max_bytes);
         let seen = stream.clone();
-        let thread = std::thread::Builder::new()
-            .name("trocar-mjpeg".into())
-            .spawn(move || encode(&seen, taker, quality))
+        let thread = side::spawn(name, move || encode(&seen, taker, quality))
             .map_err(|why| format!("no thread for the pictures: {why}"))?;
         Ok((Encoder { stream, thread: Some(thread) }, giver))
     }
@@ -167,22 +192,42 @@ impl Drop for Encoder {
     }
 }
 
+/// Which frame a part shows, and since when.
+#[derive(Clone, Copy, Default)]
+struct Made {
+    /// Counts frames from 1; 0 = none.
+    frame: u64,
+    at: Option<Instant>,
+}
+
 fn encode(stream: &Stream, mut taker: Taker, quality: u8) {
     let mut pixels = Vec::new();
+    let mut frame = 0;
+    let mut made = [Made::default(); 3];
     while !stream.is_closed() {
-        let Some(frame) = taker.take() else {
-            let seen = stream.viewers.load(Ordering::Relaxed) > 0;
-            std::thread::sleep(if seen { LOOKS } else { RESTS });
-            continue;
-        };
-        for part in Part::ALL.into_iter().filter(|part| stream.is_seen(*part)) {
-            // A frame whose header lies has no picture.
-            let Ok((width, height)) = rgb(&frame.header, frame.bytes(), part, &mut pixels) else { continue };
+        frame += u64::from(taker.renew());
+        let wait_s = 0.99 / f64::from_bits(stream.most_hz.load(Ordering::Relaxed));
+        for (part, made) in Part::ALL.into_iter().zip(&mut made) {
+            if !stream.is_seen(part) {
+                if made.frame > 0 {
+                    stream.forget(part);
+                    *made = Made::default();
+                }
+                continue;
+            }
+            let due = made.at.is_none_or(|at| at.elapsed().as_secs_f64() >= wait_s);
+            if !due || made.frame == frame {
+                continue;
+            }
+            *made = Made { frame, at: Some(Instant::now()) };
+            let shown = taker.newest();
+            // The giver gives whole frames only.
+            let Ok((width, height)) = rgb(&shown.header, shown.bytes(), part, &mut pixels) else { continue };
             if let Some(picture) = jpeg(&pixels, width, height, quality) {
                 stream.publish(part, picture);
             }
         }
-        taker.give_back(frame);
+        std::thread::sleep(if stream.viewers() > 0 { LOOKS } else { RESTS });
     }
 }
 

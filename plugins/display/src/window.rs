@@ -5,9 +5,10 @@
 //! window in a process of its own.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
+use trocar_imaging::side;
 use trocar_sdk::Result;
 
 use crate::handoff::{Giver, Taker, pair};
@@ -15,6 +16,8 @@ use crate::handoff::{Giver, Taker, pair};
 /// What a window is opened with.
 pub(crate) struct Settings {
     pub(crate) title: String,
+    /// What its thread is called.
+    pub(crate) thread: String,
     /// Of the first frame, more or less; the window can be resized.
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -23,7 +26,7 @@ pub(crate) struct Settings {
 
 /// An open window; dropped, it is closed.
 pub(crate) struct Window {
-    open: Arc<AtomicU32>,
+    open: Arc<AtomicBool>,
     ends: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -34,20 +37,19 @@ impl Window {
     /// # Errors
     /// There is no display, or no library for it, or the plugin was built without windows.
     pub(crate) fn open(settings: Settings) -> Result<(Window, Giver)> {
-        let open = Arc::new(AtomicU32::new(1));
+        let open = Arc::new(AtomicBool::new(true));
         let ends = Arc::new(AtomicBool::new(false));
-        let (giver, taker) = pair(settings.max_bytes, open.clone());
+        let (giver, taker) = pair(settings.max_bytes);
         let (shown, ending) = (open.clone(), ends.clone());
         let (told, tells) = std::sync::mpsc::channel();
-        let thread = std::thread::Builder::new()
-            .name("trocar-window".into())
-            .spawn(move || {
-                run(&settings, taker, &ending, |opened| {
-                    let _ = told.send(opened);
-                });
-                shown.store(0, Ordering::Release);
-            })
-            .map_err(|why| format!("no thread for the window: {why}"))?;
+        let name = settings.thread.clone();
+        let thread = side::spawn(&name, move || {
+            run(&settings, taker, &ending, |opened| {
+                let _ = told.send(opened);
+            });
+            shown.store(false, Ordering::Release);
+        })
+        .map_err(|why| format!("no thread for the window: {why}"))?;
         let window = Window { open, ends, thread: Some(thread) };
         match tells.recv() {
             Ok(Ok(())) => Ok((window, giver)),
@@ -58,7 +60,7 @@ impl Window {
 
     /// False when people have closed it.
     pub(crate) fn is_open(&self) -> bool {
-        self.open.load(Ordering::Acquire) > 0
+        self.open.load(Ordering::Acquire)
     }
 }
 
@@ -113,11 +115,12 @@ fn run(
     };
     let (mut pixels, mut shown) = (Vec::new(), Vec::new());
     while window.is_open() && !ends.load(Ordering::Acquire) {
-        let Some(frame) = taker.take() else {
+        if !taker.renew() {
             window.update();
             std::thread::sleep(std::time::Duration::from_millis(4));
             continue;
-        };
+        }
+        let frame = taker.newest();
         if let Ok((width, height)) = rgb(&frame.header, frame.bytes(), Part::Both, &mut pixels) {
             shown.clear();
             shown.extend(
@@ -126,6 +129,5 @@ fn run(
             // A frame that cannot be shown is left out.
             let _ = window.update_with_buffer(&shown, width as usize, height as usize);
         }
-        taker.give_back(frame);
     }
 }

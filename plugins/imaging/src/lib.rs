@@ -1,6 +1,5 @@
 //! What the vision plugins share: stereo calibration, brightness of colours, colours of YUYV and of mosaics, images as people look
-//! at them, and which
-//! instructions the processor has.
+//! at them, threads beside the step, and which instructions the processor has.
 //!
 //! Invariant: functions of pixels give the same bytes whichever instructions they use.
 #![deny(unsafe_code)]
@@ -11,6 +10,7 @@ pub mod debayer;
 mod luma;
 pub mod nearness;
 pub mod pixels;
+pub mod side;
 pub mod simd;
 pub mod yuyv;
 

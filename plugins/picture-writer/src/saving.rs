@@ -7,6 +7,7 @@ use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use trocar_imaging::side;
 use trocar_sdk::Result;
 
 use crate::file::SavedPicture;
@@ -34,12 +35,10 @@ impl Saving {
             return Err("the last picture is still being written: wait for it".into());
         }
         let (tells, told) = sync_channel(1);
-        let thread = std::thread::Builder::new()
-            .name(format!("{name} png"))
-            .spawn(move || {
-                let _ = tells.send(make());
-            })
-            .map_err(|why| format!("no thread for the picture: {why}"))?;
+        let thread = side::spawn(&format!("{name} png"), move || {
+            let _ = tells.send(make());
+        })
+        .map_err(|why| format!("no thread for the picture: {why}"))?;
         self.thread = Some(thread);
         match told.recv_timeout(PATIENCE) {
             Ok(saved) => {

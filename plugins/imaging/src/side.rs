@@ -1,0 +1,93 @@
+//! Threads beside the step: ordinary ones, however real-time the thread is that makes them.
+//!
+//! Invariant: a new thread has the scheduling class and the processors that programs have by default in this process, not those
+//! of the component's thread that made it; else encoding a picture would hold up control loops.
+
+use std::io;
+use std::thread::{Builder, JoinHandle};
+
+use rustix::thread::{sched_getaffinity, sched_setaffinity};
+use thread_priority::{
+    NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
+    thread_native_id, thread_schedule_policy,
+};
+
+/// What the crate makes niceness 0 of, on its scale of 0 to 99.
+const NOT_NICE: u8 = 47;
+
+/// Starts a thread; tools show the first 15 bytes of its name, which says the component first.
+///
+/// # Errors
+/// The system has no thread for it.
+pub fn spawn<T: Send + 'static>(
+    name: &str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<JoinHandle<T>> {
+    // A name with a zero in it would be a panic.
+    Builder::new().name(name.replace('\0', "")).spawn(move || {
+        be_ordinary();
+        run()
+    })
+}
+
+/// Takes the calling thread out of what it inherited. Less is always allowed; where it is not, the thread works as it is.
+fn be_ordinary() {
+    // One that is ordinary already keeps how nice whoever started the process wants it.
+    if let (Ok(ThreadSchedulePolicy::Realtime(_)), Ok(not_nice)) =
+        (thread_schedule_policy(), NOT_NICE.try_into())
+    {
+        let ordinary = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+        let _ = set_thread_priority_and_policy(
+            thread_native_id(),
+            ThreadPriority::Crossplatform(not_nice),
+            ordinary,
+        );
+    }
+    // The process's first thread has what whoever started it gave: no component runs on it.
+    if let Ok(all) = sched_getaffinity(Some(rustix::process::getpid())) {
+        let _ = sched_setaffinity(None, &all);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::thread::CpuSet;
+    use thread_priority::RealtimeThreadSchedulePolicy;
+
+    /// Scheduling class of the calling thread as the kernel numbers it, its real-time priority, and how nice it is.
+    fn class() -> [i32; 3] {
+        let stat = std::fs::read_to_string("/proc/thread-self/stat").expect("Linux");
+        let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+        // Fields 41, 40 and 19 of proc(5); the first two are before the bracket.
+        [38, 37, 16].map(|n| fields[n].parse().expect("a number"))
+    }
+
+    #[test]
+    fn a_thread_made_by_a_real_time_thread_on_one_processor_is_ordinary_and_may_run_anywhere() {
+        let all = sched_getaffinity(Some(rustix::process::getpid())).expect("Linux");
+        let first = (0..CpuSet::MAX_CPU).find(|cpu| all.is_set(*cpu)).expect("there is one");
+        let seen = std::thread::spawn(move || {
+            let mut one = CpuSet::new();
+            one.set(first);
+            sched_setaffinity(None, &one).expect("its own");
+            let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+            let priority = ThreadPriority::Crossplatform(10u8.try_into().expect("10"));
+            let granted = set_thread_priority_and_policy(thread_native_id(), priority, fifo).is_ok();
+            assert_eq!(class()[0] == 1, granted, "1 is SCHED_FIFO");
+            let seen = || {
+                (
+                    class(),
+                    sched_getaffinity(None).expect("Linux"),
+                    std::thread::current().name().map(str::to_owned),
+                )
+            };
+            spawn("camera draw\0", seen).expect("a thread").join().expect("no panic")
+        });
+        let nice = class()[2];
+        let (class, cpus, name) = seen.join().expect("no panic");
+        assert_eq!(class, [0, 0, nice]);
+        assert!(cpus == all);
+        assert_eq!(name.as_deref(), Some("camera draw"));
+    }
+}
