@@ -4,12 +4,12 @@
 
 use std::time::Duration;
 
-use trocar_sdk::data::{CameraGeometry, OperatingMode, OperatingState, StereoHeader};
+use trocar_sdk::data::{CameraGeometry, OperatingState, StereoHeader};
 use trocar_sdk::prelude::*;
 
-use crate::feed::Feed;
+use crate::feed::Again;
 use crate::layout::Layout;
-use crate::live::{Last, Live, SLOTS, Sent};
+use crate::live::{Live, Sent, live};
 use crate::v4l2::V4l2;
 
 #[derive(Config)]
@@ -23,8 +23,8 @@ struct CameraConfig {
     /// Rows of one image
     #[config(min = 1, max = 16384, unit = "px", default = 480)]
     height: u32,
-    /// How pixels lie in memory
-    #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv"], default = "yuyv")]
+    /// How pixels lie in memory; `mjpg`: the camera sends JPEGs, which become RGB8
+    #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv", "mjpg"], default = "yuyv")]
     format: String,
     /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide; `stacked`: the left
     /// image above the right one
@@ -42,9 +42,12 @@ struct CameraConfig {
     /// Whether a device that failed is opened again
     #[config(default = true)]
     restart: bool,
-    /// How long after it failed
+    /// How long after it failed; each time twice as long, until it ran for longer than that
     #[config(min = 0.01, max = 3600.0, unit = "s", default = 1.0)]
     restart_delay_s: f64,
+    /// And never longer than this
+    #[config(min = 0.01, max = 3600.0, unit = "s", default = 30.0)]
+    restart_delay_max_s: f64,
 }
 
 /// Takes the images of a camera such as `/dev/video0`.
@@ -64,15 +67,17 @@ pub struct Camera {
     sent: Sent,
     #[state]
     operating_state: OperatingState,
+    /// After it failed: how long after that it is opened again; 0 while it runs, or where it is not.
+    #[state]
+    #[unit("s")]
+    restart_in_s: f64,
     #[state]
     geometry: CameraGeometry,
     #[config]
     cfg: CameraConfig,
     #[host]
     host: Host,
-    layout: Option<Layout>,
-    feed: Option<Feed>,
-    last: Last,
+    live: Live,
 }
 
 /// What the camera sees and sent, and how it is.
@@ -98,48 +103,37 @@ impl Camera {
 }
 
 impl Camera {
-    fn live(&mut self) -> (Live<'_>, Option<(&mut Feed, &Layout)>) {
-        let live = Live {
-            image: &mut self.image,
-            frame_dropped: &mut self.frame_dropped,
-            changed: &mut self.changed,
-            sent: &mut self.sent,
-            operating_state: &mut self.operating_state,
-            geometry: &mut self.geometry,
-            last: &mut self.last,
-        };
-        (live, self.feed.as_mut().zip(self.layout.as_ref()))
+    fn again(&self) -> Result<Option<Again>> {
+        Again::of(self.cfg.restart, self.cfg.restart_delay_s, self.cfg.restart_delay_max_s)
     }
 
     fn open(&mut self) -> Result {
-        self.feed = None;
-        self.last = Last::default();
-        let Some(layout) = self.layout else { return Ok(()) };
-        let source = V4l2 {
-            device: self.cfg.device.clone().into(),
+        let (again, host) = (self.again()?, self.host.clone());
+        let cfg = &self.cfg;
+        let source = |layout| V4l2 {
+            device: cfg.device.clone().into(),
             layout,
-            fps: self.cfg.fps,
-            stall: Duration::from_secs_f64(self.cfg.stall_s),
-            delay_s: self.cfg.delay_s,
+            compressed: cfg.format == "mjpg",
+            fps: cfg.fps,
+            stall: Duration::from_secs_f64(cfg.stall_s),
+            delay_s: cfg.delay_s,
         };
-        let again = self.cfg.restart.then(|| Duration::from_secs_f64(self.cfg.restart_delay_s));
-        self.feed = Some(Feed::open(source, layout.frame_bytes(), again, self.host.clone())?);
-        Ok(())
+        let (live, ports) = live!(self);
+        live.open(ports, again, &host, source)
     }
 }
 
 impl Component for Camera {
     fn configure(&mut self) -> Result {
         let layout = Layout::of(self.cfg.width, self.cfg.height, &self.cfg.format, &self.cfg.layout)?;
-        self.image.reserve(layout.frame_bytes(), SLOTS)?;
-        self.geometry = CameraGeometry { width: layout.width, height: layout.height, fps: 0.0 };
-        self.layout = Some(layout);
-        Ok(())
+        self.again()?;
+        let (live, ports) = live!(self);
+        live.configure(ports, layout)
     }
 
     fn start(&mut self) -> Result {
-        self.sent = Sent::default();
-        self.operating_state = OperatingState::default();
+        let (live, ports) = live!(self);
+        live.forget(ports);
         self.open()
     }
 
@@ -148,24 +142,19 @@ impl Component for Camera {
     }
 
     fn stop(&mut self) -> Result {
-        let ended = self.feed.take().map_or(Ok(()), |mut feed| feed.end());
         let now = self.host.now();
-        self.live().0.tell(OperatingMode::DISABLED, Text::new(""), now);
-        ended
+        let (live, ports) = live!(self);
+        live.stop(ports, now)
     }
 
-    /// The device goes with its thread, which is told to end and not waited for.
     fn make_safe(&mut self) -> Result {
-        if let Some(feed) = &self.feed {
-            feed.halt();
-        }
+        self.live.halt();
         Ok(())
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
-        if let (mut live, Some((feed, layout))) = self.live() {
-            live.step(feed, layout, tick.now());
-        }
+        let (live, ports) = live!(self);
+        live.step(ports, tick.now());
         Ok(())
     }
 }

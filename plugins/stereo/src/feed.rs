@@ -8,9 +8,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec};
+use trocar_imaging::side;
 use trocar_sdk::prelude::*;
 
 /// Buffers that go round: one being filled, the rest on their way.
@@ -42,8 +43,41 @@ pub(crate) struct Shot {
 pub(crate) enum Notice {
     /// Frames come (again).
     Runs,
-    /// Why none come.
-    Failed(Text<128>),
+    /// Why none come, and after how long the device is opened again; 0: it is not.
+    Failed(Text<128>, f64),
+}
+
+/// When a device that failed is opened again: each time after twice as long, up to a limit; from the beginning when it ran for
+/// longer than it last waited.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Again {
+    pub(crate) first: Duration,
+    pub(crate) longest: Duration,
+}
+
+impl Again {
+    /// From settings.
+    ///
+    /// # Errors
+    /// The limit is below the first delay.
+    pub(crate) fn of(restart: bool, first_s: f64, longest_s: f64) -> Result<Option<Again>> {
+        if longest_s < first_s {
+            return Err(format!(
+                "restart_delay_max_s: {longest_s} s is below restart_delay_s, {first_s} s: raise it, or lower that"
+            )
+            .into());
+        }
+        let [first, longest] = [first_s, longest_s].map(Duration::from_secs_f64);
+        Ok(restart.then_some(Again { first, longest }))
+    }
+
+    /// What comes after a wait of `last`, when the device then ran for so long.
+    fn next(&self, last: Option<Duration>, ran: Duration) -> Duration {
+        match last {
+            Some(last) if ran <= last => (2 * last).min(self.longest),
+            _ => self.first,
+        }
+    }
 }
 
 /// The component's end.
@@ -56,18 +90,13 @@ pub(crate) struct Feed {
 }
 
 impl Feed {
-    /// Opens the device and begins to take frames of `bytes` each. `again` says after how long a failed device is
-    /// opened again.
+    /// Opens the device and begins to take frames of `bytes` each. `again` says when a failed device is opened again.
     ///
     /// # Errors
     /// As [`Source::open`].
-    pub(crate) fn open<S: Source>(
-        source: S,
-        bytes: usize,
-        again: Option<Duration>,
-        host: Host,
-    ) -> Result<Feed> {
+    pub(crate) fn open<S: Source>(source: S, bytes: usize, again: Option<Again>, host: Host) -> Result<Feed> {
         let session = source.open()?;
+        let name = format!("{} frames", host.instance_name().rsplit('/').next().unwrap_or_default());
         let stop = Arc::new(Stop::new()?);
         let (filled_in, filled) = sync_channel(BUFFERS);
         let (empty, empty_out) = sync_channel(BUFFERS);
@@ -85,9 +114,7 @@ impl Feed {
             runs: false,
         };
         let stopping = stop.clone();
-        let thread = std::thread::Builder::new()
-            .name("trocar-frames".into())
-            .spawn(move || supervise(&source, session, &mut giver, &stopping, again))
+        let thread = side::spawn(&name, move || supervise(&source, session, &mut giver, &stopping, again))
             .map_err(|why| format!("no thread for the device: {why}"))?;
         Ok(Feed { filled, empty, notices, stop, thread: Some(thread) })
     }
@@ -131,15 +158,11 @@ impl Drop for Feed {
 }
 
 /// Runs the device, and opens it again after it failed, until it is told to stop.
-fn supervise<S: Source>(
-    source: &S,
-    first: S::Session,
-    giver: &mut Giver,
-    stop: &Stop,
-    again: Option<Duration>,
-) {
+fn supervise<S: Source>(source: &S, first: S::Session, giver: &mut Giver, stop: &Stop, again: Option<Again>) {
     let mut session = Some(first);
+    let mut last = None;
     loop {
+        let begun = Instant::now();
         let why = match session.take().map_or_else(|| source.open(), Ok) {
             Ok(open) => source.pump(open, giver, stop),
             Err(why) => why,
@@ -147,10 +170,11 @@ fn supervise<S: Source>(
         if stop.is_set() {
             return;
         }
-        giver.failed(&why);
-        match again {
-            Some(delay) if !stop.wait(delay) => {}
-            _ => return,
+        let delay = again.map(|again| again.next(last, begun.elapsed()));
+        last = delay;
+        giver.failed(&why, delay.unwrap_or_default());
+        if delay.is_none_or(|delay| stop.wait(delay)) {
+            return;
         }
     }
 }
@@ -190,9 +214,9 @@ impl Giver {
         let _ = self.filled.try_send(Shot { bytes, stamp, number });
     }
 
-    fn failed(&mut self, why: &str) {
+    fn failed(&mut self, why: &str, again: Duration) {
         self.runs = false;
-        let _ = self.notices.try_send(Notice::Failed(Text::new(why)));
+        let _ = self.notices.try_send(Notice::Failed(Text::new(why), again.as_secs_f64()));
     }
 }
 
@@ -220,7 +244,7 @@ impl Stop {
 
     /// Sleeps for a time, or until it is set; tells whether it is.
     fn wait(&self, time: Duration) -> bool {
-        let begun = std::time::Instant::now();
+        let begun = Instant::now();
         while !self.is_set() && begun.elapsed() < time {
             self.poll(&[], time.saturating_sub(begun.elapsed()));
         }
@@ -237,5 +261,26 @@ impl Stop {
         // An interrupted poll comes back as one without news.
         let _ = rustix::event::poll(&mut all, Some(&time));
         [1, 2].map(|at| files.len() >= at && !all[at].revents().is_empty())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waits_double_up_to_the_limit_and_begin_anew_after_a_run_that_was_longer() {
+        let again = Again { first: Duration::from_secs(1), longest: Duration::from_secs(5) };
+        let mut waits = Vec::new();
+        let mut last = None;
+        for ran_s in [100, 0, 0, 0, 0, 4, 6, 0] {
+            last = Some(again.next(last, Duration::from_secs(ran_s)));
+            waits.push(last.map_or(0, |wait| wait.as_secs()));
+        }
+        assert_eq!(waits, [1, 2, 4, 5, 5, 5, 1, 2]);
+        assert!(
+            Again::of(true, 2.0, 1.0).is_err_and(|why| why.to_string().contains("below restart_delay_s"))
+        );
+        assert_eq!(Again::of(false, 1.0, 5.0).ok(), Some(None));
     }
 }

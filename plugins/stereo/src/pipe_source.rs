@@ -1,16 +1,16 @@
 //! `pipe_source`: raw frames from the standard output of a child process, such as ffmpeg or GStreamer.
 //!
-//! Invariant: the child runs between Start and Stop and not a moment longer; what it does, and why it ended, is told in the operating state.
+//! Invariant: the child runs between Start and Stop and not a moment longer, also when the host is killed; what it does, and why it ended, is told in the operating state.
 
 use std::time::Duration;
 
-use trocar_sdk::data::{CameraGeometry, OperatingMode, OperatingState, StereoHeader};
+use trocar_sdk::data::{CameraGeometry, OperatingState, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use crate::child::Program;
-use crate::feed::Feed;
+use crate::feed::Again;
 use crate::layout::Layout;
-use crate::live::{Last, Live, SLOTS, Sent};
+use crate::live::{Live, Sent, live};
 
 #[derive(Config)]
 struct PipeSourceConfig {
@@ -32,15 +32,18 @@ struct PipeSourceConfig {
     /// From the exposure to the last byte, where it is known: stamps are that much before the arrival
     #[config(min = 0.0, max = 10.0, unit = "s", default = 0.0)]
     delay_s: f64,
-    /// A program that writes nothing for so long has stalled: it is ended
+    /// A program that does not complete a frame for so long has stalled: it is ended
     #[config(min = 0.05, max = 3600.0, unit = "s", default = 5.0)]
     stall_s: f64,
     /// Whether the program is run again: when it ended or stalled, or did not start any more
     #[config(default = true)]
     restart: bool,
-    /// How long after it failed
+    /// How long after it failed; each time twice as long, until it ran for longer than that
     #[config(min = 0.01, max = 3600.0, unit = "s", default = 1.0)]
     restart_delay_s: f64,
+    /// And never longer than this
+    #[config(min = 0.01, max = 3600.0, unit = "s", default = 30.0)]
+    restart_delay_max_s: f64,
 }
 
 /// Runs a program that writes raw frames, and sends each of them. With ffmpeg: `["ffmpeg", "-loglevel", "error", "-i",
@@ -61,15 +64,17 @@ pub struct PipeSource {
     sent: Sent,
     #[state]
     operating_state: OperatingState,
+    /// After it failed: how long after that it is opened again; 0 while it runs, or where it is not.
+    #[state]
+    #[unit("s")]
+    restart_in_s: f64,
     #[state]
     geometry: CameraGeometry,
     #[config]
     cfg: PipeSourceConfig,
     #[host]
     host: Host,
-    layout: Option<Layout>,
-    feed: Option<Feed>,
-    last: Last,
+    live: Live,
 }
 
 /// What the program sends, and how it is.
@@ -95,31 +100,20 @@ impl PipeSource {
 }
 
 impl PipeSource {
-    fn live(&mut self) -> (Live<'_>, Option<(&mut Feed, &Layout)>) {
-        let live = Live {
-            image: &mut self.image,
-            frame_dropped: &mut self.frame_dropped,
-            changed: &mut self.changed,
-            sent: &mut self.sent,
-            operating_state: &mut self.operating_state,
-            geometry: &mut self.geometry,
-            last: &mut self.last,
-        };
-        (live, self.feed.as_mut().zip(self.layout.as_ref()))
+    fn again(&self) -> Result<Option<Again>> {
+        Again::of(self.cfg.restart, self.cfg.restart_delay_s, self.cfg.restart_delay_max_s)
     }
 
     fn open(&mut self) -> Result {
-        self.feed = None;
-        self.last = Last::default();
-        let Some(layout) = self.layout else { return Ok(()) };
-        let source = Program {
-            command: self.cfg.command.clone(),
-            stall: Duration::from_secs_f64(self.cfg.stall_s),
-            delay_s: self.cfg.delay_s,
+        let (again, host) = (self.again()?, self.host.clone());
+        let cfg = &self.cfg;
+        let source = |_| Program {
+            command: cfg.command.clone(),
+            stall: Duration::from_secs_f64(cfg.stall_s),
+            delay_s: cfg.delay_s,
         };
-        let again = self.cfg.restart.then(|| Duration::from_secs_f64(self.cfg.restart_delay_s));
-        self.feed = Some(Feed::open(source, layout.frame_bytes(), again, self.host.clone())?);
-        Ok(())
+        let (live, ports) = live!(self);
+        live.open(ports, again, &host, source)
     }
 }
 
@@ -129,15 +123,14 @@ impl Component for PipeSource {
             return Err("command: is empty; name a program and its arguments, [\"ffmpeg\", \"-i\", …]".into());
         }
         let layout = Layout::of(self.cfg.width, self.cfg.height, &self.cfg.format, &self.cfg.layout)?;
-        self.image.reserve(layout.frame_bytes(), SLOTS)?;
-        self.geometry = CameraGeometry { width: layout.width, height: layout.height, fps: 0.0 };
-        self.layout = Some(layout);
-        Ok(())
+        self.again()?;
+        let (live, ports) = live!(self);
+        live.configure(ports, layout)
     }
 
     fn start(&mut self) -> Result {
-        self.sent = Sent::default();
-        self.operating_state = OperatingState::default();
+        let (live, ports) = live!(self);
+        live.forget(ports);
         self.open()
     }
 
@@ -146,24 +139,19 @@ impl Component for PipeSource {
     }
 
     fn stop(&mut self) -> Result {
-        let ended = self.feed.take().map_or(Ok(()), |mut feed| feed.end());
         let now = self.host.now();
-        self.live().0.tell(OperatingMode::DISABLED, Text::new(""), now);
-        ended
+        let (live, ports) = live!(self);
+        live.stop(ports, now)
     }
 
-    /// The device goes with its thread, which is told to end and not waited for.
     fn make_safe(&mut self) -> Result {
-        if let Some(feed) = &self.feed {
-            feed.halt();
-        }
+        self.live.halt();
         Ok(())
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
-        if let (mut live, Some((feed, layout))) = self.live() {
-            live.step(feed, layout, tick.now());
-        }
+        let (live, ports) = live!(self);
+        live.step(ports, tick.now());
         Ok(())
     }
 }

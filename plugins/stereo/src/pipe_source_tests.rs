@@ -4,7 +4,7 @@
 use super::*;
 use std::path::Path;
 use std::time::Instant;
-use trocar_sdk::data::PixelFormat;
+use trocar_sdk::data::{OperatingMode, PixelFormat};
 use trocar_sdk::testing::{Bench, assert_implements, contracts};
 
 /// A source of 2×1 px of grey whose program is a line for the shell.
@@ -98,8 +98,47 @@ fn a_program_that_stalls_is_ended_with_all_it_started() {
     let line = format!("sleep 1000 & echo $! $$ > {}; printf ab; wait", pids.display());
     let mut bench = Bench::<PipeSource>::new(config(&line, r#", "stall_s": 0.2, "restart": false"#));
     let why = failed(&mut bench);
-    assert_eq!(why, "sh stalled: it wrote nothing for 0.2 s after 1 frames; it was ended");
+    assert_eq!(why, "sh stalled: it wrote nothing in 0.2 s after 1 frames; it was ended");
     gone(&pids);
+}
+
+#[test]
+fn a_program_that_trickles_has_stalled() {
+    let line = "printf abc; exec sleep 1000";
+    let mut bench = Bench::<PipeSource>::new(config(line, r#", "stall_s": 0.3, "restart": false"#));
+    let why = failed(&mut bench);
+    assert_eq!(why, "sh stalled: it wrote 1 B of a frame in 0.3 s after 1 frames; it was ended");
+    // A frame of many bytes that come one by one, each long before the time is over.
+    let line = "while printf c; do sleep 0.05; done";
+    let command = trocar_sdk::serde_json::json!(["sh", "-c", line]);
+    let config = format!(
+        r#"{{"command": {command}, "width": 4000, "height": 1, "format": "gray8", "stall_s": 0.3, "restart": false}}"#
+    );
+    let why = failed(&mut Bench::<PipeSource>::new(config));
+    assert!(why.starts_with("sh stalled: it wrote ") && why.contains(" B of a frame in 0.3 s"), "{why}");
+}
+
+#[test]
+fn waits_before_a_restart_double_and_are_told() {
+    let more = r#", "restart_delay_s": 0.01, "restart_delay_max_s": 0.04"#;
+    let mut bench = Bench::<PipeSource>::new(config("exit 1", more));
+    let mut waits = Vec::new();
+    until(&mut bench, "five failures", |bench| {
+        let wait_s = bench.state().restart_in_s;
+        if wait_s > 0.0 && waits.last() != Some(&wait_s) {
+            waits.push(wait_s);
+        }
+        bench.state().sent.failures >= 5
+    });
+    // A program that ran a moment longer than the wait begins anew; each that is told is one of these.
+    assert!(waits.len() > 1 && waits.iter().all(|wait| [0.01, 0.02, 0.04].contains(wait)), "{waits:?}");
+    bench.stop().unwrap();
+    assert_eq!(bench.state().restart_in_s, 0.0);
+    let why = Bench::<PipeSource>::created()
+        .configure(config("exit 1", r#", "restart_delay_s": 2.0, "restart_delay_max_s": 1.0"#))
+        .unwrap_err()
+        .reason;
+    assert!(why.contains("restart_delay_max_s: 1 s is below restart_delay_s"), "{why}");
 }
 
 #[test]

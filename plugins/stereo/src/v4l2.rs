@@ -3,10 +3,13 @@
 //! Invariant: what the driver gives is what was configured, or the camera is not taken: no size or format is changed
 //! silently. The driver is never waited for but in `poll`.
 
+use std::io::Cursor;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use image::codecs::jpeg::JpegDecoder;
+use image::{ColorType, ImageDecoder};
 use linuxvideo::format::{PixFormat, PixelFormat as FourCc};
 use linuxvideo::stream::ReadStream;
 use linuxvideo::{BufType, CapabilityFlags, Device, Fract};
@@ -19,6 +22,8 @@ use crate::layout::Layout;
 pub(crate) struct V4l2 {
     pub(crate) device: PathBuf,
     pub(crate) layout: Layout,
+    /// The camera sends JPEGs; the layout is that of the pixels in them.
+    pub(crate) compressed: bool,
     pub(crate) fps: u32,
     /// A camera that gives nothing for so long has stalled.
     pub(crate) stall: Duration,
@@ -57,7 +62,8 @@ impl Source for V4l2 {
             .collect::<Vec<_>>()
             .join(", ");
         let (width, height) = self.layout.frame_size();
-        let wanted = four_cc(self.layout.format);
+        let wanted =
+            if self.compressed { FourCc::from_fourcc(*b"MJPG") } else { four_cc(self.layout.format) };
         let refused = |what: String| {
             format!(
                 "device: {name} gives {what}, not {width}×{height} {wanted}; it offers {offers}: configure what it has"
@@ -99,7 +105,12 @@ impl Source for V4l2 {
             }
             let stride = open.stride;
             let taken = open.stream.dequeue(|image| {
-                let whole = !image.is_error() && copy_rows(&image, stride, giver.room(), row);
+                let whole = !image.is_error()
+                    && if self.compressed {
+                        unpack(&image, self.layout.frame_size(), giver.room())
+                    } else {
+                        copy_rows(&image, stride, giver.room(), row)
+                    };
                 if whole {
                     giver.give(self.delay_s);
                 }
@@ -125,6 +136,15 @@ fn copy_rows(from: &[u8], stride: usize, to: &mut [u8], row: usize) -> bool {
         to.copy_from_slice(&from[..row]);
     }
     true
+}
+
+/// Unpacks a JPEG into RGB pixels; false when it is none of that size. Cameras may leave zeros behind it.
+fn unpack(jpeg: &[u8], size: (u32, u32), to: &mut [u8]) -> bool {
+    let Ok(decoder) = JpegDecoder::new(Cursor::new(jpeg)) else { return false };
+    if decoder.dimensions() != size || decoder.color_type() != ColorType::Rgb8 {
+        return false;
+    }
+    decoder.total_bytes() == to.len() as u64 && decoder.read_image(to).is_ok()
 }
 
 fn four_cc(format: PixelFormat) -> FourCc {
@@ -160,6 +180,7 @@ mod tests {
         V4l2 {
             device: device.into(),
             layout: Layout::of(64, 48, "yuyv", "mono").unwrap(),
+            compressed: false,
             fps: 30,
             stall: Duration::from_secs(1),
             delay_s: 0.0,
@@ -195,5 +216,25 @@ mod tests {
         assert_eq!(to, [1, 2, 3, 4]);
         assert!(!copy_rows(&[1, 2, 9, 3], 3, &mut to, 2), "a torn image");
         assert!(!copy_rows(&[], 2, &mut to, 2));
+    }
+
+    #[test]
+    fn a_compressed_image_becomes_pixels_and_one_that_is_torn_or_of_another_size_is_left_out() {
+        let mut jpeg = Vec::new();
+        let pixels = image::RgbImage::from_pixel(16, 8, image::Rgb([200, 40, 40]));
+        pixels.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 95)).unwrap();
+        let whole = jpeg.len();
+        jpeg.extend([0; 100]);
+        let mut to = vec![0; 3 * 16 * 8];
+        assert!(unpack(&jpeg, (16, 8), &mut to));
+        assert!(
+            to.as_chunks::<3>()
+                .0
+                .iter()
+                .all(|[r, g, b]| r.abs_diff(200) < 6 && g.abs_diff(40) < 6 && b.abs_diff(40) < 6)
+        );
+        assert!(!unpack(&jpeg, (8, 16), &mut to));
+        assert!(!unpack(&jpeg[..whole / 3], (16, 8), &mut to));
+        assert!(!unpack(b"no picture", (16, 8), &mut to));
     }
 }
