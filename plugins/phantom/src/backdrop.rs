@@ -14,6 +14,12 @@ use crate::world::World;
 /// Pixels beyond each border that are there for an eye that moves.
 pub(crate) const MARGIN: usize = 40;
 
+/// Threads that trace a picture, at most.
+const MOST_THREADS: usize = 8;
+/// A ray has met the surface when a round changes less, m; and it has after so many.
+const NEAR_ENOUGH_M: f64 = 20e-9;
+const ROUNDS: usize = 6;
+
 /// Random numbers of the texture's finest detail.
 const DETAIL_STREAM: u64 = 0x6465_7461;
 /// Sides of the squares of the finest detail, m, and how much brighter or darker they are: what a photograph with 9 µm
@@ -72,35 +78,39 @@ impl Backdrop {
     pub(crate) fn new(world: &World, camera: Camera, lamp: &Lamp) -> Backdrop {
         let (width, height) = (camera.width + 2 * MARGIN, camera.height + 2 * MARGIN);
         let turn = camera.world_from_camera.rotation.to_rotation_matrix().into_inner();
-        let eye = camera.eye();
-        let (mut colour, mut depth) = (Vec::with_capacity(3 * width * height), Vec::new());
-        depth.reserve_exact(width * height);
-        let mut rays = Vec::with_capacity(camera.width * camera.height);
-        let detail = world.noise(DETAIL_STREAM);
-        let mut far = WORKING_DISTANCE_M;
-        for y in 0..height {
-            for x in 0..width {
-                let [rx, ry] = camera.ray([x as f64 - MARGIN as f64, y as f64 - MARGIN as f64]);
-                let inside = |at: usize, size: usize| (MARGIN..MARGIN + size).contains(&at);
-                if inside(x, camera.width) && inside(y, camera.height) {
-                    rays.push([rx as f32, ry as f32]);
-                }
-                let way = turn * Vector3::new(rx, ry, 1.0);
-                // The retina is flat beside the rays, so each round leaves less than a twentieth of the height.
-                for _ in 0..4 {
-                    let at = eye + way * far;
-                    far += (world.eye.surface_z(at.x, at.y) - at.z) / way.z;
-                }
-                let at = eye + way * far;
-                let light = lamp.ambient + (1.0 - lamp.ambient) * lamp.light(&at, &normal(world, &at));
-                let (u, v) = world.eye.along(at.x, at.y);
-                let shade = light as f32 * fine(detail, u, v);
-                let tint = Retina::shared().colour_at(u, v);
-                colour.extend(tint.map(|value| (value * shade + 0.5).clamp(0.0, 255.0) as u8));
-                depth.push(far as f32);
-            }
-        }
-        Backdrop { camera, turn, width, height, colour, depth, rays }
+        let backdrop = Backdrop {
+            camera,
+            turn,
+            width,
+            height,
+            colour: Vec::with_capacity(3 * width * height),
+            depth: Vec::with_capacity(width * height),
+            rays: Vec::with_capacity(camera.width * camera.height),
+        };
+        // Read once here and not by each thread.
+        Retina::shared();
+        let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
+        let rows = height.div_ceil(threads);
+        let trace = |n: usize| {
+            let mut band = Band::default();
+            (n * rows..((n + 1) * rows).min(height)).for_each(|y| band.trace(&backdrop, world, lamp, y));
+            band
+        };
+        let bands: Vec<Band> = std::thread::scope(|scope| {
+            let others: Vec<_> = (1..threads).map(|n| scope.spawn(move || trace(n))).collect();
+            // A thread that panicked has found what this one would have.
+            let traced = |thread: std::thread::ScopedJoinHandle<'_, Band>| match thread.join() {
+                Ok(band) => band,
+                Err(panic) => std::panic::resume_unwind(panic),
+            };
+            std::iter::once(trace(0)).chain(others.into_iter().map(traced)).collect()
+        });
+        bands.into_iter().fold(backdrop, |mut whole, band| {
+            whole.colour.extend(band.colour);
+            whole.depth.extend(band.depth);
+            whole.rays.extend(band.rays);
+            whole
+        })
     }
 
     /// Where the picture of an eye that stands `shift` (m) from its place lies in the picture at rest.
@@ -122,6 +132,46 @@ impl Backdrop {
             x: axis([-reach, 0.0], [reach, 0.0], 0),
             y: axis([0.0, -reach], [0.0, reach], 1),
             limits: [self.width, self.height],
+        }
+    }
+}
+
+/// Some rows of a picture at rest.
+#[derive(Default)]
+struct Band {
+    colour: Vec<u8>,
+    depth: Vec<f32>,
+    rays: Vec<[f32; 2]>,
+}
+
+impl Band {
+    /// Adds a row. It depends on no other, so pictures are the same however many threads trace them.
+    fn trace(&mut self, of: &Backdrop, world: &World, lamp: &Lamp, y: usize) {
+        let (camera, eye, detail) = (&of.camera, of.camera.eye(), world.noise(DETAIL_STREAM));
+        let mut far = WORKING_DISTANCE_M;
+        for x in 0..of.width {
+            let [rx, ry] = camera.ray([x as f64 - MARGIN as f64, y as f64 - MARGIN as f64]);
+            let inside = |at: usize, size: usize| (MARGIN..MARGIN + size).contains(&at);
+            if inside(x, camera.width) && inside(y, camera.height) {
+                self.rays.push([rx as f32, ry as f32]);
+            }
+            let way = of.turn * Vector3::new(rx, ry, 1.0);
+            // The retina is flat beside the rays, so each round leaves less than a twentieth of the height.
+            for _ in 0..ROUNDS {
+                let at = eye + way * far;
+                let off = (world.eye.surface_z(at.x, at.y) - at.z) / way.z;
+                far += off;
+                if off.abs() < NEAR_ENOUGH_M {
+                    break;
+                }
+            }
+            let at = eye + way * far;
+            let light = lamp.ambient + (1.0 - lamp.ambient) * lamp.light(&at, &normal(world, &at));
+            let (u, v) = world.eye.along(at.x, at.y);
+            let shade = light as f32 * fine(detail, u, v);
+            let tint = Retina::shared().colour_at(u, v);
+            self.colour.extend(tint.map(|value| (value * shade + 0.5).clamp(0.0, 255.0) as u8));
+            self.depth.push(far as f32);
         }
     }
 }

@@ -14,6 +14,7 @@ pub mod motion;
 pub mod noise;
 pub mod render;
 pub mod retina;
+mod rows;
 pub mod sensor;
 mod shadow;
 mod spans;

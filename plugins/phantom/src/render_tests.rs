@@ -4,7 +4,7 @@
 use super::*;
 use crate::camera::Rig;
 use crate::motion::{Motion, Saccade, Step};
-use nalgebra::UnitVector3;
+use nalgebra::{Point3, UnitVector3};
 
 const WIDTH: usize = 160;
 const HEIGHT: usize = 120;
@@ -45,7 +45,7 @@ fn silent(mut renderer: Renderer, side: Side, scene: &Scene) -> Vec<u8> {
 }
 
 fn again(renderer: &mut Renderer, side: Side, scene: &Scene) -> Vec<u8> {
-    renderer.noise.fill(PARTS / 2);
+    Arc::get_mut(&mut renderer.stage).expect("no twin").noise.fill(PARTS / 2);
     picture(renderer, side, scene)
 }
 
@@ -57,6 +57,31 @@ fn a_scene_has_one_picture_and_another_number_other_noise() {
     };
     assert_eq!(of(3), of(3));
     assert_ne!(of(3), of(4));
+}
+
+#[test]
+fn a_tool_drawn_over_the_bare_picture_gives_the_whole_one() {
+    let moved = world("default");
+    for rig in [Rig::rectified(WIDTH, HEIGHT), part_of(Rig::toed_in(1024, 768), 420.0, 320.0)] {
+        let mut renderer = Renderer::new(moved, rig);
+        let mut ahead = renderer.twin();
+        let tools = [
+            None,
+            Some(tool(0.0, 0.0, -1e-3)),
+            Some(tool(0.3e-3, -0.2e-3, -0.1e-3)),
+            Some(tool(9e-3, 9e-3, -1e-3)),
+        ];
+        for (n, tool) in tools.into_iter().enumerate() {
+            for side in [Side::Left, Side::Right] {
+                let scene = scene(0.3 * n as f64, tool);
+                let bare = picture(&mut ahead, side, &Scene { tool: None, ..scene });
+                let mut over = Vec::new();
+                renderer.draw_over(side, &scene, &bare, |_, row| over.extend_from_slice(row));
+                assert!(over == picture(&mut ahead, side, &scene), "{side:?}, tool {n}");
+                assert_eq!(over == bare, n == 0 || n == 3, "{side:?}, tool {n}");
+            }
+        }
+    }
 }
 
 #[test]
@@ -139,7 +164,8 @@ fn the_spans_leave_out_no_pixel_of_tool_and_shadow() {
         let scene = scene(0.0, Some(tool));
         let small = again(&mut renderer, Side::Left, &scene);
         // The same, looking at every pixel.
-        let Renderer { eyes, work, lamp, .. } = &mut renderer;
+        let Renderer { stage, work } = &mut renderer;
+        let Stage { eyes, lamp, .. } = &**stage;
         let (eye, shift) = (&eyes[0], Vector3::zeros());
         let warp = eye.warp(&shift);
         work.follow(&warp, WIDTH);
@@ -148,10 +174,10 @@ fn the_spans_leave_out_no_pixel_of_tool_and_shadow() {
         }
         let mut all = Vec::new();
         for y in 0..HEIGHT {
-            work.retina(eye, &warp, y);
+            work.retina(eye, &warp, y, 0..WIDTH);
             work.darken(eye, warp.nearest_row(y), lamp, &tool, &shift, y);
             work.paint(eye, lamp, &tool, y);
-            all.extend(work.row.iter().map(|value| ((value + PARTS / 2) >> PART_BITS).clamp(0, 255) as u8));
+            all.extend(work.row.iter().map(|value| ((value + PARTS / 2) / PARTS).clamp(0, 255) as u8));
         }
         let missed = small.iter().zip(&all).filter(|(a, b)| a.abs_diff(**b) > 2).count();
         // Shadows from beyond the field may end at its border.
