@@ -4,6 +4,7 @@
 //! Invariant: files are read and decoded when a source is configured, devices are opened when it starts; a step only hands on.
 #![forbid(unsafe_code)]
 
+mod ahead;
 mod camera;
 mod child;
 mod feed;

@@ -1,21 +1,28 @@
-//! `phantom_source`: stereo pairs of the simulated eye, drawn when they are taken.
+//! `phantom_source`: stereo pairs of the simulated eye.
 //!
 //! Invariant: an index is used up whether or not its pair could be sent; a pair is that of its stamp: the world's time is the
-//! stamp, and the tool stands where its last sample says it is by then.
+//! stamp, which is never in the future, and the tool stands where its last sample says it is by then. What is drawn ahead is what
+//! would have been drawn.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use trocar_imaging::side;
 use trocar_phantom::World;
 use trocar_phantom::camera::{BASELINE_M, Lens, Rig, Tool};
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::data::{CameraGeometry, CartesianState, ImageHeader, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
+use crate::ahead::Ahead;
 use crate::mosaic;
 
 /// Frames of the output's pool: one in the making, the rest held by readers.
 const SLOTS: u32 = 6;
 /// Longest time over which a sample of the tip is carried on, s: behind it the tool stands still.
 const FARTHEST_S: f64 = 0.05;
+/// And over which it is carried back: to a picture that was due a moment before the sample.
+const BACK_S: f64 = 0.005;
+/// Part of the period by which a pair that was drawn ahead may be older than its step.
+const OLDEST: f64 = 0.25;
 
 #[derive(Config)]
 pub(crate) struct PhantomSourceConfig {
@@ -93,6 +100,9 @@ pub struct PhantomSource {
     /// Pairs not sent since Start because readers held all frames.
     #[state]
     left_out: u64,
+    /// Pairs sent since Start that were drawn before they were due, but for the tool.
+    #[state]
+    drawn_ahead: u64,
     /// Whether a tool was to be seen in the last pair.
     #[state]
     tool_shown: Flag,
@@ -102,6 +112,9 @@ pub struct PhantomSource {
     stereo_geometry: StereoGeometry,
     #[config]
     cfg: PhantomSourceConfig,
+    #[host]
+    host: Host,
+    ahead: Option<Ahead>,
     renderer: Option<Renderer>,
     /// What the renderer was made of.
     made_of: Option<(World, Rig)>,
@@ -132,6 +145,19 @@ impl PhantomSource {
 }
 
 impl PhantomSource {
+    fn own_name(&self) -> &str {
+        self.host.instance_name().rsplit('/').next().unwrap_or_default()
+    }
+
+    /// Begins to draw ahead.
+    fn begin(&mut self) -> Result {
+        self.ahead = None;
+        if let Some(renderer) = &self.renderer {
+            self.ahead = Some(Ahead::start(&format!("{} ahead", self.own_name()), renderer.twin())?);
+        }
+        Ok(())
+    }
+
     fn format(&self) -> PixelFormat {
         match self.cfg.format.as_str() {
             "bayer_rg8" => PixelFormat::BAYER_RG8,
@@ -145,7 +171,7 @@ impl PhantomSource {
         let tip = self.tip.latest()?;
         // A sample without any time is as old as it is: it stands still.
         let taken = [tip.pose.stamp, tip.stamp].into_iter().find(|stamp| stamp.is_valid()).unwrap_or(now);
-        let pose = carried(&tip, now.seconds_since(taken).clamp(0.0, FARTHEST_S))?;
+        let pose = carried(&tip, now.seconds_since(taken).clamp(-BACK_S, FARTHEST_S))?;
         Some(Tool {
             tip: Point3::from(pose.translation.vector),
             axis: pose.rotation * Vector3::z_axis(),
@@ -205,9 +231,11 @@ impl Component for PhantomSource {
             self.disparity.reserve(2 * width * height, SLOTS)?;
             self.units = vec![0; width * height];
         }
-        // Tracing takes most of a second: what is the same is kept.
+        // Tracing takes some tenths of a second: what is the same is kept. An ordinary thread may use all processors.
         if self.made_of != Some((world, rig)) {
-            self.renderer = Some(Renderer::new(world, rig));
+            let tracing =
+                side::spawn(&format!("{} trace", self.own_name()), move || Renderer::new(world, rig))?;
+            self.renderer = Some(tracing.join().map_err(|_| "tracing the picture at rest panicked")?);
             self.made_of = Some((world, rig));
         }
         self.geometry = CameraGeometry { width: width as u32, height: height as u32, fps: 0.0 };
@@ -216,7 +244,16 @@ impl Component for PhantomSource {
     }
 
     fn start(&mut self) -> Result {
-        (self.emitted, self.left_out) = (0, 0);
+        (self.emitted, self.left_out, self.drawn_ahead) = (0, 0, 0);
+        self.begin()
+    }
+
+    fn resume(&mut self) -> Result {
+        self.begin()
+    }
+
+    fn stop(&mut self) -> Result {
+        self.ahead = None;
         Ok(())
     }
 
@@ -226,40 +263,64 @@ impl Component for PhantomSource {
         if tick.period_s() > 0.0 {
             self.geometry.fps = 1.0 / tick.period_s();
         }
-        let scene = Scene { t_s: now.ns() as f64 * 1e-9, number: index, tool: self.tool(now) };
+        let period_s = tick.period_s();
+        let fits = |stamp| (0.0..=OLDEST * period_s).contains(&now.seconds_since(stamp));
+        let bare = self.ahead.as_mut().and_then(|ahead| ahead.take(index, fits));
+        // The time of the picture: when it was due, or else now.
+        let at = bare.as_ref().map_or(now, |bare| bare.stamp);
+        let scene = Scene { t_s: at.ns() as f64 * 1e-9, number: index, tool: self.tool(at) };
         self.tool_shown = scene.tool.is_some().into();
         let format = self.format();
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         let PhantomSourceConfig { width, height, disparity_every, .. } = self.cfg;
         let row_bytes = width * format.bytes_per_pixel();
-        let Ok(mut loan) = self.image.loan() else {
+        let sent = self.image.loan().map(|mut loan| {
+            *loan.header_mut() = StereoHeader {
+                stamp: at,
+                index,
+                width: width as u32,
+                height: height as u32,
+                stride: row_bytes as u32,
+                format,
+                right_offset: (height * row_bytes) as u64,
+            };
+            let room = loan.bytes_mut();
+            for (side, begin) in [(Side::Left, 0), (Side::Right, height * row_bytes)] {
+                let Some(to) = room.get_mut(begin..begin + height * row_bytes) else { continue };
+                let take = |y: usize, rgb: &[u8]| {
+                    mosaic::write(format, y, rgb, &mut to[y * row_bytes..(y + 1) * row_bytes]);
+                };
+                match &bare {
+                    Some(bare) => {
+                        let half = bare.rgb.len() / 2;
+                        renderer.draw_over(side, &scene, &bare.rgb[half * side as usize..], take);
+                    }
+                    None => renderer.draw(side, &scene, take),
+                }
+            }
+            loan.commit(2 * height * row_bytes, at);
+        });
+        self.drawn_ahead += u64::from(bare.is_some() && sent.is_ok());
+        if let Some(ahead) = &mut self.ahead {
+            bare.into_iter().for_each(|bare| ahead.give_back(bare));
+            // On the grid where there is one: the step comes when it is due, or a little later.
+            let due = tick.deadline();
+            let last = if due.is_valid() && due <= now { due } else { now };
+            if period_s > 0.0 {
+                ahead.wish(Stamp::from_ns(last.ns() + (period_s * 1e9).round() as u64), index + 1);
+            }
+        }
+        if sent.is_err() {
             self.left_out += 1;
             self.frame_dropped.emit(self.left_out);
             return Ok(());
-        };
-        *loan.header_mut() = StereoHeader {
-            stamp: now,
-            index,
-            width: width as u32,
-            height: height as u32,
-            stride: row_bytes as u32,
-            format,
-            right_offset: (height * row_bytes) as u64,
-        };
-        let room = loan.bytes_mut();
-        for (side, at) in [(Side::Left, 0), (Side::Right, height * row_bytes)] {
-            let Some(to) = room.get_mut(at..at + height * row_bytes) else { continue };
-            renderer.draw(side, &scene, |y, rgb| {
-                mosaic::write(format, y, rgb, &mut to[y * row_bytes..(y + 1) * row_bytes]);
-            });
         }
-        loan.commit(2 * height * row_bytes, now);
         self.emitted += 1;
         if disparity_every > 0 && index.is_multiple_of(disparity_every) {
             renderer.disparity(&scene, &mut self.units);
             let Ok(mut loan) = self.disparity.loan() else { return Ok(()) };
             *loan.header_mut() = ImageHeader {
-                stamp: now,
+                stamp: at,
                 index,
                 width: width as u32,
                 height: height as u32,
@@ -270,7 +331,7 @@ impl Component for PhantomSource {
             for (bytes, units) in bytes.iter_mut().zip(&self.units) {
                 *bytes = units.to_ne_bytes();
             }
-            loan.commit(2 * width * height, now);
+            loan.commit(2 * width * height, at);
         }
         Ok(())
     }

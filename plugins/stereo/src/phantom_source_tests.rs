@@ -52,6 +52,56 @@ fn a_pair_is_what_the_renderer_draws_at_its_stamp() {
 }
 
 #[test]
+fn pairs_drawn_ahead_are_those_of_their_stamp_and_none_is_of_the_future() {
+    for (more, format) in [("", PixelFormat::RGB8), (r#", "format": "yuyv""#, PixelFormat::YUYV)] {
+        let mut bench = bench(more);
+        let renderer = &mut Renderer::new(World::named("default", 1).unwrap(), Rig::rectified(64, 48));
+        let begun = std::time::Instant::now();
+        while bench.state().drawn_ahead < 8 {
+            let told = tip(bench.now(), 0.2e-3, 0.003);
+            bench.push("tip", told);
+            bench.step(1);
+            assert!(bench.state().tool_shown.get());
+            let (header, bytes) = pair(&mut bench);
+            assert!(header.stamp <= bench.now(), "of the future");
+            let pose = carried(&told, header.stamp.seconds_since(told.stamp)).unwrap();
+            let tool = Tool::new(Point3::from(pose.translation.vector), pose.rotation * Vector3::z_axis());
+            let scene =
+                Scene { t_s: header.stamp.ns() as f64 * 1e-9, number: header.index, tool: Some(tool) };
+            let mut drawn = Vec::new();
+            for side in [Side::Left, Side::Right] {
+                renderer.draw(side, &scene, |y, row| {
+                    let at = drawn.len();
+                    drawn.resize(at + 64 * format.bytes_per_pixel(), 0);
+                    mosaic::write(format, y, row, &mut drawn[at..]);
+                });
+            }
+            assert!(bytes == drawn, "pair {}", header.index);
+            assert!(begun.elapsed().as_secs() < 30, "nothing is drawn ahead");
+            std::thread::yield_now();
+        }
+        // One that no reader has room for does not stop it.
+        bench.exhaust("image", true);
+        bench.step(2);
+        bench.exhaust("image", false);
+        bench.step(1);
+        assert_eq!((bench.state().left_out, pair(&mut bench).0.index), (2, bench.state().emitted + 1));
+    }
+}
+
+#[test]
+fn a_source_that_was_stopped_goes_on_and_is_configured_anew_in_between() {
+    let mut bench = bench("");
+    bench.step(2);
+    bench.stop().unwrap();
+    bench.configure(r#"{"width": 32, "height": 32}"#).unwrap();
+    bench.start().unwrap();
+    bench.step(3);
+    let (header, bytes) = pair(&mut bench);
+    assert_eq!((header.index, header.width, bytes.len()), (2, 32, 2 * 3 * 32 * 32));
+}
+
+#[test]
 fn the_tool_is_carried_on_by_its_velocity_to_the_time_of_the_picture() {
     // 20 ms at 50 mm/s are 1 mm: the moving tool looks like one that stands there.
     let seen = |at: f64, speed: f64, ahead_ms: u64| {

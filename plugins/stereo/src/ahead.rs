@@ -1,0 +1,107 @@
+//! Pairs of the simulated eye without a tool, drawn by a thread before they are due.
+//!
+//! Invariant: a bare pair is a function of its stamp and number, so it is the same whoever draws it, and when. The step neither
+//! waits nor wakes: it asks, and later takes what is there.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use trocar_imaging::side;
+use trocar_phantom::render::{Renderer, Scene, Side};
+use trocar_sdk::prelude::*;
+
+/// Buffers that go round: one with the step, one being drawn.
+const BUFFERS: usize = 2;
+/// How often the thread looks whether it is asked.
+const LOOKS: Duration = Duration::from_millis(1);
+
+/// A pair, or the wish for one: both pictures' rows of red, green, blue, the left one's first.
+#[derive(Default)]
+pub(crate) struct Bare {
+    pub(crate) stamp: Stamp,
+    pub(crate) number: u64,
+    pub(crate) rgb: Vec<u8>,
+}
+
+/// The step's end; dropped, the thread ends.
+pub(crate) struct Ahead {
+    wishes: SyncSender<Bare>,
+    drawn: Receiver<Bare>,
+    /// Buffers that nobody uses at the moment.
+    spare: Vec<Vec<u8>>,
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Ahead {
+    /// Starts the thread, with a renderer of its own.
+    ///
+    /// # Errors
+    /// The system has no thread for it.
+    pub(crate) fn start(name: &str, mut renderer: Renderer) -> Result<Ahead> {
+        let camera = renderer.rig().cameras[0];
+        let bytes = 2 * 3 * camera.width * camera.height;
+        let (wishes, wished) = sync_channel::<Bare>(BUFFERS);
+        let (draws, drawn) = sync_channel(BUFFERS);
+        let ends = Arc::new(AtomicBool::new(false));
+        let ending = ends.clone();
+        let thread = side::spawn(name, move || {
+            while !ending.load(Ordering::Acquire) {
+                match wished.try_recv() {
+                    Ok(mut bare) => {
+                        draw(&mut renderer, &mut bare);
+                        // There is room for all buffers.
+                        let _ = draws.try_send(bare);
+                    }
+                    Err(TryRecvError::Empty) => std::thread::sleep(LOOKS),
+                    Err(TryRecvError::Disconnected) => return,
+                }
+            }
+        })
+        .map_err(|why| format!("no thread to draw ahead: {why}"))?;
+        Ok(Ahead { wishes, drawn, spare: vec![vec![0; bytes]; BUFFERS], ends, thread: Some(thread) })
+    }
+
+    /// Wishes for a pair. Without a buffer nothing happens: the pair is drawn when it is due.
+    pub(crate) fn wish(&mut self, stamp: Stamp, number: u64) {
+        let Some(rgb) = self.spare.pop() else { return };
+        // There is room for all buffers.
+        let _ = self.wishes.try_send(Bare { stamp, number, rgb });
+    }
+
+    /// The pair of this number, if it is there and its stamp is one that `fits`.
+    pub(crate) fn take(&mut self, number: u64, fits: impl Fn(Stamp) -> bool) -> Option<Bare> {
+        while let Ok(bare) = self.drawn.try_recv() {
+            if bare.number == number && fits(bare.stamp) {
+                return Some(bare);
+            }
+            self.give_back(bare);
+        }
+        None
+    }
+
+    pub(crate) fn give_back(&mut self, bare: Bare) {
+        // Never more than there were, so this does not allocate.
+        self.spare.push(bare.rgb);
+    }
+}
+
+impl Drop for Ahead {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn draw(renderer: &mut Renderer, bare: &mut Bare) {
+    let scene = Scene { t_s: bare.stamp.ns() as f64 * 1e-9, number: bare.number, tool: None };
+    let half = bare.rgb.len() / 2;
+    for (side, to) in [Side::Left, Side::Right].into_iter().zip(bare.rgb.chunks_exact_mut(half)) {
+        renderer.draw(side, &scene, |y, row| to[y * row.len()..][..row.len()].copy_from_slice(row));
+    }
+}
