@@ -1,9 +1,12 @@
-//! What trocar costs, as ratios measured in one run: `bench [--seconds N] [SUBJECT…]`.
+//! What trocar costs, as ratios measured in one run: `bench [--seconds N] [SUBJECT…]`; and whether a surgical system holds its
+//! gates under its full load: `bench [--seconds N] [--kills N] eyesaw`.
 //!
-//! Invariant: every figure stands beside a baseline of the same run on the same machine; nothing here passes or fails.
+//! Invariant: every figure stands beside a baseline of the same run on the same machine; only what is called `eyesaw` passes or
+//! fails, and runs only when it is named.
 
 mod baseline;
 mod calls;
+mod eyesaw;
 mod frames;
 mod grid;
 mod grpc;
@@ -14,12 +17,17 @@ mod rebinding;
 mod steps;
 mod table;
 
+use std::process::ExitCode;
+
+use eyesaw::{Amount, Verdicts};
 use processes::{allocations, bare};
 use table::Table;
 
 /// Length of the 1 kHz run unless told otherwise, s.
 const SECONDS: u64 = 60;
-const SUBJECTS: [&str; 12] = [
+/// Processes killed unless told otherwise.
+const KILLS: usize = 50;
+const SUBJECTS: [&str; 16] = [
     "inline",
     "queued",
     "steps",
@@ -32,30 +40,47 @@ const SUBJECTS: [&str; 12] = [
     "processes/links",
     "processes/crash",
     "processes/allocations",
+    "eyesaw/load",
+    "eyesaw/spectra",
+    "eyesaw/scan",
+    "eyesaw/stop",
 ];
 
-fn main() {
-    let (mut seconds, mut wanted) = (SECONDS, Vec::new());
+fn main() -> ExitCode {
+    let (mut seconds, mut kills, mut wanted) = (SECONDS, KILLS, Vec::new());
     let mut args = std::env::args().skip(1).peekable();
     if args.next_if(|first| first == bare::OTHER_END).is_some() {
-        return bare::run_other_end(&args.collect::<Vec<_>>());
+        bare::run_other_end(&args.collect::<Vec<_>>());
+        return ExitCode::SUCCESS;
     }
     if args.next_if(|first| first == allocations::HOST).is_some() {
-        return allocations::run_host(&args.collect::<Vec<_>>());
+        allocations::run_host(&args.collect::<Vec<_>>());
+        return ExitCode::SUCCESS;
     }
     while let Some(arg) = args.next() {
         if arg == "--seconds" {
-            seconds =
-                args.next().and_then(|n| n.parse().ok()).unwrap_or_else(|| wrong("--seconds wants a number"));
+            seconds = number(&mut args, "--seconds wants a number");
+        } else if arg == "--kills" {
+            kills = number(&mut args, "--kills wants a number") as usize;
         } else if SUBJECTS.iter().any(|subject| is_of(subject, &arg)) {
             wanted.push(arg);
         } else {
             wrong(&format!("there is no subject {arg}; there are {}", SUBJECTS.join(", ")));
         }
     }
+    if seconds == 0 || kills == 0 {
+        wrong("--seconds and --kills are at least 1");
+    }
     let mut table = Table;
-    for subject in SUBJECTS.into_iter().filter(|s| wanted.is_empty() || wanted.iter().any(|w| is_of(s, w))) {
+    let mut judged = None;
+    let named = |subject: &str| wanted.iter().any(|w| is_of(subject, w));
+    let chosen = |subject: &&str| named(subject) || (wanted.is_empty() && !is_of(subject, "eyesaw"));
+    for subject in SUBJECTS.into_iter().filter(chosen) {
         match subject {
+            subject if is_of(subject, "eyesaw") => {
+                let verdicts = judged.get_or_insert_with(Verdicts::default);
+                eyesaw::measure(subject, verdicts, Amount { seconds, kills });
+            }
             "inline" => {
                 calls::inline(&mut table);
                 calls::chain(&mut table);
@@ -72,6 +97,11 @@ fn main() {
             _ => processes::measure(subject, &mut table),
         }
     }
+    if judged.is_none_or(Verdicts::end) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn number(args: &mut impl Iterator<Item = String>, otherwise: &str) -> u64 {
+    args.next().and_then(|n| n.parse().ok()).unwrap_or_else(|| wrong(otherwise))
 }
 
 /// A subject, or all of a name before its `/`.
