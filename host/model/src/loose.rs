@@ -1,11 +1,14 @@
 //! Connections that no longer fit, once the ports of a component are others than before.
 //!
-//! Invariant: judged by [`bindings`] as at Connect, so that GCM and LCM come to the same answer.
+//! Invariant: judged by [`bindings`] as at Connect, so that GCM and LCM come to the same answer; what tags forbid only the GCM sees,
+//! which knows the whole graph.
 
+use crate::plan::forbidden;
 use crate::{ComponentId, ConnectionId, Refusal, SystemGraph, bindings};
 
 impl SystemGraph {
-    /// The connections of a component that would be refused now, each with the reason; in the order of their numbers.
+    /// The connections that would be refused now that this component's ports are others, each with the reason: its own, in the order of
+    /// their numbers, then those that tags forbid.
     pub fn loose_ends(&self, id: &ComponentId) -> Vec<(ConnectionId, Refusal)> {
         let of = |c: &ComponentId| self.components.get(c).map(|c| c.ports.clone());
         let mut loose = Vec::new();
@@ -17,6 +20,11 @@ impl SystemGraph {
             let (Some(a), Some(b)) = (of(&client.component), of(&server.component)) else { continue };
             if let Err(why) = bindings(&a, client, &b, server, &connection.options) {
                 loose.push((connection.id, why));
+            }
+        }
+        for (number, why) in forbidden(self) {
+            if !loose.iter().any(|(known, _)| *known == number) {
+                loose.push((number, why));
             }
         }
         loose

@@ -21,6 +21,7 @@ use std::collections::BTreeMap;
 pub use execution::{class_fault, period_fault};
 pub use restore::{Here, restore};
 pub use run::open_ends;
+pub(crate) use tags::forbidden;
 pub use wire::made_of;
 
 use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph};

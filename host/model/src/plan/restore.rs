@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::run::{open_ends, servers_first};
+use super::tags::forbidden;
 use super::{Plan, host_of};
 use crate::{
     Change, Component, ComponentId, ConnectionId, Health, Name, Safety, Skipped, State, StopReason,
@@ -33,6 +34,7 @@ pub fn restore(
     let mine: BTreeMap<&ComponentId, &Component> =
         graph.components.iter().filter(|(id, _)| id.process == *process).collect();
     let mut made = BTreeSet::new();
+    let mut whole = graph.clone();
     let mut running = Vec::new();
     for id in owners_first(&mine) {
         let old = mine[&id];
@@ -68,6 +70,7 @@ pub fn restore(
                 fault: String::new(),
                 ..old.clone()
             };
+            whole.components.insert(id.clone(), component.clone());
             plan.changes.push(Change::Create { id: id.clone(), component: Box::new(component) });
         }
         if to != State::Created && stands_already.is_none_or(|now| *now == State::Created) {
@@ -79,10 +82,17 @@ pub fn restore(
         }
         made.insert(id);
     }
-    let mut whole = graph.clone();
     whole.components.retain(|id, _| id.process != *process || made.contains(id));
     let known = |id: &ComponentId| whole.components.contains_key(id);
     whole.connections.retain(|_, c| known(&c.client.component) && known(&c.server.component));
+    // Its classes may be others by now, with other tags.
+    for (number, why) in forbidden(&whole) {
+        if let Some(connection) = whole.connections.remove(&number) {
+            let id = connection.client.component;
+            let why = format!("{} is not connected again: {why}", connection.client.port);
+            plan.skipped.push(Skipped { id, why });
+        }
+    }
     for connection in whole.connections.values().filter(|c| !here.connections.contains(&c.id)) {
         if [&connection.client, &connection.server].iter().any(|end| end.component.process == *process) {
             plan.changes.push(Change::Connect { connection: connection.clone() });

@@ -1,13 +1,13 @@
-//! Who may be connected to simulated worlds: tags of ports, enforced at Connect.
+//! Who may be connected to simulated worlds: tags of ports, enforced at Connect and whenever ports change.
 //!
 //! Invariant: what is tagged `truth` or `sim` never reaches an actuator but through ports tagged `sim`, in no order of
-//! connecting: each new connection is judged together with all there are.
+//! connecting: each new connection is judged together with all there are, and all there are when ports change.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use crate::connect::directions;
 use crate::{
-    ComponentId, Connection, Link, Port, PortId, Ports, Refusal, Safety, SystemGraph, Tag, bindings,
+    ComponentId, Connection, ConnectionId, Link, Port, Ports, Refusal, Safety, SystemGraph, Tag, bindings,
 };
 
 /// Refuses `new`, which takes the place of any other source of its client, when it joins a port for simulated devices to
@@ -19,7 +19,7 @@ pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> 
     }
     let others = || graph.connections.values().filter(|c| c.client != new.client);
     let told = others().filter_map(|c| told(graph, c)).chain(told(graph, new));
-    let told: Vec<(Tag, &PortId, &PortId)> = told.collect();
+    let told: Vec<(Tag, &Connection)> = told.collect();
     if told.is_empty() {
         return Ok(());
     }
@@ -28,17 +28,27 @@ pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> 
         ways.add(graph, connection, None);
     }
     ways.add(graph, new, Some(link));
-    for (tag, client, server) in told {
-        if let Some(path) = ways.to_actuator(graph, &client.component) {
-            return Err(Refusal::TruthToActuator {
-                client: client.clone(),
-                server: server.clone(),
-                tag,
-                path,
-            });
-        }
+    told.into_iter().try_for_each(|(tag, connection)| ways.check(graph, tag, connection))
+}
+
+/// The connections that tags forbid as the ports are now, each with the reason. Of a way from the truth to an actuator it is the one
+/// that tells the truth.
+pub(crate) fn forbidden(graph: &SystemGraph) -> Vec<(ConnectionId, Refusal)> {
+    let mut all = Vec::new();
+    let mut ways = Ways::default();
+    graph.connections.values().for_each(|connection| ways.add(graph, connection, None));
+    for connection in graph.connections.values() {
+        // What has no such port any more is no connection.
+        let Ok((takes, has)) = tags(graph, connection) else { continue };
+        let (client, server) = (connection.client.clone(), connection.server.clone());
+        let judged = match told(graph, connection) {
+            _ if takes == Tag::Sim && has != Tag::Sim => Err(Refusal::TagMismatch { client, server, has }),
+            Some((tag, _)) => ways.check(graph, tag, connection),
+            None => Ok(()),
+        };
+        all.extend(judged.err().map(|why| (connection.id, why)));
     }
-    Ok(())
+    all
 }
 
 /// Tags of the client's and the server's port.
@@ -51,10 +61,10 @@ fn tags(graph: &SystemGraph, c: &Connection) -> Result<(Tag, Tag), Refusal> {
     })
 }
 
-/// What this connection tells a client that is no simulated device, and whom.
-fn told<'c>(graph: &SystemGraph, c: &'c Connection) -> Option<(Tag, &'c PortId, &'c PortId)> {
+/// What this connection tells a client that is no simulated device.
+fn told<'c>(graph: &SystemGraph, c: &'c Connection) -> Option<(Tag, &'c Connection)> {
     let (takes, has) = tags(graph, c).ok()?;
-    (has != Tag::None && takes != Tag::Sim).then_some((has, &c.client, &c.server))
+    (has != Tag::None && takes != Tag::Sim).then_some((has, c))
 }
 
 /// Who tells whom: along each stream, and over each interface to the server what is sent or called, to the client what
@@ -79,6 +89,15 @@ impl Ways {
             if yes {
                 self.0.entry(from.clone()).or_default().insert(to.clone());
             }
+        }
+    }
+
+    /// Refuses what tells something tagged to a client from whom a way leads to an actuator.
+    fn check(&self, graph: &SystemGraph, tag: Tag, telling: &Connection) -> Result<(), Refusal> {
+        let (client, server) = (telling.client.clone(), telling.server.clone());
+        match self.to_actuator(graph, &client.component) {
+            Some(path) => Err(Refusal::TruthToActuator { client, server, tag, path }),
+            None => Ok(()),
         }
     }
 

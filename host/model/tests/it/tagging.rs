@@ -154,3 +154,58 @@ fn a_source_that_is_replaced_no_longer_counts() {
     done(&mut graph, Request::Connect { client, server, options });
     done(&mut graph, connect("host/leader/arm", "host/arm/arm"));
 }
+
+/// The relay is told what has no tag, and hands it to whoever leads the arm.
+fn led_by_a_measurement() -> SystemGraph {
+    let mut graph = theatre();
+    for (client, server) in [
+        ("host/relay/in", "host/sensor/force"),
+        ("host/leader/in", "host/relay/out"),
+        ("host/leader/arm", "host/arm/arm"),
+    ] {
+        done(&mut graph, connect(client, server));
+    }
+    graph
+}
+
+/// The sensor's output `force` is tagged truth from now on.
+fn tell_the_truth(ports: &mut Ports) {
+    ports.outputs[0].tag = Tag::Truth;
+}
+
+#[test]
+fn a_port_that_gets_a_tag_while_it_is_connected_loses_what_the_tag_forbids_and_nothing_else() {
+    let mut graph = led_by_a_measurement();
+    assert_eq!(graph.loose_ends(&id("host/sensor")), []);
+    let sensor = graph.components.get_mut(&id("host/sensor")).unwrap();
+    tell_the_truth(std::sync::Arc::make_mut(&mut sensor.ports));
+    let loose = graph.loose_ends(&id("host/sensor"));
+    assert_eq!(loose.len(), 1, "{loose:?}");
+    assert_eq!((loose[0].0, loose[0].1.reason()), (ConnectionId(1), "TRUTH_TO_ACTUATOR"), "{loose:?}");
+
+    let mut graph = theatre();
+    done(&mut graph, connect("host/sensor/tip", "host/arm/tip"));
+    let arm = graph.components.get_mut(&id("host/arm")).unwrap();
+    for output in &mut std::sync::Arc::make_mut(&mut arm.ports).outputs {
+        output.tag = Tag::None;
+    }
+    let loose = graph.loose_ends(&id("host/arm"));
+    assert_eq!(loose.iter().map(|(_, why)| why.reason()).collect::<Vec<_>>(), ["TAG_MISMATCH"]);
+}
+
+#[test]
+fn a_process_that_comes_back_with_a_class_of_another_tag_is_not_connected_to_what_that_forbids() {
+    let mut graph = led_by_a_measurement();
+    let mut sensor = sensor();
+    tell_the_truth(&mut sensor.ports);
+    let others = vec![arm(), sensor, relay(), leader(), logger()];
+    graph.processes.insert(name("host"), process(others));
+    let plan = restore(&graph, &name("host"), &Default::default(), &Here::default());
+    let again = |change: &Change| match change {
+        Change::Connect { connection } => Some(connection.id.0),
+        _ => None,
+    };
+    assert_eq!(plan.changes.iter().filter_map(again).collect::<Vec<_>>(), [2, 3]);
+    let skipped: Vec<_> = plan.skipped.iter().filter(|s| s.id == id("host/relay")).collect();
+    assert!(skipped.len() == 1 && skipped[0].why.contains("is tagged truth"), "{:?}", plan.skipped);
+}
