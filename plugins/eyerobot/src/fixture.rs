@@ -130,6 +130,19 @@ impl Fixture {
         }
     }
 
+    /// It can be in force for an arm that stands so.
+    fn fits(&self, place: usize, at: &Stance) -> Result<(), FixtureRefused> {
+        let stiffness = self.stiffness_per_s;
+        if !(stiffness > 0.0 && stiffness <= STIFFEST_PER_S) {
+            return Err(FixtureRefused::Stiffness { place, stiffness });
+        }
+        let distance_m = self.distance_m(at);
+        if distance_m < -FAR_M {
+            return Err(FixtureRefused::Outside { place, kind: self.kind, distance_m });
+        }
+        Ok(())
+    }
+
     fn origin(&self) -> Vector3<f64> {
         self.frame.translation.vector
     }
@@ -149,6 +162,7 @@ impl Fixture {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Fixtures {
     all: [Option<Fixture>; MOST_FIXTURES],
+    guard: Option<Fixture>,
 }
 
 impl Fixtures {
@@ -168,14 +182,7 @@ impl Fixtures {
                 return Err(FixtureRefused::TooMany);
             }
             let fixture = Fixture { frame: to_local * fixture.frame, ..*fixture };
-            let stiffness = fixture.stiffness_per_s;
-            if !(stiffness > 0.0 && stiffness <= STIFFEST_PER_S) {
-                return Err(FixtureRefused::Stiffness { place, stiffness });
-            }
-            let distance_m = fixture.distance_m(at);
-            if distance_m < -FAR_M {
-                return Err(FixtureRefused::Outside { place, kind: fixture.kind, distance_m });
-            }
+            fixture.fits(place, at)?;
             fixtures.all[place] = Some(fixture);
         }
         Ok(fixtures)
@@ -190,14 +197,44 @@ impl Fixtures {
         fixtures
     }
 
-    /// The fixtures in their order.
-    pub fn iter(&self) -> impl Iterator<Item = &Fixture> {
+    /// The same with another guard, whose frame is seen through `to_local`.
+    ///
+    /// # Errors
+    /// As [`Fixtures::checked`], as fixture 0.
+    pub fn guarded(
+        self,
+        guard: Option<Fixture>,
+        to_local: &Isometry3<f64>,
+        at: &Stance,
+    ) -> Result<Fixtures, FixtureRefused> {
+        let guard = guard.map(|guard| Fixture { frame: to_local * guard.frame, ..guard });
+        guard.map_or(Ok(()), |guard| guard.fits(0, at))?;
+        Ok(self.with_guard(guard))
+    }
+
+    /// The same with this guard, unchecked.
+    pub fn with_guard(self, guard: Option<Fixture>) -> Fixtures {
+        Fixtures { guard, ..self }
+    }
+
+    /// The one that a controller moves, apart from the list.
+    pub fn guard(&self) -> Option<&Fixture> {
+        self.guard.as_ref()
+    }
+
+    /// The fixtures of the list in their order.
+    pub fn listed(&self) -> impl Iterator<Item = &Fixture> {
         self.all.iter().flatten()
+    }
+
+    /// All of them, the guard too.
+    pub fn iter(&self) -> impl Iterator<Item = &Fixture> {
+        self.listed().chain(&self.guard)
     }
 
     /// None is in force.
     pub fn is_empty(&self) -> bool {
-        self.all.iter().all(Option::is_none)
+        self.guard.is_none() && self.all.iter().all(Option::is_none)
     }
 
     /// A remote centre is in force: the tool turns as the tip's motion wants it.

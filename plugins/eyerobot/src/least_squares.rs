@@ -10,8 +10,8 @@ use nalgebra::{SMatrix, Vector6};
 
 use crate::joints::{COUNT, Joints};
 
-/// Most half-spaces of one problem: two per joint, and four for each of eight fixtures.
-pub const MOST: usize = 2 * COUNT + 32;
+/// Most half-spaces of one problem: two per joint, and four for each of eight fixtures and a guard.
+pub const MOST: usize = 2 * COUNT + 36;
 
 /// How far a half-space may be left, in the scaled variables (m/s at the tip).
 pub const TOLERANCE: f64 = 1e-12;

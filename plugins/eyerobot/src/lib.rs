@@ -22,8 +22,9 @@ pub mod trajectory;
 pub use cooperative::Cooperative;
 pub use free_hand::FreeHand;
 pub use joint_mover::JointMover;
-pub use payloads::{FixtureKind, Jacobian, VirtualFixture, VirtualFixtures};
+pub use payloads::{Jacobian, VirtualFixtures};
 pub use robot::EyeRobot;
+pub use trocar_sdk::data::{FixtureKind, VirtualFixture};
 
 #[cfg(test)]
 mod plant_tests;

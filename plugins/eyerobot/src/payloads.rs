@@ -3,38 +3,13 @@
 //! Invariant: nothing here allocates; what comes in is checked, never repaired.
 
 use nalgebra::SMatrix;
-use trocar_sdk::data::{JointConfiguration, JointKind, JointState, Pose};
+use trocar_sdk::data::{FixtureKind, JointConfiguration, JointKind, JointState, VirtualFixture};
 use trocar_sdk::prelude::*;
 
 use crate::arm::ArmError;
 use crate::drive::Measured;
 use crate::fixture::{Fixture, FixtureRefused, Kind as Holds, MOST_FIXTURES, STIFFNESS_PER_S};
 use crate::joints::{COUNT, Joints, KINDS, Kind, Limits, NAMES};
-
-named_values! {
-    /// What a virtual fixture holds.
-    pub struct FixtureKind: u32 {
-        /// The tip stays on the side of the frame's xy plane to which its z axis points.
-        PLANE = 1,
-        /// The tip stays on the frame's z axis.
-        LINE = 2,
-        /// The tool's shaft passes through the frame's origin (remote centre of motion).
-        RCM = 3,
-    }
-}
-
-/// A virtual fixture.
-#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
-#[repr(C)]
-pub struct VirtualFixture {
-    pub kind: FixtureKind,
-    pub reserved: u32,
-    /// Where; `set` takes it in the arm's base frame.
-    pub frame: Pose,
-    /// Towards the border the tip moves at most at this times the distance that is left, 0 = 20 /s.
-    #[unit("1/s")]
-    pub stiffness: f64,
-}
 
 /// All virtual fixtures in force.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
@@ -65,31 +40,29 @@ impl Jacobian {
     }
 }
 
-impl VirtualFixture {
-    /// The fixture at `place` of a list.
-    ///
-    /// # Errors
-    /// A kind that is none, a frame that is no pose.
-    pub(crate) fn checked(&self, place: usize) -> Result<Fixture, ArmError> {
-        let kind = match self.kind {
-            FixtureKind::PLANE => Holds::Plane,
-            FixtureKind::LINE => Holds::Line,
-            FixtureKind::RCM => Holds::Rcm,
-            FixtureKind(kind) => return Err(FixtureRefused::Kind { place, kind }.into()),
-        };
-        let stiffness_per_s = if self.stiffness == 0.0 { STIFFNESS_PER_S } else { self.stiffness };
-        Ok(Fixture { kind, frame: self.frame.isometry()?, stiffness_per_s })
-    }
+/// The fixture at `place` of a list, as it came.
+///
+/// # Errors
+/// A kind that is none, a frame that is no pose.
+pub(crate) fn checked(fixture: &VirtualFixture, place: usize) -> Result<Fixture, ArmError> {
+    let kind = match fixture.kind {
+        FixtureKind::PLANE => Holds::Plane,
+        FixtureKind::LINE => Holds::Line,
+        FixtureKind::RCM => Holds::Rcm,
+        FixtureKind(kind) => return Err(FixtureRefused::Kind { place, kind }.into()),
+    };
+    let stiffness_per_s = if fixture.stiffness == 0.0 { STIFFNESS_PER_S } else { fixture.stiffness };
+    Ok(Fixture { kind, frame: fixture.frame.isometry()?, stiffness_per_s })
+}
 
-    /// The payload of a fixture.
-    pub(crate) fn of(fixture: &Fixture) -> VirtualFixture {
-        let kind = match fixture.kind {
-            Holds::Plane => FixtureKind::PLANE,
-            Holds::Line => FixtureKind::LINE,
-            Holds::Rcm => FixtureKind::RCM,
-        };
-        VirtualFixture { kind, reserved: 0, frame: fixture.frame.into(), stiffness: fixture.stiffness_per_s }
-    }
+/// The payload of a fixture.
+pub(crate) fn payload(fixture: &Fixture) -> VirtualFixture {
+    let kind = match fixture.kind {
+        Holds::Plane => FixtureKind::PLANE,
+        Holds::Line => FixtureKind::LINE,
+        Holds::Rcm => FixtureKind::RCM,
+    };
+    VirtualFixture { kind, reserved: 0, frame: fixture.frame.into(), stiffness: fixture.stiffness_per_s }
 }
 
 pub(crate) fn configuration(stamp: Stamp, limits: &Limits) -> JointConfiguration {

@@ -15,7 +15,7 @@ use nalgebra::{Isometry3, Translation3, Vector6};
 use trocar_phantom::Hand;
 use trocar_sdk::data::{
     ArmState, CartesianState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Twist,
-    Wrench,
+    VirtualFixture, Wrench,
 };
 use trocar_sdk::prelude::*;
 
@@ -94,6 +94,9 @@ pub struct EyeRobot {
     /// In force, in the kinematic base.
     #[state]
     fixtures: VirtualFixtures,
+    /// Beside them, kind 0 without one.
+    #[state]
+    guard: VirtualFixture,
     /// Gains of hands-on control.
     #[state]
     gain: [f64; 6],
@@ -127,8 +130,9 @@ impl EyeRobot {
             let _ = self.arm.set_gain(&Vector6::from(self.gain));
         }
         let fixtures = self.fixtures.fixtures.iter().enumerate();
-        let fixtures = fixtures.filter_map(|(place, fixture)| fixture.checked(place).ok());
-        self.arm.restore_fixtures(Fixtures::restored(fixtures));
+        let fixtures = fixtures.filter_map(|(place, fixture)| payloads::checked(fixture, place).ok());
+        let guard = payloads::checked(&self.guard, 0).ok();
+        self.arm.restore_fixtures(Fixtures::restored(fixtures).with_guard(guard));
         if let Ok(base) = self.base_frame.isometry() {
             self.arm.set_base_frame(&base);
         }

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::payloads::{FixtureKind, VirtualFixture};
 use trocar_phantom::hand::{STIFFNESS_N_M, TREMOR_RMS_M};
+use trocar_sdk::data::FixtureKind;
 use trocar_sdk::testing::Bench;
 
 const DT: f64 = 1e-3;
@@ -416,6 +416,43 @@ fn gains_fixtures_and_base_frame_outlive_configure_and_a_swap() {
     }
     let at: Pose = new.read("arm/measured_cp", ()).unwrap();
     assert!((at.position[0] - tip.position[0]).abs() < 3e-6, "the line is in force: {at:?}");
+}
+
+#[test]
+fn a_guard_follows_its_controller_beside_the_list_and_only_its_controller_takes_it_away() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    let tip: Pose = bench.read("arm/measured_cp", ()).unwrap();
+    let line = VirtualFixture { kind: FixtureKind::LINE, frame: tip, ..Default::default() };
+    let list = VirtualFixtures { fixtures: List::of(&[line]), ..Default::default() };
+    bench.command::<_, ()>("virtual_fixture/set", list).unwrap();
+    let guard = |below_m: f64| {
+        let mut frame = tip;
+        frame.position[2] += below_m;
+        frame.orientation = [1.0, 0.0, 0.0, 0.0];
+        VirtualFixture { kind: FixtureKind::PLANE, frame, stiffness: 30.0, ..Default::default() }
+    };
+    let down = Twist { linear: [0.0, 0.0, 0.005], ..Twist::default() };
+    let deep = |bench: &mut Bench<EyeRobot>, steps: u32| {
+        for _ in 0..steps {
+            bench.command::<_, ()>("arm/servo_cv", down).unwrap();
+            bench.step(1);
+        }
+        true_tip(bench)[2] + 1e-3
+    };
+    bench.command::<_, ()>("virtual_fixture/set_guard", guard(0.2e-3)).unwrap();
+    let first = deep(&mut bench, 800);
+    assert!((0.19e-3..0.203e-3).contains(&first), "{first}");
+    // An empty list leaves the guard, and the guard goes where it is sent.
+    bench.command::<_, ()>("virtual_fixture/set", VirtualFixtures::default()).unwrap();
+    bench.command::<_, ()>("virtual_fixture/set_guard", guard(0.3e-3)).unwrap();
+    let second = deep(&mut bench, 800);
+    assert!((0.29e-3..0.303e-3).contains(&second), "{second}");
+    let refused = bench.command::<_, ()>("virtual_fixture/set_guard", guard(0.1e-3)).unwrap_err();
+    assert!(refused.reason.contains("the tip is beyond the plane"), "{refused}");
+    assert_eq!(bench.read::<(), VirtualFixture>("virtual_fixture/guard", ()).unwrap().stiffness, 30.0);
+    bench.command::<_, ()>("virtual_fixture/set_guard", VirtualFixture::default()).unwrap();
+    assert_eq!(bench.read::<(), VirtualFixture>("virtual_fixture/guard", ()).unwrap(), Default::default());
+    assert!(deep(&mut bench, 200) > 0.8e-3);
 }
 
 #[test]

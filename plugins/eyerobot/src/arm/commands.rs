@@ -228,7 +228,18 @@ impl<D: Drive> Arm<D> {
     /// Too many, a stiffness out of its range, or one that the arm stands outside of; those before stay.
     pub fn set_fixtures<'a>(&mut self, list: impl Iterator<Item = &'a Fixture>) -> Result<(), ArmError> {
         let at = Stance::of(&self.settings.kinematics, &self.setpoint.position);
-        self.fixtures = Fixtures::checked(list, &self.base.inverse(), &at)?;
+        let guard = self.fixtures.guard().copied();
+        self.fixtures = Fixtures::checked(list, &self.base.inverse(), &at)?.with_guard(guard);
+        Ok(())
+    }
+
+    /// Puts one fixture (frame in the base frame) beside those of `set_fixtures`, in the place of the last guard.
+    ///
+    /// # Errors
+    /// As `set_fixtures`; the guard before stays.
+    pub fn set_guard(&mut self, guard: Option<Fixture>) -> Result<(), ArmError> {
+        let at = Stance::of(&self.settings.kinematics, &self.setpoint.position);
+        self.fixtures = self.fixtures.guarded(guard, &self.base.inverse(), &at)?;
         Ok(())
     }
 

@@ -3,13 +3,13 @@
 //! Invariant: nothing here moves the arm by itself; hand, axis and fixtures meet in the arm's one step.
 
 use nalgebra::Vector6;
-use trocar_sdk::data::{Twist, Wrench};
+use trocar_sdk::data::{FixtureKind, Twist, VirtualFixture, Wrench};
 use trocar_sdk::prelude::*;
 
 use super::{EyeRobot, EyeRobotState};
 use crate::arm::ArmError;
 use crate::fixture::MOST_FIXTURES;
-use crate::payloads::{VirtualFixture, VirtualFixtures};
+use crate::payloads::{self, VirtualFixtures};
 
 /// Hands-on control.
 #[provides("compliance")]
@@ -59,15 +59,37 @@ impl EyeRobot {
     ) -> Result<(), ArmError> {
         let mut checked = [None; MOST_FIXTURES];
         for (place, fixture) in list.fixtures.iter().enumerate() {
-            checked[place] = Some(fixture.checked(place)?);
+            checked[place] = Some(payloads::checked(fixture, place)?);
         }
         self.arm.set_fixtures(checked.iter().flatten())?;
         self.fixtures = VirtualFixtures { stamp: self.host.now(), ..VirtualFixtures::default() };
-        for fixture in self.arm.fixtures().iter() {
-            self.fixtures.fixtures.push(VirtualFixture::of(fixture));
+        for fixture in self.arm.fixtures().listed() {
+            self.fixtures.fixtures.push(payloads::payload(fixture));
         }
         self.publish(self.host.now());
         Ok(())
+    }
+
+    /// Puts one fixture more beside those of `set`, in the place of the last guard: for a controller that moves it with what it
+    /// watches. Kind 0 takes it away; nothing else does.
+    #[command(overflow = "latest_wins")]
+    fn set_guard(
+        &mut self,
+        #[arg(doc = "usually a plane, frame in the base frame")] guard: &VirtualFixture,
+    ) -> Result<(), ArmError> {
+        let checked = match guard.kind {
+            FixtureKind(0) => None,
+            _ => Some(payloads::checked(guard, 0)?),
+        };
+        self.arm.set_guard(checked)?;
+        self.guard = self.arm.fixtures().guard().map(payloads::payload).unwrap_or_default();
+        Ok(())
+    }
+
+    /// The guard in force, in the arm's kinematic base; kind 0 without one.
+    #[read]
+    fn guard(s: &EyeRobotState) -> VirtualFixture {
+        s.guard
     }
 
     /// The fixtures in force, in the arm's kinematic base; stamp 0 while there never were any.

@@ -54,8 +54,8 @@ pub use device::{
 };
 pub use image::{CameraGeometry, ImageHeader, PixelFormat, StereoHeader};
 pub use motion::{
-    ArmState, CartesianState, JointConfiguration, JointKind, JointState, MAX_JOINTS, OperatingMode,
-    OperatingState, Pose, Transform, Twist, Wrench,
+    ArmState, CartesianState, FixtureKind, JointConfiguration, JointKind, JointState, MAX_JOINTS,
+    OperatingMode, OperatingState, Pose, Transform, Twist, VirtualFixture, Wrench,
 };
 pub use oct::{AScanHeader, Distance, SampleFormat, SpectraHeader, Spectrometer};
 pub use view::{BadFrame, ImageView, LinesView};

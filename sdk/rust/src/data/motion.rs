@@ -119,6 +119,31 @@ pub struct ArmState {
 }
 
 named_values! {
+    /// What a virtual fixture holds.
+    pub struct FixtureKind: u32 {
+        /// The tip stays on the side of the frame's xy plane to which its z axis points.
+        PLANE = 1,
+        /// The tip stays on the frame's z axis.
+        LINE = 2,
+        /// The tool's shaft passes through the frame's origin (remote centre of motion).
+        RCM = 3,
+    }
+}
+
+/// A virtual fixture.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct VirtualFixture {
+    pub kind: FixtureKind,
+    pub reserved: u32,
+    /// Where; commands take it in the arm's base frame.
+    pub frame: Pose,
+    /// Towards the border the tip moves at most at this times the distance that is left, 0 = 20 /s.
+    #[unit("1/s")]
+    pub stiffness: f64,
+}
+
+named_values! {
     /// CRTK operating states.
     pub struct OperatingMode: u32 {
         /// Motors off; motions are refused.
