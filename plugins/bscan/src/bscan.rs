@@ -1,18 +1,24 @@
 //! The component `bscan`: Robot-Assisted B-Scan as a behaviour that can be started and aborted at any time.
 //!
 //! Invariant: the robot is commanded in APPROACH, SCAN and RETRACT only, by velocities that end by themselves when they are not
-//! repeated. Every way out, good or bad, ends with velocity zero and `hold`, and is told by exactly one event.
+//! repeated, behind a guard that keeps the tip off the retina whatever is commanded. Every way out, good or bad, ends with `hold`
+//! and without the guard, and is told by exactly one event; after a bad one the robot goes away from the retina by itself, by a
+//! bounded way, since an eye that moves comes near a tip that stands.
 
 mod pictures;
 
 use trocar_oct_core::tip::{Timeline, axis_of};
-use trocar_sdk::data::{AScanHeader, Distance, ImageHeader, OperatingMode, OperatingState, Pose, Twist};
+use trocar_sdk::data::{
+    AScanHeader, Distance, FixtureKind, ImageHeader, OperatingMode, OperatingState, Pose, Twist,
+    VirtualFixture,
+};
 use trocar_sdk::prelude::*;
 
 use crate::depth::{Advice, Depth, JUMP_M, Settings};
 use crate::image::{Rolling, Scan};
 use crate::line::Line;
 use crate::payloads::{Phase, Progress, ScanColumn, ScanDone, ScanRequest};
+use crate::poses::Poses;
 
 /// Frames of each output's pool.
 const SLOTS: u32 = 6;
@@ -32,6 +38,8 @@ const CLOSE_M: f64 = 50e-6;
 /// The scan sets off this near to its begin and to the offset, m, after so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
+/// The tip nears the guard at most at this times the distance that is left, 1/s: the most that the robot takes.
+const GUARD_PER_S: f64 = 30.0;
 /// Share of a new delay in their mean.
 const DELAY_SHARE: f64 = 1.0 / 32.0;
 
@@ -52,8 +60,9 @@ pub(crate) struct BScanConfig {
     /// The tip never goes nearer to the surface
     #[config(live, min = 0.00015, max = 0.001, unit = "m", default = 0.00015)]
     min_distance_m: f64,
-    /// Way back from the surface at the end of the line: an eye that moves comes near a tip that stands
-    #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.0003)]
+    /// Way back from the surface at the end of the line, and of a scan that ends before: an eye that moves comes near a tip that
+    /// stands. Its swing and min_distance_m have room in the least offset and this
+    #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.0004)]
     retract_m: f64,
     /// An approach that takes longer is given up
     #[config(live, min = 0.1, max = 600.0, unit = "s", default = 30.0)]
@@ -110,6 +119,9 @@ pub struct BScan {
     /// The last moments, the newest at the right
     #[output]
     mscan_image: Out<Frame<ImageHeader>>,
+    /// Each column of the M-scan when it is there: where it was taken
+    #[output]
+    mscan_column: Out<ScanColumn>,
     /// Where the tip is.
     #[required(interface = "robot")]
     measured_cp: Function<(), Pose>,
@@ -122,9 +134,15 @@ pub struct BScan {
     /// Called at the end of each scan.
     #[required(interface = "robot")]
     hold: Function,
+    /// Brings the tip away from the retina when a scan has ended before its end.
+    #[required(interface = "robot", optional)]
+    move_cr: Function<Pose>,
     /// Moves the tip along the tool.
     #[required(interface = "axis", name = "servo_cv")]
     servo_along: Function<Twist>,
+    /// Keeps the tip min_distance_m off the retina while a scan runs: the robot's own fixture.
+    #[required(interface = "fixture", optional)]
+    set_guard: Function<VirtualFixture>,
     /// The scan has come to its end.
     #[event("scan")]
     bscan_done: Event<ScanDone>,
@@ -153,6 +171,10 @@ pub struct BScan {
     rolling: Rolling,
     next_image: [Stamp; 2],
     column_pose: Pose,
+    /// Of the M-scan's column that grows, and columns that are there.
+    rolling_pose: Pose,
+    rolled: u32,
+    poses: Poses,
     image_index: [u64; 2],
     /// Rows, columns, columns and A-scans of the M-scan that there is room for.
     built: Option<(usize, usize, usize, u32)>,
@@ -261,14 +283,21 @@ impl BScan {
         if self.progress.phase == Phase::IDLE {
             return;
         }
+        let told = self.now.seconds_since(self.since.robot) <= ROBOT_LOST_S;
+        let axis = axis_of(&self.pose.orientation).filter(|_| told && is_ready(&self.robot));
         self.rest();
+        if let Some(axis) = axis.filter(|_| self.cfg.retract_m > 0.0) {
+            // One command, which the robot carries out to its end whatever becomes of this component.
+            let position = axis.map(|a| -a * self.cfg.retract_m);
+            self.move_cr.send(Pose { stamp: self.now, position, ..Pose::default() });
+        }
         self.bscan_aborted.emit(Text::new(why));
     }
 
     /// The robot stands, and is not commanded any more.
     fn rest(&mut self) {
-        self.send(self.now, [0.0; 3], [0.0; 3]);
         self.hold.send(());
+        self.set_guard.send(VirtualFixture::default());
         self.enter(Phase::IDLE, self.now);
         self.progress.error = 0.0;
         self.line = None;
@@ -289,6 +318,7 @@ impl BScan {
             && pose.stamp != self.pose.stamp
         {
             self.pose = pose;
+            self.poses.push(pose);
             self.since.robot = now;
             self.depth.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
             if let Some(line) = &self.line {
@@ -350,6 +380,9 @@ impl BScan {
         let Some(axis) = axis_of(&self.pose.orientation) else {
             return Err("the robot's orientation is no unit quaternion");
         };
+        if !advice.blind {
+            self.set_guard.send(self.guard(&axis, advice.distance_m));
+        }
         self.progress.distance = advice.distance_m;
         self.progress.error = advice.distance_m - offset_m;
         let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, tick) };
@@ -367,6 +400,16 @@ impl BScan {
             return Err("the end of the line was not reached in time");
         }
         Ok(())
+    }
+
+    /// A plane across the tool, min_distance_m above a surface `distance_m` before the tip.
+    fn guard(&self, axis: &[f64; 3], distance_m: f64) -> VirtualFixture {
+        let below_m = distance_m - self.cfg.min_distance_m;
+        let position = [0, 1, 2].map(|i| self.pose.position[i] + axis[i] * below_m);
+        let [x, y, z, w] = self.pose.orientation;
+        // The tool's frame, half a turn about its own x: the allowed side is where z points.
+        let frame = Pose { stamp: self.pose.stamp, position, orientation: [w, z, -y, -x] };
+        VirtualFixture { kind: FixtureKind::PLANE, reserved: 0, frame, stiffness: GUARD_PER_S }
     }
 
     /// How much further than the offset the tip is wanted by now, m.
@@ -399,7 +442,6 @@ impl BScan {
         } else if now.seconds_since(self.since.near) > SETTLED_S {
             self.planned_m = line.along_m(tip_m);
             self.enter(Phase::SCAN, now);
-            self.column_pose = self.pose;
         }
         // Low over the retina nothing goes across: first to the offset, then to the begin.
         if off_m < CLOSE_M { velocity } else { [0.0; 3] }
@@ -470,6 +512,7 @@ impl Component for BScan {
         (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
         self.robot = OperatingState::default();
         self.depth = Depth::default();
+        (self.poses, self.rolled) = (Poses::default(), 0);
         Ok(())
     }
 

@@ -105,6 +105,11 @@ impl Scan {
         Some((column, lines))
     }
 
+    /// A-scans of the column that grows.
+    pub fn lines(&self) -> u32 {
+        self.column.lines
+    }
+
     /// Columns with A-scans in them.
     pub fn filled(&self) -> usize {
         self.filled
@@ -137,12 +142,20 @@ impl Rolling {
         Rolling { pixels: vec![0; width * rows], width, column, next: 0, each: each.max(1) }
     }
 
-    pub fn add(&mut self, ascan: AScan<'_>) {
+    /// Adds an A-scan; gives of how many A-scans the column is that was ended by it.
+    pub fn add(&mut self, ascan: AScan<'_>) -> Option<u32> {
         self.column.add(ascan);
-        if self.column.lines >= self.each {
-            self.column.flush(&mut self.pixels, self.width, self.next);
-            self.next = (self.next + 1) % self.width;
+        if self.column.lines < self.each {
+            return None;
         }
+        let lines = self.column.flush(&mut self.pixels, self.width, self.next);
+        self.next = (self.next + 1) % self.width;
+        Some(lines)
+    }
+
+    /// A-scans of the column that grows.
+    pub fn lines(&self) -> u32 {
+        self.column.lines
     }
 
     /// The image from its oldest column to its newest, row after row, into `to`.

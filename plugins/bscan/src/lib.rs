@@ -9,6 +9,7 @@ pub mod image;
 pub mod line;
 mod mscan;
 mod payloads;
+pub mod poses;
 #[cfg(test)]
 mod rig;
 

@@ -68,7 +68,7 @@ pub struct Progress {
     pub delay: f64,
 }
 
-/// A column of an image is there.
+/// A column of an image is there. That of an M-scan has scan 0, and counts from Start.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct ScanColumn {
@@ -79,7 +79,8 @@ pub struct ScanColumn {
     pub column: u32,
     /// A-scans in it.
     pub lines: u32,
-    /// Of the tip, in the robot's base frame, when its first A-scan came.
+    /// Of the tip, in the robot's base frame, when its first A-scan was taken, with the stamp of that; stamp 0 where the robot
+    /// did not tell.
     pub pose: Pose,
     /// From the tip to the surface when its last A-scan came, as tracked.
     #[unit("m")]

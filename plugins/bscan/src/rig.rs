@@ -16,7 +16,7 @@ use trocar_phantom::World;
 use trocar_phantom::spectra::{Optics, Spectrograph};
 use trocar_sdk::data::{
     AScanHeader, CartesianState, Distance, JointState, OperatingMode, OperatingState, Pose, SampleFormat,
-    Twist,
+    Twist, VirtualFixture,
 };
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
@@ -43,6 +43,8 @@ pub(crate) struct Setup {
     /// Over which place of the eye (x, y) the tip begins, and how high above the surface, m.
     pub(crate) place_m: [f64; 3],
     pub(crate) offset_m: f64,
+    /// Where the line ends, along x, m.
+    pub(crate) end_m: f64,
 }
 
 impl Setup {
@@ -55,6 +57,7 @@ impl Setup {
             images: false,
             place_m: [-1.5e-3, 0.0, 600e-6],
             offset_m: OFFSET_M,
+            end_m: 1.5e-3,
         }
     }
 }
@@ -180,15 +183,11 @@ impl Rig {
 
     /// The usual scan: 3 mm along x through the fovea and two patches.
     pub(crate) fn request() -> ScanRequest {
-        Rig::request_at(OFFSET_M)
-    }
-
-    pub(crate) fn request_at(offset_m: f64) -> ScanRequest {
         ScanRequest {
             from: [-1.5e-3, 0.0, 0.0],
             to: [1.5e-3, 0.0, 0.0],
             speed: 0.5e-3,
-            offset: offset_m,
+            offset: OFFSET_M,
             pitch: 6e-6,
             ..ScanRequest::default()
         }
@@ -249,6 +248,12 @@ impl Rig {
             self.held += 1;
             done.push(self.robot.command::<_, ()>("arm/hold", ()));
         }
+        for away in self.bench.calls::<Pose>("robot/move_cr") {
+            done.push(self.robot.command::<_, ()>("arm/move_cr", away));
+        }
+        if let Some(guard) = self.bench.calls::<VirtualFixture>("fixture/set_guard").pop() {
+            done.push(self.robot.command::<_, ()>("virtual_fixture/set_guard", guard));
+        }
         self.refused.extend(done.into_iter().filter_map(|done| done.err()).map(|why| why.reason));
     }
 
@@ -305,9 +310,9 @@ impl Rig {
     /// Looks for a while and begins the usual scan.
     pub(crate) fn begin(&mut self) {
         self.steps(60);
-        self.bench
-            .command::<ScanRequest, ()>("scan/start", Rig::request_at(self.setup.offset_m))
-            .expect("a scan");
+        let Setup { offset_m: offset, end_m, .. } = self.setup;
+        let request = ScanRequest { offset, to: [end_m, 0.0, 0.0], ..Rig::request() };
+        self.bench.command::<ScanRequest, ()>("scan/start", request).expect("a scan");
     }
 
     /// Goes on until the tip is on its way along the line.
@@ -330,6 +335,7 @@ impl Rig {
         for _ in 0..8000 {
             rig.step();
             if rig.progress().phase == Phase::IDLE {
+                assert!(rig.refused.is_empty(), "the robot refused: {:?}", rig.refused);
                 return rig;
             }
         }
@@ -363,6 +369,31 @@ impl Rig {
         self.steps(100);
         let to = self.true_tip().pose.position;
         (0..3).all(|i| (to[i] - from[i]).abs() < 0.5e-6)
+    }
+
+    /// The robot alone goes on for so many periods, without anybody who commands it: the distance of its true tip from
+    /// the first surface, m, after each of them.
+    pub(crate) fn watch(&mut self, periods: usize) -> Vec<f64> {
+        let step = |_| {
+            self.robot.step(1);
+            let tip = self.true_tip().pose.position;
+            let t_s = self.robot.now().ns() as f64 * 1e-9;
+            let below = self.setup.world.below(&Point3::from(tip), &Vector3::z_axis(), t_s);
+            below.expect("over the retina").distance_m
+        };
+        let distances = (0..periods).map(step).collect();
+        self.bench.advance(periods as u64 * STEP_NS);
+        distances
+    }
+
+    /// Velocity of the true tip, m/s.
+    pub(crate) fn true_speed_m_s(&self) -> f64 {
+        Vector3::from(self.true_tip().twist.linear).norm()
+    }
+
+    /// The guard that the robot keeps.
+    pub(crate) fn guard(&self) -> VirtualFixture {
+        self.robot.read("virtual_fixture/guard", ()).expect("a read")
     }
 
     /// Scans that ended well.

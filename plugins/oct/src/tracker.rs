@@ -67,7 +67,7 @@ pub struct SurfaceTracker {
     /// A-scans since Start without a valid distance.
     #[state]
     invalid: u64,
-    /// Frames since Start that were no A-scans in f32.
+    /// Frames since Start that were no A-scans in f32, or had a time that cannot be.
     #[state]
     refused_frames: u64,
     #[config]
@@ -132,7 +132,10 @@ impl Component for SurfaceTracker {
         for _ in 0..BURST {
             let Some(frame) = self.ascan.next() else { break };
             let header = *frame.header();
-            let lines = frame.lines().ok().filter(|_| header.format == SampleFormat::F32);
+            // The last line's time is the furthest: where that can be told, all can.
+            let last = (header.lines as usize).saturating_sub(1);
+            let told = header.format == SampleFormat::F32 && header.stamp_of(last).is_some();
+            let lines = frame.lines().ok().filter(|_| told);
             let Some((lines, room)) = lines.zip(self.bins.get_mut(..header.samples as usize)) else {
                 self.refused_frames += 1;
                 continue;
@@ -141,7 +144,7 @@ impl Component for SurfaceTracker {
                 for (bin, bytes) in room.iter_mut().zip(line.as_chunks::<4>().0) {
                     *bin = f32::from_ne_bytes(*bytes);
                 }
-                let ns = header.stamp.ns() + (i as f64 * header.line_period * 1e9).round() as u64;
+                let ns = header.stamp_of(i).unwrap_or(header.stamp).ns();
                 let reading = tracker.see(ns, room, header.bin, header.first);
                 self.last = payload(&reading, tracker.has_robot());
                 self.seen += 1;

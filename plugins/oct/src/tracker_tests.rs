@@ -78,8 +78,15 @@ fn a_lost_surface_is_told_once_and_no_distance_of_it_is_valid() {
 #[test]
 fn frames_that_are_no_a_scans_in_decibels_are_counted() {
     let mut bench = Bench::<SurfaceTracker>::new("{}");
-    let good = AScanHeader { lines: 1, samples: 512, format: SampleFormat::F32, ..AScanHeader::default() };
+    let stamp = Stamp::from_ns(1_000_000);
+    let good =
+        AScanHeader { stamp, lines: 1, samples: 512, format: SampleFormat::F32, ..AScanHeader::default() };
+    let endless = AScanHeader { lines: 2, line_period: f64::INFINITY, ..good };
+    let late = AScanHeader { stamp: Stamp::from_ns(u64::MAX), lines: 2, line_period: 1.0, ..good };
     for (header, bytes) in [
+        (endless, 4096),
+        (late, 4096),
+        (AScanHeader { line_period: f64::NAN, ..good }, 2048),
         (AScanHeader { format: SampleFormat::U8, ..good }, 512),
         (AScanHeader { samples: 10_000, ..good }, 40_000),
         (good, 2047),
@@ -87,7 +94,7 @@ fn frames_that_are_no_a_scans_in_decibels_are_counted() {
         bench.push_frame("ascan", header, &vec![0; bytes]);
     }
     bench.step(1);
-    assert_eq!((bench.state().refused_frames, bench.outputs::<Distance>("distance").len()), (3, 0));
+    assert_eq!((bench.state().refused_frames, bench.outputs::<Distance>("distance").len()), (6, 0));
 }
 
 #[test]

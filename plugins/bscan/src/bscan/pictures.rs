@@ -26,17 +26,26 @@ impl BScan {
                     SampleFormat::F32 => AScan::Decibels(bytes, grey),
                     _ => break,
                 };
-                self.rolling.add(ascan);
+                let Some(taken) = header.stamp_of(i) else { break };
+                if self.rolling.lines() == 0 {
+                    self.rolling_pose = self.poses.at(taken);
+                }
+                if let Some(lines) = self.rolling.add(ascan) {
+                    let (none, ended) = (Progress::default(), (self.rolled as usize, lines));
+                    tell(&self.mscan_column, &none, &self.last, self.rolling_pose, ended, taken);
+                    self.rolled = self.rolled.wrapping_add(1);
+                }
                 let Some(line) = &self.line else { continue };
-                let ns = header.stamp.ns() + (i as f64 * header.line_period * 1e9).round() as u64;
                 // What was taken on the way to the line belongs to no column.
-                if self.progress.phase != Phase::SCAN || ns < self.since.phase.ns() {
+                if self.progress.phase != Phase::SCAN || taken < self.since.phase {
                     continue;
                 }
-                let Some(gone_m) = self.gone.at(ns).filter(|gone_m| *gone_m >= 0.0) else { continue };
+                let Some(gone_m) = self.gone.at(taken.ns()).filter(|gone_m| *gone_m >= 0.0) else { continue };
                 if let Some(ended) = self.scan.add((gone_m / line.pitch_m) as usize, ascan) {
-                    tell(&self.column, &self.progress, &self.last, self.column_pose, ended, ns);
-                    self.column_pose = self.pose;
+                    tell(&self.column, &self.progress, &self.last, self.column_pose, ended, taken);
+                }
+                if self.scan.lines() == 1 {
+                    self.column_pose = self.poses.at(taken);
                 }
             }
         }
@@ -45,7 +54,7 @@ impl BScan {
     /// Ends the column that grows.
     pub(super) fn end_column(&mut self, now: Stamp) {
         if let Some(ended) = self.scan.end() {
-            tell(&self.column, &self.progress, &self.last, self.column_pose, ended, now.ns());
+            tell(&self.column, &self.progress, &self.last, self.column_pose, ended, now);
         }
     }
 
@@ -113,10 +122,10 @@ fn tell(
     last: &Distance,
     pose: Pose,
     (column, lines): (usize, u32),
-    ns: u64,
+    stamp: Stamp,
 ) {
     to.write(&ScanColumn {
-        stamp: Stamp::from_ns(ns),
+        stamp,
         scan: progress.scan,
         column: column as u32,
         lines,

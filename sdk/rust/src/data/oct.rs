@@ -79,6 +79,17 @@ pub struct AScanHeader {
     pub first: f64,
 }
 
+impl AScanHeader {
+    /// Middle of the exposure of line `i`; none where the header says nothing that can be: no stamp, a period that is negative,
+    /// above 1 s or no number, or a time beyond what a stamp can tell.
+    pub fn stamp_of(&self, i: usize) -> Option<Stamp> {
+        let later_ns = i as f64 * self.line_period * 1e9;
+        let possible = self.stamp.is_valid() && (0.0..=1.0).contains(&self.line_period);
+        let later_ns = if possible { later_ns.round() as u64 } else { return None };
+        self.stamp.ns().checked_add(later_ns).map(Stamp::from_ns)
+    }
+}
+
 /// A spectrometer (`spectrometer`): which light falls on which pixel. Wavelength of pixel i of n, with
 /// x = 2 i / (n - 1) - 1, is the sum of `wavelength[k]` times x to the power k.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
@@ -126,4 +137,22 @@ pub struct Distance {
     /// False: there was no surface to be seen, and the rest is at best a prediction.
     pub valid: Flag,
     pub reserved: [u8; 7],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_line_has_its_time_and_headers_that_make_no_sense_have_none() {
+        let header =
+            AScanHeader { stamp: Stamp::from_ns(1_000), line_period: 250e-6, ..AScanHeader::default() };
+        assert_eq!(header.stamp_of(0), Some(header.stamp));
+        assert_eq!(header.stamp_of(4), Some(Stamp::from_ns(1_001_000)));
+        for line_period in [f64::NAN, f64::INFINITY, -1e-3, 1e300, 1.1] {
+            assert_eq!(AScanHeader { line_period, ..header }.stamp_of(1), None, "{line_period}");
+        }
+        assert_eq!(AScanHeader { stamp: Stamp::INVALID, ..header }.stamp_of(0), None);
+        assert_eq!(AScanHeader { stamp: Stamp::from_ns(u64::MAX - 10), ..header }.stamp_of(1), None);
+    }
 }
