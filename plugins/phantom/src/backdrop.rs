@@ -148,7 +148,7 @@ impl Band {
     /// Adds a row. It depends on no other, so pictures are the same however many threads trace them.
     fn trace(&mut self, of: &Backdrop, world: &World, lamp: &Lamp, y: usize) {
         let (camera, eye, detail) = (&of.camera, of.camera.eye(), world.noise(DETAIL_STREAM));
-        let mut far = WORKING_DISTANCE_M;
+        let (mut far, mut before) = (WORKING_DISTANCE_M, WORKING_DISTANCE_M);
         for x in 0..of.width {
             let [rx, ry] = camera.ray([x as f64 - MARGIN as f64, y as f64 - MARGIN as f64]);
             let inside = |at: usize, size: usize| (MARGIN..MARGIN + size).contains(&at);
@@ -156,7 +156,9 @@ impl Band {
                 self.rays.push([rx as f32, ry as f32]);
             }
             let way = of.turn * Vector3::new(rx, ry, 1.0);
-            // The retina is flat beside the rays, so each round leaves less than a twentieth of the height.
+            // The retina is flat beside the rays, so each round leaves less than a twentieth of the height; it goes on as it came,
+            // so mostly one is enough.
+            (far, before) = (2.0 * far - before, far);
             for _ in 0..ROUNDS {
                 let at = eye + way * far;
                 let off = (world.eye.surface_z(at.x, at.y) - at.z) / way.z;
