@@ -5,19 +5,14 @@
 use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
-use crate::handoff::Giver;
 use crate::latency::{Histogram, Latency};
 use crate::mjpeg::{Encoder, Stream};
-use crate::server::{Place, Server, Serving};
+use crate::server::{Server, Serving};
+use crate::viewing::{Allowance, Browser, Viewing};
 use crate::window::{Settings, Window};
 
 /// Most frames taken in one step, so that a fast source cannot hold a step for ever.
 const BURST: usize = 8;
-/// What is copied while nobody looks, B/s, so that who comes late sees the newest frame: images that come now and then are
-/// copied all, a video a few times a second.
-const KEPT_BYTES_PER_S: f64 = 16e6;
-/// What may be copied at once of smaller frames, B.
-const KEPT_AT_ONCE: f64 = 1e6;
 
 #[derive(Config)]
 struct DisplayConfig {
@@ -102,62 +97,6 @@ pub struct Display {
     last_seq: [u64; 2],
     histogram: Histogram,
     viewing: Viewing,
-}
-
-/// Where frames are shown to people.
-#[derive(Default)]
-struct Viewing {
-    browser: Option<Browser>,
-    screen: Option<(Window, Giver)>,
-}
-
-impl Viewing {
-    /// Copies a frame for those who look.
-    fn show(&mut self, header: &StereoHeader, bytes: &[u8], now: Stamp, mjpeg_hz: f64) {
-        if let Some((window, giver)) = &mut self.screen
-            && window.is_open()
-        {
-            giver.give(header, bytes);
-        }
-        let Some(browser) = &mut self.browser else { return };
-        browser.stream.limit(mjpeg_hz);
-        let due = !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
-        let wanted = due && browser.stream.viewers() > 0;
-        if wanted || browser.kept.takes(bytes.len(), now) {
-            let given = browser.giver.give(header, bytes);
-            browser.given = if given && wanted { now } else { browser.given };
-        }
-    }
-}
-
-/// How many bytes may be copied for nobody in particular.
-#[derive(Default)]
-struct Allowance {
-    bytes: f64,
-    since: Stamp,
-}
-
-impl Allowance {
-    fn takes(&mut self, bytes: usize, now: Stamp) -> bool {
-        let bytes = bytes as f64;
-        let passed_s = if self.since.is_valid() { now.seconds_since(self.since) } else { f64::INFINITY };
-        self.since = now;
-        self.bytes = (self.bytes + passed_s * KEPT_BYTES_PER_S).min(bytes.max(KEPT_AT_ONCE));
-        let enough = self.bytes >= bytes;
-        self.bytes -= if enough { bytes } else { 0.0 };
-        enough
-    }
-}
-
-/// What shows frames to browsers. Its parts are dropped in this order: off the list, then no more pictures.
-struct Browser {
-    place: Place,
-    _encoder: Encoder,
-    giver: Giver,
-    stream: std::sync::Arc<Stream>,
-    /// When a frame was given last because somebody looks.
-    given: Stamp,
-    kept: Allowance,
 }
 
 #[provides("screen")]

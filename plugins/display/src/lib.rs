@@ -11,6 +11,7 @@ mod mjpeg;
 mod reply;
 mod request;
 mod server;
+mod viewing;
 mod window;
 
 pub use component::Display;

@@ -14,6 +14,7 @@ use trocar_sdk::Result;
 use crate::handoff::{Giver, Taker, pair};
 
 /// What a window is opened with.
+#[cfg_attr(not(feature = "window"), allow(dead_code))]
 pub(crate) struct Settings {
     pub(crate) title: String,
     /// What its thread is called.
