@@ -72,7 +72,7 @@ fn in_three_processes_it_is_one_system_and_leaves_nothing_behind() {
     let states = of(&list, "components", "state");
     assert_eq!(states, ["COMPONENT_STATE_ACTIVE"; 14], "{list}");
     let far = of(&list, "connections", "carrier").iter().filter(|c| *c == "memfd").count();
-    assert_eq!(far, 9, "what the robot's and the OCT's processes have to do with others: {list}");
+    assert_eq!(far, 10, "what the robot's and the OCT's processes have to do with others: {list}");
 
     let pids = children(u64::from(demo.pid()));
     assert_eq!(pids.len(), 4, "three hosts and their GCM: {pids:?}");
