@@ -125,11 +125,13 @@ pub const PAYLOADS: &[Payload] = &[
     },
     Payload {
         name: "ArmState",
-        doc: "One sample of an arm's stream: joints and tip of the same instant, so both carry the same stamp.",
+        doc: "One sample of an arm's stream: joints, tip and wrench of the same instant, so they carry the same stamp; a wrench \
+              that is not measured has stamp 0.",
         fields: &[
             f("stamp", "stamp", "", ""),
             f("measured_js", "JointState", "", ""),
             f("measured_cp", "Pose", "", ""),
+            f("measured_cf", "Wrench", "", "As the read `measured_cf` of the arm."),
         ],
         repr: "",
         values: &[],

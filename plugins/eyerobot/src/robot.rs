@@ -35,14 +35,14 @@ const FIRST_CYCLE_S: f64 = 1e-3;
     name = "eyerobot",
     rate_hz = 1000,
     safety = "actuator",
-    provides("arm", "local", "body", "compliance", "axis", "virtual_fixture", "truth")
+    provides("arm", "local", "spatial", "body", "compliance", "axis", "virtual_fixture", "truth")
 )]
 pub struct EyeRobot {
     /// Force and torque of the hand on the handle, in the frame of the tip; one with stamp 0 or older than handle_timeout_s
     /// counts as none
     #[input(optional)]
     handle: In<Wrench>,
-    /// Joints and tip of each cycle
+    /// Joints, tip and the hand's wrench of each cycle
     #[output]
     state: Out<ArmState>,
     /// True pose and twist of the tip in the simulated world
@@ -88,6 +88,8 @@ pub struct EyeRobot {
     body_cf: Wrench,
     #[state]
     body_jacobian: Jacobian,
+    #[state]
+    spatial_jacobian: Jacobian,
     /// Where the kinematic base stands in the base frame.
     #[state]
     base_frame: Pose,
@@ -191,6 +193,7 @@ impl EyeRobot {
         self.local_cp = Pose { stamp, ..arm.local_cp().into() };
         self.body_cf = Wrench { stamp: felt, ..arm.body_cf().into() };
         self.body_jacobian = Jacobian::of(stamp, &arm.body_jacobian());
+        self.spatial_jacobian = Jacobian::of(stamp, &arm.spatial_jacobian());
         self.base_frame = Pose { stamp, ..arm.base().into() };
         self.gain = arm.gain().into();
         self.truth = self.true_tip(stamp);
@@ -282,6 +285,7 @@ impl Component for EyeRobot {
             stamp: tick.now(),
             measured_js: self.measured_js,
             measured_cp: self.measured_cp,
+            measured_cf: self.measured_cf,
         });
         self.tip.write(&self.truth);
         Ok(())

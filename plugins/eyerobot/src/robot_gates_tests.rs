@@ -111,6 +111,17 @@ fn cartesian_values_carry_the_stamp_of_the_joints_and_what_is_not_known_stamp_0(
     let felt: Wrench = bench.read("arm/measured_cf", ()).unwrap();
     assert_eq!(felt.stamp, bench.now());
     assert!((felt.force[2] - 0.5).abs() < 1e-6, "{felt:?}");
+    let spatial = |bench: &Bench<EyeRobot>| {
+        let jacobian: Jacobian = bench.read("spatial/jacobian", ()).unwrap();
+        let js: JointState = bench.read("arm/measured_js", ()).unwrap();
+        [0, 1, 2].map(|row| (0..5).map(|i| jacobian.values[5 * row + i] * js.velocity[i]).sum::<f64>())
+    };
+    let v: Twist = bench.read("spatial/measured_cv", ()).unwrap();
+    assert!((0..3).all(|i| (spatial(&bench)[i] - v.linear[i]).abs() < 1e-12) && v.stamp == bench.now());
+    assert_eq!(bench.read::<(), Wrench>("spatial/measured_cf", ()).unwrap(), felt);
+    let streamed = bench.outputs::<ArmState>("state");
+    assert_eq!(streamed.last().map(|state| state.measured_cf), Some(felt));
+    assert_eq!(streamed[0].measured_cf.stamp, Stamp::INVALID, "before there was a hand");
     bench.make_stale("handle");
     bench.step(1);
     assert_eq!(bench.read::<(), Wrench>("body/measured_cf", ()).unwrap(), Wrench::default());

@@ -107,9 +107,9 @@ fn servo_jv_holds_by_itself_when_it_is_not_repeated() {
         bench.command::<_, ()>("servo_jv", goal).unwrap();
         bench.step(1);
     }
-    assert!(bench.read::<(), Twist>("measured_cv", ()).unwrap().linear[0] > 0.004);
+    assert!(bench.read::<(), Twist>("arm/measured_cv", ()).unwrap().linear[0] > 0.004);
     bench.step(200);
-    let v = bench.read::<(), Twist>("measured_cv", ()).unwrap().linear[0];
+    let v = bench.read::<(), Twist>("arm/measured_cv", ()).unwrap().linear[0];
     assert!(v.abs() < 1e-5, "{v} m/s after the timeout");
 }
 

@@ -105,6 +105,14 @@ impl<D: Drive> Arm<D> {
         SMatrix::from_columns(&columns)
     }
 
+    /// Joint velocities to the twist of the tip with the orientation of the base frame.
+    pub fn spatial_jacobian(&self) -> SMatrix<f64, 6, COUNT> {
+        let Stance { jacobian, .. } = Stance::of(&self.settings.kinematics, &self.measured.position);
+        let turn = self.base.rotation;
+        let columns = std::array::from_fn::<_, COUNT, _>(|i| turned(&turn, &jacobian.column(i).into_owned()));
+        SMatrix::from_columns(&columns)
+    }
+
     /// Pose of the tip at joints `q` (m, rad), m.
     pub fn pose_at(&self, q: &Joints) -> Isometry3<f64> {
         self.base * self.settings.kinematics.forward(q)

@@ -1,8 +1,8 @@
-//! The interfaces `local`, `body` and `truth`: the tip as other frames see it.
+//! The interfaces `local`, `spatial`, `body` and `truth`: the tip as other frames see it.
 //!
 //! Invariant: reads only; what `truth` says is for tests, recorders and plots, never for a controller.
 
-use trocar_sdk::data::{CartesianState, Pose, Wrench};
+use trocar_sdk::data::{CartesianState, Pose, Twist, Wrench};
 use trocar_sdk::prelude::*;
 
 use super::{EyeRobot, EyeRobotState};
@@ -15,6 +15,28 @@ impl EyeRobot {
     #[read(name = "measured_cp")]
     fn local_measured_cp(s: &EyeRobotState) -> Pose {
         s.local_cp
+    }
+}
+
+/// The tip with the orientation of the base.
+#[provides("spatial")]
+impl EyeRobot {
+    /// Velocity of the tip.
+    #[read(name = "measured_cv")]
+    fn spatial_measured_cv(s: &EyeRobotState) -> Twist {
+        s.measured_cv
+    }
+
+    /// Force and torque of the hand on the handle; stamp 0 while there is no hand.
+    #[read(name = "measured_cf")]
+    fn spatial_measured_cf(s: &EyeRobotState) -> Wrench {
+        s.measured_cf
+    }
+
+    /// Joint velocities to the twist of the tip.
+    #[read(name = "jacobian")]
+    fn spatial_jacobian(s: &EyeRobotState) -> Jacobian {
+        s.spatial_jacobian
     }
 }
 

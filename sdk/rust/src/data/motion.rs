@@ -109,13 +109,16 @@ pub struct Transform {
     pub child: Text<32>,
 }
 
-/// One sample of an arm's stream: joints and tip of the same instant, so both carry the same stamp.
+/// One sample of an arm's stream: joints, tip and wrench of the same instant, so they carry the same stamp; a wrench that is not
+/// measured has stamp 0.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct ArmState {
     pub stamp: Stamp,
     pub measured_js: JointState,
     pub measured_cp: Pose,
+    /// As the read `measured_cf` of the arm.
+    pub measured_cf: Wrench,
 }
 
 named_values! {
