@@ -138,6 +138,7 @@ impl Remap {
         let mut x = 0;
         let taps = &self.taps[y * self.width..][..self.width];
         let pixels = row.as_chunks_mut::<N>().0;
+        let (bytes, stride) = (src.bytes(), src.stride());
         for span in &self.spans[self.rows[y]..self.rows[y + 1]] {
             let (Span::Inside(n) | Span::Rim(n) | Span::Outside(n)) = *span;
             let (taps, to) = (&taps[x..x + n], &mut pixels[x..x + n]);
@@ -145,12 +146,12 @@ impl Remap {
                 Span::Inside(_) => {
                     let done = match self.lanes {
                         Some(lanes) if N == 3 => {
-                            simd::remap_rgb(lanes, src.bytes(), src.stride(), taps, to.as_flattened_mut())
+                            simd::remap_rgb(lanes, bytes, stride, taps, to.as_flattened_mut())
                         }
                         _ => 0,
                     };
                     for (tap, to) in taps.iter().zip(to).skip(done) {
-                        *to = inside(src, tap);
+                        *to = inside(bytes, stride, tap);
                     }
                 }
                 Span::Rim(_) => taps.iter().zip(to).for_each(|(tap, to)| *to = rim(src, tap)),
@@ -161,13 +162,15 @@ impl Remap {
     }
 }
 
-/// Between four pixels, all of which are there.
+/// Between four pixels, all of which are there; rows of `bytes` begin every `stride` bytes.
 #[inline]
-fn inside<const N: usize>(src: &View<'_>, tap: &Tap) -> [u8; N] {
-    let (x, y) = (tap.x as usize, tap.y as usize);
-    let two =
-        |y: usize| src.row(y)[x * N..].first_chunk::<N>().zip(src.row(y)[(x + 1) * N..].first_chunk::<N>());
-    match two(y).zip(two(y + 1)) {
+fn inside<const N: usize>(bytes: &[u8], stride: usize, tap: &Tap) -> [u8; N] {
+    let at = tap.y as usize * stride + tap.x as usize * N;
+    let two = |at: usize| {
+        let (one, rest) = bytes.get(at..)?.split_first_chunk::<N>()?;
+        Some((one, rest.first_chunk::<N>()?))
+    };
+    match two(at).zip(two(at + stride)) {
         Some((above, below)) => blend([*above.0, *above.1, *below.0, *below.1], tap),
         // Not reached: an inside span has all four.
         None => [0; N],
