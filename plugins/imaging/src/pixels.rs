@@ -1,11 +1,13 @@
 //! Images of every format as red, green, blue, for people to look at.
 //!
-//! Invariant: quick rather than exact: colours of a mosaic are taken from its 2 × 2 squares, halves of 16 bits are dropped.
-//! Disparity and depth have [colours of their own](crate::nearness), scaled to what the frame holds.
+//! Invariant: colours are those that the filters make of the same pixels; lower halves of 16 bits are dropped. Disparity and
+//! depth have [colours of their own](crate::nearness), scaled to what the frame holds.
 
 use trocar_sdk::data::{BadFrame, ImageView, PixelFormat, StereoHeader};
 
 use crate::nearness::Scale;
+use crate::simd::Avx2;
+use crate::{debayer, yuyv};
 
 /// Which part of a pair is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,33 +73,24 @@ fn row(image: &ImageView<'_>, y: u32, scale: Scale, rgb: &mut Vec<u8>) {
             let levels = row.as_chunks::<2>().0.iter().map(|v| (u16::from_ne_bytes(*v) >> 8) as u8);
             rgb.extend(levels.flat_map(|v| [v; 3]));
         }
-        PixelFormat::YUYV => {
-            let pairs = row.as_chunks::<4>().0.iter();
-            rgb.extend(pairs.flat_map(|[y0, u, y1, v]| [of_yuv(*y0, *u, *v), of_yuv(*y1, *u, *v)]).flatten());
-            // An odd last pixel has no colour of its own.
-            if row.len() % 4 == 2 {
-                rgb.extend(of_yuv(row[row.len() - 2], 128, 128));
-            }
+        PixelFormat::YUYV => yuyv::row(Avx2::detect(), row, false, room(image, rgb)),
+        PixelFormat::BAYER_RG8 if image.width() > 1 && image.height() > 1 => {
+            let rows = debayer::neighbours(image.height() as usize, y as usize).map(|y| image.row(y as u32));
+            debayer::row(rows, y % 2 == 1, room(image, rgb));
         }
-        PixelFormat::BAYER_RG8 => {
-            let (upper, lower) = (image.row(y & !1), image.row((y | 1).min(image.height() - 1)));
-            let at = |row: &[u8], x: usize| row.get(x).or(row.last()).copied().unwrap_or(0);
-            for x in 0..row.len() {
-                let left = x & !1;
-                let green = (u16::from(at(upper, left + 1)) + u16::from(at(lower, left))) / 2;
-                rgb.extend([at(upper, left), green as u8, at(lower, left + 1)]);
-            }
-        }
+        // One row or column has no pattern.
+        PixelFormat::BAYER_RG8 => rgb.extend(row.iter().flat_map(|v| [*v; 3])),
         PixelFormat::DISPARITY16 | PixelFormat::DEPTH32F => scale.row(image.format(), row, rgb),
         // `images` has refused it.
         _ => rgb.extend(std::iter::repeat_n(0, 3 * image.width() as usize)),
     }
 }
 
-/// ITU-R BT.601, 16 to 235, in 1/256.
-fn of_yuv(y: u8, u: u8, v: u8) -> [u8; 3] {
-    let (y, u, v) = (298 * (i32::from(y) - 16), i32::from(u) - 128, i32::from(v) - 128);
-    [y + 409 * v, y - 100 * u - 208 * v, y + 516 * u].map(|c| ((c + 128) >> 8).clamp(0, 255) as u8)
+/// Room for one more row.
+fn room<'a>(image: &ImageView<'_>, rgb: &'a mut Vec<u8>) -> &'a mut [u8] {
+    let begin = rgb.len();
+    rgb.resize(begin + 3 * image.width() as usize, 0);
+    &mut rgb[begin..]
 }
 
 #[cfg(test)]
@@ -140,7 +133,8 @@ mod tests {
         let red = shown(&yuyv, &[82, 90, 82, 240, 0, 0, 0, 0], Part::Left);
         assert!(red[0] >= 254 && red[1] < 3 && red[2] < 3, "{red:?}");
         let mosaic = [10, 20, 40, 30, 0, 0, 0, 0];
-        assert_eq!(shown(&header(PixelFormat::BAYER_RG8, 2, 2), &mosaic, Part::Left), [10, 30, 30].repeat(4));
+        let colours = [[10, 30, 30], [10, 20, 30], [10, 40, 30], [10, 30, 30]].concat();
+        assert_eq!(shown(&header(PixelFormat::BAYER_RG8, 2, 2), &mosaic, Part::Left), colours);
     }
 
     #[test]
@@ -173,10 +167,29 @@ mod tests {
     #[test]
     fn odd_sizes_of_formats_in_pairs_are_shown_without_a_panic() {
         for format in [PixelFormat::YUYV, PixelFormat::BAYER_RG8] {
-            let header = header(format, 3, 3);
-            let bytes = vec![100; 2 * header.right_offset as usize];
-            assert_eq!(shown(&header, &bytes, Part::Right).len(), 27, "{format:?}");
+            for (width, height) in [(3, 3), (1, 1), (1, 4), (4, 1), (2, 3)] {
+                let header = header(format, width, height);
+                let bytes = vec![100; 2 * header.right_offset as usize];
+                let pixels = shown(&header, &bytes, Part::Right);
+                assert_eq!(pixels.len() as u32, 3 * width * height, "{format:?} {width} × {height}");
+            }
         }
+    }
+
+    #[test]
+    fn a_mosaic_and_yuyv_look_as_the_filters_make_them() {
+        #[rustfmt::skip]
+        let mosaic = [
+            10, 20, 31,
+            40, 50, 60,
+            70, 81, 90,
+        ];
+        let mono = StereoHeader { right_offset: 0, ..header(PixelFormat::BAYER_RG8, 3, 3) };
+        let pixels = shown(&mono, &mosaic, Part::Left);
+        assert_eq!((&pixels[12..15], &pixels[3..6]), (&[50, 50, 50][..], &[21, 20, 50][..]));
+        let mono = StereoHeader { right_offset: 0, ..header(PixelFormat::YUYV, 2, 1) };
+        let pixels = shown(&mono, &[81, 90, 41, 240], Part::Left);
+        assert_eq!(pixels, [yuyv::pixel(81, 90, 240), yuyv::pixel(41, 90, 240)].concat());
     }
 
     #[test]
