@@ -1,4 +1,4 @@
-//! Pairs of the simulated eye without a tool, drawn by a thread before they are due.
+//! What threads do for the simulated source before it is due: the picture at rest, and pairs without a tool.
 //!
 //! Invariant: a bare pair is a function of its stamp and number, so it is the same whoever draws it, and when. The step neither
 //! waits nor wakes: it asks, and later takes what is there.
@@ -10,6 +10,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use trocar_imaging::side;
+use trocar_phantom::World;
+use trocar_phantom::camera::Rig;
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::prelude::*;
 
@@ -93,6 +95,32 @@ impl Drop for Ahead {
     fn drop(&mut self) {
         self.ends.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A picture at rest in the making: on an ordinary thread, which may use all processors.
+pub(crate) struct Tracing(Option<JoinHandle<Renderer>>);
+
+impl Tracing {
+    /// # Errors
+    /// The system has no thread for it.
+    pub(crate) fn begin(name: &str, world: World, rig: Rig) -> Result<Tracing> {
+        let thread = side::spawn(name, move || Renderer::new(world, rig));
+        Ok(Tracing(Some(thread.map_err(|why| format!("no thread to trace the picture at rest: {why}"))?)))
+    }
+
+    /// Waits for it; none when it panicked.
+    pub(crate) fn done(mut self) -> Option<Renderer> {
+        self.0.take()?.join().ok()
+    }
+}
+
+impl Drop for Tracing {
+    /// No thread outlives the code that it runs.
+    fn drop(&mut self) {
+        if let Some(thread) = self.0.take() {
             let _ = thread.join();
         }
     }

@@ -5,14 +5,13 @@
 //! would have been drawn.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use trocar_imaging::side;
 use trocar_phantom::World;
 use trocar_phantom::camera::{BASELINE_M, Lens, Rig, Tool};
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::data::{CameraGeometry, CartesianState, ImageHeader, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
-use crate::ahead::Ahead;
+use crate::ahead::{Ahead, Tracing};
 use crate::mosaic;
 
 /// Frames of the output's pool: one in the making, the rest held by readers.
@@ -115,6 +114,7 @@ pub struct PhantomSource {
     #[host]
     host: Host,
     ahead: Option<Ahead>,
+    tracing: Option<Tracing>,
     renderer: Option<Renderer>,
     /// What the renderer was made of.
     made_of: Option<(World, Rig)>,
@@ -152,6 +152,13 @@ impl PhantomSource {
     /// Begins to draw ahead.
     fn begin(&mut self) -> Result {
         self.ahead = None;
+        if let Some(tracing) = self.tracing.take() {
+            self.renderer = tracing.done();
+            if self.renderer.is_none() {
+                self.made_of = None;
+                return Err("tracing the picture at rest panicked: configure the source again".into());
+            }
+        }
         if let Some(renderer) = &self.renderer {
             self.ahead = Some(Ahead::start(&format!("{} ahead", self.own_name()), renderer.twin())?);
         }
@@ -231,11 +238,10 @@ impl Component for PhantomSource {
             self.disparity.reserve(2 * width * height, SLOTS)?;
             self.units = vec![0; width * height];
         }
-        // Tracing takes some tenths of a second: what is the same is kept. An ordinary thread may use all processors.
+        // Tracing takes some tenths of a second, so what is the same is kept, and the rest is waited for when it is needed.
         if self.made_of != Some((world, rig)) {
-            let tracing =
-                side::spawn(&format!("{} trace", self.own_name()), move || Renderer::new(world, rig))?;
-            self.renderer = Some(tracing.join().map_err(|_| "tracing the picture at rest panicked")?);
+            (self.renderer, self.made_of) = (None, None);
+            self.tracing = Some(Tracing::begin(&format!("{} trace", self.own_name()), world, rig)?);
             self.made_of = Some((world, rig));
         }
         self.geometry = CameraGeometry { width: width as u32, height: height as u32, fps: 0.0 };
