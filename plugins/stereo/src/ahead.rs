@@ -15,8 +15,9 @@ use trocar_phantom::camera::Rig;
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::prelude::*;
 
-/// Buffers that go round: one with the step, one being drawn.
-const BUFFERS: usize = 2;
+/// Buffers that go round. With one there is no wish while an earlier one is not fulfilled: on a busy machine, where the step draws
+/// what is late itself, nothing piles up.
+const BUFFERS: usize = 1;
 /// How often the thread looks whether it is asked.
 const LOOKS: Duration = Duration::from_millis(1);
 
