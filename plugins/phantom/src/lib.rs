@@ -10,6 +10,7 @@ pub mod camera;
 pub mod eye;
 pub mod forces;
 pub mod hand;
+mod lamp;
 pub mod motion;
 pub mod noise;
 pub mod render;
@@ -20,8 +21,9 @@ mod shadow;
 mod spans;
 pub mod spectra;
 pub mod tissue;
+mod tool;
 mod world;
 
-pub use backdrop::Lamp;
 pub use hand::Hand;
+pub use lamp::Lamp;
 pub use world::{Below, World};

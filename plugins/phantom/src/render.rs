@@ -9,8 +9,9 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use crate::backdrop::{Backdrop, Lamp};
+use crate::backdrop::Backdrop;
 use crate::camera::{Rig, Tool};
+use crate::lamp::Lamp;
 use crate::rows::{NOISE_PLACES, PARTS, Work};
 use crate::world::World;
 

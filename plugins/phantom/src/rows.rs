@@ -6,8 +6,9 @@ use std::ops::Range;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::backdrop::{Backdrop, Lamp, Warp};
+use crate::backdrop::{Backdrop, Warp};
 use crate::camera::{Camera, Tool, WORKING_DISTANCE_M};
+use crate::lamp::Lamp;
 use crate::noise::Noise;
 use crate::render::Scene;
 use crate::shadow;
