@@ -1,7 +1,8 @@
 //! What the reference arm alone gives: subtracted from each line, so that only interference is left.
 //!
 //! Invariant: no fringe of a surface gets into it. What is followed while it runs is smoothed over a sixteenth of the line
-//! three times, which takes every fringe of more than 40 periods down below 1/300.
+//! three times, which takes every fringe of more than 40 periods down below 1/300; while a nearer surface is there, nothing is
+//! followed.
 
 /// Each so many lines the drift is looked at.
 const EVERY: u32 = 64;
@@ -24,6 +25,7 @@ pub struct Background {
     wanted: u32,
     taken: u32,
     known: bool,
+    frozen: bool,
     lines: u32,
     work: [Vec<f32>; 2],
 }
@@ -59,6 +61,16 @@ impl Background {
         self.wanted - self.taken
     }
 
+    /// The next line will be looked at for drift.
+    pub fn is_due(&self) -> bool {
+        self.lines.is_multiple_of(EVERY)
+    }
+
+    /// Follows no drift, or follows it again.
+    pub fn freeze(&mut self, frozen: bool) {
+        self.frozen = frozen;
+    }
+
     /// Looks at one line of good light. True when a capture has ended with it.
     pub fn see(&mut self, line: &[f32]) -> bool {
         if line.len() != self.now.len() {
@@ -79,7 +91,7 @@ impl Background {
         if !self.known {
             self.captured.copy_from_slice(line);
             self.begin(true);
-        } else if self.lines.is_multiple_of(EVERY) && !done {
+        } else if self.is_due() && !self.frozen && !done {
             smooth(line, &mut self.work);
             for (i, new) in self.work[0].iter().enumerate() {
                 self.smooth_now[i] += SHARE * (new - self.smooth_now[i]);

@@ -14,6 +14,13 @@ use crate::background::Background;
 use crate::decibel::{SILENT_DB, decibel};
 use crate::dispersion::{Dispersion, Window, fill_filter};
 use crate::grid::{Grid, Interpolation, Tap, resample};
+use crate::surface::{Rule, first_surface};
+
+/// A surface in these bins has fringes that the smoothed background does not leave out: nearer ones are not told from what the
+/// reference arm itself leaves.
+const NEAR: std::ops::Range<usize> = 8..48;
+/// So many dB above the noise it is one.
+const NEAR_DB: f32 = 10.0;
 
 /// What is said of a line before it is looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,6 +160,11 @@ impl Chain {
         self.transform.run(&self.linear, &self.filter);
         for (db, x) in ascan.iter_mut().zip(&self.transform.buffer) {
             *db = decibel(x.re * x.re + x.im * x.im);
+        }
+        if self.background.is_due() {
+            let rule = Rule { first_bin: NEAR.start, above_db: NEAR_DB, ..Rule::default() };
+            let near = first_surface(ascan, &rule).is_some_and(|surface| surface.bin < NEAR.end as f32);
+            self.background.freeze(near);
         }
         Ok(light)
     }

@@ -51,6 +51,30 @@ fn echo(path_m: f64, amplitude: f64) -> Echo {
 }
 
 #[test]
+fn a_surface_near_the_tip_does_not_fade_into_the_background_that_is_followed() {
+    let mut all = Simulated::new(Optics::with_samples(1024));
+    // In bin 10: its fringes are as slow as what a drift of the source changes.
+    let near = [echo(35e-6, 1.0)];
+    all.line(&near, 1);
+    let first = all.ascan[8..13].iter().copied().fold(f32::MIN, f32::max);
+    for index in 2..64 * 150 {
+        all.line(&near, index);
+    }
+    let last = all.ascan[8..13].iter().copied().fold(f32::MIN, f32::max);
+    assert!((last - first).abs() < 0.1, "{first} dB became {last} dB");
+    // A surface further away lets the background be followed.
+    let far = [echo(600e-6, 1.0)];
+    for index in 0..70 {
+        all.line(&far, 20_000 + index);
+    }
+    let before = all.chain.background().counts().to_vec();
+    for index in 0..70 {
+        all.line(&far, 21_000 + index);
+    }
+    assert_ne!(before, all.chain.background().counts());
+}
+
+#[test]
 fn the_a_scan_is_that_of_numpy_within_a_twentieth_of_a_decibel() {
     let text = include_str!("../tests/ascan_reference.txt");
     let mut lines = text.lines().skip(1);
