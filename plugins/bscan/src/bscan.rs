@@ -22,7 +22,8 @@ use crate::poses::Poses;
 
 /// Frames of each output's pool.
 const SLOTS: u32 = 6;
-/// The loop is not closed above this delay, s. The prediction is stable to 10 ms.
+/// The loop is not closed above this measured delay, from exposure to step and from robot to step, s. The prediction is stable to
+/// 10 ms.
 const LONGEST_DELAY_S: f64 = 0.012;
 /// A surface that was not seen for this long ends a scan, s.
 const SURFACE_LOST_S: f64 = 0.05;
@@ -51,6 +52,10 @@ pub(crate) struct BScanConfig {
     /// The same, summed up over time
     #[config(live, min = 0.0, max = 2000.0, unit = "1/s^2", default = 100.0)]
     ki_per_s2: f64,
+    /// How long the robot takes to answer a velocity: the lag of its drive and a period. With the measured delays it bounds the
+    /// gains
+    #[config(live, min = 0.0, max = 0.1, unit = "s", default = 0.009)]
+    robot_lag_s: f64,
     /// Highest speed along the tool
     #[config(live, min = 1e-5, max = 0.01, unit = "m/s", default = 0.005)]
     max_speed_m_s: f64,
@@ -88,13 +93,15 @@ pub(crate) struct BScanConfig {
 }
 
 impl BScanConfig {
-    fn depth(&self) -> Settings {
+    /// For a loop that takes `delay_s` in all.
+    fn depth(&self, delay_s: f64) -> Settings {
         Settings {
             kp_per_s: self.kp_per_s,
             ki_per_s2: self.ki_per_s2,
             max_speed_m_s: self.max_speed_m_s,
             approach_m_s: self.approach_m_s,
             min_distance_m: self.min_distance_m,
+            delay_s,
             ..Settings::default()
         }
     }
@@ -158,6 +165,8 @@ pub struct BScan {
     cfg: BScanConfig,
     depth: Depth,
     pose: Pose,
+    /// Age of the robot's poses when they come, mean, s.
+    hop_s: f64,
     /// As the robot told last.
     robot: OperatingState,
     /// Along the line, m.
@@ -258,7 +267,7 @@ impl BScan {
                 1e6 * self.cfg.min_distance_m
             ));
         }
-        let delay_s = self.progress.delay;
+        let delay_s = self.progress.delay + self.hop_s;
         if delay_s > LONGEST_DELAY_S {
             return Err(format!(
                 "the loop's delay is {:.1} ms, and above {:.0} ms it is not closed: bring source, tracker and robot nearer \
@@ -319,6 +328,7 @@ impl BScan {
         {
             self.pose = pose;
             self.poses.push(pose);
+            self.hop_s += DELAY_SHARE * (now.seconds_since(pose.stamp).max(0.0) - self.hop_s);
             self.since.robot = now;
             self.depth.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
             if let Some(line) = &self.line {
@@ -337,6 +347,7 @@ impl BScan {
         let delay_s = now.seconds_since(seen.stamp);
         let share = if std::mem::replace(&mut self.since.delay_known, true) { DELAY_SHARE } else { 1.0 };
         self.progress.delay += share * (delay_s - self.progress.delay);
+        self.progress.loop_delay = self.progress.delay + self.hop_s + self.cfg.robot_lag_s;
         if !seen.valid.get() {
             return;
         }
@@ -365,11 +376,12 @@ impl BScan {
                 "the surface was not seen for 50 ms"
             });
         }
-        if self.progress.delay > LONGEST_DELAY_S {
+        if self.progress.delay + self.hop_s > LONGEST_DELAY_S {
             return Err("the loop's delay is above 12 ms");
         }
         let offset_m = line.offset_m + self.retracted_m(now);
-        let Some(advice) = self.depth.advise(now.ns(), dt_s, offset_m, &self.cfg.depth()) else {
+        let settings = self.cfg.depth(self.progress.loop_delay);
+        let Some(advice) = self.depth.advise(now.ns(), dt_s, offset_m, &settings) else {
             // The robot is late: it stands until it is here again, or is lost.
             self.send(now, [0.0; 3], [0.0; 3]);
             return Ok(());
@@ -512,7 +524,7 @@ impl Component for BScan {
         (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
         self.robot = OperatingState::default();
         self.depth = Depth::default();
-        (self.poses, self.rolled) = (Poses::default(), 0);
+        (self.poses, self.rolled, self.hop_s) = (Poses::default(), 0, 0.0);
         Ok(())
     }
 

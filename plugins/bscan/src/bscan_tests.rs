@@ -51,15 +51,19 @@ fn over_an_eye_at_rest_the_offset_is_kept_within_a_micrometre_for_twenty_seeds()
     }
 }
 
+/// The end of a line of 1 mm, over a patch of the membrane.
+const SHORT_M: f64 = -0.5e-3;
+
 #[test]
-fn delays_of_five_and_ten_milliseconds_leave_the_loop_stable() {
-    for (latency_ns, most) in [(2_000_000, 5.0e-6), (5_000_000, 5.5e-6), (10_000_000, 6.5e-6)] {
-        for seed in 1..=3 {
-            let (rms, largest, nearest) =
-                Rig::run(Setup { latency_ns, ..Setup::new("default", seed) }).errors();
+fn delays_of_two_five_and_ten_milliseconds_leave_the_loop_stable_for_twenty_seeds() {
+    // The design's 3.89, 4.00 and 4.24 µm, and 30 % of them.
+    for (latency_ns, most) in [(2_000_000, 5.0e-6), (5_000_000, 5.2e-6), (10_000_000, 5.5e-6)] {
+        for seed in SEEDS {
+            let setup = Setup { latency_ns, end_m: SHORT_M, ..Setup::new("default", seed) };
+            let (rms, largest, nearest) = Rig::run(setup).errors();
             println!("latency {latency_ns} ns seed {seed}: rms {rms:.3e} largest {largest:.3e}");
             assert!(
-                rms <= most && largest <= 40e-6,
+                rms <= most && largest <= 30e-6,
                 "{latency_ns} ns: rms {rms:.2e} m, largest {largest:.2e} m"
             );
             assert!(nearest > NEAREST_M);
@@ -76,9 +80,9 @@ fn above_twelve_milliseconds_of_delay_the_loop_is_not_closed() {
 }
 
 #[test]
-fn a_fifth_of_the_signal_loses_some_lines_and_the_scan_goes_on() {
-    for seed in 1..=3 {
-        let rig = Rig::run(Setup { signal: 0.2, ..Setup::new("default", seed) });
+fn a_fifth_of_the_signal_loses_some_lines_and_the_scan_goes_on_for_twenty_seeds() {
+    for seed in SEEDS {
+        let rig = Rig::run(Setup { signal: 0.2, end_m: SHORT_M, ..Setup::new("default", seed) });
         let (rms, largest, nearest) = rig.errors();
         let scan = || rig.truth.iter().filter(|t| t.scanning);
         let lost = scan().filter(|t| !t.measured.valid.get()).count();
@@ -86,8 +90,10 @@ fn a_fifth_of_the_signal_loses_some_lines_and_the_scan_goes_on() {
             "signal 0.2 seed {seed}: rms {rms:.3e} largest {largest:.3e} lost {lost} of {}",
             scan().count()
         );
-        assert!((1..2400).contains(&lost), "seed {seed}: {lost} lines lost");
-        assert!(rms <= 15e-6 && nearest > NEAREST_M, "seed {seed}: rms {rms:.2e} m");
+        assert!((1..scan().count() / 10).contains(&lost), "seed {seed}: {lost} lines lost");
+        // The design's 7.32 and 46 µm, and 30 % of them.
+        assert!(rms <= 9.5e-6 && largest <= 60e-6, "seed {seed}: rms {rms:.2e} m, largest {largest:.2e} m");
+        assert!(nearest > NEAREST_M, "seed {seed}");
         assert_eq!(rig.bench_done(), 1);
     }
 }
@@ -95,22 +101,22 @@ fn a_fifth_of_the_signal_loses_some_lines_and_the_scan_goes_on() {
 #[test]
 fn an_eye_that_jumps_by_fifty_micrometres_is_caught_within_a_tenth_of_a_second() {
     for by_m in [50e-6, -50e-6] {
-        for seed in 1..=5 {
+        for seed in SEEDS {
             let mut setup = Setup::new("static_no_membrane", seed);
             let mut rig = Rig::new(setup);
-            let at_s = rig.bench.now().ns() as f64 * 1e-9 + 3.0;
+            let at_s = rig.bench.now().ns() as f64 * 1e-9 + 1.0;
             setup.world = setup.world.with_step(at_s, by_m);
             rig.setup = setup;
             rig.begin();
             rig.until_scanning();
-            rig.steps(4000);
+            rig.steps(2000);
             let late = |t: &&crate::rig::Truth| {
                 let since = t.ns as f64 * 1e-9 - at_s;
-                t.scanning && (0.1..1.5).contains(&since)
+                t.scanning && (0.1..1.0).contains(&since)
             };
             let largest =
                 rig.truth.iter().filter(late).map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
-            assert!(rig.truth.iter().filter(late).count() > 4000, "the step was not in the scan");
+            assert!(rig.truth.iter().filter(late).count() > 3000, "the step was not in the scan");
             assert!(largest < 5e-6, "seed {seed} by {by_m:e}: {largest:.2e} m after 100 ms");
             assert!(rig.errors().2 > NEAREST_M);
         }
@@ -119,14 +125,14 @@ fn an_eye_that_jumps_by_fifty_micrometres_is_caught_within_a_tenth_of_a_second()
 
 #[test]
 fn a_surface_hidden_for_twenty_lines_makes_the_tip_move_nowhere_it_should_not() {
-    for seed in 1..=5 {
+    for seed in SEEDS {
         let mut rig = Rig::new(Setup::new("default", seed));
         rig.begin();
         rig.until_scanning();
-        rig.steps(1500);
+        rig.steps(200 + 40 * seed as usize);
         rig.dark_until_ns = rig.bench.now().ns() + 20 * 250_000;
         let from = rig.truth.len();
-        rig.steps(200);
+        rig.steps(60);
         let largest = rig.truth[from..].iter().map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
         assert!(largest < 50e-6, "seed {seed}: {largest:.2e} m");
         assert_eq!(rig.progress().phase, Phase::SCAN);
@@ -287,47 +293,91 @@ fn a_tip_nearer_than_the_least_distance_ends_the_scan() {
     assert_eq!(told, ["the tip is nearer to the surface than min_distance_m"]);
 }
 
-#[test]
-fn the_image_shows_surface_and_layers_where_they_are() {
-    for world in ["no_membrane", "static_no_membrane"] {
-        let mut rig = Rig::run(Setup { images: true, ..Setup::new(world, 7) });
+/// Where the phantom has layers below its surface, and where it has none, m of optical path.
+const LAYERS_M: [f64; 3] = [35e-6, 90e-6, 240e-6];
+const NO_LAYERS_M: [f64; 4] = [62e-6, 140e-6, 185e-6, 300e-6];
+const BIN_M: f64 = 3.5117e-6;
+
+/// An image of a scan, and where its columns have the surface in truth, in rows.
+struct Seen {
+    pixels: Vec<u8>,
+    width: usize,
+    truth: Vec<f64>,
+}
+
+impl Seen {
+    fn of(setup: Setup) -> Seen {
+        let mut rig = Rig::run(Setup { images: true, ..setup });
         let (header, pixels, _) = rig.bench.frames::<ImageHeader>("bscan_image").pop().unwrap();
-        let (width, rows) = (header.width as usize, header.height as usize);
-        assert_eq!((width, rows, header.stride, pixels.len()), (500, 512, 500, 500 * 512));
+        let width = header.width as usize;
+        let wanted = ((setup.end_m + 1.5e-3) / 6e-6).round() as usize;
+        assert_eq!((width, header.height, header.stride as usize), (wanted, 512, wanted));
+        assert_eq!(pixels.len(), width * 512);
         let columns = rig.bench.outputs::<ScanColumn>("column");
-        assert_eq!(columns.len(), 500, "every column is there");
-        assert!(columns.iter().enumerate().all(|(i, c)| c.column == i as u32 && c.lines > 0));
+        assert!(columns.iter().map(|c| c.column as usize).eq(0..width), "every column is there");
+        assert!(columns.iter().all(|c| c.lines > 0));
         let done = rig.bench.events::<ScanDone>("scan/bscan_done");
-        assert_eq!(done, [ScanDone { scan: 1, columns: 500, empty: 0 }]);
-        let bin_m = 3.5117e-6;
-        let mut squares = 0.0;
-        let mut layers = [0.0; 3];
-        for column in 0..width {
-            let at = |row: usize| f64::from(pixels[row * width + column]);
-            let begin = -1.5e-3 + column as f64 * 6e-6;
-            let inside = |t: &&crate::rig::Truth| t.scanning && (begin..begin + 6e-6).contains(&t.x_m);
-            let (mut sum, mut count) = (0.0, 0.0);
-            for t in rig.truth.iter().filter(inside) {
-                sum += t.ilm_m * 1.336 / bin_m;
-                count += 1.0;
-            }
-            let truth = sum / count;
-            let peak = |around: f64, reach: f64| {
-                let rows = (around - reach).round() as usize..=(around + reach).round() as usize;
-                let best = rows.max_by(|a, b| at(*a).total_cmp(&at(*b))).unwrap();
-                let (a, b, c) = (at(best - 1), at(best), at(best + 1));
-                best as f64 + if a - 2.0 * b + c < 0.0 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 }
-            };
-            let surface = peak(truth, 5.0);
-            squares += (surface - truth).powi(2);
-            for (layer, below_m) in layers.iter_mut().zip([35e-6, 90e-6, 240e-6]) {
-                *layer += (peak(surface + below_m / bin_m, 4.0) - surface - below_m / bin_m) / width as f64;
+        assert_eq!(done, [ScanDone { scan: 1, columns: width as u32, empty: 0 }]);
+        let mut sums = vec![(0.0, 0.0); width];
+        for t in rig.truth.iter().filter(|t| t.scanning && t.x_m >= -1.5e-3) {
+            if let Some((sum, count)) = sums.get_mut(((t.x_m + 1.5e-3) / 6e-6) as usize) {
+                *sum += t.ilm_m * 1.336 / BIN_M;
+                *count += 1.0;
             }
         }
-        let rms = (squares / width as f64).sqrt();
-        println!("{world}: surface rms {rms:.3} rows, layers off by {layers:.3?} bins");
-        assert!(rms <= 1.0, "surface rows off by {rms:.2} rms");
-        assert!(layers.iter().all(|off| off.abs() <= 1.0), "layers off by {layers:?} bins");
+        Seen { pixels, width, truth: sums.iter().map(|(sum, count)| sum / count).collect() }
+    }
+
+    fn at(&self, column: usize, row: usize) -> f64 {
+        f64::from(self.pixels[row * self.width + column])
+    }
+
+    /// Row of the brightest place of a column within `reach` rows around one.
+    fn peak(&self, column: usize, around: f64, reach: f64) -> f64 {
+        let rows = (around - reach).round() as usize..=(around + reach).round() as usize;
+        let best = rows.max_by(|a, b| self.at(column, *a).total_cmp(&self.at(column, *b))).unwrap();
+        let [a, b, c] = [best - 1, best, best + 1].map(|row| self.at(column, row));
+        best as f64 + if a - 2.0 * b + c < 0.0 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 }
+    }
+
+    /// Does a column have a layer of its own so far below the surface: within a row a local maximum, 5 dB above what lies
+    /// four rows above and below it?
+    fn has_layer(&self, column: usize, below_m: f64) -> bool {
+        let wanted = self.truth[column] + below_m / BIN_M;
+        let place = self.peak(column, wanted, 2.0);
+        let row = place.round() as usize;
+        let beside = self.at(column, row - 4).max(self.at(column, row + 4));
+        // Grey from 40 to 100 dB.
+        (place - wanted).abs() <= 1.0 && self.at(column, row) - beside > 5.0 * 255.0 / 60.0
+    }
+
+    /// Part of the columns with a layer so far below the surface.
+    fn part(&self, below_m: f64) -> f64 {
+        (0..self.width).filter(|column| self.has_layer(*column, below_m)).count() as f64 / self.width as f64
+    }
+
+    fn judge(&self, what: &str) {
+        let surface = |column| self.peak(column, self.truth[column], 5.0) - self.truth[column];
+        let rms = ((0..self.width).map(|c| surface(c).powi(2)).sum::<f64>() / self.width as f64).sqrt();
+        let there = LAYERS_M.map(|below_m| self.part(below_m));
+        let absent = NO_LAYERS_M.map(|below_m| self.part(below_m));
+        println!(
+            "{what}: surface rms {rms:.3} rows, layers in {there:.3?}, none in {absent:.3?} of the columns"
+        );
+        assert!(rms <= 1.0, "{what}: surface rows off by {rms:.2} rms");
+        assert!(there.iter().all(|part| *part >= 0.99), "{what}: layers in {there:.3?} of the columns");
+        assert!(absent.iter().all(|part| *part <= 0.01), "{what}: layers that are not, in {absent:.3?}");
+    }
+}
+
+#[test]
+fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_none() {
+    for world in ["no_membrane", "static_no_membrane"] {
+        Seen::of(Setup::new(world, 7)).judge(world);
+    }
+    for seed in SEEDS {
+        let setup = Setup { end_m: -1.2e-3, ..Setup::new("no_membrane", seed) };
+        Seen::of(setup).judge(&format!("seed {seed}"));
     }
 }
 

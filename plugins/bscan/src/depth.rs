@@ -18,6 +18,8 @@ pub struct Settings {
     pub approach_m_s: f64,
     /// The tip never goes nearer than this, m.
     pub min_distance_m: f64,
+    /// Of the whole loop, from the exposure to the tip's answer, s; bounds the gains.
+    pub delay_s: f64,
     /// Without a new surface the tip follows the last velocity for this long, s; then it stands still.
     pub coast_s: f64,
 }
@@ -30,11 +32,15 @@ impl Default for Settings {
             max_speed_m_s: 5e-3,
             approach_m_s: 0.5e-3,
             min_distance_m: 150e-6,
+            delay_s: 0.0,
             coast_s: 0.015,
         }
     }
 }
 
+/// Highest gain times the loop's delay: 90° − 0.5 rad leave a margin of 61° to an integrator (Åström, Murray, *Feedback Systems*,
+/// 2008, ch. 9.3).
+const GAIN_DELAY: f64 = 0.5;
 /// Speed per distance to the forbidden region, 1/s: the drive brakes within a few ms.
 const GUARD_PER_S: f64 = 40.0;
 /// A surface that is further from where it was expected is none, m: no eye moves so far between two looks, and the next layer
@@ -112,15 +118,19 @@ impl Depth {
             return Some(Advice { speed_m_s: 0.0, distance_m, age_s, blind: true });
         }
         let error_m = distance_m - offset_m;
+        let fastest_per_s = if s.delay_s > 0.0 { GAIN_DELAY / s.delay_s } else { f64::INFINITY };
+        let kp_per_s = s.kp_per_s.min(fastest_per_s);
+        // Twice the same root: above it the sum would swing.
+        let ki_per_s2 = s.ki_per_s2.min(0.25 * kp_per_s * kp_per_s);
         if error_m.abs() < SMALL_M {
-            self.integral_m_s += s.ki_per_s2 * error_m * dt_s;
+            self.integral_m_s += ki_per_s2 * error_m * dt_s;
             // It makes up for what the prediction lacks, which is never much.
             self.integral_m_s = self.integral_m_s.clamp(-s.approach_m_s, s.approach_m_s);
         }
         // Away from the surface at any speed, towards it slowly.
-        let towards = (s.kp_per_s * error_m).clamp(-s.max_speed_m_s, s.approach_m_s);
+        let towards = (kp_per_s * error_m).clamp(-s.max_speed_m_s, s.approach_m_s);
         let wanted = place.velocity_m_s + towards + self.integral_m_s;
-        let allowed = place.velocity_m_s + GUARD_PER_S * (distance_m - s.min_distance_m);
+        let allowed = place.velocity_m_s + GUARD_PER_S.min(fastest_per_s) * (distance_m - s.min_distance_m);
         let speed_m_s = wanted.min(allowed).clamp(-s.max_speed_m_s, s.max_speed_m_s);
         Some(Advice { speed_m_s, distance_m, age_s, blind: false })
     }
@@ -169,6 +179,23 @@ mod tests {
         assert!(depth.jump_m(18_500_000, 491e-6) < 1e-12, "{:e}", depth.jump_m(18_500_000, 491e-6));
         assert!((depth.jump_m(18_500_000, 671e-6) - 180e-6).abs() < 1e-12);
         assert_eq!(Depth::default().jump_m(1, 1.0), 0.0);
+    }
+
+    #[test]
+    fn the_gains_give_way_to_the_delay_of_the_loop() {
+        let speed = |kp_per_s: f64, delay_s: f64| {
+            let approach_m_s = 5e-3;
+            let s = Settings { kp_per_s, delay_s, approach_m_s, ki_per_s2: 0.0, ..Settings::default() };
+            seen(510e-6, 0.0).advise(9_000_000, 1e-3, 500e-6, &s).expect("known").speed_m_s
+        };
+        let gain = |kp_per_s: f64, delay_s: f64| speed(kp_per_s, delay_s) / 10e-6;
+        assert!((gain(30.0, 0.0095) - 30.0).abs() < 1e-6, "the usual loop keeps its gain");
+        assert!((gain(100.0, 0.020) - 25.0).abs() < 1e-6, "{}", gain(100.0, 0.020));
+        assert!((gain(100.0, 0.0) - 100.0).abs() < 1e-6);
+        // The sum, too: 2000 /s² with 25 /s would swing.
+        let s = Settings { kp_per_s: 100.0, ki_per_s2: 2000.0, delay_s: 0.02, ..Settings::default() };
+        let summed = seen(510e-6, 0.0).advise(9_000_000, 1e-3, 500e-6, &s).expect("known").speed_m_s;
+        assert!((summed - 10e-6 * (25.0 + 156.25e-3)).abs() < 1e-12, "{summed}");
     }
 
     #[test]

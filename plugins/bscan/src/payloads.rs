@@ -66,6 +66,9 @@ pub struct Progress {
     /// From the middle of an exposure to the step that sees its distance, mean.
     #[unit("s")]
     pub delay: f64,
+    /// Of the whole loop: that, the age of the robot's pose (the hop from there), and the robot's own lag as configured.
+    #[unit("s")]
+    pub loop_delay: f64,
 }
 
 /// A column of an image is there. That of an M-scan has scan 0, and counts from Start.
