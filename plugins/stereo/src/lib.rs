@@ -15,12 +15,14 @@ mod mosaic;
 pub mod pairs;
 mod phantom_source;
 mod pipe_source;
+mod scenery;
 mod v4l2;
 
 pub use camera::Camera;
 pub use image_source::ImageSource;
 pub use live::Sent;
-pub use phantom_source::{PhantomSource, StereoGeometry};
+pub use phantom_source::PhantomSource;
 pub use pipe_source::PipeSource;
+pub use scenery::StereoGeometry;
 
 trocar_sdk::trocar_plugin!(ImageSource, PhantomSource, PipeSource, Camera);

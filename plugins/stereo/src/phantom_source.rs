@@ -4,15 +4,16 @@
 //! stamp, which is never in the future, and the tool stands where its last sample says it is by then. What is drawn ahead is what
 //! would have been drawn.
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Vector3};
 use trocar_phantom::World;
-use trocar_phantom::camera::{BASELINE_M, Lens, Rig, Tool};
+use trocar_phantom::camera::{Rig, Tool};
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::data::{CameraGeometry, CartesianState, ImageHeader, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use crate::ahead::{Ahead, Tracing};
 use crate::mosaic;
+use crate::scenery::{StereoGeometry, carried, geometry};
 
 /// Frames of the output's pool: one in the making, the rest held by readers.
 const SLOTS: u32 = 6;
@@ -52,29 +53,6 @@ pub(crate) struct PhantomSourceConfig {
     /// How much of the tool's shaft is drawn
     #[config(min = 0.001, max = 0.1, unit = "m", default = 0.025)]
     tool_length_m: f64,
-}
-
-/// What leads from a disparity to a distance, and from a pixel to a direction.
-#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
-#[repr(C)]
-pub struct StereoGeometry {
-    #[unit("px")]
-    pub focal_px: f64,
-    /// From the left camera to the right one.
-    #[unit("m")]
-    pub baseline_m: f64,
-    /// Of a rectified pair: distance = focal_px · baseline_m / (disparity + offset_px), disparity being the left column less
-    /// the right one; 0 of another pair.
-    #[unit("px")]
-    pub offset_px: f64,
-    /// Where the axis meets the left image: column, row.
-    #[unit("px")]
-    pub centre_left_px: [f64; 2],
-    /// As above, of the right image.
-    #[unit("px")]
-    pub centre_right_px: [f64; 2],
-    /// Lens errors k1, k2, p1, p2 of both cameras, as OpenCV names them.
-    pub lens: [f64; 4],
 }
 
 /// Takes stereo pairs of the simulated eye, at the rate of its execution.
@@ -186,32 +164,6 @@ impl PhantomSource {
             length_m: self.cfg.tool_length_m.max(2.0 * self.cfg.tool_radius_m),
         })
     }
-}
-
-fn geometry(rig: &Rig) -> StereoGeometry {
-    let [left, right] = &rig.cameras;
-    let Lens { k1, k2, p1, p2 } = left.lens;
-    StereoGeometry {
-        focal_px: left.focal_px,
-        baseline_m: BASELINE_M,
-        offset_px: if rig.rectified { right.centre_px[0] - left.centre_px[0] } else { 0.0 },
-        centre_left_px: left.centre_px,
-        centre_right_px: right.centre_px,
-        lens: [k1, k2, p1, p2],
-    }
-}
-
-/// A tip's pose, moved on by its own velocity; `None` when it is no pose.
-fn carried(tip: &CartesianState, ahead_s: f64) -> Option<Isometry3<f64>> {
-    let pose = tip.pose.isometry().ok()?;
-    let [linear, angular] = [tip.twist.linear, tip.twist.angular].map(Vector3::from);
-    if !(linear + angular).iter().all(|v| v.is_finite()) {
-        return Some(pose);
-    }
-    Some(Isometry3::from_parts(
-        Translation3::from(pose.translation.vector + linear * ahead_s),
-        UnitQuaternion::from_scaled_axis(angular * ahead_s) * pose.rotation,
-    ))
 }
 
 impl Component for PhantomSource {

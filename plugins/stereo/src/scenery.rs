@@ -1,0 +1,58 @@
+//! Before the cameras of the simulated source: how they stand, and where the tool is by the time of a picture.
+//!
+//! Invariant: functions of a rig or a sample alone.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use trocar_phantom::camera::{BASELINE_M, Lens, Rig};
+use trocar_sdk::data::CartesianState;
+use trocar_sdk::prelude::*;
+
+/// What leads from a disparity to a distance, and from a pixel to a direction.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct StereoGeometry {
+    #[unit("px")]
+    pub focal_px: f64,
+    /// From the left camera to the right one.
+    #[unit("m")]
+    pub baseline_m: f64,
+    /// Of a rectified pair: distance = focal_px · baseline_m / (disparity + offset_px), disparity being the left column less
+    /// the right one; 0 of another pair.
+    #[unit("px")]
+    pub offset_px: f64,
+    /// Where the axis meets the left image: column, row.
+    #[unit("px")]
+    pub centre_left_px: [f64; 2],
+    /// As above, of the right image.
+    #[unit("px")]
+    pub centre_right_px: [f64; 2],
+    /// Lens errors k1, k2, p1, p2 of both cameras, as OpenCV names them.
+    pub lens: [f64; 4],
+}
+
+/// The geometry of a rig.
+pub(crate) fn geometry(rig: &Rig) -> StereoGeometry {
+    let [left, right] = &rig.cameras;
+    let Lens { k1, k2, p1, p2 } = left.lens;
+    StereoGeometry {
+        focal_px: left.focal_px,
+        baseline_m: BASELINE_M,
+        offset_px: if rig.rectified { right.centre_px[0] - left.centre_px[0] } else { 0.0 },
+        centre_left_px: left.centre_px,
+        centre_right_px: right.centre_px,
+        lens: [k1, k2, p1, p2],
+    }
+}
+
+/// A tip's pose, moved on by its own velocity; `None` when it is no pose.
+pub(crate) fn carried(tip: &CartesianState, ahead_s: f64) -> Option<Isometry3<f64>> {
+    let pose = tip.pose.isometry().ok()?;
+    let [linear, angular] = [tip.twist.linear, tip.twist.angular].map(Vector3::from);
+    if !(linear + angular).iter().all(|v| v.is_finite()) {
+        return Some(pose);
+    }
+    Some(Isometry3::from_parts(
+        Translation3::from(pose.translation.vector + linear * ahead_s),
+        UnitQuaternion::from_scaled_axis(angular * ahead_s) * pose.rotation,
+    ))
+}
