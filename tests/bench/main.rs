@@ -27,7 +27,7 @@ use table::Table;
 const SECONDS: u64 = 60;
 /// Processes killed unless told otherwise.
 const KILLS: usize = 50;
-const SUBJECTS: [&str; 16] = [
+const SUBJECTS: [&str; 17] = [
     "inline",
     "queued",
     "steps",
@@ -43,6 +43,7 @@ const SUBJECTS: [&str; 16] = [
     "eyesaw/load",
     "eyesaw/spectra",
     "eyesaw/scan",
+    "eyesaw/depth",
     "eyesaw/stop",
 ];
 

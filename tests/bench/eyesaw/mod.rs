@@ -1,9 +1,10 @@
-//! EyeSAW under its full load, held against its gates: `bench eyesaw[/load|/spectra|/scan|/stop]`.
+//! EyeSAW under its full load, held against its gates: `bench eyesaw[/load|/spectra|/scan|/depth|/stop]`.
 //!
 //! Invariant: the built programs and plugins run as users start them; what decides is counted inside of them, and each bound is
 //! widened by what bare threads on the same machine showed.
 
 mod control;
+mod depth;
 mod load;
 mod plan;
 mod rig;
@@ -29,6 +30,7 @@ pub(crate) fn measure(subject: &str, verdicts: &mut Verdicts, amount: Amount) {
         "eyesaw/load" => load::measure(verdicts, amount.seconds),
         "eyesaw/spectra" => spectra::measure(verdicts, amount.seconds),
         "eyesaw/scan" => scan::measure(verdicts),
+        "eyesaw/depth" => depth::measure(verdicts),
         _ => stop::measure(verdicts, amount.kills),
     }
 }

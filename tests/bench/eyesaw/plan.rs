@@ -133,6 +133,23 @@ impl Plan {
         self
     }
 
+    /// A rectified camera of the eye alone, whose maps are compared with the truth: no tool, no display.
+    pub(super) fn of_depth() -> Plan {
+        let mut plan = Plan { components: Map::new(), connections: Vec::new(), one: true };
+        let source = json!({ "width": SIZE[0], "height": SIZE[1], "disparity_every": 1 });
+        let slow = json!({ "model": "stream", "rate_hz": 2 });
+        plan.add("host/camera", "stereo/phantom_source", slow, source);
+        for (matcher, config) in [("bm", json!({ "method": "bm" })), ("sgm", json!({ "method": "sgm" }))] {
+            let (path, ledger) = (format!("host/{matcher}"), format!("host/{matcher}-ledger"));
+            plan.add(&path, "stereo-depth/stereo_depth", json!({ "model": "on_signal" }), config);
+            plan.add(&ledger, "fixture-ledger/depth_ledger", json!({ "model": "on_signal" }), json!({}));
+            plan.connect(&format!("{path}/rectified"), "host/camera/image");
+            plan.connect(&format!("{ledger}/disparity"), &format!("{path}/disparity"));
+            plan.connect(&format!("{ledger}/truth"), "host/camera/disparity");
+        }
+        plan
+    }
+
     /// Robot, OCT and control only.
     pub(super) fn without_video(mut self) -> Plan {
         self.remove(&VIDEO);

@@ -9,8 +9,8 @@ use super::plan::Plan;
 use crate::lab::as_number;
 
 /// Plugins of the systems.
-const PLUGINS: [&str; 7] =
-    ["bscan", "display", "eyerobot", "oct", "stereo", "vision_filters", "fixture_ledger"];
+const PLUGINS: [&str; 8] =
+    ["bscan", "display", "eyerobot", "oct", "stereo", "stereo_depth", "vision_filters", "fixture_ledger"];
 /// What a scan keeps, m.
 pub(super) const OFFSET_M: f64 = 500e-6;
 
@@ -37,14 +37,12 @@ pub(super) struct Work {
 }
 
 impl Rig {
-    /// Starts it, and waits until all of it runs.
+    /// Starts it; `trocar up` says so when all of it runs.
     pub(super) fn up(world: World, plan: Plan) -> Rig {
         let file = world.write("system.json", plan.file().to_string());
         let args = ["up".into(), file.into(), "--listen".into(), "127.0.0.1:0".into(), "--json".into()];
         let up = HostProcess::spawn(&world, "up", &args);
-        let rig = Rig { plan, grpc: up.grpcurl(), up, _world: world };
-        rig.await_active("host/bscan");
-        rig
+        Rig { plan, grpc: up.grpcurl(), up, _world: world }
     }
 
     pub(super) fn await_active(&self, path: &str) {
@@ -106,14 +104,14 @@ impl Rig {
     }
 
     /// Begins a scan of so many m, and another one where it was given up before it had so many columns; answers how often that was so.
-    pub(super) fn scan_of(&self, width_m: f64, speed_m_s: f64, least: f64) -> usize {
+    pub(super) fn scan_of(&self, length_m: f64, speed_m_s: f64, least: f64) -> usize {
         let mut given_up = 0;
-        self.start_scan(width_m, speed_m_s);
+        self.start_scan(length_m, speed_m_s);
         eventually("the scan has columns", || {
             let progress = self.progress();
             if is_phase(&progress, "IDLE", 0) {
                 given_up += 1;
-                self.start_scan(width_m, speed_m_s);
+                self.start_scan(length_m, speed_m_s);
             }
             let there = is_phase(&progress, "SCAN", 2) && as_number(&progress["columns"]) >= least;
             if there { Ok(()) } else { Err(progress.to_string()) }
@@ -122,9 +120,11 @@ impl Rig {
     }
 
     /// As soon as one can begin.
-    fn start_scan(&self, width_m: f64, speed_m_s: f64) {
+    fn start_scan(&self, length_m: f64, speed_m_s: f64) {
+        // Across the fovea, wherever the tip stands: lines through the tip would go on where the last one was broken off.
+        let half_m = 0.5 * length_m;
         let request = json!({
-            "from": [0, 0, 0], "to": [0, 0, 0], "width": width_m, "angle": 0, "speed": speed_m_s,
+            "from": [-half_m, 0, 0], "to": [half_m, 0, 0], "width": 0, "angle": 0, "speed": speed_m_s,
             "offset": OFFSET_M, "pitch": 6e-6,
         });
         eventually("a scan can begin", || self.try_call("host/bscan", "scan/start", request.clone()));

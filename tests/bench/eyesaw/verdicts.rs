@@ -12,6 +12,7 @@ pub(super) enum Unit {
     Ns,
     Micrometre,
     PerSecond,
+    Share,
 }
 
 impl Unit {
@@ -21,6 +22,7 @@ impl Unit {
             Unit::Ns => duration(value),
             Unit::Micrometre => format!("{:.2} µm", value * 1e6),
             Unit::PerSecond => format!("{value:.0} /s"),
+            Unit::Share => format!("{:.2} %", 100.0 * value),
         }
     }
 }

@@ -1,0 +1,51 @@
+//! Depth from the phantom's stereo pairs beside their true disparity (B4, but for the tool: seen from above its shaft hides its tip).
+//!
+//! Invariant: both matchers have the pairs of one camera, and a map is held against the truth of its own pair.
+
+use serde_json::Value;
+use trocar_tests::eventually;
+
+use super::plan::Plan;
+use super::rig::{Rig, world};
+use super::verdicts::{Unit, Verdicts};
+use crate::lab::as_number;
+
+/// Pairs that are looked at.
+const MAPS: f64 = 20.0;
+/// Largest share of disparities that are off by more than 1 px.
+const WRONG: f64 = 0.05;
+
+pub(super) fn measure(verdicts: &mut Verdicts) {
+    let rig = Rig::up(world(), Plan::of_depth());
+    verdicts.title("Disparity of the textured retina, 1024x768, beside its truth (B4)");
+    for matcher in ["bm", "sgm"] {
+        let ledger = format!("host/{matcher}-ledger");
+        let seen = eventually(&format!("{matcher} has made maps"), || {
+            let seen = rig.call(&ledger, "ledger/figures", Value::Null);
+            if as_number(&seen["maps"]) >= MAPS { Ok(seen) } else { Err(seen.to_string()) }
+        });
+        let of = |key: &str| as_number(&seen[key]);
+        let wrong = of("wrong") / of("known");
+        verdicts.at_most(
+            &format!("{matcher}: of its disparities wrong by more than 1 px"),
+            wrong,
+            WRONG,
+            0.0,
+            Unit::Share,
+        );
+        let known = of("known") / of("pixels");
+        verdicts.tell(
+            &format!("{matcher}: of the pixels whose truth is known with a disparity"),
+            known,
+            None,
+            Unit::Share,
+        );
+        verdicts.tell(
+            &format!("{matcher}: deviation of the others, RMS, 1/1000 px"),
+            1e3 * of("rms"),
+            None,
+            Unit::Count,
+        );
+    }
+    rig.end();
+}
