@@ -103,8 +103,7 @@ fn tell(verdicts: &mut Verdicts, title: &str, seen: &[Seen]) {
         pairs.max_by(|a, b| (a.0 - a.1).total_cmp(&(b.0 - b.1))).unwrap_or((f64::INFINITY, 0.0))
     };
     let (held_ns, late_ns) = furthest(|seen| (seen.held_ns, seen.late_ns));
-    let what =
-        "until the robot holds: its set point stands (the kill furthest beyond the machine's lateness)";
+    let what = "until the robot holds: its set point stands or only leads out of the eye (the kill furthest beyond the machine's lateness)";
     verdicts.at_most(what, held_ns, HELD_NS, late_ns, Unit::Ns);
     verdicts.tell("the same, longest", most(|seen| seen.held_ns), Some(most(|seen| seen.late_ns)), Unit::Ns);
     verdicts.tell("the same, median", median(all(|seen| seen.held_ns)), None, Unit::Ns);
@@ -114,7 +113,7 @@ fn tell(verdicts: &mut Verdicts, title: &str, seen: &[Seen]) {
     let what = "tip's speed at that moment, highest (in a second)";
     verdicts.tell(what, most(|seen| seen.speed_m_s), None, Unit::Micrometre);
     verdicts.tell(
-        "way of the tip from that moment on, longest",
+        "way of the tip from that moment on, across or into the eye, longest",
         most(|seen| seen.moved_m),
         None,
         Unit::Micrometre,
