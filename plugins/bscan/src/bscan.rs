@@ -161,6 +161,9 @@ pub struct BScan {
     /// Images for which there was no frame.
     #[state]
     left_out: u64,
+    /// Frames since Start that were no A-scans.
+    #[state]
+    refused_frames: u64,
     #[config]
     cfg: BScanConfig,
     depth: Depth,
@@ -519,7 +522,7 @@ impl Component for BScan {
     }
 
     fn start(&mut self) -> Result {
-        self.progress = Progress::default();
+        (self.progress, self.refused_frames) = (Progress::default(), 0);
         self.since = Moments::default();
         (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
         self.robot = OperatingState::default();

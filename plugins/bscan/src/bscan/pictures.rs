@@ -19,12 +19,15 @@ impl BScan {
         for _ in 0..BURST {
             let Some(frame) = self.ascan.next() else { return };
             let header = *frame.header();
-            let Ok(lines) = frame.lines() else { continue };
+            let is_known = matches!(header.format, SampleFormat::U8 | SampleFormat::F32);
+            let Some(lines) = frame.lines().ok().filter(|_| is_known && header.stamp_of(0).is_some()) else {
+                self.refused_frames += 1;
+                continue;
+            };
             for (i, bytes) in lines.iter().enumerate() {
                 let ascan = match header.format {
                     SampleFormat::U8 => AScan::Bytes(bytes),
-                    SampleFormat::F32 => AScan::Decibels(bytes, grey),
-                    _ => break,
+                    _ => AScan::Decibels(bytes, grey),
                 };
                 let Some(taken) = header.stamp_of(i) else { break };
                 if self.rolling.lines() == 0 {
@@ -132,4 +135,37 @@ fn tell(
         pose,
         distance: last.distance,
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_sdk::data::AScanHeader;
+    use trocar_sdk::testing::Bench;
+
+    #[test]
+    fn frames_that_are_no_a_scans_are_counted() {
+        let mut bench = Bench::<BScan>::new("{}");
+        let header = |format, lines, samples| {
+            let stamp = Stamp::from_ns(1_000);
+            AScanHeader { stamp, lines, samples, format, ..AScanHeader::default() }
+        };
+        let bad = [
+            header(SampleFormat::U8, 3, 4),
+            header(SampleFormat::U16, 1, 4),
+            header(SampleFormat::U8, u32::MAX, u32::MAX),
+            AScanHeader { line_period: f64::NAN, ..header(SampleFormat::U8, 2, 4) },
+        ];
+        for header in bad {
+            bench.push_frame("ascan", header, &[7; 8]);
+        }
+        bench.push_frame(
+            "ascan",
+            AScanHeader { stamp: Stamp::INVALID, ..header(SampleFormat::U8, 2, 4) },
+            &[7; 8],
+        );
+        bench.push_frame("ascan", header(SampleFormat::U8, 2, 4), &[7; 8]);
+        bench.step(1);
+        assert_eq!(bench.state().refused_frames, bad.len() as u64 + 1, "all but the last one");
+    }
 }
