@@ -5,14 +5,17 @@
 //! shifts and zooms that (`backdrop`) and traces only the pixels where tool or shadow may be. Nothing is allocated after `new`.
 //! The membrane is clear and is not drawn; disparity is that of tool and ILM.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use crate::backdrop::Backdrop;
+use crate::backdrop::{Backdrop, Warp};
 use crate::camera::{Rig, Tool};
 use crate::lamp::Lamp;
+use crate::noise::Noise;
 use crate::rows::{NOISE_PLACES, PARTS, Work};
+use crate::scenery::Scenery;
 use crate::world::World;
 
 /// Random numbers of the sensors.
@@ -88,21 +91,10 @@ impl Renderer {
     /// Draws one eye's picture: `take` gets each row's number and its pixels, red, green, blue, from the top.
     pub fn draw(&mut self, side: Side, scene: &Scene, mut take: impl FnMut(usize, &[u8])) {
         let (stage, work) = (&*self.stage, &mut self.work);
-        let Stage { world, lamp, noise, .. } = stage;
-        let eye = &stage.eyes[side as usize];
-        let shift = world.motion.shift(scene.t_s);
-        let warp = eye.warp(&shift);
-        work.follow(&warp, eye.camera.width);
-        work.mark(world, &eye.camera, lamp, scene, &shift);
-        let rows = world.noise(NOISE_STREAM).part(2 * scene.number + side as u64);
-        let all = 0..eye.camera.width;
-        for y in 0..eye.camera.height {
-            work.retina(eye, &warp, y, all.clone());
-            if let Some(tool) = &scene.tool {
-                work.darken(eye, warp.nearest_row(y), lamp, tool, &shift, y);
-                work.paint(eye, lamp, tool, y);
-            }
-            work.finish(noise, rows, y, all.clone());
+        let begun = stage.begin(work, side, scene);
+        let columns = [0..begun.eye.camera.width, 0..0];
+        for y in 0..begun.eye.camera.height {
+            begun.draw(work, y, &columns);
             take(y, &work.bytes);
         }
     }
@@ -114,25 +106,16 @@ impl Renderer {
     /// `bare` is smaller than a picture.
     pub fn draw_over(&mut self, side: Side, scene: &Scene, bare: &[u8], mut take: impl FnMut(usize, &[u8])) {
         let (stage, work) = (&*self.stage, &mut self.work);
-        let Stage { world, lamp, noise, .. } = stage;
-        let eye = &stage.eyes[side as usize];
-        let shift = world.motion.shift(scene.t_s);
-        let warp = eye.warp(&shift);
-        work.follow(&warp, eye.camera.width);
-        work.mark(world, &eye.camera, lamp, scene, &shift);
-        let rows = world.noise(NOISE_STREAM).part(2 * scene.number + side as u64);
-        let row_bytes = 3 * eye.camera.width;
-        for (y, bare) in bare[..row_bytes * eye.camera.height].chunks_exact(row_bytes).enumerate() {
+        let begun = stage.begin(work, side, scene);
+        let row_bytes = 3 * begun.eye.camera.width;
+        for (y, bare) in bare[..row_bytes * begun.eye.camera.height].chunks_exact(row_bytes).enumerate() {
             let touched = work.touched(y);
-            let Some(tool) = scene.tool.as_ref().filter(|_| !touched.is_empty()) else {
+            if touched.iter().all(Range::is_empty) {
                 take(y, bare);
                 continue;
-            };
-            work.retina(eye, &warp, y, touched.clone());
-            work.darken(eye, warp.nearest_row(y), lamp, tool, &shift, y);
-            work.paint(eye, lamp, tool, y);
+            }
             work.bytes.copy_from_slice(bare);
-            work.finish(noise, rows, y, touched);
+            begun.draw(work, y, &touched);
             take(y, &work.bytes);
         }
     }
@@ -191,6 +174,50 @@ impl Renderer {
             }
         }
         std::mem::swap(&mut work.tool, &mut work.shadow);
+    }
+}
+
+/// One eye's picture in the making.
+struct Begun<'a> {
+    eye: &'a Backdrop,
+    warp: Warp,
+    scenery: Option<Scenery<'a>>,
+    noise: &'a [i16],
+    /// Where in the noise each row begins.
+    rows: Noise,
+}
+
+impl Stage {
+    fn begin<'a>(&'a self, work: &mut Work, side: Side, scene: &'a Scene) -> Begun<'a> {
+        let Stage { world, lamp, eyes, noise, .. } = self;
+        let eye = &eyes[side as usize];
+        let shift = world.motion.shift(scene.t_s);
+        let warp = eye.warp(&shift);
+        work.follow(&warp, eye.camera.width);
+        work.mark(world, &eye.camera, lamp, scene, &shift);
+        let of_tool = |tool| Scenery { eye, lamp, tool, core: tool.core(), warp, shift };
+        let scenery = scene.tool.as_ref().map(of_tool);
+        if let Some(scenery) = &scenery {
+            work.shade.begin(scenery);
+        }
+        let rows = world.noise(NOISE_STREAM).part(2 * scene.number + side as u64);
+        Begun { eye, warp, scenery, noise, rows }
+    }
+}
+
+impl Begun<'_> {
+    /// Draws some columns of row `y`: all that tool and shadow touch, or more.
+    fn draw(&self, work: &mut Work, y: usize, columns: &[Range<usize>; 2]) {
+        for columns in columns {
+            work.retina(self.eye, &self.warp, y, columns.clone());
+        }
+        if let Some(scenery) = &self.scenery {
+            work.darken(scenery, y);
+            work.paint(scenery, y);
+        }
+        for columns in columns {
+            work.finish(self.noise, self.rows, y, columns.clone());
+        }
     }
 }
 

@@ -172,11 +172,13 @@ fn the_spans_leave_out_no_pixel_of_tool_and_shadow() {
         for spans in [&mut work.tool, &mut work.shadow] {
             spans.rows.fill((0, WIDTH as u32));
         }
+        let scenery = Scenery { eye, lamp, tool: &tool, core: tool.core(), warp, shift };
+        work.shade.begin(&scenery);
         let mut all = Vec::new();
         for y in 0..HEIGHT {
             work.retina(eye, &warp, y, 0..WIDTH);
-            work.darken(eye, warp.nearest_row(y), lamp, &tool, &shift, y);
-            work.paint(eye, lamp, &tool, y);
+            work.darken(&scenery, y);
+            work.paint(&scenery, y);
             all.extend(work.row.iter().map(|value| ((value + PARTS / 2) / PARTS).clamp(0, 255) as u8));
         }
         let missed = small.iter().zip(&all).filter(|(a, b)| a.abs_diff(**b) > 2).count();

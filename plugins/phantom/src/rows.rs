@@ -7,10 +7,12 @@ use std::ops::Range;
 use nalgebra::{Point3, Vector3};
 
 use crate::backdrop::{Backdrop, Warp};
-use crate::camera::{Camera, Tool, WORKING_DISTANCE_M};
+use crate::camera::{Camera, Tool};
 use crate::lamp::Lamp;
 use crate::noise::Noise;
 use crate::render::Scene;
+use crate::scenery::Scenery;
+use crate::shade::Shade;
 use crate::shadow;
 use crate::spans::{POINTS, Spans};
 use crate::world::World;
@@ -23,11 +25,8 @@ const PART_BITS: u32 = 7;
 /// Colour of the steel, and how it shines.
 const STEEL: [f64; 3] = [150.0, 155.0, 162.0];
 const SHINE: f64 = 110.0;
-/// Parts of the tool's radius over which its colour and the edge of its shadow change little.
+/// Part of the tool's radius over which its colour changes little.
 const MIXED_STEEL: f64 = 0.1;
-const MIXED_SHADOW: f64 = 0.15;
-/// Light that is left in the middle of a shadow.
-const IN_SHADOW: f32 = 0.3;
 
 /// Room for one row and for what is known per row.
 pub(crate) struct Work {
@@ -44,6 +43,7 @@ pub(crate) struct Work {
     pub(crate) columns: Vec<usize>,
     pub(crate) tool: Spans,
     pub(crate) shadow: Spans,
+    pub(crate) shade: Shade,
 }
 
 impl Work {
@@ -58,17 +58,17 @@ impl Work {
             columns: vec![0; width],
             tool: Spans::new(height),
             shadow: Spans::new(height),
+            shade: Shade::new(width),
         }
     }
 
-    /// Columns of row `y` in which tool or shadow may be.
-    pub(crate) fn touched(&self, y: usize) -> Range<usize> {
+    /// Columns of row `y` in which tool or shadow may be: one range or two that do not meet.
+    pub(crate) fn touched(&self, y: usize) -> [Range<usize>; 2] {
         let (tool, shadow) = (self.tool.of(y), self.shadow.of(y));
-        match (tool.is_empty(), shadow.is_empty()) {
-            (true, _) => shadow,
-            (_, true) => tool,
-            _ => tool.start.min(shadow.start)..tool.end.max(shadow.end),
+        if tool.is_empty() || shadow.is_empty() || tool.end < shadow.start || shadow.end < tool.start {
+            return [tool, shadow];
         }
+        [tool.start.min(shadow.start)..tool.end.max(shadow.end), 0..0]
     }
 
     /// Weights and runs of the columns, the same in all rows.
@@ -135,60 +135,19 @@ impl Work {
         }
     }
 
-    /// Takes light from the pixels of row `y` that the lamp does not reach. Edges are softer than a few pixels: between those
-    /// the shadow is mixed.
-    pub(crate) fn darken(
-        &mut self,
-        eye: &Backdrop,
-        row: usize,
-        lamp: &Lamp,
-        tool: &Tool,
-        shift: &Vector3<f64>,
-        y: usize,
-    ) {
-        let core = tool.core();
-        let from = eye.camera.eye();
-        let rays = &eye.rays[y * eye.camera.width..(y + 1) * eye.camera.width];
-        let (depths, columns) = (&eye.depth[row * eye.width..(row + 1) * eye.width], &self.columns);
-        let dark = |x: usize| {
-            let [rx, ry] = rays[x];
-            let depth = f64::from(depths[columns[x]]) + shift.z;
-            let at = from + eye.turn * (Vector3::new(f64::from(rx), f64::from(ry), 1.0) * depth);
-            shadow::depth(&at, &lamp.at, &core, tool.radius_m) as f32
-        };
-        let row = &mut self.row;
-        let mut put = |x: usize, dark: f32| {
-            if dark > 0.0 {
-                let left = (256.0 * (1.0 - (1.0 - IN_SHADOW) * dark)) as i32;
-                for value in &mut row[3 * x..3 * x + 3] {
-                    *value = ((i32::from(*value) * left) >> 8) as i16;
-                }
-            }
-        };
-        let span = self.shadow.of(y);
-        let Some(mut last) = span.clone().next() else { return };
-        let mut a = dark(last);
-        put(last, a);
-        while last + 1 < span.end {
-            let next = (last + every(eye, tool, MIXED_SHADOW)).min(span.end - 1);
-            let b = dark(next);
-            for x in last + 1..next {
-                put(x, a + (b - a) * ((x - last) as f32 / (next - last) as f32));
-            }
-            put(next, b);
-            (last, a) = (next, b);
-        }
+    /// Takes light from the pixels of row `y` that the lamp does not reach.
+    pub(crate) fn darken(&mut self, scenery: &Scenery<'_>, y: usize) {
+        self.shade.darken(scenery, &self.shadow, &self.columns, &mut self.row, y);
     }
 
     /// Paints the pixels of row `y` where the tool is. Its outline is found pixel by pixel; within it the colours of some pixels
     /// are mixed of their neighbours'.
-    pub(crate) fn paint(&mut self, eye: &Backdrop, lamp: &Lamp, tool: &Tool, y: usize) {
-        let from = eye.camera.eye();
-        let rays = &eye.rays[y * eye.camera.width..(y + 1) * eye.camera.width];
+    pub(crate) fn paint(&mut self, scenery: &Scenery<'_>, y: usize) {
+        let line = scenery.line(y);
+        let Scenery { tool, lamp, .. } = scenery;
         let colour = |x: usize| {
-            let [rx, ry] = rays[x];
-            let way = (eye.turn * Vector3::new(f64::from(rx), f64::from(ry), 1.0)).normalize();
-            tool.meet(&from, &way).map(|far| steel(lamp, tool, &(from + way * far), &way))
+            let way = line.way(x).normalize();
+            tool.meet(line.from(), &way).map(|far| steel(lamp, tool, &(line.from() + way * far), &way))
         };
         let row = &mut self.row;
         let mut put = |x: usize, colour: [f32; 3]| {
@@ -202,8 +161,9 @@ impl Work {
         if let Some(a) = a {
             put(last, a);
         }
+        let apart = scenery.pixels_of_radius(MIXED_STEEL).min(8);
         while last + 1 < span.end {
-            let next = (last + every(eye, tool, MIXED_STEEL)).min(span.end - 1);
+            let next = (last + apart).min(span.end - 1);
             let b = colour(next);
             for x in last + 1..next {
                 let part = (x - last) as f32 / (next - last) as f32;
@@ -234,12 +194,6 @@ impl Work {
             *byte = (value.saturating_add(*noise) >> PART_BITS).clamp(0, 255) as u8;
         }
     }
-}
-
-/// Over how many pixels something about the tool may be mixed that changes over this part of its radius; 1 where it is small.
-fn every(eye: &Backdrop, tool: &Tool, part: f64) -> usize {
-    let radius_px = eye.camera.focal_px * tool.radius_m / WORKING_DISTANCE_M;
-    ((part * radius_px) as usize).clamp(1, 8)
 }
 
 /// Colour of the tool where it is seen along `way`: Lambert's cosine and a highlight (J. Blinn, *Models of light reflection for

@@ -2,6 +2,8 @@
 //!
 //! Invariant: columns are marked generously and never too few; a row that is not marked has nothing of it.
 
+use std::ops::Range;
+
 use nalgebra::Point3;
 
 use crate::camera::{Camera, Tool};
@@ -20,8 +22,16 @@ impl Spans {
         Spans { rows: vec![(0, 0); height], width: 0 }
     }
 
-    pub(crate) fn of(&self, y: usize) -> std::ops::Range<usize> {
+    pub(crate) fn of(&self, y: usize) -> Range<usize> {
         self.rows.get(y).map_or(0..0, |(from, to)| *from as usize..*to as usize)
+    }
+
+    /// Columns in which something may be in any of some rows.
+    pub(crate) fn of_rows(&self, rows: Range<usize>) -> Range<usize> {
+        let rows = rows.start.min(self.rows.len())..rows.end.min(self.rows.len());
+        let marked = self.rows[rows].iter().filter(|(from, to)| from < to);
+        let all = marked.copied().reduce(|one, other| (one.0.min(other.0), one.1.max(other.1)));
+        all.map_or(0..0, |(from, to)| from as usize..to as usize)
     }
 
     pub(crate) fn clear(&mut self) {
