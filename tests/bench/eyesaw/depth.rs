@@ -14,11 +14,13 @@ use crate::lab::as_number;
 const MAPS: f64 = 20.0;
 /// Largest share of disparities that are off by more than 1 px.
 const WRONG: f64 = 0.05;
+/// Matchers, the least share of the pixels that they tell a disparity of, and the longest time for one map: depth at 15 Hz, ns.
+const MATCHERS: [(&str, f64, Option<f64>); 2] = [("bm", 0.9, Some(1e9 / 15.0)), ("sgm", 0.95, None)];
 
 pub(super) fn measure(verdicts: &mut Verdicts) {
     let rig = Rig::up(world(), Plan::of_depth());
     verdicts.title("Disparity of the textured retina, 1024x768, beside its truth (B4)");
-    for matcher in ["bm", "sgm"] {
+    for (matcher, least, longest_ns) in MATCHERS {
         let ledger = format!("host/{matcher}-ledger");
         let seen = eventually(&format!("{matcher} has made maps"), || {
             let seen = rig.call(&ledger, "ledger/figures", Value::Null);
@@ -33,13 +35,14 @@ pub(super) fn measure(verdicts: &mut Verdicts) {
             0.0,
             Unit::Share,
         );
-        let known = of("known") / of("pixels");
-        verdicts.tell(
-            &format!("{matcher}: of the pixels whose truth is known with a disparity"),
-            known,
-            None,
-            Unit::Share,
-        );
+        let what = format!("{matcher}: of the pixels whose truth is known with a disparity");
+        verdicts.at_least(&what, of("known") / of("pixels"), least, Unit::Share);
+        let work = rig.work(&format!("host/{matcher}"));
+        let what = format!("{matcher}: time of a map, mean");
+        match longest_ns {
+            Some(most) => verdicts.at_most(&what, work.ns / work.steps, most, 0.0, Unit::Ns),
+            None => verdicts.tell(&what, work.ns / work.steps, None, Unit::Ns),
+        }
         verdicts.tell(
             &format!("{matcher}: deviation of the others, RMS, 1/1000 px"),
             1e3 * of("rms"),

@@ -5,14 +5,19 @@
 use std::fs;
 
 use serde_json::{Map, Value, json};
-use trocar_tests::{World, repository};
+use trocar_tests::repository;
 
 /// The file that is changed.
 const FILE: &str = "host/demo/bscan.json";
+/// Of cameras that both look at the apex through lenses, as a microscope's do.
+const CALIBRATION: &str = "tests/data/calibration/phantom-toed-in.json";
 /// What in it only writes pictures, and the depth, which is no part of the load.
 const ASIDE: [&str; 5] = ["host/console", "host/oct_image", "host/depth_map", "host/tracking", "host/depth"];
 /// What shows the eye.
 const VIDEO: [&str; 4] = ["host/camera", "host/overlay", "host/pip", "host/display"];
+/// Of the displayed path and the one beside it, as in the file; and of the three threads of 1 kHz there.
+pub(super) const VIDEO_PRIORITY: i32 = 40;
+pub(super) const FAST_PRIORITIES: [i32; 3] = [80, 70, 75];
 /// Processes of the file.
 const HOST: &str = "host";
 const STREAM: &str = "host/rectify";
@@ -71,11 +76,16 @@ impl Plan {
 
     /// Frames are rectified, and have a picture in them: source, rectify, overlay, pip, sink. The sink keeps account, and gives
     /// them to the display.
-    pub(super) fn with_whole_display_path(mut self, world: &World) -> Plan {
-        let calibration = world.write("calibration.json", calibration().to_string());
+    pub(super) fn with_whole_display_path(mut self) -> Plan {
         let member = || json!({ "stream_of": STREAM });
-        let config = json!({ "calibration": calibration });
-        self.add(STREAM, "vision-filters/rectify", json!({ "model": "stream" }), config);
+        let config = json!({ "calibration": repository().join(CALIBRATION) });
+        self.add(
+            STREAM,
+            "vision-filters/rectify",
+            json!({ "model": "stream", "priority": VIDEO_PRIORITY }),
+            config,
+        );
+        self.component("host/camera")["config"]["rig"] = json!("toed_in");
         self.component("host/overlay")["execution"] = member();
         self.component("host/display")["execution"] = member();
         self.add("host/pip", "vision-filters/pip", member(), json!({}));
@@ -99,11 +109,11 @@ impl Plan {
 
     /// A path of the same shape with the same frames, in which nothing is done.
     pub(super) fn with_blank_path(mut self) -> Plan {
-        let source = json!({ "model": "stream", "rate_hz": 30 });
+        let source = json!({ "model": "stream", "rate_hz": 30, "priority": VIDEO_PRIORITY });
         self.add("host/blank", "fixture-ledger/blank_source", source, json!({}));
         for hop in 0..HOPS {
             let path = format!("host/blank{hop}");
-            let head = json!({ "model": "stream" });
+            let head = json!({ "model": "stream", "priority": VIDEO_PRIORITY });
             let execution = if hop == 0 { head } else { json!({ "stream_of": "host/blank0" }) };
             self.add(&path, "fixture-ledger/frame_ledger", execution, json!({}));
             let from = match hop {
@@ -232,23 +242,4 @@ impl Plan {
         let connections: Vec<Value> = self.connections.iter().map(moved).collect();
         json!({ "version": 1, "processes": processes, "components": components, "connections": connections })
     }
-}
-
-/// The calibration of the chessboards, stretched to the size of the canonical load: the work is that of any rectification.
-fn calibration() -> Value {
-    let file = repository().join("tests/data/calibration/chessboard.json");
-    let text = fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
-    let mut all: Value = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
-    for axis in 0..2 {
-        let stretch = SIZE[axis] / all["image_size"][axis].as_f64().unwrap_or(f64::NAN);
-        for (side, matrix) in
-            [("left", "matrix"), ("left", "projection"), ("right", "matrix"), ("right", "projection")]
-        {
-            for value in all[side][matrix][axis].as_array_mut().into_iter().flatten() {
-                *value = json!(value.as_f64().unwrap_or(f64::NAN) * stretch);
-            }
-        }
-        all["image_size"][axis] = json!(SIZE[axis] as u64);
-    }
-    all
 }

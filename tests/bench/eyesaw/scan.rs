@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::control::Witness;
 use super::plan::Plan;
 use super::rig::{OFFSET_M, Rig, world};
-use super::verdicts::{Unit, Verdicts};
+use super::verdicts::{Unit, Verdicts, largest};
 use crate::lab::as_number;
 
 const SCANS: usize = 3;
@@ -46,7 +46,7 @@ pub(super) fn measure(verdicts: &mut Verdicts) {
     verdicts.title(
         "B-scan in three processes, in real time, against the truth (A4); control: the same in one process",
     );
-    let worst = |all: &[Seen], of: fn(&Seen) -> f64| all.iter().map(of).fold(0.0, f64::max);
+    let worst = |all: &[Seen], of: fn(&Seen) -> f64| largest(all.iter().map(of));
     let mean = |all: &[Seen]| all.iter().map(|seen| seen.rms_m).sum::<f64>() / all.len() as f64;
     verdicts.at_most(
         "truth less offset, RMS, worst scan",

@@ -27,7 +27,7 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
         let world = world();
         let source = json!({ "samples": samples, "line_rate_hz": line_rate_hz, "exposure_s": 1e-5 });
         let plan = Plan::new()
-            .with_whole_display_path(&world)
+            .with_whole_display_path()
             .with_accounts()
             .configured("oct/source", source)
             .configured("oct/ascan", json!({ "samples": samples }))
@@ -41,8 +41,9 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
         let lines = rig.call("oct/ledger", "ledger/figures", Value::Null);
         let of = |key: &str| as_number(&lines[key]);
         verdicts.at_least("A-scans taken", of("lines"), 0.5 * line_rate_hz * seconds as f64, Unit::Count);
-        let what = "A-scans per second of one core: spectra → A-scans in dB and bytes → distances, median";
-        verdicts.at_least(what, 1e9 / of("p50"), least, Unit::PerSecond);
+        let what = "A-scans per second of one core: spectra → A-scans in dB and bytes → distances, mean";
+        verdicts.at_least(what, 1e9 / of("mean"), least, Unit::PerSecond);
+        verdicts.tell("the same, median", 1e9 / of("p50"), None, Unit::PerSecond);
         // A bare thread beside the same load, whose turns take as long as a frame.
         let period_ns = (1e9 * LINES / line_rate_hz) as u64;
         let control_ns = longer(period_ns, of("p50") * LINES, seconds) / LINES;

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::control::Witness;
 use super::plan::Plan;
 use super::rig::{Rig, world};
-use super::verdicts::{Unit, Verdicts};
+use super::verdicts::{Unit, Verdicts, largest, smallest};
 use crate::baseline::now_ns;
 use crate::lab::as_number;
 use crate::table::median;
@@ -96,7 +96,7 @@ fn kill(rig: &Rig, process: &str, random: &mut fastrand::Rng) -> Seen {
 fn tell(verdicts: &mut Verdicts, title: &str, seen: &[Seen]) {
     verdicts.title(title);
     let all = |of: fn(&Seen) -> f64| seen.iter().map(of).collect::<Vec<f64>>();
-    let most = |of: fn(&Seen) -> f64| all(of).into_iter().fold(0.0, f64::max);
+    let most = |of: fn(&Seen) -> f64| largest(all(of).into_iter());
     // Each beside how late the machine was at that moment; the one that is furthest beyond it decides.
     let furthest = |of: fn(&Seen) -> (f64, f64)| {
         let pairs = seen.iter().map(of);
@@ -122,6 +122,6 @@ fn tell(verdicts: &mut Verdicts, title: &str, seen: &[Seen]) {
     let (beyond_m, late_m) = furthest(Seen::beyond_m);
     let what = "of it beyond 30 ms at the speed of that moment and 2 µm";
     verdicts.at_most(what, beyond_m, 0.0, late_m, Unit::Micrometre);
-    let nearest_m = all(|seen| seen.nearest_m).into_iter().fold(f64::INFINITY, f64::min);
+    let nearest_m = smallest(all(|seen| seen.nearest_m).into_iter());
     verdicts.at_least("nearest that the tip was to the surface", nearest_m, NEAREST_M, Unit::Micrometre);
 }

@@ -1,7 +1,7 @@
 //! What was seen beside what is allowed, line by line as it comes; and how it all ends.
 //!
-//! Invariant: a claim is widened by what a control run on the same machine showed at the same time, and by nothing else; one that
-//! is not a number does not hold.
+//! Invariant: a claim is widened by what a control run on the same machine showed, at most to twice its bound, and by nothing else;
+//! one that is no finite number does not hold.
 
 use crate::table::duration;
 
@@ -27,6 +27,17 @@ impl Unit {
     }
 }
 
+/// The largest; not a number when there is none, or when one of them is none.
+pub(super) fn largest(all: impl Iterator<Item = f64>) -> f64 {
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    all.reduce(larger).unwrap_or(f64::NAN)
+}
+
+/// The smallest, as [`largest`].
+pub(super) fn smallest(all: impl Iterator<Item = f64>) -> f64 {
+    -largest(all.map(|n| -n))
+}
+
 /// All claims of one run.
 #[derive(Default)]
 pub(crate) struct Verdicts {
@@ -39,16 +50,18 @@ impl Verdicts {
         print!("\n### {title}\n\n| what | seen | bound | control | holds |\n|---|---|---|---|---|\n");
     }
 
-    /// At most `most`, and what the control adds to it.
+    /// At most `most`, and what the control adds to it: no more than that again, unless nothing is allowed by itself.
     pub(super) fn at_most(&mut self, what: &str, seen: f64, most: f64, control: f64, unit: Unit) {
+        let control = if most > 0.0 { control.min(most) } else { control };
         let bound = format!("≤ {}", unit.write(most));
         let more = if control > 0.0 { format!("+{}", unit.write(control)) } else { String::new() };
-        self.line(what, &unit.write(seen), &bound, &more, seen <= most + control);
+        self.line(what, &unit.write(seen), &bound, &more, seen.is_finite() && seen <= most + control);
     }
 
     /// At least `least`.
     pub(super) fn at_least(&mut self, what: &str, seen: f64, least: f64, unit: Unit) {
-        self.line(what, &unit.write(seen), &format!("≥ {}", unit.write(least)), "", seen >= least);
+        let holds = seen.is_finite() && seen >= least;
+        self.line(what, &unit.write(seen), &format!("≥ {}", unit.write(least)), "", holds);
     }
 
     /// A figure that is told and not judged.

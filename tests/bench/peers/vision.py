@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """The built plugins beside OpenCV, numpy and scipy: one thread each, one machine, one run.
 
-    python3 tests/bench/peers/vision.py [--rounds 5] [--output FILE] [--no-build]
+    python3 tests/bench/peers/vision.py [--rounds 5] [--output FILE] [--no-build] [--accuracy]
 
 Makes a venv under target/ with the packages of vision.txt. Times are those of the plugin files in the built host (`built.py`): whole
 steps of their components on pairs of images, or on spectra 64 lines at a time, with what the framework does around them. Both sides
-work without a pause, and take turns; the least time of all rounds counts, as what else runs on the machine only adds to it. Prints one JSON object: accuracy on *motorcycle* (gate B2 of the design), ratios (gate B3), percentiles, and how far
-results agree; accuracy and agreement are those of the examples `depth_bench` and `filters_bench`, which write what they make.
+work without a pause, and take turns; the least time of all rounds counts, as what else runs on the machine only adds to it. Prints
+one JSON object: accuracy on *motorcycle* (gate B2 of the design), ratios (gate B3), percentiles, and how far results agree; with
+`--accuracy` nothing is timed. Accuracy and agreement are those of the examples `depth_bench` and `filters_bench`, which write what
+they make.
 
 Exit 1 when a gate is missed, 77 when the packages cannot be had.
 
@@ -52,14 +54,15 @@ def main():
     args = arguments()
     enter_venv()
     if not args.no_build:
-        build()
+        build(args.accuracy)
     WORK.mkdir(parents=True, exist_ok=True)
     result = {"accuracy": accuracy(), "times": [], "agreement": {}}
     for width, height, disparities in ((640, 480, 64), (1024, 768, 96)):
-        result["times"] += stereo_times(width, height, disparities, args.rounds)
-        result["times"] += filter_times(width, height, args.rounds)
+        if not args.accuracy:
+            result["times"] += stereo_times(width, height, disparities, args.rounds)
+            result["times"] += filter_times(width, height, args.rounds)
         result["agreement"][f"{width}x{height}"] = agreement(width, height)
-    for samples in (1024, 2048):
+    for samples in () if args.accuracy else (1024, 2048):
         result["times"] += oct_times(samples, args.rounds)
     result["load_average"] = os.getloadavg()
     text = json.dumps(result, indent=1)
@@ -87,9 +90,11 @@ def judge_all(result):
     sys.exit(1 if missed else 0)
 
 
-def build():
+def build(only_examples):
     for package, example in (("trocar-stereo-depth", "depth_bench"), ("trocar-vision-filters", "filters_bench")):
         subprocess.run(["cargo", "build", "--release", "-q", "-p", package, "--example", example], cwd=ROOT, check=True)
+    if only_examples:
+        return
     names = ["trocar", "trocar-display", "trocar-stereo", "trocar-stereo-depth", "trocar-vision-filters", "trocar-oct",
              "trocar-fixture-ledger"]
     packages = [word for name in names for word in ("-p", name)]
@@ -101,6 +106,7 @@ def arguments():
     parser.add_argument("--rounds", type=int, default=5, help="turns of both sides at least (5)")
     parser.add_argument("--output", type=pathlib.Path, help="file for the result, beside standard output")
     parser.add_argument("--no-build", action="store_true", help="take the examples as they are built")
+    parser.add_argument("--accuracy", action="store_true", help="how right results are, not how long they take")
     return parser.parse_args()
 
 
