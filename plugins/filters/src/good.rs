@@ -25,10 +25,5 @@ pub(crate) fn pose(pose: &Pose) -> Option<Isometry3<f64>> {
 
 /// A stamp of the past, or hardly ahead: one from far ahead would make all that follow it late.
 pub(crate) fn stamp(stamp: Stamp, now: Stamp) -> bool {
-    stamp.is_valid() && at_most_ahead(stamp, now, AHEAD_S)
-}
-
-/// A stamp that lies no more than that ahead, s. Not a difference of both: that is small again for the largest ones.
-pub(crate) fn at_most_ahead(stamp: Stamp, now: Stamp, ahead_s: f64) -> bool {
-    stamp.ns() <= now.ns().saturating_add((ahead_s * 1e9) as u64)
+    stamp.is_valid() && !stamp.is_ahead_of(now, AHEAD_S)
 }

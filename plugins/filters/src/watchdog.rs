@@ -4,8 +4,6 @@
 //! found are told once each, in turn; the device is told to hold when data are lost, and again and again while they are.
 use trocar_sdk::prelude::*;
 
-use crate::good;
-
 #[derive(Config)]
 struct WatchdogConfig {
     /// Age of the newest sample at which the data count as lost
@@ -83,8 +81,7 @@ impl Component for Watchdog {
         // What lay there before Start tells nothing; a stamp from far ahead would let the data live for ever.
         let come = self.watched.latest().map(|sample| sample.stamp());
         let timeout_s = self.cfg.timeout_s;
-        self.newest =
-            come.filter(|s| *s >= self.begun && good::at_most_ahead(*s, now, timeout_s)).or(self.newest);
+        self.newest = come.filter(|s| *s >= self.begun && !s.is_ahead_of(now, timeout_s)).or(self.newest);
         self.age_s = now.seconds_since(self.newest.unwrap_or(self.begun)).max(0.0);
         let too_old = self.age_s > timeout_s;
         if too_old && !self.data_lost.get() {

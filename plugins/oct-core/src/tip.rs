@@ -103,19 +103,9 @@ impl TipTravel {
         taken
     }
 
-    /// Forgets everything.
-    pub fn clear(&mut self) {
-        self.line.clear();
-    }
-
     /// Travel at `ns`, m; none before the poses that are kept and longer than 5 ms after them.
     pub fn at(&self, ns: u64) -> Option<f64> {
         self.line.at(ns)
-    }
-
-    /// Speed along the tool over the last poses, m/s; 0 while there is only one.
-    pub fn speed_m_s(&self) -> f64 {
-        self.line.slope_s()
     }
 }
 

@@ -11,6 +11,9 @@ use trocar_sdk::prelude::*;
 const BURST: usize = 32;
 /// Longest A-scan, bins.
 const LONGEST: usize = 8192;
+/// How far a time may lie ahead of the step that takes it, s: what clocks of machines and their grids are apart. One from further
+/// ahead would make all that follow it too late for the time line.
+const AHEAD_S: f64 = 0.02;
 
 #[derive(Config)]
 pub(crate) struct SurfaceTrackerConfig {
@@ -70,6 +73,9 @@ pub struct SurfaceTracker {
     /// Frames since Start that were no A-scans in f32, or had a time that cannot be.
     #[state]
     refused_frames: u64,
+    /// Poses of the robot since Start that had no time, or one from ahead.
+    #[state]
+    refused_poses: u64,
     #[config]
     cfg: SurfaceTrackerConfig,
     tracker: Option<Tracker>,
@@ -116,17 +122,20 @@ impl Component for SurfaceTracker {
 
     fn start(&mut self) -> Result {
         self.tracker = Some(Tracker::new(self.cfg.settings()));
-        (self.seen, self.invalid, self.refused_frames) = (0, 0, 0);
+        (self.seen, self.invalid, self.refused_frames, self.refused_poses) = (0, 0, 0, 0);
         self.last = Distance::default();
         Ok(())
     }
 
-    fn step(&mut self, _: &Tick) -> Result {
+    fn step(&mut self, tick: &Tick) -> Result {
         let Some(tracker) = &mut self.tracker else { return Ok(()) };
+        let can_be = |stamp: Stamp| stamp.is_valid() && !stamp.is_ahead_of(tick.now(), AHEAD_S);
         while let Some(state) = self.robot.next() {
             let pose = state.measured_cp;
-            if pose.stamp.is_valid() {
+            if can_be(pose.stamp) {
                 tracker.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
+            } else {
+                self.refused_poses += 1;
             }
         }
         for _ in 0..BURST {
@@ -134,7 +143,7 @@ impl Component for SurfaceTracker {
             let header = *frame.header();
             // The last line's time is the furthest: where that can be told, all can.
             let last = (header.lines as usize).saturating_sub(1);
-            let told = header.format == SampleFormat::F32 && header.stamp_of(last).is_some();
+            let told = header.format == SampleFormat::F32 && header.stamp_of(last).is_some_and(can_be);
             let lines = frame.lines().ok().filter(|_| told);
             let Some((lines, room)) = lines.zip(self.bins.get_mut(..header.samples as usize)) else {
                 self.refused_frames += 1;

@@ -76,9 +76,31 @@ fn a_lost_surface_is_told_once_and_no_distance_of_it_is_valid() {
 }
 
 #[test]
-fn frames_that_are_no_a_scans_in_decibels_are_counted() {
+fn one_pose_from_ahead_or_without_a_time_does_not_hide_those_that_follow() {
     let mut bench = Bench::<SurfaceTracker>::new("{}");
-    let stamp = Stamp::from_ns(1_000_000);
+    let wrong = |stamp| ArmState { measured_cp: Pose { stamp, ..Pose::default() }, ..ArmState::default() };
+    for stamp in [Stamp::from_ns(u64::MAX), Stamp::from_ns(bench.now().ns() + 60_000_000_000), Stamp::INVALID]
+    {
+        bench.push("robot", wrong(stamp));
+    }
+    // The tip goes down and the surface with it: the distance stays and the surface's velocity is the tip's.
+    for n in 0..400 {
+        let stamp = bench.now();
+        let position = [0.0, 0.0, 1e-6 * f64::from(n)];
+        let measured_cp = Pose { stamp, position, ..Pose::default() };
+        bench.push("robot", ArmState { stamp, measured_cp, ..ArmState::default() });
+        step(&mut bench, Some(500e-6));
+    }
+    let last = bench.state().last;
+    assert!(last.valid.get() && (last.velocity - 1e-3).abs() < 1e-4, "{last:?}");
+    assert_eq!(bench.state().refused_poses, 3);
+}
+
+#[test]
+fn frames_that_are_no_a_scans_in_decibels_or_from_ahead_are_counted() {
+    let mut bench = Bench::<SurfaceTracker>::new("{}");
+    let stamp = bench.now();
+    let ahead = Stamp::from_ns(stamp.ns() + 1_000_000_000);
     let good =
         AScanHeader { stamp, lines: 1, samples: 512, format: SampleFormat::F32, ..AScanHeader::default() };
     let endless = AScanHeader { lines: 2, line_period: f64::INFINITY, ..good };
@@ -87,6 +109,7 @@ fn frames_that_are_no_a_scans_in_decibels_are_counted() {
         (endless, 4096),
         (late, 4096),
         (AScanHeader { line_period: f64::NAN, ..good }, 2048),
+        (AScanHeader { stamp: ahead, ..good }, 2048),
         (AScanHeader { format: SampleFormat::U8, ..good }, 512),
         (AScanHeader { samples: 10_000, ..good }, 40_000),
         (good, 2047),
@@ -94,7 +117,7 @@ fn frames_that_are_no_a_scans_in_decibels_are_counted() {
         bench.push_frame("ascan", header, &vec![0; bytes]);
     }
     bench.step(1);
-    assert_eq!((bench.state().refused_frames, bench.outputs::<Distance>("distance").len()), (6, 0));
+    assert_eq!((bench.state().refused_frames, bench.outputs::<Distance>("distance").len()), (7, 0));
 }
 
 #[test]

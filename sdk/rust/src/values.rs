@@ -34,6 +34,12 @@ impl Stamp {
     pub fn seconds_since(self, earlier: Stamp) -> f64 {
         self.0.wrapping_sub(earlier.0).cast_signed() as f64 * 1e-9
     }
+
+    /// Whether this stamp lies more than `by_s` seconds after `now`. Unlike a difference, right for the largest stamps, too.
+    #[inline]
+    pub fn is_ahead_of(self, now: Stamp, by_s: f64) -> bool {
+        self.0 > now.0.saturating_add((by_s * 1e9) as u64)
+    }
 }
 
 // SAFETY: a transparent u64.
@@ -326,6 +332,15 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::payload::{as_bytes, from_bytes};
+
+    #[test]
+    fn what_lies_ahead_is_told_of_the_largest_stamps_too() {
+        let now = Stamp::from_ns(5_000_000_000);
+        assert!(!Stamp::from_ns(5_500_000_000).is_ahead_of(now, 0.5));
+        assert!(Stamp::from_ns(5_500_000_001).is_ahead_of(now, 0.5));
+        assert!(Stamp::from_ns(u64::MAX).is_ahead_of(now, 0.5) && !Stamp::INVALID.is_ahead_of(now, 0.5));
+        assert!(!Stamp::from_ns(u64::MAX).is_ahead_of(Stamp::from_ns(u64::MAX - 1), 0.5));
+    }
 
     #[test]
     fn a_list_with_a_lying_length_is_clamped() {
