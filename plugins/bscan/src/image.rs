@@ -2,23 +2,7 @@
 //!
 //! Invariant: room is made once; a column is the mean of the A-scans that fell into it, and one without any stays black.
 
-/// How A-scans become grey.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Grey {
-    /// Black, dB.
-    pub low_db: f32,
-    /// White, dB.
-    pub high_db: f32,
-}
-
-/// The values of one A-scan.
-#[derive(Clone, Copy, Debug)]
-pub enum AScan<'a> {
-    /// Grey already.
-    Bytes(&'a [u8]),
-    /// dB, f32 in the machine's byte order.
-    Decibels(&'a [u8], Grey),
-}
+use crate::ascans::{AScan, Grey};
 
 /// Sum of the A-scans of a column.
 #[derive(Clone, Debug, Default)]
@@ -45,6 +29,11 @@ impl Column {
             }
         }
         self.lines += 1;
+    }
+
+    fn clear(&mut self) {
+        self.sum.fill(0.0);
+        self.lines = 0;
     }
 
     /// Writes the mean into one column of an image, and begins anew.
@@ -80,8 +69,8 @@ impl Scan {
     pub fn begin(&mut self, width: usize) {
         self.width = width.min(self.pixels.len() / self.rows.max(1));
         self.pixels[..self.width * self.rows].fill(0);
-        self.column.sum.fill(0.0);
-        (self.column.lines, self.current, self.filled) = (0, None, 0);
+        self.column.clear();
+        (self.current, self.filled) = (None, 0);
     }
 
     /// Adds an A-scan to `column`; one that lies behind the column that grows, or outside of the image, is left out. Gives
@@ -140,6 +129,13 @@ impl Rolling {
     pub fn new(width: usize, rows: usize, each: u32) -> Rolling {
         let column = Column::new(rows);
         Rolling { pixels: vec![0; width * rows], width, column, next: 0, each: each.max(1) }
+    }
+
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.pixels.fill(0);
+        self.column.clear();
+        self.next = 0;
     }
 
     /// Adds an A-scan; gives of how many A-scans the column is that was ended by it.

@@ -3,15 +3,18 @@
 //! Invariant: `depth`, `line` and `image` decide and compute; the component `bscan` alone commands the robot; `mscan` commands nobody.
 #![forbid(unsafe_code)]
 
+pub mod ascans;
 mod bscan;
 pub mod depth;
 pub mod image;
 pub mod line;
 mod mscan;
+pub mod past;
 mod payloads;
-pub mod poses;
 #[cfg(test)]
 mod rig;
+mod sending;
+pub mod taken;
 
 pub use bscan::BScan;
 pub use mscan::MScan;

@@ -2,13 +2,18 @@
 //!
 //! Invariant: it commands nobody; what are no A-scans is counted, and the next good ones go on.
 
-use trocar_sdk::data::{AScanHeader, ImageHeader, PixelFormat, SampleFormat};
+use trocar_sdk::data::{AScanHeader, ArmState, Distance, ImageHeader};
 use trocar_sdk::prelude::*;
 
-use crate::image::{AScan, Grey, Rolling};
+use crate::ascans::{Grey, ascans};
+use crate::image::Rolling;
+use crate::payloads::ScanColumn;
+use crate::sending::{SLOTS, Sending};
+use crate::taken::{Taken, Track};
 
-/// Frames of the output's pool.
-const SLOTS: u32 = 6;
+/// Frames, poses and distances of one step at most: as many as their queues hold.
+const BURST: usize = 64;
+const DISTANCES: usize = 256;
 
 #[derive(Config)]
 struct MScanConfig {
@@ -36,9 +41,18 @@ pub struct MScan {
     /// A-scans, f32 in dB or bytes
     #[input(fifo = 64)]
     ascan: In<Frame<AScanHeader>>,
+    /// Where the tip is: without it, columns have no pose
+    #[input(optional, fifo = 64)]
+    robot: In<ArmState>,
+    /// From the tip to the retina: without it, columns have no distance
+    #[input(optional, fifo = 256)]
+    distance: In<Distance>,
     /// The last moments
     #[output]
     image: Out<Frame<ImageHeader>>,
+    /// Each column when it is there: where it was taken
+    #[output]
+    column: Out<ScanColumn>,
     /// A-scans since Start.
     #[state]
     seen: u64,
@@ -48,68 +62,58 @@ pub struct MScan {
     /// Images since Start for which there was no frame.
     #[state]
     left_out: u64,
+    /// Columns since Start.
+    #[state]
+    columns: u32,
     #[config]
     cfg: MScanConfig,
     rolling: Rolling,
+    /// Of the column that grows.
+    taken: Taken,
+    track: Track,
+    sending: Sending,
+    grey: Grey,
     built: Option<(u32, u32, u32)>,
-    next: Stamp,
-    index: u64,
 }
 
 impl MScan {
-    fn draw(&mut self) {
-        let grey = Grey { low_db: self.cfg.range_db[0] as f32, high_db: self.cfg.range_db[1] as f32 };
-        while let Some(frame) = self.ascan.next() {
-            let format = frame.header().format;
-            let Some(lines) =
-                frame.lines().ok().filter(|_| matches!(format, SampleFormat::U8 | SampleFormat::F32))
-            else {
-                self.refused_frames += 1;
-                continue;
-            };
-            for bytes in lines.iter() {
-                self.rolling.add(if format == SampleFormat::U8 {
-                    AScan::Bytes(bytes)
-                } else {
-                    AScan::Decibels(bytes, grey)
-                });
-                self.seen += 1;
-            }
+    fn look(&mut self) {
+        for _ in 0..BURST {
+            let Some(state) = self.robot.next() else { break };
+            self.track.tip_at(state.measured_cp);
+        }
+        for _ in 0..DISTANCES {
+            let Some(seen) = self.distance.next() else { break };
+            self.track.surface_at(seen);
         }
     }
 
-    fn send(&mut self, now: Stamp) {
-        let MScanConfig { rows, columns, .. } = self.cfg;
-        let len = rows as usize * columns as usize;
-        let Ok(mut loan) = self.image.loan() else {
-            self.left_out += 1;
-            return;
-        };
-        *loan.header_mut() = ImageHeader {
-            stamp: now,
-            index: self.index,
-            width: columns,
-            height: rows,
-            stride: columns,
-            format: PixelFormat::GRAY8,
-        };
-        if let Some(room) = loan.bytes_mut().get_mut(..len) {
-            self.rolling.write(room);
+    fn draw(&mut self) {
+        for _ in 0..BURST {
+            let Some(frame) = self.ascan.next() else { return };
+            let Some(all) = ascans(&frame, self.grey) else {
+                self.refused_frames += 1;
+                continue;
+            };
+            for (taken, ascan) in all {
+                if self.rolling.lines() == 0 {
+                    self.taken = Taken::begin(taken, &self.track);
+                }
+                if let Some(lines) = self.rolling.add(ascan) {
+                    self.taken.complete(&self.track);
+                    self.column.write(&self.taken.column(0, self.columns, lines));
+                    self.columns = self.columns.wrapping_add(1);
+                }
+                self.seen += 1;
+            }
         }
-        loan.commit(len, now);
-        self.index += 1;
     }
 }
 
 impl Component for MScan {
     fn configure(&mut self) -> Result {
-        let MScanConfig { rows, columns, lines, range_db: [low, high], .. } = self.cfg;
-        if !(low.is_finite() && high.is_finite() && high - low >= 1.0) {
-            return Err(format!(
-                "range_db: {low} to {high} is no range: the second is at least 1 dB above the first"
-            )
-            .into());
-        }
+        self.grey = Grey::of(self.cfg.range_db)?;
+        let MScanConfig { rows, columns, lines, .. } = self.cfg;
         if self.built == Some((rows, columns, lines)) {
             return Ok(());
         }
@@ -120,16 +124,20 @@ impl Component for MScan {
     }
 
     fn start(&mut self) -> Result {
-        (self.seen, self.refused_frames, self.left_out, self.next) = (0, 0, 0, Stamp::INVALID);
+        (self.seen, self.refused_frames, self.left_out, self.columns) = (0, 0, 0, 0);
+        (self.track, self.taken) = (Track::default(), Taken::default());
+        self.rolling.clear();
+        self.sending.restart();
         Ok(())
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
+        self.look();
         self.draw();
-        if tick.now() >= self.next {
-            let period_ns = (1e9 / self.cfg.image_rate_hz) as u64;
-            self.next = Stamp::from_ns(tick.now().ns() + period_ns);
-            self.send(tick.now());
+        if self.sending.is_due(tick.now(), self.cfg.image_rate_hz) {
+            let size = (self.cfg.columns as usize, self.cfg.rows as usize);
+            let sent = self.sending.send(&mut self.image, tick.now(), size, |room| self.rolling.write(room));
+            self.left_out += u64::from(!sent);
         }
         Ok(())
     }

@@ -2,12 +2,13 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use trocar_sdk::data::{PixelFormat, Pose, SampleFormat};
 use trocar_sdk::testing::Bench;
 
 const CONFIG: &str = r#"{"rows": 4, "columns": 3, "lines": 2, "image_rate_hz": 100, "range_db": [50, 90]}"#;
 
 fn header(format: SampleFormat, lines: u32, samples: u32) -> AScanHeader {
-    AScanHeader { lines, samples, format, ..AScanHeader::default() }
+    AScanHeader { stamp: Stamp::from_ns(1), lines, samples, format, ..AScanHeader::default() }
 }
 
 fn newest(bench: &mut Bench<MScan>) -> (ImageHeader, Vec<u8>) {
@@ -38,6 +39,8 @@ fn what_are_no_a_scans_is_counted_and_the_next_good_one_is_shown() {
         (header(SampleFormat::U8, u32::MAX, u32::MAX), 8),
         (header(SampleFormat::U16, 1, 4), 8),
         (header(SampleFormat(99), 1, 4), 8),
+        (AScanHeader { stamp: Stamp::INVALID, ..header(SampleFormat::U8, 2, 4) }, 8),
+        (AScanHeader { line_period: f64::NAN, ..header(SampleFormat::U8, 2, 4) }, 8),
     ];
     for (header, len) in bad {
         bench.push_frame("ascan", header, &vec![200; len]);
@@ -48,6 +51,66 @@ fn what_are_no_a_scans_is_counted_and_the_next_good_one_is_shown() {
     bench.push_frame("ascan", header(SampleFormat::U8, 2, 4), &[8; 8]);
     bench.step(1);
     assert_eq!(newest(&mut bench).1, [0, 0, 8].repeat(4));
+}
+
+/// A-scans, distances and poses of two columns: the second one of each pair of A-scans 250 µs after the first.
+fn push_all(bench: &mut Bench<MScan>) {
+    let at = |ns| Stamp::from_ns(ns);
+    for (ns, distance, valid) in
+        [(1_000_000, 0.5e-3, true), (1_250_000, 0.6e-3, true), (1_500_000, 0.0, false)]
+    {
+        let valid = valid.into();
+        bench.push("distance", Distance { stamp: at(ns), distance, valid, ..Distance::default() });
+    }
+    for (ns, x) in [(900_000, 1.0), (1_900_000, 2.0)] {
+        let measured_cp = Pose { stamp: at(ns), position: [x, 0.0, 0.0], ..Pose::default() };
+        bench.push("robot", ArmState { stamp: at(ns), measured_cp, ..ArmState::default() });
+    }
+    for ns in [1_000_000, 1_500_000] {
+        let header = AScanHeader { stamp: at(ns), line_period: 250e-6, ..header(SampleFormat::U8, 2, 4) };
+        bench.push_frame("ascan", header, &[8; 8]);
+    }
+}
+
+#[test]
+fn columns_tell_where_tip_and_surface_were_when_their_first_a_scan_was_taken() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    push_all(&mut bench);
+    bench.step(1);
+    let columns = bench.outputs::<ScanColumn>("column");
+    let told = |c: &ScanColumn| (c.stamp.ns(), c.scan, c.column, c.lines, c.pose.stamp.ns());
+    let expected = [(1_000_000, 0, 0, 2, 1_000_000), (1_500_000, 0, 1, 2, 1_500_000)];
+    assert_eq!(columns.iter().map(told).collect::<Vec<_>>(), expected);
+    assert!((columns[0].pose.position[0] - 1.1).abs() < 1e-12, "{:?}", columns[0].pose);
+    assert!((columns[1].pose.position[0] - 1.6).abs() < 1e-12, "{:?}", columns[1].pose);
+    assert_eq!(columns[0].distance, 0.5e-3);
+    assert!(columns[1].distance.is_nan(), "that A-scan shows no surface");
+}
+
+#[test]
+fn without_robot_and_tracker_columns_have_a_time_and_no_pose() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    bench.connect_input("robot", false);
+    bench.connect_input("distance", false);
+    push_all(&mut bench);
+    bench.step(1);
+    let columns = bench.outputs::<ScanColumn>("column");
+    assert_eq!(columns.iter().map(|c| c.stamp.ns()).collect::<Vec<_>>(), [1_000_000, 1_500_000]);
+    assert!(columns.iter().all(|c| !c.pose.is_valid() && c.distance.is_nan()));
+}
+
+#[test]
+fn a_start_begins_with_a_black_image_and_column_0() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    push_all(&mut bench);
+    bench.push_frame("ascan", header(SampleFormat::U8, 1, 4), &[200; 4]);
+    bench.step(1);
+    bench.stop().unwrap();
+    bench.start().unwrap();
+    push_all(&mut bench);
+    bench.step(2);
+    assert_eq!(bench.outputs::<ScanColumn>("column").last().unwrap().column, 1);
+    assert_eq!(newest(&mut bench).1, [0, 8, 8].repeat(4));
 }
 
 #[test]
@@ -72,5 +135,10 @@ fn a_range_that_is_none_is_refused() {
 #[test]
 fn a_step_allocates_nothing() {
     let mut bench = Bench::<MScan>::new("{}");
-    bench.assert_no_alloc(|bench| bench.step(50));
+    bench.assert_no_alloc(|bench| {
+        for _ in 0..20 {
+            push_all(bench);
+            bench.step(5);
+        }
+    });
 }

@@ -75,17 +75,16 @@ pub struct Progress {
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct ScanColumn {
-    /// Of its last A-scan.
+    /// When its first A-scan was taken: pose and distance are those of this time.
     pub stamp: Stamp,
     pub scan: u64,
     /// From 0.
     pub column: u32,
     /// A-scans in it.
     pub lines: u32,
-    /// Of the tip, in the robot's base frame, when its first A-scan was taken, with the stamp of that; stamp 0 where the robot
-    /// did not tell.
+    /// Of the tip, in the robot's base frame, with the same stamp; stamp 0 where the robot did not tell.
     pub pose: Pose,
-    /// From the tip to the surface when its last A-scan came, as tracked.
+    /// From the tip to the surface, as tracked; NaN where that A-scan shows none, or nobody told.
     #[unit("m")]
     pub distance: f64,
 }

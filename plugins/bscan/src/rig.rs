@@ -23,9 +23,14 @@ use trocar_sdk::testing::Bench;
 
 use crate::{BScan, Phase, Progress, ScanRequest};
 
+trocar_sdk::testing::count_allocations!();
+
 const STEP_NS: u64 = 1_000_000;
 const LINE_NS: u64 = 250_000;
 pub(crate) const OFFSET_M: f64 = 500e-6;
+/// The tip is never nearer to the surface than this, in no run, m.
+pub(crate) const NEAREST_M: f64 = 150e-6;
+pub(crate) const SEEDS: std::ops::RangeInclusive<u64> = 1..=20;
 /// With all joints zero the robot's tip stands so far above the world's origin, m.
 const STANDOFF_M: f64 = 1e-3;
 /// Periods in which the robot is brought over the eye.
@@ -113,8 +118,7 @@ pub(crate) fn ready() -> OperatingState {
 impl Rig {
     pub(crate) fn new(setup: Setup) -> Rig {
         let rows = if setup.images { 512 } else { 8 };
-        let mut bench =
-            Bench::<BScan>::new(format!(r#"{{"rows": {rows}, "mscan_columns": 8, "range_db": [40, 100]}}"#));
+        let mut bench = Bench::<BScan>::new(format!(r#"{{"rows": {rows}, "range_db": [40, 100]}}"#));
         let pose = Rc::new(Cell::new(Pose::default()));
         let at = pose.clone();
         bench.answer("robot/measured_cp", move |()| Ok(at.get()));

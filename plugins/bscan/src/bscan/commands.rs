@@ -1,0 +1,92 @@
+//! The interface `scan`: how a scan is begun, ended and seen.
+//!
+//! Invariant: a scan begins only where all it needs is there, and else says what is missing and what to do.
+
+use trocar_oct_core::tip::axis_of;
+use trocar_sdk::prelude::*;
+
+use super::{BScan, BScanState, LONGEST_DELAY_S, ROBOT_LOST_S, SURFACE_LOST_S, is_ready};
+use crate::line::Line;
+use crate::payloads::{Phase, Progress, ScanRequest};
+
+/// The scan.
+#[provides("scan")]
+impl BScan {
+    /// Begins a scan: goes to the offset and to the begin of the line, and then along it.
+    #[command(name = "start")]
+    fn begin(&mut self, request: &ScanRequest) -> Result<(), String> {
+        if self.progress.phase != Phase::IDLE {
+            return Err("a scan is running: abort it first, or wait for bscan_done".into());
+        }
+        let now = self.now;
+        let line = self.line_of(request, now)?;
+        self.depth.begin();
+        self.scan.begin(line.columns);
+        self.gone.clear();
+        self.progress.scan += 1;
+        (self.progress.columns, self.progress.of) = (0, line.columns as u32);
+        self.line = Some(line);
+        self.enter(Phase::APPROACH, now);
+        Ok(())
+    }
+
+    /// Ends the scan at once; without one nothing happens.
+    #[command]
+    fn abort(&mut self) {
+        self.give_up("aborted by command");
+    }
+
+    /// How far the scan is.
+    #[read]
+    fn progress(s: &BScanState) -> Progress {
+        s.progress
+    }
+}
+
+impl BScan {
+    /// The line of a request, when all that a scan needs is there.
+    fn line_of(&self, request: &ScanRequest, now: Stamp) -> Result<Line, String> {
+        let axis = axis_of(&self.pose.orientation)
+            .filter(|_| self.pose.is_valid() && now.seconds_since(self.pose.stamp) < ROBOT_LOST_S)
+            .ok_or(
+                "the robot does not tell where it is: connect its interface arm to robot, enable and home it",
+            )?;
+        if !is_ready(&self.robot) {
+            return Err(
+                "the robot takes no motion: send it state_command \"enable\" or \"resume\", then \"home\""
+                    .into(),
+            );
+        }
+        if !self.last.valid.get() || now.seconds_since(self.last.stamp) > SURFACE_LOST_S {
+            return Err("there is no surface: bring the tip over the retina, some 0.3 to 1 mm away".into());
+        }
+        if self.last.velocity.is_nan() {
+            return Err(
+                "the tracker does not know the robot: connect the robot's state to its input robot".into()
+            );
+        }
+        if self.last.distance < self.cfg.min_distance_m {
+            return Err(format!(
+                "the tip is {:.0} um from the surface, and min_distance_m is {:.0} um: bring it away first",
+                1e6 * self.last.distance,
+                1e6 * self.cfg.min_distance_m
+            ));
+        }
+        let delay_s = self.progress.delay + self.hop_s;
+        if delay_s > LONGEST_DELAY_S {
+            return Err(format!(
+                "the loop's delay is {:.1} ms, and above {:.0} ms it is not closed: bring source, tracker and robot nearer \
+                 together",
+                1e3 * delay_s,
+                1e3 * LONGEST_DELAY_S
+            ));
+        }
+        let columns = self.cfg.max_columns as usize;
+        Line::of(request, self.pose.position, axis, self.cfg.min_distance_m, columns)
+            .map_err(|why| why.to_string())
+    }
+}
+
+#[cfg(test)]
+#[path = "commands_tests.rs"]
+mod tests;

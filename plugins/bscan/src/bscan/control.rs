@@ -1,0 +1,148 @@
+//! One period of a scan: from what is seen to what the robot is told.
+//!
+//! Invariant: every speed that is sent comes from `depth` and `line`, and whatever cannot go on says why.
+
+use trocar_oct_core::tip::axis_of;
+use trocar_sdk::data::{FixtureKind, Pose, Twist, VirtualFixture};
+use trocar_sdk::prelude::*;
+
+use super::{BScan, LONGEST_DELAY_S, ROBOT_LOST_S, SURFACE_LOST_S, is_ready};
+use crate::depth::Advice;
+use crate::line::Line;
+use crate::payloads::Phase;
+
+/// A scan ends when the line takes longer than so many times its length over its speed, and so much more, s.
+const SLOWEST: f64 = 1.5;
+const LATEST_S: f64 = 2.0;
+/// A robot that is further from where the line has it ends the scan, m.
+const LAG_M: f64 = 0.2e-3;
+/// Across the tool the tip goes to the begin only when it is this near to the offset, m.
+const CLOSE_M: f64 = 50e-6;
+/// The scan sets off this near to its begin and to the offset, m, after so long, s.
+const NEAR_M: f64 = 15e-6;
+const SETTLED_S: f64 = 0.1;
+/// The tip nears the guard at most at this times the distance that is left, 1/s: the most that the robot takes.
+const GUARD_PER_S: f64 = 30.0;
+
+impl BScan {
+    /// Velocities along and across the tool, m/s.
+    fn send(&self, stamp: Stamp, along: [f64; 3], across: [f64; 3]) {
+        let twist = |linear| Twist { stamp, linear, ..Twist::default() };
+        self.servo_along.send(twist(along));
+        self.servo_across.send(twist(across));
+    }
+
+    /// Moves the robot for one period; the reason when it cannot go on.
+    pub(super) fn drive(&mut self, tick: &Tick) -> Result<(), &'static str> {
+        let (now, dt_s) = (tick.now(), tick.period_s());
+        let Some(line) = self.line else { return Ok(()) };
+        if now.seconds_since(self.since.robot) > ROBOT_LOST_S {
+            return Err("the robot has not told for 20 ms where it is");
+        }
+        if !is_ready(&self.robot) {
+            return Err("the robot is no longer enabled and homed");
+        }
+        if now.seconds_since(self.since.surface) > SURFACE_LOST_S {
+            return Err(if self.since.jumped {
+                "the surface was not where it can be for 50 ms: perhaps a deeper layer was seen in its place"
+            } else {
+                "the surface was not seen for 50 ms"
+            });
+        }
+        if self.progress.delay + self.hop_s > LONGEST_DELAY_S {
+            return Err("the loop's delay is above 12 ms");
+        }
+        let offset_m = line.offset_m + self.retracted_m(now);
+        let settings = self.cfg.depth(self.progress.loop_delay);
+        let Some(advice) = self.depth.advise(now.ns(), dt_s, offset_m, &settings) else {
+            // The robot is late: it stands until it is here again, or is lost.
+            self.send(now, [0.0; 3], [0.0; 3]);
+            return Ok(());
+        };
+        if self.progress.phase != Phase::RETRACT && advice.distance_m < self.cfg.min_distance_m {
+            return Err("the tip is nearer to the surface than min_distance_m");
+        }
+        let Some(axis) = axis_of(&self.pose.orientation) else {
+            return Err("the robot's orientation is no unit quaternion");
+        };
+        if !advice.blind {
+            self.set_guard.send(self.guard(&axis, advice.distance_m));
+        }
+        self.progress.distance = advice.distance_m;
+        self.progress.error = advice.distance_m - offset_m;
+        let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, tick) };
+        if self.progress.phase == Phase::SCAN && line.lag_m(&self.pose.position, self.planned_m) > LAG_M {
+            return Err("the robot is more than 0.2 mm away from where it should be on the line");
+        }
+        self.send(now, axis.map(|a| a * advice.speed_m_s), across);
+        if self.progress.phase == Phase::APPROACH
+            && now.seconds_since(self.since.phase) > self.cfg.approach_timeout_s
+        {
+            return Err("the begin of the line was not reached in time");
+        }
+        let latest_s = SLOWEST * line.length_m / line.speed_m_s + LATEST_S;
+        if self.progress.phase == Phase::SCAN && now.seconds_since(self.since.phase) > latest_s {
+            return Err("the end of the line was not reached in time");
+        }
+        Ok(())
+    }
+
+    /// A plane across the tool, min_distance_m above a surface `distance_m` before the tip.
+    fn guard(&self, axis: &[f64; 3], distance_m: f64) -> VirtualFixture {
+        let below_m = distance_m - self.cfg.min_distance_m;
+        let position = [0, 1, 2].map(|i| self.pose.position[i] + axis[i] * below_m);
+        let [x, y, z, w] = self.pose.orientation;
+        // The tool's frame, half a turn about its own x: the allowed side is where z points.
+        let frame = Pose { stamp: self.pose.stamp, position, orientation: [w, z, -y, -x] };
+        VirtualFixture { kind: FixtureKind::PLANE, reserved: 0, frame, stiffness: GUARD_PER_S }
+    }
+
+    /// How much further than the offset the tip is wanted by now, m.
+    fn retracted_m(&self, now: Stamp) -> f64 {
+        if self.progress.phase != Phase::RETRACT {
+            return 0.0;
+        }
+        self.cfg.retract_m.min(self.cfg.approach_m_s * now.seconds_since(self.since.phase))
+    }
+
+    /// Velocity across the tool; goes on from APPROACH to SCAN.
+    fn across(&mut self, line: &Line, advice: &Advice, tick: &Tick) -> [f64; 3] {
+        let (now, tip_m) = (tick.now(), &self.pose.position);
+        match self.progress.phase {
+            Phase::SCAN => {
+                let since_s = now.seconds_since(self.since.phase);
+                self.planned_m += line.pace_m_s(since_s) * tick.period_s();
+                return line.follow(tip_m, since_s);
+            }
+            Phase::RETRACT => return [0.0; 3],
+            _ => {}
+        }
+        let (velocity, left_m) = line.to_start(tip_m);
+        let off_m = (advice.distance_m - line.offset_m).abs();
+        let near = left_m < NEAR_M && off_m < NEAR_M;
+        if !near {
+            self.since.near = Stamp::INVALID;
+        } else if !self.since.near.is_valid() {
+            self.since.near = now;
+        } else if now.seconds_since(self.since.near) > SETTLED_S {
+            self.planned_m = line.along_m(tip_m);
+            self.enter(Phase::SCAN, now);
+        }
+        // Low over the retina nothing goes across: first to the offset, then to the begin.
+        if off_m < CLOSE_M { velocity } else { [0.0; 3] }
+    }
+
+    /// Has the last A-scan of the line been seen? Without A-scans: is the tip at its end?
+    pub(super) fn is_over(&self, now: Stamp) -> bool {
+        let Some(line) = &self.line else { return false };
+        let late_ns = (LONGEST_DELAY_S * 1e9) as u64;
+        let gone_m = self.gone.at(now.ns().saturating_sub(late_ns));
+        gone_m.is_some_and(|gone_m| gone_m >= line.length_m)
+    }
+
+    /// Has the tip been given the time to go away, and to come to rest?
+    pub(super) fn is_away(&self, now: Stamp) -> bool {
+        let away_s = self.cfg.retract_m / self.cfg.approach_m_s + SETTLED_S;
+        now.seconds_since(self.since.phase) > away_s
+    }
+}

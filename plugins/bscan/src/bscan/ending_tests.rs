@@ -1,0 +1,161 @@
+//! What ends a scan, and what is left then: one event, a hold, a tip that rests.
+#![allow(clippy::unwrap_used)]
+
+use trocar_sdk::data::{ImageHeader, OperatingMode, OperatingState};
+use trocar_sdk::prelude::*;
+
+use crate::Phase;
+use crate::rig::{OFFSET_M, Rig, SEEDS, Setup, ready};
+
+#[test]
+fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_goes_away_and_rests() {
+    for seed in SEEDS {
+        let mut rig = Rig::new(Setup::new("default", seed));
+        rig.begin();
+        rig.until_scanning();
+        rig.steps(1000);
+        rig.dark_until_ns = u64::MAX;
+        let from = rig.truth.last().unwrap().tip_z_m;
+        rig.steps(51);
+        let moved = rig.truth.last().unwrap().tip_z_m - from;
+        assert!(moved.abs() < 50e-6, "seed {seed}: the tip went on by {moved:.2e} m");
+        rig.steps(10);
+        rig.watch(400);
+        assert_eq!(
+            rig.bench.events::<Text<128>>("scan/bscan_aborted"),
+            ["the surface was not seen for 50 ms"]
+        );
+        assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+        assert!(rig.stands());
+        let away = from - rig.truth.last().unwrap().tip_z_m;
+        assert!((away - 0.4e-3).abs() < 50e-6, "seed {seed}: {away:.2e} m away");
+        assert!(rig.refused.is_empty(), "{:?}", rig.refused);
+    }
+}
+
+#[test]
+fn a_deeper_layer_that_is_taken_for_the_surface_is_not_followed() {
+    for seed in SEEDS {
+        let mut rig = Rig::new(Setup::new("default", seed));
+        rig.begin();
+        rig.until_scanning();
+        rig.steps(1000);
+        // The tracker takes it after 12 ms; the surface is back in time.
+        rig.deep_until_ns = rig.bench.now().ns() + 25_000_000;
+        let from = rig.truth.len();
+        rig.steps(200);
+        assert!(rig.truth[from..].iter().any(|t| t.measured.valid.get() && t.measured.distance > 620e-6));
+        let largest = rig.truth[from..].iter().map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
+        assert!(largest < 50e-6, "seed {seed}: {largest:.2e} m");
+        assert_eq!(rig.progress().phase, Phase::SCAN, "seed {seed}");
+        // It stays.
+        rig.deep_until_ns = u64::MAX;
+        let from = rig.truth.len();
+        rig.steps(62);
+        let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+        assert_eq!(told.len(), 1, "seed {seed}");
+        assert!(told[0].starts_with("the surface was not where it can be for 50 ms"), "{}", told[0]);
+        let nearest = rig.truth[from..].iter().map(|t| t.distance_m).fold(f64::INFINITY, f64::min);
+        assert!(nearest > OFFSET_M - 50e-6, "seed {seed}: {nearest:.2e} m");
+    }
+}
+
+#[test]
+fn a_tip_nearer_than_the_least_distance_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.begin();
+    rig.until_scanning();
+    rig.steps(100);
+    // As near as 500 µm is too near from now on.
+    rig.bench.configure(r#"{"rows": 8, "range_db": [40, 100], "min_distance_m": 0.00055}"#).unwrap();
+    rig.steps(2);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the tip is nearer to the surface than min_distance_m"]);
+}
+
+#[test]
+fn after_the_line_the_tip_goes_away_from_the_eye_before_it_rests() {
+    let mut rig = Rig::run(Setup::new("static_no_membrane", 1));
+    assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+    rig.steps(20);
+    let away = rig.truth.last().unwrap().distance_m - OFFSET_M;
+    // Where exactly it rests matters to nobody.
+    assert!((away - 400e-6).abs() < 20e-6, "{away:.2e} m");
+    let image = rig.bench.frames::<ImageHeader>("bscan_image").len();
+    assert!(image > 50, "{image} images while it grew");
+    // Without a surface it rests where it is, and the image counts.
+    let mut rig = Rig::new(Setup::new("default", 2));
+    rig.begin();
+    rig.until_scanning();
+    while rig.progress().phase == Phase::SCAN {
+        rig.step();
+    }
+    assert_eq!(rig.progress().phase, Phase::RETRACT);
+    rig.dark_until_ns = u64::MAX;
+    rig.steps(100);
+    assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+    assert!(rig.bench.events::<Text<128>>("scan/bscan_aborted").is_empty());
+    assert_eq!(rig.bench_done(), 1);
+}
+
+#[test]
+fn abort_ends_a_scan_at_any_moment_with_one_event_and_a_hold() {
+    for after in [0, 1, 50, 300, 1500] {
+        let mut rig = Rig::new(Setup::new("default", 1));
+        rig.begin();
+        rig.steps(after);
+        rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+        rig.step();
+        assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
+        rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+        rig.step();
+        rig.watch(400);
+        assert_eq!(rig.bench.events::<Text<128>>("scan/bscan_aborted"), ["aborted by command"]);
+        assert!(rig.stands());
+    }
+}
+
+#[test]
+fn a_robot_that_is_paused_or_fails_ends_the_scan_and_resume_moves_nothing() {
+    for state in [OperatingMode::PAUSED, OperatingMode::FAULT, OperatingMode::DISABLED] {
+        let mut rig = Rig::new(Setup::new("default", 1));
+        rig.begin();
+        rig.until_scanning();
+        rig.pretends = Some(OperatingState { state, ..ready() });
+        rig.steps(2);
+        let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+        assert_eq!(told, ["the robot is no longer enabled and homed"], "{state:?}");
+        assert_eq!(rig.bench.state().progress.phase, Phase::IDLE);
+        rig.steps(100);
+        rig.pretends = None;
+        assert!(rig.stands(), "nothing moves by itself");
+    }
+}
+
+#[test]
+fn a_tip_that_something_holds_back_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("static", 1));
+    rig.begin();
+    rig.until_scanning();
+    rig.stuck = true;
+    let from = rig.truth.len();
+    rig.steps(600);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the robot is more than 0.2 mm away from where it should be on the line"]);
+    // 0.2 mm at 0.5 mm/s, and the robot's own lag.
+    let scanned = rig.truth[from..].iter().filter(|t| t.scanning).count();
+    assert!((1500..1800).contains(&scanned), "after {scanned} lines");
+}
+
+#[test]
+fn a_robot_that_falls_silent_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.begin();
+    rig.until_scanning();
+    rig.bench.connect_function("robot/measured_cp", false);
+    rig.steps(25);
+    assert_eq!(
+        rig.bench.events::<Text<128>>("scan/bscan_aborted"),
+        ["the robot has not told for 20 ms where it is"]
+    );
+}

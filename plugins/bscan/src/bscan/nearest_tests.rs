@@ -1,0 +1,110 @@
+//! How near the tip comes to the retina when a scan ends, however it ends (gate A6).
+//!
+//! Invariant: the true tip and the true first surface count, for a whole breath after the end, in virtual time.
+#![allow(clippy::unwrap_used)]
+
+use trocar_sdk::data::{FixtureKind, Pose, Twist};
+
+use crate::Phase;
+use crate::rig::{NEAREST_M, OFFSET_M, Rig, SEEDS, Setup};
+
+/// A whole breath, s, is 4; and the way away from the retina, with some room.
+const BREATH: usize = 4_300;
+
+#[test]
+fn after_an_abort_or_a_lost_surface_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
+    // The nearest offset there is; the eye goes up and down by 320 µm. Aborts at all times of its motion.
+    for seed in SEEDS {
+        for lost in [false, true] {
+            let mut rig = Rig::new(Setup { offset_m: 200e-6, ..Setup::new("default", seed) });
+            rig.begin();
+            rig.until_scanning();
+            rig.steps(50 + 37 * seed as usize);
+            if lost {
+                rig.dark_until_ns = u64::MAX;
+                rig.steps(60);
+            } else {
+                rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+                rig.step();
+            }
+            assert_eq!(rig.progress().phase, Phase::IDLE);
+            let nearest = rig.watch(BREATH).into_iter().chain([rig.errors().2]).fold(f64::INFINITY, f64::min);
+            assert!(nearest > NEAREST_M, "seed {seed}, lost {lost}: {nearest:.2e} m");
+        }
+    }
+}
+
+#[test]
+fn after_a_whole_scan_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
+    for seed in SEEDS {
+        // A line of another length for each seed, so that it ends at all times of the eye's motion.
+        let end_m = -1.4e-3 + 20e-6 * seed as f64;
+        let mut rig = Rig::run(Setup { offset_m: 200e-6, end_m, ..Setup::new("default", seed) });
+        let nearest = rig.watch(BREATH).into_iter().chain([rig.errors().2]).fold(f64::INFINITY, f64::min);
+        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+    }
+}
+
+#[test]
+fn a_robot_whose_scan_is_killed_stands_within_twenty_milliseconds_and_away_from_the_retina() {
+    for seed in SEEDS {
+        let mut rig = Rig::new(Setup::new("default", seed));
+        rig.begin();
+        rig.until_scanning();
+        rig.steps(500 + 53 * seed as usize);
+        // From here on nobody sends anything, and nobody ends anything.
+        let from = rig.truth.last().unwrap().tip_z_m;
+        let mut nearest = rig.watch(20).into_iter().fold(f64::INFINITY, f64::min);
+        assert_eq!(rig.true_speed_m_s(), 0.0, "seed {seed}");
+        let to = rig.robot.read::<(), Pose>("truth/measured_cp", ()).unwrap().position[2];
+        let moved = to - from;
+        assert!(moved.abs() < 15e-6, "seed {seed}: {moved:.2e} m");
+        nearest = nearest.min(rig.watch(BREATH).into_iter().fold(f64::INFINITY, f64::min));
+        // It stands where it was: 500 µm are enough for the eye's 320 µm.
+        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+    }
+}
+
+#[test]
+fn while_a_scan_runs_the_robots_guard_lies_at_the_least_distance_above_the_surface_and_then_is_gone() {
+    let mut rig = Rig::new(Setup::new("default", 3));
+    assert_eq!(rig.guard().kind, FixtureKind(0));
+    rig.begin();
+    rig.until_scanning();
+    for _ in 0..20 {
+        rig.steps(50);
+        let (guard, truth) = (rig.guard(), rig.truth.last().unwrap());
+        let above_m = truth.tip_z_m + truth.distance_m - (guard.frame.position[2] - 0.121);
+        // Half a turn about x, as well as the tool's encoders know how it stands.
+        assert!(guard.kind == FixtureKind::PLANE && guard.frame.orientation[0] > 1.0 - 1e-9, "{guard:?}");
+        assert!((above_m - 150e-6).abs() < 20e-6, "{above_m:.2e} m");
+    }
+    // Whatever else commands the robot, it does not come nearer.
+    for _ in 0..400 {
+        let down = Twist { linear: [0.0, 0.0, 0.009], ..Twist::default() };
+        rig.robot.command::<_, ()>("axis/servo_cv", down).unwrap();
+        let left = rig.watch(1)[0];
+        assert!(left > 140e-6, "{left:.2e} m");
+    }
+    let mut rig = Rig::new(Setup::new("default", 3));
+    rig.begin();
+    rig.until_scanning();
+    rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+    rig.step();
+    assert_eq!(rig.guard().kind, FixtureKind(0));
+}
+
+#[test]
+fn a_scan_that_begins_low_and_aside_rises_to_the_offset_before_it_slides() {
+    for seed in SEEDS {
+        let setup = Setup::new("default", seed);
+        let mut rig = Rig::new(Setup { place_m: [-1.1e-3, 0.0, 250e-6], ..setup });
+        rig.begin();
+        rig.until_scanning();
+        let start_m = rig.truth[0].x_m;
+        let slides = |t: &&crate::rig::Truth| (t.x_m - start_m).abs() > 5e-6;
+        let first = rig.truth.iter().find(slides).expect("0.4 mm to the begin");
+        assert!(first.distance_m > OFFSET_M - 60e-6, "seed {seed}: slides at {:.2e} m", first.distance_m);
+        assert!(rig.errors().2 > NEAREST_M, "seed {seed}");
+    }
+}

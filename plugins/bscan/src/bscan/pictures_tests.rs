@@ -1,0 +1,181 @@
+//! The image of a scan against the phantom's truth (gate A7), its columns, and frames that are no A-scans.
+#![allow(clippy::unwrap_used)]
+
+use trocar_sdk::data::{AScanHeader, ImageHeader, SampleFormat};
+use trocar_sdk::prelude::*;
+use trocar_sdk::testing::Bench;
+
+use crate::rig::{Rig, SEEDS, Setup};
+use crate::{BScan, Phase, ScanColumn, ScanDone};
+
+/// Where the phantom has layers below its surface, and where it has none, m of optical path.
+const LAYERS_M: [f64; 3] = [35e-6, 90e-6, 240e-6];
+
+const NO_LAYERS_M: [f64; 4] = [62e-6, 140e-6, 185e-6, 300e-6];
+const BIN_M: f64 = 3.5117e-6;
+
+/// An image of a scan, and where its columns have the surface in truth, in rows.
+struct Seen {
+    pixels: Vec<u8>,
+    width: usize,
+    truth: Vec<f64>,
+}
+
+impl Seen {
+    fn of(setup: Setup) -> Seen {
+        let mut rig = Rig::run(Setup { images: true, ..setup });
+        let (header, pixels, _) = rig.bench.frames::<ImageHeader>("bscan_image").pop().unwrap();
+        let width = header.width as usize;
+        let wanted = ((setup.end_m + 1.5e-3) / 6e-6).round() as usize;
+        assert_eq!((width, header.height, header.stride as usize), (wanted, 512, wanted));
+        assert_eq!(pixels.len(), width * 512);
+        let columns = rig.bench.outputs::<ScanColumn>("column");
+        assert!(columns.iter().map(|c| c.column as usize).eq(0..width), "every column is there");
+        assert!(columns.iter().all(|c| c.lines > 0));
+        let done = rig.bench.events::<ScanDone>("scan/bscan_done");
+        assert_eq!(done, [ScanDone { scan: 1, columns: width as u32, empty: 0 }]);
+        let mut sums = vec![(0.0, 0.0); width];
+        for t in rig.truth.iter().filter(|t| t.scanning && t.x_m >= -1.5e-3) {
+            if let Some((sum, count)) = sums.get_mut(((t.x_m + 1.5e-3) / 6e-6) as usize) {
+                *sum += t.ilm_m * 1.336 / BIN_M;
+                *count += 1.0;
+            }
+        }
+        Seen { pixels, width, truth: sums.iter().map(|(sum, count)| sum / count).collect() }
+    }
+
+    fn at(&self, column: usize, row: usize) -> f64 {
+        f64::from(self.pixels[row * self.width + column])
+    }
+
+    /// Row of the brightest place of a column within `reach` rows around one.
+    fn peak(&self, column: usize, around: f64, reach: f64) -> f64 {
+        let rows = (around - reach).round() as usize..=(around + reach).round() as usize;
+        let best = rows.max_by(|a, b| self.at(column, *a).total_cmp(&self.at(column, *b))).unwrap();
+        let [a, b, c] = [best - 1, best, best + 1].map(|row| self.at(column, row));
+        best as f64 + if a - 2.0 * b + c < 0.0 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 }
+    }
+
+    /// Does a column have a layer of its own so far below the surface: within a row a local maximum, 5 dB above what lies
+    /// four rows above and below it?
+    fn has_layer(&self, column: usize, below_m: f64) -> bool {
+        let wanted = self.truth[column] + below_m / BIN_M;
+        let place = self.peak(column, wanted, 2.0);
+        let row = place.round() as usize;
+        let beside = self.at(column, row - 4).max(self.at(column, row + 4));
+        // Grey from 40 to 100 dB.
+        (place - wanted).abs() <= 1.0 && self.at(column, row) - beside > 5.0 * 255.0 / 60.0
+    }
+
+    /// Part of the columns with a layer so far below the surface.
+    fn part(&self, below_m: f64) -> f64 {
+        (0..self.width).filter(|column| self.has_layer(*column, below_m)).count() as f64 / self.width as f64
+    }
+
+    fn judge(&self, what: &str) {
+        let surface = |column| self.peak(column, self.truth[column], 5.0) - self.truth[column];
+        let rms = ((0..self.width).map(|c| surface(c).powi(2)).sum::<f64>() / self.width as f64).sqrt();
+        let there = LAYERS_M.map(|below_m| self.part(below_m));
+        let absent = NO_LAYERS_M.map(|below_m| self.part(below_m));
+        println!(
+            "{what}: surface rms {rms:.3} rows, layers in {there:.3?}, none in {absent:.3?} of the columns"
+        );
+        assert!(rms <= 1.0, "{what}: surface rows off by {rms:.2} rms");
+        assert!(there.iter().all(|part| *part >= 0.99), "{what}: layers in {there:.3?} of the columns");
+        assert!(absent.iter().all(|part| *part <= 0.01), "{what}: layers that are not, in {absent:.3?}");
+    }
+}
+
+#[test]
+fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_none() {
+    for world in ["no_membrane", "static_no_membrane"] {
+        Seen::of(Setup::new(world, 7)).judge(world);
+    }
+    for seed in SEEDS {
+        let setup = Setup { end_m: -1.2e-3, ..Setup::new("no_membrane", seed) };
+        Seen::of(setup).judge(&format!("seed {seed}"));
+    }
+}
+
+#[test]
+fn columns_tell_where_the_tip_and_the_surface_were_when_their_first_a_scan_was_taken_however_late_it_came() {
+    let setup = Setup { images: true, latency_ns: 9_000_000, end_m: -1.3e-3, ..Setup::new("no_membrane", 2) };
+    let mut rig = Rig::run(setup);
+    let columns = rig.bench.outputs::<ScanColumn>("column");
+    assert!(columns.len() >= 30, "{}", columns.len());
+    for column in &columns {
+        let truth = rig.truth.iter().find(|t| t.ns == column.stamp.ns()).expect("the A-scan's own time");
+        assert_eq!(column.pose.stamp, column.stamp);
+        let [x, _, z] = column.pose.position;
+        // 9 ms of delay are 4.5 µm of way; encoders have steps of 0.5 µm.
+        assert!((x - truth.x_m).abs() < 0.6e-6, "{:.2e} m beside", x - truth.x_m);
+        assert!((z - 0.121 - truth.tip_z_m).abs() < 0.6e-6, "{:.2e} m above", z - 0.121 - truth.tip_z_m);
+        // What was seen in this very A-scan, and so is no nearer to any other one's.
+        assert_eq!(column.distance, truth.measured.distance);
+        let off_m = column.distance - truth.distance_m;
+        assert!(off_m.abs() < 1e-6, "column {}: {off_m:.2e} m off the truth", column.column);
+    }
+}
+
+#[test]
+fn a_scans_with_times_that_cannot_be_belong_nowhere_and_break_nothing() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.begin();
+    rig.until_scanning();
+    let header = AScanHeader {
+        stamp: rig.bench.now(),
+        lines: 2,
+        samples: 8,
+        format: SampleFormat::F32,
+        line_period: 1.0,
+        ..AScanHeader::default()
+    };
+    for (stamp, line_period) in [
+        (header.stamp, f64::INFINITY),
+        (header.stamp, f64::NAN),
+        (header.stamp, -1.0),
+        (header.stamp, 1e300),
+        (Stamp::from_ns(u64::MAX), 1.0),
+        (Stamp::INVALID, 250e-6),
+    ] {
+        rig.bench.push_frame("ascan", AScanHeader { stamp, line_period, ..header }, &[0; 64]);
+        rig.step();
+    }
+    assert_eq!(rig.progress().phase, Phase::SCAN);
+    assert!(rig.progress().columns <= 1, "{:?}", rig.progress());
+}
+
+#[test]
+fn frames_that_are_no_a_scans_are_counted() {
+    let mut bench = Bench::<BScan>::new("{}");
+    let header = |format, lines, samples| {
+        let stamp = Stamp::from_ns(1_000);
+        AScanHeader { stamp, lines, samples, format, ..AScanHeader::default() }
+    };
+    let bad = [
+        header(SampleFormat::U8, 3, 4),
+        header(SampleFormat::U16, 1, 4),
+        header(SampleFormat::U8, u32::MAX, u32::MAX),
+        AScanHeader { line_period: f64::NAN, ..header(SampleFormat::U8, 2, 4) },
+    ];
+    for header in bad {
+        bench.push_frame("ascan", header, &[7; 8]);
+    }
+    bench.push_frame(
+        "ascan",
+        AScanHeader { stamp: Stamp::INVALID, ..header(SampleFormat::U8, 2, 4) },
+        &[7; 8],
+    );
+    bench.push_frame("ascan", header(SampleFormat::U8, 2, 4), &[7; 8]);
+    bench.step(1);
+    assert_eq!(bench.state().refused_frames, bad.len() as u64 + 1, "all but the last one");
+}
+
+#[test]
+fn a_running_scan_allocates_nothing() {
+    let mut rig = Rig::new(Setup { images: true, ..Setup::new("default", 1) });
+    rig.begin();
+    rig.until_scanning();
+    rig.watched = true;
+    rig.steps(300);
+}

@@ -1,0 +1,107 @@
+//! Where and when the columns of an image were taken.
+//!
+//! Invariant: pose and distance of a column are those of one moment, that of its first A-scan, however late either is told.
+
+use trocar_sdk::data::{Distance, Pose};
+use trocar_sdk::prelude::*;
+
+use crate::past::Past;
+use crate::payloads::ScanColumn;
+
+/// Poses and distances that are kept: 64 ms of 1000 and of 4000 in a second.
+const POSES: usize = 64;
+const DISTANCES: usize = 256;
+
+/// What robot and tracker told of the last moments.
+#[derive(Clone, Debug, Default)]
+pub struct Track {
+    poses: Past<Pose, POSES>,
+    distances: Past<Distance, DISTANCES>,
+}
+
+impl Track {
+    /// Where the tip is by the encoders; what is no pose is left out.
+    pub fn tip_at(&mut self, pose: Pose) {
+        if pose.is_valid() && pose.position.iter().all(|p| p.is_finite()) {
+            self.poses.push(pose);
+        }
+    }
+
+    /// What was seen in one A-scan.
+    pub fn surface_at(&mut self, seen: Distance) {
+        self.distances.push(seen);
+    }
+}
+
+/// The moment of a column's first A-scan.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Taken {
+    stamp: Stamp,
+    pose: Pose,
+    distance_m: f64,
+    /// Robot and tracker have told of this moment.
+    complete: bool,
+}
+
+impl Taken {
+    /// A column begins with the A-scan of `stamp`.
+    pub fn begin(stamp: Stamp, track: &Track) -> Taken {
+        let mut taken = Taken { stamp, ..Taken::default() };
+        taken.complete(track);
+        taken
+    }
+
+    /// An A-scan may be here before its distance is: asks again until that is told.
+    pub fn complete(&mut self, track: &Track) {
+        if self.complete {
+            return;
+        }
+        self.complete = track.poses.knows(self.stamp) && track.distances.knows(self.stamp);
+        self.pose = track.poses.at(self.stamp).unwrap_or_default();
+        let seen = track.distances.at(self.stamp).filter(|seen| seen.valid.get());
+        self.distance_m = seen.map_or(f64::NAN, |seen| seen.distance);
+    }
+
+    /// The column, when it has ended with `lines` A-scans.
+    pub fn column(&self, scan: u64, column: u32, lines: u32) -> ScanColumn {
+        ScanColumn { stamp: self.stamp, scan, column, lines, pose: self.pose, distance: self.distance_m }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(ns: u64, distance: f64) -> Distance {
+        Distance { stamp: Stamp::from_ns(ns), distance, valid: true.into(), ..Distance::default() }
+    }
+
+    #[test]
+    fn a_distance_that_comes_after_its_a_scan_is_the_columns_and_a_later_one_is_not() {
+        let mut track = Track::default();
+        track.surface_at(seen(1_000_000, 1e-3));
+        for ns in [500_000, 1_500_000] {
+            track.tip_at(Pose { stamp: Stamp::from_ns(ns), ..Pose::default() });
+        }
+        let mut taken = Taken::begin(Stamp::from_ns(1_250_000), &track);
+        assert_eq!(taken.column(0, 0, 1).distance, 1e-3, "the last one until it is told");
+        track.surface_at(seen(1_250_000, 2e-3));
+        taken.complete(&track);
+        track.surface_at(seen(1_500_000, 3e-3));
+        taken.complete(&track);
+        let column = taken.column(7, 3, 16);
+        assert_eq!(
+            (column.distance, column.stamp.ns(), column.pose.stamp.ns()),
+            (2e-3, 1_250_000, 1_250_000)
+        );
+        assert_eq!((column.scan, column.column, column.lines), (7, 3, 16));
+    }
+
+    #[test]
+    fn what_nobody_told_is_no_pose_and_no_distance() {
+        let mut track = Track::default();
+        track.tip_at(Pose { position: [f64::NAN; 3], stamp: Stamp::from_ns(5), ..Pose::default() });
+        let column = Taken::begin(Stamp::from_ns(5), &track).column(0, 0, 1);
+        assert!(!column.pose.is_valid() && column.distance.is_nan() && column.stamp.ns() == 5);
+    }
+}
