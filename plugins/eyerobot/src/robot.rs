@@ -314,5 +314,10 @@ impl Component for EyeRobot {
 mod tests;
 
 #[cfg(test)]
-#[path = "robot_gates_tests.rs"]
-mod gates;
+mod bench;
+#[cfg(test)]
+mod crtk_tests;
+#[cfg(test)]
+mod fixture_tests;
+#[cfg(test)]
+mod hand_tests;
