@@ -8,6 +8,7 @@ mod commands;
 mod motion;
 mod readings;
 mod refused;
+mod retreat;
 
 use nalgebra::{Isometry3, Vector6};
 use trocar_sdk::crtk::OperatingStateMachine;
@@ -23,6 +24,7 @@ use crate::trajectory::approach;
 use motion::{Ends, Motion, Move};
 
 pub use refused::{ArmError, Fault};
+pub use retreat::Retreat;
 
 /// Drives and fixtures may let a move arrive this long after its trajectory's end, s.
 const LATE_S: f64 = 1.0;
@@ -91,11 +93,15 @@ pub struct Arm<D> {
     at_limit: [bool; COUNT],
     /// The drive brakes by itself; the setpoint goes with it.
     braking: bool,
+    /// What follows when whoever moves the arm falls silent.
+    retreat: Option<Retreat>,
+    /// Since a motion was over that nobody repeated, s; none once anything else was commanded.
+    silent_s: Option<f64>,
     news: News,
 }
 
 /// What happened since it was asked for last.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct News {
     /// Moves that arrived.
     pub reached: u32,
@@ -105,6 +111,8 @@ pub struct News {
     pub limit_hit: [bool; COUNT],
     /// The force on the handle is above its limit, or below it again.
     pub force_limit: Option<bool>,
+    /// The tip goes back since nobody moves it any more.
+    pub retreats: Option<Retreat>,
 }
 
 impl Default for Arm<SimulatedDrive> {
@@ -147,6 +155,8 @@ impl<D: Drive> Arm<D> {
             base: Isometry3::identity(),
             at_limit: [false; COUNT],
             braking: false,
+            retreat: None,
+            silent_s: None,
             news: News::default(),
         }
     }
@@ -173,7 +183,9 @@ impl<D: Drive> Arm<D> {
         if self.motion.is_over() {
             // Nobody sends it any more: the drive brakes harder than its velocity loop follows.
             self.brake();
+            self.silent_s = Some(0.0);
         }
+        self.mind_silence(dt_s);
         let follows = driven && !self.braking;
         if follows {
             self.advance(&hand, dt_s);
@@ -348,6 +360,7 @@ impl<D: Drive> Arm<D> {
         } else {
             self.operating.move_ends();
         }
+        self.silent_s = None;
         self.motion = motion;
     }
 

@@ -14,12 +14,12 @@ use std::fmt;
 use nalgebra::{Isometry3, Translation3, Vector6};
 use trocar_phantom::Hand;
 use trocar_sdk::data::{
-    ArmState, CartesianState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Twist,
-    VirtualFixture, Wrench,
+    ArmState, CartesianState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Retreat,
+    Twist, VirtualFixture, Wrench,
 };
 use trocar_sdk::prelude::*;
 
-use crate::arm::{Arm, Settings};
+use crate::arm::{self, Arm, Settings};
 use crate::drive::{Measured, SimulatedDrive};
 use crate::fixture::Fixtures;
 use crate::joints::{COUNT, Joints};
@@ -60,6 +60,9 @@ pub struct EyeRobot {
     /// The force on the handle is above its limit and no longer followed, or below it again.
     #[event("arm")]
     force_limit: Event<Flag>,
+    /// Whoever moved the arm fell silent, and the tip goes back along the tool.
+    #[event("axis")]
+    retreats: Event<Retreat>,
     #[state]
     measured_js: JointState,
     #[state]
@@ -99,6 +102,9 @@ pub struct EyeRobot {
     /// Beside them, kind 0 without one.
     #[state]
     guard: VirtualFixture,
+    /// When whoever moves the arm falls silent.
+    #[state]
+    retreat: Retreat,
     /// Gains of hands-on control.
     #[state]
     gain: [f64; 6],
@@ -196,6 +202,7 @@ impl EyeRobot {
         self.spatial_jacobian = Jacobian::of(stamp, &arm.spatial_jacobian());
         self.base_frame = Pose { stamp, ..arm.base().into() };
         self.gain = arm.gain().into();
+        self.retreat = arm::Retreat::payload(arm.retreat());
         self.truth = self.true_tip(stamp);
         self.tell(stamp);
     }
@@ -230,6 +237,9 @@ impl EyeRobot {
         }
         for (joint, _) in news.limit_hit.iter().enumerate().filter(|(_, hit)| **hit) {
             self.limit_hit.emit(joint as u32);
+        }
+        if news.retreats.is_some() {
+            self.retreats.emit(arm::Retreat::payload(news.retreats));
         }
         if let Some(too_strong) = news.force_limit {
             self.force_limit.emit(too_strong.into());

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, SMatrix, Vector6};
 use trocar_sdk::crtk::OperatingStateMachine;
 
 use super::motion::{Motion, Move};
-use super::{Arm, Fault, Settings, turned};
+use super::{Arm, Fault, Retreat, Settings, turned};
 use crate::drive::{Drive, Measured};
 use crate::fixture::{Fixtures, Stance};
 use crate::joints::{COUNT, Joints};
@@ -45,6 +45,11 @@ impl<D: Drive> Arm<D> {
     /// Fixtures in force, in the kinematic base.
     pub fn fixtures(&self) -> &Fixtures {
         &self.fixtures
+    }
+
+    /// What follows when whoever moves the arm falls silent.
+    pub fn retreat(&self) -> Option<Retreat> {
+        self.retreat
     }
 
     /// Gains of hands-on control: m/(s·N), then rad/(s·N·m), in the frame of the tip.

@@ -78,6 +78,19 @@ pub enum ArmError {
         /// Largest one that is taken.
         limit: f64,
     },
+    /// A number of the retreat that is not finite, or not within its limits.
+    Retreat {
+        /// Which one: "distance".
+        what: &'static str,
+        /// What came.
+        value: f64,
+        /// Smallest one that is taken.
+        least: f64,
+        /// Largest one that is taken.
+        limit: f64,
+        /// Of both.
+        unit: &'static str,
+    },
     /// A virtual fixture that cannot be.
     Fixture(FixtureRefused),
     /// A state command that is unknown or not allowed now.
@@ -115,6 +128,9 @@ impl fmt::Display for ArmError {
             ArmError::Gain { place, value, limit } => {
                 let unit = if *place < 3 { "m/(s·N)" } else { "rad/(s·N·m)" };
                 write!(f, "gain[{place}]: {value} {unit} is outside 0 … {limit} {unit}")
+            }
+            ArmError::Retreat { what, value, least, limit, unit } => {
+                write!(f, "{what} of the retreat: {value} {unit} is outside {least} … {limit} {unit}")
             }
             ArmError::Fixture(why) => why.fmt(f),
             ArmError::State(why) => why.fmt(f),

@@ -1,8 +1,8 @@
-//! Forbidden regions and the guard on the component: whatever commands the arm, the tip stays out.
+//! Forbidden regions, guard and retreat on the component: whatever commands the arm, the tip stays out.
 #![allow(clippy::unwrap_used)]
 
 use trocar_phantom::Hand;
-use trocar_sdk::data::{FixtureKind, Pose, Twist, VirtualFixture};
+use trocar_sdk::data::{FixtureKind, Pose, Retreat, Twist, VirtualFixture};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
@@ -101,6 +101,26 @@ fn a_guard_follows_its_controller_beside_the_list_and_only_its_controller_takes_
     bench.command::<_, ()>("virtual_fixture/set_guard", VirtualFixture::default()).unwrap();
     assert_eq!(bench.read::<(), VirtualFixture>("virtual_fixture/guard", ()).unwrap(), Default::default());
     assert!(deep(&mut bench, 200) > 0.8e-3);
+}
+
+#[test]
+fn a_retreat_is_taken_and_told_when_nobody_sends_any_more_and_allocates_nothing() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    let retreat = Retreat { distance: 0.4e-3, speed: 2e-3, delay: 0.02 };
+    bench.command::<_, ()>("axis/set_retreat", retreat).unwrap();
+    assert_eq!(bench.read::<(), Retreat>("axis/retreat", ()).unwrap(), retreat);
+    let down = Twist { linear: [0.0, 0.0, 0.001], ..Twist::default() };
+    bench.command::<_, ()>("axis/servo_cv", down).unwrap();
+    bench.step(25);
+    assert_eq!(bench.events::<Retreat>("axis/retreats"), []);
+    let from = true_tip(&bench)[2];
+    bench.assert_no_alloc(|bench| bench.step(400));
+    let back = from - true_tip(&bench)[2];
+    assert!((back - 0.4e-3).abs() < 2e-6, "{back:e} m");
+    assert_eq!(bench.events::<Retreat>("axis/retreats"), [retreat]);
+    assert_eq!(bench.read::<(), Retreat>("axis/retreat", ()).unwrap(), Retreat::default());
+    let refused = bench.command::<_, ()>("axis/set_retreat", Retreat { distance: 0.1, ..retreat });
+    assert_eq!(refused.unwrap_err().reason, "distance of the retreat: 0.1 m is outside 0 … 0.005 m");
 }
 
 #[test]

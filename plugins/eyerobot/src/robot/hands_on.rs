@@ -3,11 +3,11 @@
 //! Invariant: nothing here moves the arm by itself; hand, axis and fixtures meet in the arm's one step.
 
 use nalgebra::Vector6;
-use trocar_sdk::data::{FixtureKind, Twist, VirtualFixture, Wrench};
+use trocar_sdk::data::{FixtureKind, Retreat, Twist, VirtualFixture, Wrench};
 use trocar_sdk::prelude::*;
 
 use super::{EyeRobot, EyeRobotState};
-use crate::arm::ArmError;
+use crate::arm::{self, ArmError};
 use crate::fixture::MOST_FIXTURES;
 use crate::payloads::{self, VirtualFixtures};
 
@@ -45,6 +45,24 @@ impl EyeRobot {
     #[command(name = "servo_cv", overflow = "latest_wins")]
     fn axis_servo_cv(&mut self, twist: &Twist) -> Result<(), ArmError> {
         self.arm.servo_axis(&twist.vector()?)
+    }
+
+    /// Says what the arm does when a motion by velocity or force is not repeated for servo_timeout_s: it goes back along the tool, once.
+    /// For a controller that keeps the tip from what moves, and may die; 0 m takes it away.
+    #[command]
+    fn set_retreat(
+        &mut self,
+        #[arg(doc = "at most 0.005 m, at most 0.1 m/s, after at most 1 s")] retreat: &Retreat,
+    ) -> Result<(), ArmError> {
+        self.arm.set_retreat(arm::Retreat::checked(retreat)?);
+        self.publish(self.host.now());
+        Ok(())
+    }
+
+    /// What the arm does when whoever moves it falls silent; 0 m: it brakes and stays.
+    #[read]
+    fn retreat(s: &EyeRobotState) -> Retreat {
+        s.retreat
     }
 }
 

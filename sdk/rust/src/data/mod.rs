@@ -55,7 +55,7 @@ pub use device::{
 pub use image::{CameraGeometry, ImageHeader, PixelFormat, StereoHeader};
 pub use motion::{
     ArmState, CartesianState, FixtureKind, JointConfiguration, JointKind, JointState, MAX_JOINTS,
-    OperatingMode, OperatingState, Pose, Transform, Twist, VirtualFixture, Wrench,
+    OperatingMode, OperatingState, Pose, Retreat, Transform, Twist, VirtualFixture, Wrench,
 };
 pub use oct::{AScanHeader, Distance, SampleFormat, SpectraHeader, Spectrometer};
 pub use view::{BadFrame, ImageView, LinesView};

@@ -146,6 +146,22 @@ pub struct VirtualFixture {
     pub stiffness: f64,
 }
 
+/// What an arm does by itself when a motion by velocity or force is not repeated in time: it brakes, waits, and takes its tip
+/// back along the tool.
+#[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
+#[repr(C)]
+pub struct Retreat {
+    /// Back along the tool; 0 = it stays where it stands.
+    #[unit("m")]
+    pub distance: f64,
+    /// Of the tip, at most.
+    #[unit("m/s")]
+    pub speed: f64,
+    /// From the brake to the way back: who is only late finds the tip where it was.
+    #[unit("s")]
+    pub delay: f64,
+}
+
 named_values! {
     /// CRTK operating states.
     pub struct OperatingMode: u32 {
