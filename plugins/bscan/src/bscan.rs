@@ -2,8 +2,8 @@
 //!
 //! Invariant: the robot is commanded in APPROACH, SCAN and RETRACT only, by velocities that end by themselves when they are not
 //! repeated, behind a guard that keeps the tip off the retina whatever is commanded. Every way out, good or bad, ends with `hold`
-//! and without the guard, and is told by exactly one event; after a bad one the robot goes away from the retina by itself, by a
-//! bounded way, since an eye that moves comes near a tip that stands.
+//! and without the guard, and is told by exactly one event; after a bad one, and when nobody is left to tell it, the robot goes away
+//! from the retina by itself, by a bounded way, since an eye that moves comes near a tip that stands.
 
 mod commands;
 mod config;
@@ -14,7 +14,7 @@ mod seeing;
 
 use trocar_oct_core::tip::Timeline;
 use trocar_sdk::data::{
-    AScanHeader, Distance, ImageHeader, OperatingMode, OperatingState, Pose, Twist, VirtualFixture,
+    AScanHeader, Distance, ImageHeader, OperatingMode, OperatingState, Pose, Retreat, Twist, VirtualFixture,
 };
 use trocar_sdk::prelude::*;
 
@@ -69,6 +69,9 @@ pub struct BScan {
     /// Moves the tip along the tool.
     #[required(interface = "axis", name = "servo_cv")]
     servo_along: Function<Twist>,
+    /// What the robot does by itself when this component dies in a scan.
+    #[required(interface = "axis", optional)]
+    set_retreat: Function<Retreat>,
     /// Keeps the tip min_distance_m off the retina while a scan runs: the robot's own fixture.
     #[required(interface = "fixture", optional)]
     set_guard: Function<VirtualFixture>,

@@ -15,8 +15,8 @@ use trocar_oct_core::tracker::{Settings, Tracker};
 use trocar_phantom::World;
 use trocar_phantom::spectra::{Optics, Spectrograph};
 use trocar_sdk::data::{
-    AScanHeader, CartesianState, Distance, JointState, OperatingMode, OperatingState, Pose, SampleFormat,
-    Twist, VirtualFixture,
+    AScanHeader, CartesianState, Distance, JointState, OperatingMode, OperatingState, Pose, Retreat,
+    SampleFormat, Twist, VirtualFixture,
 };
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
@@ -248,6 +248,9 @@ impl Rig {
                 done.push(self.robot.command::<_, ()>(to, twist));
             }
         }
+        for retreat in self.bench.calls::<Retreat>("axis/set_retreat") {
+            done.push(self.robot.command::<_, ()>("axis/set_retreat", retreat));
+        }
         for () in self.bench.calls::<()>("robot/hold") {
             self.held += 1;
             done.push(self.robot.command::<_, ()>("arm/hold", ()));
@@ -317,6 +320,16 @@ impl Rig {
         let Setup { offset_m: offset, end_m, .. } = self.setup;
         let request = ScanRequest { offset, to: [end_m, 0.0, 0.0], ..Rig::request() };
         self.bench.command::<ScanRequest, ()>("scan/start", request).expect("a scan");
+    }
+
+    /// A robot that goes back by itself, or one that cannot.
+    pub(crate) fn retreats(&mut self, can: bool) {
+        self.bench.connect_function("axis/set_retreat", can);
+    }
+
+    /// What the robot will do when nobody moves it any more.
+    pub(crate) fn retreat(&self) -> Retreat {
+        self.robot.read("axis/retreat", ()).expect("a read")
     }
 
     /// Goes on until the tip is on its way along the line.

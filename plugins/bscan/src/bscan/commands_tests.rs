@@ -1,7 +1,7 @@
 //! When a scan does not begin, and what is said then.
 #![allow(clippy::unwrap_used)]
 
-use trocar_sdk::data::{Distance, OperatingMode, OperatingState, Pose};
+use trocar_sdk::data::{Distance, OperatingMode, OperatingState, Pose, Retreat};
 use trocar_sdk::testing::Bench;
 
 use crate::rig::{Rig, Setup, ready};
@@ -60,4 +60,32 @@ fn above_twelve_milliseconds_of_delay_the_loop_is_not_closed() {
     rig.steps(200);
     let refused = rig.bench.command::<ScanRequest, ()>("scan/start", Rig::request()).unwrap_err().reason;
     assert!(refused.starts_with("the loop's delay is 1") && refused.contains("above 12 ms"), "{refused}");
+}
+
+#[test]
+fn an_offset_that_leaves_a_moving_eye_no_room_is_refused_where_the_robot_does_not_go_back_by_itself() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.steps(60);
+    let start = |rig: &mut Rig, offset: f64| {
+        let request = ScanRequest { offset, ..Rig::request() };
+        let refused = rig.bench.command::<ScanRequest, ()>("scan/start", request).err();
+        rig.step();
+        refused.map(|refused| refused.reason).unwrap_or_default()
+    };
+    rig.retreats(false);
+    assert_eq!(
+        start(&mut rig, 300e-6),
+        "offset: 300 um leaves no room for an eye that comes up by 350 um: give 500 um or more; for less, connect axis to a \
+         robot that goes back by itself (set_retreat) when this component dies"
+    );
+    assert_eq!(start(&mut rig, 500e-6), "");
+    rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+    rig.retreats(true);
+    rig.bench.configure(r#"{"rows": 8, "range_db": [40, 100], "retract_m": 0.0001}"#).unwrap();
+    let refused = start(&mut rig, 300e-6);
+    assert!(refused.ends_with("give 400 um or more; retract_m is too short for less"), "{refused}");
+    assert_eq!(rig.retreat(), Retreat::default(), "what is refused leaves nothing behind");
+    rig.bench.configure(r#"{"rows": 8, "range_db": [40, 100]}"#).unwrap();
+    assert_eq!(start(&mut rig, 300e-6), "");
+    assert_eq!(rig.retreat().distance, 0.4e-3);
 }

@@ -28,9 +28,13 @@ pub(super) struct BScanConfig {
     #[config(live, min = 0.00015, max = 0.001, unit = "m", default = 0.00015)]
     pub(super) min_distance_m: f64,
     /// Way back from the surface at the end of the line, and of a scan that ends before: an eye that moves comes near a tip that
-    /// stands. Its swing and min_distance_m have room in the least offset and this
+    /// stands
     #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.0004)]
     pub(super) retract_m: f64,
+    /// How far the eye comes up at most, with pulse and breath. Beside min_distance_m it has room in the offset, and in retract_m
+    /// where the robot goes back by itself when this component dies
+    #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.00035)]
+    pub(super) eye_motion_m: f64,
     /// An approach that takes longer is given up
     #[config(live, min = 0.1, max = 600.0, unit = "s", default = 30.0)]
     pub(super) approach_timeout_s: f64,

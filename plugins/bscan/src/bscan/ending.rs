@@ -1,9 +1,9 @@
 //! How a scan goes from phase to phase, and how it ends.
 //!
-//! Invariant: every way out ends with `hold` and without the guard, and is told by exactly one event.
+//! Invariant: every way out ends with `hold`, without guard and retreat, and is told by exactly one event.
 
 use trocar_oct_core::tip::axis_of;
-use trocar_sdk::data::{Pose, VirtualFixture};
+use trocar_sdk::data::{Pose, Retreat, VirtualFixture};
 use trocar_sdk::prelude::*;
 
 use super::{BScan, ROBOT_LOST_S, is_ready};
@@ -36,6 +36,7 @@ impl BScan {
     fn rest(&mut self) {
         self.hold.send(());
         self.set_guard.send(VirtualFixture::default());
+        self.set_retreat.send(Retreat::default());
         self.enter(Phase::IDLE, self.now);
         self.progress.error = 0.0;
         self.line = None;

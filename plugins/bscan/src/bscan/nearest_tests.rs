@@ -3,7 +3,7 @@
 //! Invariant: the true tip and the true first surface count, for a whole breath after the end, in virtual time.
 #![allow(clippy::unwrap_used)]
 
-use trocar_sdk::data::{FixtureKind, Pose, Twist};
+use trocar_sdk::data::{FixtureKind, Pose, Retreat, Twist};
 
 use crate::Phase;
 use crate::rig::{NEAREST_M, OFFSET_M, Rig, SEEDS, Setup};
@@ -45,24 +45,56 @@ fn after_a_whole_scan_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
     }
 }
 
+/// A scan that somebody kills in the middle, and what the robot does then for a whole breath: nearest distance and way back, m.
+fn kill(mut rig: Rig, seed: u64) -> (f64, f64) {
+    rig.begin();
+    rig.until_scanning();
+    rig.steps(500 + 53 * seed as usize);
+    // From here on nobody sends anything, and nobody ends anything.
+    let from = rig.truth.last().unwrap().tip_z_m;
+    let mut nearest = rig.watch(20).into_iter().fold(f64::INFINITY, f64::min);
+    assert_eq!(rig.true_speed_m_s(), 0.0, "seed {seed}");
+    let z = |rig: &Rig| rig.robot.read::<(), Pose>("truth/measured_cp", ()).unwrap().position[2];
+    let stands = z(&rig);
+    assert!((stands - from).abs() < 15e-6, "seed {seed}: {:.2e} m", stands - from);
+    nearest = nearest.min(rig.watch(BREATH).into_iter().fold(f64::INFINITY, f64::min));
+    (nearest, stands - z(&rig))
+}
+
 #[test]
-fn a_robot_whose_scan_is_killed_stands_within_twenty_milliseconds_and_away_from_the_retina() {
+fn a_robot_whose_scan_is_killed_stands_within_twenty_milliseconds_and_then_goes_away_from_the_retina() {
+    for seed in SEEDS {
+        // The nearest offset there is; the eye goes up and down by 320 µm.
+        let (nearest, back) = kill(Rig::new(Setup { offset_m: 200e-6, ..Setup::new("default", seed) }), seed);
+        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+        assert!((back - 0.4e-3).abs() < 3e-6, "seed {seed}: {back:.2e} m back");
+    }
+}
+
+#[test]
+fn a_robot_that_cannot_go_back_by_itself_stands_where_a_whole_breath_leaves_it_150_micrometres() {
     for seed in SEEDS {
         let mut rig = Rig::new(Setup::new("default", seed));
-        rig.begin();
-        rig.until_scanning();
-        rig.steps(500 + 53 * seed as usize);
-        // From here on nobody sends anything, and nobody ends anything.
-        let from = rig.truth.last().unwrap().tip_z_m;
-        let mut nearest = rig.watch(20).into_iter().fold(f64::INFINITY, f64::min);
-        assert_eq!(rig.true_speed_m_s(), 0.0, "seed {seed}");
-        let to = rig.robot.read::<(), Pose>("truth/measured_cp", ()).unwrap().position[2];
-        let moved = to - from;
-        assert!(moved.abs() < 15e-6, "seed {seed}: {moved:.2e} m");
-        nearest = nearest.min(rig.watch(BREATH).into_iter().fold(f64::INFINITY, f64::min));
-        // It stands where it was: 500 µm are enough for the eye's 320 µm.
-        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+        rig.retreats(false);
+        let (nearest, back) = kill(rig, seed);
+        assert!(nearest > NEAREST_M && back == 0.0, "seed {seed}: {nearest:.2e} m, {back:.2e} m back");
     }
+}
+
+#[test]
+fn a_scan_that_is_late_for_a_moment_goes_on_and_one_that_has_ended_leaves_no_retreat() {
+    let mut rig = Rig::new(Setup::new("static_no_membrane", 1));
+    rig.begin();
+    rig.until_scanning();
+    assert_eq!(rig.retreat().distance, 0.4e-3);
+    rig.watch(20);
+    let from = rig.truth.len();
+    rig.steps(300);
+    let largest = rig.truth[from..].iter().map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
+    assert!(rig.progress().phase == Phase::SCAN && largest < 15e-6, "{largest:.2e} m");
+    rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+    rig.step();
+    assert_eq!(rig.retreat(), Retreat::default());
 }
 
 #[test]
