@@ -126,6 +126,8 @@ pub const ARM: Contract = Contract {
         "No word of `state_command` leads to FAULT; only the device's own trouble does, and the component stays ACTIVE and \
          answers.",
         "`make_safe` brakes at once; an enabled arm is PAUSED after it.",
+        "A `servo_*` that lay in wait, a second or more by its stamp, or whose stamp is as far ahead of the host's clock, is refused; \
+         the arm may be stricter. Stamp 0 says that the client gives none, and is taken as now.",
     ],
     tried_by: "assert_behaves_as_arm",
     interfaces: &[

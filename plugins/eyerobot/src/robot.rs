@@ -13,13 +13,14 @@ use std::fmt;
 
 use nalgebra::{Isometry3, Translation3, Vector6};
 use trocar_phantom::Hand;
+use trocar_sdk::crtk;
 use trocar_sdk::data::{
     ArmState, CartesianState, JointConfiguration, JointState, OperatingMode, OperatingState, Pose, Retreat,
     Twist, VirtualFixture, Wrench,
 };
 use trocar_sdk::prelude::*;
 
-use crate::arm::{self, Arm, Settings};
+use crate::arm::{self, Arm, ArmError, Settings};
 use crate::drive::{Measured, SimulatedDrive};
 use crate::fixture::Fixtures;
 use crate::joints::{COUNT, Joints};
@@ -111,6 +112,9 @@ pub struct EyeRobot {
     /// Samples of the handle since Start that were no wrench.
     #[state]
     handle_rejected: u64,
+    /// Servo commands since Start whose stamp was too old, or ahead of the clock.
+    #[state]
+    stale_commands: u64,
     /// What the output `tip` says.
     #[state]
     truth: CartesianState,
@@ -122,6 +126,8 @@ pub struct EyeRobot {
     hand: Option<Hand>,
     /// The handle was felt in this cycle.
     felt: bool,
+    /// Of the last step; a command waits for the next one at least.
+    period_s: f64,
 }
 
 impl EyeRobot {
@@ -172,6 +178,16 @@ impl EyeRobot {
             (None, None) => None,
         };
         self.felt_wrench(wrench);
+    }
+
+    /// For each command that is only good when it is new.
+    ///
+    /// # Errors
+    /// It lay in wait, or its stamp is of another clock.
+    fn require_in_time(&mut self, stamp: Stamp) -> Result<(), ArmError> {
+        let in_time = crtk::require_in_time(stamp, self.host.now(), self.cfg.command_age_s + self.period_s);
+        self.stale_commands += u64::from(in_time.is_err());
+        Ok(in_time?)
     }
 
     fn felt_wrench(&mut self, wrench: Option<Vector6<f64>>) {
@@ -257,7 +273,7 @@ impl Component for EyeRobot {
     }
 
     fn start(&mut self) -> Result {
-        self.handle_rejected = 0;
+        (self.handle_rejected, self.stale_commands) = (0, 0);
         self.arm.settle();
         if self.cfg.auto_enable {
             let paused = self.arm.operating().mode() == OperatingMode::PAUSED;
@@ -288,6 +304,7 @@ impl Component for EyeRobot {
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
+        self.period_s = tick.period_s();
         self.feel(tick.now());
         self.arm.step(tick.period_s());
         self.publish(tick.now());

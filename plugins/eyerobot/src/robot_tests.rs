@@ -114,10 +114,59 @@ fn servo_jv_holds_by_itself_when_it_is_not_repeated() {
 }
 
 #[test]
+fn servo_commands_that_lay_in_wait_or_come_from_another_clock_are_refused_and_counted() {
+    let mut bench = Bench::<EyeRobot>::new("{}");
+    bench.step(1);
+    let from: Pose = bench.read("arm/measured_cp", ()).unwrap();
+    // A period of 1 ms and command_age_s are taken.
+    for (age_ns, taken) in [(12_000_000i64, false), (-12_000_000, false), (10_900_000, true), (0, true)] {
+        let stamp = Stamp::from_ns(bench.now().ns().checked_add_signed(-age_ns).unwrap());
+        let twist = Twist { stamp, linear: [0.0, 0.0, 0.002], ..Twist::default() };
+        let goal = JointState { stamp, position: List::of(&[0.001; 5]), ..Default::default() };
+        let speed = JointState { stamp, velocity: List::of(&[0.001; 5]), ..Default::default() };
+        let small = Pose { stamp, position: [0.0, 0.0, 1e-6], ..Pose::default() };
+        let pose = Pose { stamp, ..from };
+        let all = [
+            bench.command::<_, ()>("arm/servo_jp", goal),
+            bench.command::<_, ()>("arm/servo_jr", goal),
+            bench.command::<_, ()>("arm/servo_jv", speed),
+            bench.command::<_, ()>("arm/servo_cp", pose),
+            bench.command::<_, ()>("arm/servo_cr", small),
+            bench.command::<_, ()>("arm/interpolate_jp", goal),
+            bench.command::<_, ()>("arm/interpolate_cp", pose),
+            bench.command::<_, ()>("arm/servo_cv", twist),
+            bench.command::<_, ()>("axis/servo_cv", twist),
+            bench.command::<_, ()>("compliance/servo_cf", Wrench { stamp, ..Wrench::default() }),
+        ];
+        for (n, done) in all.iter().enumerate() {
+            assert_eq!(done.is_ok(), taken, "command {n}, {age_ns} ns old: {done:?}");
+        }
+        let word = if age_ns > 0 { "0.012 s old by its stamp, at most 0.011 s" } else { "0.012 s ahead of" };
+        assert!(taken || all.iter().all(|done| done.as_ref().unwrap_err().reason.contains(word)), "{all:?}");
+    }
+    assert_eq!(bench.state().stale_commands, 20);
+    // What was refused moves nothing, and what is no stream of goals is carried out however late.
+    bench.command::<(), ()>("hold", ()).unwrap();
+    bench.step(200);
+    let stale = Twist { stamp: Stamp::from_ns(1), linear: [0.005, 0.0, 0.0], ..Twist::default() };
+    let x = position(&bench)[0];
+    for _ in 0..50 {
+        assert!(bench.command::<_, ()>("arm/servo_cv", stale).is_err());
+        bench.step(1);
+    }
+    assert!((position(&bench)[0] - x).abs() < 1e-6, "{:?}", position(&bench));
+    let home = JointState { stamp: Stamp::from_ns(1), position: List::of(&[0.0; 5]), ..Default::default() };
+    bench.command::<_, ()>("arm/move_jp", home).unwrap();
+    bench.stop().unwrap();
+    bench.start().unwrap();
+    assert_eq!(bench.state().stale_commands, 0);
+}
+
+#[test]
 fn servo_cp_reaches_a_pose_and_refuses_one_without_orientation() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     let mut goal: Pose = bench.read("arm/measured_cp", ()).unwrap();
-    goal.position[0] += 0.002;
+    (goal.stamp, goal.position[0]) = (Stamp::INVALID, goal.position[0] + 0.002);
     bench.command::<_, ()>("servo_cp", goal).unwrap();
     bench.step(600);
     let at: Pose = bench.read("arm/measured_cp", ()).unwrap();
@@ -259,7 +308,7 @@ fn the_robot_behaves_as_the_contract_of_arms_says() {
 fn a_step_of_the_robot_allocates_nothing_in_any_kind_of_motion() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     let velocity = JointState { velocity: List::of(&[0.001, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
-    let pose: Pose = bench.read("arm/measured_cp", ()).unwrap();
+    let pose = Pose { stamp: Stamp::INVALID, ..bench.read("arm/measured_cp", ()).unwrap() };
     bench.assert_no_alloc(|bench| {
         bench.step(10);
         bench.command::<_, ()>("servo_jp", joints(&[0.001, 0.0, 0.0, 0.01, 0.0])).unwrap();

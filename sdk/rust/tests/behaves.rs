@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 #![forbid(unsafe_code)]
 
-use trocar_sdk::crtk::{OperatingStateMachine, StateCommand};
+use trocar_sdk::crtk::{OperatingStateMachine, StateCommand, require_in_time};
 use trocar_sdk::data::*;
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::{
@@ -89,6 +89,9 @@ impl Toy {
     }
     #[command(overflow = "latest_wins")]
     fn servo_jp(&mut self, goal: &JointState) -> Result {
+        if !self.cfg.has("takes old goals") {
+            require_in_time(goal.stamp, self.host.now(), 0.1)?;
+        }
         let goal = self.allowed(goal)?;
         self.operating.move_ends();
         self.motion = Motion::To { goal, homing: false };
@@ -317,6 +320,7 @@ fn each_rule_of_arms_that_is_broken_is_named() {
         (6, "ignores make_safe"),
         (6, "coasts"),
         (6, "resumes its motion"),
+        (7, "takes old goals"),
     ];
     for (rule, flaw) in flaws {
         let told = told(|| assert_behaves_as_arm(&mut Bench::<Toy>::new(config(flaw)), "left"));

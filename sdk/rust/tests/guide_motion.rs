@@ -18,6 +18,8 @@ struct Table {
     tool: Out<Transform>,
     #[state]
     measured_js: JointState,
+    #[host]
+    host: Host,
     joints: Vector2<f64>,
     operating: OperatingStateMachine,
     base_from_tracker: Isometry3<f64>,
@@ -28,6 +30,7 @@ impl Table {
     #[command(overflow = "latest_wins")]
     fn servo_jp(&mut self, goal: &JointState) -> Result {
         self.operating.require_ready()?; // The refusal says what to send first.
+        crtk::require_in_time(goal.stamp, self.host.now(), 0.02)?; // A goal that lay in wait is none.
         self.joints = goal.positions()?; // Two finite numbers, or what is wrong.
         Ok(())
     }

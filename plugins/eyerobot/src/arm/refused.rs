@@ -5,7 +5,7 @@
 use std::fmt;
 
 use trocar_sdk::GeometryError;
-use trocar_sdk::crtk::{NotReady, Refused};
+use trocar_sdk::crtk::{NotReady, OutOfTime, Refused};
 
 use crate::drive::Lost;
 use crate::fixture::FixtureRefused;
@@ -52,6 +52,8 @@ impl fmt::Display for Fault {
 pub enum ArmError {
     /// Not enabled and homed.
     NotReady(NotReady),
+    /// A command that lay in wait.
+    OutOfTime(OutOfTime),
     /// A payload that is no geometry.
     Geometry(GeometryError),
     /// A joint goal outside what the joint may do.
@@ -108,6 +110,7 @@ macro_rules! from {
 }
 from! {
     NotReady(NotReady);
+    OutOfTime(OutOfTime);
     Geometry(GeometryError);
     Joints(Refusal);
     Pose(Unreachable);
@@ -119,6 +122,7 @@ impl fmt::Display for ArmError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             ArmError::NotReady(why) => why.fmt(f),
+            ArmError::OutOfTime(why) => why.fmt(f),
             ArmError::Geometry(why) => why.fmt(f),
             ArmError::Joints(why) => why.fmt(f),
             ArmError::Pose(why) => why.fmt(f),

@@ -1,6 +1,7 @@
 //! The interface `arm`: the CRTK commands and queries in the base frame.
 //!
-//! Invariant: names and payloads are CRTK's; each command is one call of the arm.
+//! Invariant: names and payloads are CRTK's; each command is one call of the arm. What is sent at a rate (`servo_*`, `interpolate_*`) is
+//! carried out only in time; a `move_*` is decided once, and is carried out whenever it comes.
 
 use trocar_sdk::data::{CartesianState, JointConfiguration, JointState, OperatingState, Pose, Twist, Wrench};
 use trocar_sdk::prelude::*;
@@ -106,8 +107,10 @@ impl EyeRobot {
     #[command(overflow = "latest_wins")]
     fn servo_jp(
         &mut self,
-        #[arg(doc = "position of the five joints; the rest is not looked at")] goal: &JointState,
+        #[arg(doc = "position of the five joints, and the stamp; the rest is not looked at")]
+        goal: &JointState,
     ) -> Result<(), ArmError> {
+        self.require_in_time(goal.stamp)?;
         self.arm.servo_jp(&goal.position)
     }
 
@@ -115,8 +118,10 @@ impl EyeRobot {
     #[command(overflow = "latest_wins")]
     fn servo_jr(
         &mut self,
-        #[arg(doc = "change of position of the five joints; the rest is not looked at")] change: &JointState,
+        #[arg(doc = "change of position of the five joints, and the stamp; the rest is not looked at")]
+        change: &JointState,
     ) -> Result<(), ArmError> {
+        self.require_in_time(change.stamp)?;
         self.arm.servo_jr(&change.position)
     }
 
@@ -124,14 +129,17 @@ impl EyeRobot {
     #[command(overflow = "latest_wins")]
     fn servo_jv(
         &mut self,
-        #[arg(doc = "velocity of the five joints; the rest is not looked at")] goal: &JointState,
+        #[arg(doc = "velocity of the five joints, and the stamp; the rest is not looked at")]
+        goal: &JointState,
     ) -> Result<(), ArmError> {
+        self.require_in_time(goal.stamp)?;
         self.arm.servo_jv(&goal.velocity)
     }
 
     /// Brings the tip to a pose now; the turn about the tool's own axis is not followed.
     #[command(overflow = "latest_wins")]
     fn servo_cp(&mut self, goal: &Pose) -> Result<(), ArmError> {
+        self.require_in_time(goal.stamp)?;
         self.arm.servo_cp(&goal.isometry()?)
     }
 
@@ -139,12 +147,14 @@ impl EyeRobot {
     /// itself, both along the axes of the base frame.
     #[command(overflow = "latest_wins")]
     fn servo_cr(&mut self, change: &Pose) -> Result<(), ArmError> {
+        self.require_in_time(change.stamp)?;
         self.arm.servo_cr(&change.isometry()?)
     }
 
     /// Moves the tip with a twist until the next command, at most for servo_timeout_s; axis/servo_cv is added to it.
     #[command(overflow = "latest_wins")]
     fn servo_cv(&mut self, twist: &Twist) -> Result<(), ArmError> {
+        self.require_in_time(twist.stamp)?;
         self.arm.servo_cv(&twist.vector()?)
     }
 
@@ -152,14 +162,17 @@ impl EyeRobot {
     #[command(overflow = "latest_wins")]
     fn interpolate_jp(
         &mut self,
-        #[arg(doc = "position of the five joints; the rest is not looked at")] goal: &JointState,
+        #[arg(doc = "position of the five joints, and the stamp; the rest is not looked at")]
+        goal: &JointState,
     ) -> Result<(), ArmError> {
+        self.require_in_time(goal.stamp)?;
         self.arm.interpolate_jp(&goal.position)
     }
 
     /// Brings the tip to a pose along a trajectory of the joints, without being busy: for goals that come slowly.
     #[command(overflow = "latest_wins")]
     fn interpolate_cp(&mut self, goal: &Pose) -> Result<(), ArmError> {
+        self.require_in_time(goal.stamp)?;
         self.arm.interpolate_cp(&goal.isometry()?)
     }
 

@@ -53,6 +53,10 @@ pub(super) struct EyeRobotConfig {
     /// times per second, make it longer
     #[config(min = 0.002, max = 10.0, unit = "s", default = 0.008)]
     servo_timeout_s: f64,
+    /// A servo command whose stamp is older than this and a period of the robot, or as far ahead, lay in wait or is of another
+    /// clock, and is refused and counted; stamp 0 is taken as now
+    #[config(min = 0.001, max = 10.0, unit = "s", default = 0.01)]
+    pub(super) command_age_s: f64,
     /// Play of the simulated slides, from one side to the other
     #[config(min = 0.0, max = 1e-5, unit = "m", default = 0.0)]
     backlash_m: f64,

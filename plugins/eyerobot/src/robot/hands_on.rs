@@ -17,6 +17,7 @@ impl EyeRobot {
     /// Follows the hand, and this force (in the base frame) beside it, for servo_timeout_s; zero follows the hand alone.
     #[command(overflow = "latest_wins")]
     fn servo_cf(&mut self, wrench: &Wrench) -> Result<(), ArmError> {
+        self.require_in_time(wrench.stamp)?;
         self.arm.follow(&wrench.vector()?)
     }
 
@@ -44,6 +45,7 @@ impl EyeRobot {
     /// Adds the part along the tool of this twist (base frame) to what servo_cv or the hand does, for servo_timeout_s.
     #[command(name = "servo_cv", overflow = "latest_wins")]
     fn axis_servo_cv(&mut self, twist: &Twist) -> Result<(), ArmError> {
+        self.require_in_time(twist.stamp)?;
         self.arm.servo_axis(&twist.vector()?)
     }
 

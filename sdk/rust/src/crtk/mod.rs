@@ -9,8 +9,10 @@
 //! `p`osition, `r`elative position, `v`elocity, `f`orce. Frames other than the base are interfaces of their own: `local`,
 //! `spatial`, `body`, `compliance`.
 
+mod in_time;
 mod names;
 mod operating;
 
+pub use in_time::{OutOfTime, require_in_time};
 pub use names::*;
 pub use operating::{NotReady, OperatingStateMachine, Refused, STATE_COMMANDS, StateCommand};

@@ -9,7 +9,7 @@ use super::super::bench::{Bench, Life};
 use crate::component::Class;
 use crate::crtk::STATE_COMMANDS;
 use crate::data::{JointConfiguration, JointState, OperatingMode, OperatingState, Pose};
-use crate::values::List;
+use crate::values::{List, Stamp};
 use means::same;
 use trocar_plugin_api::contracts::ARM;
 
@@ -25,7 +25,7 @@ use trocar_plugin_api::contracts::ARM;
 /// assert_behaves_as_arm(&mut Bench::<EyeRobot>::new("{}"), "arm");
 /// ```
 pub fn assert_behaves_as_arm<C: Class>(bench: &mut Bench<C>, interface: &str) {
-    const { assert!(ARM.rules.len() == 7, "every rule has its check") };
+    const { assert!(ARM.rules.len() == 8, "every rule has its check") };
     let told = OperatingState::default();
     let limits = JointConfiguration::default();
     let arm = &mut Arm { bench, interface, rule: ARM.threads, limits, told, before: None };
@@ -39,7 +39,11 @@ pub fn assert_behaves_as_arm<C: Class>(bench: &mut Bench<C>, interface: &str) {
     arm.check(4, Arm::tells_each_change_once);
     arm.check(5, Arm::takes_no_word_for_a_fault);
     arm.check(6, Arm::brakes_when_made_safe);
+    arm.check(7, Arm::leaves_what_lay_in_wait);
 }
+
+/// No arm takes a servo command of this age, ns.
+const AGE_NS: u64 = 1_000_000_000;
 
 struct Arm<'b, C: Class> {
     bench: &'b mut Bench<C>,
@@ -225,5 +229,24 @@ impl<C: Class> Arm<'_, C> {
         let rests = self.setpoint();
         self.steps(20);
         self.expect(self.is_at(&rests), || "`resume` took up the motion that make_safe ended".into());
+    }
+
+    fn leaves_what_lay_in_wait(&mut self) {
+        self.ready();
+        let (rests, goal, sent) = (self.setpoint(), self.away(), self.bench.now());
+        self.bench.advance(AGE_NS);
+        self.steps(1);
+        let ahead = Stamp::from_ns(self.bench.now().ns() + AGE_NS);
+        for (stamp, what) in [(sent, "sent more than a second ago"), (ahead, "stamped a second ahead")] {
+            let goal = JointState { stamp, position: List::of(&goal), ..JointState::default() };
+            let done = self.command("servo_jp", goal);
+            self.expect(done.is_err(), || format!("it took a servo_jp {what}"));
+        }
+        self.steps(20);
+        self.expect(self.is_at(&rests), || "it went where a servo_jp sent it that it had refused".into());
+        for stamp in [self.bench.now(), Stamp::INVALID] {
+            let goal = JointState { stamp, position: List::of(&rests), ..JointState::default() };
+            self.send("servo_jp", goal);
+        }
     }
 }
