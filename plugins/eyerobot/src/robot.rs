@@ -265,6 +265,7 @@ impl EyeRobot {
 
 impl Component for EyeRobot {
     fn configure(&mut self) -> Result {
+        self.cfg.check()?;
         // The arm stands where it stood, and knows where that is; a new one stands at home.
         self.arm.settle();
         self.build(self.arm.measured().position, self.arm.operating().is_homed());

@@ -299,7 +299,7 @@ fn the_robot_fulfils_the_contract_of_arms() {
 
 #[test]
 fn the_robot_behaves_as_the_contract_of_arms_says() {
-    for config in ["{}", r#"{"auto_enable": false}"#, r#"{"travel_m": 0.004, "speed_m_s": 0.05}"#] {
+    for config in ["{}", r#"{"auto_enable": false}"#, r#"{"travel_m": 0.004, "speed_m_s": 0.0166}"#] {
         assert_behaves_as_arm(&mut Bench::<EyeRobot>::new(config), "arm");
     }
 }

@@ -19,6 +19,8 @@ pub struct Simulation {
     pub stick_speed: Joints,
     /// Play between motor and joint, from one side to the other, m or rad. Encoders sit at the motors and do not see it.
     pub backlash: Joints,
+    /// A joint that stands whatever is commanded; its place in `joints::NAMES`.
+    pub blocked: Option<usize>,
     /// Decides where the encoders' steps lie.
     pub seed: u64,
 }
@@ -33,6 +35,7 @@ impl Default for Simulation {
             quantum: per_kind(0.5e-6, 9e-6),
             stick_speed: per_kind(2e-6, 36e-6),
             backlash: Joints::zeros(),
+            blocked: None,
             seed: 1,
         }
     }
@@ -93,6 +96,7 @@ impl SimulatedDrive {
 
     /// Motor `i` goes on for a period, at whose end it has velocity `after`.
     fn go(&mut self, i: usize, after: f64, dt_s: f64) {
+        let after = if self.setup.blocked == Some(i) { 0.0 } else { after };
         self.position[i] += 0.5 * (self.velocity[i] + after) * dt_s;
         self.velocity[i] = after;
         // A motor that turns back first goes through the play; the joint stands meanwhile.

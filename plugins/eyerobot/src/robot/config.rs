@@ -7,7 +7,8 @@ use trocar_sdk::prelude::*;
 use crate::admittance::Law;
 use crate::arm::Settings;
 use crate::drive::Simulation;
-use crate::joints::{Joints, Limits, per_kind};
+use crate::fixture::STIFFEST_PER_S;
+use crate::joints::{Joints, Limits, NAMES, per_kind};
 use crate::kinematics::Kinematics;
 
 #[derive(Config)]
@@ -37,10 +38,10 @@ pub(super) struct EyeRobotConfig {
     /// Largest tilt to each side
     #[config(min = 0.01, max = 1.5, unit = "rad", default = 0.7853981633974483)]
     tilt_rad: f64,
-    /// Highest speed of a slide
+    /// Highest speed of a slide; at most what acceleration_m_s2 brakes before a border: a thirtieth of it per second
     #[config(min = 0.0001, max = 0.1, unit = "m/s", default = 0.01)]
     speed_m_s: f64,
-    /// Highest speed of a turning joint
+    /// Highest speed of a turning joint; at most a thirtieth of acceleration_rad_s2
     #[config(min = 0.001, max = 1.0, unit = "rad/s", default = 0.12217304763960307)]
     speed_rad_s: f64,
     /// Highest acceleration of a slide
@@ -63,6 +64,9 @@ pub(super) struct EyeRobotConfig {
     /// Play of the simulated turning joints, from one side to the other
     #[config(min = 0.0, max = 1e-4, unit = "rad", default = 0.0)]
     backlash_rad: f64,
+    /// A simulated joint that stands whatever its drive does: to see what a fault does
+    #[config(one_of = ["none", "x", "y", "z", "roll", "tilt"], default = "none")]
+    blocked_joint: String,
     /// Forces of the hand below this do not move the tip
     #[config(min = 0.0, max = 1.0, unit = "N", default = 0.03)]
     dead_band_n: f64,
@@ -81,6 +85,34 @@ pub(super) struct EyeRobotConfig {
 }
 
 impl EyeRobotConfig {
+    /// No joint is faster than it can brake before the stiffest fixture.
+    ///
+    /// # Errors
+    /// Names the setting, what it asks for, and what would be taken.
+    pub(super) fn check(&self) -> Result {
+        let slides = ["speed_m_s", "acceleration_m_s2", "m/s"];
+        let turns = ["speed_rad_s", "acceleration_rad_s2", "rad/s"];
+        for ([speed, acceleration, unit], asked, brakes) in [
+            (slides, self.speed_m_s, self.acceleration_m_s2),
+            (turns, self.speed_rad_s, self.acceleration_rad_s2),
+        ] {
+            let most = brakes / STIFFEST_PER_S;
+            if asked > most {
+                // What is named must be taken: three digits, rounded down.
+                let digits = (2.0 - most.log10().floor()).max(0.0) as usize;
+                let step = 0.1f64.powi(digits as i32);
+                let named = (most / step * (1.0 + 1e-9)).floor() * step;
+                return Err(format!(
+                    "{speed}: {asked} {unit} is more than the arm can brake before a border: a fixture of {STIFFEST_PER_S} /s makes it \
+                     brake with {:.3} {unit}^2, and {acceleration} is {brakes} {unit}^2; set {speed} to {named:.digits$} at most",
+                    asked * STIFFEST_PER_S
+                )
+                .into());
+            }
+        }
+        Ok(())
+    }
+
     pub(super) fn settings(&self) -> Settings {
         let travel = self.travel_m;
         let upper = Joints::from_column_slice(&[travel, travel, travel, self.roll_rad, self.tilt_rad]);
@@ -106,6 +138,7 @@ impl EyeRobotConfig {
 
     pub(super) fn simulation(&self) -> Simulation {
         let backlash = per_kind(self.backlash_m, self.backlash_rad);
-        Simulation { seed: self.seed, backlash, ..Simulation::default() }
+        let blocked = NAMES.iter().position(|name| *name == self.blocked_joint);
+        Simulation { seed: self.seed, backlash, blocked, ..Simulation::default() }
     }
 }

@@ -11,10 +11,9 @@ use super::EyeRobot;
 use super::bench::{DT, joints, operating, push, say};
 use crate::payloads::Jacobian;
 
-/// An arm whose setpoint runs away from its drive: both accelerate as fast as the drive can, and the drive's lag leaves
-/// 4 mm/s between them all the way to 0.1 m/s.
+/// An arm whose setpoint goes on without a joint that is blocked.
 fn faulted() -> Bench<EyeRobot> {
-    let mut bench = Bench::<EyeRobot>::new(r#"{"speed_m_s": 0.1}"#);
+    let mut bench = Bench::<EyeRobot>::new(r#"{"blocked_joint": "x"}"#);
     bench.command::<_, ()>("servo_jp", joints([0.04, 0.0, 0.0, 0.0, 0.0])).unwrap();
     bench.step(250);
     assert_eq!(operating(&bench).state, OperatingMode::FAULT);

@@ -2,12 +2,12 @@
 #![allow(clippy::unwrap_used)]
 
 use trocar_phantom::Hand;
-use trocar_sdk::data::{FixtureKind, Pose, Retreat, Twist, VirtualFixture};
+use trocar_sdk::data::{CartesianState, FixtureKind, OperatingMode, Pose, Retreat, Twist, VirtualFixture};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
 use super::EyeRobot;
-use super::bench::{DT, force, joints, push, say, true_tip};
+use super::bench::{DT, force, joints, operating, push, say, true_tip};
 use crate::payloads::VirtualFixtures;
 
 #[test]
@@ -38,6 +38,89 @@ fn no_hand_and_no_controller_drives_the_tip_10_micrometres_into_a_forbidden_regi
         assert!(deepest < 10e-6, "seed {seed}: {deepest:e} m beyond");
         assert!(deepest > -20e-6, "seed {seed}: it never came near, {deepest:e} m");
     }
+}
+
+#[test]
+fn at_the_highest_speed_that_is_taken_the_stiffest_plane_holds_in_every_motion() {
+    let config = |seed: u64| {
+        format!(
+            r#"{{"seed": {seed}, "backlash_m": 3e-6, "speed_m_s": 0.0166, "speed_rad_s": 0.2, "tool_length_m": {}}}"#,
+            if seed.is_multiple_of(2) { 0.12 } else { 0.3 }
+        )
+    };
+    let mut rng = fastrand::Rng::with_seed(11);
+    let (mut fastest, mut nearest) = (0.0_f64, f64::NEG_INFINITY);
+    for seed in 0..24 {
+        let mut bench = Bench::<EyeRobot>::new(config(seed));
+        let from: Pose = bench.read("arm/measured_cp", ()).unwrap();
+        let start = true_tip(&bench);
+        // Planes of all slants, 3 mm before the tip.
+        let side = |rng: &mut fastrand::Rng| 1.4 * (rng.f64() - 0.5);
+        let up = nalgebra::Vector3::new(side(&mut rng), side(&mut rng), -1.0).normalize();
+        let turn = nalgebra::UnitQuaternion::rotation_between(&nalgebra::Vector3::z(), &up).unwrap();
+        let mut frame = Pose { orientation: turn.coords.into(), ..from };
+        frame.position = [0, 1, 2].map(|i| from.position[i] - 3e-3 * up[i]);
+        let plane = VirtualFixture { kind: FixtureKind::PLANE, frame, stiffness: 30.0, ..Default::default() };
+        let list = VirtualFixtures { fixtures: List::of(&[plane]), ..Default::default() };
+        bench.command::<_, ()>("virtual_fixture/set", list).unwrap();
+        let deep = |tip: [f64; 3]| -3e-3 - (0..3).map(|i| (tip[i] - start[i]) * up[i]).sum::<f64>();
+        let goal = joints([0.02 * side(&mut rng), 0.02 * side(&mut rng), 0.03, 0.2, 0.3]);
+        if seed % 4 == 0 {
+            bench.command::<_, ()>("arm/servo_jp", goal).unwrap();
+        } else if seed % 4 == 1 {
+            bench.command::<_, ()>("arm/move_jp", goal).unwrap();
+        }
+        let (turning, down) = (side(&mut rng), [-up.x, -up.y, -up.z].map(|d| 0.0166 * d));
+        for n in 0..700 {
+            let twist = Twist { linear: down, angular: [0.2 * turning, 0.0, 0.0], ..Twist::default() };
+            match seed % 4 {
+                2 => bench.command::<_, ()>("arm/servo_cv", twist).unwrap(),
+                3 if n == 0 => bench.command::<(), ()>("free", ()).unwrap(),
+                _ => {}
+            }
+            if seed % 4 == 3 {
+                bench.command::<_, ()>("axis/servo_cv", twist).unwrap();
+                push(&mut bench, down.map(|d| 900.0 * d), 1);
+            } else {
+                bench.step(1);
+            }
+            let tip: CartesianState = bench.read("truth/measured_cs", ()).unwrap();
+            fastest = (0..3).map(|i| -tip.twist.linear[i] * up[i]).sum::<f64>().max(fastest);
+            nearest = deep(tip.pose.position).max(nearest);
+            assert!(
+                deep(tip.pose.position) < 10e-6,
+                "seed {seed} period {n}: {:e} m",
+                deep(tip.pose.position)
+            );
+        }
+        assert_eq!(operating(&bench).state, OperatingMode::ENABLED, "seed {seed}");
+    }
+    assert!(fastest > 0.016, "it came with {fastest} m/s at most");
+    assert!(nearest > -5e-6, "it never came near, {nearest:e} m");
+}
+
+#[test]
+fn speeds_that_the_drives_cannot_brake_before_a_border_are_refused_with_what_would_be_taken() {
+    for (config, words) in [
+        (
+            r#"{"speed_m_s": 0.1}"#,
+            ["speed_m_s: 0.1 m/s is more", "3.000 m/s^2", "set speed_m_s to 0.0166 at"],
+        ),
+        (
+            r#"{"speed_rad_s": 0.25}"#,
+            ["speed_rad_s: 0.25 rad/s", "7.500 rad/s^2", "set speed_rad_s to 0.200 at"],
+        ),
+        (
+            r#"{"acceleration_m_s2": 0.1}"#,
+            ["speed_m_s: 0.01 m/s", "acceleration_m_s2 is 0.1 m/s^2", "set speed_m_s to 0.00333 at"],
+        ),
+    ] {
+        let mut bench = Bench::<EyeRobot>::ready("{}");
+        let refused = bench.configure(config).unwrap_err();
+        assert!(words.iter().all(|word| refused.reason.contains(word)), "{refused}");
+    }
+    Bench::<EyeRobot>::new(r#"{"speed_m_s": 0.0166, "speed_rad_s": 0.2}"#);
+    Bench::<EyeRobot>::new(r#"{"acceleration_m_s2": 0.1, "speed_m_s": 0.00333}"#);
 }
 
 #[test]
