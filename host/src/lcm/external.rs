@@ -259,12 +259,13 @@ fn event_of(instance: &Instance, member: &MemberId) -> Result<(Arc<EventCell>, O
             known: ports.provided.iter().map(|p| p.name.clone()).collect(),
         });
     };
+    // One name may be both: the read `operating_state` of an arm tells what its event of that name told last.
     let events = &ports.provided[interface].events;
-    let commands = &ports.provided[interface].commands;
-    if let Some(command) = commands.iter().find(|c| c.name == member.member.as_str()) {
-        return Err(wrong_kind(member, format!("a {} command", command.kind.name()), "an event"));
-    }
     let Some(i) = events.iter().position(|e| e.name == member.member.as_str()) else {
+        let commands = &ports.provided[interface].commands;
+        if let Some(command) = commands.iter().find(|c| c.name == member.member.as_str()) {
+            return Err(wrong_kind(member, format!("a {} command", command.kind.name()), "an event"));
+        }
         return Err(Refusal::MemberNotFound {
             member: member.clone(),
             known: events.iter().map(|e| e.name.clone()).collect(),
