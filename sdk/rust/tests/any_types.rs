@@ -34,6 +34,7 @@ struct Outer {
     one: Inner,
     many: List<Inner, 2>,
     counts: [u16; 4],
+    reserved: [u8; 8],
 }
 
 #[derive(Component)]
@@ -83,6 +84,7 @@ fn sample() -> Outer {
         one: inner(1.0),
         many: List::of(&[inner(2.0)]),
         counts: [1, 2, 3, u16::MAX],
+        reserved: [0; 8],
     }
 }
 
@@ -131,6 +133,17 @@ fn numbers_are_found_once_and_read_without_searching() {
     }
     assert_eq!(ty.place("counts/3").unwrap().number(&bytes[..20]), None, "too few bytes");
     assert_eq!((ty.unit("one/tip/2"), ty.unit("one/f"), ty.unit("big")), ("m", "N", ""));
+}
+
+#[test]
+fn stamps_lists_texts_and_gaps_may_be_left_out() {
+    let ty = outer();
+    let mut value = ty.to_json(as_bytes(&sample())).unwrap();
+    for left_out in ["stamp", "many", "reserved"] {
+        assert!(value.as_object_mut().unwrap().remove(left_out).is_some(), "{left_out}");
+    }
+    let want = Outer { stamp: Stamp::INVALID, many: List::default(), ..sample() };
+    assert_eq!(from_bytes::<Outer>(&ty.to_bytes(&value).unwrap()), Some(want));
 }
 
 #[test]

@@ -78,8 +78,9 @@ fn put_struct(s: &StructType, value: &Value, out: &mut [u8], here: &At<'_>) -> R
         let room = part_mut(out, f.at, f.ty.size(), &here)?;
         match map.get(&f.name) {
             Some(value) => put(&f.ty, value, room, &here)?,
-            // The bytes are already zero, which is an invalid stamp, an empty list, an empty text.
+            // The bytes are already zero, which is an invalid stamp, an empty list, an empty text, a gap.
             None if matches!(f.ty, Type::Prim(Prim::Stamp) | Type::List { .. } | Type::Text { .. }) => {}
+            None if is_gap(&f.name) => {}
             None => {
                 let unit = if f.unit.is_empty() { String::new() } else { format!(" in {}", f.unit) };
                 return here.err(format!(
@@ -92,6 +93,11 @@ fn put_struct(s: &StructType, value: &Value, out: &mut [u8], here: &At<'_>) -> R
         }
     }
     Ok(())
+}
+
+/// A field that only fills the room up to the next one, by its name.
+fn is_gap(name: &str) -> bool {
+    name.starts_with("reserved")
 }
 
 fn put_enum(e: &EnumType, value: &Value, out: &mut [u8], here: &At<'_>) -> Res<()> {

@@ -96,6 +96,23 @@ fn missing_and_unknown_fields_are_named() {
 }
 
 #[test]
+fn a_gap_that_a_payload_names_may_be_left_out() {
+    let fields = vec![
+        field("kind", 0, prim(Prim::U32), ""),
+        field("reserved", 4, prim(Prim::U32), ""),
+        field("stiffness", 8, f64_type(), "1/s"),
+    ];
+    let fixture = structure("Fixture", 16, fields);
+    let bytes = encode(&fixture, &json!({"kind": 1, "stiffness": 0})).unwrap();
+    assert_eq!(bytes, [1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(encode(&fixture, &json!({"kind": 1, "reserved": 7, "stiffness": 0})).unwrap()[4], 7);
+    assert_eq!(
+        why(&fixture, json!({"kind": 1})),
+        "/stiffness: field `stiffness` of Fixture is missing (f64 in 1/s)"
+    );
+}
+
+#[test]
 fn lists_and_texts_are_bounded_and_their_tails_are_zero() {
     let list = Type::List { item: Box::new(f64_type()), n: 2 };
     assert_eq!(encode(&list, &json!([1.0])).unwrap()[16..], [0; 8]);

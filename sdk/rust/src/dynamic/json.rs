@@ -16,7 +16,7 @@ impl AnyType {
         (bytes.len() == self.size()).then(|| read(&self.node, bytes))
     }
 
-    /// The bytes of a value. Stamps, lists and texts may be left out.
+    /// The bytes of a value. Stamps, lists, texts and what is called `reserved` may be left out.
     ///
     /// # Errors
     /// Where the value does not fit the type.
@@ -139,7 +139,7 @@ fn write(node: &Node, value: &Json, out: &mut [u8], at: &str) -> Result {
                 let may_miss = matches!(
                     f.node.shape,
                     Shape::Prim(Prim::Stamp) | Shape::List { .. } | Shape::Text { .. }
-                );
+                ) || f.name.starts_with("reserved");
                 match object.get(&f.name) {
                     Some(value) => {
                         write(&f.node, value, &mut out[f.at..], &format!("{at}/{}", f.name))?;
