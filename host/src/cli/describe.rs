@@ -10,8 +10,8 @@ use serde_json::Value;
 use super::failure::{Done, Exit};
 use super::session::Session;
 use super::view::{
-    ArgView, ClassView, ComponentView, DescribeView, ExecutionView, MemberView, OptionsView, PortsView,
-    ProxyView, StreamView, TypeView,
+    ArgView, ClassView, ComponentView, DescribeView, ExecutionView, FieldView, MemberView, OptionsView,
+    PortsView, ProxyView, StreamView, TypeView,
 };
 use super::{out, style, units};
 
@@ -38,7 +38,9 @@ pub(super) async fn run(args: DescribeArgs, session: &Session) -> Done {
 }
 
 fn render(view: &DescribeView, colour: bool) -> String {
-    let mut page = Page { text: String::new(), colour };
+    // Who asks for one port or member wants to use it, and is shown all of its types.
+    let deep = view.path.matches('/').count() >= 2;
+    let mut page = Page { text: String::new(), colour, deep };
     if let Some(process) = &view.process {
         page.title(&format!("process {}", process.name), &process.state);
         page.line(1, &format!("pid {}, epoch {}, endpoint {}", process.pid, process.epoch, process.endpoint));
@@ -82,6 +84,8 @@ fn render(view: &DescribeView, colour: bool) -> String {
 struct Page {
     text: String,
     colour: bool,
+    /// Structs in structs are shown, too.
+    deep: bool,
 }
 
 impl Page {
@@ -114,9 +118,10 @@ impl Page {
         let mut made_of = format!("class {}", c.class);
         push(&mut made_of, ", version ", class.map_or("", |k| &k.version));
         self.entry(1, &made_of, class.map_or("", |k| &k.doc));
-        let thread =
-            if c.execution.thread.is_empty() { String::new() } else { format!(", {}", c.execution.thread) };
-        self.line(1, &format!("health {}, runs {}{thread}", c.health, c.rate()));
+        let (rate, mut runs) = (c.rate(), c.rate());
+        // That of a stream's member says its stream once more.
+        push(&mut runs, ", ", if c.execution.thread == rate { "" } else { &c.execution.thread });
+        self.line(1, &format!("health {}, runs {runs}", c.health));
         self.execution(&c.execution, c.stats.realtime);
         let s = &c.stats;
         self.line(
@@ -217,6 +222,10 @@ impl Page {
             if let Some(range) = range(rules.get("minimum"), rules.get("maximum")) {
                 push(&mut line, "  ", &range);
             }
+            if let Some(choices) = rules.get("enum").and_then(Value::as_array) {
+                let choices = choices.iter().map(|c| c.as_str().map_or_else(|| c.to_string(), str::to_owned));
+                push(&mut line, "  ", &choices.collect::<Vec<_>>().join(" | "));
+            }
             if rules.get("live") == Some(&Value::Bool(true)) {
                 line.push_str("  live");
             }
@@ -245,7 +254,7 @@ impl Page {
         }
         if let Some(state) = &ports.state {
             self.heading("state table row");
-            self.fields(1, state);
+            self.of_type(1, state);
         }
     }
 
@@ -262,7 +271,7 @@ impl Page {
             line.push_str("  optional");
         }
         self.entry(1, &line, &s.doc);
-        self.fields(2, &s.ty);
+        self.of_type(2, &s.ty);
     }
 
     fn members<'m>(&mut self, doc: &str, members: impl Iterator<Item = &'m MemberView>) {
@@ -285,25 +294,35 @@ impl Page {
             }
             self.entry(1, &line, &m.doc);
             for arg in [&m.arg, &m.returns].into_iter().flatten() {
-                self.fields(2, &arg.ty);
+                if !arg.doc.is_empty() {
+                    self.entry(2, &format!("{}:", arg.name), &arg.doc);
+                }
+                self.of_type(2, &arg.ty);
             }
         }
     }
 
-    fn fields(&mut self, indent: usize, ty: &TypeView) {
-        for f in &ty.fields {
-            let mut line = format!(".{}: {}", f.name, f.ty);
-            push(&mut line, " ", &bracketed(&f.unit));
-            push(&mut line, " in frame ", &f.frame);
-            self.entry(indent, &line, &f.doc);
-        }
+    fn of_type(&mut self, indent: usize, ty: &TypeView) {
+        self.fields(indent, &ty.fields);
         if !ty.values.is_empty() {
             self.line(indent, &ty.values.join(" | "));
         }
     }
+
+    fn fields(&mut self, indent: usize, fields: &[FieldView]) {
+        for f in fields {
+            let mut line = format!(".{}: {}", f.name, f.ty);
+            push(&mut line, " ", &bracketed(&f.unit));
+            push(&mut line, " in frame ", &f.frame);
+            push(&mut line, "  ", &f.values.join(" | "));
+            self.entry(indent, &line, &f.doc);
+            if self.deep {
+                self.fields(indent + 1, &f.fields);
+            }
+        }
+    }
 }
 
-/// What a connection was made with, as far as it says something.
 /// One half of a connection between processes.
 fn half(p: &ProxyView) -> String {
     let how = match p.linked {
@@ -313,6 +332,7 @@ fn half(p: &ProxyView) -> String {
     format!("{} half in {}: {how}", p.end.to_lowercase(), p.process)
 }
 
+/// What a connection was made with, as far as it says something.
 fn options(o: &OptionsView) -> String {
     let mut said = String::new();
     match o.fifo {
@@ -375,7 +395,7 @@ fn push(line: &mut String, before: &str, text: &str) {
 mod tests {
     use serde_json::json;
 
-    use super::super::view::{FieldView, ProvidedView};
+    use super::super::view::ProvidedView;
     use super::*;
 
     #[test]
@@ -410,7 +430,7 @@ mod tests {
 
     #[test]
     fn execution_settings_options_direct_handlers_and_frames_are_shown() {
-        let mut page = Page { text: String::new(), colour: false };
+        let mut page = Page { text: String::new(), colour: false, deep: false };
         let execution = ExecutionView {
             model: "stream".into(),
             catch_up: 3,
@@ -442,7 +462,7 @@ mod tests {
             arg: Some(arg),
             ..MemberView::default()
         };
-        let mut page = Page { text: String::new(), colour: false };
+        let mut page = Page { text: String::new(), colour: false, deep: false };
         page.members("", std::iter::once(&handler));
         assert_eq!(page.text, "  moved(Target)  handler, direct\n    .pose: Pose in frame retina\n");
     }
@@ -451,8 +471,51 @@ mod tests {
     fn a_setting_shows_its_value_unit_range_and_whether_it_is_live() {
         let schema = json!({"properties": {"cutoff_hz": {
             "default": 50.0, "unit": "Hz", "minimum": 0.1, "maximum": 400, "live": true, "description": "Corner."}}});
-        let mut page = Page { text: String::new(), colour: false };
+        let mut page = Page { text: String::new(), colour: false, deep: false };
         page.config(&json!({"cutoff_hz": 20}), &schema);
         assert_eq!(page.text, "config\n  cutoff_hz = 20 Hz  0.1…400  live  Corner.\n");
+    }
+
+    #[test]
+    fn a_setting_that_is_one_of_several_words_shows_them() {
+        let schema = json!({"properties": {"format": {
+            "default": "rgb8", "enum": ["rgb8", "yuyv"], "description": "How pixels lie."}}});
+        let mut page = Page { text: String::new(), colour: false, deep: false };
+        page.config(&Value::Null, &schema);
+        assert_eq!(page.text, "config\n  format = \"rgb8\"  rgb8 | yuyv  How pixels lie.\n");
+    }
+
+    #[test]
+    fn structs_in_structs_are_shown_where_one_port_is_asked_for_and_names_of_values_everywhere() {
+        let field =
+            |name: &str, ty: &str| FieldView { name: name.into(), ty: ty.into(), ..FieldView::default() };
+        let kind = FieldView { values: vec!["PLANE".into(), "LINE".into()], ..field("kind", "FixtureKind") };
+        let frame = FieldView { fields: vec![field("position", "[f64; 3]")], ..field("frame", "Pose") };
+        let ty = TypeView { name: "Fixture".into(), fields: vec![kind, frame], ..TypeView::default() };
+        let arg = ArgView { name: "guard".into(), doc: "usually a plane".into(), ty, ..ArgView::default() };
+        let set =
+            MemberView { name: "set".into(), kind: "write".into(), arg: Some(arg), ..MemberView::default() };
+        let told = |path: &str| {
+            let provided =
+                ProvidedView { name: "f".into(), commands: vec![set.clone()], ..ProvidedView::default() };
+            let ports = PortsView { provided: vec![provided], ..PortsView::default() };
+            render(&DescribeView { path: path.into(), ports: Some(ports), ..DescribeView::default() }, false)
+        };
+        let short = "provided interface f\n  set(guard: Fixture)  write\n    guard:  usually a plane\n    \
+                     .kind: FixtureKind  PLANE | LINE\n    .frame: Pose\n";
+        assert_eq!(told("host/robot"), short);
+        assert_eq!(told("host/robot/f/set"), format!("{short}      .position: [f64; 3]\n"));
+    }
+
+    #[test]
+    fn what_runs_in_a_stream_says_so_once() {
+        let mut page = Page { text: String::new(), colour: false, deep: false };
+        let execution = ExecutionView {
+            stream_of: "host/a".into(),
+            thread: "stream of host/a".into(),
+            ..ExecutionView::default()
+        };
+        page.component(&ComponentView { execution, ..ComponentView::default() }, None);
+        assert!(page.text.contains("runs stream of host/a\n"), "{}", page.text);
     }
 }

@@ -351,7 +351,7 @@ pub(super) struct TypeView {
     pub(super) hash: String,
     pub(super) bytes: u32,
     pub(super) doc: String,
-    /// Fields of a struct, one level deep.
+    /// Fields of a struct, or of each item where it is many of them.
     pub(super) fields: Vec<FieldView>,
     /// Names of an enumeration.
     pub(super) values: Vec<String>,
@@ -365,6 +365,12 @@ pub(super) struct FieldView {
     pub(super) unit: String,
     pub(super) doc: String,
     pub(super) frame: String,
+    /// Fields of a struct, or of each item where it is many of them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) fields: Vec<FieldView>,
+    /// Names of an enumeration.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) values: Vec<String>,
 }
 
 /// One plugin file.

@@ -135,25 +135,34 @@ fn bare(ty: &v1::TypeInfo, unit: &str) -> ArgView {
 
 fn type_view(t: &v1::TypeInfo) -> TypeView {
     use v1::type_info::Shape;
-    let mut view =
-        TypeView { name: t.name.clone(), hash: t.hash.clone(), bytes: t.size, ..TypeView::default() };
+    let doc = match &t.shape {
+        Some(Shape::Structure(s)) => s.doc.clone(),
+        _ => String::new(),
+    };
+    let (fields, values) = inside(t);
+    TypeView { name: t.name.clone(), hash: t.hash.clone(), bytes: t.size, doc, fields, values }
+}
+
+/// Fields of a struct or names of an enumeration; of a list or an array those of its items.
+fn inside(t: &v1::TypeInfo) -> (Vec<FieldView>, Vec<String>) {
+    use v1::type_info::Shape;
     match &t.shape {
-        Some(Shape::Structure(s)) => {
-            view.doc.clone_from(&s.doc);
-            view.fields = s.fields.iter().map(field).collect();
-        }
-        Some(Shape::Enumeration(e)) => view.values = e.values.iter().map(|v| v.name.clone()).collect(),
-        _ => {}
+        Some(Shape::Structure(s)) => (s.fields.iter().map(field).collect(), Vec::new()),
+        Some(Shape::Enumeration(e)) => (Vec::new(), e.values.iter().map(|v| v.name.clone()).collect()),
+        Some(Shape::Array(a) | Shape::List(a)) => a.item.as_deref().map(inside).unwrap_or_default(),
+        _ => Default::default(),
     }
-    view
 }
 
 fn field(f: &v1::FieldInfo) -> FieldView {
+    let (fields, values) = f.r#type.as_ref().map(inside).unwrap_or_default();
     FieldView {
         name: f.name.clone(),
         ty: f.r#type.as_ref().map(|t| t.name.clone()).unwrap_or_default(),
         unit: f.unit.clone(),
         doc: f.doc.clone(),
         frame: f.frame.clone(),
+        fields,
+        values,
     }
 }
