@@ -68,6 +68,8 @@ pub struct Pid {
     rejected: u64,
     #[config]
     cfg: PidConfig,
+    #[host]
+    host: Host,
     /// Measurement behind the low-pass; none before the first one.
     smoothed: Option<f64>,
     wanted: Held,
@@ -110,7 +112,7 @@ impl Component for Pid {
 
     fn make_safe(&mut self) -> Result {
         self.clear();
-        self.give(self.cfg.safe);
+        self.give(self.cfg.safe, self.host.now());
         Ok(())
     }
 
@@ -124,7 +126,7 @@ impl Component for Pid {
         let (Some(wanted), Some(is)) = (wanted, is) else {
             self.controls = Flag::FALSE;
             self.clear();
-            self.give(self.cfg.safe);
+            self.give(self.cfg.safe, t.now());
             return Ok(());
         };
         self.controls = Flag::TRUE;
@@ -153,7 +155,7 @@ impl Component for Pid {
             self.at_limit = at_limit.into();
             self.saturated.emit(self.at_limit);
         }
-        self.give(output);
+        self.give(output, t.now());
         Ok(())
     }
 }
@@ -184,8 +186,8 @@ impl Held {
 }
 
 impl Pid {
-    fn give(&mut self, output: f64) {
+    fn give(&mut self, output: f64, stamp: Stamp) {
         self.output = output;
-        self.command.write(&Scalar { stamp: Stamp::INVALID, value: output });
+        self.command.write(&Scalar { stamp, value: output });
     }
 }

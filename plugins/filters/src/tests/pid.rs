@@ -22,7 +22,9 @@ fn a_pi_controller_reaches_its_setpoint_and_a_p_controller_stays_below() {
     let mut bench = Bench::<Pid>::new(r#"{"kp": 2, "ki": 10, "lowest": -10, "highest": 10}"#);
     let told = control(&mut bench, 3000, 1.0, &mut y);
     assert!((y - 1.0).abs() < 1e-3, "{y}");
-    assert_eq!(bench.outputs::<Scalar>("command").len(), 3000);
+    let given = bench.outputs::<Scalar>("command");
+    assert_eq!(given.len(), 3000);
+    assert!(given.iter().all(|command| command.stamp.is_valid()), "a stamp of 0 would say that it is none");
     assert!((told[0].0 - 2.01).abs() < 1e-9, "kp and one step of ki: {}", told[0].0);
     let mut y = 0.0;
     control(&mut Bench::<Pid>::new(r#"{"kp": 2, "lowest": -10, "highest": 10}"#), 3000, 1.0, &mut y);
