@@ -90,6 +90,9 @@ impl fmt::Display for RawError {
                     path.display()
                 )
             }
+            RawError::Length { path, bytes: 0, .. } => {
+                write!(f, "{}: is empty; name a file of raw spectra", path.display())
+            }
             RawError::Length { path, bytes, layout } => {
                 let Layout { samples, ascans, .. } = layout;
                 let (frame, over) = (layout.frame(), bytes.checked_rem(layout.frame()).unwrap_or(0));

@@ -16,7 +16,7 @@ fn a_camera_that_is_not_there_is_refused_at_start_and_not_before() {
 fn a_file_that_is_no_camera_is_refused() {
     let mut bench = Bench::<Camera>::ready(r#"{"device": "/dev/null"}"#);
     let why = bench.start().unwrap_err().reason;
-    assert!(why.starts_with("device: /dev/null cannot be opened: "), "{why}");
+    assert!(why.starts_with("device: /dev/null is no video device; there is"), "{why}");
 }
 
 #[test]

@@ -44,7 +44,11 @@ impl Source for V4l2 {
     fn open(&self) -> Result<Streaming, String> {
         let name = self.device.display();
         let device = Device::open(&self.device).map_err(|why| {
-            format!("device: {name} cannot be opened: {why}; {}", there_is(Path::new("/dev")))
+            let what = match rustix::io::Errno::from_io_error(&why) {
+                Some(rustix::io::Errno::NOTTY) => "is no video device".to_owned(),
+                _ => format!("cannot be opened: {why}"),
+            };
+            format!("device: {name} {what}; {}", there_is(Path::new("/dev")))
         })?;
         let about =
             device.capabilities().map_err(|why| format!("device: {name} is no video device: {why}"))?;
@@ -206,7 +210,7 @@ mod tests {
     #[test]
     fn a_file_that_is_no_video_device_is_refused() {
         let why = camera(Path::new("/dev/null")).open().err().unwrap();
-        assert!(why.starts_with("device: /dev/null cannot be opened: "), "{why}");
+        assert!(why.starts_with("device: /dev/null is no video device; there is"), "{why}");
     }
 
     #[test]
