@@ -46,6 +46,9 @@ pub struct EyeRobot {
     /// Joints, tip and the hand's wrench of each cycle
     #[output]
     state: Out<ArmState>,
+    /// Pose of the tip from the encoders of each cycle, in the base frame: for filters of poses
+    #[output(name = "measured_cp")]
+    pose: Out<Pose>,
     /// True pose and twist of the tip in the simulated world
     #[output(tag = "sim")]
     tip: Out<CartesianState>,
@@ -315,6 +318,7 @@ impl Component for EyeRobot {
             measured_cp: self.measured_cp,
             measured_cf: self.measured_cf,
         });
+        self.pose.write(&self.measured_cp);
         self.tip.write(&self.truth);
         Ok(())
     }

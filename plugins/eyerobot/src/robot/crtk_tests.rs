@@ -94,6 +94,9 @@ fn cartesian_values_carry_the_stamp_of_the_joints_and_what_is_not_known_stamp_0(
     let streamed = bench.outputs::<ArmState>("state");
     assert_eq!(streamed.last().map(|state| state.measured_cf), Some(felt));
     assert_eq!(streamed[0].measured_cf.stamp, Stamp::INVALID, "before there was a hand");
+    let poses = bench.outputs::<Pose>("measured_cp");
+    let same: Vec<Pose> = streamed.iter().map(|state| state.measured_cp).collect();
+    assert_eq!(poses, same, "of the same cycles");
     bench.make_stale("handle");
     bench.step(1);
     assert_eq!(bench.read::<(), Wrench>("body/measured_cf", ()).unwrap(), Wrench::default());
