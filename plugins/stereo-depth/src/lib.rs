@@ -9,6 +9,8 @@ mod component;
 mod consistency;
 mod disparity;
 mod matcher;
+#[cfg(test)]
+mod phantom_tests;
 mod prefilter;
 mod rows;
 mod semi_global;
