@@ -54,6 +54,9 @@ pub struct Display {
     /// People have closed the window.
     #[event("screen")]
     window_closed: Event<u64>,
+    /// No browser can come: somebody else kept this port. Once after a Start; everything else goes on.
+    #[event("screen")]
+    mjpeg_refused: Event<u32>,
     /// Frames shown since Start.
     #[state]
     frames: u64,
@@ -168,6 +171,9 @@ impl Display {
     fn tell_serving(&mut self) {
         let Some(browser) = &self.viewing.browser else { return };
         let (serving, port) = browser.place.serving();
+        if serving == Serving::REFUSED && self.mjpeg != serving {
+            self.mjpeg_refused.emit(browser.place.port().into());
+        }
         (self.mjpeg, self.mjpeg_port) = (serving, port.into());
     }
 
@@ -247,9 +253,6 @@ impl Component for Display {
         if let Some(browser) = &self.viewing.browser {
             self.viewers = browser.stream.viewers();
             self.pictures = browser.stream.pictures();
-            if self.mjpeg == Serving::REFUSED {
-                return Err(browser.place.refusal().into());
-            }
         }
         if let Some((window, _)) = &self.viewing.screen
             && self.window_open.get()

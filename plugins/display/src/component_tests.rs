@@ -280,25 +280,23 @@ fn displays_share_a_port_and_each_name_is_there_once() {
 }
 
 #[test]
-fn a_port_that_somebody_else_keeps_is_waited_for_and_then_a_fault() {
+fn a_port_that_somebody_else_keeps_is_waited_for_and_then_told_and_frames_are_counted_all_the_same() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
     let mut bench = Bench::<Display>::ready(format!(r#"{{"mjpeg_port": {port}}}"#));
     bench.start().unwrap();
     assert_eq!((bench.state().mjpeg, bench.state().mjpeg_port), (Serving::WAITING, 0));
-    let begun = Instant::now();
-    let why = loop {
-        bench.push_frame("image", header(1, 2), &[0; 192]);
-        match bench.try_step() {
-            Ok(()) => assert!(begun.elapsed() < Duration::from_secs(30), "it waits for ever"),
-            Err(why) => break why.reason,
-        }
-        std::thread::yield_now();
-    };
-    assert!(
-        why.starts_with(&format!("mjpeg_port: {port} on 127.0.0.1 cannot be had: somebody else")),
-        "{why}"
-    );
+    shows_until(&mut bench, |bench| (bench.state().mjpeg == Serving::REFUSED).then_some(()));
+    let counted = bench.state().frames;
+    (0..10).for_each(|index| show(&mut bench, 1_000_000 + index));
+    assert_eq!((bench.state().frames, bench.state().mjpeg_port), (counted + 10, 0));
+    assert_eq!(bench.life(), trocar_sdk::testing::Life::Active);
+    assert_eq!(bench.events::<u32>("screen/mjpeg_refused"), [u32::from(port)], "once");
+    // Another Start tries anew.
+    bench.stop().unwrap();
+    drop(taken);
+    bench.start().unwrap();
+    assert_eq!((bench.state().mjpeg, bench.state().mjpeg_port), (Serving::LISTENING, port.into()));
 }
 
 #[test]

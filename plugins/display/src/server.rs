@@ -122,10 +122,15 @@ impl Server {
         // It is of all displays at this port, so it has the name of none.
         let accepting = side::spawn("trocar-http", move || {
             let listener = listener.or_else(|| wait_for(port, &serving.ends));
-            serving.becomes(if listener.is_some() { Serving::LISTENING } else { Serving::REFUSED });
-            if let Some(listener) = listener {
-                accept(&listener, &serving);
-            }
+            let Some(listener) = listener else {
+                serving.becomes(Serving::REFUSED);
+                if !serving.ends.load(Ordering::Acquire) {
+                    log::warn!("{}", refusal(port));
+                }
+                return;
+            };
+            serving.becomes(Serving::LISTENING);
+            accept(&listener, &serving);
         })
         .map_err(|why| format!("no thread for the server: {why}"))?;
         let server = Arc::new(Server { port, shared, accepting: Some(accepting) });
@@ -156,17 +161,21 @@ impl Place {
     /// Whether browsers can come, and by which port; 0 while they cannot.
     pub(crate) fn serving(&self) -> (Serving, u16) {
         let serving = Serving(self.server.shared.serving.load(Ordering::Acquire).into());
-        (serving, if serving == Serving::LISTENING { self.server.port } else { 0 })
+        (serving, if serving == Serving::LISTENING { self.port() } else { 0 })
     }
 
-    /// Why browsers cannot come any more.
-    pub(crate) fn refusal(&self) -> String {
-        let port = self.server.port;
-        format!(
-            "mjpeg_port: {port} on 127.0.0.1 cannot be had: somebody else kept it for {TRIES:?}; choose another one, or 0 for \
-             any free one, and start again"
-        )
+    /// The port of its server, whether it can be had or not.
+    pub(crate) fn port(&self) -> u16 {
+        self.server.port
     }
+}
+
+/// Why browsers cannot come; said once, by the server's thread.
+fn refusal(port: u16) -> String {
+    format!(
+        "mjpeg_port: {port} on 127.0.0.1 cannot be had: somebody else kept it for {TRIES:?}; no browser sees what is shown \
+         there. Choose another one, or 0 for any free one, and start again"
+    )
 }
 
 impl Drop for Place {

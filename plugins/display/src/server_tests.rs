@@ -37,11 +37,17 @@ fn requests_that_never_come_whole_are_left_and_keep_nobody_out() {
     idle.iter().for_each(|connection| _ = trickle(connection));
     assert!(answer(ask(&server, "/")).starts_with("HTTP/1.1 200"), "beside many that ask nothing");
     // Each byte comes long before a pause would be noticed; the whole request does not.
-    let slow = connect(&server);
+    let mut slow = connect(&server);
+    slow.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
+    let mut told = [0; 12];
     eventually("a trickling request is left", || {
-        std::thread::sleep(Duration::from_millis(50));
-        !trickle(&slow)
+        trickle(&slow);
+        match slow.read_exact(&mut told) {
+            Err(why) => !matches!(why.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut),
+            Ok(()) => true,
+        }
     });
+    assert_eq!(&told, b"HTTP/1.1 408");
     drop(idle);
     eventually("their threads end", || {
         held(&server.shared.connections).retain(|connection| !connection.thread.is_finished());
@@ -109,7 +115,8 @@ fn a_port_that_is_freed_is_had_and_one_that_is_kept_is_told() {
     let taken = TcpListener::bind(("127.0.0.1", port)).unwrap();
     let place = Server::at(port).unwrap().show(Arc::new(Stream::new("a"))).unwrap();
     eventually("it is given up", || place.serving() == (Serving::REFUSED, 0));
-    assert!(place.refusal().starts_with(&format!("mjpeg_port: {port} on 127.0.0.1 cannot be had")));
+    assert_eq!(place.port(), port);
+    assert!(refusal(port).starts_with(&format!("mjpeg_port: {port} on 127.0.0.1 cannot be had")));
     // Another start tries anew, though the one that was refused is still there.
     drop(taken);
     let again = Server::at(port).unwrap().show(Arc::new(Stream::new("a"))).unwrap();

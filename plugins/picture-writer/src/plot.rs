@@ -2,13 +2,16 @@
 //!
 //! Invariant: a step reads numbers at known places into rings that are there; what is drawn is a copy.
 
-use trocar_sdk::AnyType;
 use trocar_sdk::prelude::*;
 
 use crate::chart::{self, Chart, Curve};
 use crate::file::{self, SaveRequest, SavedPicture};
 use crate::saving::Saving;
 use crate::traces::{Point, Trace};
+
+/// Why there is nothing to draw.
+const NOTHING: &str =
+    "no number has come yet: connect `a`, `b`, `c` or `d`, start what sends them, and ask again";
 
 /// Names of the inputs.
 const INPUTS: [&str; 4] = ["a", "b", "c", "d"];
@@ -72,6 +75,9 @@ pub struct Plot {
     /// As `a`
     #[input(optional, fifo = 256)]
     d: AnyIn,
+    /// What comes to an input has not the number, or not the flag, that is configured for it: what to set. Once per connection.
+    #[event("ctl")]
+    unplaced: Event<Text<160>>,
     /// Points taken since Start.
     #[state]
     samples: u64,
@@ -98,6 +104,8 @@ struct Series {
     place: Option<Place>,
     /// And where the flag is.
     valid: Option<Place>,
+    /// What is said where there is no such number, and no such flag.
+    missing: [Text<160>; 2],
 }
 
 impl Series {
@@ -108,17 +116,26 @@ impl Series {
         Some(if valid { value } else { f64::NAN })
     }
 
-    /// Finds the places in what comes by another connection.
-    fn connected(&mut self, ty: Option<AnyType>, name: &str, field: &str, valid: &str) {
-        let place = |path: &str| ty.as_ref().and_then(|ty| ty.place(path));
+    /// Finds the places in what comes by another connection, and says what is not there.
+    fn connected(
+        &mut self,
+        (field, valid): (&str, &str),
+        place: impl Fn(&str) -> Option<Place>,
+        unplaced: &Event<Text<160>>,
+    ) {
         self.place = place(field);
         self.valid = if valid.is_empty() { None } else { place(valid) };
         if self.place.is_none() {
-            log::warn!("{name}: there is no number at \"{field}\" in what is connected; set `fields`");
+            unplaced.emit(self.missing[0]);
         }
         if self.valid.is_none() && !valid.is_empty() {
-            log::warn!("{name}: there is no flag at \"{valid}\" in what is connected; set `valid`");
+            unplaced.emit(self.missing[1]);
         }
+    }
+
+    /// Samples come, and have no number at the place that is configured.
+    fn is_unplaced(&self) -> bool {
+        self.source != 0 && self.place.is_none()
     }
 }
 
@@ -128,9 +145,10 @@ impl Plot {
     #[command]
     fn save(&mut self, request: &SaveRequest) -> Result<SavedPicture> {
         let path = file::named(&request.path)?;
-        let chart = chart_of(&self.cfg, &self.traces).ok_or(
-            "no number has come yet: connect `a`, `b`, `c` or `d`, start what sends them, and ask again",
-        )?;
+        let Some(chart) = chart_of(&self.cfg, &self.traces) else {
+            let unplaced = self.traces.iter().find(|series| series.is_unplaced());
+            return Err(unplaced.map_or(NOTHING, |series| &series.missing[0]).into());
+        };
         let name = self.host.instance_name().rsplit('/').next().unwrap_or_default();
         let saved = self.saving.run(name, move || file::write(&path, &chart::draw(&chart)?))?;
         self.saved += 1;
@@ -179,6 +197,11 @@ fn of(list: &[f64], n: usize, other: f64) -> f64 {
 }
 
 impl PlotConfig {
+    /// Where the number of an input is, and the flag beside it.
+    fn places(&self, n: usize) -> (&str, &str) {
+        (self.fields.get(n).map_or("", String::as_str), self.valid.get(n).map_or("", String::as_str))
+    }
+
     fn check(&self) -> Result {
         let lists = [
             ("fields", self.fields.len()),
@@ -215,7 +238,15 @@ impl Component for Plot {
             self.traces = INPUTS.iter().map(|_| series()).collect();
         }
         // Places may be others now: they are found again with the next sample.
-        self.traces.iter_mut().for_each(|series| series.source = 0);
+        for (n, series) in self.traces.iter_mut().enumerate() {
+            let (input, (field, valid)) = (INPUTS[n], self.cfg.places(n));
+            series.source = 0;
+            series.missing = [
+                format!("{input}: there is no number at \"{field}\" in what is connected; set `fields`"),
+                format!("{input}: there is no flag at \"{valid}\" in what is connected; set `valid`"),
+            ]
+            .map(|told| Text::new(&told));
+        }
         Ok(())
     }
 
@@ -235,16 +266,11 @@ impl Component for Plot {
         for (n, (input, series)) in inputs.into_iter().zip(&mut self.traces).enumerate() {
             while let Some(sample) = input.next() {
                 let (stamp, source) = (sample.stamp(), sample.source());
-                let value = if source == series.source {
-                    series.read(sample.value())
-                } else {
-                    // Once per connection: the type is asked for while the sample waits as a copy.
-                    let bytes = sample.value().to_vec();
-                    let text = |list: &[String]| list.get(n).cloned().unwrap_or_default();
+                if source != series.source {
                     series.source = source;
-                    series.connected(input.ty(), INPUTS[n], &text(&self.cfg.fields), &text(&self.cfg.valid));
-                    series.read(&bytes)
-                };
+                    series.connected(self.cfg.places(n), |path| sample.place(path), &self.unplaced);
+                }
+                let value = series.read(sample.value());
                 let taken = stamp.is_valid()
                     && value.is_some_and(|value| series.trace.push(Point { at_ns: stamp.ns(), value }));
                 self.samples += u64::from(taken);

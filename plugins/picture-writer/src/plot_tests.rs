@@ -66,12 +66,12 @@ fn offsets_and_scales_are_applied_and_time_begins_with_the_first_point() {
 
 #[test]
 fn a_number_that_is_not_valid_is_a_gap() {
-    let mut of = Series::default();
-    let ty = AnyType::of_port(
+    let ty = trocar_sdk::AnyType::of_port(
         r#"{"plain": {"ref": "D"}, "types": [{"name": "D", "size": 16, "fields": [
             {"name": "d", "at": 0, "type": "f64"}, {"name": "valid", "at": 8, "type": "bool"}]}]}"#,
     );
-    of.connected(ty.ok(), "true", "d", "valid");
+    let ty = ty.unwrap();
+    let of = Series { place: ty.place("d"), valid: ty.place("valid"), ..Series::default() };
     let sample = |valid: u8| [&2.5f64.to_le_bytes()[..], &[valid], &[0; 7]].concat();
     assert_eq!(of.read(&sample(1)), Some(2.5));
     assert!(of.read(&sample(0)).is_some_and(f64::is_nan));
@@ -87,11 +87,11 @@ fn what_has_no_number_there_is_counted_and_told_once() {
         bench.step(1);
     }
     assert_eq!((bench.state().samples, bench.state().rejected), (0, 3));
-    let told = bench.logs();
-    assert!(
-        told.len() == 1 && told[0].message.contains("there is no number at \"nothing\""),
-        "once: {told:?}"
-    );
+    let told = bench.events::<Text<160>>("ctl/unplaced");
+    assert_eq!(told, ["a: there is no number at \"nothing\" in what is connected; set `fields`"], "once");
+    let dir = tempfile::tempdir().unwrap();
+    let why = save(&mut bench, &dir.path().join("plot.png")).unwrap_err();
+    assert!(why.contains("there is no number at \"nothing\""), "{why}");
     // Another place, set while it runs, is looked for anew.
     bench.stop().unwrap();
     bench.configure(r#"{"fields": ["value"]}"#).unwrap();
@@ -99,6 +99,21 @@ fn what_has_no_number_there_is_counted_and_told_once() {
     bench.push("a", Scalar { stamp: bench.now(), value: 1.0 });
     bench.step(1);
     assert_eq!((bench.state().samples, bench.state().rejected), (1, 0));
+}
+
+#[test]
+fn no_step_allocates_not_the_first_of_a_connection_either() {
+    let mut bench = Bench::<Plot>::new(r#"{"fields": ["distance", "none"], "valid": ["valid", "none"]}"#);
+    bench.assert_no_alloc(|bench| {
+        for n in 0..4 {
+            bench.push("a", distance(1e-3, true));
+            bench.push("b", Scalar { stamp: bench.now(), value: f64::from(n) });
+            bench.advance(1_000);
+            bench.step(1);
+        }
+    });
+    assert_eq!((bench.state().samples, bench.state().rejected), (4, 4));
+    assert_eq!(bench.events::<Text<160>>("ctl/unplaced").len(), 2, "no number and no flag");
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! calls is an answer, never a wrong read. No author needs `unsafe` here.
 
 use crate::aligned;
-use crate::dynamic::{AnyCommand, AnyType};
+use crate::dynamic::{AnyCommand, AnyType, Place, scan};
 use crate::function::{FunctionPort, waiting};
 use crate::host::Host;
 use crate::outcome::{CallError, Outcome};
@@ -36,7 +36,7 @@ pub struct AnyView<'a> {
     view: SampleView,
     /// Bytes at the view's header; 0 when the host does not say (older than ABI 1.1).
     len: usize,
-    input: core::marker::PhantomData<&'a mut ()>,
+    slot: &'a InSlot,
 }
 
 impl AnyView<'_> {
@@ -72,6 +72,38 @@ impl AnyView<'_> {
     pub fn source(&self) -> u64 {
         self.view.token
     }
+
+    /// Where the number at `path` lies in samples of this connection, as [`AnyType::place`] says. Allocates nothing: for
+    /// `step`, once per connection, for it reads the description of the type.
+    pub fn place(&self, path: &str) -> Option<Place> {
+        struct Asked<'a> {
+            path: &'a str,
+            found: Option<Place>,
+            pieces: usize,
+        }
+        unsafe extern "C" fn find(ctx: *mut c_void, bytes: Bytes) {
+            if bytes.ptr.is_null() {
+                return;
+            }
+            // SAFETY: `ctx` is the question below; the callee passes readable bytes for the call.
+            let (asked, bytes) =
+                unsafe { (&mut *ctx.cast::<Asked<'_>>(), core::slice::from_raw_parts(bytes.ptr, bytes.len)) };
+            asked.pieces += 1;
+            asked.found = core::str::from_utf8(bytes).ok().and_then(|text| scan::place(text, asked.path));
+        }
+        let mut asked = Asked { path, found: None, pieces: 0 };
+        let sink = Sink { ctx: (&raw mut asked).cast(), write: find };
+        let (type_of, ctx) = (self.slot.type_of, self.slot.ctx);
+        // SAFETY: the slot and its context are valid, and the sink lives through the call.
+        let status = unsafe { type_of(ctx, &sink) };
+        match asked.pieces {
+            _ if status != STATUS_OK => None,
+            0 | 1 => asked.found,
+            // No host of ours tells it in pieces; of one that does a copy is made.
+            // SAFETY: both belong to one valid slot.
+            _ => AnyType::of_port(&unsafe { ask_type(type_of, ctx) }?).ok()?.place(path),
+        }
+    }
 }
 
 impl In<Any> {
@@ -91,10 +123,10 @@ impl In<Any> {
         let told = has_entry(slot.struct_size, offset_of!(InSlot, header_len), ENTRY);
         // SAFETY: the entry lies inside the slot; the context is its own.
         let len = if told { unsafe { (slot.header_len)(slot.ctx) } } else { 0 };
-        Some(AnyView { view, len: len as usize, input: core::marker::PhantomData })
+        Some(AnyView { view, len: len as usize, slot })
     }
 
-    /// The connected type; none while unconnected. Allocates: ask once per connection, not in each `step`.
+    /// The connected type; none while unconnected. Allocates: not for `step`, where [`AnyView::place`] finds a number.
     pub fn ty(&self) -> Option<AnyType> {
         self.type_json().and_then(|text| AnyType::of_port(&text).ok())
     }

@@ -4,6 +4,7 @@
 //! can be read: lengths are clamped, flags are "not zero".
 
 mod json;
+pub(crate) mod scan;
 
 use crate::component::Result;
 use serde_json::Value as Json;

@@ -151,12 +151,12 @@ struct Watch {
 
 impl Component for Watch {
     fn step(&mut self, _: &Tick) -> Result {
-        let Some(source) = self.any.latest().map(|sample| sample.source()) else { return Ok(()) };
-        if source != self.source {
-            self.source = source;
-            self.place = self.any.ty().and_then(|ty| ty.place("position/2"));
+        let Some(sample) = self.any.latest() else { return Ok(()) };
+        if sample.source() != self.source {
+            self.source = sample.source();
+            self.place = sample.place("position/2");
         }
-        if let (Some(place), Some(sample)) = (self.place, self.any.latest()) {
+        if let Some(place) = self.place {
             self.value = place.number(sample.value()).unwrap_or(f64::NAN);
         }
         Ok(())

@@ -162,7 +162,6 @@ impl InCell {
             unsafe { &(*ctx.cast::<InCell>()).held }.as_ref().map_or(0, |held| held.header_len as u64)
         }
         unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
-            let _quiet = alloc::pause();
             // SAFETY: as in `latest`; the sink is the caller's.
             unsafe {
                 let cell = &*ctx.cast::<InCell>();
