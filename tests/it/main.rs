@@ -13,6 +13,7 @@ mod control_plane;
 mod cpp_plugin;
 mod demo;
 mod deployment;
+mod devices;
 mod embedding;
 mod embedding_client;
 mod faults;
