@@ -77,6 +77,15 @@ impl Behavior {
         }
     }
 
+    /// The component that commands the robot; none where there is no robot.
+    pub(super) fn commander(self) -> Option<&'static str> {
+        match self {
+            Behavior::FreeHand => None,
+            Behavior::Cooperative => Some("host/lead"),
+            Behavior::Bscan => Some("host/bscan"),
+        }
+    }
+
     /// Of the leader, to try.
     pub(super) fn command(self) -> &'static str {
         match self {

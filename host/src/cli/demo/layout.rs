@@ -102,7 +102,9 @@ mod tests {
                 assert_eq!(placed.connections.len(), written.connections.len());
             }
             file(1).single_process().unwrap();
-            assert!(file(3).components.iter().any(|c| c.id.to_string() == behavior.leader()), "{behavior:?}");
+            for part in behavior.commander().into_iter().chain([behavior.leader()]) {
+                assert!(file(3).components.iter().any(|c| c.id.to_string() == part), "{behavior:?}: {part}");
+            }
         }
     }
 

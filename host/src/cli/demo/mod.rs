@@ -10,6 +10,7 @@ mod measure;
 mod screen;
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::Args;
 use serde::Serialize;
@@ -31,6 +32,10 @@ use crate::system_file::SystemFile;
 const SOURCE: &str = "host/camera";
 /// The inputs of the video chain: what arrives at the last one went all the way.
 const CHAIN: [&str; 3] = ["host/overlay/image", "host/pip/image", "host/display/image"];
+/// Whoever commands the robot may take this long to stop.
+const REST: Duration = Duration::from_secs(1);
+/// A robot takes less than this for 0.4 mm.
+const WAY_OUT: Duration = Duration::from_millis(150);
 /// Where the video can be seen, and at which of its numbers.
 const DISPLAY: (&str, &str) = ("host/display", "mjpeg_port");
 
@@ -110,10 +115,12 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
         Ok(true) => {
             let addr = hosting::address(&host);
             show.begin(&format!("listening on {addr}"), &addr).await;
-            tokio::select! {
+            let done = tokio::select! {
                 done = show.run(&addr) => done,
                 () = stop.asked() => Ok(Exit::Ok),
-            }
+            };
+            show.rest(&addr).await;
+            done
         }
         Ok(false) => Ok(Exit::Interrupted),
         Err(failure) => Err(built(failure)),
@@ -140,11 +147,13 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
             show.begin(&format!("in {} processes, GCM {}", file.processes.len(), up.addr), &up.addr).await;
             // On a terminal the table says it.
             let voice = (!style::interactive()).then(|| up::voice("demo"));
-            tokio::select! {
+            let done = tokio::select! {
                 never = system.keep(file, voice.as_ref()) => match never {},
                 done = show.run(&up.addr) => done,
                 () = stop.asked() => Ok(Exit::Ok),
-            }
+            };
+            show.rest(&up.addr).await;
+            done
         }
         Some(Err(failure)) => Err(built(failure)),
         None => Ok(Exit::Interrupted),
@@ -214,6 +223,18 @@ impl Show<'_> {
             out::line(&path.display().to_string());
         }
         Ok(Exit::Ok)
+    }
+
+    /// At the end whoever commands the robot comes to rest before it: the hold and the way out of the eye that a scan sends
+    /// when it ends still find a robot that takes them.
+    async fn rest(&self, addr: &str) {
+        let Some(commander) = self.behavior.commander() else { return };
+        let asking = Session::new(Some(addr.to_owned()), false);
+        let stop = asking.stop_all_of(vec![self.layout.place(commander)], REST);
+        // One that does not stop now is stopped with all the rest.
+        if let Ok(Ok(())) = tokio::time::timeout(REST, stop).await {
+            tokio::time::sleep(WAY_OUT).await;
+        }
     }
 
     /// What it was to do before it ends; for ever where it was to do nothing.
