@@ -6,6 +6,8 @@
 
 /// Each so many lines the drift is looked at.
 const EVERY: u32 = 64;
+/// One look is four pieces of work that lie so many lines apart: done at once, it would take as long as three lines.
+const APART: u32 = EVERY / 4;
 /// Part that one look has.
 const SHARE: f32 = 1.0 / 64.0;
 
@@ -27,6 +29,8 @@ pub struct Background {
     known: bool,
     frozen: bool,
     lines: u32,
+    /// Pieces of the running look that are done; 0 = none runs.
+    looked: u32,
     work: [Vec<f32>; 2],
 }
 
@@ -69,6 +73,9 @@ impl Background {
     /// Follows no drift, or follows it again.
     pub fn freeze(&mut self, frozen: bool) {
         self.frozen = frozen;
+        if frozen {
+            self.looked = 0;
+        }
     }
 
     /// Looks at one line of good light. True when a capture has ended with it.
@@ -91,15 +98,32 @@ impl Background {
         if !self.known {
             self.captured.copy_from_slice(line);
             self.begin(true);
-        } else if self.is_due() && !self.frozen && !done {
-            smooth(line, &mut self.work);
-            for (i, new) in self.work[0].iter().enumerate() {
-                self.smooth_now[i] += SHARE * (new - self.smooth_now[i]);
-                self.now[i] = self.captured[i] + (self.smooth_now[i] - self.smooth_then[i]);
-            }
+        } else if self.lines.is_multiple_of(APART) && !self.frozen && !done {
+            self.look(line);
         }
         self.lines = self.lines.wrapping_add(1);
         done
+    }
+
+    /// The next piece of a look: three means over the line that was there when it began, then what they say.
+    fn look(&mut self, line: &[f32]) {
+        let reach = reach(line);
+        let [a, b] = &mut self.work;
+        match self.looked {
+            0 if !self.lines.is_multiple_of(EVERY) => return,
+            0 => mean_over(line, reach, a),
+            1 => mean_over(a, reach, b),
+            2 => mean_over(b, reach, a),
+            _ => {
+                let (now, smooth_now) = (self.now.iter_mut(), self.smooth_now.iter_mut());
+                let then = self.captured.iter().zip(&self.smooth_then);
+                for (((now, smooth), new), (captured, then)) in now.zip(smooth_now).zip(a).zip(then) {
+                    *smooth += SHARE * (*new - *smooth);
+                    *now = captured + (*smooth - then);
+                }
+            }
+        }
+        self.looked = (self.looked + 1) % 4;
     }
 
     /// From now on it is what was captured; of a line with a surface in it only what is smooth.
@@ -111,32 +135,44 @@ impl Background {
         self.smooth_then.copy_from_slice(&self.work[0]);
         self.smooth_now.copy_from_slice(&self.work[0]);
         self.now.copy_from_slice(&self.captured);
-        (self.known, self.lines) = (true, 1);
+        (self.known, self.lines, self.looked) = (true, 1, 0);
     }
 }
 
-/// Three means over a sixteenth of the line, into `work[0]`.
+/// Values to both sides that a mean is over: a sixteenth of the line in all.
+fn reach(line: &[f32]) -> usize {
+    line.len() / 32
+}
+
+/// Three means, into `work[0]`.
 fn smooth(line: &[f32], work: &mut [Vec<f32>; 2]) {
-    let reach = line.len() / 32;
+    let reach = reach(line);
     let [a, b] = work;
     mean_over(line, reach, a);
     mean_over(a, reach, b);
     mean_over(b, reach, a);
 }
 
-/// Mean over `reach` to both sides, fewer at the ends.
+/// Mean over `reach` to both sides, fewer at the ends; `reach` is less than half of the length.
 fn mean_over(from: &[f32], reach: usize, to: &mut [f32]) {
-    let n = from.len();
-    let mut sum: f64 = from.iter().take(reach).map(|x| f64::from(*x)).sum();
-    for (i, to) in to.iter_mut().enumerate().take(n) {
-        if i + reach < n {
-            sum += f64::from(from[i + reach]);
-        }
-        if i > reach {
-            sum -= f64::from(from[i - reach - 1]);
-        }
-        let count = (i + reach).min(n - 1) - i.saturating_sub(reach) + 1;
-        *to = (sum / count as f64) as f32;
+    let (n, all) = (from.len(), 2 * reach + 1);
+    if n < all || to.len() != n {
+        return;
+    }
+    let mut sum: f64 = from[..reach].iter().map(|x| f64::from(*x)).sum();
+    for (i, to) in to[..=reach].iter_mut().enumerate() {
+        sum += f64::from(from[i + reach]);
+        *to = (sum / (i + reach + 1) as f64) as f32;
+    }
+    // A product for a quotient, and one sum that waits for the one before: this is most of the line.
+    let share = 1.0 / all as f64;
+    for ((enters, leaves), to) in from[all..].iter().zip(from).zip(&mut to[reach + 1..]) {
+        sum += f64::from(*enters) - f64::from(*leaves);
+        *to = (sum * share) as f32;
+    }
+    for i in n - reach..n {
+        sum -= f64::from(from[i - reach - 1]);
+        to[i] = (sum / (n - i + reach) as f64) as f32;
     }
 }
 
@@ -176,6 +212,51 @@ mod tests {
             // What smoothing does to the bell itself is slow along the line.
             let next = background.counts()[i + 1] - bell(i + 1);
             assert!(off.abs() < 40.0 && (off - next).abs() < 1.5, "{i}: {off}, {next}");
+        }
+    }
+
+    #[test]
+    fn a_look_is_taken_in_pieces_and_dropped_when_a_surface_comes_near_meanwhile() {
+        let line: Vec<f32> = (0..1024).map(bell).collect();
+        let brighter: Vec<f32> = line.iter().map(|x| 1.5 * x).collect();
+        for comes_near in [false, true] {
+            let mut background = Background::new(1024);
+            background.capture(1);
+            background.see(&line);
+            while !background.is_due() {
+                background.see(&line);
+            }
+            // The look begins with this line, and what is seen while it lasts does not count.
+            background.see(&brighter);
+            for n in 1..EVERY {
+                assert!((background.counts()[512] - line[512]).abs() < 0.1, "{n} lines behind it");
+                if n == 3 * APART {
+                    break;
+                }
+                if comes_near && n == APART + 1 {
+                    background.freeze(true);
+                    background.freeze(false);
+                }
+                background.see(&line);
+            }
+            background.see(&line);
+            let followed = background.counts()[512] - line[512];
+            let wanted = if comes_near { 0.0 } else { 0.5 * line[512] * SHARE };
+            assert!((followed - wanted).abs() < 0.1 * line[512] * SHARE, "{followed} for {wanted}");
+        }
+    }
+
+    #[test]
+    fn a_mean_is_that_of_its_neighbours_and_of_fewer_at_the_ends() {
+        let from: Vec<f32> = (0..100).map(|i| ((i * 37) % 101) as f32).collect();
+        for reach in [0, 1, 3, 49] {
+            let mut to = vec![0.0; 100];
+            mean_over(&from, reach, &mut to);
+            for (i, to) in to.iter().enumerate() {
+                let near = &from[i.saturating_sub(reach)..(i + reach + 1).min(100)];
+                let mean = near.iter().sum::<f32>() / near.len() as f32;
+                assert!((to - mean).abs() < 1e-4, "{i} over {reach}: {to} for {mean}");
+            }
         }
     }
 

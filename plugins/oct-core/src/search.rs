@@ -91,11 +91,13 @@ impl Search {
 
     /// Keeps the chain's last line while lines are wanted.
     pub fn see(&mut self, chain: &Chain) {
-        if self.phase != Phase::Collect || chain.linear().len() != self.samples {
+        if self.phase != Phase::Collect || chain.grid().samples() != self.samples {
             return;
         }
         let at = self.taken * self.samples;
-        self.lines[at..at + self.samples].copy_from_slice(chain.linear());
+        for (kept, x) in self.lines[at..at + self.samples].iter_mut().zip(chain.linear()) {
+            *kept = x;
+        }
         self.taken += 1;
         if self.taken == LINES {
             self.phase = Phase::A2(0);
@@ -109,7 +111,7 @@ impl Search {
             return None;
         }
         let at = self.done * self.samples;
-        chain.transform.run(&self.lines[at..at + self.samples], &self.filter);
+        chain.transform.run(&self.lines[at..at + self.samples], |x| *x, &self.filter);
         self.sum += sharpness(&chain.transform.buffer[self.samples / 16..self.samples / 2]);
         self.done += 1;
         if self.done < LINES {
