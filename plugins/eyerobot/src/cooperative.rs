@@ -1,49 +1,122 @@
-//! The component `cooperative`: lets a hand lead a robot.
+//! The component `cooperative`: lets a hand lead a robot, behind a plane that keeps the tip off the retina.
 //!
-//! Invariant: the robot follows only while this steps; nothing waits, and what reaches no robot is counted.
+//! Invariant: the robot follows only while this steps, and only while the robot says that a guard is in force; nothing waits, and what
+//! reaches no robot is counted.
 
-use trocar_sdk::data::Wrench;
+mod guard;
+
+use trocar_sdk::data::{Distance, FixtureKind, Pose, VirtualFixture, Wrench};
 use trocar_sdk::prelude::*;
 
-/// Cooperative control: asks the robot in each cycle to follow the hand on its handle. The robot stands when it is not asked.
+use guard::{Bounds, Guard};
+
+/// A robot that does not tell where it is for this long is not led, s.
+const ROBOT_LOST_S: f64 = 0.02;
+
+#[derive(Config)]
+struct CooperativeConfig {
+    /// The tip is not led nearer to the surface that the input distance tells. An eye swings: a tip that stands here comes nearer by all
+    /// of its swing, 320 um in the simulated world
+    #[config(live, min = 0.00015, max = 0.01, unit = "m", default = 0.0005)]
+    min_distance_m: f64,
+    /// While no surface was seen, or nothing is connected to the input distance, the tip is not led deeper than this z of the robot's
+    /// base frame; the default is the tip's place at home
+    #[config(live, min = -1.0, max = 1.0, unit = "m", default = 0.12)]
+    lowest_z_m: f64,
+}
+
+/// Cooperative control: asks the robot in each cycle to follow the hand on its handle. The robot stands when it is not asked, and it is
+/// asked only behind a guard: a plane that follows the retina, or a fixed one while no retina was seen.
 #[derive(Component)]
 #[component(rate_hz = 500)]
 pub struct Cooperative {
+    /// From the tip to the retina; its tracker should know the robot
+    #[input(optional)]
+    distance: In<Distance>,
     /// Follows the hand until the next one is due.
     #[required(interface = "compliance", name = "servo_cf")]
     servo_cf: Function<Wrench>,
     /// Called when this component stops.
     #[required(interface = "robot", name = "hold")]
     hold: Function,
+    /// Where the tip is.
+    #[required(interface = "robot")]
+    measured_cp: Function<(), Pose>,
     /// What the hand does to the handle.
     #[required(interface = "robot", name = "measured_cf", optional)]
     measured_cf: Function<(), Wrench>,
+    /// Keeps the tip behind a plane: the robot's own fixture.
+    #[required(interface = "fixture")]
+    set_guard: Function<VirtualFixture>,
+    /// The one in force.
+    #[required(interface = "fixture", name = "guard")]
+    guard_in_force: Function<(), VirtualFixture>,
     /// Cycles since Start in which the robot was asked.
     #[state]
     sent: u64,
     /// Cycles since Start in which no robot could be asked.
     #[state]
     rejected: u64,
+    /// Cycles since Start in which it was not asked, since nothing guards the tip.
+    #[state]
+    unguarded: u64,
+    /// The surface is seen.
+    #[state]
+    surface: Flag,
+    /// From the tip to the guard, negative beyond it; 0 without one.
+    #[state]
+    #[unit("m")]
+    room: f64,
     /// Of the hand on the handle, at the last reading.
     #[state]
     #[unit("N")]
     force: f64,
+    #[config]
+    cfg: CooperativeConfig,
+    guard: Guard,
+}
+
+impl Cooperative {
+    /// Sends the guard of this moment. Is one in force?
+    fn guard(&mut self, now: Stamp) -> bool {
+        (self.surface, self.room) = (Flag::FALSE, 0.0);
+        let Ok(pose) = self.measured_cp.call(()) else { return false };
+        if !pose.is_valid() || now.seconds_since(pose.stamp) > ROBOT_LOST_S {
+            return false;
+        }
+        self.guard.tip_at(&pose);
+        if let Some(told) = self.distance.fresh() {
+            self.guard.distance(&told);
+        }
+        self.surface = self.guard.is_seen(now).into();
+        let bounds = Bounds { min_distance_m: self.cfg.min_distance_m, lowest_z_m: self.cfg.lowest_z_m };
+        let Some((plane, room_m)) = self.guard.plane(now, &bounds) else { return false };
+        self.room = room_m;
+        let sent = self.set_guard.send(plane).is_ok();
+        // A robot that has just come back knows of none yet.
+        sent && self.guard_in_force.call(()).is_ok_and(|guard| guard.kind == FixtureKind::PLANE)
+    }
 }
 
 impl Component for Cooperative {
     fn start(&mut self) -> Result {
-        (self.sent, self.rejected, self.force) = (0, 0, 0.0);
+        (self.sent, self.rejected, self.unguarded, self.force) = (0, 0, 0, 0.0);
+        self.guard = Guard::default();
         Ok(())
     }
 
     fn stop(&mut self) -> Result {
         self.hold.send(());
+        // What nobody moves any more would stand in the way of the next motion.
+        self.set_guard.send(VirtualFixture::default());
         Ok(())
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
+        if !self.guard(tick.now()) {
+            self.unguarded += 1;
         // A wrench of zeros adds nothing to the hand's.
-        if self.servo_cf.send(Wrench { stamp: tick.now(), ..Wrench::default() }).is_ok() {
+        } else if self.servo_cf.send(Wrench { stamp: tick.now(), ..Wrench::default() }).is_ok() {
             self.sent += 1;
         } else {
             self.rejected += 1;
@@ -57,44 +130,5 @@ impl Component for Cooperative {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use trocar_sdk::testing::Bench;
-
-    #[test]
-    fn each_cycle_asks_the_robot_once_to_follow_the_hand_and_stop_holds_it() {
-        let mut bench = Bench::<Cooperative>::new("{}");
-        bench.answer("measured_cf", |()| {
-            Ok(Wrench { stamp: Stamp::from_ns(1), force: [3.0, 0.0, 4.0], torque: [0.0; 3] })
-        });
-        bench.step(5);
-        let asked = bench.calls::<Wrench>("servo_cf");
-        assert_eq!(asked.len(), 5);
-        assert!(
-            asked
-                .iter()
-                .all(|wrench| wrench.is_valid() && (wrench.force, wrench.torque) == ([0.0; 3], [0.0; 3]))
-        );
-        assert_eq!((bench.state().sent, bench.state().rejected, bench.state().force), (5, 0, 5.0));
-        assert_eq!(bench.calls::<()>("hold").len(), 0);
-        bench.stop().unwrap();
-        assert_eq!(bench.calls::<()>("hold").len(), 1);
-    }
-
-    #[test]
-    fn a_robot_that_is_not_there_is_counted_and_a_handle_nobody_feels_has_no_force() {
-        let mut bench = Bench::<Cooperative>::new("{}");
-        bench.connect_function("servo_cf", false);
-        bench.answer("measured_cf", |()| Ok(Wrench { force: [1.0; 3], ..Wrench::default() }));
-        bench.step(3);
-        assert_eq!((bench.state().sent, bench.state().rejected, bench.state().force), (0, 3, 0.0));
-    }
-
-    #[test]
-    fn a_step_allocates_nothing() {
-        let mut bench = Bench::<Cooperative>::new("{}");
-        bench.answer("measured_cf", |()| Ok(Wrench::default()));
-        bench.assert_no_alloc(|bench| bench.step(100));
-    }
-}
+#[path = "cooperative_tests.rs"]
+mod tests;

@@ -104,20 +104,8 @@ impl Behavior {
 
     /// What is asked once when the system is up.
     pub(super) fn begin(self, layout: Layout) -> Vec<Ask> {
-        let mut all = vec![
-            text(0, self.title(), 24, [255, 255, 255, 255]),
-            text(1, "SIMULATED", 16, [255, 200, 80, 255]),
-        ];
-        if self == Behavior::Cooperative {
-            // In the robot's base frame, where a tool of 120 mm at home ends 1 mm above the eye: 300 µm above it. z points into the
-            // eye, and the tip stays where the frame's own z points to: out of it.
-            let plane = json!({ "kind": 1, "reserved": 0, "stiffness": 0,
-                "frame": { "stamp": 1, "position": [0.0, 0.0, 0.1207], "orientation": [1.0, 0.0, 0.0, 0.0] } });
-            all.push(Ask {
-                path: "robot/robot/virtual_fixture/set".to_owned(),
-                arg: json!({ "stamp": 1, "fixtures": [plane] }),
-            });
-        }
+        let all =
+            [text(0, self.title(), 24, [255, 255, 255, 255]), text(1, "SIMULATED", 16, [255, 200, 80, 255])];
         all.into_iter().map(|ask| Ask { path: layout.place(&ask.path), ..ask }).collect()
     }
 
