@@ -6,7 +6,7 @@ use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use crate::latency::{Histogram, Latency};
-use crate::mjpeg::{Encoder, Stream};
+use crate::mjpeg::{Clock, Encoder, Stream};
 use crate::server::{Server, Serving};
 use crate::viewing::{Allowance, Browser, Viewing};
 use crate::window::{Settings, Window};
@@ -30,6 +30,10 @@ struct DisplayConfig {
     /// Quality of the browser's pictures
     #[config(min = 1, max = 100, unit = "%", default = 75)]
     mjpeg_quality: u8,
+    /// A picture this old, by its stamp, is marked in browser and window, by a red frame and how old it is; 0: never, for pictures
+    /// that come now and then
+    #[config(live, min = 0.0, max = 3600.0, unit = "s", default = 0.5)]
+    stale_after_s: f64,
     /// Whether a window is opened
     #[config(default = false)]
     window: bool,
@@ -63,6 +67,9 @@ pub struct Display {
     /// Frames lost on the way since the first one shown.
     #[state]
     gaps: u64,
+    /// How often since Start a frame came only after the one before had become stale.
+    #[state]
+    stalls: u64,
     /// Age of the last frame when it was ready to be shown.
     #[state]
     #[unit("ms")]
@@ -98,6 +105,8 @@ pub struct Display {
     host: Host,
     /// Sequence number of the last frame of either input; 0 = none yet.
     last_seq: [u64; 2],
+    /// Stamp of the last frame.
+    last: Stamp,
     histogram: Histogram,
     viewing: Viewing,
 }
@@ -128,6 +137,7 @@ impl Display {
     /// Shows frames where that is asked for; where one thing does not work, nothing is shown.
     fn open(&mut self) -> Result {
         self.close();
+        self.last = Stamp::INVALID;
         let opened = self.show_in_browser().and_then(|()| self.show_in_window());
         if opened.is_err() {
             self.close();
@@ -141,7 +151,7 @@ impl Display {
         let place = Server::at(port)?.show(stream.clone())?;
         let thread = format!("{} mjpeg", self.own_name());
         let (encoder, giver) =
-            Encoder::start(&thread, stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality)?;
+            Encoder::start(&thread, stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality, self.clock())?;
         let (given, kept) = (Stamp::INVALID, Allowance::default());
         self.viewing.browser = Some(Browser { place, _encoder: encoder, giver, stream, given, kept });
         self.tell_serving();
@@ -152,11 +162,16 @@ impl Display {
         if self.cfg.window {
             let title = format!("trocar {}", self.name());
             let thread = format!("{} window", self.own_name());
-            let settings = Settings { title, thread, width: 1280, height: 480, max_bytes: self.max_bytes() };
+            let (max_bytes, clock) = (self.max_bytes(), self.clock());
+            let settings = Settings { title, thread, width: 1280, height: 480, max_bytes, clock };
             self.viewing.screen = Some(Window::open(settings)?);
             self.window_open = Flag::TRUE;
         }
         Ok(())
+    }
+
+    fn clock(&self) -> Clock {
+        Clock { host: self.host.clone(), freshness: self.viewing.freshness.clone() }
     }
 
     /// The component's, without that of its process.
@@ -183,6 +198,7 @@ impl Display {
 
     fn close(&mut self) {
         self.viewing = Viewing::default();
+        self.viewing.freshness.limit(self.cfg.stale_after_s);
         (self.mjpeg, self.mjpeg_port) = (Serving::OFF, 0);
         (self.viewers, self.window_open) = (0, Flag::FALSE);
     }
@@ -196,7 +212,11 @@ impl Display {
             self.gaps += seq - last - 1;
         }
         // With what it cost to copy it.
-        let age_s = self.host.now().seconds_since(stamp);
+        let now = self.host.now();
+        let before = std::mem::replace(&mut self.last, stamp);
+        let waited_s = if before.is_valid() { now.seconds_since(before) } else { 0.0 };
+        self.stalls += u64::from(self.cfg.stale_after_s > 0.0 && waited_s > self.cfg.stale_after_s);
+        let age_s = now.seconds_since(stamp);
         self.latency_ms = age_s * 1e3;
         self.histogram.count(age_s);
     }
@@ -212,11 +232,13 @@ impl Component for Display {
             )
             .into());
         }
+        self.viewing.freshness.limit(self.cfg.stale_after_s);
         Ok(())
     }
 
     fn start(&mut self) -> Result {
         (self.frames, self.gaps, self.last_seq, self.pictures) = (0, 0, [0; 2], 0);
+        self.stalls = 0;
         self.reset_latency();
         self.open()
     }

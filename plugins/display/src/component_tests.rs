@@ -71,34 +71,52 @@ fn shows_until<T>(bench: &mut Bench<Display>, mut done: impl FnMut(&mut Bench<Di
     unreachable!()
 }
 
-/// The first picture of a stream: what was said before it, width, height, and colours left and right of its middle.
-fn first_picture(bench: &mut Bench<Display>, path: &str) -> (String, u32, u32, [[u8; 3]; 2]) {
+/// The first picture of a stream: what was said before it, width, height, colours left and right of its middle, and in its
+/// corner.
+type Picture = (String, u32, u32, [[u8; 3]; 2], [u8; 3]);
+
+fn first_picture(bench: &mut Bench<Display>, path: &str) -> Picture {
     let connection = get(bench, path);
     let reader = std::thread::spawn(move || picture_of(connection));
     shows_until(bench, |_| reader.is_finished().then_some(()));
     reader.join().unwrap()
 }
 
-fn picture_of(mut connection: TcpStream) -> (String, u32, u32, [[u8; 3]; 2]) {
-    let (mut bytes, mut more) = (Vec::new(), [0; 4096]);
-    loop {
-        let n = connection.read(&mut more).unwrap();
-        assert!(n > 0, "the stream ended: {}", String::from_utf8_lossy(&bytes));
-        bytes.extend_from_slice(&more[..n]);
-        let text = String::from_utf8_lossy(&bytes).into_owned();
-        let Some((head, rest)) = text.split_once("\r\n\r\n") else { continue };
-        let Some((part, _)) = rest.split_once("\r\n\r\n") else { continue };
-        let length = part.split("Content-Length: ").nth(1).unwrap().trim().parse::<usize>().unwrap();
-        // Positions count in bytes; what stands before the picture is plain ASCII.
-        let begin = head.len() + 4 + part.len() + 4;
-        if bytes.len() < begin + length {
-            continue;
-        }
-        let picture = image::load_from_memory(&bytes[begin..begin + length]).unwrap().to_rgb8();
-        let (width, height) = picture.dimensions();
-        let at = |x| picture.get_pixel(x, height / 2).0;
-        return (head.to_owned(), width, height, [at(width / 4), at(3 * width / 4)]);
+fn picture_of(mut connection: TcpStream) -> Picture {
+    let head = head_of(&mut connection);
+    let picture = next_image(&mut connection);
+    let (width, height) = picture.dimensions();
+    let at = |x| picture.get_pixel(x, height / 2).0;
+    (head, width, height, [at(width / 4), at(3 * width / 4)], picture.get_pixel(0, 0).0)
+}
+
+/// The colour of the corner of the next picture.
+fn next_picture(connection: &mut TcpStream) -> [u8; 3] {
+    next_image(connection).get_pixel(0, 0).0
+}
+
+/// What stands before an empty line.
+fn head_of(connection: &mut TcpStream) -> String {
+    let (mut text, mut byte) = (String::new(), [0]);
+    while !text.ends_with("\r\n\r\n") {
+        connection.read_exact(&mut byte).unwrap_or_else(|why| panic!("{why} after {text}"));
+        text.push(byte[0].into());
     }
+    text
+}
+
+fn next_image(connection: &mut TcpStream) -> image::RgbImage {
+    // That of the answer itself is over already.
+    let part = loop {
+        let head = head_of(connection);
+        if head.contains("Content-Length: ") {
+            break head;
+        }
+    };
+    let length = part.split("Content-Length: ").nth(1).unwrap().trim().parse::<usize>().unwrap();
+    let mut bytes = vec![0; length];
+    connection.read_exact(&mut bytes).unwrap();
+    image::load_from_memory(&bytes).unwrap().to_rgb8()
 }
 
 #[test]
@@ -153,7 +171,7 @@ fn a_browser_sees_both_eyes_or_one_of_them() {
         ("/stream/theatre-1/left", 16, [red, red]),
         ("/stream/theatre-1/right", 16, [blue, blue]),
     ] {
-        let (head, w, h, seen) = first_picture(&mut bench, path);
+        let (head, w, h, seen, _) = first_picture(&mut bench, path);
         assert!(head.starts_with("HTTP/1.1 200 OK"), "{head}");
         assert!(head.contains("multipart/x-mixed-replace; boundary=trocar-frame"), "{head}");
         assert_eq!((w, h), (width, 16), "{path}");
@@ -178,6 +196,52 @@ fn who_comes_late_sees_the_last_frame_though_no_other_ever_comes() {
         let seen = picture_of(get(&bench, path)).3;
         assert!(seen[0][1] > 150 && seen[0][0] < 60 && seen[0][2] < 60, "{path}: {seen:?}");
     }
+}
+
+/// Asks until the corner of the first picture is as it shall be.
+fn corner(bench: &mut Bench<Display>, path: &str, done: impl Fn([u8; 3]) -> bool) {
+    let begun = Instant::now();
+    loop {
+        let seen = picture_of(get(bench, path)).4;
+        if done(seen) {
+            return;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(30), "{path}: {seen:?}");
+    }
+}
+
+#[test]
+fn a_frozen_picture_is_marked_for_who_looks_and_who_comes_and_the_next_one_is_not() {
+    let mut bench = Bench::<Display>::new(r#"{"mjpeg_port": 0, "mjpeg_hz": 0.1}"#);
+    let green = [0, 200, 0].repeat(2 * 64 * 16);
+    let show = |bench: &mut Bench<Display>| {
+        let stamp = bench.now();
+        bench.push_frame("image", StereoHeader { stamp, ..header(1, 64) }, &green);
+        bench.step(1);
+    };
+    let (red, clear) = (|c: [u8; 3]| c[0] > 180 && c[1] < 80, |c: [u8; 3]| c[0] < 80 && c[1] > 150);
+    show(&mut bench);
+    corner(&mut bench, "/stream/display/left", clear);
+    // Somebody looks already; no step runs while nothing comes.
+    let mut looking = get(&bench, "/stream/display/left");
+    head_of(&mut looking);
+    let first = next_picture(&mut looking);
+    assert!(clear(first), "{first:?}");
+    bench.advance(400_000_000);
+    corner(&mut bench, "/stream/display/right", clear);
+    bench.advance(300_000_000);
+    let frozen = next_picture(&mut looking);
+    assert!(red(frozen), "{frozen:?}");
+    corner(&mut bench, "/stream/display", red);
+    assert_eq!(bench.state().stalls, 0, "it is not over");
+    show(&mut bench);
+    let again = next_picture(&mut looking);
+    assert!(clear(again), "{again:?}");
+    assert_eq!(bench.state().stalls, 1);
+    // What is never stale is never marked.
+    bench.configure(r#"{"mjpeg_port": 0, "mjpeg_hz": 0.1, "stale_after_s": 0}"#).unwrap();
+    bench.advance(90_000_000_000);
+    corner(&mut bench, "/stream/display/left", clear);
 }
 
 #[test]

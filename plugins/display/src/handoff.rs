@@ -34,12 +34,17 @@ pub(crate) fn pair(max_bytes: usize) -> (Giver, Taker) {
 }
 
 impl Giver {
-    /// Copies a frame when its header is true and its bytes fit; tells whether it did.
+    /// Is its header true, and do its bytes fit?
+    pub(crate) fn takes(&mut self, header: &StereoHeader, from: &[u8]) -> bool {
+        header.images(from).is_ok() && from.len() <= self.0.input_buffer_mut().bytes.len()
+    }
+
+    /// Copies a frame that it takes; tells whether it did.
     pub(crate) fn give(&mut self, header: &StereoHeader, from: &[u8]) -> bool {
-        let copy = self.0.input_buffer_mut();
-        if header.images(from).is_err() || from.len() > copy.bytes.len() {
+        if !self.takes(header, from) {
             return false;
         }
+        let copy = self.0.input_buffer_mut();
         copy.bytes[..from.len()].copy_from_slice(from);
         (copy.header, copy.len) = (*header, from.len());
         self.0.publish();

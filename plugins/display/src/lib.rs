@@ -5,8 +5,10 @@
 #![forbid(unsafe_code)]
 
 mod component;
+mod freshness;
 mod handoff;
 mod latency;
+mod mark;
 mod mjpeg;
 mod reply;
 mod request;

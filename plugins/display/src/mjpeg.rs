@@ -1,7 +1,7 @@
 //! A display's pictures as JPEG, for whoever looks at them in a browser.
 //!
 //! Invariant: pictures are made only while somebody looks, and only the newest is kept: a slow viewer misses some and holds up
-//! nobody. Who comes late sees the newest frame at once, also when no other ever comes.
+//! nobody. Who comes late sees the newest frame at once, also when no other ever comes; one that is stale is marked.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -10,9 +10,11 @@ use std::time::{Duration, Instant};
 
 use trocar_imaging::pixels::{Part, rgb};
 use trocar_imaging::side;
-use trocar_sdk::Result;
+use trocar_sdk::{Host, Result};
 
+use crate::freshness::{Freshness, Stale};
 use crate::handoff::{Giver, Taker, pair};
+use crate::mark;
 
 /// How often the encoder looks for a frame while somebody looks at its pictures.
 const LOOKS: Duration = Duration::from_millis(2);
@@ -158,6 +160,18 @@ impl Drop for Viewer {
 #[derive(Debug)]
 pub(crate) struct Closed;
 
+/// What tells a thread how old the newest picture is.
+pub(crate) struct Clock {
+    pub(crate) host: Host,
+    pub(crate) freshness: Arc<Freshness>,
+}
+
+impl Clock {
+    pub(crate) fn stale(&self) -> Option<Stale> {
+        self.freshness.stale(self.host.now())
+    }
+}
+
 /// The thread that makes the pictures of a stream; dropped, it ends.
 pub(crate) struct Encoder {
     stream: Arc<Stream>,
@@ -174,10 +188,11 @@ impl Encoder {
         stream: Arc<Stream>,
         max_bytes: usize,
         quality: u8,
+        clock: Clock,
     ) -> Result<(Encoder, Giver)> {
         let (giver, taker) = pair(max_bytes);
         let seen = stream.clone();
-        let thread = side::spawn(name, move || encode(&seen, taker, quality))
+        let thread = side::spawn(name, move || encode(&seen, taker, quality, &clock))
             .map_err(|why| format!("no thread for the pictures: {why}"))?;
         Ok((Encoder { stream, thread: Some(thread) }, giver))
     }
@@ -198,15 +213,19 @@ struct Made {
     /// Counts frames from 1; 0 = none.
     frame: u64,
     at: Option<Instant>,
+    /// Its mark, where it is stale.
+    mark: Option<u64>,
 }
 
-fn encode(stream: &Stream, mut taker: Taker, quality: u8) {
+fn encode(stream: &Stream, mut taker: Taker, quality: u8, clock: &Clock) {
     let mut pixels = Vec::new();
     let mut frame = 0;
     let mut made = [Made::default(); 3];
     while !stream.is_closed() {
         frame += u64::from(taker.renew());
         let wait_s = 0.99 / f64::from_bits(stream.most_hz.load(Ordering::Relaxed));
+        let stale = clock.stale().filter(|_| frame > 0);
+        let mark = stale.map(Stale::turn);
         for (part, made) in Part::ALL.into_iter().zip(&mut made) {
             if !stream.is_seen(part) {
                 if made.frame > 0 {
@@ -215,14 +234,21 @@ fn encode(stream: &Stream, mut taker: Taker, quality: u8) {
                 }
                 continue;
             }
+            // Without a mark it is shown again only as a newer frame.
+            let other = made.frame != frame || (mark.is_some() && made.mark != mark);
             let due = made.at.is_none_or(|at| at.elapsed().as_secs_f64() >= wait_s);
-            if !due || made.frame == frame {
+            let turned = made.mark.is_some() != mark.is_some();
+            if !other || !(due || turned) {
                 continue;
             }
-            *made = Made { frame, at: Some(Instant::now()) };
+            *made = Made { frame, at: Some(Instant::now()), mark };
             let shown = taker.newest();
             // The giver gives whole frames only.
             let Ok((width, height)) = rgb(&shown.header, shown.bytes(), part, &mut pixels) else { continue };
+            if let Some(stale) = stale {
+                let images = (width / shown.header.width.max(1)).max(1);
+                mark::draw(&mut pixels, (width as usize, height as usize), images as usize, stale);
+            }
             if let Some(picture) = jpeg(&pixels, width, height, quality) {
                 stream.publish(part, picture);
             }

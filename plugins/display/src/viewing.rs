@@ -7,6 +7,7 @@ use std::sync::Arc;
 use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
+use crate::freshness::Freshness;
 use crate::handoff::Giver;
 use crate::mjpeg::{Encoder, Stream};
 use crate::server::Place;
@@ -23,11 +24,22 @@ const KEPT_AT_ONCE: f64 = 1e6;
 pub(crate) struct Viewing {
     pub(crate) browser: Option<Browser>,
     pub(crate) screen: Option<(Window, Giver)>,
+    /// Of the newest frame that can be shown; the threads that show it have it, too.
+    pub(crate) freshness: Arc<Freshness>,
 }
 
 impl Viewing {
     /// Copies a frame for those who look.
     pub(crate) fn show(&mut self, header: &StereoHeader, bytes: &[u8], now: Stamp, mjpeg_hz: f64) {
+        let was_stale = self.freshness.stale(now).is_some();
+        let mut givers = self
+            .screen
+            .iter_mut()
+            .map(|(_, giver)| giver)
+            .chain(self.browser.iter_mut().map(|b| &mut b.giver));
+        if givers.any(|giver| giver.takes(header, bytes)) {
+            self.freshness.renewed(header.stamp, now);
+        }
         if let Some((window, giver)) = &mut self.screen
             && window.is_open()
         {
@@ -35,7 +47,9 @@ impl Viewing {
         }
         let Some(browser) = &mut self.browser else { return };
         browser.stream.limit(mjpeg_hz);
-        let due = !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
+        // What is marked as stale is not left so.
+        let due =
+            was_stale || !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
         let wanted = due && browser.stream.viewers() > 0;
         if wanted || browser.kept.takes(bytes.len(), now) {
             let given = browser.giver.give(header, bytes);

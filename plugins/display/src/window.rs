@@ -1,7 +1,7 @@
 //! A window with a display's frames, in a thread of its own.
 //!
 //! Invariant: the display library is looked for when a window is opened, and what goes wrong then is told; a window that people
-//! close stays closed until the next Start. The library ends the process when the display server dies: run a display with a
+//! close stays closed until the next Start; a stale picture is marked. The library ends the process when the display server dies: run a display with a
 //! window in a process of its own.
 
 use std::sync::Arc;
@@ -12,6 +12,7 @@ use trocar_imaging::side;
 use trocar_sdk::Result;
 
 use crate::handoff::{Giver, Taker, pair};
+use crate::mjpeg::Clock;
 
 /// What a window is opened with.
 #[cfg_attr(not(feature = "window"), allow(dead_code))]
@@ -23,6 +24,7 @@ pub(crate) struct Settings {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) max_bytes: usize,
+    pub(crate) clock: Clock,
 }
 
 /// An open window; dropped, it is closed.
@@ -89,8 +91,9 @@ fn run(
     ends: &AtomicBool,
     told: impl FnOnce(std::result::Result<(), String>),
 ) {
+    use crate::freshness::Stale;
     use trocar_imaging::pixels::{Part, rgb};
-    let Settings { title, width, height, .. } = settings;
+    let Settings { title, width, height, clock, .. } = settings;
     let options = minifb::WindowOptions {
         resize: true,
         scale_mode: minifb::ScaleMode::AspectRatioStretch,
@@ -115,14 +118,24 @@ fn run(
         }
     };
     let (mut pixels, mut shown) = (Vec::new(), Vec::new());
+    let (mut any, mut marked) = (false, None);
     while window.is_open() && !ends.load(Ordering::Acquire) {
-        if !taker.renew() {
+        let new = taker.renew();
+        any |= new;
+        let stale = clock.stale().filter(|_| any);
+        let mark = stale.map(Stale::turn);
+        if !new && (mark.is_none() || mark == marked) {
             window.update();
             std::thread::sleep(std::time::Duration::from_millis(4));
             continue;
         }
+        marked = mark;
         let frame = taker.newest();
         if let Ok((width, height)) = rgb(&frame.header, frame.bytes(), Part::Both, &mut pixels) {
+            if let Some(stale) = stale {
+                let images = (width / frame.header.width.max(1)).max(1);
+                crate::mark::draw(&mut pixels, (width as usize, height as usize), images as usize, stale);
+            }
             shown.clear();
             shown.extend(
                 pixels.as_chunks::<3>().0.iter().map(|[r, g, b]| u32::from_be_bytes([0, *r, *g, *b])),

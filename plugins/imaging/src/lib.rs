@@ -1,5 +1,5 @@
 //! What the vision plugins share: stereo calibration, brightness of colours, colours of YUYV and of mosaics, images as people look
-//! at them, threads beside the step, and which instructions the processor has.
+//! at them, letters, threads beside the step, and which instructions the processor has.
 //!
 //! Invariant: functions of pixels give the same bytes whichever instructions they use.
 #![deny(unsafe_code)]
@@ -7,6 +7,7 @@
 pub mod calibration;
 mod camera;
 pub mod debayer;
+pub mod letters;
 mod luma;
 pub mod nearness;
 pub mod pixels;

@@ -2,7 +2,8 @@
 //!
 //! Invariant: wherever an item is asked to go, only pixels of the image are written; nothing is allocated.
 
-use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster};
+pub use trocar_imaging::letters::SIZES;
+use trocar_imaging::letters::{Letter, letters};
 
 use crate::gray::luma;
 use crate::view::{Format, ViewMut};
@@ -21,31 +22,20 @@ pub struct Picture {
     pub rgba: Vec<u8>,
 }
 
-/// Heights of letters there are, px.
-pub const SIZES: [u32; 3] = [16, 24, 32];
-
 /// Writes one line of text with the upper left corner at (`x`, `y`) px, letters `size` px high (the nearest of [`SIZES`]).
 /// Letters outside of ASCII become `?`.
 pub fn text(image: &mut ViewMut<'_>, (x, y): (i64, i64), size: u32, color: Color, text: &str) {
-    let height = match size {
-        ..=19 => RasterHeight::Size16,
-        20..=27 => RasterHeight::Size24,
-        _ => RasterHeight::Size32,
-    };
-    let mut left = x;
-    for letter in text.chars() {
-        let raster = |letter| get_raster(letter, FontWeight::Regular, height);
-        let Some(glyph) = raster(letter).or_else(|| raster('?')) else { continue };
+    for letter in letters(text, size) {
+        let left = x + letter.left as i64;
         if left >= image.shape().width as i64 {
             return;
         }
-        draw_letter(image, (left, y), color, &glyph);
-        left += glyph.width() as i64;
+        draw_letter(image, (left, y), color, &letter);
     }
 }
 
-fn draw_letter(image: &mut ViewMut<'_>, (x, y): (i64, i64), color: Color, glyph: &RasterizedChar) {
-    for (row, to) in glyph.rows().zip(y..) {
+fn draw_letter(image: &mut ViewMut<'_>, (x, y): (i64, i64), color: Color, letter: &Letter) {
+    for (row, to) in letter.rows().zip(y..) {
         for (&ink, to_x) in row.iter().zip(x..) {
             put(image, to_x, to, color, ink);
         }
