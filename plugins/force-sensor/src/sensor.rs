@@ -5,13 +5,11 @@
 use trocar_phantom::World;
 use trocar_phantom::noise::Noise;
 use trocar_phantom::sensor::ForceErrors;
+use trocar_sdk::Carried;
 use trocar_sdk::data::{CartesianState, ForceRange, Wrench};
 use trocar_sdk::prelude::*;
 
 use crate::gauge::{Gauge, Site, load};
-
-/// A tip older than this is none, s: the twist that came with it tells no more where it is.
-const OLDEST_S: f64 = 0.02;
 
 /// Streams of the world's random numbers, one per site.
 const STREAMS: [u64; 2] = [32, 33];
@@ -106,21 +104,13 @@ impl ForceSensor {
     fn load(&mut self, now: Stamp) -> Option<nalgebra::Vector3<f64>> {
         let sample = self.tip.sample().filter(|sample| !sample.stale)?;
         let (tip, world, noise) = (sample.value, self.world?, self.noise?);
-        let ahead_s = now.seconds_since(tip.stamp);
-        if !tip.is_valid() || ahead_s.abs() > OLDEST_S {
-            return None;
-        }
-        let (pose, twist) = (tip.pose.isometry().ok()?, tip.twist.vector().ok()?);
-        let (linear, angular) = (twist.fixed_rows::<3>(0), twist.fixed_rows::<3>(3));
-        let turn = nalgebra::UnitQuaternion::from_scaled_axis(angular * ahead_s);
-        let at = nalgebra::Isometry3::from_parts(
-            (pose.translation.vector + linear * ahead_s).into(),
-            turn * pose.rotation,
-        );
+        // A tip that is too old is none: its twist tells no more where it is.
+        let Carried { isometry, .. } = tip.carried(now).ok().filter(|carried| carried.known)?;
+        let linear = tip.twist.linear.into();
         let t_s = now.ns() as f64 * 1e-9;
         let ForceSensorConfig { noise_n, drift_n_s, .. } = self.cfg;
         let errors = ForceErrors { noise_n, rate_hz: RATE_HZ, drift_n_s, drift_period_s: DRIFT_PERIOD_S };
-        Some(load(&world, self.site, &at, &linear.into_owned(), t_s) + errors.at(noise, t_s))
+        Some(load(&world, self.site, &isometry, &linear, t_s) + errors.at(noise, t_s))
     }
 }
 

@@ -166,3 +166,11 @@ fn a_world_or_site_that_is_none_is_refused() {
     assert!(Bench::<ForceSensor>::created().configure(r#"{"site": "lens"}"#).is_err());
     assert!(Bench::<ForceSensor>::created().configure(r#"{"range_n": 0}"#).is_err());
 }
+
+#[test]
+fn the_worlds_to_choose_from_are_those_there_are() {
+    let field = <ForceSensorConfig as Config>::FIELDS.iter().find(|f| f.name == "world").unwrap();
+    let schema = format!("{{{}}}", field.schema);
+    let schema: trocar_sdk::serde_json::Value = trocar_sdk::serde_json::from_str(&schema).unwrap();
+    assert_eq!(schema["enum"], trocar_sdk::serde_json::json!(World::NAMES));
+}

@@ -3,10 +3,10 @@
 //! Invariant: line n is a function of configuration, world, n and where the tip was then; lines that found no frame or came
 //! too late are lost as a real detector loses them, and told.
 
-use nalgebra::{Point3, UnitQuaternion, UnitVector3, Vector3};
-use trocar_phantom::World;
+use nalgebra::{Point3, UnitVector3, Vector3};
 use trocar_phantom::spectra::{Optics, Spectrograph};
 use trocar_phantom::tissue::{ECHOES, Echo};
+use trocar_phantom::{Below, World};
 use trocar_sdk::data::{CartesianState, Distance, SampleFormat, SpectraHeader, Spectrometer};
 use trocar_sdk::prelude::*;
 
@@ -18,8 +18,6 @@ const SLOTS: u32 = 64;
 const MOMENTS: usize = 4;
 /// Stream of random numbers of this device; those of the world are below 16.
 const NOISE: u64 = 16;
-/// A tip that nobody told anything of for this long stands still, s.
-const TIP_KNOWN_S: f64 = 0.02;
 
 #[derive(Config)]
 pub(crate) struct OctSourceConfig {
@@ -265,16 +263,14 @@ impl Device {
         let mut count = 0;
         for moment in 0..moments {
             let off_s = exposure_s * ((moment as f64 + 0.5) / moments as f64 - 0.5);
-            let (tip, axis) = self.tip_at(stamp, off_s);
-            let Some(below) = self.world.below(&tip, &axis, t_s + off_s) else { continue };
+            let Some(below) = self.below(stamp, off_s) else { continue };
             for echo in self.world.echoes(&below).as_slice() {
                 echoes[count] = Echo { amplitude: echo.amplitude / moments as f64, ..*echo };
                 count += 1;
             }
         }
         self.spectrograph.line(&echoes[..count], t_s, index, &mut self.line);
-        let (tip, axis) = self.tip_at(stamp, 0.0);
-        let below = self.world.below(&tip, &axis, t_s);
+        let below = self.below(stamp, 0.0);
         Distance {
             stamp,
             distance: below.map_or(f64::NAN, |below| below.distance_m),
@@ -284,16 +280,17 @@ impl Device {
         }
     }
 
-    /// Tip and axis of the tool `off_s` after `stamp`, by the last pose and its twist.
-    fn tip_at(&self, stamp: Stamp, off_s: f64) -> (Point3<f64>, UnitVector3<f64>) {
-        let CartesianState { pose, twist, .. } = &self.tip;
-        let age_s = stamp.seconds_since(pose.stamp) + off_s;
-        let dt = if pose.stamp.is_valid() && age_s.abs() <= TIP_KNOWN_S { age_s } else { 0.0 };
-        let place = [0, 1, 2].map(|i| pose.position[i] + dt * twist.linear[i]);
-        let [x, y, z, w] = pose.orientation;
-        let turn = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
-        let turned = UnitQuaternion::from_scaled_axis(Vector3::from(twist.angular) * dt) * turn;
-        (Point3::from(place), turned * Vector3::z_axis())
+    /// What the tool points at `off_s` after `stamp`, if at anything.
+    fn below(&self, stamp: Stamp, off_s: f64) -> Option<Below> {
+        let (tip, axis) = self.tip_at(stamp, off_s)?;
+        self.world.below(&tip, &axis, stamp.ns() as f64 * 1e-9 + off_s)
+    }
+
+    /// Tip and axis of the tool `off_s` after `stamp`; `None` when the last sample was no pose.
+    fn tip_at(&self, stamp: Stamp, off_s: f64) -> Option<(Point3<f64>, UnitVector3<f64>)> {
+        let at = stamp.ns().saturating_add_signed((off_s * 1e9).round() as i64);
+        let pose = self.tip.carried(Stamp::from_ns(at)).ok()?.isometry;
+        Some((pose.translation.vector.into(), pose.rotation * Vector3::z_axis()))
     }
 }
 

@@ -66,6 +66,28 @@ fn the_truth_is_that_of_the_tip_where_it_was_at_each_line() {
 }
 
 #[test]
+fn a_tip_that_is_told_no_more_stands_where_its_twist_had_carried_it() {
+    let mut bench = Bench::<OctSource>::new(r#"{"world": "static_no_membrane"}"#);
+    let world = World::named("static_no_membrane", 1).unwrap();
+    let stamp = bench.now();
+    let pose = Pose { stamp, position: [0.2e-3, 0.0, -0.9e-3], ..Pose::default() };
+    let twist = Twist { stamp, linear: [0.0, 0.0, 10e-3], ..Twist::default() };
+    bench.push("tip", CartesianState { stamp, pose, twist, ..CartesianState::default() });
+    bench.step(40);
+    let truth = bench.outputs::<Distance>("true_distance").pop().unwrap();
+    let wanted = world.surface_z(0.2e-3, 0.0, 0.0) + 0.9e-3 - 10e-3 * trocar_sdk::CARRIED_S;
+    assert!((truth.distance - wanted).abs() < 1e-9, "{} for {wanted}", truth.distance);
+}
+
+#[test]
+fn the_worlds_to_choose_from_are_those_there_are() {
+    let field = <OctSourceConfig as Config>::FIELDS.iter().find(|f| f.name == "world").unwrap();
+    let schema = format!("{{{}}}", field.schema);
+    let schema: trocar_sdk::serde_json::Value = trocar_sdk::serde_json::from_str(&schema).unwrap();
+    assert_eq!(schema["enum"], trocar_sdk::serde_json::json!(World::NAMES));
+}
+
+#[test]
 fn a_tool_that_points_away_sees_the_reference_alone_and_its_truth_is_not_valid() {
     let mut bench = Bench::<OctSource>::new("{}");
     let stamp = bench.now();

@@ -13,14 +13,10 @@ use trocar_sdk::prelude::*;
 
 use crate::ahead::{Ahead, Tracing};
 use crate::mosaic;
-use crate::scenery::{StereoGeometry, carried, geometry};
+use crate::scenery::{StereoGeometry, geometry};
 
 /// Frames of the output's pool: one in the making, the rest held by readers.
 const SLOTS: u32 = 6;
-/// Longest time over which a sample of the tip is carried on, s: behind it the tool stands still.
-const FARTHEST_S: f64 = 0.05;
-/// And over which it is carried back: to a picture that was due a moment before the sample.
-const BACK_S: f64 = 0.005;
 /// Part of the period by which a pair that was drawn ahead may be older than its step.
 const OLDEST: f64 = 0.25;
 
@@ -153,10 +149,8 @@ impl PhantomSource {
 
     /// The tool as it stands at `now`.
     fn tool(&mut self, now: Stamp) -> Option<Tool> {
-        let tip = self.tip.latest()?;
-        // A sample without any time is as old as it is: it stands still.
-        let taken = [tip.pose.stamp, tip.stamp].into_iter().find(|stamp| stamp.is_valid()).unwrap_or(now);
-        let pose = carried(&tip, now.seconds_since(taken).clamp(-BACK_S, FARTHEST_S))?;
+        // Of a tip that is told no more the tool stands still.
+        let pose = self.tip.latest()?.carried(now).ok()?.isometry;
         Some(Tool {
             tip: Point3::from(pose.translation.vector),
             axis: pose.rotation * Vector3::z_axis(),

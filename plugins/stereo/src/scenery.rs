@@ -1,10 +1,8 @@
-//! Before the cameras of the simulated source: how they stand, and where the tool is by the time of a picture.
+//! How the cameras of the simulated source stand, as its readers need it.
 //!
-//! Invariant: functions of a rig or a sample alone.
+//! Invariant: functions of a rig alone.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use trocar_phantom::camera::{BASELINE_M, Lens, Rig};
-use trocar_sdk::data::CartesianState;
 use trocar_sdk::prelude::*;
 
 /// What leads from a disparity to a distance, and from a pixel to a direction.
@@ -42,17 +40,4 @@ pub(crate) fn geometry(rig: &Rig) -> StereoGeometry {
         centre_right_px: right.centre_px,
         lens: [k1, k2, p1, p2],
     }
-}
-
-/// A tip's pose, moved on by its own velocity; `None` when it is no pose.
-pub(crate) fn carried(tip: &CartesianState, ahead_s: f64) -> Option<Isometry3<f64>> {
-    let pose = tip.pose.isometry().ok()?;
-    let [linear, angular] = [tip.twist.linear, tip.twist.angular].map(Vector3::from);
-    if !(linear + angular).iter().all(|v| v.is_finite()) {
-        return Some(pose);
-    }
-    Some(Isometry3::from_parts(
-        Translation3::from(pose.translation.vector + linear * ahead_s),
-        UnitQuaternion::from_scaled_axis(angular * ahead_s) * pose.rotation,
-    ))
 }

@@ -3,14 +3,17 @@
 //! Invariant: quaternions are x, y, z, w in payloads, of unit length within [`UNIT_TOLERANCE`]; anything that is not a
 //! finite number, or no rotation, is refused with what is wrong, never repaired. Nothing here allocates.
 
-use crate::data::{JointState, Pose, Transform, Twist, Wrench};
-use crate::values::{List, Text};
+use crate::data::{CartesianState, JointState, Pose, Transform, Twist, Wrench};
+use crate::values::{List, Stamp, Text};
 use core::fmt;
 use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector6};
 
 /// How far the length of an orientation may be from 1: rounding to f32 or to four decimals passes, a forgotten
 /// normalisation does not.
 pub const UNIT_TOLERANCE: f64 = 1e-3;
+
+/// Longest time over which a twist is taken to say where its pose is, s, ahead as well as back.
+pub const CARRIED_S: f64 = 0.02;
 
 /// Why a payload is not the geometry it should be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,6 +150,34 @@ impl Wrench {
         finite("force", &self.force)?;
         finite("torque", &self.torque)?;
         Ok(joined(self.force, self.torque))
+    }
+}
+
+/// A pose at another time than its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Carried {
+    pub isometry: Isometry3<f64>,
+    /// It was carried all the way; false: the time lies further than [`CARRIED_S`] from the stamp, or there is none, and the
+    /// pose stands where it had been carried to.
+    pub known: bool,
+}
+
+impl CartesianState {
+    /// The pose at a time near its own: moved on by the twist, for [`CARRIED_S`] at most. The stamp is that of the pose, or
+    /// else of the whole sample.
+    ///
+    /// # Errors
+    /// As [`Pose::isometry`] and [`Twist::vector`].
+    pub fn carried(&self, to: Stamp) -> Result<Carried, GeometryError> {
+        let (pose, twist) = (self.pose.isometry()?, self.twist.vector()?);
+        let taken = [self.pose.stamp, self.stamp].into_iter().find(|stamp| stamp.is_valid());
+        let ahead_s = taken.map_or(f64::NAN, |taken| to.seconds_since(taken));
+        let known = ahead_s.abs() <= CARRIED_S;
+        let by_s = if ahead_s.is_nan() { 0.0 } else { ahead_s.clamp(-CARRIED_S, CARRIED_S) };
+        let (linear, angular) = (twist.fixed_rows::<3>(0), twist.fixed_rows::<3>(3));
+        let turn = UnitQuaternion::from_scaled_axis(angular * by_s);
+        let moved = Translation3::from(pose.translation.vector + linear * by_s);
+        Ok(Carried { isometry: Isometry3::from_parts(moved, turn * pose.rotation), known })
     }
 }
 

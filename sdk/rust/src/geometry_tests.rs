@@ -99,3 +99,33 @@ fn joints_become_a_vector_of_the_arms_length_or_are_refused() {
     assert_eq!(short.to_string(), "position has 3 items, this arm has 5 joints: give one per joint");
     assert!(state.velocities::<3>().is_err() && state.efforts::<3>().is_err());
 }
+
+#[test]
+fn a_pose_is_carried_by_its_twist_for_a_bounded_time_to_either_side() {
+    let stamp = Stamp::from_ns(5_000_000_000);
+    let mut state = CartesianState { stamp, ..CartesianState::default() };
+    state.twist.linear = [0.0, 0.1, 0.0];
+    state.twist.angular = [0.0, 0.0, 2.0];
+    let at = |state: &CartesianState, ms: i64| {
+        let ns = stamp.ns().checked_add_signed(1_000_000 * ms).unwrap();
+        let Carried { isometry, known } = state.carried(Stamp::from_ns(ns)).unwrap();
+        (isometry.translation.y, isometry.rotation.scaled_axis().z, known)
+    };
+    for (ms, by_s, known) in [(0, 0.0, true), (10, 0.01, true), (-5, -0.005, true), (20, CARRIED_S, true)] {
+        let (y_m, turn_rad, is_known) = at(&state, ms);
+        assert!((y_m - 0.1 * by_s).abs() < 1e-15 && (turn_rad - 2.0 * by_s).abs() < 1e-15, "{ms} ms");
+        assert_eq!(is_known, known, "{ms} ms");
+    }
+    // Beyond it stands where it had been carried to.
+    for (ms, by_s) in [(21, CARRIED_S), (900_000, CARRIED_S), (-21, -CARRIED_S)] {
+        let (y_m, _, known) = at(&state, ms);
+        assert!((y_m - 0.1 * by_s).abs() < 1e-15 && !known, "{ms} ms: {y_m} m");
+    }
+    // The pose's own stamp goes before that of the sample; without any nothing moves.
+    state.pose.stamp = Stamp::from_ns(stamp.ns() + 4_000_000);
+    assert!((at(&state, 10).0 - 0.1 * 0.006).abs() < 1e-15);
+    (state.stamp, state.pose.stamp) = (Stamp::INVALID, Stamp::INVALID);
+    assert_eq!(at(&state, 10), (0.0, 0.0, false));
+    state.twist.linear[1] = f64::NAN;
+    assert!(matches!(state.carried(stamp), Err(GeometryError::NotFinite { field: "linear", .. })));
+}

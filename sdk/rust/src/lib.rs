@@ -43,7 +43,7 @@ pub use dynamic::{AnyCommand, AnyType, Place};
 pub use frames::{Frame, FrameLoan, FrameView};
 pub use function::{Event, Function};
 #[cfg(feature = "nalgebra")]
-pub use geometry::{GeometryError, UNIT_TOLERANCE};
+pub use geometry::{CARRIED_S, Carried, GeometryError, UNIT_TOLERANCE};
 pub use host::Host;
 pub use log;
 pub use many::{Many, Names};
