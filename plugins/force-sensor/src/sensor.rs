@@ -22,7 +22,7 @@ const RATE_HZ: f64 = 1000.0;
 #[derive(Config)]
 struct ForceSensorConfig {
     /// Simulated world
-    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane"], default = "default")]
+    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane", "saccade", "step"], default = "default")]
     world: String,
     /// Seed of the simulated world and of the sensor's noise
     #[config(default = 1)]

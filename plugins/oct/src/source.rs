@@ -22,7 +22,7 @@ const NOISE: u64 = 16;
 #[derive(Config)]
 pub(crate) struct OctSourceConfig {
     /// Which phantom: all simulated devices of a system name the same one
-    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane"], default = "default")]
+    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane", "saccade", "step"], default = "default")]
     world: String,
     /// Seed of world and noise: all simulated devices of a system have the same one
     #[config(default = 1)]

@@ -6,7 +6,7 @@
 use nalgebra::{Point3, UnitVector3, Vector3};
 
 use crate::eye::{Eye, VITREOUS_INDEX};
-use crate::motion::{Motion, Step};
+use crate::motion::{Motion, Saccade, Step};
 use crate::noise::Noise;
 use crate::tissue::{Echoes, Membrane, echoes};
 
@@ -20,6 +20,13 @@ pub(crate) mod streams {
 
 /// Longest way along the tool that is looked for the retina, m.
 const FARTHEST_M: f64 = 25e-3;
+
+/// How often the eye of the worlds `saccade` and `step` jumps, s.
+const AGAIN_S: f64 = 8.0;
+/// Of the world `saccade`: 0.3 mm to the side at 1 mm/s. Real ones are faster.
+const SACCADE: Saccade = Saccade { at_s: 0.0, by_m: 0.3e-3, speed_m_s: 1e-3 };
+/// Of the world `step`: 50 µm deeper at once.
+const STEP: Step = Step { at_s: 0.0, by_m: 50e-6 };
 
 /// One simulated world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,26 +51,36 @@ pub struct Below {
 }
 
 impl World {
-    /// Worlds by name: `default` moves and has a membrane; `no_membrane`; `static` does not move; `static_no_membrane`.
-    pub const NAMES: [&str; 4] = ["default", "no_membrane", "static", "static_no_membrane"];
+    /// Worlds by name: `default` moves and has a membrane; `no_membrane`; `static` does not move; `static_no_membrane`; `saccade`
+    /// and `step` are `default` whose eye jumps besides, every 8 s there and half of that later back.
+    pub const NAMES: [&str; 6] =
+        ["default", "no_membrane", "static", "static_no_membrane", "saccade", "step"];
 
     /// The world of a name of [`World::NAMES`]; the seed decides phases of motion, speckle and all noise.
     pub fn named(name: &str, seed: u64) -> Option<World> {
         let (moves, membrane) = match name {
-            "default" => (true, Membrane::DEFAULT),
+            "default" | "saccade" | "step" => (true, Membrane::DEFAULT),
             "no_membrane" => (true, Membrane::NONE),
             "static" => (false, Membrane::DEFAULT),
             "static_no_membrane" => (false, Membrane::NONE),
             _ => return None,
         };
         let phase = |place| std::f64::consts::TAU * Noise::new(seed, streams::PHASES).uniform(place);
-        let motion = if moves { Motion::plausible(phase(0), phase(1)) } else { Motion::none() };
+        let mut motion = if moves { Motion::plausible(phase(0), phase(1)) } else { Motion::none() };
+        // Time is that of the host's clock, which began long ago: what happens once would be over.
+        let at_s = AGAIN_S * Noise::new(seed, streams::PHASES).uniform(2);
+        match name {
+            "saccade" => motion.saccade = Some(Saccade { at_s, ..SACCADE }),
+            "step" => motion.step = Some(Step { at_s, ..STEP }),
+            _ => {}
+        }
+        motion.again_s = (motion.saccade.is_some() || motion.step.is_some()).then_some(AGAIN_S);
         Some(World { seed, eye: Eye::default(), motion, membrane })
     }
 
-    /// The same world, whose retina stands `by_m` deeper from `at_s` on.
+    /// The same world, whose retina stands `by_m` deeper from `at_s` on, once.
     pub fn with_step(mut self, at_s: f64, by_m: f64) -> World {
-        self.motion.step = Some(Step { at_s, by_m });
+        (self.motion.step, self.motion.again_s) = (Some(Step { at_s, by_m }), None);
         self
     }
 
@@ -168,6 +185,29 @@ mod tests {
         assert_eq!(world.below(&Point3::new(0.0, 0.0, -1e-3), &up, 0.0), None);
         let aside = UnitVector3::new_normalize(Vector3::new(1.0, 0.0, 0.01));
         assert_eq!(world.below(&Point3::new(0.0, 0.0, -1e-3), &aside, 0.0), None);
+    }
+
+    #[test]
+    fn the_eyes_of_saccade_and_step_jump_there_and_back_at_any_time_of_the_clock() {
+        for (name, axis, by_m) in [("saccade", 0, 0.3e-3), ("step", 2, 50e-6)] {
+            let (world, calm) =
+                (World::named(name, 7).expect("a name"), World::named("default", 7).expect("a name"));
+            for begin_s in [0.0, 30_000.0] {
+                let jumps: Vec<f64> = (0..=(100.0 * AGAIN_S) as u32)
+                    .map(|n| begin_s + 0.01 * f64::from(n))
+                    .map(|t| (world.motion.shift(t) - calm.motion.shift(t))[axis])
+                    .collect();
+                let there = jumps.iter().filter(|by| (**by - by_m).abs() < 1e-12).count() as f64;
+                let here = jumps.iter().filter(|by| by.abs() < 1e-12).count() as f64;
+                let half = 0.5 * jumps.len() as f64;
+                assert!(
+                    (there / half - 1.0).abs() < 0.1 && (here / half - 1.0).abs() < 0.1,
+                    "{name}: {there}, {here}"
+                );
+            }
+            assert_ne!(world.motion, World::named(name, 8).expect("a name").motion);
+        }
+        assert!(World::NAMES.iter().all(|name| World::named(name, 1).is_some()));
     }
 
     #[test]

@@ -23,7 +23,7 @@ const OLDEST: f64 = 0.25;
 #[derive(Config)]
 pub(crate) struct PhantomSourceConfig {
     /// Which world is simulated
-    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane"], default = "default")]
+    #[config(one_of = ["default", "no_membrane", "static", "static_no_membrane", "saccade", "step"], default = "default")]
     world: String,
     /// Seed of the world: phases of motion, texture, noise
     #[config(default = 1)]
