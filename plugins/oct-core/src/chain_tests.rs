@@ -200,6 +200,18 @@ fn a_search_in_noise_is_not_sure_of_what_it_finds() {
 }
 
 #[test]
+fn a_dispersion_beyond_the_range_is_told_as_its_edge_and_not_as_found() {
+    for dispersion in [[75.0, 4.0], [-90.0, 0.0], [10.0, 26.0]] {
+        let optics = Optics { dispersion_rad: dispersion, ..Optics::with_samples(1024) };
+        let (found, ..) = search(optics, tissue);
+        assert!(found.at_edge && !found.sure, "{found:?} for {dispersion:?}");
+    }
+    let near = Optics { dispersion_rad: [55.0, 15.0], ..Optics::with_samples(1024) };
+    let (found, ..) = search(near, tissue);
+    assert!(found.sure && !found.at_edge && (found.dispersion.a2_rad - 55.0).abs() <= 0.5, "{found:?}");
+}
+
+#[test]
 fn dark_and_saturated_lines_are_silence_and_leave_the_background_alone() {
     let mut simulated = Simulated::new(Optics::with_samples(1024));
     let before = simulated.chain.background().counts().to_vec();

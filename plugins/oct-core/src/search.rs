@@ -1,8 +1,8 @@
 //! Finds the dispersion that makes A-scans sharpest, a little work at a time.
 //!
 //! Invariant: one call of `work` transforms one line, so a step that makes few of them is never long; the search ends
-//! after a bounded number of them. Sharpness is `Σ|A|⁴ / (Σ|A|²)²` per line, over the bins beyond what is left of the
-//! reference arm.
+//! after a bounded number of them, and a result at the end of the range ([`WIDEST_RAD`]) is none. Sharpness is
+//! `Σ|A|⁴ / (Σ|A|²)²` per line, over the bins beyond what is left of the reference arm.
 
 use rustfft::num_complex::Complex;
 
@@ -12,8 +12,8 @@ use crate::dispersion::{Dispersion, fill_filter};
 /// Lines that are looked at.
 pub const LINES: usize = 64;
 
-/// Largest a2 and a3 of the first look, rad.
-const WIDEST: (f64, f64) = (60.0, 20.0);
+/// Largest a2 and a3 that are looked at, rad, to either side.
+pub const WIDEST_RAD: (f64, f64) = (60.0, 20.0);
 /// Step of the first look, rad.
 const FIRST: (f64, f64) = (2.0, 1.0);
 /// Where refining ends, rad.
@@ -28,8 +28,10 @@ pub struct Found {
     pub dispersion: Dispersion,
     /// Mean sharpness of the lines, 0 to 1.
     pub sharpness: f64,
-    /// There was something to see; else the dispersion means nothing.
+    /// There was something to see, and it is sharpest within the range; else the dispersion means nothing.
     pub sure: bool,
+    /// The sharpest lies where the range ends: there may be something sharper beyond.
+    pub at_edge: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,8 +127,10 @@ impl Search {
         self.advance();
         if self.phase == Phase::Idle {
             let noise = 2.0 / (self.samples / 2 - self.samples / 16) as f64;
-            let sure = self.best.1 > AT_LEAST * noise;
-            return Some(Found { dispersion: self.best.0, sharpness: self.best.1, sure });
+            let (dispersion, sharpness) = self.best;
+            let at_edge = is_far(&dispersion);
+            let sure = sharpness > AT_LEAST * noise && !at_edge;
+            return Some(Found { dispersion, sharpness, sure, at_edge });
         }
         self.next_trial(chain);
         None
@@ -136,12 +140,12 @@ impl Search {
     fn advance(&mut self) {
         let trials = |widest: f64, step: f64| (2.0 * widest / step) as u32 + 1;
         self.phase = match self.phase {
-            Phase::A2(n) if n + 1 < trials(WIDEST.0, FIRST.0) => Phase::A2(n + 1),
+            Phase::A2(n) if n + 1 < trials(WIDEST_RAD.0, FIRST.0) => Phase::A2(n + 1),
             Phase::A2(_) => {
                 self.middle = self.best.0;
                 Phase::A3(0)
             }
-            Phase::A3(n) if n + 1 < trials(WIDEST.1, FIRST.1) => Phase::A3(n + 1),
+            Phase::A3(n) if n + 1 < trials(WIDEST_RAD.1, FIRST.1) => Phase::A3(n + 1),
             Phase::A3(_) => {
                 (self.middle, self.moved) = (self.best.0, false);
                 Phase::Refine(FIRST.1, 0)
@@ -149,7 +153,7 @@ impl Search {
             Phase::Refine(step, side) if side < 3 => Phase::Refine(step, side + 1),
             Phase::Refine(step, _) => {
                 let moved = std::mem::replace(&mut self.moved, false);
-                let far = (self.best.0.a2_rad.abs() > WIDEST.0) || (self.best.0.a3_rad.abs() > WIDEST.1);
+                let far = is_far(&self.best.0);
                 self.middle = self.best.0;
                 match step {
                     step if moved && !far => Phase::Refine(step, 0),
@@ -164,8 +168,8 @@ impl Search {
     fn next_trial(&mut self, chain: &Chain) {
         let Dispersion { a2_rad, a3_rad } = self.middle;
         self.trial = match self.phase {
-            Phase::A2(n) => Dispersion { a2_rad: FIRST.0 * f64::from(n) - WIDEST.0, a3_rad: 0.0 },
-            Phase::A3(n) => Dispersion { a2_rad, a3_rad: FIRST.1 * f64::from(n) - WIDEST.1 },
+            Phase::A2(n) => Dispersion { a2_rad: FIRST.0 * f64::from(n) - WIDEST_RAD.0, a3_rad: 0.0 },
+            Phase::A3(n) => Dispersion { a2_rad, a3_rad: FIRST.1 * f64::from(n) - WIDEST_RAD.1 },
             Phase::Refine(step, 0) => Dispersion { a2_rad: a2_rad + step, a3_rad },
             Phase::Refine(step, 1) => Dispersion { a2_rad: a2_rad - step, a3_rad },
             Phase::Refine(step, 2) => Dispersion { a2_rad, a3_rad: a3_rad + step },
@@ -175,6 +179,11 @@ impl Search {
         (self.done, self.sum) = (0, 0.0);
         fill_filter(chain.grid(), self.trial, &mut self.filter);
     }
+}
+
+/// At the end of the range, or beyond it.
+fn is_far(dispersion: &Dispersion) -> bool {
+    dispersion.a2_rad.abs() >= WIDEST_RAD.0 || dispersion.a3_rad.abs() >= WIDEST_RAD.1
 }
 
 /// `Σ|A|⁴ / (Σ|A|²)²`: 1 when all light is in one bin, 2 over the number of bins for noise.

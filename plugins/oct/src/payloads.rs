@@ -24,9 +24,11 @@ pub struct DispersionFound {
     pub a3: f64,
     /// Mean over the lines of the sum of |A|⁴ over the squared sum of |A|²: 1 = all light in one bin.
     pub sharpness: f64,
-    /// False: the lines showed nothing that could be sharp, and the dispersion stays as it was.
+    /// False: the lines showed nothing that could be sharp, or it lies at the edge, and the dispersion stays as it was.
     pub taken: Flag,
-    pub reserved: [u8; 7],
+    /// The sharpest lies at the end of what is looked at, ±60 rad for a2 and ±20 rad for a3: the true one may be beyond.
+    pub at_edge: Flag,
+    pub reserved: [u8; 6],
 }
 
 /// What is black and what is white in an A-scan of bytes, dB re one count squared.

@@ -18,8 +18,8 @@ use crate::payloads::{DispersionFound, DispersionTerms, RangeDb};
 const SLOTS: u32 = 64;
 /// Frames of one step at most.
 const BURST: usize = 32;
-/// Largest dispersion that makes sense, rad: the search goes so far.
-const WIDEST_RAD: f64 = 1000.0;
+/// Largest dispersion that can be set, rad; a search looks at less (`trocar_oct_core::search::WIDEST_RAD`).
+const LARGEST_RAD: f64 = 1000.0;
 
 #[derive(Config)]
 pub(crate) struct OctProcessorConfig {
@@ -149,15 +149,16 @@ impl OctProcessor {
     #[command]
     fn set_dispersion(&mut self, terms: &DispersionTerms) -> Result<(), String> {
         for (name, value) in [("a2", terms.a2), ("a3", terms.a3)] {
-            if value.is_nan() || value.abs() > WIDEST_RAD {
-                return Err(format!("{name}: {value} rad is not within ±{WIDEST_RAD} rad"));
+            if value.is_nan() || value.abs() > LARGEST_RAD {
+                return Err(format!("{name}: {value} rad is not within ±{LARGEST_RAD} rad"));
             }
         }
         self.put_dispersion(*terms);
         Ok(())
     }
 
-    /// Looks for the dispersion that makes the next 64 lines sharpest, and takes it; `dispersion_done` tells when and which.
+    /// Looks for the dispersion that makes the next 64 lines sharpest, a2 within ±60 rad and a3 within ±20 rad, and takes it;
+    /// `dispersion_done` tells when and which. One at the end of that range is not taken.
     #[command]
     fn auto_dispersion(&mut self) -> Result<(), &'static str> {
         let Some(works) = &mut self.works else {
@@ -237,13 +238,21 @@ impl OctProcessor {
     fn search(&mut self) {
         let Some(works) = &mut self.works else { return };
         for _ in 0..self.cfg.search_lines_per_step {
-            if let Some(Found { dispersion, sharpness, sure }) = works.search.work(&mut works.chain) {
+            if let Some(Found { dispersion, sharpness, sure, at_edge }) = works.search.work(&mut works.chain)
+            {
                 let terms = DispersionTerms { a2: dispersion.a2_rad, a3: dispersion.a3_rad };
                 if sure {
                     self.put_dispersion(terms);
                 }
                 let DispersionTerms { a2, a3 } = terms;
-                let found = DispersionFound { a2, a3, sharpness, taken: sure.into(), reserved: [0; 7] };
+                let found = DispersionFound {
+                    a2,
+                    a3,
+                    sharpness,
+                    taken: sure.into(),
+                    at_edge: at_edge.into(),
+                    reserved: [0; 6],
+                };
                 self.dispersion_done.emit(found);
                 return;
             }
