@@ -2,7 +2,49 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use std::time::Instant;
 use trocar_sdk::testing::{Bench, assert_implements, contracts};
+
+#[path = "../../../tests/src/skip.rs"]
+#[allow(unreachable_pub)]
+mod skip;
+
+/// The camera of this machine that is tried.
+const DEVICE: &str = "/dev/video0";
+
+#[test]
+fn the_camera_of_this_machine_sends_whole_pictures_that_get_younger() {
+    if !std::path::Path::new(DEVICE).exists() {
+        return skip::skip(&format!("there is no {DEVICE}"));
+    }
+    let mut refused = Vec::new();
+    for format in ["yuyv", "mjpg"] {
+        let config = format!(r#"{{"device": "{DEVICE}", "format": "{format}", "restart": false}}"#);
+        let mut bench = Bench::<Camera>::ready(config);
+        if let Err(why) = bench.start() {
+            refused.push(why.reason);
+            continue;
+        }
+        let (begun, mut seen) = (Instant::now(), Vec::new());
+        while seen.len() < 3 {
+            bench.step(1);
+            seen.extend(bench.frames::<StereoHeader>("image"));
+            let state = bench.state().operating_state;
+            assert!(begun.elapsed() < Duration::from_secs(30), "{} pictures in 30 s: {state:?}", seen.len());
+            std::thread::yield_now();
+        }
+        for (header, bytes, _) in &seen {
+            assert_eq!((header.width, header.height), (640, 480));
+            header.images(bytes).unwrap();
+        }
+        for pair in seen.windows(2) {
+            assert!(pair[1].0.index > pair[0].0.index && pair[1].0.stamp >= pair[0].0.stamp);
+        }
+        return bench.stop().unwrap();
+    }
+    // Somebody else's, busy, no camera for pictures of this size: nothing that the plugin could do better.
+    skip::skip(&refused.join("; "));
+}
 
 #[test]
 fn a_camera_that_is_not_there_is_refused_at_start_and_not_before() {

@@ -2,10 +2,11 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use std::io::Write;
 use std::path::Path;
 use std::time::Instant;
 use trocar_sdk::data::{OperatingMode, PixelFormat};
-use trocar_sdk::testing::{Bench, assert_implements, contracts};
+use trocar_sdk::testing::{Bench, assert_behaves_as_camera_fed, assert_implements, contracts};
 
 /// A source of 2×1 px of grey whose program is a line for the shell.
 fn config(line: &str, more: &str) -> String {
@@ -229,6 +230,25 @@ fn a_program_that_is_not_there_or_not_named_is_refused() {
 }
 
 #[test]
-fn the_source_fulfils_the_contract_of_cameras() {
+fn the_source_fulfils_the_contract_of_cameras_and_behaves_so() {
     assert_implements::<PipeSource>(&contracts::CAMERA);
+    let dir = tempfile::tempdir().unwrap();
+    let pipe = dir.path().join("frames");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    // Open for both: what is written waits for the program, whenever that opens it.
+    let mut frames = std::fs::OpenOptions::new().read(true).write(true).open(&pipe).unwrap();
+    let mut bench = Bench::<PipeSource>::new(config(&format!("exec cat {}", pipe.display()), ""));
+    let (mut written, mut before) = (0, 0);
+    assert_behaves_as_camera_fed(&mut bench, "camera", |bench| {
+        let Sent { emitted, left_out, .. } = bench.state().sent;
+        let taken = emitted + left_out;
+        // After a start it counts from 0 again; all that was written before had been taken.
+        written = if taken < before { taken } else { written };
+        before = taken;
+        if written == taken {
+            frames.write_all(b"ab").unwrap();
+            written += 1;
+        }
+        std::thread::yield_now();
+    });
 }

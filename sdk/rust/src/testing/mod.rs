@@ -76,7 +76,7 @@ mod wired;
 
 pub use crate::count_allocations;
 pub use alloc::CountingAllocator;
-pub use behaves::{assert_behaves_as_arm, assert_behaves_as_camera};
+pub use behaves::{assert_behaves_as_arm, assert_behaves_as_camera, assert_behaves_as_camera_fed};
 pub use bench::{Bench, Failure, Life};
 pub use logs::LogLine;
 pub(crate) use logs::keep;

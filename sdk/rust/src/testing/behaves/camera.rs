@@ -7,6 +7,7 @@ use super::super::shape::Of;
 use crate::component::Class;
 use crate::data::{CameraGeometry, ImageHeader, StereoHeader};
 use crate::values::Stamp;
+use std::time::{Duration, Instant};
 use trocar_plugin_api::contracts::CAMERA;
 use trocar_plugin_api::manifest::PortType;
 
@@ -15,13 +16,28 @@ const SAME_SIZE: &str = CAMERA.rules[1];
 const INSIDE: &str = CAMERA.rules[2];
 /// Steps within which a camera sends an image, or leaves one out.
 const PATIENCE: u32 = 10_000;
+/// Time within which one does that is fed.
+const FED: Duration = Duration::from_secs(30);
 
 /// Fails the test, with the rule it breaks and what happened last, unless the camera behind `interface`, with its output
 /// `image`, does what the contract of cameras says (`docs/INTERFACES.md`). The camera is ACTIVE and sends in `step`; in the
 /// end it is ACTIVE again, after a stop and a start.
 pub fn assert_behaves_as_camera<C: Class>(bench: &mut Bench<C>, interface: &str) {
+    behaves(Camera { bench, interface, dropped: 0, emitted: None, feed: None });
+}
+
+/// As [`assert_behaves_as_camera`] for a camera whose images come from outside, in their own time: `feed` runs before each step
+/// and lets the next one come when the one before was taken. It is given 30 s of the wall's clock for an image.
+pub fn assert_behaves_as_camera_fed<C: Class>(
+    bench: &mut Bench<C>,
+    interface: &str,
+    mut feed: impl FnMut(&mut Bench<C>),
+) {
+    behaves(Camera { bench, interface, dropped: 0, emitted: None, feed: Some(&mut feed) });
+}
+
+fn behaves<C: Class>(mut camera: Camera<'_, C>) {
     const { assert!(CAMERA.rules.len() == 3, "every rule has its check") };
-    let mut camera = Camera { bench, interface, dropped: 0, emitted: None };
     let live = camera.bench.life() == Life::Active;
     camera.expect(live, CAMERA.threads, || "it is not ACTIVE: give what `Bench::new` made".into());
     camera.takes_what_is_there();
@@ -43,6 +59,26 @@ struct Camera<'b, C: Class> {
     dropped: u64,
     /// What `emitted` gave last; none when it is not offered.
     emitted: Option<u64>,
+    /// What lets images come from outside.
+    feed: Option<&'b mut dyn FnMut(&mut Bench<C>)>,
+}
+
+/// How long an image, or that one is left out, is waited for: a number of steps, or a time where images come from outside.
+struct Patience {
+    begun: Instant,
+    steps: u32,
+    fed: bool,
+}
+
+impl Patience {
+    fn is_over(&mut self) -> bool {
+        self.steps += 1;
+        if self.fed { self.begun.elapsed() > FED } else { self.steps > PATIENCE }
+    }
+
+    fn text(&self) -> String {
+        if self.fed { format!("{} s", FED.as_secs()) } else { format!("{PATIENCE} steps") }
+    }
 }
 
 /// What both kinds of header say.
@@ -87,7 +123,8 @@ impl<C: Class> Camera<'_, C> {
     fn leaves_out(&mut self, images: u64) -> u64 {
         self.bench.exhaust("image", true);
         let before = self.dropped;
-        for _ in 0..PATIENCE {
+        let mut patience = self.patience();
+        while !patience.is_over() {
             self.step();
             for told in self.drops() {
                 self.expect(told == self.dropped + 1, LEFT_OUT, || {
@@ -104,14 +141,15 @@ impl<C: Class> Camera<'_, C> {
         self.bench.exhaust("image", false);
         let left_out = self.dropped - before;
         self.expect(left_out >= images, LEFT_OUT, || {
-            format!("{PATIENCE} steps without a free frame, and `frame_dropped` told {left_out} times")
+            format!("{} without a free frame, and `frame_dropped` told {left_out} times", patience.text())
         });
         left_out
     }
 
     /// Steps until an image comes, which fits its bytes and what the camera says of itself.
     fn next_image(&mut self) -> Image {
-        for _ in 0..PATIENCE {
+        let mut patience = self.patience();
+        while !patience.is_over() {
             self.step();
             let mut images = self.images();
             let Some(image) = images.pop() else { continue };
@@ -121,7 +159,7 @@ impl<C: Class> Camera<'_, C> {
             self.fits(&image);
             return image;
         }
-        self.breaks(CAMERA.threads, &format!("no image came in {PATIENCE} steps"))
+        self.breaks(CAMERA.threads, &format!("no image came in {}", patience.text()))
     }
 
     fn fits(&mut self, image: &Image) {
@@ -144,7 +182,14 @@ impl<C: Class> Camera<'_, C> {
         self.emitted = now;
     }
 
+    fn patience(&self) -> Patience {
+        Patience { begun: Instant::now(), steps: 0, fed: self.feed.is_some() }
+    }
+
     fn step(&mut self) {
+        if let Some(feed) = &mut self.feed {
+            feed(self.bench);
+        }
         let done = self.bench.try_step();
         self.expect(done.is_ok(), CAMERA.threads, || format!("its step failed: {done:?}"));
     }

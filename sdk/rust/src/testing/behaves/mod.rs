@@ -6,4 +6,4 @@ mod arm;
 mod camera;
 
 pub use arm::assert_behaves_as_arm;
-pub use camera::assert_behaves_as_camera;
+pub use camera::{assert_behaves_as_camera, assert_behaves_as_camera_fed};
