@@ -52,6 +52,8 @@ fn behaves<C: Class>(mut camera: Camera<'_, C>) {
     camera.sends_and_leaves_out();
 }
 
+type Feed<'b, C> = &'b mut dyn FnMut(&mut Bench<C>);
+
 struct Camera<'b, C: Class> {
     bench: &'b mut Bench<C>,
     interface: &'b str,
@@ -60,7 +62,7 @@ struct Camera<'b, C: Class> {
     /// What `emitted` gave last; none when it is not offered.
     emitted: Option<u64>,
     /// What lets images come from outside.
-    feed: Option<&'b mut dyn FnMut(&mut Bench<C>)>,
+    feed: Option<Feed<'b, C>>,
 }
 
 /// How long an image, or that one is left out, is waited for: a number of steps, or a time where images come from outside.
