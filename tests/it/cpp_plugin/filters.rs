@@ -15,6 +15,8 @@ use trocar_tests::{Built, World, eventually};
 const SAMPLES: usize = 48;
 /// Numbers in them: three axes each.
 const VALUES: usize = 3 * SAMPLES;
+/// Where the feeder spoils samples, one of so many is none.
+const SPOILT_EVERY: usize = 4;
 /// Period of the thread that all of them share, s.
 const PERIOD_S: f64 = 1e-3;
 /// Compilers may fuse a product and a sum into one rounding, N.
@@ -34,6 +36,15 @@ fn fed(n: usize) -> [f64; 3] {
     [37, 48, 59].map(|step| ((n + 1) * step % 101) as f64 / 7.0 - 6.0)
 }
 
+/// One sample in [`SPOILT_EVERY`] is none that a sensor can have measured, when the feeder is told so.
+fn spoilt(n: usize) -> [f64; 3] {
+    let mut sample = fed(n);
+    if n % SPOILT_EVERY == 1 {
+        sample[n % 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1e300][n / SPOILT_EVERY % 4];
+    }
+    sample
+}
+
 /// Gives out one sample a cycle once it is told to, each once.
 #[derive(Component)]
 #[component(rate_hz = 1000, provides("ctl", "hold"))]
@@ -47,6 +58,7 @@ struct Feeder {
     #[state]
     holds: u64,
     feeds: bool,
+    spoils: bool,
 }
 
 #[provides("ctl")]
@@ -54,6 +66,11 @@ impl Feeder {
     #[command]
     fn feed(&mut self) {
         self.feeds = true;
+    }
+
+    #[command]
+    fn spoil(&mut self) {
+        self.spoils = true;
     }
 }
 
@@ -68,7 +85,9 @@ impl Feeder {
 impl Component for Feeder {
     fn step(&mut self, _: &Tick) -> Result {
         if self.feeds && self.given < SAMPLES as u64 {
-            self.raw.write(&Force { stamp: Stamp::INVALID, f: fed(self.given as usize) });
+            let n = self.given as usize;
+            let f = if self.spoils { spoilt(n) } else { fed(n) };
+            self.raw.write(&Force { stamp: Stamp::INVALID, f });
             self.given += 1;
         }
         Ok(())
@@ -163,12 +182,17 @@ impl Scene {
 
     /// The samples a recorder has kept, once there are as many as were fed.
     fn recorded(&self, name: &str) -> Vec<[f64; 3]> {
+        self.first_recorded(name, SAMPLES)
+    }
+
+    /// So many samples that a recorder has kept, once there are no fewer and no more.
+    fn first_recorded(&self, name: &str, samples: usize) -> Vec<[f64; 3]> {
         let row = eventually(&format!("{name} has all samples"), || match self.row(name) {
-            row if row["kept"] == json!(VALUES) => Ok(row),
+            row if row["kept"] == json!(3 * samples) => Ok(row),
             row => Err(row["kept"].to_string()),
         });
-        let values: Vec<f64> =
-            row["values"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+        let values = row["values"].as_array().unwrap().iter().take(3 * samples);
+        let values: Vec<f64> = values.map(|v| v.as_f64().unwrap()).collect();
         values.chunks(3).map(|v| [v[0], v[1], v[2]]).collect()
     }
 }
@@ -232,5 +256,27 @@ fn rust_and_cpp_filters_work_in_one_chain_in_either_order() {
         agree(&format!("{first}, fed directly"), &scene.recorded("of_first"), &once);
         let twice = low_passed(&once, 20.0);
         agree(&format!("{second} behind {first}"), &scene.recorded("of_second"), &twice);
+    }
+}
+
+#[test]
+fn samples_that_nothing_can_have_measured_are_counted_and_leave_no_trace_in_either_filter() {
+    let scene = Scene::new();
+    for (name, class) in [("rust", RUST), ("cpp", CPP)] {
+        scene.filter(name, class, "feeder/raw", 60.0);
+        scene.recorder(&format!("of_{name}"), &format!("{name}/filtered"));
+    }
+    scene.runtime.block_on(scene.host.start("lab/feeder")).unwrap();
+    scene.runtime.block_on(scene.host.invoke("lab/feeder/ctl/spoil", Value::Null)).unwrap();
+    scene.feed();
+    let good: Vec<_> = (0..SAMPLES).map(spoilt).filter(|x| x.iter().all(|f| f.abs() < 1e9)).collect();
+    assert_eq!(good.len(), SAMPLES - SAMPLES / SPOILT_EVERY);
+    for name in ["rust", "cpp"] {
+        let seen = scene.first_recorded(&format!("of_{name}"), good.len());
+        agree(name, &seen, &low_passed(&good, 60.0));
+        eventually(&format!("{name} has counted the others"), || match scene.row(name) {
+            row if row["rejected"] == json!(SAMPLES / SPOILT_EVERY) => Ok(()),
+            row => Err(row["rejected"].to_string()),
+        });
     }
 }
