@@ -239,6 +239,28 @@ fn without_a_captured_background_the_first_line_does_and_the_surface_is_the_same
     }
 }
 
+/// What interpolation leaves beside a peak stands above the noise of such a detector.
+#[test]
+fn a_detector_with_hardly_any_noise_shows_the_surface_where_it_is() {
+    let mut chain = chain();
+    chain.set_dispersion(Dispersion { a2_rad: 0.0, a3_rad: 0.0 });
+    let bin_m = chain.grid().bin_m();
+    let mut ascan = vec![0.0; 512];
+    for line in 0..400 {
+        let noise = Noise::new(5, 5).part(line);
+        let count = |pixel: u64| {
+            let x = (2.0 * pixel as f64 + 1.0) / 1024.0 - 1.0;
+            let k = std::f64::consts::TAU / (840e-9 + 50e-9 * x);
+            let light = 2000.0 * (-2.0 * x * x).exp() * (1.0 + 0.3 * (2.0 * k * 500e-6).cos());
+            (light + 5.0 * noise.uniform(pixel)) as u16
+        };
+        chain.line(&bytes(&(0..1024).map(count).collect::<Vec<_>>()), &mut ascan).expect("lengths fit");
+        let found = first_surface(&ascan, &Rule::default()).expect("a surface");
+        let off_m = f64::from(found.bin) * bin_m - 500e-6;
+        assert!(off_m.abs() < 2e-6, "line {line}: {off_m:e} m beside it");
+    }
+}
+
 #[test]
 fn lines_of_another_length_are_refused_with_both_lengths() {
     let refused = chain().line(&[0; 2046], &mut [0.0; 512]).expect_err("too short").to_string();

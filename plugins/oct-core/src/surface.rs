@@ -19,6 +19,10 @@ impl Default for Rule {
     }
 }
 
+/// So far below the strongest echo lie its own skirts, dB: what interpolation between pixels leaves over tens of bins. A detector
+/// with little noise shows them.
+const SKIRTS_DB: f32 = 40.0;
+
 /// A surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
@@ -30,11 +34,12 @@ pub struct Surface {
     pub noise_db: f32,
 }
 
-/// The first local maximum above the noise; none in silence, in noise alone, and in fewer than 16 bins.
+/// The first local maximum above the noise and the skirts of what is behind it; none in silence, in noise alone, and in fewer than 16 bins.
 pub fn first_surface(ascan: &[f32], rule: &Rule) -> Option<Surface> {
     let (mean, sigma) = noise(ascan)?;
-    let threshold = mean + rule.sigmas * sigma + rule.above_db;
     let from = rule.first_bin.max(1);
+    let above_noise = mean + rule.sigmas * sigma + rule.above_db;
+    let threshold = above_noise.max(strongest(ascan.get(from..)?) - SKIRTS_DB);
     let last = ascan.len() - 1;
     let mut at = from;
     while at < last {
@@ -49,6 +54,19 @@ pub fn first_surface(ascan: &[f32], rule: &Rule) -> Option<Surface> {
         at += 1;
     }
     None
+}
+
+/// The largest value, dB.
+fn strongest(part: &[f32]) -> f32 {
+    // Eight side by side, as in `moments`.
+    let mut most = [f32::MIN; 8];
+    let (eights, rest) = part.as_chunks::<8>();
+    for eight in eights {
+        for (most, db) in most.iter_mut().zip(eight) {
+            *most = if *db > *most { *db } else { *most };
+        }
+    }
+    most.iter().chain(rest).copied().fold(f32::MIN, f32::max)
 }
 
 /// Mean and standard deviation of the noise, dB: those of the quietest of the three deeper quarters, which is the deepest
@@ -136,6 +154,15 @@ mod tests {
         assert!((first_surface(&two, &Rule::default()).expect("a peak").bin - 120.0).abs() < 0.01);
         let early = with_peak(noisy(1), 20.0, 110.0);
         assert_eq!(first_surface(&early, &Rule::default()), None);
+    }
+
+    #[test]
+    fn the_skirts_of_a_strong_echo_are_no_surface_and_a_weak_one_before_it_is() {
+        let clean: Vec<f32> = noisy(1).iter().map(|db| db - 40.0).collect();
+        let skirt = with_peak(with_peak(clean.clone(), 142.0, 101.0), 128.0, 50.0);
+        assert!((first_surface(&skirt, &Rule::default()).expect("a peak").bin - 142.0).abs() < 0.01);
+        let weak = with_peak(with_peak(clean, 142.0, 101.0), 128.0, 65.0);
+        assert!((first_surface(&weak, &Rule::default()).expect("a peak").bin - 128.0).abs() < 0.01);
     }
 
     #[test]
