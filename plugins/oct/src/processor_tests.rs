@@ -115,6 +115,25 @@ fn the_dispersion_is_found_over_many_steps_and_taken() {
 }
 
 #[test]
+fn a_dispersion_at_the_edge_of_the_search_is_told_and_not_taken() {
+    let mut bench = Bench::<OctProcessor>::new(r#"{"dispersion_rad": [1, 2], "search_lines_per_step": 64}"#);
+    let optics = Optics { dispersion_rad: [80.0, 4.0], ..Optics::with_samples(1024) };
+    let mut detector =
+        Detector { spectrograph: Spectrograph::new(optics, Noise::new(1, 16)).unwrap(), index: 0 };
+    bench.command::<(), ()>("auto_dispersion", ()).unwrap();
+    let mut found = Vec::new();
+    for n in 0..1000 {
+        detector.push(&mut bench, 1, Some(500e-6 + 3e-6 * f64::from(n % 64)));
+        bench.step(1);
+        found.extend(bench.events::<DispersionFound>("dispersion_done"));
+    }
+    let [found] = found[..] else { panic!("{found:?}") };
+    assert!(found.at_edge.get() && !found.taken.get(), "{found:?}");
+    let kept = bench.read::<(), DispersionTerms>("dispersion", ()).unwrap();
+    assert_eq!(kept, DispersionTerms { a2: 1.0, a3: 2.0 });
+}
+
+#[test]
 fn dark_and_saturated_light_is_told_when_it_begins_and_when_it_is_over() {
     let (mut bench, mut detector) = (Bench::<OctProcessor>::new("{}"), Detector::new());
     for (light, reference) in [(1.0, 0.55), (0.0, 0.55), (0.0, 0.55), (1.0, 1.4), (1.0, 0.55)] {

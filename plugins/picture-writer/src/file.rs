@@ -23,6 +23,9 @@ pub struct SavedPicture {
     /// Of the file.
     #[unit("B")]
     pub bytes: u64,
+    /// How old the newest of what is shown was: a picture that stands still is written, too.
+    #[unit("s")]
+    pub age: f64,
     #[unit("px")]
     pub width: u32,
     #[unit("px")]
@@ -62,7 +65,9 @@ pub(crate) fn write(path: &Path, picture: &Picture) -> Result<SavedPicture, Stri
         OpenOptions::new().write(true).create_new(true).open(path).map_err(|why| refused(path, &why))?;
     let written = encode(&file, picture).and_then(|()| file.flush().map_err(|why| why.to_string()));
     match written.and_then(|()| file.metadata().map_err(|why| why.to_string())) {
-        Ok(there) => Ok(SavedPicture { bytes: there.len(), width: picture.width, height: picture.height }),
+        Ok(there) => {
+            Ok(SavedPicture { bytes: there.len(), age: 0.0, width: picture.width, height: picture.height })
+        }
         Err(why) => {
             let _ = std::fs::remove_file(path);
             Err(format!("path: {shown:?} cannot be written whole: {why}; it was removed"))
@@ -113,7 +118,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.png");
         let saved = write(&path, &picture()).unwrap();
-        assert_eq!(saved, SavedPicture { bytes: path.metadata().unwrap().len(), width: 3, height: 2 });
+        assert_eq!(
+            saved,
+            SavedPicture { bytes: path.metadata().unwrap().len(), age: 0.0, width: 3, height: 2 }
+        );
         let mut reader =
             png::Decoder::new(std::io::BufReader::new(File::open(&path).unwrap())).read_info().unwrap();
         let mut pixels = vec![0; 18];

@@ -46,10 +46,11 @@ impl PictureWriter {
     #[command]
     fn save(&mut self, request: &SaveRequest) -> Result<SavedPicture> {
         let path = file::named(&request.path)?;
-        let (header, bytes) = self.newest().ok_or(
+        let (header, bytes, stamp) = self.newest().ok_or(
             "no frame has come yet: connect `frame` or `picture`, start what sends them, and ask again",
         )?;
         let part = Part::ALL.into_iter().find(|part| part.name() == self.cfg.part).unwrap_or(Part::Both);
+        let age = self.host.now().seconds_since(stamp);
         let name = self.host.instance_name().rsplit('/').next().unwrap_or_default();
         let saved = self.saving.run(name, move || {
             let mut picture = Picture { width: 0, height: 0, rgb: Vec::new() };
@@ -58,21 +59,21 @@ impl PictureWriter {
             file::write(&path, &picture)
         })?;
         self.saved += 1;
-        Ok(saved)
+        Ok(SavedPicture { age, ..saved })
     }
 }
 
 impl PictureWriter {
-    /// A copy of the newest frame of both inputs.
-    fn newest(&mut self) -> Option<(StereoHeader, Vec<u8>)> {
+    /// A copy of the newest frame of both inputs, and its stamp.
+    fn newest(&mut self) -> Option<(StereoHeader, Vec<u8>, Stamp)> {
         let pair = self.frame.latest();
         let single = self.picture.latest();
         let later = single.as_ref().map(|frame| frame.stamp()) > pair.as_ref().map(|frame| frame.stamp());
         match (pair, single) {
             (Some(frame), single) if single.is_none() || !later => {
-                Some((*frame.header(), frame.bytes().to_vec()))
+                Some((*frame.header(), frame.bytes().to_vec(), frame.stamp()))
             }
-            (_, Some(frame)) => Some((one_for_both(frame.header()), frame.bytes().to_vec())),
+            (_, Some(frame)) => Some((one_for_both(frame.header()), frame.bytes().to_vec(), frame.stamp())),
             (_, None) => None,
         }
     }

@@ -46,9 +46,13 @@ fn the_newest_frame_of_both_inputs_is_written() {
     let (header, bytes) = pair(1_000);
     bench.push_frame("frame", header, &bytes);
     bench.step(1);
+    bench.advance(250_000_000);
     let path = dir.path().join("pair.png");
     let saved = save(&mut bench, &path).unwrap();
-    assert_eq!(saved, SavedPicture { bytes: path.metadata().unwrap().len(), width: 2, height: 1 });
+    let age_s = bench.now().seconds_since(header.stamp);
+    assert!(age_s > 0.25 && (saved.age - age_s).abs() < 1e-9, "{} s for {age_s} s", saved.age);
+    let written = SavedPicture { bytes: path.metadata().unwrap().len(), age: saved.age, width: 2, height: 1 };
+    assert_eq!(saved, written);
     assert_eq!(pixels(&path), (2, 1, bytes.to_vec()));
 
     let (header, bytes) = gray(2_000, 77);

@@ -149,10 +149,12 @@ impl Plot {
             let unplaced = self.traces.iter().find(|series| series.is_unplaced());
             return Err(unplaced.map_or(NOTHING, |series| &series.missing[0]).into());
         };
+        let newest_ns = self.traces.iter().filter_map(|s| s.trace.newest()).map(|point| point.at_ns).max();
+        let age = newest_ns.map_or(0.0, |ns| self.host.now().seconds_since(Stamp::from_ns(ns)));
         let name = self.host.instance_name().rsplit('/').next().unwrap_or_default();
         let saved = self.saving.run(name, move || file::write(&path, &chart::draw(&chart)?))?;
         self.saved += 1;
-        Ok(saved)
+        Ok(SavedPicture { age, ..saved })
     }
 
     /// Forgets all points.

@@ -30,6 +30,8 @@ fn numbers_of_several_types_are_drawn_to_a_file() {
     let path = dir.path().join("plot.png");
     let saved = save(&mut bench, &path).unwrap();
     assert_eq!((saved.width, saved.height), (1_200, 600));
+    // The bench's own millisecond after the one before the last step.
+    assert!((saved.age - 2e-3).abs() < 1e-9, "{} s", saved.age);
     assert_eq!(saved.bytes, path.metadata().unwrap().len());
     let why = save(&mut bench, &path).unwrap_err();
     assert!(why.contains("nothing is written over"), "{why}");
