@@ -41,7 +41,12 @@ const ARM_COMMANDS: &[Command] = &[
         "`enable`, `disable`, `pause`, `resume`, `home`, `unhome`; any other word, or one the state does not allow, is refused with what is allowed.",
     ),
     read("measured_cv", false, "Twist", "Velocity of the tip."),
-    read("measured_cf", false, "Wrench", "Force and torque at the tip."),
+    read(
+        "measured_cf",
+        false,
+        "Wrench",
+        "Force and torque that the tip meets; a hand on a handle is `hand/measured_cf`.",
+    ),
     read("measured_cs", false, "CartesianState", "Pose, twist and wrench of one instant."),
     read(
         "setpoint_cp",
@@ -112,7 +117,7 @@ pub const ARM: Contract = Contract {
     doc: "A robot arm behind the names of the Collaborative Robotics Toolkit (CRTK).",
     safety: "actuator",
     frames: "Poses, twists and wrenches of `arm` are in the arm's base frame. Other frames are interfaces of their own, \
-             `local` (relative to the arm's first link), `spatial` (base orientation, world origin), `body` (the tip). \
+             `local` (relative to the arm's first link), `spatial` (the tip with the orientation of the base), `body` (the tip in its own frame). \
              A cartesian value that is computed from joints carries the joints' stamp; stamp 0 says that a value is not valid.",
     threads: "Reads are answered from the row of the last step, in the caller's thread, and never wait. Motions are queued \
               and taken at the next step; a goal that comes faster than the steps replaces the one before.",
@@ -146,6 +151,18 @@ pub const ARM: Contract = Contract {
         frame("local", "The arm relative to its first link."),
         frame("spatial", "The tip with the orientation of the base."),
         frame("body", "The tip in its own frame."),
+        Interface {
+            name: "hand",
+            doc: "The hand on the arm's handle.",
+            required: false,
+            commands: &[read(
+                "measured_cf",
+                false,
+                "Wrench",
+                "Force and torque of the hand, with the orientation of the base; stamp 0 while there is none.",
+            )],
+            events: &[],
+        },
         Interface {
             name: "compliance",
             doc: "Hands-on control.",

@@ -317,11 +317,13 @@ impl<D: Drive> Arm<D> {
         }
         let Settings { limits, margin, following, .. } = &self.settings;
         if let Some(joint) = limits.leaving(&self.measured.position, &self.setpoint.velocity, margin) {
-            return Some(Fault::Limit { joint, value: self.measured.position[joint] });
+            let value = self.measured.position[joint];
+            let limit = if value > limits.upper[joint] { limits.upper[joint] } else { limits.lower[joint] };
+            return Some(Fault::Limit { joint, value, limit });
         }
         let error = self.setpoint.position - self.measured.position;
         let joint = (0..error.len()).find(|&i| error[i].is_nan() || error[i].abs() > following[i])?;
-        Some(Fault::Following { joint, error: error[joint] })
+        Some(Fault::Following { joint, error: error[joint], limit: following[joint] })
     }
 
     /// The drive brakes as hard as it can, and the arm holds where it comes to rest.

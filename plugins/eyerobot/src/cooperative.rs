@@ -43,7 +43,7 @@ pub struct Cooperative {
     #[required(interface = "robot")]
     measured_cp: Function<(), Pose>,
     /// What the hand does to the handle.
-    #[required(interface = "robot", name = "measured_cf", optional)]
+    #[required(interface = "hand", optional)]
     measured_cf: Function<(), Wrench>,
     /// Keeps the tip behind a plane: the robot's own fixture.
     #[required(interface = "fixture")]

@@ -123,7 +123,7 @@ impl Rig {
         }
         self.before = at;
         self.nearest_m = self.distance_m().min(self.nearest_m);
-        if now_ns / STEP_NS % 2 == 0 && self.leads {
+        if (now_ns / STEP_NS).is_multiple_of(2) && self.leads {
             self.lead.advance(now_ns - 2 * STEP_NS - self.lead.now().ns().min(now_ns - 2 * STEP_NS));
             self.lead.step(1);
             self.pass_on();
@@ -220,7 +220,7 @@ fn whatever_the_hand_does_the_tip_stays_150_micrometres_off_the_moving_retina() 
 #[test]
 fn each_cycle_asks_the_robot_once_behind_the_guard_and_stop_holds_it() {
     let mut rig = Rig::new(1, "{}");
-    rig.lead.answer("robot/measured_cf", |()| {
+    rig.lead.answer("hand/measured_cf", |()| {
         Ok(Wrench { stamp: Stamp::from_ns(1), force: [3.0, 0.0, 4.0], torque: [0.0; 3] })
     });
     rig.steps(101);
@@ -319,7 +319,7 @@ fn a_robot_that_is_not_there_is_counted_and_a_handle_nobody_feels_has_no_force()
     let mut rig = Rig::new(1, "{}");
     rig.steps(10);
     rig.lead.connect_function("compliance/servo_cf", false);
-    rig.lead.answer("robot/measured_cf", |()| Ok(Wrench { force: [1.0; 3], ..Wrench::default() }));
+    rig.lead.answer("hand/measured_cf", |()| Ok(Wrench { force: [1.0; 3], ..Wrench::default() }));
     rig.steps(6);
     assert_eq!((rig.lead.state().rejected, rig.lead.state().force), (3, 0.0));
 }
@@ -327,7 +327,7 @@ fn a_robot_that_is_not_there_is_counted_and_a_handle_nobody_feels_has_no_force()
 #[test]
 fn a_step_allocates_nothing() {
     let mut rig = Rig::new(1, "{}");
-    rig.lead.answer("robot/measured_cf", |()| Ok(Wrench::default()));
+    rig.lead.answer("hand/measured_cf", |()| Ok(Wrench::default()));
     rig.steps(20);
     let pose = rig.pose.get();
     let at = Rc::new(Cell::new(pose));

@@ -36,19 +36,22 @@ const FIRST_CYCLE_S: f64 = 1e-3;
     name = "eyerobot",
     rate_hz = 1000,
     safety = "actuator",
-    provides("arm", "local", "spatial", "body", "compliance", "axis", "virtual_fixture", "truth")
+    provides("arm", "local", "spatial", "body", "hand", "compliance", "axis", "virtual_fixture", "truth")
 )]
 pub struct EyeRobot {
     /// Force and torque of the hand on the handle, in the frame of the tip; one with stamp 0 or older than handle_timeout_s
     /// counts as none
     #[input(optional)]
     handle: In<Wrench>,
-    /// Joints, tip and the hand's wrench of each cycle
+    /// Joints and tip of each cycle
     #[output]
     state: Out<ArmState>,
     /// Pose of the tip from the encoders of each cycle, in the base frame: for filters of poses
     #[output(name = "measured_cp")]
     pose: Out<Pose>,
+    /// The hand's wrench of each cycle, with the orientation of the base frame; stamp 0 while there is no hand
+    #[output]
+    hand_cf: Out<Wrench>,
     /// True pose and twist of the tip in the simulated world
     #[output(tag = "sim")]
     tip: Out<CartesianState>,
@@ -73,8 +76,9 @@ pub struct EyeRobot {
     measured_cp: Pose,
     #[state]
     measured_cv: Twist,
+    /// Of the hand, with the orientation of the base frame.
     #[state]
-    measured_cf: Wrench,
+    felt_cf: Wrench,
     #[state]
     setpoint_js: JointState,
     #[state]
@@ -91,8 +95,6 @@ pub struct EyeRobot {
     configuration_js: JointConfiguration,
     #[state]
     local_cp: Pose,
-    #[state]
-    body_cf: Wrench,
     #[state]
     body_jacobian: Jacobian,
     #[state]
@@ -206,7 +208,7 @@ impl EyeRobot {
         self.measured_js = payloads::joint_state(stamp, &arm.measured());
         self.measured_cp = Pose { stamp, ..arm.measured_cp().into() };
         self.measured_cv = Twist { stamp, ..arm.measured_cv().into() };
-        self.measured_cf = Wrench { stamp: felt, ..arm.measured_cf().into() };
+        self.felt_cf = Wrench { stamp: felt, ..arm.hand_cf().into() };
         self.setpoint_js = payloads::joint_state(stamp, &arm.setpoint());
         let position_based = only(arm.is_position_based());
         self.setpoint_cp = Pose { stamp: position_based, ..arm.setpoint_cp().into() };
@@ -216,7 +218,6 @@ impl EyeRobot {
         self.goal_js = payloads::joint_positions(only(goal.is_some()), &end);
         self.goal_cp = Pose { stamp: only(goal.is_some()), ..arm.pose_at(&end).into() };
         self.local_cp = Pose { stamp, ..arm.local_cp().into() };
-        self.body_cf = Wrench { stamp: felt, ..arm.body_cf().into() };
         self.body_jacobian = Jacobian::of(stamp, &arm.body_jacobian());
         self.spatial_jacobian = Jacobian::of(stamp, &arm.spatial_jacobian());
         self.base_frame = Pose { stamp, ..arm.base().into() };
@@ -316,9 +317,11 @@ impl Component for EyeRobot {
             stamp: tick.now(),
             measured_js: self.measured_js,
             measured_cp: self.measured_cp,
-            measured_cf: self.measured_cf,
+            // Nothing measures what the tip meets.
+            measured_cf: Wrench::default(),
         });
         self.pose.write(&self.measured_cp);
+        self.hand_cf.write(&self.felt_cf);
         self.tip.write(&self.truth);
         Ok(())
     }

@@ -245,7 +245,7 @@ fn a_force_sensor_on_the_handle_leads_the_arm_and_one_that_stops_leads_it_no_mor
     let gain = json!([0.005, 0.005, 0.005, 0, 0, 0]);
     site.call("host/robot/compliance/set_gain", &gain).ends_with(OK);
     site.grpc.start("host/force");
-    let force_n = |row: &Value| row["measured_cf"]["force"][0].as_f64().unwrap();
+    let force_n = |row: &Value| row["felt_cf"]["force"][0].as_f64().unwrap();
 
     assert!(site.moved_to([0.003, 0.0, 0.0, 0.0, 0.0]));
     // 20 mN/mm against the way it went.
@@ -256,7 +256,7 @@ fn a_force_sensor_on_the_handle_leads_the_arm_and_one_that_stops_leads_it_no_mor
     assert_eq!(row["operating_state"]["state"], "ENABLED");
 
     site.grpc.stop("host/force");
-    site.until("host/robot", "nobody is at the handle", |row| row["measured_cf"]["stamp"] == 0);
+    site.until("host/robot", "nobody is at the handle", |row| row["felt_cf"]["stamp"] == 0);
     site.until("host/robot", "it stands", |row| {
         let speed = |i: usize| row["setpoint_js"]["velocity"][i].as_f64().unwrap().abs();
         (0..5).map(speed).sum::<f64>() < 1e-9

@@ -93,13 +93,8 @@ impl<D: Drive> Arm<D> {
     }
 
     /// Wrench of the hand, N and N·m, with the orientation of the base frame.
-    pub fn measured_cf(&self) -> Vector6<f64> {
+    pub fn hand_cf(&self) -> Vector6<f64> {
         turned(&self.measured_cp().rotation, &self.handle)
-    }
-
-    /// Wrench of the hand in the frame of the tip, N and N·m.
-    pub fn body_cf(&self) -> Vector6<f64> {
-        self.handle
     }
 
     /// Joint velocities to the twist of the tip in its own frame.

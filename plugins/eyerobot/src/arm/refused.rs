@@ -9,7 +9,7 @@ use trocar_sdk::crtk::{NotReady, OutOfTime, Refused};
 
 use crate::drive::Lost;
 use crate::fixture::FixtureRefused;
-use crate::joints::{NAMES, Refusal};
+use crate::joints::{KINDS, NAMES, Refusal};
 use crate::kinematics::Unreachable;
 
 /// Why the arm went to FAULT. `joint` is an index into `joints::NAMES`; values in SI units.
@@ -21,6 +21,8 @@ pub enum Fault {
         joint: usize,
         /// Where it stands, m or rad.
         value: f64,
+        /// The limit that it left, m or rad.
+        limit: f64,
     },
     /// A joint does not follow its setpoint.
     Following {
@@ -28,6 +30,8 @@ pub enum Fault {
         joint: usize,
         /// Setpoint minus encoder, m or rad.
         error: f64,
+        /// Largest one that is none, m or rad.
+        limit: f64,
     },
     /// The drive lost a joint.
     Drive(Lost),
@@ -35,12 +39,21 @@ pub enum Fault {
 
 impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Fault::Limit { joint, value } => {
-                write!(f, "joint {} left its limits at {value:.6}", NAMES[*joint])
+        match *self {
+            // The payload has room for 128 bytes.
+            Fault::Limit { joint, value, limit } => {
+                let (name, unit) = (NAMES[joint], KINDS[joint].unit());
+                write!(
+                    f,
+                    "joint {name} left its limit {limit:.6} {unit}, it is at {value:.6} {unit}: send \"enable\", then move_jp inside"
+                )
             }
-            Fault::Following { joint, error } => {
-                write!(f, "joint {} is {error:.6} behind its setpoint", NAMES[*joint])
+            Fault::Following { joint, error, limit } => {
+                let (name, unit) = (NAMES[joint], KINDS[joint].unit());
+                write!(
+                    f,
+                    "joint {name} is {error:.6} {unit} behind its setpoint, limit {limit:.6} {unit}: see what holds it, send \"enable\""
+                )
             }
             Fault::Drive(lost) => lost.fmt(f),
         }

@@ -30,17 +30,11 @@ impl EyeRobot {
         s.measured_cv
     }
 
-    /// Force and torque of the hand on the handle, in the base frame; stamp 0 while there is no hand.
-    #[read]
-    fn measured_cf(s: &EyeRobotState) -> Wrench {
-        s.measured_cf
-    }
-
-    /// Pose, velocity and force of one instant.
+    /// Pose and velocity of one instant; the wrench has stamp 0, as nothing measures what the tip meets.
     #[read]
     fn measured_cs(s: &EyeRobotState) -> CartesianState {
         let (stamp, pose) = (s.measured_cp.stamp, s.measured_cp);
-        CartesianState { stamp, pose, twist: s.measured_cv, wrench: s.measured_cf }
+        CartesianState { stamp, pose, twist: s.measured_cv, wrench: Wrench::default() }
     }
 
     /// Where the joints are sent, and how fast.

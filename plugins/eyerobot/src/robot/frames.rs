@@ -2,7 +2,7 @@
 //!
 //! Invariant: reads only; what `truth` says is for tests, recorders and plots, never for a controller.
 
-use trocar_sdk::data::{CartesianState, Pose, Twist, Wrench};
+use trocar_sdk::data::{CartesianState, Pose, Twist};
 use trocar_sdk::prelude::*;
 
 use super::{EyeRobot, EyeRobotState};
@@ -27,12 +27,6 @@ impl EyeRobot {
         s.measured_cv
     }
 
-    /// Force and torque of the hand on the handle; stamp 0 while there is no hand.
-    #[read(name = "measured_cf")]
-    fn spatial_measured_cf(s: &EyeRobotState) -> Wrench {
-        s.measured_cf
-    }
-
     /// Joint velocities to the twist of the tip.
     #[read(name = "jacobian")]
     fn spatial_jacobian(s: &EyeRobotState) -> Jacobian {
@@ -43,12 +37,6 @@ impl EyeRobot {
 /// The tip in its own frame.
 #[provides("body")]
 impl EyeRobot {
-    /// Force and torque of the hand on the handle; stamp 0 while there is no hand.
-    #[read(name = "measured_cf")]
-    fn body_measured_cf(s: &EyeRobotState) -> Wrench {
-        s.body_cf
-    }
-
     /// Joint velocities to the twist of the tip.
     #[read]
     fn jacobian(s: &EyeRobotState) -> Jacobian {

@@ -161,7 +161,7 @@ fn a_wrench_without_a_stamp_or_one_that_is_not_renewed_is_none() {
     bench.step(1_000);
     let way = true_tip(&bench)[2] - let_go;
     assert!(way < 0.35e-3, "{way} m after the last wrench");
-    assert_eq!(bench.read::<(), Wrench>("body/measured_cf", ()).unwrap().stamp, Stamp::INVALID);
+    assert_eq!(bench.read::<(), Wrench>("hand/measured_cf", ()).unwrap().stamp, Stamp::INVALID);
 }
 
 #[test]

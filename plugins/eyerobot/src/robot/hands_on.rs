@@ -1,4 +1,4 @@
-//! The interfaces `compliance`, `axis` and `virtual_fixture`: hands-on control and what shares the tip with it.
+//! The interfaces `hand`, `compliance`, `axis` and `virtual_fixture`: hands-on control and what shares the tip with it.
 //!
 //! Invariant: nothing here moves the arm by itself; hand, axis and fixtures meet in the arm's one step.
 
@@ -10,6 +10,16 @@ use super::{EyeRobot, EyeRobotState};
 use crate::arm::{self, ArmError};
 use crate::fixture::MOST_FIXTURES;
 use crate::payloads::{self, VirtualFixtures};
+
+/// The hand on the handle.
+#[provides("hand")]
+impl EyeRobot {
+    /// Force and torque of the hand, with the orientation of the base frame; stamp 0 while there is no hand.
+    #[read]
+    fn measured_cf(s: &EyeRobotState) -> Wrench {
+        s.felt_cf
+    }
+}
 
 /// Hands-on control.
 #[provides("compliance")]

@@ -117,7 +117,7 @@ pub struct ArmState {
     pub stamp: Stamp,
     pub measured_js: JointState,
     pub measured_cp: Pose,
-    /// As the read `measured_cf` of the arm.
+    /// As the read `measured_cf` of the arm: what the tip meets; stamp 0 where nothing measures it.
     pub measured_cf: Wrench,
 }
 
