@@ -10,6 +10,7 @@ mod config;
 mod control;
 mod ending;
 mod pictures;
+mod room;
 mod seeing;
 
 use trocar_oct_core::tip::Timeline;
@@ -103,6 +104,10 @@ pub struct BScan {
     planned_m: f64,
     line: Option<Line>,
     since: Moments,
+    /// The robot goes back by itself when this component dies.
+    goes_back: bool,
+    /// From tip to surface when that was seen last, or as predicted since, if that is less, m.
+    near_m: f64,
     last: Distance,
     scan: Scan,
     /// Of the column that grows.
@@ -136,6 +141,7 @@ fn is_ready(robot: &OperatingState) -> bool {
 
 impl Component for BScan {
     fn configure(&mut self) -> Result {
+        self.keep_room()?;
         self.grey = Grey::of(self.cfg.range_db)?;
         let room @ (rows, columns) = (self.cfg.rows as usize, self.cfg.max_columns as usize);
         if self.built == Some(room) {
@@ -177,7 +183,7 @@ impl Component for BScan {
         if self.progress.phase != Phase::IDLE {
             let driven = self.drive(tick);
             match (driven, self.progress.phase) {
-                (Err(_), Phase::RETRACT) => self.end(),
+                (Err(_), Phase::RETRACT) => self.end_early(),
                 (Err(why), _) => self.give_up(why),
                 (Ok(()), Phase::SCAN) if self.is_over(now) => self.finish(now),
                 (Ok(()), Phase::RETRACT) if self.is_away(now) => self.end(),

@@ -3,16 +3,11 @@
 //! Invariant: a scan begins only where all it needs is there, and else says what is missing and what to do.
 
 use trocar_oct_core::tip::axis_of;
-use trocar_sdk::data::Retreat;
 use trocar_sdk::prelude::*;
 
 use super::{BScan, BScanState, LONGEST_DELAY_S, ROBOT_LOST_S, SURFACE_LOST_S, is_ready};
 use crate::line::Line;
 use crate::payloads::{Phase, Progress, ScanRequest};
-
-/// The robot's way back by itself: faster than an eye comes up, and only after a silence that is no hiccup, m/s and s.
-const RETREAT_M_S: f64 = 2e-3;
-const RETREAT_AFTER_S: f64 = 0.02;
 
 /// The scan.
 #[provides("scan")]
@@ -50,30 +45,6 @@ impl BScan {
 }
 
 impl BScan {
-    /// Tells the robot what to do should this component die, which has to leave the eye its room.
-    fn leave_room(&self, offset_m: f64) -> Result<(), String> {
-        let retreat = Retreat { distance: self.cfg.retract_m, speed: RETREAT_M_S, delay: RETREAT_AFTER_S };
-        let goes_back = self.set_retreat.send(retreat).is_ok();
-        let back_m = if goes_back { retreat.distance } else { 0.0 };
-        let needed_m = self.cfg.min_distance_m + self.cfg.eye_motion_m;
-        // To whole nanometres, so that a refusal reads well.
-        let nearest_um = ((needed_m - back_m) * 1e9).round() / 1e3;
-        if offset_m * 1e6 >= nearest_um - 1e-3 {
-            return Ok(());
-        }
-        self.set_retreat.send(Retreat::default());
-        let how = if goes_back {
-            "retract_m is too short for less"
-        } else {
-            "for less, connect axis to a robot that goes back by itself (set_retreat) when this component dies"
-        };
-        Err(format!(
-            "offset: {:.0} um leaves no room for an eye that comes up by {:.0} um: give {nearest_um:.0} um or more; {how}",
-            1e6 * offset_m,
-            1e6 * self.cfg.eye_motion_m
-        ))
-    }
-
     /// The line of a request, when all that a scan needs is there.
     fn line_of(&self, request: &ScanRequest, now: Stamp) -> Result<Line, String> {
         let axis = axis_of(&self.pose.orientation)

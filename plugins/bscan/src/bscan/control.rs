@@ -68,6 +68,7 @@ impl BScan {
         if !advice.blind {
             self.set_guard.send(self.guard(&axis, advice.distance_m));
         }
+        self.near_m = if advice.blind { self.near_m.min(advice.distance_m) } else { advice.distance_m };
         self.progress.distance = advice.distance_m;
         self.progress.error = advice.distance_m - offset_m;
         let across = if advice.blind { [0.0; 3] } else { self.across(&line, &advice, tick) };

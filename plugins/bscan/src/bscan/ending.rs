@@ -21,15 +21,21 @@ impl BScan {
         if self.progress.phase == Phase::IDLE {
             return;
         }
+        self.go_away();
+        self.bscan_aborted.emit(Text::new(why));
+    }
+
+    /// The robot is not led any more, and goes the rest of the way back.
+    fn go_away(&mut self) {
         let told = self.now.seconds_since(self.since.robot) <= ROBOT_LOST_S;
         let axis = axis_of(&self.pose.orientation).filter(|_| told && is_ready(&self.robot));
+        let left_m = self.left_m();
         self.rest();
-        if let Some(axis) = axis.filter(|_| self.cfg.retract_m > 0.0) {
+        if let Some(axis) = axis.filter(|_| left_m > 0.0) {
             // One command, which the robot carries out to its end whatever becomes of this component.
-            let position = axis.map(|a| -a * self.cfg.retract_m);
+            let position = axis.map(|a| -a * left_m);
             self.move_cr.send(Pose { stamp: self.now, position, ..Pose::default() });
         }
-        self.bscan_aborted.emit(Text::new(why));
     }
 
     /// The robot stands, and is not commanded any more.
@@ -50,12 +56,21 @@ impl BScan {
         self.enter(Phase::RETRACT, now);
     }
 
-    /// The tip is as far away as it is wanted, or cannot get there: the image is there all the same.
+    /// The tip is as far away as it is wanted.
     pub(super) fn end(&mut self) {
-        let Progress { scan, of, columns, .. } = self.progress;
-        let done = ScanDone { scan, columns: of, empty: of - columns };
         self.rest();
-        self.bscan_done.emit(done);
+        self.tell_done();
+    }
+
+    /// The tip cannot be led away any more: it goes the rest of the way unseen, and the image is there all the same.
+    pub(super) fn end_early(&mut self) {
+        self.go_away();
+        self.tell_done();
+    }
+
+    fn tell_done(&mut self) {
+        let Progress { scan, of, columns, .. } = self.progress;
+        self.bscan_done.emit(ScanDone { scan, columns: of, empty: of - columns });
     }
 }
 

@@ -3,6 +3,7 @@
 //! Invariant: the true tip and the true first surface count, for a whole breath after the end, in virtual time.
 #![allow(clippy::unwrap_used)]
 
+use trocar_sdk::Text;
 use trocar_sdk::data::{FixtureKind, Pose, Retreat, Twist};
 
 use crate::Phase;
@@ -43,6 +44,67 @@ fn after_a_whole_scan_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
         let nearest = rig.watch(BREATH).into_iter().chain([rig.errors().2]).fold(f64::INFINITY, f64::min);
         assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
     }
+}
+
+/// A scan at the least offset that has come to the end of its line `late` periods ago.
+fn on_the_way_back(world: &str, seed: u64, late: usize) -> Rig {
+    // A line of another length for each seed, so that it ends at all times of the eye's motion.
+    let end_m = -1.45e-3 + 20e-6 * seed as f64;
+    let mut rig = Rig::new(Setup { offset_m: 200e-6, end_m, ..Setup::new(world, seed) });
+    rig.begin();
+    rig.until_scanning();
+    while rig.progress().phase == Phase::SCAN {
+        rig.step();
+    }
+    assert_eq!(rig.progress().phase, Phase::RETRACT);
+    rig.steps(late);
+    rig
+}
+
+#[test]
+fn a_tip_that_is_blind_on_its_way_back_goes_the_rest_and_stays_150_micrometres_away_for_a_whole_breath() {
+    for seed in SEEDS {
+        let mut rig = on_the_way_back("default", seed, if seed % 2 == 0 { 0 } else { 300 });
+        rig.dark_until_ns = u64::MAX;
+        rig.steps(60);
+        assert_eq!(rig.progress().phase, Phase::IDLE);
+        let nearest = rig.watch(BREATH).into_iter().chain([rig.errors().2]).fold(f64::INFINITY, f64::min);
+        assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
+        assert!(rig.bench.events::<Text<128>>("scan/bscan_aborted").is_empty(), "the image is there");
+        assert_eq!(rig.bench_done(), 1);
+    }
+}
+
+#[test]
+fn an_abort_on_the_way_back_leads_the_tip_no_further_away_than_the_whole_way() {
+    // Where the eye rests, distance is way.
+    for late in [0, 300, 700] {
+        let mut rig = on_the_way_back("static_no_membrane", 1, late);
+        rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+        rig.step();
+        let rests = *rig.watch(400).last().unwrap();
+        assert!((rests - 600e-6).abs() < 30e-6, "{late} ms late: {rests:.2e} m");
+    }
+}
+
+#[test]
+fn settings_that_leave_the_eye_no_room_are_refused_while_a_scan_runs() {
+    let mut rig = Rig::new(Setup { offset_m: 200e-6, ..Setup::new("static", 1) });
+    rig.begin();
+    rig.until_scanning();
+    let set = |rig: &mut Rig, live: &str| {
+        let refused = rig.bench.configure(format!(r#"{{"rows": 8, "range_db": [40, 100], {live}}}"#)).err();
+        rig.step();
+        refused.map(|why| why.to_string()).unwrap_or_default()
+    };
+    for live in [r#""retract_m": 0"#, r#""eye_motion_m": 0.0008"#, r#""min_distance_m": 0.0003"#] {
+        let refused = set(&mut rig, live);
+        assert!(refused.contains("200 um leaves no room for an eye"), "{live}: {refused}");
+        assert_eq!(rig.retreat().distance, 0.4e-3);
+    }
+    assert_eq!(set(&mut rig, r#""retract_m": 0.0005"#), "");
+    assert_eq!(rig.retreat().distance, 0.5e-3, "the robot knows of it");
+    assert_eq!(rig.progress().phase, Phase::SCAN);
 }
 
 /// A scan that somebody kills in the middle, and what the robot does then for a whole breath: nearest distance and way back, m.
