@@ -5,6 +5,8 @@
 use trocar_sdk::data::{AScanHeader, SampleFormat};
 use trocar_sdk::prelude::*;
 
+use crate::taken::can_be;
+
 /// How A-scans become grey.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grey {
@@ -43,11 +45,12 @@ pub enum AScan<'a> {
     Decibels(&'a [u8], Grey),
 }
 
-/// The A-scans of a frame, each with the middle of its exposure; none of a frame that is of something else, or does not say
-/// when it was taken.
+/// The A-scans of a frame that is taken at `now`, each with the middle of its exposure; none of a frame that is of something else, or
+/// does not say when it was taken, or says a time that is still to come.
 pub fn ascans<'a>(
     frame: &'a FrameView<'_, AScanHeader>,
     grey: Grey,
+    now: Stamp,
 ) -> Option<impl Iterator<Item = (Stamp, AScan<'a>)> + use<'a>> {
     let header = *frame.header();
     let of: fn(&'a [u8], Grey) -> AScan<'a> = match header.format {
@@ -55,6 +58,9 @@ pub fn ascans<'a>(
         SampleFormat::F32 => AScan::Decibels,
         _ => return None,
     };
-    let lines = frame.lines().ok().filter(|_| header.stamp_of(0).is_some())?;
+    // The last line's time is the furthest: where that can be, all can.
+    let last = (header.lines as usize).saturating_sub(1);
+    let in_time = header.stamp_of(last).is_some_and(|stamp| can_be(stamp, now));
+    let lines = frame.lines().ok().filter(|_| in_time)?;
     Some(lines.iter().enumerate().map_while(move |(i, bytes)| Some((header.stamp_of(i)?, of(bytes, grey)))))
 }

@@ -87,9 +87,15 @@ pub struct BScan {
     /// Images for which there was no frame.
     #[state]
     left_out: u64,
-    /// Frames since Start that were no A-scans.
+    /// Frames since Start that were no A-scans, or had a time that cannot be.
     #[state]
     refused_frames: u64,
+    /// Distances since Start that had no time, or one from ahead.
+    #[state]
+    refused_distances: u64,
+    /// Readings of the robot's pose since Start that had a time from ahead, or no numbers.
+    #[state]
+    refused_poses: u64,
     #[config]
     cfg: BScanConfig,
     depth: Depth,
@@ -154,7 +160,8 @@ impl Component for BScan {
     }
 
     fn start(&mut self) -> Result {
-        (self.progress, self.refused_frames) = (Progress::default(), 0);
+        self.progress = Progress::default();
+        (self.refused_frames, self.refused_distances, self.refused_poses) = (0, 0, 0);
         self.since = Moments::default();
         (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
         self.robot = OperatingState::default();
@@ -178,7 +185,7 @@ impl Component for BScan {
         self.now = now;
         self.progress.stamp = now;
         self.look(now);
-        self.draw();
+        self.draw(now);
         self.progress.columns = self.scan.filled() as u32;
         if self.progress.phase != Phase::IDLE {
             let driven = self.drive(tick);

@@ -118,7 +118,12 @@ impl Depth {
             return Some(Advice { speed_m_s: 0.0, distance_m, age_s, blind: true });
         }
         let error_m = distance_m - offset_m;
-        let fastest_per_s = if s.delay_s > 0.0 { GAIN_DELAY / s.delay_s } else { f64::INFINITY };
+        // No loop is faster than none at all: a delay that cannot be has no gain.
+        let fastest_per_s = match s.delay_s {
+            delay_s if delay_s > 0.0 => GAIN_DELAY / delay_s,
+            0.0 => f64::INFINITY,
+            _ => 0.0,
+        };
         let kp_per_s = s.kp_per_s.min(fastest_per_s);
         // Twice the same root: above it the sum would swing.
         let ki_per_s2 = s.ki_per_s2.min(0.25 * kp_per_s * kp_per_s);
@@ -192,6 +197,9 @@ mod tests {
         assert!((gain(30.0, 0.0095) - 30.0).abs() < 1e-6, "the usual loop keeps its gain");
         assert!((gain(100.0, 0.020) - 25.0).abs() < 1e-6, "{}", gain(100.0, 0.020));
         assert!((gain(100.0, 0.0) - 100.0).abs() < 1e-6);
+        for cannot_be in [-1e-9, -1.0, f64::NAN] {
+            assert_eq!(gain(100.0, cannot_be), 0.0, "{cannot_be}");
+        }
         // The sum, too: 2000 /s² with 25 /s would swing.
         let s = Settings { kp_per_s: 100.0, ki_per_s2: 2000.0, delay_s: 0.02, ..Settings::default() };
         let summed = seen(510e-6, 0.0).advise(9_000_000, 1e-3, 500e-6, &s).expect("known").speed_m_s;

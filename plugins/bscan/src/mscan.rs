@@ -56,9 +56,15 @@ pub struct MScan {
     /// A-scans since Start.
     #[state]
     seen: u64,
-    /// Frames since Start that were no A-scans.
+    /// Frames since Start that were no A-scans, or had a time that cannot be.
     #[state]
     refused_frames: u64,
+    /// Distances since Start that had no time, or one from ahead.
+    #[state]
+    refused_distances: u64,
+    /// Poses of the robot since Start that had a time from ahead, or no numbers.
+    #[state]
+    refused_poses: u64,
     /// Images since Start for which there was no frame.
     #[state]
     left_out: u64,
@@ -77,21 +83,25 @@ pub struct MScan {
 }
 
 impl MScan {
-    fn look(&mut self) {
+    fn look(&mut self, now: Stamp) {
         for _ in 0..BURST {
             let Some(state) = self.robot.next() else { break };
-            self.track.tip_at(state.measured_cp);
+            let pose = state.measured_cp;
+            // Stamp 0 is a robot that does not measure yet (CRTK).
+            if !self.track.tip_at(pose, now) && pose.is_valid() {
+                self.refused_poses += 1;
+            }
         }
         for _ in 0..DISTANCES {
             let Some(seen) = self.distance.next() else { break };
-            self.track.surface_at(seen);
+            self.refused_distances += u64::from(!self.track.surface_at(seen, now));
         }
     }
 
-    fn draw(&mut self) {
+    fn draw(&mut self, now: Stamp) {
         for _ in 0..BURST {
             let Some(frame) = self.ascan.next() else { return };
-            let Some(all) = ascans(&frame, self.grey) else {
+            let Some(all) = ascans(&frame, self.grey, now) else {
                 self.refused_frames += 1;
                 continue;
             };
@@ -124,7 +134,8 @@ impl Component for MScan {
     }
 
     fn start(&mut self) -> Result {
-        (self.seen, self.refused_frames, self.left_out, self.columns) = (0, 0, 0, 0);
+        (self.seen, self.left_out, self.columns) = (0, 0, 0);
+        (self.refused_frames, self.refused_distances, self.refused_poses) = (0, 0, 0);
         (self.track, self.taken) = (Track::default(), Taken::default());
         self.rolling.clear();
         self.sending.restart();
@@ -132,8 +143,8 @@ impl Component for MScan {
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
-        self.look();
-        self.draw();
+        self.look(tick.now());
+        self.draw(tick.now());
         if self.sending.is_due(tick.now(), self.cfg.image_rate_hz) {
             let size = (self.cfg.columns as usize, self.cfg.rows as usize);
             let sent = self.sending.send(&mut self.image, tick.now(), size, |room| self.rolling.write(room));

@@ -41,6 +41,8 @@ fn what_are_no_a_scans_is_counted_and_the_next_good_one_is_shown() {
         (header(SampleFormat(99), 1, 4), 8),
         (AScanHeader { stamp: Stamp::INVALID, ..header(SampleFormat::U8, 2, 4) }, 8),
         (AScanHeader { line_period: f64::NAN, ..header(SampleFormat::U8, 2, 4) }, 8),
+        // Its second A-scan is still to come.
+        (AScanHeader { stamp: bench.now(), line_period: 0.5, ..header(SampleFormat::U8, 2, 4) }, 8),
     ];
     for (header, len) in bad {
         bench.push_frame("ascan", header, &vec![200; len]);
@@ -85,6 +87,28 @@ fn columns_tell_where_tip_and_surface_were_when_their_first_a_scan_was_taken() {
     assert!((columns[1].pose.position[0] - 1.6).abs() < 1e-12, "{:?}", columns[1].pose);
     assert_eq!(columns[0].distance, 0.5e-3);
     assert!(columns[1].distance.is_nan(), "that A-scan shows no surface");
+}
+
+#[test]
+fn poses_and_distances_from_ahead_are_counted_and_those_that_follow_are_the_columns() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    let stamp = Stamp::from_ns(bench.now().ns() + 1_000_000_000);
+    for stamp in [stamp, Stamp::INVALID] {
+        bench.push("distance", Distance { stamp, ..Distance::default() });
+        let measured_cp = Pose { stamp, ..Pose::default() };
+        bench.push("robot", ArmState { measured_cp, ..ArmState::default() });
+    }
+    bench.step(1);
+    let state = bench.state();
+    assert_eq!(
+        (state.refused_distances, state.refused_poses),
+        (2, 1),
+        "stamp 0 is a robot that does not measure"
+    );
+    push_all(&mut bench);
+    bench.step(1);
+    let columns = bench.outputs::<ScanColumn>("column");
+    assert_eq!((columns[0].pose.stamp, columns[0].distance), (columns[0].stamp, 0.5e-3));
 }
 
 #[test]

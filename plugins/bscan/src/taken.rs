@@ -1,6 +1,7 @@
 //! Where and when the columns of an image were taken.
 //!
-//! Invariant: pose and distance of a column are those of one moment, that of its first A-scan, however late either is told.
+//! Invariant: pose and distance of a column are those of one moment, that of its first A-scan, however late either is told. What has
+//! no time, or one that is still to come, is not taken: it would make all that follows too late.
 
 use trocar_sdk::data::{Distance, Pose};
 use trocar_sdk::prelude::*;
@@ -12,6 +13,14 @@ use crate::payloads::ScanColumn;
 const POSES: usize = 64;
 const DISTANCES: usize = 256;
 
+/// How far a time may lie ahead of the step that takes it, s: as far as the tip's time line can be asked.
+pub const AHEAD_S: f64 = 0.005;
+
+/// Can something have been told at `now` that was so at `stamp`?
+pub fn can_be(stamp: Stamp, now: Stamp) -> bool {
+    stamp.is_valid() && !stamp.is_ahead_of(now, AHEAD_S)
+}
+
 /// What robot and tracker told of the last moments.
 #[derive(Clone, Debug, Default)]
 pub struct Track {
@@ -20,16 +29,22 @@ pub struct Track {
 }
 
 impl Track {
-    /// Where the tip is by the encoders; what is no pose is left out.
-    pub fn tip_at(&mut self, pose: Pose) {
-        if pose.is_valid() && pose.position.iter().all(|p| p.is_finite()) {
+    /// Where the tip is by the encoders, as it is told at `now`; false for what is no pose, or none that can be.
+    pub fn tip_at(&mut self, pose: Pose, now: Stamp) -> bool {
+        let good = can_be(pose.stamp, now) && pose.position.iter().all(|p| p.is_finite());
+        if good {
             self.poses.push(pose);
         }
+        good
     }
 
-    /// What was seen in one A-scan.
-    pub fn surface_at(&mut self, seen: Distance) {
-        self.distances.push(seen);
+    /// What was seen in one A-scan, as it is told at `now`; false where it cannot have been seen then.
+    pub fn surface_at(&mut self, seen: Distance, now: Stamp) -> bool {
+        let good = can_be(seen.stamp, now);
+        if good {
+            self.distances.push(seen);
+        }
+        good
     }
 }
 
@@ -79,15 +94,16 @@ mod tests {
     #[test]
     fn a_distance_that_comes_after_its_a_scan_is_the_columns_and_a_later_one_is_not() {
         let mut track = Track::default();
-        track.surface_at(seen(1_000_000, 1e-3));
+        let now = Stamp::from_ns(2_000_000);
+        track.surface_at(seen(1_000_000, 1e-3), now);
         for ns in [500_000, 1_500_000] {
-            track.tip_at(Pose { stamp: Stamp::from_ns(ns), ..Pose::default() });
+            track.tip_at(Pose { stamp: Stamp::from_ns(ns), ..Pose::default() }, now);
         }
         let mut taken = Taken::begin(Stamp::from_ns(1_250_000), &track);
         assert_eq!(taken.column(0, 0, 1).distance, 1e-3, "the last one until it is told");
-        track.surface_at(seen(1_250_000, 2e-3));
+        track.surface_at(seen(1_250_000, 2e-3), now);
         taken.complete(&track);
-        track.surface_at(seen(1_500_000, 3e-3));
+        track.surface_at(seen(1_500_000, 3e-3), now);
         taken.complete(&track);
         let column = taken.column(7, 3, 16);
         assert_eq!(
@@ -100,8 +116,23 @@ mod tests {
     #[test]
     fn what_nobody_told_is_no_pose_and_no_distance() {
         let mut track = Track::default();
-        track.tip_at(Pose { position: [f64::NAN; 3], stamp: Stamp::from_ns(5), ..Pose::default() });
+        let told = Pose { position: [f64::NAN; 3], stamp: Stamp::from_ns(5), ..Pose::default() };
+        assert!(!track.tip_at(told, Stamp::from_ns(6)));
         let column = Taken::begin(Stamp::from_ns(5), &track).column(0, 0, 1);
         assert!(!column.pose.is_valid() && column.distance.is_nan() && column.stamp.ns() == 5);
+    }
+
+    #[test]
+    fn what_is_still_to_come_is_not_taken_and_what_follows_it_is() {
+        let now = Stamp::from_ns(1_000_000_000);
+        for lie in [Stamp::INVALID, Stamp::from_ns(now.ns() + 5_000_001), Stamp::from_ns(u64::MAX)] {
+            let mut track = Track::default();
+            assert!(!track.surface_at(seen(lie.ns(), 1e-3), now), "{lie:?}");
+            assert!(!track.tip_at(Pose { stamp: lie, ..Pose::default() }, now), "{lie:?}");
+            assert!(track.surface_at(seen(now.ns(), 2e-3), now));
+            assert!(track.tip_at(Pose { stamp: now, ..Pose::default() }, now));
+            let column = Taken::begin(now, &track).column(0, 0, 1);
+            assert_eq!((column.distance, column.pose.stamp), (2e-3, now), "{lie:?}");
+        }
     }
 }

@@ -14,10 +14,10 @@ const BURST: usize = 32;
 
 impl BScan {
     /// Puts A-scans where they belong.
-    pub(super) fn draw(&mut self) {
+    pub(super) fn draw(&mut self, now: Stamp) {
         for _ in 0..BURST {
             let Some(frame) = self.ascan.next() else { return };
-            let Some(all) = ascans(&frame, self.grey) else {
+            let Some(all) = ascans(&frame, self.grey, now) else {
                 self.refused_frames += 1;
                 continue;
             };

@@ -157,6 +157,8 @@ fn frames_that_are_no_a_scans_are_counted() {
         header(SampleFormat::U16, 1, 4),
         header(SampleFormat::U8, u32::MAX, u32::MAX),
         AScanHeader { line_period: f64::NAN, ..header(SampleFormat::U8, 2, 4) },
+        // Its second A-scan is still to come.
+        AScanHeader { stamp: bench.now(), line_period: 0.01, ..header(SampleFormat::U8, 2, 4) },
     ];
     for header in bad {
         bench.push_frame("ascan", header, &[7; 8]);

@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing is commanded here; what is taken in carries the time at which it was so.
 
-use trocar_sdk::data::Distance;
+use trocar_sdk::data::{Distance, Pose};
 use trocar_sdk::prelude::*;
 
 use super::BScan;
@@ -17,19 +17,12 @@ const BURST: usize = 64;
 impl BScan {
     /// Robot and surface as they are told.
     pub(super) fn look(&mut self, now: Stamp) {
+        // Stamp 0 is a robot that does not measure yet (CRTK).
         if let Ok(pose) = self.measured_cp.call(())
             && pose.is_valid()
-            && pose.position.iter().all(|p| p.is_finite())
             && pose.stamp != self.pose.stamp
         {
-            self.pose = pose;
-            self.track.tip_at(pose);
-            self.hop_s += DELAY_SHARE * (now.seconds_since(pose.stamp).max(0.0) - self.hop_s);
-            self.since.robot = now;
-            self.depth.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
-            if let Some(line) = &self.line {
-                self.gone.push(pose.stamp.ns(), line.along_m(&pose.position));
-            }
+            self.follow(pose, now);
         }
         if let Ok(state) = self.operating_state.call(()) {
             self.robot = state;
@@ -37,11 +30,29 @@ impl BScan {
         let mut newest = None;
         for _ in 0..BURST {
             let Some(seen) = self.distance.next() else { break };
-            self.track.surface_at(seen);
-            newest = Some(seen);
+            if self.track.surface_at(seen, now) {
+                newest = Some(seen);
+            } else {
+                self.refused_distances += 1;
+            }
         }
         if let Some(seen) = newest.filter(|seen| seen.stamp != self.last.stamp) {
             self.see(seen, now);
+        }
+    }
+
+    /// The tip is where the robot says it was.
+    fn follow(&mut self, pose: Pose, now: Stamp) {
+        if !self.track.tip_at(pose, now) {
+            self.refused_poses += 1;
+            return;
+        }
+        self.pose = pose;
+        self.hop_s += DELAY_SHARE * (now.seconds_since(pose.stamp).max(0.0) - self.hop_s);
+        self.since.robot = now;
+        self.depth.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
+        if let Some(line) = &self.line {
+            self.gone.push(pose.stamp.ns(), line.along_m(&pose.position));
         }
     }
 
@@ -49,7 +60,8 @@ impl BScan {
     fn see(&mut self, seen: Distance, now: Stamp) {
         self.last = seen;
         self.progress.surface = seen.valid;
-        let delay_s = now.seconds_since(seen.stamp);
+        // What comes a little before its time is on time: less than no delay would hide that of others in the mean.
+        let delay_s = now.seconds_since(seen.stamp).max(0.0);
         let share = if std::mem::replace(&mut self.since.delay_known, true) { DELAY_SHARE } else { 1.0 };
         self.progress.delay += share * (delay_s - self.progress.delay);
         self.progress.loop_delay = self.progress.delay + self.hop_s + self.cfg.robot_lag_s;
@@ -64,3 +76,7 @@ impl BScan {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "seeing_tests.rs"]
+mod tests;
