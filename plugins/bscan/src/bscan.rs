@@ -27,6 +27,7 @@ use crate::payloads::{Phase, Progress, ScanColumn, ScanDone};
 use crate::sending::{SLOTS, Sending};
 use crate::taken::{Taken, Track};
 use config::BScanConfig;
+use ending::Owed;
 
 /// The loop is not closed above this measured delay, from exposure to step and from robot to step, s. The prediction is stable to
 /// 10 ms.
@@ -114,6 +115,8 @@ pub struct BScan {
     goes_back: bool,
     /// From tip to surface when that was seen last, or as predicted since, if that is less, m.
     near_m: f64,
+    /// What the robot was told when the last scan ended, and has not taken.
+    owed: Owed,
     last: Distance,
     scan: Scan,
     /// Of the column that grows.
@@ -162,7 +165,7 @@ impl Component for BScan {
     fn start(&mut self) -> Result {
         self.progress = Progress::default();
         (self.refused_frames, self.refused_distances, self.refused_poses) = (0, 0, 0);
-        self.since = Moments::default();
+        (self.since, self.owed) = (Moments::default(), Owed::default());
         (self.line, self.last, self.pose) = (None, Distance::default(), Pose::default());
         self.robot = OperatingState::default();
         self.depth = Depth::default();
@@ -185,6 +188,7 @@ impl Component for BScan {
         self.now = now;
         self.progress.stamp = now;
         self.look(now);
+        self.settle();
         self.draw(now);
         self.progress.columns = self.scan.filled() as u32;
         if self.progress.phase != Phase::IDLE {

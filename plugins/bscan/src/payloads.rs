@@ -56,7 +56,9 @@ pub struct Progress {
     pub of: u32,
     /// The tracker's last distance was valid.
     pub surface: Flag,
-    pub reserved: [u8; 3],
+    /// The last scan ended before its end and the robot has taken no way back from the surface: an eye that moves comes near the tip.
+    pub stranded: Flag,
+    pub reserved: [u8; 2],
     /// Predicted for now, from tip to surface.
     #[unit("m")]
     pub distance: f64,
@@ -69,6 +71,8 @@ pub struct Progress {
     /// Of the whole loop: that, the age of the robot's pose (the hop from there), and the robot's own lag as configured.
     #[unit("s")]
     pub loop_delay: f64,
+    /// Commands of this scan that the robot did not take: hold, move_cr, set_guard, set_retreat.
+    pub refused: u64,
 }
 
 /// A column of an image is there. That of an M-scan has scan 0, and counts from Start.

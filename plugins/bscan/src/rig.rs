@@ -108,6 +108,8 @@ pub(crate) struct Rig {
     pub(crate) held: usize,
     /// Commands that the robot did not take.
     pub(crate) refused: Vec<String>,
+    /// Commands that the arm does not take now.
+    refuses: &'static [&'static str],
     /// Steps must not allocate.
     pub(crate) watched: bool,
 }
@@ -153,6 +155,7 @@ impl Rig {
             truth: Vec::new(),
             held: 0,
             refused: Vec::new(),
+            refuses: &[],
             watched: false,
         };
         rig.capture();
@@ -242,6 +245,7 @@ impl Rig {
     /// Brings what the component has sent to the robot.
     fn pass_on(&mut self) {
         let mut done = Vec::new();
+        self.drop_refused();
         for (from, to) in [("axis/servo_cv", "axis/servo_cv"), ("robot/servo_cv", "arm/servo_cv")] {
             if let Some(mut twist) = self.bench.calls::<Twist>(from).pop() {
                 if self.stuck {
@@ -322,6 +326,30 @@ impl Rig {
         let Setup { offset_m: offset, end_m, .. } = self.setup;
         let request = ScanRequest { offset, to: [end_m, 0.0, 0.0], ..Rig::request() };
         self.bench.command::<ScanRequest, ()>("scan/start", request).expect("a scan");
+    }
+
+    /// The arm does not take these commands, `robot/hold` or `robot/move_cr`, but answers this.
+    pub(crate) fn refuse(&mut self, commands: &'static [&'static str], outcome: Outcome) {
+        commands.iter().for_each(|command| self.bench.fail(command, outcome));
+        self.refuses = commands;
+    }
+
+    /// The arm takes all commands again.
+    pub(crate) fn take_again(&mut self) {
+        self.drop_refused();
+        std::mem::take(&mut self.refuses)
+            .iter()
+            .for_each(|command| self.bench.fail(command, Outcome::Queued));
+    }
+
+    /// What the arm has not taken never comes to it.
+    fn drop_refused(&mut self) {
+        for command in self.refuses {
+            match *command {
+                "robot/hold" => _ = self.bench.calls::<()>(command),
+                _ => _ = self.bench.calls::<Pose>(command),
+            }
+        }
     }
 
     /// A robot that goes back by itself, or one that cannot.

@@ -26,6 +26,7 @@ impl BScan {
         self.gone.clear();
         self.progress.scan += 1;
         (self.progress.columns, self.progress.of) = (0, line.columns as u32);
+        (self.progress.refused, self.progress.stranded) = (0, false.into());
         self.line = Some(line);
         self.enter(Phase::APPROACH, now);
         Ok(())

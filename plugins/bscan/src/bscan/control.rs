@@ -66,7 +66,8 @@ impl BScan {
             return Err("the robot's orientation is no unit quaternion");
         };
         if !advice.blind {
-            self.set_guard.send(self.guard(&axis, advice.distance_m));
+            let taken = self.set_guard.send(self.guard(&axis, advice.distance_m));
+            self.count(taken);
         }
         self.near_m = if advice.blind { self.near_m.min(advice.distance_m) } else { advice.distance_m };
         self.progress.distance = advice.distance_m;

@@ -1,6 +1,9 @@
 //! How a scan goes from phase to phase, and how it ends.
 //!
-//! Invariant: every way out ends with `hold`, without guard and retreat, and is told by exactly one event.
+//! Invariant: every way out ends with `hold`, without guard and retreat, and is told by exactly one event, which says what of it the
+//! robot did not take at once.
+
+use std::io::Write;
 
 use trocar_oct_core::tip::axis_of;
 use trocar_sdk::data::{Pose, Retreat, VirtualFixture};
@@ -8,6 +11,27 @@ use trocar_sdk::prelude::*;
 
 use super::{BScan, ROBOT_LOST_S, is_ready};
 use crate::payloads::{Phase, Progress, ScanDone};
+
+/// What the robot did not take is sent again for so long, s: as long as its last velocity can go on. Later somebody else may lead it.
+const AGAIN_S: f64 = 0.02;
+
+/// What the robot was told at the end of a scan, and has not taken.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Owed {
+    hold: bool,
+    away: Option<Pose>,
+}
+
+impl Owed {
+    fn said(&self) -> &'static str {
+        match (self.hold, self.away.is_some()) {
+            (false, false) => "",
+            (true, false) => "; hold was not taken",
+            (false, true) => "; move_cr was not taken",
+            (true, true) => "; hold and move_cr were not taken",
+        }
+    }
+}
 
 impl BScan {
     pub(super) fn enter(&mut self, phase: Phase, now: Stamp) {
@@ -22,7 +46,7 @@ impl BScan {
             return;
         }
         self.go_away();
-        self.bscan_aborted.emit(Text::new(why));
+        self.bscan_aborted.emit(joined(why, self.owed.said()));
     }
 
     /// The robot is not led any more, and goes the rest of the way back.
@@ -30,19 +54,23 @@ impl BScan {
         let told = self.now.seconds_since(self.since.robot) <= ROBOT_LOST_S;
         let axis = axis_of(&self.pose.orientation).filter(|_| told && is_ready(&self.robot));
         let left_m = self.left_m();
-        self.rest();
-        if let Some(axis) = axis.filter(|_| left_m > 0.0) {
-            // One command, which the robot carries out to its end whatever becomes of this component.
-            let position = axis.map(|a| -a * left_m);
-            self.move_cr.send(Pose { stamp: self.now, position, ..Pose::default() });
-        }
+        // One command, which the robot carries out to its end whatever becomes of this component.
+        let away = axis.filter(|_| left_m > 0.0).map(|axis| Pose {
+            stamp: self.now,
+            position: axis.map(|a| -a * left_m),
+            ..Pose::default()
+        });
+        self.rest(away);
+        self.progress.stranded = (left_m > 0.0 && (away.is_none() || self.owed.away.is_some())).into();
     }
 
-    /// The robot stands, and is not commanded any more.
-    fn rest(&mut self) {
-        self.hold.send(());
-        self.set_guard.send(VirtualFixture::default());
-        self.set_retreat.send(Retreat::default());
+    /// The robot stands, or goes `away` from there, and is not commanded any more.
+    fn rest(&mut self, away: Option<Pose>) {
+        self.ask(Owed { hold: true, away });
+        let taken = self.set_guard.send(VirtualFixture::default());
+        self.count(taken);
+        let taken = self.set_retreat.send(Retreat::default());
+        self.count(taken);
         self.enter(Phase::IDLE, self.now);
         self.progress.error = 0.0;
         self.line = None;
@@ -58,8 +86,39 @@ impl BScan {
 
     /// The tip is as far away as it is wanted.
     pub(super) fn end(&mut self) {
-        self.rest();
+        self.rest(None);
         self.tell_done();
+    }
+
+    /// Counts what the robot did not take; where nothing is connected there is nobody who refuses. Tells whether it was taken.
+    pub(super) fn count(&mut self, outcome: Outcome) -> bool {
+        self.progress.refused += u64::from(!outcome.is_ok() && outcome != Outcome::Unbound);
+        outcome.is_ok()
+    }
+
+    /// To hold, and then to go away; what is not taken stays owed. A way that is taken needs no hold, which would end it.
+    fn ask(&mut self, owed: Owed) {
+        let outcome = owed.hold.then(|| self.hold.send(()));
+        let held = outcome.is_none_or(|outcome| self.count(outcome));
+        let outcome = owed.away.map(|away| self.move_cr.send(away));
+        let gone = outcome.is_some_and(|outcome| self.count(outcome));
+        self.owed = Owed { hold: !held && !gone, away: owed.away.filter(|_| !gone) };
+    }
+
+    /// Sends once more what the robot did not take at the end of the scan.
+    pub(super) fn settle(&mut self) {
+        let owed = self.owed;
+        if !owed.hold && owed.away.is_none() {
+            return;
+        }
+        if self.progress.phase != Phase::IDLE || self.now.seconds_since(self.since.phase) > AGAIN_S {
+            self.owed = Owed::default();
+            return;
+        }
+        self.ask(owed);
+        if owed.away.is_some() && self.owed.away.is_none() {
+            self.progress.stranded = false.into();
+        }
     }
 
     /// The tip cannot be led away any more: it goes the rest of the way unseen, and the image is there all the same.
@@ -72,6 +131,16 @@ impl BScan {
         let Progress { scan, of, columns, .. } = self.progress;
         self.bscan_done.emit(ScanDone { scan, columns: of, empty: of - columns });
     }
+}
+
+/// Two texts as one, without allocating.
+fn joined(first: &str, second: &str) -> Text<128> {
+    let mut bytes = [0; 128];
+    let mut room = &mut bytes[..];
+    // What does not fit is cut.
+    _ = write!(room, "{first}{second}");
+    let left = room.len();
+    Text::new(str::from_utf8(&bytes[..128 - left]).unwrap_or(first))
 }
 
 #[cfg(test)]

@@ -116,19 +116,106 @@ fn abort_ends_a_scan_at_any_moment_with_one_event_and_a_hold() {
 }
 
 #[test]
-fn a_robot_that_is_paused_or_fails_ends_the_scan_and_resume_moves_nothing() {
-    for state in [OperatingMode::PAUSED, OperatingMode::FAULT, OperatingMode::DISABLED] {
+fn a_robot_that_is_paused_or_disabled_ends_the_scan_and_moves_nothing_when_it_is_brought_back() {
+    for (away, back) in [("pause", "resume"), ("disable", "enable")] {
         let mut rig = Rig::new(Setup::new("default", 1));
         rig.begin();
         rig.until_scanning();
-        rig.pretends = Some(OperatingState { state, ..ready() });
+        rig.steps(100);
+        let says = |rig: &mut Rig, word| {
+            rig.robot.command::<Text<32>, ()>("arm/state_command", Text::new(word)).unwrap();
+        };
+        says(&mut rig, away);
+        // What was on its way when it was paused, it refuses.
         rig.steps(2);
         let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
-        assert_eq!(told, ["the robot is no longer enabled and homed"], "{state:?}");
-        assert_eq!(rig.bench.state().progress.phase, Phase::IDLE);
+        assert_eq!(told, ["the robot is no longer enabled and homed"], "{away}");
+        assert!(rig.progress().phase == Phase::IDLE && rig.progress().stranded.get(), "{away}");
+        rig.refused.clear();
         rig.steps(100);
-        rig.pretends = None;
-        assert!(rig.stands(), "nothing moves by itself");
+        says(&mut rig, back);
+        let state: OperatingState = rig.robot.read("arm/operating_state", ()).unwrap();
+        assert_eq!((state.state, state.is_homed.get()), (OperatingMode::ENABLED, true), "{back}");
+        assert!(rig.stands(), "{back}: nothing moves by itself");
+        assert!(rig.refused.is_empty(), "nothing is sent any more: {:?}", rig.refused);
+        assert_eq!(rig.bench.events::<Text<128>>("scan/bscan_aborted").len(), 0);
+    }
+}
+
+#[test]
+fn a_robot_that_fails_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("default", 1));
+    rig.begin();
+    rig.until_scanning();
+    rig.pretends = Some(OperatingState { state: OperatingMode::FAULT, ..ready() });
+    rig.steps(2);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the robot is no longer enabled and homed"]);
+    assert_eq!(rig.progress().phase, Phase::IDLE);
+}
+
+/// A scan that is aborted while the robot does not take these commands.
+fn abort_against(refuses: &'static [&'static str], outcome: Outcome) -> (Rig, String) {
+    let mut rig = Rig::new(Setup { offset_m: 200e-6, ..Setup::new("static_no_membrane", 1) });
+    rig.begin();
+    rig.until_scanning();
+    rig.steps(100);
+    rig.refuse(refuses, outcome);
+    rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told.len(), 1);
+    (rig, told[0].to_string())
+}
+
+#[test]
+fn what_the_robot_does_not_take_at_the_end_is_told_counted_and_sent_again_until_it_is_taken() {
+    let cases: [(&'static [&'static str], &str); 3] = [
+        (&["robot/hold"], ""),
+        (&["robot/move_cr"], "; move_cr was not taken"),
+        (&["robot/hold", "robot/move_cr"], "; hold and move_cr were not taken"),
+    ];
+    for (refuses, said) in cases {
+        let (mut rig, told) = abort_against(refuses, Outcome::QueueFull);
+        assert_eq!(told, format!("aborted by command{said}"));
+        rig.take_again();
+        rig.steps(3);
+        assert_eq!(rig.progress().refused, refuses.len() as u64, "{refuses:?}");
+        assert!(!rig.progress().stranded.get(), "{refuses:?}: taken meanwhile");
+        rig.watch(400);
+        let rests = rig.watch(1)[0];
+        assert!((rests - 600e-6).abs() < 30e-6, "{refuses:?}: rests at {rests:.2e} m");
+    }
+}
+
+#[test]
+fn a_robot_that_takes_no_way_back_is_asked_for_twenty_milliseconds_and_the_tip_is_told_to_be_stranded() {
+    let (mut rig, told) = abort_against(&["robot/move_cr"], Outcome::Failed);
+    assert_eq!(told, "aborted by command; move_cr was not taken");
+    rig.steps(40);
+    let progress = rig.progress();
+    assert!(progress.stranded.get() && (20..=22).contains(&progress.refused), "{progress:?}");
+    // Long after it is well again, nothing comes by surprise.
+    rig.take_again();
+    let rests = rig.truth.last().unwrap().distance_m;
+    rig.steps(200);
+    let moved = rig.truth.last().unwrap().distance_m - rests;
+    assert!(moved.abs() < 3e-6, "{moved:.2e} m");
+    assert!(rig.stands());
+    rig.begin();
+    rig.step();
+    assert!(!rig.progress().stranded.get() && rig.progress().refused == 0, "a new scan");
+}
+
+#[test]
+fn a_guard_that_the_robot_does_not_take_is_counted_and_one_that_is_not_connected_is_not() {
+    for connected in [true, false] {
+        let mut rig = Rig::new(Setup::new("static_no_membrane", 1));
+        rig.bench.fail("fixture/set_guard", Outcome::Failed);
+        rig.bench.connect_function("fixture/set_guard", connected);
+        rig.begin();
+        rig.steps(10);
+        let refused = rig.progress().refused;
+        assert!(if connected { (9..=10).contains(&refused) } else { refused == 0 }, "{connected}: {refused}");
     }
 }
 

@@ -15,16 +15,15 @@ impl BScan {
     /// Tells the robot what to do should this component die, which has to leave the eye its room.
     pub(super) fn leave_room(&mut self, offset_m: f64) -> Result<(), String> {
         self.goes_back = self.set_retreat.send(self.retreat()).is_ok();
-        self.require_room(offset_m).inspect_err(|_| {
-            self.set_retreat.send(Retreat::default());
-        })
+        self.require_room(offset_m).inspect_err(|_| _ = self.set_retreat.send(Retreat::default()))
     }
 
     /// The same after a change of the settings while a scan runs.
     pub(super) fn keep_room(&mut self) -> Result<(), String> {
         let Some(line) = &self.line else { return Ok(()) };
         self.require_room(line.offset_m)?;
-        self.set_retreat.send(self.retreat());
+        let taken = self.set_retreat.send(self.retreat());
+        self.count(taken);
         Ok(())
     }
 
