@@ -114,6 +114,7 @@ impl MScan {
                     self.column.write(&self.taken.column(0, self.columns, lines));
                     self.columns = self.columns.wrapping_add(1);
                 }
+                self.sending.saw(taken);
                 self.seen += 1;
             }
         }
@@ -147,7 +148,7 @@ impl Component for MScan {
         self.draw(tick.now());
         if self.sending.is_due(tick.now(), self.cfg.image_rate_hz) {
             let size = (self.cfg.columns as usize, self.cfg.rows as usize);
-            let sent = self.sending.send(&mut self.image, tick.now(), size, |room| self.rolling.write(room));
+            let sent = self.sending.send(&mut self.image, size, |room| self.rolling.write(room));
             self.left_out += u64::from(!sent);
         }
         Ok(())

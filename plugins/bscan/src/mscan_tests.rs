@@ -49,7 +49,7 @@ fn what_are_no_a_scans_is_counted_and_the_next_good_one_is_shown() {
     }
     bench.step(1);
     assert_eq!((bench.state().seen, bench.state().refused_frames), (0, bad.len() as u64));
-    assert_eq!(newest(&mut bench).1, [0; 12]);
+    assert!(bench.frames::<ImageHeader>("image").is_empty(), "no news");
     bench.push_frame("ascan", header(SampleFormat::U8, 2, 4), &[8; 8]);
     bench.step(1);
     assert_eq!(newest(&mut bench).1, [0, 0, 8].repeat(4));
@@ -140,11 +140,36 @@ fn a_start_begins_with_a_black_image_and_column_0() {
 #[test]
 fn images_come_at_their_rate_and_without_a_free_frame_they_are_counted_as_left_out() {
     let mut bench = Bench::<MScan>::new(r#"{"rows": 4, "columns": 3, "image_rate_hz": 25}"#);
-    bench.step(100);
+    step_with_news(&mut bench, 100);
     assert_eq!(bench.frames::<ImageHeader>("image").len(), 25);
     bench.exhaust("image", true);
-    bench.step(8);
+    step_with_news(&mut bench, 8);
     assert_eq!(bench.state().left_out, 2);
+}
+
+/// Steps, with an A-scan just before each one.
+fn step_with_news(bench: &mut Bench<MScan>, steps: usize) {
+    for _ in 0..steps {
+        let stamp = bench.now();
+        bench.push_frame("ascan", AScanHeader { stamp, ..header(SampleFormat::U8, 1, 4) }, &[8; 4]);
+        bench.step(1);
+    }
+}
+
+#[test]
+fn images_have_the_time_of_their_newest_a_scan_and_a_silent_oct_sends_none() {
+    let mut bench = Bench::<MScan>::new(CONFIG);
+    bench.step(10);
+    assert!(bench.frames::<ImageHeader>("image").is_empty(), "nothing was seen yet");
+    push_all(&mut bench);
+    bench.step(1);
+    let newest = Stamp::from_ns(1_750_000);
+    let images = bench.frames::<ImageHeader>("image");
+    assert_eq!(images.iter().map(|(h, _, s)| (h.stamp, *s)).collect::<Vec<_>>(), [(newest, newest)]);
+    bench.step(100);
+    assert!(bench.frames::<ImageHeader>("image").is_empty(), "the OCT is silent");
+    step_with_news(&mut bench, 1);
+    assert_eq!(bench.frames::<ImageHeader>("image").len(), 1, "and here again");
 }
 
 #[test]

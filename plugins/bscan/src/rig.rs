@@ -368,19 +368,25 @@ impl Rig {
         panic!("the scan does not set off: {:?}", self.progress());
     }
 
+    /// Goes on until the scan has ended.
+    pub(crate) fn until_idle(&mut self) {
+        for _ in 0..8000 {
+            if self.progress().phase == Phase::IDLE {
+                return;
+            }
+            self.step();
+        }
+        panic!("the scan does not end: {:?}", self.progress());
+    }
+
     /// The whole scan.
     pub(crate) fn run(setup: Setup) -> Rig {
         let mut rig = Rig::new(setup);
         rig.begin();
         rig.until_scanning();
         rig.spectrograph.set_light(1.0, Optics::GAIN * setup.signal, 0.55);
-        for _ in 0..8000 {
-            rig.step();
-            if rig.progress().phase == Phase::IDLE {
-                assert!(rig.refused.is_empty(), "the robot refused: {:?}", rig.refused);
-                return rig;
-            }
-        }
-        panic!("the scan does not end: {:?}", rig.progress());
+        rig.until_idle();
+        assert!(rig.refused.is_empty(), "the robot refused: {:?}", rig.refused);
+        rig
     }
 }

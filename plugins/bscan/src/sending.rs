@@ -1,6 +1,7 @@
 //! Images on their way out.
 //!
-//! Invariant: an image goes out whole or not at all; their numbers have no gap.
+//! Invariant: an image goes out whole or not at all, with the time of its newest A-scan, and not again before another one came: so
+//! nobody takes one of an OCT that is silent for news. Their numbers have no gap.
 
 use trocar_sdk::data::{ImageHeader, PixelFormat};
 use trocar_sdk::prelude::*;
@@ -13,35 +14,52 @@ pub(crate) const SLOTS: u32 = 6;
 pub(crate) struct Sending {
     next: Stamp,
     index: u64,
+    /// Time of the newest A-scan, 0 without any, and that of the last image.
+    newest: Stamp,
+    sent: Stamp,
 }
 
 impl Sending {
-    /// Is the next image due? It is not again before `rate_hz` says so.
+    /// An A-scan of this time is in the image.
+    pub(crate) fn saw(&mut self, taken: Stamp) {
+        self.newest = self.newest.max(taken);
+    }
+
+    /// Is there an A-scan in the image at all?
+    pub(crate) fn has_any(&self) -> bool {
+        self.newest.is_valid()
+    }
+
+    /// Is there an A-scan that no image showed yet?
+    fn has_news(&self) -> bool {
+        self.newest > self.sent
+    }
+
+    /// Is the next image due? It is with news alone, and not again before `rate_hz` says so.
     pub(crate) fn is_due(&mut self, now: Stamp, rate_hz: f64) -> bool {
-        let due = now >= self.next;
+        let due = self.has_news() && now >= self.next;
         if due {
             self.next = Stamp::from_ns(now.ns() + (1e9 / rate_hz) as u64);
         }
         due
     }
 
-    /// The first one is due at once.
+    /// Another image: its first one is due at once, with its first A-scan.
     pub(crate) fn restart(&mut self) {
-        self.next = Stamp::INVALID;
+        *self = Sending { index: self.index, ..Sending::default() };
     }
 
     /// Sends an image of `width` times `height` pixels that `draw` draws; false where there is no frame for it.
     pub(crate) fn send(
         &mut self,
         to: &mut Out<Frame<ImageHeader>>,
-        stamp: Stamp,
         (width, height): (usize, usize),
         draw: impl FnOnce(&mut [u8]),
     ) -> bool {
         let Ok(mut loan) = to.loan() else { return false };
         let Some(room) = loan.bytes_mut().get_mut(..width * height) else { return false };
         draw(room);
-        let width_px = width as u32;
+        let (stamp, width_px) = (self.newest, width as u32);
         *loan.header_mut() = ImageHeader {
             stamp,
             index: self.index,
@@ -52,6 +70,7 @@ impl Sending {
         };
         loan.commit(width * height, stamp);
         self.index += 1;
+        self.sent = stamp;
         true
     }
 }

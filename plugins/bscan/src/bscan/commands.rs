@@ -23,6 +23,7 @@ impl BScan {
         self.leave_room(line.offset_m)?;
         self.depth.begin();
         self.scan.begin(line.columns);
+        self.sending.restart();
         self.gone.clear();
         self.progress.scan += 1;
         (self.progress.columns, self.progress.of) = (0, line.columns as u32);

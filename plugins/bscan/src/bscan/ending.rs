@@ -80,7 +80,7 @@ impl BScan {
     pub(super) fn finish(&mut self, now: Stamp) {
         self.end_column();
         self.progress.columns = self.scan.filled() as u32;
-        self.send_scan(now);
+        self.send_last();
         self.enter(Phase::RETRACT, now);
     }
 

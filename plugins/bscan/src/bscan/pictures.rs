@@ -29,6 +29,7 @@ impl BScan {
                 }
                 let Some(gone_m) = self.gone.at(taken.ns()).filter(|gone_m| *gone_m >= 0.0) else { continue };
                 self.taken.complete(&self.track);
+                self.sending.saw(taken);
                 let begins = self.scan.lines() == 0;
                 let ended = self.scan.add((gone_m / line.pitch_m) as usize, ascan);
                 if let Some((column, lines)) = ended {
@@ -51,16 +52,23 @@ impl BScan {
     }
 
     /// Sends the image of the scan as it is now.
-    pub(super) fn send_scan(&mut self, now: Stamp) {
+    fn send_scan(&mut self) {
         let (pixels, size) = (self.scan.pixels(), (self.scan.width(), self.cfg.rows as usize));
-        let sent = self.sending.send(&mut self.bscan_image, now, size, |room| room.copy_from_slice(pixels));
+        let sent = self.sending.send(&mut self.bscan_image, size, |room| room.copy_from_slice(pixels));
         self.left_out += u64::from(!sent);
     }
 
     /// Sends the image of a scan that goes on, when it is time.
     pub(super) fn send_if_due(&mut self, now: Stamp) {
         if self.progress.phase == Phase::SCAN && self.sending.is_due(now, self.cfg.image_rate_hz) {
-            self.send_scan(now);
+            self.send_scan();
+        }
+    }
+
+    /// Sends the whole image at the end of the line, when there are A-scans in it.
+    pub(super) fn send_last(&mut self) {
+        if self.sending.has_any() {
+            self.send_scan();
         }
     }
 }

@@ -118,6 +118,38 @@ fn columns_tell_where_the_tip_and_the_surface_were_when_their_first_a_scan_was_t
 }
 
 #[test]
+fn images_grow_with_the_scan_have_the_time_of_their_newest_a_scan_and_come_with_news_alone() {
+    let setup = Setup { images: true, end_m: -1.1e-3, ..Setup::new("no_membrane", 2) };
+    let mut rig = Rig::new(setup);
+    rig.begin();
+    rig.until_scanning();
+    rig.steps(300);
+    let images = rig.bench.frames::<ImageHeader>("bscan_image");
+    assert!((4..=6).contains(&images.len()), "{} images in 0.3 s", images.len());
+    for (header, _, stamp) in &images {
+        assert_eq!(header.stamp, *stamp);
+        assert!(rig.truth.iter().any(|t| t.ns == stamp.ns()), "the time of an exposure");
+    }
+    // The distances go on, the A-scans do not.
+    rig.bench.connect_input("ascan", false);
+    rig.steps(100);
+    assert!(rig.bench.frames::<ImageHeader>("bscan_image").len() <= 1, "what had come before");
+    rig.steps(60);
+    assert!(rig.bench.frames::<ImageHeader>("bscan_image").is_empty(), "the OCT is silent");
+    let last = images.last().unwrap().0.stamp;
+    rig.until_idle();
+    let (whole, ..) = rig.bench.frames::<ImageHeader>("bscan_image").pop().unwrap();
+    let age_s = whole.stamp.seconds_since(last);
+    assert!((0.0..0.08).contains(&age_s), "the whole image is as old as its newest A-scan: {age_s} s");
+}
+
+#[test]
+fn without_a_scans_there_is_no_image() {
+    let mut rig = Rig::run(Setup { end_m: -1.4e-3, ..Setup::new("static_no_membrane", 2) });
+    assert!(rig.bench.frames::<ImageHeader>("bscan_image").is_empty());
+}
+
+#[test]
 fn a_scans_with_times_that_cannot_be_belong_nowhere_and_break_nothing() {
     let mut rig = Rig::new(Setup::new("default", 1));
     rig.begin();
