@@ -41,8 +41,8 @@ impl Default for Settings {
 /// Highest gain times the loop's delay: 90° − 0.5 rad leave a margin of 61° to an integrator (Åström, Murray, *Feedback Systems*,
 /// 2008, ch. 9.3).
 const GAIN_DELAY: f64 = 0.5;
-/// Speed per distance to the forbidden region, 1/s: the drive brakes within a few ms.
-const GUARD_PER_S: f64 = 40.0;
+/// Highest commanded speed per distance to the forbidden region, 1/s: the drive brakes within a few ms. The robot's own guard is another.
+const BRAKE_PER_S: f64 = 40.0;
 /// A surface that is further from where it was expected is none, m: no eye moves so far between two looks, and the next layer
 /// with an echo of its own lies 67 µm below.
 pub const JUMP_M: f64 = 60e-6;
@@ -135,7 +135,7 @@ impl Depth {
         // Away from the surface at any speed, towards it slowly.
         let towards = (kp_per_s * error_m).clamp(-s.max_speed_m_s, s.approach_m_s);
         let wanted = place.velocity_m_s + towards + self.integral_m_s;
-        let allowed = place.velocity_m_s + GUARD_PER_S.min(fastest_per_s) * (distance_m - s.min_distance_m);
+        let allowed = place.velocity_m_s + BRAKE_PER_S.min(fastest_per_s) * (distance_m - s.min_distance_m);
         let speed_m_s = wanted.min(allowed).clamp(-s.max_speed_m_s, s.max_speed_m_s);
         Some(Advice { speed_m_s, distance_m, age_s, blind: false })
     }

@@ -68,7 +68,8 @@ pub struct Progress {
     /// From the middle of an exposure to the step that sees its distance, mean.
     #[unit("s")]
     pub delay: f64,
-    /// Of the whole loop: that, the age of the robot's pose (the hop from there), and the robot's own lag as configured.
+    /// Of the whole loop, to which the gains give way: that and the age of the robot's pose, which together are the measured delay and end
+    /// a scan above 12 ms, and the robot's own lag as configured.
     #[unit("s")]
     pub loop_delay: f64,
     /// Commands of this scan that the robot did not take: hold, move_cr, set_guard, set_retreat.

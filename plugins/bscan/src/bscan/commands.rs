@@ -75,11 +75,11 @@ impl BScan {
                 1e6 * self.cfg.min_distance_m
             ));
         }
-        let delay_s = self.progress.delay + self.hop_s;
+        let delay_s = self.measured_delay_s();
         if delay_s > LONGEST_DELAY_S {
             return Err(format!(
-                "the loop's delay is {:.1} ms, and above {:.0} ms it is not closed: bring source, tracker and robot nearer \
-                 together",
+                "the measured delay is {:.1} ms, and above {:.0} ms the loop is not closed: bring source, tracker and robot \
+                 nearer together",
                 1e3 * delay_s,
                 1e3 * LONGEST_DELAY_S
             ));

@@ -59,7 +59,7 @@ fn above_twelve_milliseconds_of_delay_the_loop_is_not_closed() {
     let mut rig = Rig::new(Setup { latency_ns: 12_500_000, ..Setup::new("default", 1) });
     rig.steps(200);
     let refused = rig.bench.command::<ScanRequest, ()>("scan/start", Rig::request()).unwrap_err().reason;
-    assert!(refused.starts_with("the loop's delay is 1") && refused.contains("above 12 ms"), "{refused}");
+    assert!(refused.starts_with("the measured delay is 1") && refused.contains("above 12 ms"), "{refused}");
 }
 
 #[test]

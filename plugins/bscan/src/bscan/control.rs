@@ -21,8 +21,9 @@ const CLOSE_M: f64 = 50e-6;
 /// The scan sets off this near to its begin and to the offset, m, after so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
-/// The tip nears the guard at most at this times the distance that is left, 1/s: the most that the robot takes.
-const GUARD_PER_S: f64 = 30.0;
+/// The robot's own guard lets the tip near at most at this times the distance that is left, 1/s: the most that it takes. `depth` brakes
+/// at a rate of its own, which counts from the surface's velocity.
+const GUARD_STIFFNESS_PER_S: f64 = 30.0;
 
 impl BScan {
     /// Velocities along and across the tool, m/s.
@@ -49,8 +50,8 @@ impl BScan {
                 "the surface was not seen for 50 ms"
             });
         }
-        if self.progress.delay + self.hop_s > LONGEST_DELAY_S {
-            return Err("the loop's delay is above 12 ms");
+        if self.measured_delay_s() > LONGEST_DELAY_S {
+            return Err("the measured delay is above 12 ms");
         }
         let offset_m = line.offset_m + self.retracted_m(now);
         let settings = self.cfg.depth(self.progress.loop_delay);
@@ -96,7 +97,7 @@ impl BScan {
         let [x, y, z, w] = self.pose.orientation;
         // The tool's frame, half a turn about its own x: the allowed side is where z points.
         let frame = Pose { stamp: self.pose.stamp, position, orientation: [w, z, -y, -x] };
-        VirtualFixture { kind: FixtureKind::PLANE, reserved: 0, frame, stiffness: GUARD_PER_S }
+        VirtualFixture { kind: FixtureKind::PLANE, reserved: 0, frame, stiffness: GUARD_STIFFNESS_PER_S }
     }
 
     /// How much further than the offset the tip is wanted by now, m.

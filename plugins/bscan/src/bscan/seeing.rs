@@ -56,6 +56,11 @@ impl BScan {
         }
     }
 
+    /// What is measured of the loop's delay: from exposure to step and from robot to step, s. The robot's own lag is not in it.
+    pub(super) fn measured_delay_s(&self) -> f64 {
+        self.progress.delay + self.hop_s
+    }
+
     /// The newest distance is what the robot is led by.
     fn see(&mut self, seen: Distance, now: Stamp) {
         self.last = seen;
@@ -64,7 +69,7 @@ impl BScan {
         let delay_s = now.seconds_since(seen.stamp).max(0.0);
         let share = if std::mem::replace(&mut self.since.delay_known, true) { DELAY_SHARE } else { 1.0 };
         self.progress.delay += share * (delay_s - self.progress.delay);
-        self.progress.loop_delay = self.progress.delay + self.hop_s + self.cfg.robot_lag_s;
+        self.progress.loop_delay = self.measured_delay_s() + self.cfg.robot_lag_s;
         if !seen.valid.get() {
             return;
         }
