@@ -6,6 +6,7 @@
 mod judging;
 
 use std::cell::Cell;
+use std::collections::VecDeque;
 use std::rc::Rc;
 
 use nalgebra::{Point3, Vector3};
@@ -96,6 +97,11 @@ pub(crate) struct Rig {
     told: Rc<Cell<OperatingState>>,
     /// What the robot tells of its operating state, where it is not what it is.
     pub(crate) pretends: Option<OperatingState>,
+    /// What the robot tells of its pose is so many periods old.
+    pub(crate) pose_late: usize,
+    past: VecDeque<Pose>,
+    /// The robot tells a turn that is none.
+    pub(crate) turnless: bool,
     /// Something holds the tip back along x.
     pub(crate) stuck: bool,
     waiting: Vec<(u64, Distance, Vec<f32>)>,
@@ -147,6 +153,9 @@ impl Rig {
             pose,
             told,
             pretends: None,
+            pose_late: 0,
+            past: VecDeque::new(),
+            turnless: false,
             stuck: false,
             waiting: Vec::new(),
             line: 0,
@@ -209,7 +218,13 @@ impl Rig {
         assert_eq!(self.robot.now().ns(), now_ns, "one time for both");
         self.tips = [self.tips[1], self.true_tip()];
         let pose: Pose = self.robot.read("arm/measured_cp", ()).expect("a read");
-        self.pose.set(pose);
+        self.past.push_front(pose);
+        self.past.truncate(16);
+        let mut told = self.past[self.pose_late.min(self.past.len() - 1)];
+        if self.turnless {
+            told.orientation = [0.0; 4];
+        }
+        self.pose.set(told);
         let state = self.robot.read("arm/operating_state", ()).expect("a read");
         self.told.set(self.pretends.unwrap_or(state));
         self.tracker.tip_at(now_ns, pose.position, &pose.orientation);

@@ -4,8 +4,8 @@
 use trocar_sdk::data::{OperatingMode, OperatingState};
 use trocar_sdk::prelude::*;
 
-use crate::Phase;
-use crate::rig::{OFFSET_M, Rig, SEEDS, Setup, ready};
+use crate::rig::{NEAREST_M, OFFSET_M, Rig, SEEDS, Setup, ready};
+use crate::{Phase, ScanRequest};
 
 #[test]
 fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_goes_away_and_rests() {
@@ -243,4 +243,70 @@ fn a_robot_that_falls_silent_ends_the_scan() {
         rig.bench.events::<Text<128>>("scan/bscan_aborted"),
         ["the robot has not told for 20 ms where it is"]
     );
+}
+
+/// A scan that has set off, and how it ends after `upset` within so many periods: what is told, and the rig.
+fn upset(setup: Setup, periods: usize, upset: impl FnOnce(&mut Rig)) -> (String, Rig) {
+    let mut rig = Rig::new(setup);
+    rig.begin();
+    rig.until_scanning();
+    rig.steps(100);
+    upset(&mut rig);
+    rig.steps(periods);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!((told.len(), rig.progress().phase), (1, Phase::IDLE), "{:?}", rig.progress());
+    (told[0].to_string(), rig)
+}
+
+#[test]
+fn a_measured_delay_that_grows_above_twelve_milliseconds_ends_the_scan() {
+    let (told, rig) = upset(Setup::new("static", 1), 200, |rig| rig.setup.latency_ns = 13_500_000);
+    assert_eq!(told, "the measured delay is above 12 ms");
+    assert!(rig.errors().2 > NEAREST_M);
+}
+
+#[test]
+fn the_age_of_the_robots_pose_counts_in_the_delay_that_ends_a_scan() {
+    let setup = Setup { latency_ns: 8_700_000, ..Setup::new("static", 1) };
+    let (told, rig) = upset(setup, 200, |rig| rig.pose_late = 4);
+    assert_eq!(told, "the measured delay is above 12 ms");
+    let delay_s = rig.progress().delay;
+    assert!(delay_s < 0.0115, "without the pose it is {delay_s} s");
+}
+
+#[test]
+fn a_turn_of_the_robot_that_is_none_ends_the_scan() {
+    let (told, _) = upset(Setup::new("static", 1), 2, |rig| rig.turnless = true);
+    assert_eq!(told, "the robot's orientation is no unit quaternion");
+}
+
+#[test]
+fn a_begin_that_is_not_reached_in_time_ends_the_scan() {
+    let mut rig = Rig::new(Setup::new("static", 1));
+    rig.bench
+        .configure(r#"{"rows": 8, "range_db": [40, 100], "approach_timeout_s": 0.1}"#)
+        .expect("a live setting");
+    rig.begin();
+    rig.steps(100);
+    assert_eq!(rig.progress().phase, Phase::APPROACH);
+    rig.steps(5);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the begin of the line was not reached in time"]);
+    assert_eq!(rig.progress().phase, Phase::IDLE);
+}
+
+#[test]
+fn an_end_that_is_not_reached_in_time_ends_the_scan() {
+    // So slow and short that a tip which stands is never 0.2 mm behind: 0.4 s, half as long again, and 2 s.
+    let mut rig = Rig::new(Setup::new("static", 1));
+    rig.steps(60);
+    let slow = ScanRequest { speed: 5e-5, to: [-1.48e-3, 0.0, 0.0], ..Rig::request() };
+    rig.bench.command::<ScanRequest, ()>("scan/start", slow).unwrap();
+    rig.until_scanning();
+    rig.stuck = true;
+    rig.steps(2500);
+    assert_eq!(rig.progress().phase, Phase::SCAN);
+    rig.steps(110);
+    let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
+    assert_eq!(told, ["the end of the line was not reached in time"]);
 }
