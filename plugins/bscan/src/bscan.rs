@@ -117,6 +117,9 @@ pub struct BScan {
     near_m: f64,
     /// What the robot was told when the last scan ended, and has not taken.
     owed: Owed,
+    /// Where the tip was then, and how far it goes back from there, m.
+    from_m: [f64; 3],
+    way_m: f64,
     last: Distance,
     scan: Scan,
     /// Of the column that grows.
@@ -189,6 +192,7 @@ impl Component for BScan {
         self.progress.stamp = now;
         self.look(now);
         self.settle();
+        self.mind_the_way();
         self.draw(now);
         self.progress.columns = self.scan.filled() as u32;
         if self.progress.phase != Phase::IDLE {

@@ -56,7 +56,7 @@ pub struct Progress {
     pub of: u32,
     /// The tracker's last distance was valid.
     pub surface: Flag,
-    /// The last scan ended before its end and the robot has taken no way back from the surface: an eye that moves comes near the tip.
+    /// The last scan ended before its end, and the tip has not gone back from the surface yet: an eye that moves comes near it.
     pub stranded: Flag,
     pub reserved: [u8; 2],
     /// Predicted for now, from tip to surface.

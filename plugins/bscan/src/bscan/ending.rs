@@ -5,7 +5,7 @@
 
 use std::io::Write;
 
-use trocar_oct_core::tip::axis_of;
+use trocar_oct_core::tip::{along, axis_of};
 use trocar_sdk::data::{Pose, Retreat, VirtualFixture};
 use trocar_sdk::prelude::*;
 
@@ -14,6 +14,8 @@ use crate::payloads::{Phase, Progress, ScanDone};
 
 /// What the robot did not take is sent again for so long, s: as long as its last velocity can go on. Later somebody else may lead it.
 const AGAIN_S: f64 = 0.02;
+/// Share of the way back by which the tip counts as gone: the way begins at the setpoint, and a tip that moves is not there.
+const DONE: f64 = 0.8;
 
 /// What the robot was told at the end of a scan, and has not taken.
 #[derive(Clone, Copy, Default)]
@@ -61,7 +63,18 @@ impl BScan {
             ..Pose::default()
         });
         self.rest(away);
-        self.progress.stranded = (left_m > 0.0 && (away.is_none() || self.owed.away.is_some())).into();
+        (self.from_m, self.way_m) = (self.pose.position, left_m);
+        self.progress.stranded = (left_m > 0.0).into();
+    }
+
+    /// Has the tip been brought away after all? By its encoders: a robot on another thread takes what it may refuse later.
+    pub(super) fn mind_the_way(&mut self) {
+        if !self.progress.stranded.get() {
+            return;
+        }
+        let back = [0, 1, 2].map(|i| self.from_m[i] - self.pose.position[i]);
+        let gone_m = axis_of(&self.pose.orientation).map_or(0.0, |axis| along(&back, &axis));
+        self.progress.stranded = (gone_m < DONE * self.way_m).into();
     }
 
     /// The robot stands, or goes `away` from there, and is not commanded any more.
@@ -116,9 +129,6 @@ impl BScan {
             return;
         }
         self.ask(owed);
-        if owed.away.is_some() && self.owed.away.is_none() {
-            self.progress.stranded = false.into();
-        }
     }
 
     /// The tip cannot be led away any more: it goes the rest of the way unseen, and the image is there all the same.

@@ -1,7 +1,7 @@
 //! What ends a scan, and what is left then: one event, a hold, a tip that rests.
 #![allow(clippy::unwrap_used)]
 
-use trocar_sdk::data::{OperatingMode, OperatingState};
+use trocar_sdk::data::{OperatingMode, OperatingState, Pose};
 use trocar_sdk::prelude::*;
 
 use crate::rig::{NEAREST_M, OFFSET_M, Rig, SEEDS, Setup, ready};
@@ -178,9 +178,10 @@ fn what_the_robot_does_not_take_at_the_end_is_told_counted_and_sent_again_until_
         rig.take_again();
         rig.steps(3);
         assert_eq!(rig.progress().refused, refuses.len() as u64, "{refuses:?}");
-        assert!(!rig.progress().stranded.get(), "{refuses:?}: taken meanwhile");
-        rig.watch(400);
-        let rests = rig.watch(1)[0];
+        assert!(rig.progress().stranded.get(), "{refuses:?}: on its way");
+        let rests = *rig.watch(400).last().unwrap();
+        rig.step();
+        assert!(!rig.progress().stranded.get(), "{refuses:?}: it is away");
         assert!((rests - 600e-6).abs() < 30e-6, "{refuses:?}: rests at {rests:.2e} m");
     }
 }
@@ -202,6 +203,19 @@ fn a_robot_that_takes_no_way_back_is_asked_for_twenty_milliseconds_and_the_tip_i
     rig.begin();
     rig.step();
     assert!(!rig.progress().stranded.get() && rig.progress().refused == 0, "a new scan");
+}
+
+#[test]
+fn a_robot_that_queues_its_way_back_and_does_not_go_it_leaves_the_tip_stranded() {
+    let (mut rig, told) = abort_against(&["robot/move_cr"], Outcome::Queued);
+    assert_eq!(told, "aborted by command");
+    rig.steps(400);
+    assert!(rig.progress().stranded.get() && rig.progress().refused == 0, "{:?}", rig.progress());
+    // Whoever brings it away then, it is away.
+    let up = Pose { position: [0.0, 0.0, -0.4e-3], ..Pose::default() };
+    rig.robot.command::<Pose, ()>("arm/move_cr", up).unwrap();
+    rig.steps(400);
+    assert!(!rig.progress().stranded.get());
 }
 
 #[test]
