@@ -116,6 +116,8 @@ pub(crate) struct Rig {
     pub(crate) refused: Vec<String>,
     /// Commands that the arm does not take now.
     refuses: &'static [&'static str],
+    /// A distance that comes after all others of the next period.
+    pub(crate) last_word: Option<Distance>,
     /// Steps must not allocate.
     pub(crate) watched: bool,
 }
@@ -165,6 +167,7 @@ impl Rig {
             held: 0,
             refused: Vec::new(),
             refuses: &[],
+            last_word: None,
             watched: false,
         };
         rig.capture();
@@ -248,6 +251,9 @@ impl Rig {
                 };
                 self.bench.push_frame("ascan", header, &bytes);
             }
+        }
+        if let Some(distance) = self.last_word.take() {
+            self.bench.push("distance", distance);
         }
         if self.watched {
             self.bench.assert_no_alloc(|bench| bench.step(1));

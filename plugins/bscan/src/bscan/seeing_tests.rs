@@ -29,7 +29,7 @@ fn distances_from_ahead_or_without_a_time_are_counted_and_leave_delay_and_scan_a
     rig.steps(100);
     let before = rig.progress();
     for stamp in lies(rig.bench.now()).into_iter().chain([Stamp::INVALID]) {
-        rig.bench.push("distance", distance(stamp));
+        rig.last_word = Some(distance(stamp));
         rig.step();
     }
     rig.steps(100);
@@ -42,18 +42,29 @@ fn distances_from_ahead_or_without_a_time_are_counted_and_leave_delay_and_scan_a
 
 #[test]
 fn distances_from_ahead_do_not_open_the_gate_of_twelve_milliseconds() {
-    for ahead_ns in [1_000_000, 100_000_000] {
-        let mut rig = Rig::new(Setup { latency_ns: 14_500_000, ..Setup::new("default", 1) });
+    for ahead_ns in [7_000_000, 1_000_000_000] {
+        let mut rig = Rig::new(Setup { latency_ns: 13_500_000, ..Setup::new("default", 1) });
         for n in 0..200 {
-            if n % 10 == 9 {
-                let ahead = Stamp::from_ns(rig.bench.now().ns() + 1_000_000 + ahead_ns);
-                rig.bench.push("distance", distance(ahead));
+            if n % 4 == 3 {
+                rig.last_word = Some(distance(Stamp::from_ns(rig.bench.now().ns() + ahead_ns)));
             }
             rig.step();
         }
+        // In time, so that it is the delay that is judged.
+        rig.step();
         let refused = rig.bench.command::<ScanRequest, ()>("scan/start", Rig::request()).unwrap_err().reason;
         assert!(refused.contains("above 12 ms"), "{ahead_ns} ns ahead: {refused}");
     }
+}
+
+#[test]
+fn a_distance_a_little_ahead_is_on_time_and_no_delay_is_less_than_none() {
+    let mut bench = Bench::<BScan>::new("{}");
+    let stamp = Stamp::from_ns(bench.now().ns() + 4_000_000);
+    bench.push("distance", distance(stamp));
+    bench.step(1);
+    let state = bench.state();
+    assert_eq!((state.progress.delay, state.refused_distances), (0.0, 0));
 }
 
 #[test]
