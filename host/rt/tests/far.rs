@@ -127,6 +127,22 @@ fn frames_are_lent_and_come_back_when_their_last_handle_goes() {
 }
 
 #[test]
+fn whoever_looks_now_and_then_takes_frames_back_only_where_the_writer_is_idle() {
+    let pool = FramePool::new(8, 8, 64).unwrap();
+    let (writer, mut reader, pools, views) = stream(Payload::Frame, FIFO);
+    tell(&pool, &pools, &views, 0);
+    for seq in 1..4u64 {
+        assert_eq!(writer.push_frame(frame(&pool, 1), meta(seq)), Pushed::Queued);
+        assert!(reader.next().is_some());
+        reader.release();
+        pools.collect_if_idle();
+        assert_eq!(pool.stats().free, 7, "the writer is at work, and takes it back with its next push");
+    }
+    pools.collect_if_idle();
+    assert_eq!(pool.stats().free, 8, "nothing was sent since");
+}
+
+#[test]
 fn a_reader_that_dies_with_frames_in_hand_costs_none_of_them() {
     let pool = FramePool::new(8, 8, 64).unwrap();
     let (writer, mut reader, pools, views) = stream(Payload::Frame, FIFO);

@@ -131,7 +131,12 @@ pub const PAYLOADS: &[Payload] = &[
             f("stamp", "stamp", "", ""),
             f("measured_js", "JointState", "", ""),
             f("measured_cp", "Pose", "", ""),
-            f("measured_cf", "Wrench", "", "As the read `measured_cf` of the arm."),
+            f(
+                "measured_cf",
+                "Wrench",
+                "",
+                "As the read `measured_cf` of the arm: what the tip meets; stamp 0 where nothing measures it.",
+            ),
         ],
         repr: "",
         values: &[],

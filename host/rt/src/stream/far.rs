@@ -80,6 +80,13 @@ impl FarPools {
         }
     }
 
+    /// As [`FarPools::collect`], of a link on which nothing was sent since the last call: for whoever looks now and then.
+    pub fn collect_if_idle(&self) {
+        if let Some(leases) = self.leases.get() {
+            leases.collect_if_idle();
+        }
+    }
+
     /// Frames came for whose pool there is no place left: the link has to be made anew.
     pub fn has_overflowed(&self) -> bool {
         self.overflowed.load(Ordering::Relaxed) != 0

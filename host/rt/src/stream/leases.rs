@@ -29,6 +29,9 @@ pub(super) struct Leases {
     all: Box<[Lease]>,
     /// How many are not FREE.
     out: AtomicU64,
+    /// How many were ever lent, and how many of these `collect_if_idle` knows of.
+    lent: AtomicU64,
+    known: AtomicU64,
     returned: Table<AtomicU64>,
 }
 
@@ -43,6 +46,8 @@ impl Leases {
         Self {
             all: (0..LEASES).map(|_| lease()).collect(),
             out: AtomicU64::new(0),
+            lent: AtomicU64::new(0),
+            known: AtomicU64::new(0),
             returned: returned(layout),
         }
     }
@@ -60,6 +65,7 @@ impl Leases {
         // SAFETY: only the writer fills what is FREE, and nobody looks into it before it is LENT.
         unsafe { *lease.frame.exclusive() = Some(frame) };
         self.out.fetch_add(1, Ordering::Relaxed);
+        self.lent.fetch_add(1, Ordering::Relaxed);
         lease.state.store(LENT, Ordering::Release);
         Some(number as u32)
     }
@@ -76,6 +82,15 @@ impl Leases {
         // Before it is counted as back.
         drop(frame);
         self.out.fetch_sub(1, Ordering::Release);
+    }
+
+    /// As [`Leases::collect`], where nothing was lent since this was called last. A writer that is at work takes back by itself; a
+    /// thread that is set aside in the middle of taking back would keep a slot from it.
+    pub(super) fn collect_if_idle(&self) {
+        let lent = self.lent.load(Ordering::Relaxed);
+        if self.known.swap(lent, Ordering::Relaxed) == lent {
+            self.collect();
+        }
     }
 
     /// Takes back what the reader has done with. Any thread; never waits.

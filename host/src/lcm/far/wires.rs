@@ -299,10 +299,10 @@ impl ServerWires {
         matches!(self, ServerWires::Output { frames: true, .. })
     }
 
-    /// Takes back what the reader has done with: nobody may write for lack of it.
+    /// Takes back what the reader has done with, where nobody writes any more.
     pub(super) fn collect(&self) {
         if let ServerWires::Output { pools, .. } = self {
-            pools.collect();
+            pools.collect_if_idle();
         }
     }
 
