@@ -322,4 +322,4 @@ fn at_most(what: &'static str, v: Vector3<f64>, limit: f64, unit: &'static str) 
 
 #[cfg(test)]
 #[path = "commands_tests.rs"]
-mod tests;
+pub(super) mod tests;

@@ -8,9 +8,9 @@ use crate::fixture::{FixtureRefused, Kind};
 use crate::joints::COUNT;
 use nalgebra::UnitQuaternion;
 
-const DT: f64 = 1e-3;
+pub(in crate::arm) const DT: f64 = 1e-3;
 
-fn ready() -> Arm<SimulatedDrive> {
+pub(in crate::arm) fn ready() -> Arm<SimulatedDrive> {
     let home = Joints::zeros();
     let mut arm = Arm::new(Settings::default(), SimulatedDrive::new(Simulation::default(), home), home);
     arm.state_command("enable").expect("from DISABLED");
@@ -19,7 +19,7 @@ fn ready() -> Arm<SimulatedDrive> {
     arm
 }
 
-fn steps(arm: &mut Arm<SimulatedDrive>, count: usize) {
+pub(in crate::arm) fn steps(arm: &mut Arm<SimulatedDrive>, count: usize) {
     (0..count).for_each(|_| arm.step(DT));
 }
 

@@ -3,25 +3,11 @@
 //! Invariant: time is counted in periods of `DT`, never read from a clock.
 
 use super::*;
-use crate::arm::Settings;
-use crate::drive::{SimulatedDrive, Simulation};
+use crate::arm::commands::tests::{DT, ready, steps};
+use crate::drive::SimulatedDrive;
 use nalgebra::{Vector3, Vector6};
 
-const DT: f64 = 1e-3;
 const BACK: Retreat = Retreat { distance_m: 0.4e-3, speed_m_s: 2e-3, delay_s: 0.02 };
-
-fn ready() -> Arm<SimulatedDrive> {
-    let home = Joints::zeros();
-    let mut arm = Arm::new(Settings::default(), SimulatedDrive::new(Simulation::default(), home), home);
-    arm.state_command("enable").expect("from DISABLED");
-    arm.state_command("home").expect("from ENABLED");
-    arm.step(DT);
-    arm
-}
-
-fn steps(arm: &mut Arm<SimulatedDrive>, count: usize) {
-    (0..count).for_each(|_| arm.step(DT));
-}
 
 fn tip(arm: &Arm<SimulatedDrive>) -> Vector3<f64> {
     arm.measured_cp().translation.vector
