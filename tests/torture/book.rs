@@ -25,6 +25,15 @@ pub(crate) struct Line {
     /// Of the control run, in words.
     pub(crate) control: String,
     pub(crate) holds: bool,
+    /// It is judged beside a control run, so what the machine takes away from one and not from the other is in it.
+    pub(crate) beside_control: bool,
+}
+
+impl Line {
+    pub(crate) fn words(&self) -> String {
+        let Line { what, bound, seen, control, .. } = self;
+        format!("{what}: {seen}; allowed {bound}, control {control}")
+    }
 }
 
 impl Book {
@@ -34,6 +43,15 @@ impl Book {
 
     pub(crate) fn holds(&self) -> bool {
         !self.lines.is_empty() && self.lines.iter().all(|line| line.holds)
+    }
+
+    /// It fails, and only in what is judged beside a control run.
+    pub(crate) fn fails_in_time_only(&self) -> bool {
+        !self.lines.is_empty() && !self.holds() && self.failing().all(|line| line.beside_control)
+    }
+
+    pub(crate) fn failing(&self) -> impl Iterator<Item = &Line> {
+        self.lines.iter().filter(|line| !line.holds)
     }
 
     /// Each time in ms is within `bound_ms` and the lateness, in ms, that the machine itself showed at that moment.
@@ -47,6 +65,7 @@ impl Book {
             seen: spread(&ms),
             control: format!("+{:.1} ms", late.last().copied().unwrap_or(0.0)),
             holds: !seen.is_empty() && seen.iter().all(|t| t.ms <= bound_ms + t.late_ms),
+            beside_control: true,
         });
     }
 
@@ -59,6 +78,7 @@ impl Book {
             seen: seen.to_string(),
             control: String::new(),
             holds: seen <= most,
+            beside_control: false,
         });
     }
 
@@ -71,6 +91,7 @@ impl Book {
             seen: seen.to_string(),
             control: String::new(),
             holds: seen >= least,
+            beside_control: false,
         });
     }
 
@@ -91,6 +112,7 @@ impl Book {
             seen: format!("{seen:.1} {unit}"),
             control: format!("{control:.1} {unit}"),
             holds: seen <= control + allowed,
+            beside_control: true,
         });
     }
 
@@ -109,7 +131,15 @@ impl Book {
             Err(why) => (why, false),
         };
         let (bound, control) = ("holds".into(), String::new());
-        self.line(Line { what: what.to_owned(), count: tried, bound, seen, control, holds });
+        self.line(Line {
+            what: what.to_owned(),
+            count: tried,
+            bound,
+            seen,
+            control,
+            holds,
+            beside_control: false,
+        });
     }
 
     /// Something of this row that is not run, or not as it should be.
@@ -160,6 +190,16 @@ mod tests {
         assert!(book.holds());
         book.times("b", &[Timed { ms: 25.0, late_ms: 0.5 }, Timed { ms: 1.0, late_ms: 9.0 }], 24.0);
         assert!(!book.holds(), "the lateness of another moment does not count");
+    }
+
+    #[test]
+    fn what_is_counted_is_never_put_down_to_the_machine() {
+        let mut book = Book::new("x", "y");
+        assert!(!book.fails_in_time_only(), "nothing is no failure in time: nothing was shown");
+        book.beside("periods", 1, 4.0, 2.0, 1.0, "periods");
+        assert!(book.fails_in_time_only());
+        book.at_most("lost", 1, 1, 0);
+        assert!(!book.fails_in_time_only());
     }
 
     #[test]

@@ -37,9 +37,8 @@ pub(crate) fn table(run: &Run, books: &[Book], left: &[&Row]) -> String {
     let _ = writeln!(text, "seed {}, {how}, {seconds:.0} s", run.seed);
     for book in books {
         // Once more where it is seen: the table is long.
-        for Line { what, bound, seen, control, .. } in book.lines.iter().filter(|line| !line.holds) {
-            let (row, seen) = (book.row, cell(seen));
-            let _ = writeln!(text, "torture::{row}: {what}: {seen}; allowed {bound}, control {control}");
+        for line in book.failing() {
+            let _ = writeln!(text, "torture::{}: {}", book.row, cell(&line.words()));
         }
     }
     for row in &failed {

@@ -43,7 +43,7 @@ pub fn first_surface(ascan: &[f32], rule: &Rule) -> Option<Surface> {
     let last = ascan.len() - 1;
     let mut at = from;
     while at < last {
-        at += ascan.get(at..last)?.iter().position(|db| *db > threshold)?;
+        at += first_above(ascan.get(at..last)?, threshold)?;
         let (before, peak, after) = (ascan[at - 1], ascan[at], ascan[at + 1]);
         if peak > before && peak >= after {
             let bend = before - 2.0 * peak + after;
@@ -54,19 +54,6 @@ pub fn first_surface(ascan: &[f32], rule: &Rule) -> Option<Surface> {
         at += 1;
     }
     None
-}
-
-/// The largest value, dB.
-fn strongest(part: &[f32]) -> f32 {
-    // Eight side by side, as in `moments`.
-    let mut most = [f32::MIN; 8];
-    let (eights, rest) = part.as_chunks::<8>();
-    for eight in eights {
-        for (most, db) in most.iter_mut().zip(eight) {
-            *most = if *db > *most { *db } else { *most };
-        }
-    }
-    most.iter().chain(rest).copied().fold(f32::MIN, f32::max)
 }
 
 /// Mean and standard deviation of the noise, dB: those of the quietest of the three deeper quarters, which is the deepest
@@ -88,26 +75,48 @@ fn noise(ascan: &[f32]) -> Option<(f32, f32)> {
 }
 
 fn moments(part: &[f32]) -> (f32, f32) {
-    // Against one of its values, so that squares stay small; eight sums, so that the compiler may go side by side.
-    let offset = part[0];
-    let (mut sums, mut squares) = ([0.0f32; 8], [0.0f32; 8]);
-    let (eights, rest) = part.as_chunks::<8>();
-    for eight in eights {
-        for i in 0..8 {
-            let x = eight[i] - offset;
-            sums[i] += x;
-            squares[i] += x * x;
-        }
-    }
-    for (i, x) in rest.iter().enumerate() {
-        let x = x - offset;
-        sums[i] += x;
-        squares[i] += x * x;
-    }
-    let n = part.len() as f32;
+    // Against one of its values, so that squares stay small.
+    let (offset, n) = (part[0], part.len() as f32);
+    let sums = fold(part, 0.0, |sum, db| sum + (db - offset));
+    let squares = fold(part, 0.0, |sum, db| sum + (db - offset) * (db - offset));
     let mean = sums.iter().sum::<f32>() / n;
     let variance = squares.iter().sum::<f32>() / n - mean * mean;
     (mean + offset, variance.max(0.0).sqrt())
+}
+
+/// The largest value, dB.
+fn strongest(part: &[f32]) -> f32 {
+    let most = fold(part, f32::MIN, |most, db| if db > most { db } else { most });
+    most.into_iter().fold(f32::MIN, f32::max)
+}
+
+/// Values that are folded side by side: four times four, so that an addition need not wait for the one before it.
+const SIDE_BY_SIDE: usize = 16;
+
+/// Folds the values into a few, side by side. One fold at a time: of two in one loop the compiler makes neither so.
+fn fold(part: &[f32], first: f32, with: impl Fn(f32, f32) -> f32) -> [f32; SIDE_BY_SIDE] {
+    let mut all = [first; SIDE_BY_SIDE];
+    let (chunks, rest) = part.as_chunks::<SIDE_BY_SIDE>();
+    for chunk in chunks {
+        for (all, db) in all.iter_mut().zip(chunk) {
+            *all = with(*all, *db);
+        }
+    }
+    for (all, db) in all.iter_mut().zip(rest) {
+        *all = with(*all, *db);
+    }
+    all
+}
+
+/// The first place at which a value is above this.
+fn first_above(part: &[f32], threshold: f32) -> Option<usize> {
+    let is_above = |db: &f32| *db > threshold;
+    let (chunks, rest) = part.as_chunks::<SIDE_BY_SIDE>();
+    // Without a branch within a chunk.
+    let in_chunk = chunks.iter().position(|chunk| chunk.iter().fold(false, |any, db| any | is_above(db)));
+    let from = in_chunk.unwrap_or(chunks.len()) * SIDE_BY_SIDE;
+    let within = if in_chunk.is_some() { &part[from..] } else { rest };
+    Some(from + within.iter().position(is_above)?)
 }
 
 #[cfg(test)]

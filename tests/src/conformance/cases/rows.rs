@@ -16,10 +16,14 @@ use crate::eventually;
 type Known = Vec<(u64, u64, f64)>;
 
 /// Writes 10, 20, … 50, and finds the row of each.
-fn five(lab: &Lab) -> Known {
+fn five(way: &Way, lab: &Lab) -> Known {
     for value in 1..=5_u32 {
         let write = lab.invoke("server/ctl/write", Some(json!(10.0 * f64::from(value))), false);
         write.unwrap_or_else(|refusal| panic!("{refusal}"));
+    }
+    // On its grid it would write over them while a slow machine is still asking; what was published stays when it is stopped.
+    if way.deployment.server_steps_unasked() {
+        lab.stop("server");
     }
     // Rows are counted from the newest: whoever heard of the last write may still step, and then they move.
     let known = eventually("the server rests", || {
@@ -48,7 +52,7 @@ pub fn each_row_is_found_by_its_time_its_tick_and_its_distance(way: &Way) {
     if way.deployment.server_never_rests() {
         return newest_alone(&lab);
     }
-    let known = five(&lab);
+    let known = five(way, &lab);
     let value = |when| {
         let row = lab.row_at("server", when).unwrap_or_else(|refusal| panic!("{when:?}: {refusal}"));
         row.value["value"].as_f64().unwrap_or_default()
@@ -121,7 +125,7 @@ pub fn rows_are_the_same_over_grpc(way: &Way) {
     if way.deployment.server_never_rests() {
         return newest_over_grpc(&lab);
     }
-    let known = five(&lab);
+    let known = five(way, &lab);
     let (stamp_ns, tick, expected) = known[2];
     for (row, when) in [
         (None, When::Newest),
