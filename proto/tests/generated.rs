@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use prost::Message;
 
-const FILES: [&str; 5] = ["types", "gcm", "attach", "interact", "plugin"];
+const FILES: [&str; 6] = ["types", "gcm", "attach", "interact", "plugin", "guest"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))

@@ -57,6 +57,8 @@ pub struct Process {
     pub restarts: u32,
     /// What the process itself is warned of, such as its memory.
     pub warnings: Vec<String>,
+    /// What takes a place here without an LCM; empty: an ordinary process.
+    pub guest: String,
 }
 
 #[derive(Clone, Debug, PartialEq)]

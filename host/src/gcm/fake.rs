@@ -242,7 +242,7 @@ impl FakeLcm {
 
 fn event(path: &str, n: u64) -> Item {
     let (value, path) = (json!({ "n": n }), path.into());
-    Item { path, kind: ItemKind::Event, value, stamp_ns: n, seq: n, skipped: 0 }
+    Item { path, kind: ItemKind::Event, value, stamp_ns: n, seq: n, skipped: 0, jpeg: Vec::new() }
 }
 
 fn report(id: &ComponentId, state: State) -> Report {

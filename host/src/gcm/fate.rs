@@ -100,6 +100,7 @@ fn never_seen(pid: u32) -> Process {
         last_exit: String::new(),
         restarts: 0,
         warnings: Vec::new(),
+        guest: String::new(),
     }
 }
 

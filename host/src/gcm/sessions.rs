@@ -37,6 +37,8 @@ pub struct Registration {
     pub epoch: u64,
     /// What it was told to have before; empty for a new process.
     pub slice: Slice,
+    /// What it is, of one without an LCM; empty otherwise.
+    pub guest: String,
 }
 
 /// The desired components and connections of one process.
@@ -59,6 +61,7 @@ impl Registration {
             instance,
             epoch: 0,
             slice: Slice::default(),
+            guest: String::new(),
         }
     }
 }
@@ -234,6 +237,7 @@ impl Gcm {
                     last_exit,
                     restarts,
                     warnings: inventory.warnings,
+                    guest: who.guest.clone(),
                 },
             );
         });

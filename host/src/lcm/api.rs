@@ -200,6 +200,8 @@ pub struct Selection {
     pub path: String,
     /// Most items per second of an output; 0 = 30.
     pub max_rate_hz: f64,
+    /// Frames that are images as JPEG of this width, pixels; 0 = header only.
+    pub thumbnail_width: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -218,6 +220,8 @@ pub struct Item {
     pub seq: u64,
     /// Items lost on the way to this receiver since the previous one.
     pub skipped: u64,
+    /// The frame as JPEG, where a width was asked for and it is an image.
+    pub jpeg: Vec<u8>,
 }
 
 /// A figure's distribution, ns.

@@ -242,6 +242,7 @@ impl EventFeed {
                 stamp_ns: head.stamp_ns,
                 seq: self.seq,
                 skipped: std::mem::take(&mut skipped),
+                jpeg: Vec::new(),
             });
         };
         self.tap.mailbox.drain(show, |_| ());
@@ -386,6 +387,7 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
                             stamp_ns: sample.stamp_ns,
                             seq: sample.seq,
                             skipped,
+                            jpeg: Vec::new(),
                         });
                     }
                     Ok(None) => {}
@@ -409,6 +411,7 @@ fn standing(path: &str, report: &Report) -> Item {
         stamp_ns: os::now_ns(),
         seq: 0,
         skipped: 0,
+        jpeg: Vec::new(),
     }
 }
 

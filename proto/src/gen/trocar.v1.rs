@@ -730,6 +730,9 @@ pub struct Process {
     /// What the process itself is warned of, in sentences, such as the memory it has in use.
     #[prost(string, repeated, tag = "9")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// What takes a place here without an LCM, e.g. "Python 3.11.7"; empty = an ordinary process.
+    #[prost(string, tag = "10")]
+    pub guest: ::prost::alloc::string::String,
 }
 /// One file of a plugin directory.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -1316,7 +1319,7 @@ pub struct Selection {
     /// Most items per second of an output, Hz; 0 = 30.
     #[prost(double, tag = "2")]
     pub max_rate_hz: f64,
-    /// Frames as JPEG of this width, pixels; 0 = header only. Only 0 is served yet.
+    /// Frames that are images as JPEG of this width, pixels; 0 = header only.
     #[prost(uint32, tag = "3")]
     pub thumbnail_width: u32,
 }
@@ -1348,6 +1351,9 @@ pub struct SubscribeResponse {
     /// Items lost on the way to this caller since the item before.
     #[prost(uint64, tag = "6")]
     pub skipped: u64,
+    /// The frame as JPEG, where a width was asked for and the frame is an image.
+    #[prost(bytes = "vec", tag = "7")]
+    pub jpeg: ::prost::alloc::vec::Vec<u8>,
 }
 /// Asks for Logs.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -6006,6 +6012,442 @@ pub mod plugin_service_server {
     /// Generated gRPC service name
     pub const SERVICE_NAME: &str = "trocar.v1.PluginService";
     impl<T> tonic::server::NamedService for PluginServiceServer<T> {
+        const NAME: &'static str = SERVICE_NAME;
+    }
+}
+/// Asks for Join.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct JoinRequest {
+    /// Wanted name of the process, e.g. "ire"; where it is taken, the first of "ire2", "ire3", … that is free.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// Name of its component; empty = "shell".
+    #[prost(string, tag = "2")]
+    pub component: ::prost::alloc::string::String,
+    /// What it is, for people, e.g. "Python 3.11.7 on bench-pc".
+    #[prost(string, tag = "3")]
+    pub program: ::prost::alloc::string::String,
+    /// OS process id; 0 = unknown.
+    #[prost(uint32, tag = "4")]
+    pub pid: u32,
+}
+/// The place that was given, once; nothing follows until the stream ends.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct JoinResponse {
+    /// Name of the process.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// Path of its component.
+    #[prost(string, tag = "2")]
+    pub component: ::prost::alloc::string::String,
+    /// Number of this incarnation of the process.
+    #[prost(uint64, tag = "3")]
+    pub epoch: u64,
+    /// Incarnation of the GCM.
+    #[prost(uint64, tag = "4")]
+    pub term: u64,
+}
+/// Asks for Require.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct RequireRequest {
+    /// Path of the guest's component, as JoinResponse has it.
+    #[prost(string, tag = "1")]
+    pub component: ::prost::alloc::string::String,
+    /// Name of the required interface; empty = that of the provided one, with a number where that is taken.
+    #[prost(string, tag = "2")]
+    pub name: ::prost::alloc::string::String,
+    /// The provided interface, process/component/interface.
+    #[prost(string, tag = "3")]
+    pub server: ::prost::alloc::string::String,
+}
+/// Answers Require.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct RequireResponse {
+    /// Revision of the graph after it.
+    #[prost(uint64, tag = "1")]
+    pub revision: u64,
+    /// The required interface, process/component/interface.
+    #[prost(string, tag = "2")]
+    pub client: ::prost::alloc::string::String,
+    /// Number of the connection.
+    #[prost(uint64, tag = "3")]
+    pub connection: u64,
+    /// What it provides: commands and events with their types, units and ranges.
+    #[prost(message, optional, tag = "4")]
+    pub provided: ::core::option::Option<ProvidedInterface>,
+}
+/// Generated client implementations.
+pub mod guest_service_client {
+    #![allow(
+        unused_variables,
+        dead_code,
+        missing_docs,
+        clippy::wildcard_imports,
+        clippy::let_unit_value,
+    )]
+    use tonic::codegen::*;
+    use tonic::codegen::http::Uri;
+    /// The guests of a system.
+    #[derive(Debug, Clone)]
+    pub struct GuestServiceClient<T> {
+        inner: tonic::client::Grpc<T>,
+    }
+    impl<T> GuestServiceClient<T>
+    where
+        T: tonic::client::GrpcService<tonic::body::Body>,
+        T::Error: Into<StdError>,
+        T::ResponseBody: Body<Data = Bytes> + std::marker::Send + 'static,
+        <T::ResponseBody as Body>::Error: Into<StdError> + std::marker::Send,
+    {
+        pub fn new(inner: T) -> Self {
+            let inner = tonic::client::Grpc::new(inner);
+            Self { inner }
+        }
+        pub fn with_origin(inner: T, origin: Uri) -> Self {
+            let inner = tonic::client::Grpc::with_origin(inner, origin);
+            Self { inner }
+        }
+        pub fn with_interceptor<F>(
+            inner: T,
+            interceptor: F,
+        ) -> GuestServiceClient<InterceptedService<T, F>>
+        where
+            F: tonic::service::Interceptor,
+            T::ResponseBody: Default,
+            T: tonic::codegen::Service<
+                http::Request<tonic::body::Body>,
+                Response = http::Response<
+                    <T as tonic::client::GrpcService<tonic::body::Body>>::ResponseBody,
+                >,
+            >,
+            <T as tonic::codegen::Service<
+                http::Request<tonic::body::Body>,
+            >>::Error: Into<StdError> + std::marker::Send + std::marker::Sync,
+        {
+            GuestServiceClient::new(InterceptedService::new(inner, interceptor))
+        }
+        /// Compress requests with the given encoding.
+        ///
+        /// This requires the server to support it otherwise it might respond with an
+        /// error.
+        #[must_use]
+        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.inner = self.inner.send_compressed(encoding);
+            self
+        }
+        /// Enable decompressing responses.
+        #[must_use]
+        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.inner = self.inner.accept_compressed(encoding);
+            self
+        }
+        /// Limits the maximum size of a decoded message.
+        ///
+        /// Default: `4MB`
+        #[must_use]
+        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
+            self.inner = self.inner.max_decoding_message_size(limit);
+            self
+        }
+        /// Limits the maximum size of an encoded message.
+        ///
+        /// Default: `usize::MAX`
+        #[must_use]
+        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
+            self.inner = self.inner.max_encoding_message_size(limit);
+            self
+        }
+        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When it ends, both go,
+        /// with all their connections.
+        pub async fn join(
+            &mut self,
+            request: impl tonic::IntoRequest<super::JoinRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::JoinResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GuestService/Join",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.GuestService", "Join"));
+            self.inner.server_streaming(req, path, codec).await
+        }
+        /// Adds a required interface with the commands of a provided one to a guest's component, and connects the two. Its
+        /// connection is an ordinary one: it is listed, and Disconnect takes it away, and the interface with it.
+        pub async fn require(
+            &mut self,
+            request: impl tonic::IntoRequest<super::RequireRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::RequireResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GuestService/Require",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.GuestService", "Require"));
+            self.inner.unary(req, path, codec).await
+        }
+    }
+}
+/// Generated server implementations.
+pub mod guest_service_server {
+    #![allow(
+        unused_variables,
+        dead_code,
+        missing_docs,
+        clippy::wildcard_imports,
+        clippy::let_unit_value,
+    )]
+    use tonic::codegen::*;
+    /// Generated trait containing gRPC methods that should be implemented for use with GuestServiceServer.
+    #[async_trait]
+    pub trait GuestService: std::marker::Send + std::marker::Sync + 'static {
+        /// Server streaming response type for the Join method.
+        type JoinStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::JoinResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When it ends, both go,
+        /// with all their connections.
+        async fn join(
+            &self,
+            request: tonic::Request<super::JoinRequest>,
+        ) -> std::result::Result<tonic::Response<Self::JoinStream>, tonic::Status>;
+        /// Adds a required interface with the commands of a provided one to a guest's component, and connects the two. Its
+        /// connection is an ordinary one: it is listed, and Disconnect takes it away, and the interface with it.
+        async fn require(
+            &self,
+            request: tonic::Request<super::RequireRequest>,
+        ) -> std::result::Result<tonic::Response<super::RequireResponse>, tonic::Status>;
+    }
+    /// The guests of a system.
+    #[derive(Debug)]
+    pub struct GuestServiceServer<T> {
+        inner: Arc<T>,
+        accept_compression_encodings: EnabledCompressionEncodings,
+        send_compression_encodings: EnabledCompressionEncodings,
+        max_decoding_message_size: Option<usize>,
+        max_encoding_message_size: Option<usize>,
+    }
+    impl<T> GuestServiceServer<T> {
+        pub fn new(inner: T) -> Self {
+            Self::from_arc(Arc::new(inner))
+        }
+        pub fn from_arc(inner: Arc<T>) -> Self {
+            Self {
+                inner,
+                accept_compression_encodings: Default::default(),
+                send_compression_encodings: Default::default(),
+                max_decoding_message_size: None,
+                max_encoding_message_size: None,
+            }
+        }
+        pub fn with_interceptor<F>(
+            inner: T,
+            interceptor: F,
+        ) -> InterceptedService<Self, F>
+        where
+            F: tonic::service::Interceptor,
+        {
+            InterceptedService::new(Self::new(inner), interceptor)
+        }
+        /// Enable decompressing requests with the given encoding.
+        #[must_use]
+        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.accept_compression_encodings.enable(encoding);
+            self
+        }
+        /// Compress responses with the given encoding, if the client supports it.
+        #[must_use]
+        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.send_compression_encodings.enable(encoding);
+            self
+        }
+        /// Limits the maximum size of a decoded message.
+        ///
+        /// Default: `4MB`
+        #[must_use]
+        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
+            self.max_decoding_message_size = Some(limit);
+            self
+        }
+        /// Limits the maximum size of an encoded message.
+        ///
+        /// Default: `usize::MAX`
+        #[must_use]
+        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
+            self.max_encoding_message_size = Some(limit);
+            self
+        }
+    }
+    impl<T, B> tonic::codegen::Service<http::Request<B>> for GuestServiceServer<T>
+    where
+        T: GuestService,
+        B: Body + std::marker::Send + 'static,
+        B::Error: Into<StdError> + std::marker::Send + 'static,
+    {
+        type Response = http::Response<tonic::body::Body>;
+        type Error = std::convert::Infallible;
+        type Future = BoxFuture<Self::Response, Self::Error>;
+        fn poll_ready(
+            &mut self,
+            _cx: &mut Context<'_>,
+        ) -> Poll<std::result::Result<(), Self::Error>> {
+            Poll::Ready(Ok(()))
+        }
+        fn call(&mut self, req: http::Request<B>) -> Self::Future {
+            match req.uri().path() {
+                "/trocar.v1.GuestService/Join" => {
+                    #[allow(non_camel_case_types)]
+                    struct JoinSvc<T: GuestService>(pub Arc<T>);
+                    impl<
+                        T: GuestService,
+                    > tonic::server::ServerStreamingService<super::JoinRequest>
+                    for JoinSvc<T> {
+                        type Response = super::JoinResponse;
+                        type ResponseStream = T::JoinStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::JoinRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GuestService>::join(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = JoinSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.GuestService/Require" => {
+                    #[allow(non_camel_case_types)]
+                    struct RequireSvc<T: GuestService>(pub Arc<T>);
+                    impl<
+                        T: GuestService,
+                    > tonic::server::UnaryService<super::RequireRequest>
+                    for RequireSvc<T> {
+                        type Response = super::RequireResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::RequireRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GuestService>::require(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = RequireSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                _ => {
+                    Box::pin(async move {
+                        let mut response = http::Response::new(
+                            tonic::body::Body::default(),
+                        );
+                        let headers = response.headers_mut();
+                        headers
+                            .insert(
+                                tonic::Status::GRPC_STATUS,
+                                (tonic::Code::Unimplemented as i32).into(),
+                            );
+                        headers
+                            .insert(
+                                http::header::CONTENT_TYPE,
+                                tonic::metadata::GRPC_CONTENT_TYPE,
+                            );
+                        Ok(response)
+                    })
+                }
+            }
+        }
+    }
+    impl<T> Clone for GuestServiceServer<T> {
+        fn clone(&self) -> Self {
+            let inner = self.inner.clone();
+            Self {
+                inner,
+                accept_compression_encodings: self.accept_compression_encodings,
+                send_compression_encodings: self.send_compression_encodings,
+                max_decoding_message_size: self.max_decoding_message_size,
+                max_encoding_message_size: self.max_encoding_message_size,
+            }
+        }
+    }
+    /// Generated gRPC service name
+    pub const SERVICE_NAME: &str = "trocar.v1.GuestService";
+    impl<T> tonic::server::NamedService for GuestServiceServer<T> {
         const NAME: &'static str = SERVICE_NAME;
     }
 }

@@ -230,6 +230,7 @@ pub(crate) fn process(classes: Vec<ClassInfo>) -> Process {
         last_exit: String::new(),
         restarts: 0,
         warnings: Vec::new(),
+        guest: String::new(),
     }
 }
 

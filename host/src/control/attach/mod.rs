@@ -60,6 +60,7 @@ impl AttachEdge {
             instance: u128::from_be_bytes(instance),
             epoch: hello.epoch,
             slice: convert::slice_in(hello.slice.unwrap_or_default())?,
+            guest: String::new(),
         };
         let lcm = RemoteLcm::new(process.clone(), out.clone());
         let registered = self.gcm.register(who, lcm.clone(), inventory).await?;

@@ -250,7 +250,11 @@ impl Lcm for RemoteLcm {
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
         let selections = selections
             .into_iter()
-            .map(|s| v1::Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: 0 })
+            .map(|s| v1::Selection {
+                path: s.path,
+                max_rate_hz: s.max_rate_hz,
+                thumbnail_width: s.thumbnail_width,
+            })
             .collect();
         let (tell, told) = mpsc::channel(ITEMS);
         let (over, ended) = oneshot::channel();

@@ -56,6 +56,7 @@ pub(crate) fn item(item: Item) -> v1::SubscribeResponse {
         stamp_ns: item.stamp_ns,
         seq: item.seq,
         skipped: item.skipped,
+        jpeg: item.jpeg,
     }
 }
 
@@ -73,6 +74,7 @@ pub(crate) fn item_in(item: v1::SubscribeResponse) -> Result<Item, Refusal> {
         stamp_ns: item.stamp_ns,
         seq: item.seq,
         skipped: item.skipped,
+        jpeg: item.jpeg,
     })
 }
 

@@ -28,6 +28,7 @@ pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
         last_exit: p.last_exit.clone(),
         restarts: p.restarts,
         warnings: p.warnings.clone(),
+        guest: p.guest.clone(),
     }
 }
 

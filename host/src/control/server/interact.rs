@@ -111,7 +111,8 @@ impl InteractService for Edge {
         let mut feeds = Vec::new();
         for s in selections {
             let lcm = self.lcm(&process_of(&s.path).map_err(refuse)?).map_err(refuse)?;
-            let selection = Selection { path: s.path, max_rate_hz: s.max_rate_hz };
+            let selection =
+                Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: s.thumbnail_width };
             feeds.push(lcm.subscribe(vec![selection]).await.map_err(refuse)?);
         }
         for mut feed in feeds {

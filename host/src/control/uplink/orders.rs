@@ -162,7 +162,9 @@ async fn follow(
     answers: mpsc::Sender<v1::Answer>,
 ) {
     let selections = request.selections.into_iter();
-    let selections = selections.map(|s| Selection { path: s.path, max_rate_hz: s.max_rate_hz }).collect();
+    let selections = selections
+        .map(|s| Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: s.thumbnail_width })
+        .collect();
     let mut items = match lcm.subscribe(selections).await {
         Ok(items) => items,
         Err(refusal) => return give(&answers, id, Err(refusal)).await,
