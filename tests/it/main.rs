@@ -18,6 +18,7 @@ mod embedding;
 mod embedding_client;
 mod faults;
 mod fig4;
+mod guests;
 mod hostile;
 mod links;
 mod odd_plugins;

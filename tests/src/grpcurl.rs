@@ -204,6 +204,22 @@ impl Stream {
     }
 }
 
+impl Stream {
+    /// Waits until the server ends it, whatever it still says.
+    ///
+    /// # Panics
+    /// After a minute of silence without an end.
+    pub fn ended(&mut self, why: &str) {
+        loop {
+            match self.items.recv_timeout(Duration::from_secs(60)) {
+                Ok(item) => self.seen.push(item),
+                Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Timeout) => panic!("{} does not end: {why}", self.method),
+            }
+        }
+    }
+}
+
 impl Drop for Stream {
     fn drop(&mut self) {
         let _ = self.child.kill();

@@ -138,6 +138,11 @@ impl Process {
 }
 
 impl SystemGraph {
+    /// This end belongs to a guest, which calls from outside.
+    pub fn is_guests(&self, end: &PortId) -> bool {
+        self.processes.get(&end.component.process).is_some_and(|p| !p.guest.is_empty())
+    }
+
     /// The effect of an accepted plan, without doing any of it. Health and fault texts are left alone: they are what the
     /// LCMs report.
     pub fn apply(&mut self, plan: &Plan) {

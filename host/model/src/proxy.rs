@@ -51,9 +51,9 @@ impl Connection {
 
 impl SystemGraph {
     /// The halves of a connection between two processes, the client's first; of one whose process says nothing, why that is.
-    /// Empty for a connection inside a process.
+    /// Empty for a connection inside a process, and for a guest's, which calls from outside.
     pub fn proxies_of(&self, connection: &Connection) -> Vec<(End, Proxy)> {
-        if connection.is_near() {
+        if connection.is_near() || self.is_guests(&connection.client) {
             return Vec::new();
         }
         let of = |end: End| {

@@ -66,6 +66,7 @@ pub(super) fn process(p: &v1::Process) -> ProcessView {
         state: word(p.state().as_str_name(), "PROCESS_STATE_"),
         epoch: p.epoch,
         endpoint: p.endpoint.clone(),
+        guest: p.guest.clone(),
         pid: p.pid,
         classes: p.classes.clone(),
         last_exit: p.last_exit.clone(),

@@ -43,7 +43,15 @@ fn render(view: &DescribeView, colour: bool) -> String {
     let mut page = Page { text: String::new(), colour, deep };
     if let Some(process) = &view.process {
         page.title(&format!("process {}", process.name), &process.state);
-        page.line(1, &format!("pid {}, epoch {}, endpoint {}", process.pid, process.epoch, process.endpoint));
+        page.line(
+            1,
+            &match process.guest.is_empty() {
+                true => {
+                    format!("pid {}, epoch {}, endpoint {}", process.pid, process.epoch, process.endpoint)
+                }
+                false => format!("pid {}, epoch {}, {}", process.pid, process.epoch, process.place()),
+            },
+        );
     }
     match (&view.component, &view.class) {
         // A path into the component asks about that part only.

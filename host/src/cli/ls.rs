@@ -71,7 +71,7 @@ fn processes(view: &SystemView) -> Table {
             state,
             plain(p.pid.to_string()),
             plain(p.epoch.to_string()),
-            plain(&p.endpoint),
+            plain(p.place()),
             plain(p.restarts.to_string()),
             plain(shortened(&p.last_exit)),
         ];

@@ -22,6 +22,8 @@ pub(super) struct ProcessView {
     pub(super) state: String,
     pub(super) epoch: u64,
     pub(super) endpoint: String,
+    /// What it is, of a guest; empty otherwise.
+    pub(super) guest: String,
     pub(super) pid: u32,
     /// Full names, `plugin/class`.
     pub(super) classes: Vec<String>,
@@ -158,6 +160,16 @@ pub(super) struct OptionsView {
     /// It was pinned to; "" = to none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub(super) carrier: String,
+}
+
+impl ProcessView {
+    /// Where it is reached, or what it is that nobody reaches.
+    pub(super) fn place(&self) -> String {
+        match self.guest.as_str() {
+            "" => self.endpoint.clone(),
+            guest => format!("guest: {guest}"),
+        }
+    }
 }
 
 impl ComponentView {

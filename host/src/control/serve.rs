@@ -17,6 +17,7 @@ use trocar_model::{Name, Refusal};
 use trocar_proto::FILE_DESCRIPTOR_SET;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
 use trocar_proto::v1::gcm_service_server::GcmServiceServer;
+use trocar_proto::v1::guest_service_server::GuestServiceServer;
 use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
@@ -234,6 +235,7 @@ async fn routes(
     reporter.set_serving::<GcmServiceServer<Edge>>().await;
     reporter.set_serving::<InteractServiceServer<Edge>>().await;
     reporter.set_serving::<PluginServiceServer<Edge>>().await;
+    reporter.set_serving::<GuestServiceServer<Edge>>().await;
     if gcm.is_some() {
         reporter.set_serving::<AttachServiceServer<AttachEdge>>().await;
     }
@@ -254,7 +256,8 @@ async fn routes(
     Ok(server
         .add_service(GcmServiceServer::new(edge.clone()))
         .add_service(InteractServiceServer::new(edge.clone()))
-        .add_service(PluginServiceServer::new(edge))
+        .add_service(PluginServiceServer::new(edge.clone()))
+        .add_service(GuestServiceServer::new(edge))
         .add_optional_service(gcm.map(|gcm| {
             AttachServiceServer::new(AttachEdge::new(gcm, closing))
                 .max_decoding_message_size(MAX_MESSAGE)

@@ -26,6 +26,11 @@ impl Gcm {
     pub(super) async fn link(&self, connection: &Connection, deadline: Instant) -> Result<Report, Refusal> {
         let graph = self.graph();
         let (client, server) = (&connection.client, &connection.server);
+        if graph.is_guests(client) {
+            // It calls from outside, so nobody has a half.
+            let made = Change::Connect { connection: connection.clone() };
+            return self.lcm_of(&client.component.process)?.apply(made, deadline).await;
+        }
         let of_client = self.end(&graph, connection, client)?;
         let of_server = self.end(&graph, connection, server)?;
         let card = Some(of_server.card.clone());
@@ -66,6 +71,9 @@ impl Gcm {
         deadline: Instant,
     ) -> Result<Report, Refusal> {
         let change = || Change::Disconnect { connection: connection.clone(), replaced };
+        if self.graph().is_guests(&connection.client) {
+            return self.lcm_of(&connection.client.component.process)?.apply(change(), deadline).await;
+        }
         let mut told = None;
         for end in [&connection.client, &connection.server] {
             let done = match self.lcm_of(&end.component.process) {
@@ -217,6 +225,7 @@ fn is_missing(graph: &SystemGraph, connection: &Connection) -> bool {
     let told = graph.proxies.iter().filter(is_half).count();
     graph.connections.contains_key(&connection.id)
         && !connection.is_near()
+        && !graph.is_guests(&connection.client)
         && [&connection.client, &connection.server].iter().all(|end| attached(&end.component.process))
         && told < 2
 }

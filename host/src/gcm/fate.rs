@@ -104,7 +104,7 @@ fn never_seen(pid: u32) -> Process {
     }
 }
 
-fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<Connection>) -> bool {
+pub(super) fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<Connection>) -> bool {
     if !graph.processes.contains_key(process) {
         return false;
     }

@@ -14,6 +14,7 @@ use trocar_model::{
     State, SystemGraph,
 };
 
+use super::guests::GuestLcm;
 use super::manager::{Inner, lock};
 use super::observed::{loosen, observe, stand_by};
 use super::wanted::Wanted;
@@ -87,6 +88,8 @@ pub(super) struct Sessions {
     dismissed: BTreeMap<Name, u32>,
     /// Connections to processes that are not there yet, by the process that brought them along from a GCM before this one.
     pub(super) brought: BTreeMap<Name, Vec<Connection>>,
+    /// Those that have joined without an LCM.
+    pub(super) guests: BTreeMap<Name, Arc<GuestLcm>>,
     /// Number of the newest report of each component; see [`Report::number`].
     reported: BTreeMap<ComponentId, u64>,
 }

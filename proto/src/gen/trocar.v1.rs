@@ -634,7 +634,7 @@ pub struct Connection {
     #[prost(message, optional, tag = "4")]
     pub options: ::core::option::Option<ConnectOptions>,
     /// How the data travels: "inline" (called in the same thread), "heap" (queues within the process), "memfd" (queues in memory that
-    /// both ends map).
+    /// both ends map), "grpc" (a guest's calls from outside).
     #[prost(string, tag = "5")]
     pub carrier: ::prost::alloc::string::String,
     /// Samples taken; commands and events that were queued.

@@ -93,13 +93,16 @@ pub(crate) fn connection(graph: &SystemGraph, c: &Connection, detail: Option<&Li
         let now = asked.iter().find(|(e, _)| *e == end).map_or(&told, |(_, now)| now);
         proxy(end, now)
     });
+    let link = link(detail.cloned().unwrap_or_default());
+    let carrier = if graph.is_guests(&c.client) { "grpc".into() } else { link.carrier.clone() };
     v1::Connection {
         id: c.id.0,
         client: c.client.to_string(),
         server: c.server.to_string(),
         options: Some(options_out(&c.options)),
         proxies: halves.collect(),
-        ..link(detail.cloned().unwrap_or_default())
+        carrier,
+        ..link
     }
 }
 

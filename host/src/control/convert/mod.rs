@@ -24,4 +24,4 @@ pub(super) use graph::{
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
 pub(super) use requests::{Common, configure, connect, create, disconnect, remove, steps, targets};
-pub(super) use types::{class, ports};
+pub(super) use types::{class, ports, provided};

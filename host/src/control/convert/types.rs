@@ -146,7 +146,7 @@ fn required(r: &model::Required) -> v1::RequiredInterface {
     }
 }
 
-fn provided(p: &model::Provided) -> v1::ProvidedInterface {
+pub(crate) fn provided(p: &model::Provided) -> v1::ProvidedInterface {
     v1::ProvidedInterface {
         name: p.name.clone(),
         doc: p.doc.clone(),

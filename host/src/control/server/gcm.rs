@@ -46,7 +46,7 @@ macro_rules! mutate {
 }
 
 /// Who asks: a component of this process, an address, or a host at an address for one of its components.
-fn identity<T>(request: &Request<T>) -> String {
+pub(super) fn identity<T>(request: &Request<T>) -> String {
     if let Some(Caller(path)) = request.extensions().get() {
         return path.clone();
     }

@@ -1,6 +1,7 @@
 //! The services' methods: take a request apart, ask the GCM or an LCM, put the answer together.
 
 mod gcm;
+mod guest;
 mod interact;
 mod logs;
 mod part;
