@@ -13,7 +13,7 @@ use rustfft::{Fft, FftPlanner};
 use crate::background::Background;
 use crate::decibel::{SILENT_DB, decibel};
 use crate::dispersion::{Dispersion, Window, fill_filter};
-use crate::grid::{Grid, Interpolation, Tap};
+use crate::grid::{Grid, Interpolation, Tap, four};
 use crate::surface::{Rule, first_surface};
 
 /// A surface in these bins has fringes that the smoothed background does not leave out: nearer ones are not told from what the
@@ -82,11 +82,11 @@ impl Transform {
     }
 
     /// Transforms the values of `from` times `filter` into `buffer`.
-    pub(crate) fn run<T>(&mut self, from: &[T], value: impl Fn(&T) -> f32, filter: &[Complex<f32>]) {
+    pub(crate) fn run<T>(&mut self, from: &[T], values: impl Fn(&[T], &mut [f32]), filter: &[Complex<f32>]) {
         let mut some = [0.0; TOGETHER];
         let parts = self.buffer.chunks_mut(TOGETHER).zip(filter.chunks(TOGETHER));
         for ((out, filter), from) in parts.zip(from.chunks(TOGETHER)) {
-            some.iter_mut().zip(from).for_each(|(x, from)| *x = value(from));
+            values(from, &mut some[..from.len()]);
             for ((out, x), f) in out.iter_mut().zip(&some).zip(filter) {
                 *out = Complex::new(x * f.re, x * f.im);
             }
@@ -165,7 +165,14 @@ impl Chain {
         for (x, b) in self.line.iter_mut().zip(self.background.counts()) {
             *x -= b;
         }
-        self.transform.run(&self.taps, |tap| tap.of(&self.line), &self.filter);
+        let line = &self.line;
+        let resample = |from: &[Tap], to: &mut [f32]| {
+            let (fours, rest) = from.as_chunks::<4>();
+            let (to_fours, to_rest) = to.as_chunks_mut::<4>();
+            to_fours.iter_mut().zip(fours).for_each(|(to, taps)| *to = four(taps, line));
+            to_rest.iter_mut().zip(rest).for_each(|(to, tap)| *to = tap.of(line));
+        };
+        self.transform.run(&self.taps, resample, &self.filter);
         for (db, x) in ascan.iter_mut().zip(&self.transform.buffer) {
             *db = decibel(x.re * x.re + x.im * x.im);
         }

@@ -145,6 +145,19 @@ impl Tap {
     }
 }
 
+/// The values that four taps take from `line`, as [`Tap::of`]: products side by side, then the sums of all four at once.
+#[inline]
+pub(crate) fn four(taps: &[Tap; 4], line: &[f32]) -> [f32; 4] {
+    let products = taps.each_ref().map(|tap| {
+        let first = tap.first as usize;
+        let four: &[f32; 4] = line.get(first..).and_then(|rest| rest.first_chunk()).unwrap_or(&[0.0; 4]);
+        std::array::from_fn::<f32, 4, _>(|i| four[i] * tap.weights[i])
+    });
+    let column = |i: usize| products.map(|p| p[i]);
+    let (a, b, c, d) = (column(0), column(1), column(2), column(3));
+    std::array::from_fn(|k| (a[k] + b[k]) + (c[k] + d[k]))
+}
+
 /// Why there is no grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BadGrid {
@@ -201,6 +214,16 @@ mod tests {
                     assert!((f64::from(out) - wanted).abs() < 3e-6, "{how:?} {m}: {} for {wanted}", out);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn four_taps_at_once_take_what_each_takes_by_itself() {
+        let grid = Grid::from_wavelengths(64, [840e-9, 50e-9, 3e-9, 0.0]).expect("a grid");
+        let line: Vec<f32> = (0..64).map(|i| ((i * 37) % 64) as f32).collect();
+        for taps in grid.taps(Interpolation::Cubic).as_chunks::<4>().0 {
+            assert_eq!(four(taps, &line), taps.each_ref().map(|tap| tap.of(&line)));
+            assert_eq!(four(taps, &line[..3]), [0.0; 4], "a line that is too short");
         }
     }
 

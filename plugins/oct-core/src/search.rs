@@ -113,7 +113,11 @@ impl Search {
             return None;
         }
         let at = self.done * self.samples;
-        chain.transform.run(&self.lines[at..at + self.samples], |x| *x, &self.filter);
+        chain.transform.run(
+            &self.lines[at..at + self.samples],
+            |from, to| to.copy_from_slice(from),
+            &self.filter,
+        );
         self.sum += sharpness(&chain.transform.buffer[self.samples / 16..self.samples / 2]);
         self.done += 1;
         if self.done < LINES {
