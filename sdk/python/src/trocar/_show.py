@@ -1,0 +1,278 @@
+"""What people see: answers, descriptions, log lines, the tree, and the graph as a picture for Jupyter.
+
+Invariant: text that components or plugins made is escaped before it gets into HTML, and never runs a terminal's controls.
+"""
+
+from __future__ import annotations
+
+import datetime
+import html
+from typing import Any
+
+from . import _proto
+from ._proxy import _documentation, _first, _shape_lines, _signature
+from ._system_file import state_text
+
+
+def clean(text: str) -> str:
+    """Without characters that steer a terminal."""
+    return "".join(c if c.isprintable() or c in "\n\t" else f"\\x{ord(c):02x}" for c in text)
+
+
+class Answer:
+    """What a change of the system did, or with ``dry_run`` would do: ``plan`` line by line, ``warnings``, ``revision`` after it."""
+
+    def __init__(self, verb: str, message: Any, dry_run: bool) -> None:
+        self.message, self.dry_run, self._verb = message, dry_run, verb
+        self.plan: list[str] = [clean(line) for line in message.plan]
+        self.warnings: list[str] = [clean(w) for w in message.warnings]
+        self.revision: int = message.revision
+        self.skipped: dict[str, str] = {s.path: s.why for s in message.skipped}
+        self.failed: dict[str, str] = {s.path: s.why for s in getattr(message, "failed", ())}
+
+    @property
+    def path(self) -> str:
+        """Path of the component that was made."""
+        return getattr(self.message, "path", "")
+
+    @property
+    def id(self) -> int:
+        """Number of the connection that was made."""
+        return getattr(self.message, "id", 0)
+
+    def __repr__(self) -> str:
+        head = "would be done" if self.dry_run else f"revision {self.revision}"
+        lines = self.plan or ["nothing to do"]
+        lines = [*lines, *(f"left alone: {p}: {clean(w)}" for p, w in self.skipped.items())]
+        lines += [f"failed: {p}: {clean(w)}" for p, w in self.failed.items()]
+        lines += [f"warning: {w}" for w in self.warnings]
+        return "\n".join([f"{self._verb}, {head}:", *(f"  {line}" for line in lines)])
+
+
+class Lines(list):
+    """Log lines; each has ``wall_ns``, ``level``, ``path``, ``target``, ``message``."""
+
+    def __repr__(self) -> str:
+        return "\n".join(map(line_text, self)) or "<no lines>"
+
+
+def line_text(line: Any) -> str:
+    """One log line as text, in local time."""
+    when = datetime.datetime.fromtimestamp(line.wall_ns / 1e9).strftime("%H:%M:%S.%f")[:-3]
+    return f"{when} {line.level:<5} {line.path}: {clean(line.message)}"
+
+
+def _typed(kind: Any) -> str:
+    which = kind.WhichOneof("kind")
+    if which == "plain":
+        return kind.plain.name
+    return f"frames {kind.frame.format} ({kind.frame.header.name})" if which == "frame" else "any type"
+
+
+class Description:
+    """What something offers, as text; ``message`` is the answer itself, ``ports`` and ``component`` its parts."""
+
+    def __init__(self, message: Any, asked: str) -> None:
+        self.message, self._asked = message, asked
+        self.ports = message.ports
+        self.component = message.component
+
+    def __repr__(self) -> str:
+        m = self.message
+        lines = []
+        if m.HasField("component"):
+            c = m.component
+            fault = f", {clean(c.fault)}" if c.fault else ""
+            lines.append(f"{c.path}  {getattr(c, 'class')}  {state_text(c)} {_proto.HEALTH.get(c.health, '')}{fault}")
+        elif m.HasField("process"):
+            p = m.process
+            lines.append(f"{p.name}  {_proto.PROCESS_STATES.get(p.state, '?')}  pid {p.pid}  {p.guest}".rstrip())
+        if m.HasField("class"):
+            k = getattr(m, "class")
+            lines.append(f"{k.plugin}/{k.name} {k.version}: {_first(clean(k.doc))}")
+        for k in m.classes:
+            lines.append(f"  {k.plugin}/{k.name}: {_first(clean(k.doc))}")
+        ports = m.ports if m.HasField("ports") else getattr(m, "class").ports if m.HasField("class") else None
+        if ports is not None:
+            lines += _ports_text(ports)
+        if m.HasField("class"):
+            schema = _proto_settings(getattr(m, "class").config_schema)
+            lines += ["settings", *schema] if schema else []
+        for c in m.connections:
+            lines.append(f"connection {c.id}: {c.client} ← {c.server}, {c.carrier}")
+        return clean("\n".join(lines))
+
+
+def _proto_settings(schema: Any) -> list[str]:
+    from ._values import plain_struct
+
+    settings = plain_struct(schema).get("properties", {})
+    lines = []
+    for name, about in settings.items() if isinstance(settings, dict) else ():
+        about = about if isinstance(about, dict) else {}
+        parts = [about.get("type", ""), about.get("unit", "")]
+        low, high = about.get("minimum"), about.get("maximum")
+        parts += [f"{low}..{high}"] if low is not None and high is not None else []
+        parts += [f"default {about['default']}"] if "default" in about else []
+        shown = ", ".join(str(p) for p in parts if p != "")
+        lines.append(f"  {name} ({shown}): {about.get('description', about.get('title', ''))}".rstrip(": "))
+    return lines
+
+
+def _ports_text(ports: Any) -> list[str]:
+    lines = []
+    for p in ports.provided:
+        lines.append(f"provides {p.name}: {_first(p.doc)}")
+        for c in p.commands:
+            lines.append(f"  {c.name}{_signature(c)}  {_first(_documentation(c))}")
+        for e in p.events:
+            payload = f"({e.payload.name}{' ' + e.unit if e.unit else ''})" if e.HasField("payload") else "()"
+            lines.append(f"  on.{e.name}{payload}  {_first(e.doc)}")
+    for r in ports.required:
+        needs = ", ".join(f.name for f in r.functions)
+        lines.append(f"requires {r.name}{' (optional)' if r.optional else ''}: {needs}")
+    lines += [f"output {o.name}: {_typed(o.type)}  {_first(o.doc)}" for o in ports.outputs]
+    lines += [f"input {i.name}: {_typed(i.type)}{' (optional)' if i.optional else ''}  {_first(i.doc)}" for i in ports.inputs]
+    if ports.HasField("state") and ports.state.size:
+        lines += ["state", *_shape_lines(ports.state, "  ")]
+    return lines
+
+
+class Tree:
+    """The system as it was when this was made: as text, and in Jupyter as a picture."""
+
+    def __init__(self, session: Any) -> None:
+        g = session._graph
+        self.address, self.me = session.address, session.component
+        self.revision, self.term = g.revision, g.term
+        self.processes = dict(sorted(g.processes.items()))
+        self.components = dict(sorted(g.components.items()))
+        self.connections = dict(sorted(g.connections.items()))
+
+    def _of(self, process: str) -> dict[str, Any]:
+        return {p: c for p, c in self.components.items() if p.partition("/")[0] == process}
+
+    def __repr__(self) -> str:
+        lines = [f"{self.address}, revision {self.revision}"]
+        wide = max((len(p.partition("/")[2]) for p in self.components), default=0)
+        for i, (name, process) in enumerate(self.processes.items()):
+            last = i == len(self.processes) - 1
+            guest = f", {clean(process.guest)}" if process.guest else ""
+            me = "  ← you" if self.me.partition("/")[0] == name else ""
+            state = _proto.PROCESS_STATES.get(process.state, "?")
+            lines.append(f"{'└─' if last else '├─'} {name}  {state}{guest}{me}")
+            inside = self._of(name)
+            for j, (path, c) in enumerate(inside.items()):
+                bar = "   " if last else "│  "
+                turn = "└─" if j == len(inside) - 1 else "├─"
+                health = _proto.HEALTH.get(c.health, "")
+                health = f" {health}" if health not in ("", "UNSPECIFIED", "OK") else ""
+                fault = f": {clean(c.fault)}" if c.fault else ""
+                short = path.partition("/")[2]
+                lines.append(f"{bar}{turn} {short:<{wide}}  {getattr(c, 'class') or 'shell':<24}  {state_text(c)}{health}{fault}")
+        lines += [f"{c.server} → {c.client}" for c in self.connections.values()]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return self.svg()
+
+    def svg(self) -> str:
+        """The graph as SVG: process boxes, components with their connected ports, connections from server to client."""
+        return _Picture(self).draw()
+
+    def save(self, file: str) -> None:
+        """Writes the picture as an SVG file."""
+        with open(file, "w", encoding="utf-8") as f:
+            f.write(self.svg())
+
+
+_COLOURS = {"ACTIVE": "#2e9d58", "READY": "#3b7dd8", "CREATED": "#9aa0a6", "STOPPED": "#d08700", "FAULT": "#c5221f"}
+_WIDE, _ROW, _HEAD, _GAP, _ASIDE = 230, 16, 38, 18, 90
+
+
+class _Picture:
+    """Processes beside each other, components below each other, servers' ports right and clients' left."""
+
+    def __init__(self, tree: Tree) -> None:
+        self.tree = tree
+        self.left: dict[str, list[str]] = {}
+        self.right: dict[str, list[str]] = {}
+        for c in tree.connections.values():
+            for end, side in ((c.client, self.left), (c.server, self.right)):
+                owner, _, port = end.rpartition("/")
+                ports = side.setdefault(owner, [])
+                if port not in ports:
+                    ports.append(port)
+        self.ends: dict[tuple[str, str], tuple[float, float]] = {}
+        self.out: list[str] = []
+
+    def draw(self) -> str:
+        x, tallest = 20.0, 0.0
+        for name, process in self.tree.processes.items():
+            bottom = self._process(x, name, process)
+            tallest, x = max(tallest, bottom), x + _WIDE + 24 + _ASIDE
+        edges = [self._edge(c) for c in self.tree.connections.values()]
+        wide, tall = max(x, 240), tallest + 24
+        style = (
+            "text{font:12px sans-serif;fill:#202124}.s{font-size:11px;fill:#5f6368}.p{fill:#f1f3f4;stroke:#bdc1c6}"
+            ".c{fill:#fff;stroke:#5f6368}.e{fill:none;stroke:#3b7dd8;stroke-width:1.5;opacity:.8}"
+        )
+        title = html.escape(f"{self.tree.address}, revision {self.tree.revision}")
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:.0f} {tall:.0f}" width="{wide:.0f}" height="{tall:.0f}" '
+            f'style="max-width:100%;background:#fff" role="img"><title>{title}</title><style>{style}</style>'
+            f"{''.join(self.out)}{''.join(edges)}</svg>"
+        )
+
+    def _process(self, x: float, name: str, process: Any) -> float:
+        y, inside, boxes = 20.0 + 34, self.tree._of(name), []
+        for path, component in inside.items():
+            box, y = self._component(x + 12, y, path, component)
+            boxes.append(box)
+        y = y if inside else y + 20
+        state = _proto.PROCESS_STATES.get(process.state, "?")
+        note = html.escape(clean(process.guest)) or state.lower()
+        self.out.append(
+            f'<rect class="p" x="{x}" y="20" width="{_WIDE + 24}" height="{y - 20:.0f}" rx="8"/>'
+            f'<text x="{x + 12}" y="40" font-weight="bold">{html.escape(name)} '
+            f'<tspan class="s" font-weight="normal">{note}</tspan></text>{"".join(boxes)}'
+        )
+        return y
+
+    def _component(self, x: float, y: float, path: str, c: Any) -> tuple[str, float]:
+        left, right = self.left.get(path, []), self.right.get(path, [])
+        tall = _HEAD + _ROW * max(len(left), len(right)) + 6
+        state = state_text(c)
+        colour = _COLOURS.get(state.partition("{")[0], "#9aa0a6")
+        short = html.escape(path.partition("/")[2])
+        kind = html.escape(getattr(c, "class") or "shell")
+        out = [
+            f'<rect class="c" x="{x}" y="{y}" width="{_WIDE}" height="{tall}" rx="5"/>'
+            f'<circle cx="{x + 12}" cy="{y + 13}" r="5" fill="{colour}"><title>{html.escape(state)}</title></circle>'
+            f'<text x="{x + 23}" y="{y + 17}">{short}</text><text class="s" x="{x + 23}" y="{y + 31}">{kind} · {state.lower()}</text>'
+        ]
+        for i, port in enumerate(left):
+            at = y + _HEAD + _ROW * i + 8
+            self.ends[(f"{path}/{port}", "client")] = (x, at)
+            out.append(
+                f'<circle cx="{x}" cy="{at}" r="3.5" fill="#5f6368"/><text class="s" x="{x + 7}" y="{at + 4}">{html.escape(port)}</text>'
+            )
+        for i, port in enumerate(right):
+            at = y + _HEAD + _ROW * i + 8
+            self.ends[(f"{path}/{port}", "server")] = (x + _WIDE, at)
+            out.append(
+                f'<circle cx="{x + _WIDE}" cy="{at}" r="3.5" fill="#3b7dd8"/>'
+                f'<text class="s" x="{x + _WIDE - 7}" y="{at + 4}" text-anchor="end">{html.escape(port)}</text>'
+            )
+        return "".join(out), y + tall + _GAP
+
+    def _edge(self, c: Any) -> str:
+        a, b = self.ends.get((c.server, "server")), self.ends.get((c.client, "client"))
+        if a is None or b is None:
+            return ""
+        bend = max(50.0, abs(b[0] - a[0]) / 3)
+        title = html.escape(f"{c.server} → {c.client} ({c.carrier or 'not linked'})")
+        return (
+            f'<path class="e" d="M{a[0]:.0f},{a[1]:.0f} C{a[0] + bend:.0f},{a[1]:.0f} {b[0] - bend:.0f},{b[1]:.0f} {b[0]:.0f},{b[1]:.0f}">'
+            f"<title>{title}</title></path>"
+        )

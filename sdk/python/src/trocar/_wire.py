@@ -1,0 +1,118 @@
+"""The channel to the GCM: unary calls with deadlines, streams, and nothing of grpc beyond this file's callers.
+
+Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import grpc
+
+from . import _proto
+from ._errors import TrocarError, from_rpc
+
+LARGEST = 256 << 20
+"""Bytes of the largest answer taken: a frame in full size."""
+
+_OPTIONS = [
+    ("grpc.max_receive_message_length", LARGEST),
+    ("grpc.max_send_message_length", 16 << 20),
+    # A GCM that comes back is found again soon, not after the minute gRPC would let pass.
+    ("grpc.initial_reconnect_backoff_ms", 100),
+    ("grpc.min_reconnect_backoff_ms", 100),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.keepalive_time_ms", 20_000),
+    ("grpc.enable_http_proxy", 0),
+]
+
+
+class Wire:
+    """One channel. ``address`` is ``host:port``; ``credentials`` are grpc's channel credentials, none = plain text."""
+
+    def __init__(self, address: str, credentials: Any = None, options: list[tuple[str, Any]] | None = None) -> None:
+        self.address = address
+        merged = [*_OPTIONS, *(options or [])]
+        if credentials is None:
+            self.channel = grpc.insecure_channel(address, merged)
+        else:
+            self.channel = grpc.secure_channel(address, credentials, merged)
+        self._unary: dict[str, Any] = {}
+        self._streams: dict[str, Any] = {}
+        self.closed = False
+
+    def _unary_of(self, name: str) -> Any:
+        found = self._unary.get(name)
+        if found is None:
+            m = _proto.METHODS[name]
+            found = self.channel.unary_unary(
+                m.path, request_serializer=m.request.SerializeToString, response_deserializer=m.response.FromString
+            )
+            self._unary[name] = found
+        return found
+
+    def call(self, name: str, request: Any, timeout: float) -> Any:
+        """Asks and waits, ``timeout`` seconds at most."""
+        __tracebackhide__ = True
+        try:
+            return self._unary_of(name)(request, timeout=timeout)
+        except (grpc.RpcError, ValueError) as e:
+            error = self.error(e, name)
+        raise error
+
+    def begin(self, name: str, request: Any, timeout: float) -> Any:
+        """Asks and hands back grpc's future."""
+        try:
+            return self._unary_of(name).future(request, timeout=timeout)
+        except ValueError as e:
+            raise self.error(e, name) from None
+
+    async def acall(self, name: str, request: Any, timeout: float) -> Any:
+        """Asks and awaits the answer, on whatever loop runs."""
+        loop = asyncio.get_running_loop()
+        done: asyncio.Future[Any] = loop.create_future()
+        asked = self.begin(name, request, timeout)
+
+        def tell(_: Any) -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(lambda: done.done() or done.set_result(None))
+
+        asked.add_done_callback(tell)
+        try:
+            await done
+        except asyncio.CancelledError:
+            asked.cancel()
+            raise
+        try:
+            return asked.result()
+        except (grpc.RpcError, grpc.FutureCancelledError) as e:
+            error = self.error(e, name)
+        raise error
+
+    def stream(self, name: str, request: Any) -> Any:
+        """Opens a stream of answers; ends only with it or with the channel."""
+        m = _proto.METHODS[name]
+        found = self._streams.get(name)
+        if found is None:
+            found = self.channel.unary_stream(
+                m.path, request_serializer=m.request.SerializeToString, response_deserializer=m.response.FromString
+            )
+            self._streams[name] = found
+        try:
+            return found(request)
+        except ValueError as e:
+            raise self.error(e, name) from None
+
+    def error(self, e: Any, name: str) -> TrocarError:
+        """What a failure of grpc means."""
+        if isinstance(e, ValueError):
+            if self.closed:
+                return TrocarError("CANCELLED", "CLOSED", f"this session with {self.address} was closed; connect again")
+            return TrocarError("INVALID_ARGUMENT", "ARGUMENT_INVALID", f"{name}: {e}")
+        return from_rpc(e, name, self.address)
+
+    def close(self) -> None:
+        """Ends every call and stream."""
+        self.closed = True
+        self.channel.close()
