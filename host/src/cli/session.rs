@@ -147,7 +147,7 @@ impl Session {
             Row::Tick(tick) => Wire::Tick(tick),
             Row::Delayed(rows) => Wire::Delayed(rows),
         });
-        let ask = v1::ReadRequest { path: path.to_owned(), row };
+        let ask = v1::ReadRequest { path: path.to_owned(), row, frame: false };
         let a = self.client().await?.interact.read(ask).await.map_err(|s| self.failed(&s))?;
         Ok(convert::row(path, a.get_ref()))
     }

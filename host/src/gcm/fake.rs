@@ -341,12 +341,20 @@ impl Lcm for FakeLcm {
         })
     }
 
-    async fn read(&self, path: String, when: When, _: Instant) -> Result<Sample, Refusal> {
+    async fn read(&self, path: String, when: When, frame: bool, _: Instant) -> Result<Sample, Refusal> {
         let value = match when {
             When::Newest => path,
             other => format!("{path} {other:?}"),
         };
-        Ok(Sample { value: json!(value), encoded: vec![9], stamp_ns: 1, age_ns: 2, seq: 3, frame_bytes: 0 })
+        Ok(Sample {
+            value: json!(value),
+            encoded: vec![9],
+            stamp_ns: 1,
+            age_ns: 2,
+            seq: 3,
+            frame_bytes: 2,
+            frame: if frame { vec![7, 8] } else { Vec::new() },
+        })
     }
 
     async fn subscribe(&self, _: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {

@@ -381,7 +381,7 @@ impl Lcm for GuestLcm {
         self.nothing_there()
     }
 
-    async fn read(&self, _: String, _: When, _: Instant) -> Result<Sample, Refusal> {
+    async fn read(&self, _: String, _: When, _: bool, _: Instant) -> Result<Sample, Refusal> {
         self.nothing_there()
     }
 

@@ -245,7 +245,7 @@ impl Host {
     /// # Errors
     /// As [`Host::read`]; what is kept no more, or not there yet, is told with what is.
     pub async fn read_at(&self, path: &str, when: When) -> Result<Sample, Refusal> {
-        self.lcm_of(&process_of(path)?)?.read(path.to_owned(), when, Instant::now() + WITHIN).await
+        self.lcm_of(&process_of(path)?)?.read(path.to_owned(), when, false, Instant::now() + WITHIN).await
     }
 
     /// Follows an event, an output or a component's state until the receiver is dropped: each event and each change of state,

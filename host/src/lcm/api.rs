@@ -31,8 +31,10 @@ pub trait Lcm: Send + Sync {
     /// Calls a command. Reads are answered from the published state row.
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal>;
 
-    /// Reads without a command: a state row of a component, or the newest sample of an output.
-    async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal>;
+    /// Reads without a command: a state row of a component, or the newest sample of an output; with `frame` the bytes of
+    /// a frame, too.
+    async fn read(&self, path: String, when: When, frame: bool, deadline: Instant)
+    -> Result<Sample, Refusal>;
 
     /// Follows events, component states and outputs until the receiver is dropped. Slow receivers lose items, counted
     /// in the next item's `skipped`.
@@ -183,7 +185,7 @@ pub enum When {
     Delayed(u64),
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Sample {
     pub value: Value,
     pub encoded: Vec<u8>,
@@ -192,6 +194,8 @@ pub struct Sample {
     pub seq: u64,
     /// Bytes of the frame behind the header; 0 for plain samples.
     pub frame_bytes: u64,
+    /// Those bytes, where they were asked for.
+    pub frame: Vec<u8>,
 }
 
 /// One thing to follow: `process/component` (its state), `…/interface/event`, or `…/output`.

@@ -24,6 +24,8 @@ use super::rows;
 const ITEMS: usize = 256;
 /// Events one follower may have waiting between two looks.
 const TAP_DEPTH: usize = 256;
+/// Most bytes of a frame that are handed out: a message of the GCM holds some more.
+const MOST_FRAME_BYTES: usize = 24 << 20;
 /// How often followers look at their queues.
 const LOOK: Duration = Duration::from_millis(5);
 /// Items per second of an output when nothing else is asked.
@@ -47,6 +49,7 @@ pub(super) async fn read(
     lcm: &LocalLcm,
     path: &str,
     when: When,
+    frame: bool,
     deadline: Instant,
 ) -> Result<Sample, Refusal> {
     if path.split('/').count() == 2 {
@@ -64,7 +67,7 @@ pub(super) async fn read(
     let mut output = Output::open(lcm.instance(&port.component)?, &port)?;
     let began = Instant::now();
     loop {
-        if let Some((sample, _)) = output.newest()? {
+        if let Some((sample, _)) = output.newest_with(frame)? {
             return Ok(sample);
         }
         if Instant::now() >= deadline {
@@ -77,8 +80,7 @@ pub(super) async fn read(
 
 fn state_row(instance: &Instance, when: When) -> Result<Sample, Refusal> {
     let ports = instance.ports();
-    let mut sample =
-        Sample { value: json!({}), encoded: Vec::new(), stamp_ns: 0, age_ns: 0, seq: 0, frame_bytes: 0 };
+    let mut sample = Sample { value: json!({}), ..Sample::default() };
     let misfit = |e: &ValueError| not_shown(instance, "show its state", e);
     if let Some(ty) = &ports.state
         && let Some(row) = rows::read(&instance.rows, ty, &instance.id, when, misfit)?
@@ -108,6 +110,8 @@ fn no_output(ports: &Ports, name: &str) -> Option<&'static str> {
 /// A reader from outside on one output; the link goes with it.
 struct Output {
     instance: Arc<Instance>,
+    /// Of the port.
+    name: String,
     cell: Arc<OutCell>,
     ty: Type,
     reader: StreamReader,
@@ -149,11 +153,19 @@ impl Output {
         let (writer, reader) = stream_link(payload, Queue::Latest);
         let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside));
         cell.add(link.clone(), &passing, &back::port(&passing).into());
-        Ok(Output { instance, cell, ty, reader, link, last_seq: 0 })
+        Ok(Output { instance, name: port.port.to_string(), cell, ty, reader, link, last_seq: 0 })
     }
 
     /// The newest sample not shown yet, and how many were left out before it.
     fn newest(&mut self) -> Result<Option<(Sample, u64)>, Refusal> {
+        self.newest_with(false)
+    }
+
+    /// The same, with the bytes of a frame where they are wanted.
+    ///
+    /// # Errors
+    /// Also where they are more than can be handed out.
+    fn newest_with(&mut self, frame: bool) -> Result<Option<(Sample, u64)>, Refusal> {
         let Some(sample) = self.reader.latest().filter(|s| s.fresh) else { return Ok(None) };
         let value =
             decode(&self.ty, sample.data).map_err(|e| not_shown(&self.instance, "show an output", &e))?;
@@ -167,8 +179,23 @@ impl Output {
             age_ns: os::now_ns().saturating_sub(sample.meta.stamp_ns),
             seq: sample.meta.seq,
             frame_bytes: sample.bytes.len() as u64,
+            frame: if frame && sample.bytes.len() <= MOST_FRAME_BYTES {
+                sample.bytes.to_vec()
+            } else {
+                Vec::new()
+            },
         };
         self.reader.release();
+        if frame && shown.frame_bytes > MOST_FRAME_BYTES as u64 {
+            return Err(Refusal::ArgumentInvalid {
+                what: format!("Read {}/{}", self.instance.id, self.name),
+                why: format!(
+                    "its frames have {} bytes, and at most {MOST_FRAME_BYTES} are handed out: follow it with a thumbnail_width",
+                    shown.frame_bytes
+                ),
+                field: "frame".into(),
+            });
+        }
         Ok(Some((shown, skipped)))
     }
 }

@@ -422,8 +422,14 @@ impl Lcm for LocalLcm {
         calling::invoke(instance, call).await
     }
 
-    async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal> {
-        external::read(self, &path, when, deadline).await
+    async fn read(
+        &self,
+        path: String,
+        when: When,
+        frame: bool,
+        deadline: Instant,
+    ) -> Result<Sample, Refusal> {
+        external::read(self, &path, when, frame, deadline).await
     }
 
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {

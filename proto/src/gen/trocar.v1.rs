@@ -1244,6 +1244,9 @@ pub struct ReadRequest {
     /// process/component (its state row) or process/component/output.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
+    /// True: also the bytes of the frame behind the header; only of outputs that give frames, at most 24 MiB of them.
+    #[prost(bool, tag = "6")]
+    pub frame: bool,
     /// Which state row; absent = the newest. Outputs keep none but the newest.
     #[prost(oneof = "read_request::Row", tags = "2, 3, 4, 5")]
     pub row: ::core::option::Option<read_request::Row>,
@@ -1289,6 +1292,9 @@ pub struct ReadResponse {
     /// Bytes of the frame behind the header; 0 for plain samples.
     #[prost(uint64, tag = "6")]
     pub frame_bytes: u64,
+    /// Those bytes, where they were asked for.
+    #[prost(bytes = "vec", tag = "7")]
+    pub frame: ::prost::alloc::vec::Vec<u8>,
 }
 /// Asks for Emit.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -238,9 +238,15 @@ impl Lcm for RemoteLcm {
         }
     }
 
-    async fn read(&self, path: String, when: When, deadline: Instant) -> Result<Sample, Refusal> {
+    async fn read(
+        &self,
+        path: String,
+        when: When,
+        frame: bool,
+        deadline: Instant,
+    ) -> Result<Sample, Refusal> {
         let what = format!("reading {path}");
-        let order = O::Read(v1::ReadRequest { path, row: convert::row(when) });
+        let order = O::Read(v1::ReadRequest { path, row: convert::row(when), frame });
         match self.ask(order, deadline, &what).await? {
             A::Sample(sample) => Ok(convert::sample_in(sample)),
             _ => wrong(),

@@ -155,6 +155,7 @@ pub(crate) fn sample(sample: Sample) -> v1::ReadResponse {
         age_ns: sample.age_ns,
         seq: sample.seq,
         frame_bytes: sample.frame_bytes,
+        frame: sample.frame,
     }
 }
 
@@ -166,6 +167,7 @@ pub(crate) fn sample_in(sample: v1::ReadResponse) -> Sample {
         age_ns: sample.age_ns,
         seq: sample.seq,
         frame_bytes: sample.frame_bytes,
+        frame: sample.frame,
     }
 }
 

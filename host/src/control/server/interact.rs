@@ -85,9 +85,9 @@ impl InteractService for Edge {
 
     async fn read(&self, request: Request<v1::ReadRequest>) -> Result<Response<v1::ReadResponse>, Status> {
         let until = deadline(&request).min(Instant::now() + Duration::from_secs(2));
-        let v1::ReadRequest { path, row } = request.into_inner();
+        let v1::ReadRequest { path, row, frame } = request.into_inner();
         let lcm = self.lcm(&process_of(&path).map_err(refuse)?).map_err(refuse)?;
-        let sample = lcm.read(path, convert::when(row), until).await.map_err(refuse)?;
+        let sample = lcm.read(path, convert::when(row), frame, until).await.map_err(refuse)?;
         Ok(Response::new(convert::sample(sample)))
     }
 

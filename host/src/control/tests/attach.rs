@@ -109,11 +109,14 @@ async fn calls_reads_and_logs_of_an_attached_process_go_through_the_gcm() {
         v1::InvokeRequest { path: "gui/a/arm/write".into(), json: Some(json.clone()), ..Default::default() };
     let reply = interact.invoke(invoke).await.unwrap().into_inner();
     assert_eq!((reply.executed, reply.json, reply.unit.as_str()), (true, Some(json), "mm"));
-    let read = v1::ReadRequest { path: "gui/a/value".into(), row: None };
-    assert_eq!(interact.read(read).await.unwrap().into_inner().seq, 3);
+    let mut read = v1::ReadRequest { path: "gui/a/value".into(), ..Default::default() };
+    let without = interact.read(read.clone()).await.unwrap().into_inner();
+    assert_eq!((without.seq, without.frame_bytes, without.frame), (3, 2, vec![]));
+    read.frame = true;
+    assert_eq!(interact.read(read).await.unwrap().into_inner().frame, [7, 8], "the frame's bytes, too");
     use v1::read_request::Row;
     for row in [Row::AtNs(u64::MAX), Row::NearestNs(2), Row::Tick(3), Row::Delayed(4)] {
-        let read = v1::ReadRequest { path: "gui/a".into(), row: Some(row) };
+        let read = v1::ReadRequest { path: "gui/a".into(), row: Some(row), frame: false };
         let json = interact.read(read).await.unwrap().into_inner().json.unwrap();
         let want = match row {
             Row::AtNs(ns) => format!("gui/a Time({ns})"),

@@ -142,7 +142,9 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
             };
             A::Reply(convert::reply(lcm.invoke(call).await?))
         }
-        O::Read(r) => A::Sample(convert::sample(lcm.read(r.path, convert::when(r.row), deadline).await?)),
+        O::Read(r) => {
+            A::Sample(convert::sample(lcm.read(r.path, convert::when(r.row), r.frame, deadline).await?))
+        }
         O::Detail(path) => A::Detail(convert::stats(&lcm.detail(ComponentId::parse(&path)?).await?)),
         O::Links(_) => {
             A::Links(v1::Links { links: lcm.links().await?.into_iter().map(convert::link).collect() })

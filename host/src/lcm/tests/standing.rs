@@ -154,8 +154,8 @@ async fn a_row_is_found_by_its_tick_after_a_restart_as_well() {
         let path = format!("{}/c", world.process);
         let soon = Instant::now() + PATIENCE;
         // A row that is there: on a busy machine some ticks are skipped.
-        let tick = world.lcm.read(path.clone(), When::Delayed(5), soon).await.unwrap().seq;
-        let row = world.lcm.read(path, When::Tick(tick), soon).await.unwrap();
+        let tick = world.lcm.read(path.clone(), When::Delayed(5), false, soon).await.unwrap().seq;
+        let row = world.lcm.read(path, When::Tick(tick), false, soon).await.unwrap();
         assert_eq!(row.seq, tick);
     }
     world.end().await;

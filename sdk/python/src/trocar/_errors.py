@@ -5,6 +5,8 @@ Invariant: whatever a call ends in, the caller gets one of these; nothing of grp
 
 from __future__ import annotations
 
+import os
+import traceback
 from typing import Any
 
 import grpc
@@ -46,6 +48,14 @@ class TrocarError(Exception):
 
     def __str__(self) -> str:
         return f"{self.code} [{self.reason}] {self.sentence}"
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows: the caller's own lines, not those of this package; for a line typed at the prompt the refusal alone."""
+        package = os.path.dirname(os.path.abspath(__file__))
+        frames = [f for f in traceback.extract_tb(self.__traceback__) if not os.path.abspath(f.filename).startswith(package)]
+        own = [f for f in frames if f"{os.sep}IPython{os.sep}" not in f.filename]
+        shown = [] if len(own) == 1 and own[0].lineno == 1 else traceback.format_list(own)
+        return [*"".join(shown).splitlines(), f"TrocarError: {self}"]
 
     def __reduce__(self) -> Any:
         return (type(self), (self.code, self.reason, self.sentence, self.metadata, self.violations, self.help))

@@ -170,7 +170,10 @@ class Follower:
                 self._handler(*arguments)
             except Exception:
                 self.errors += 1
-                sys.stderr.write(f"trocar: the handler of {self.path} raised:\n{traceback.format_exc()}")
+                try:
+                    sys.stderr.write(f"trocar: the handler of {self.path} raised:\n{traceback.format_exc()}")
+                except (OSError, ValueError):  # Nobody reads stderr any more; the count tells it all the same.
+                    pass
 
     @property
     def waiting(self) -> int:

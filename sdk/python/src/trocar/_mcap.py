@@ -118,7 +118,7 @@ class RecordingFile(Mapping):
         self._topics: dict[str, Topic] = {}
 
     def __getitem__(self, topic: str) -> Topic:
-        found = self._topics.get(topic) or self._topics.get("/" + topic)
+        found = self._topics.get(topic, self._topics.get("/" + topic))
         if found is None:
             raise KeyError(f"{self.file} has no topic {topic!r}; it has {', '.join(self._topics) or 'none'}{nearest(topic, self._topics)}")
         return found
@@ -277,4 +277,5 @@ def _plain(value: Any) -> Any:
         if value.DESCRIPTOR.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
             return value.seconds * 1_000_000_000 + value.nanos
         return value
-    return [_plain(v) for v in value] if hasattr(value, "__iter__") else value
+    # Repeated fields are sequences without being lists; anything else stays as it is.
+    return [_plain(v) for v in value] if hasattr(value, "__len__") else value

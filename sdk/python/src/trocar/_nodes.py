@@ -94,7 +94,9 @@ class ComponentNode(Node):
 
     def _names(self) -> list[str]:
         p = self._ports()
-        return [x.name for group in (p.provided, p.outputs, p.inputs, p.required) for x in group]
+        # What every component has beside its own is reached by name, and not shown with it.
+        outputs = [o for o in p.outputs if not getattr(o, "tap", False)]
+        return [x.name for group in (p.provided, outputs, p.inputs, p.required) for x in group]
 
     def _child(self, name: str) -> Any:
         p, path = self._ports(), f"{self._path}/{name}"

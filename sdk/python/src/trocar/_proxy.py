@@ -37,11 +37,10 @@ class Sent:
 
 
 class Command:
-    """One command. Call it; ``deadline`` is how long to wait, s (the session's by default).
-
-    ``.send(…)`` returns as soon as it is queued, ``.aio(…)`` is awaited. A struct is given as one dict, record or numpy row, or
-    field by field: ``servo_jp(position=[…])``. ``kind``, ``unit`` (of the result), ``min`` and ``max`` say what it is.
-    """
+    # One command. Call it; ``deadline`` is how long to wait, s (the session's by default). ``.send(…)`` returns as soon as it is queued,
+    # ``.aio(…)`` is awaited. A struct is given as one dict, record or numpy row, or field by field: ``servo_jp(position=[…])``.
+    # No docstring of the class: ``r.Write?`` would show it below that of the command.
+    __doc__ = None
 
     def __init__(self, session: Any, path: str, description: Any) -> None:
         self._session = session
@@ -53,6 +52,7 @@ class Command:
         self._type = description.ret if description.HasField("ret") else None
         self._fields = _fields(self._argument.type) if self._argument is not None else {}
         self.__signature__ = _signature(description)
+        self.__call__ = _shown_call(self.__signature__)
 
     kind = property(lambda self: _proto.KINDS[self._about.kind].lower(), doc="What kind of command it is: write, read, …")
     unit = property(lambda self: self._about.ret_unit, doc="Unit of the result; empty = none or inside it.")
@@ -151,6 +151,15 @@ class Command:
 
     def __dir__(self) -> list[str]:
         return ["aio", "send", "kind", "unit", "min", "max"]
+
+
+def _shown_call(signature: inspect.Signature) -> Callable[..., Any]:
+    """What tools take for ``__call__`` of a command when they explain it; calling goes to the class's own."""
+
+    def call(*_: Any, **__: Any) -> None: ...
+
+    call.__signature__ = signature  # type: ignore[attr-defined]
+    return call
 
 
 class Event:

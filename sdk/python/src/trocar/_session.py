@@ -16,7 +16,7 @@ from typing import Any
 import grpc
 import numpy as np
 
-from . import _nodes, _proto, _system_file, _values
+from . import _ipython, _nodes, _proto, _system_file, _values
 from ._errors import TrocarError, invalid
 from ._follow import DEPTH, Follower
 from ._graph import Graph
@@ -68,6 +68,7 @@ def connect(
     except BaseException:
         session.close()
         raise
+    _ipython.install()
     return session
 
 
@@ -84,6 +85,7 @@ class Session:
         self._closing = threading.Event()
         self._followers: set[Any] = set()
         self._plots: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._recordings: set[Any] = set()
         self._graph = Graph(wire, self._hear)
         self._place = Place(self, name)
         self.deadline = float(deadline)
@@ -157,6 +159,7 @@ class Session:
             answer = self._place.require(path, required)
             interface = Interface(self, path, answer.provided, answer.client, answer.connection)
             self._place.keep(interface)
+            self._seen(answer.revision)
             return interface
         return self._interface(path)
 
@@ -171,7 +174,7 @@ class Session:
         names = [p.name for p in self._call("GcmService/Describe", path=owner).ports.provided]
         return f"{owner} provides {', '.join(names) or 'none'}"
 
-    def call(self, path: Any, *args: Any, deadline: float | None = None, **fields: Any) -> Any:
+    def call(self, path: Any, /, *args: Any, deadline: float | None = None, **fields: Any) -> Any:
         """Calls one command: ``ire.call("robot/eyerobot/arm/measured_js")``."""
         __tracebackhide__ = True
         return self._command(path_of(path, (4,), "a command"))(*args, deadline=deadline, **fields)
@@ -290,7 +293,13 @@ class Session:
         request = _proto.message("ApplyRequest")(steps=steps, validate_only=dry_run)
         if not steps:
             return Answer("Apply", _proto.message("ApplyResponse")(revision=self.revision), dry_run)
-        return Answer("Apply", self._wire.call("GcmService/Apply", request, 60.0), dry_run)
+        answer = self._wire.call("GcmService/Apply", request, 60.0)
+        self._seen(0 if dry_run else answer.revision)
+        return Answer("Apply", answer, dry_run)
+
+    def _seen(self, revision: int) -> None:
+        """Waits a moment until this session's own copy of the graph shows what was just done."""
+        self._graph.wait(lambda: self._graph.revision >= revision or not self._graph.connected, 0.5)
 
     def _each(self, verb: str, paths: tuple[Any, ...], dry_run: bool) -> Answer:
         __tracebackhide__ = True
@@ -306,7 +315,9 @@ class Session:
             request.config.CopyFrom(_values.to_wire_struct(config, "config"))
         if execution is not None:
             request.execution.CopyFrom(_system_file.execution(execution, "execution"))
-        return Answer(verb, self._wire.call(f"GcmService/{verb}", request, _PATIENCE), dry_run)
+        answer = self._wire.call(f"GcmService/{verb}", request, _PATIENCE)
+        self._seen(0 if dry_run else answer.revision)
+        return Answer(verb, answer, dry_run)
 
     # Looking.
 
@@ -544,6 +555,11 @@ class Session:
         """Leaves the graph and ends all that is followed. Nothing that runs in the system is stopped."""
         if self._closing.is_set():
             return
+        for recording in list(self._recordings):
+            try:
+                recording.stop()
+            except TrocarError as e:
+                self._say(f"the recording {recording.file} could not be ended: {e}")
         self._closing.set()
         for plot in list(self._plots):
             plot.stop()

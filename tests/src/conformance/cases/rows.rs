@@ -161,7 +161,7 @@ fn read(lab: &Lab, row: Option<Row>) -> Result<ReadResponse, tonic::Status> {
     block_on(async {
         let channel = Channel::from_shared(format!("http://{}", lab.address())).expect("a good address");
         let channel = channel.connect().await.expect("the host answers");
-        let request = ReadRequest { path: lab.path("server"), row };
+        let request = ReadRequest { path: lab.path("server"), row, ..ReadRequest::default() };
         Ok(InteractServiceClient::new(channel).read(request).await?.into_inner())
     })
 }

@@ -276,7 +276,7 @@ fn a_state_that_is_no_value_of_its_type_is_refused_by_component_field_and_reason
     let between = stamp(1) + (stamp(0) - stamp(1)) / 2;
     for when in [When::Newest, When::Delayed(0), When::Nearest(stamp(0)), When::Time(between)] {
         let until = std::time::Instant::now() + PATIENCE;
-        let refusal = world.wait(world.lcm.read("no-value/robot".into(), when, until)).unwrap_err();
+        let refusal = world.wait(world.lcm.read("no-value/robot".into(), when, false, until)).unwrap_err();
         assert_eq!(refusal.reason(), "COMPONENT_REFUSED", "{when:?}: {refusal}");
         let text = refusal.to_string();
         let says = |part: &str| assert!(text.contains(part), "{when:?}: {part}: {text}");

@@ -1,0 +1,229 @@
+"""Recordings from Python: a recorder beside the data, made for the time of a ``with`` block, driven and taken away again.
+
+Invariant: samples never pass through Python; whatever happens in the block, the file is closed and the recorder is removed.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from . import _proto, _values
+from ._errors import TrocarError, invalid
+from ._paths import globbed, nearest, path_of
+
+_CLASS = "recorder/recorder"
+_MOST = 1024
+_DEPTH = 4096
+_BEGUN = ("RECORDING", "PAUSED")
+
+
+class Recording:
+    """A recording of what some patterns name.
+
+    It is armed at once: a recorder is made, connected and started, and keeps the last ``pre_trigger`` seconds. ``with`` (or
+    ``start()``) begins the file, the end of the block (or ``stop()``) closes it and takes the recorder away. ``path`` is the file as the
+    recorder's process sees it, ``topics`` what is recorded, ``result`` the figures of the finished file, ``read()`` the file itself.
+    """
+
+    def __init__(
+        self,
+        session: Any,
+        name: str,
+        patterns: Iterable[str],
+        pre_trigger: float = 0.0,
+        *,
+        process: str = "",
+        directory: str = "",
+        video: str = "raw",
+        max_rate_hz: Mapping[str, float] | float = 0.0,
+        config: Mapping[str, Any] | None = None,
+    ) -> None:
+        if not isinstance(name, str) or not name:
+            raise invalid(f'record: the name of the recording is a text such as "trial7"; {name!r} is none', field="name")
+        if isinstance(pre_trigger, bool) or not isinstance(pre_trigger, (int, float)) or not 0 <= pre_trigger <= 3600:
+            raise invalid(f"pre_trigger is {pre_trigger!r}; give seconds from 0 to 3600", field="pre_trigger")
+        self._session = session
+        self.file = name if name.lower().endswith(".mcap") else f"{name}.mcap"
+        self.path = ""
+        self.result: Any = None
+        self.component = ""
+        self._running = False
+        wanted = [patterns] if isinstance(patterns, str) else list(patterns)
+        self.topics = _matching(session, wanted)
+        self._arm(name, process, directory, video, max_rate_hz, float(pre_trigger), dict(config or {}))
+        session._recordings.add(self)
+
+    def _arm(self, name: str, process: str, directory: str, video: str, rate: Any, pre_trigger: float, config: dict[str, Any]) -> None:
+        session = self._session
+        process = process or _best_process(session, self.topics)
+        inputs = [f"t{i}" for i in range(len(self.topics))]
+        config.update(topics=inputs, sources=self.topics, video=video, pre_trigger_s=pre_trigger)
+        if directory:
+            config["directory"] = directory
+        if rate:
+            rates = [_rate(rate, t) for t in self.topics]
+            config["max_rate_hz"] = rates
+        component = _free(session, process, name)
+        Step = _proto.message("Step")
+        create = _proto.message("CreateRequest")(**{"class": _CLASS}, path=component)
+        create.config.CopyFrom(_values.to_wire_struct(config, "config"))
+        # Its inputs are there once it is configured, so it is made first; whatever fails then takes it away again.
+        session._seen(session._wire.call("GcmService/Create", create, 10.0).revision)
+        self.component = component
+        steps = []
+        for name, topic in zip(inputs, self.topics):
+            connect = _proto.message("ConnectRequest")(client=f"{component}/{name}", server=topic)
+            connect.options.queue.fifo, connect.options.queue.drop_oldest = _DEPTH, False
+            steps.append(Step(connect=connect))
+        steps.append(Step(start=_proto.message("StartRequest")(paths=[component])))
+        try:
+            session._wire.call("GcmService/Apply", _proto.message("ApplyRequest")(steps=steps), 30.0)
+        except TrocarError:
+            self.close()
+            raise
+
+    def _ctl(self, command: str, *args: Any, **fields: Any) -> Any:
+        return self._session.call(f"{self.component}/ctl/{command}", *args, deadline=5.0, **fields)
+
+    def start(self, *, delay: float = 0.0, duration: float = 0.0) -> Recording:
+        """Begins the file, ``delay`` seconds from now, and records for ``duration`` seconds (0: until ``stop``)."""
+        __tracebackhide__ = True
+        if not self.component:
+            raise TrocarError("FAILED_PRECONDITION", "WRONG_STATE", f"the recording {self.file} is over; make another")
+        self._ctl("start", path=self.file, delay=float(delay), duration=float(duration))
+        self._running = True
+        # The recorder begins in its next step; what the caller does then is in the file.
+        end = time.monotonic() + 5.0
+        while not delay and str(self.status()["phase"]) not in _BEGUN:
+            if time.monotonic() > end:
+                raise TrocarError("DEADLINE_EXCEEDED", "NOT_REACHED", f"{self.component} did not begin within 5 s; see ire.logs()")
+            self._session.sleep(0.005)
+        return self
+
+    def stop(self) -> Any:
+        """Closes the file and takes the recorder away; answers the figures of the file."""
+        __tracebackhide__ = True
+        if not self.component:
+            return self.result
+        try:
+            if self._running:
+                self.result = self._session.wait_for(f"{self.component}/ctl/stopped", deadline=30.0, call=f"{self.component}/ctl/stop")
+                self.path = str(self.result["path"])
+                if self.result["lost"]:
+                    self._session._say(f"{self.path}: {int(self.result['lost'])} samples were lost; the file tells which")
+        finally:
+            self._running = False
+            self.close()
+        return self.result
+
+    def marker(self, text: str) -> None:
+        """Puts a line into the recording, at this time."""
+        __tracebackhide__ = True
+        self._ctl("marker", text)
+
+    def pause(self) -> None:
+        """Leaves out what comes from now on, until ``resume``."""
+        __tracebackhide__ = True
+        self._ctl("pause")
+
+    def resume(self) -> None:
+        """Goes on after ``pause``."""
+        __tracebackhide__ = True
+        self._ctl("resume")
+
+    def status(self) -> Any:
+        """The recording in numbers: messages, bytes, what was lost, s since it began."""
+        __tracebackhide__ = True
+        return self._ctl("status") if self.component else self.result
+
+    def read(self, **settings: Any) -> Any:
+        """The file, once it is closed and where it lies on this machine; see ``trocar.read``."""
+        from ._mcap import read
+
+        if not self.path:
+            raise TrocarError("FAILED_PRECONDITION", "WRONG_STATE", f"{self.file} is not closed yet")
+        return read(self.path, **settings)
+
+    def close(self) -> None:
+        """Takes the recorder away, whatever it does; its file is closed by that, too."""
+        component, self.component = self.component, ""
+        self._session._recordings.discard(self)
+        if component:
+            self._session.remove(component, force=True)
+
+    def __enter__(self) -> Recording:
+        __tracebackhide__ = True
+        try:
+            return self.start()
+        except BaseException:
+            self.close()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        __tracebackhide__ = True
+        self.stop()
+
+    def __repr__(self) -> str:
+        how = "recording" if self._running else "armed" if self.component else "over"
+        return f"<{self.file}, {how}: {len(self.topics)} topics{f', {self.path}' if self.path else ''}>"
+
+
+def _rate(rate: Any, topic: str) -> float:
+    if not isinstance(rate, Mapping):
+        return float(rate)
+    return next((float(r) for pattern, r in rate.items() if globbed(pattern).match(topic)), 0.0)
+
+
+def _matching(session: Any, patterns: list[str]) -> list[str]:
+    """Outputs that patterns name: ``robot/**``, ``*/camera/image``; a component means all of its outputs."""
+    if not patterns or not all(isinstance(p, str) for p in patterns):
+        raise invalid('record: name what to record, e.g. ["robot/**"]', field="patterns")
+    there = []
+    for path in sorted(session._graph.components):
+        described = session._graph.describe(path)
+        cls = getattr(described.component, "class")
+        if cls == _CLASS or session._graph.processes[path.partition("/")[0]].guest:
+            continue
+        there += [f"{path}/{o.name}" for o in described.ports.outputs if o.type.WhichOneof("kind") != "any"]
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        regex = globbed(pattern if "*" in pattern or pattern.count("/") != 1 else f"{pattern}/**")
+        hits = [p for p in there if regex.match(p)]
+        if not hits:
+            shown = ", ".join(there[:20]) + (f" and {len(there) - 20} more" if len(there) > 20 else "")
+            raise TrocarError(
+                "NOT_FOUND",
+                "NOTHING_MATCHES",
+                f"record: {pattern!r} matches no output; there are {shown or 'none'}{nearest(pattern, there)}",
+                {"pattern": pattern, "known": ", ".join(there)},
+            )
+        found.update(dict.fromkeys(hits))
+    if len(found) > _MOST:
+        raise invalid(f"record: the patterns name {len(found)} outputs; a recorder takes {_MOST}: name fewer", field="patterns")
+    return list(found)
+
+
+def _best_process(session: Any, topics: list[str]) -> str:
+    """Where most of the data are, of the processes that offer a recorder."""
+    able = [p.name for p in session._graph.processes.values() if _CLASS in p.classes and not p.guest]
+    if not able:
+        raise TrocarError(
+            "NOT_FOUND",
+            "CLASS_NOT_FOUND",
+            f"no process offers the class {_CLASS}; put the recorder's plugin into a plugin directory of one of them",
+            {"class": _CLASS},
+        )
+    count = {name: sum(t.startswith(name + "/") for t in topics) for name in able}
+    return max(able, key=lambda name: count[name])
+
+
+def _free(session: Any, process: str, name: str) -> str:
+    base = "rec_" + (re.sub(r"[^A-Za-z0-9_]", "_", name.rpartition("/")[2])[:40] or "1")
+    for n in range(1, 1000):
+        path = path_of(f"{process}/{base}{n if n > 1 else ''}")
+        if path not in session._graph.components:
+            return path
+    raise TrocarError("ALREADY_EXISTS", "COMPONENT_EXISTS", f"{process}/{base} and its like are all taken; remove some")

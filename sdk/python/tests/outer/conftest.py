@@ -1,0 +1,130 @@
+"""The built program: systems that a test starts, and that end with it."""
+
+import json
+import os
+import pathlib
+import re
+import signal
+import subprocess
+
+import pytest
+
+import trocar
+
+from ..conftest import eventually
+
+BIN = os.environ.get("TROCAR_BIN_DIR")
+ROOT = pathlib.Path(__file__).resolve().parents[4]
+
+
+def pytest_collection_modifyitems(items):
+    if BIN is None:
+        for item in items:
+            if "outer" in item.path.parts:
+                item.add_marker(pytest.mark.skip(reason="TROCAR_BIN_DIR is not set: ./tests/run builds the program and runs these"))
+
+
+class Program:
+    """A ``trocar`` that serves, killed by its handle."""
+
+    def __init__(self, directory, name, *args, env=None):
+        self.directory, self.name = directory, name
+        self.log = directory / f"{name}.log"
+        environment = {k: v for k, v in os.environ.items() if k != "TROCAR_GCM"}
+        environment.update(XDG_STATE_HOME=str(directory / "state"), **(env or {}))
+        with open(self.log, "ab") as out:
+            self.child = subprocess.Popen(
+                [f"{BIN}/trocar", *map(str, args)], cwd=directory, stdin=subprocess.DEVNULL, stdout=out, stderr=out, env=environment
+            )
+
+    def printed(self):
+        return self.log.read_text(errors="replace")
+
+    def address(self, pattern):
+        def look():
+            assert self.child.poll() is None, f"{self.name} ended with {self.child.returncode}:\n{self.printed()}"
+            return re.search(pattern, self.printed())
+
+        return eventually(f"{self.name} prints its address", look).group(1)
+
+    def end(self, how=signal.SIGTERM):
+        if self.child.poll() is None:
+            self.child.send_signal(how)
+            try:
+                self.child.wait(30)
+            except subprocess.TimeoutExpired:
+                self.child.kill()
+                self.child.wait(30)
+
+
+def linked(directory, *names):
+    """A plugin directory with copies of these plugins; those that were not built are left out, and answered."""
+    plugins = directory / "plugins"
+    plugins.mkdir(exist_ok=True)
+    missing = []
+    for name in names:
+        file = pathlib.Path(BIN) / f"libtrocar_{name}.so"
+        if not file.exists():
+            missing.append(name)
+            continue
+        target = plugins / file.name
+        target.write_bytes(file.read_bytes())
+        target.chmod(0o755)
+    return plugins, missing
+
+
+SYSTEM = {
+    "version": 1,
+    "//": "Named as in the shell session of the documentation.",
+    "processes": {"ProcessServer": {}, "robot": {}, "oct": {}, "host": {}},
+    "components": {
+        "ProcessServer/Server": {"class": "example/Server"},
+        "robot/EyeRobot": {"class": "EyeRobot", "execution": {"model": "periodic", "rate_hz": 500}},
+        "oct/spectrometer": {"class": "oct/oct_source", "execution": {"model": "stream", "rate_hz": 50}},
+        "oct/lines": {"class": "oct/oct_processor", "execution": {"stream_of": "oct/spectrometer"}},
+        "host/eye": {
+            "class": "stereo/phantom_source",
+            "execution": {"model": "stream", "rate_hz": 10},
+            "config": {"width": 320, "height": 240},
+        },
+    },
+    "connections": [{"client": "oct/lines/spectra", "server": "oct/spectrometer/spectra"}],
+}
+PLUGINS = ("example", "fixture_lecture", "oct", "stereo", "eyerobot", "bscan", "vision_filters", "display", "stereo_depth",
+           "picture_writer", "recorder")  # fmt: skip
+
+
+class System:
+    """Several processes with their GCM."""
+
+    def __init__(self, directory):
+        self.directory = directory
+        self.plugins, self.missing = linked(directory, *PLUGINS)
+        (directory / "session.json").write_text(json.dumps(SYSTEM))
+        (directory / "bscan.json").write_bytes((ROOT / "host/demo/bscan.json").read_bytes())
+        self.program = Program(directory, "up", "up", "session.json", "--plugins", self.plugins, "--listen", "127.0.0.1:0")
+        self.address = self.program.address(r"GCM (127\.0\.0\.1:\d+)")
+
+    def connect(self, **settings):
+        return trocar.connect(self.address, **settings)
+
+
+@pytest.fixture(scope="session")
+def system(tmp_path_factory):
+    made = System(tmp_path_factory.mktemp("session"))
+    yield made
+    made.program.end()
+
+
+@pytest.fixture
+def ire(system):
+    with system.connect() as session:
+        yield session
+
+
+@pytest.fixture
+def server(ire):
+    """The example's server, running."""
+    if ire.state("ProcessServer/Server") != "ACTIVE":
+        ire.start("ProcessServer/Server")
+    return ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provided"))

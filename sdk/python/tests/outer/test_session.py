@@ -1,0 +1,175 @@
+"""Promise: the session of the documentation, typed into IPython in a terminal, does what it says there."""
+
+import os
+import pathlib
+import re
+import signal
+import sys
+import threading
+
+import pexpect
+import pyte
+import pytest
+
+from ..conftest import eventually
+
+TAB, ENTER, CLEAR = "\t", "\r", "\x15"
+
+
+class Terminal:
+    """A program in a pseudo-terminal, and what its screen shows."""
+
+    def __init__(self, directory, address, *command):
+        env = {k: v for k, v in os.environ.items() if not k.startswith("IPYTHON")}
+        env.update(
+            TROCAR_GCM=address,
+            TERM="xterm",
+            PROMPT_TOOLKIT_NO_CPR="1",
+            IPYTHONDIR=str(directory / "ipython"),
+            MPLBACKEND="Agg",
+            PAGER="cat",
+            NO_COLOR="1",
+            HOME=str(directory),
+        )
+        self.screen = pyte.HistoryScreen(180, 400, history=4000)
+        self.stream = pyte.Stream(self.screen)
+        self.child = pexpect.spawn(
+            sys.executable, list(command), cwd=str(directory), env=env, dimensions=(400, 180), encoding="utf-8", timeout=60
+        )
+        self.lock = threading.Lock()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        while True:
+            try:
+                text = self.child.read_nonblocking(65536, timeout=60)
+            except pexpect.TIMEOUT:
+                continue
+            except (pexpect.EOF, OSError):
+                return
+            with self.lock:
+                self.stream.feed(text)
+
+    def text(self):
+        with self.lock:
+            return "\n".join(line.rstrip() for line in self.screen.display).rstrip()
+
+    def see(self, what, pattern):
+        def look():
+            text = self.text()
+            assert re.search(pattern, text, re.M), f"the screen shows:\n{text[-4000:]}"
+            return text
+
+        return eventually(what, look)
+
+    def prompt(self, number):
+        return self.see(f"the prompt In [{number}]", rf"^In \[{number}\]: *$")
+
+    def run(self, number, *lines):
+        """Types lines at the prompt of that number, and answers what the screen shows between it and the next prompt."""
+        self.prompt(number)
+        for line in lines:
+            self.child.send(line + ENTER)
+        # A block waits for an empty line; at a prompt an empty line does nothing.
+        if lines[-1].startswith((" ", "def ", "with ")) or len(lines) > 1:
+            self.see("the block was taken", re.escape(lines[-1][:60]))
+            self.child.send(ENTER)
+        text = self.prompt(number + 1)
+        return text.rpartition(f"In [{number}]:")[2].rpartition(f"In [{number + 1}]:")[0]
+
+    def end(self):
+        if self.child.isalive():
+            self.child.kill(signal.SIGKILL)
+            eventually("the terminal's program has ended", lambda: not self.child.isalive())
+
+
+@pytest.fixture
+def terminal(tmp_path):
+    made = []
+
+    def make(address, *command, files=()):
+        for file in files:
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+        made.append(Terminal(tmp_path, address, *command))
+        return made[-1]
+
+    yield make
+    for t in made:
+        t.end()
+
+
+def test_the_session_of_the_documentation_runs_as_it_is_written(system, ire, server, terminal, tmp_path):
+    server.Write(0)
+    t = terminal(system.address, "-m", "IPython", "--no-banner", "--no-confirm-exit", files=[system.directory / "bscan.json"])
+    t.run(1, "import trocar; ire = trocar.connect()")
+    assert "EyeRobot" in t.run(2, "ire.tree")
+    t.run(3, "r = ire.AddInterfaceRequiredAndConnect(('ProcessServer', 'Server', 'Provided'))")
+    assert re.search(r"ProcessServer/Server/Provided, connected as ire\d*/shell/Provided", t.run(4, "r"))
+
+    t.prompt(5)
+    t.child.send("r." + TAB)
+
+    def offered():
+        return set(t.text().rpartition("In [5]:")[2].split("\n", 1)[-1].split())
+
+    eventually("exactly Read, Void, Write, on are offered", lambda: offered() == {"Read", "Void", "Write", "on"})
+    t.child.send(CLEAR)
+    assert "0 mm" in t.run(5, "r.Read()")
+
+    asked = t.run(6, "r.Write?")
+    assert re.search(r"r\.Write\(value: i32\) -> None", asked) and "Sets the set point (mm), 0..100" in asked, asked
+    assert re.search(r"Out\[7\]: 30( mm)?$", t.run(7, "r.Write(30); r.Read()"), re.M)
+    refused = t.run(8, "r.Write(300)")
+    assert re.search(
+        r"^TrocarError: INVALID_ARGUMENT \[ARGUMENT_INVALID\] value 300 is above maximum 100 mm \(ProcessServer/Server/Provided/Write\)",
+        refused,
+        re.M,
+    ), refused
+    t.run(9, "@r.on.SetPointReached", 'def _(v): print("reached", v)')
+    server.Write(55)
+    t.see("the handler printed", r"reached 55 mm")
+    plotted = t.run(10, 'ire.plot("robot/EyeRobot/Arm/measured_js.position[0]", seconds=10)')
+    assert re.search(r"plot of robot/EyeRobot/Arm/measured_js\.position\[0\] \(m\|rad\) over 10 s", plotted), plotted
+    t.run(11, "p = _10")
+    if "recorder" in system.missing:
+        t.run(12, "'no recorder was built'")
+    else:
+        recorded = t.run(12, 'with ire.record("trial7", ["robot/**", "oct/**"], pre_trigger=5): ...')
+        assert "Error" not in recorded, recorded
+    assert "ire" in t.run(13, "ire.process")
+    planned = t.run(14, 'ire.apply("bscan.json", dry_run=True)')
+    assert "Apply, would be done:" in planned and "+ create robot/robot" in planned and "+ connect" in planned, planned
+    assert re.search(r"Out\[15\]: 55( mm)?$", t.run(15, "await r.Read.aio()"), re.M)
+    t.child.send("exit()" + ENTER)
+    eventually("IPython has ended", lambda: not t.child.isalive())
+    eventually("the shell is gone from the graph", lambda: [p for p in ire._graph.processes if p.startswith("ire")] == [ire.process])
+    if "recorder" in system.missing:
+        pytest.skip("In [12], the recording: the recorder plugin was not built; the rest of the session ran")
+
+
+def test_trocar_ire_starts_connected_and_completes_live_names_and_paths(system, terminal):
+    t = terminal(system.address, "-m", "trocar.ire", "--name", "shell-under-test")
+    t.see("the greeting", r"seen there as shell-under-test")
+    t.prompt(1)
+    t.child.send("ire.robot.Ey" + TAB)
+    t.see("the component is completed", r"In \[1\]: ire\.robot\.EyeRobot")
+    t.child.send(".Arm.meas" + TAB)
+    t.see("the command is completed", r"ire\.robot\.EyeRobot\.Arm\.measured_js")
+    t.child.send("()" + ENTER)
+    t.see("its value is shown with its unit", r"position .*m\|rad")
+    t.prompt(2)
+    t.child.send('ire.latest("robot/EyeRobot/pos' + TAB)
+    t.see("the path is completed", r'ire\.latest\("robot/EyeRobot/position')
+    t.child.send(CLEAR)
+    t.run(2, "help(ire.ProcessServer.Server.Provided.Write)")
+    assert "Sets the set point (mm), 0..100" in t.text()
+    t.child.send("exit()" + ENTER)
+    eventually("it has ended", lambda: not t.child.isalive())
+
+
+def test_trocar_ire_runs_code_and_says_when_there_is_no_gcm(system, tmp_path):
+    command = pathlib.Path(sys.executable).with_name("trocar-ire")
+    out = pexpect.run(f"{command} --gcm {system.address} -c 'print(ire.connected)'", timeout=60, encoding="utf-8", cwd=str(tmp_path))
+    assert "True" in out, out
+    out, status = pexpect.run(f"{command} --gcm 127.0.0.1:1", timeout=60, encoding="utf-8", withexitstatus=True)
+    assert status == 3 and "GCM_UNREACHABLE" in out and "127.0.0.1:1" in out, (status, out)

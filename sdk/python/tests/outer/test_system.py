@@ -1,0 +1,370 @@
+"""Promise: what a running system offers is at hand in Python, seen by everybody in the graph, and what is wrong is said by the host."""
+
+import asyncio
+import os
+import subprocess
+import sys
+import threading
+import xml.dom.minidom
+
+import numpy as np
+import pytest
+
+import trocar
+
+from ..conftest import eventually
+from .conftest import BIN
+
+
+def test_the_shell_is_a_process_with_a_required_interface_and_goes_when_it_leaves(system, ire):
+    other = system.connect(name="looker")
+    r = ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provided"))
+    me = ire.process
+
+    def seen():
+        c = [c for c in other._graph.connections.values() if c.client == f"{me}/shell/Provided"]
+        return c and c[0].server == "ProcessServer/Server/Provided"
+
+    eventually("another session sees the connection", seen)
+    assert other._graph.processes[me].guest.startswith("Python 3."), other._graph.processes[me]
+    assert other._graph.processes[me].pid == os.getpid()
+    listed = subprocess.run([f"{BIN}/trocar", "--gcm", system.address, "ls"], capture_output=True, text=True, check=True).stdout
+    assert me in listed and f"{me}/shell/Provided" in listed, listed
+    assert f"connected as {me}/shell/Provided" in repr(r)
+    ire.close()
+    eventually("it is gone, with its connection", lambda: me not in other._graph.processes and not seen())
+    with pytest.raises(trocar.TrocarError) as e:
+        r.Read()
+    assert e.value.reason == "CLOSED"
+    other.close()
+
+
+def test_a_shell_that_is_killed_goes_from_the_graph_too(system, ire):
+    code = "import sys,trocar; i=trocar.connect(sys.argv[1], name='dies'); print(i.process, flush=True); input()"
+    child = subprocess.Popen([sys.executable, "-c", code, system.address], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    name = child.stdout.readline().strip()
+    assert name == "dies"
+    eventually("it is seen", lambda: "dies" in ire._graph.processes)
+    child.kill()
+    child.wait()
+    eventually("it is gone", lambda: "dies" not in ire._graph.processes)
+
+
+def test_each_way_of_naming_an_interface_is_the_same_one(ire, server):
+    named = [
+        ire.AddInterfaceRequiredAndConnect("ProcessServer/Server/Provided"),
+        ire.AddInterfaceRequiredAndConnect(ire.ProcessServer.Server.Provided),
+        ire.ProcessServer.Server["Provided"],
+        ire["ProcessServer/Server/Provided"],
+    ]
+    server.Write(17)
+    assert [r.Read() for r in named] == [17] * 4
+    assert named[0]._client == f"{ire.component}/Provided2", "a second one gets a name of its own"
+    again = ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provided"), "mine")
+    assert again._client == f"{ire.component}/mine"
+
+
+def test_values_have_units_and_commands_tell_range_and_documentation(ire, server):
+    server.Write(value=30)
+    read = server.Read()
+    assert read == 30 and isinstance(read, int) and repr(read) == "30 mm" and read.unit == "mm" and read + 1 == 31
+    assert dir(server) == ["Void", "Write", "Read", "on"] or sorted(dir(server)) == ["Read", "Void", "Write", "on"]
+    assert str(server.Write.__signature__) == "(value: i32) -> None"
+    assert server.Write.__doc__.splitlines()[0] == "Sets the set point (mm), 0..100"
+    assert (server.Write.min, server.Write.max, server.Write.kind) == (0, 100, "write")
+    assert str(server.Read.__signature__) == "() -> i32"
+    joints = ire.robot.EyeRobot.Arm.measured_js()
+    assert joints.units["position"] == "m|rad" and joints.position.shape == (2,) and joints["velocity"].dtype == np.float64
+    assert "m|rad" in repr(joints) and "JointState" in repr(joints)
+    with pytest.raises(AttributeError, match="it has stamp, position"):
+        joints.positon
+
+
+@pytest.mark.parametrize(
+    "value, why",
+    [
+        (300, "value 300 is above maximum 100 mm"),
+        (-1, "below minimum 0 mm"),
+        (1.5, "not a whole number"),
+        ("abc", '"abc" is not a whole number'),
+        (None, "null is not a whole number"),
+        ([1], "is not a whole number"),
+        ({"a": 1}, "is not a whole number"),
+        (True, "is not a whole number"),
+        (float("nan"), "NaN"),
+        (float("inf"), "is above maximum 100 mm"),
+        (2**70, "above maximum"),
+        (1e300, "above maximum"),
+        (object(), "cannot be sent"),
+        (b"30", "cannot be sent"),
+        ({1: 2}, "is not a text"),
+        ("\ud800", "not valid Unicode"),
+        (np.array([[1, 2]]), "is not a whole number"),
+    ],
+)
+def test_what_is_of_the_wrong_type_or_range_is_refused_and_changes_nothing(server, value, why):
+    server.Write(42)
+    with pytest.raises(trocar.TrocarError) as e:
+        server.Write(value)
+    assert (e.value.code, e.value.reason) == ("INVALID_ARGUMENT", "ARGUMENT_INVALID"), e.value
+    assert why in e.value.sentence and "ProcessServer/Server/Provided/Write" in e.value.sentence, e.value
+    assert server.Read() == 42
+
+
+def test_a_value_that_nests_too_deep_is_refused_not_a_crash(server):
+    deep = []
+    for _ in range(5000):
+        deep = [deep]
+    with pytest.raises(trocar.TrocarError, match="deeper than"):
+        server.Write(deep)
+
+
+def test_what_is_not_there_is_named_with_what_is(ire, server):
+    with pytest.raises(AttributeError, match="has no command 'Wirte'; it has .*did you mean Write"):
+        server.Wirte
+    with pytest.raises(AttributeError, match="did you mean EyeRobot"):
+        ire.robot.EyeRobto
+    with pytest.raises(AttributeError, match="there is no process 'robto'.*did you mean robot"):
+        ire.robto
+    with pytest.raises(TypeError, match="takes no argument"):
+        server.Read(1)
+    with pytest.raises(TypeError, match="takes one argument; 2 were given"):
+        server.Write(1, 2)
+    cases = [
+        (lambda: ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provide")), "INTERFACE_NOT_FOUND", "Provided"),
+        (lambda: ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server")), "BAD_PATH", "process/component/port"),
+        (lambda: ire.AddInterfaceRequiredAndConnect(42), "BAD_PATH", "text or a tuple"),
+        (lambda: ire.AddInterfaceRequiredAndConnect("a/../b"), "BAD_PATH", "is not a name"),
+        (lambda: ire.call("robot/EyeRobot/Arm/measured_jx"), "MEMBER_NOT_FOUND", "measured_js"),
+        (lambda: ire.start("robot/nobody"), "COMPONENT_NOT_FOUND", "EyeRobot"),
+        (lambda: ire.create("robot/x", "EyeRobto"), "CLASS_NOT_FOUND", "EyeRobot"),
+        (lambda: ire.configure("host/eye", width="wide"), "CONFIG_INVALID", "width"),
+        (lambda: ire.wait_for("robot/EyeRobot", "ACTVE"), "ARGUMENT_INVALID", "did you mean ACTIVE"),
+        (lambda: ire.latest("robot/EyeRobot", rows=0), "ARGUMENT_INVALID", "1 to 65536"),
+        (lambda: server.Read(deadline=0), "ARGUMENT_INVALID", "at most 60"),
+        (lambda: ire.follow("robot/EyeRobot/position", max_rate_hz=1e9), "ARGUMENT_INVALID", "1000 Hz"),
+        (lambda: ire.follow("robot/EyeRobot/postion"), "INTERFACE_NOT_FOUND", "position"),
+        (lambda: ire.plot("robot/EyeRobot/Arm/measured_js"), "ARGUMENT_INVALID", ".position"),
+        (lambda: ire.plot("robot/EyeRobot/Arm/measured_js.position[7]"), "ARGUMENT_INVALID", "it has 2"),
+        (lambda: ire.plot("ProcessServer/Server/Provided/Write"), "WRONG_KIND", "write command"),
+    ]
+    for ask, reason, words in cases:
+        with pytest.raises(trocar.TrocarError) as e:
+            ask()
+        assert e.value.reason == reason and words in e.value.sentence, (reason, e.value)
+        assert "\n" not in str(e.value)
+
+
+def test_events_come_to_a_decorated_function_in_a_thread_of_its_own(server):
+    got, threads, items = [], [], []
+
+    @server.on.SetPointReached
+    def reached(v, item):
+        got.append(v)
+        threads.append(threading.current_thread())
+        items.append(item)
+
+    for value in range(20):
+        server.Write(value)
+    eventually("all events came", lambda: len(got) == 20)
+    assert got == list(range(20)) and repr(got[3]) == "3 mm"
+    assert set(threads) != {threading.main_thread()} and len(set(threads)) == 1
+    assert [i.skipped for i in items] == [0] * 20 and items[1].stamp_ns > items[0].stamp_ns > 0
+    assert reached.received == 20 and reached.skipped == 0
+    reached.close()
+    server.Write(5)
+    with server.on.SetPointReached.follow() as f:
+        server.Write(6)
+        assert f.next(10).value == 6
+    assert len(got) == 20, "a closed one hears nothing more"
+    assert server.on.SetPointReached.wait(call=(server.Write, 7)) == 7
+
+
+def test_a_handler_that_raises_is_told_counted_and_goes_on(server, capfd):
+    got = []
+
+    @server.on.VoidCalled
+    def _():
+        got.append(1)
+        raise RuntimeError("the handler's own mistake")
+
+    server.Void()
+    server.Void()
+    eventually("both were handled", lambda: _.errors == 2)
+    assert len(got) == 2
+    assert "the handler's own mistake" in capfd.readouterr().err
+    _.close()
+
+
+def test_a_handler_that_stalls_slows_nothing_and_what_it_misses_is_counted(ire, server):
+    release, entered = threading.Event(), threading.Event()
+
+    def stall(_):
+        entered.set()
+        release.wait(60)
+
+    arm = ire.robot.EyeRobot.Arm
+    seen = []
+    stalled = arm.on.Stepped(stall, depth=50)
+    awake = arm.on.Stepped(lambda v, item: seen.append((v, item.skipped)), depth=100_000)
+    assert entered.wait(60)
+    before = int(ire.call("robot/EyeRobot/Arm/steps"))
+    eventually("many more events were sent than its queue holds", lambda: stalled.skipped > 300)
+    steps = int(ire.call("robot/EyeRobot/Arm/steps")) - before
+    server.Write(9)
+    assert server.Read() == 9, "other calls go on"
+    assert stalled.waiting <= 50, "its queue is bounded"
+    assert len(seen) >= min(steps, 300), "another follower of the same event goes on"
+    for (a, _), (b, lost) in zip(seen, seen[1:]):
+        assert b == a + 1 + lost, "nothing is lost without being counted"
+    # Let go, it gets what its queue kept, and the count in between is told with it.
+    release.set()
+    eventually("it goes on", lambda: stalled.waiting == 0)
+    assert stalled.received == stalled.received and "skipped" in repr(stalled)
+    stalled.close()
+    awake.close()
+
+
+def test_calls_can_be_awaited_gathered_and_sent(server):
+    async def many():
+        await server.Write.aio(11)
+        return await asyncio.gather(*(server.Read.aio() for _ in range(20)))
+
+    assert asyncio.run(many()) == [11] * 20
+
+    async def refused():
+        await server.Write.aio(300)
+
+    with pytest.raises(trocar.TrocarError, match="above maximum"):
+        asyncio.run(refused())
+    sent = server.Write.send(12)
+    assert "Write" in repr(sent)
+    eventually("what was sent arrives", lambda: server.Read() == 12)
+
+
+def test_a_state_row_and_many_are_structured_arrays(ire):
+    row = ire.latest("robot/EyeRobot")
+    assert row.shape == () and row["joints"]["position"].shape == (2,) and row.age_s < 60
+    eventually("there are rows enough", lambda: ire.call("robot/EyeRobot/Arm/steps") > 200)
+    rows = ire.latest("robot/EyeRobot", rows=50)
+    assert rows.ndim == 1 and 1 < len(rows) <= 50 and (np.diff(rows.seq.astype(int)) > 0).all()
+    assert (np.diff(rows["steps"].astype(int)) == 1).all() or len(rows) < 50
+    assert rows.stamp_ns.dtype == np.uint64
+
+
+def test_samples_and_frames_are_numpy_arrays(ire):
+    sample = ire.robot.EyeRobot.position.latest()
+    assert sample["value"].dtype == np.float64 and abs(float(sample["value"])) <= 0.01
+    image = ire.latest("host/eye/image")
+    assert image.format.startswith("stereo") and image.shape[0] == 2 and image.shape[1:3] == (240, 320), (image.format, image.shape)
+    assert image.dtype == np.uint8 and image.std() > 0 and image.header.width == 320
+    lines = ire.oct.lines.ascan.latest()
+    assert lines.ndim == 2 and lines.shape == (lines.header.lines, lines.header.samples) and lines.dtype == np.float32
+    assert np.isfinite(lines).all()
+    with pytest.raises(trocar.TrocarError, match="keeps no rows"):
+        ire.latest("host/eye/image", rows=3)
+
+
+def test_an_output_is_followed_at_the_rate_asked_for(ire):
+    got = []
+    f = ire.robot.EyeRobot.position.follow(lambda v, item: got.append((v.value, item.seq, item.skipped)), max_rate_hz=200)
+    eventually("samples come", lambda: len(got) > 20)
+    f.close()
+    assert all(b[1] == a[1] + 1 + b[2] for a, b in zip(got, got[1:])), "those left out are counted"
+
+
+def test_a_system_is_changed_step_by_step(ire):
+    done = ire.create("host/second", "example/Server")
+    assert done.path == "host/second" and "+ create" in repr(done)
+    try:
+        assert ire.wait_for("host/second", "READY") == "READY"
+        assert "create" in repr(ire.create("host/third", "example/Server", dry_run=True)) and "third" not in dir(ire.host)
+        ire.create("host/client", "example/Client", {"enabled": False}, {"rate_hz": 20})
+        made = ire.connect("host/client/Required", ire.host.second.Provided)
+        assert made.id > 0
+        ire.start("host/second", ire.host.client)
+        assert ire.state("host/client") == "ACTIVE"
+        ire.configure("host/client", enabled=True)
+        eventually("the client writes", lambda: ire.call("host/second/Provided/Read") > 0)
+        ire.stop("host/client")
+        assert ire.state("host/client") == "STOPPED{requested}"
+        ire.resume("host/client")
+        ire.disconnect(made.id)
+        ire.reset("host/second")
+        ire.start("host/second")
+        assert "Provided" in repr(ire.describe("host/second")) and "Write(value: i32)" in repr(ire.host.second)
+        assert any("host/second" in line.message or line.path for line in ire.logs(last=20))
+    finally:
+        for path in ("host/client", "host/second"):
+            if path in ire._graph.components:
+                ire.remove(path, force=True)
+
+
+def test_a_system_file_is_applied_as_one_and_again_changes_nothing(ire, tmp_path):
+    system = {
+        "version": 1,
+        "//": "a comment",
+        "processes": {"host": {}},
+        "components": {
+            "host/made_client": {"class": "example/Client", "config": {"enabled": False}, "execution": {"rate_hz": 20}},
+            "host/made_server": {"class": "Server"},
+        },
+        "connections": [{"client": "host/made_client/Required", "server": "host/made_server/Provided"}],
+    }
+    before = ire.revision
+    planned = ire.apply(system, dry_run=True)
+    assert len(planned.plan) >= 4 and "+ create host/made_server" in repr(planned), planned
+    assert "made_server" not in dir(ire.host) and ire.revision == before
+    try:
+        ire.apply(system)
+        assert ire.state("host/made_client") == "ACTIVE"
+        eventually("the graph has told it", lambda: "host/made_client" in ire._graph.components and ire._graph.connections)
+        eventually("nothing is left to do", lambda: "nothing to do" in repr(ire.apply(system, dry_run=True)))
+        system["components"]["host/made_client"]["config"]["enabled"] = True
+        assert "configure host/made_client" in repr(ire.apply(system, dry_run=True))
+    finally:
+        for name in ("made_client", "made_server"):
+            if name in dir(ire.host):
+                ire.remove(f"host/{name}", force=True)
+
+
+def test_a_plot_is_sampled_and_saved_without_a_screen(ire, tmp_path):
+    file = tmp_path / "arm.png"
+    plot = ire.plot("robot/EyeRobot/Arm/measured_js.position[0]", "robot/EyeRobot.steps", seconds=1, rate_hz=50)
+    plot.save(str(file))
+    assert file.read_bytes().startswith(b"\x89PNG") and file.stat().st_size > 5_000
+    t, v = plot.data()["robot/EyeRobot/Arm/measured_js.position[0]"]
+    assert len(t) > 5 and (np.diff(t) > 0).all() and np.abs(v).max() <= 0.01 and v.std() > 0
+    assert "m|rad" in repr(plot)
+    plot.stop()
+
+
+def test_the_graph_is_a_picture_with_everything_in_it(ire, server):
+    text = repr(ire.tree)
+    svg = ire._repr_html_()
+    xml.dom.minidom.parseString(svg)
+    for name in ("ProcessServer", "EyeRobot", "lines", ire.process):
+        assert name in text and name in svg, name
+    assert svg.count('class="e"') >= 2 and "ProcessServer/Server/Provided" in svg
+
+
+def test_a_recording_is_made_read_back_and_its_recorder_is_gone(system, ire, tmp_path):
+    if "recorder" in system.missing:
+        pytest.skip("the recorder plugin was not built")
+    with ire.record("trial7", ["robot/**", "oct/**"], pre_trigger=5, directory=str(tmp_path)) as rec:
+        rec.marker("half way")
+        first = rec.status()["messages"]
+        eventually("messages are written", lambda: rec.status()["messages"] > first + 100)
+    assert rec.path == str(tmp_path / "trial7.mcap") and rec.result["lost"] == 0, rec.result
+    assert not [c for c in ire._graph.components if "rec_" in c and c in {x.path for x in ire._call("GcmService/List").components}]
+    file = rec.read()
+    assert file.complete and file.profile == "trocar", file
+    position = file["/robot/EyeRobot/position"]
+    assert len(position) > 50 and np.abs(position.value).max() <= 0.01
+    assert (np.diff(position.publish_time.astype(np.int64)) > 0).all()
+    with pytest.raises(trocar.TrocarError, match="exists"):
+        with ire.record("trial7", ["robot/**"], directory=str(tmp_path)):
+            pass
+    with pytest.raises(trocar.TrocarError) as e:
+        ire.record("trial8", ["nobody/**"])
+    assert e.value.reason == "NOTHING_MATCHES" and "robot/EyeRobot/position" in e.value.sentence

@@ -1,0 +1,278 @@
+"""Promise: whatever a GCM answers or does not, the caller gets one sentence in time, and nothing hangs."""
+
+import pathlib
+import shutil
+import subprocess
+import time
+
+import grpc
+import pytest
+
+import trocar
+from trocar import _values
+
+from .conftest import eventually
+from .fake import Fake, Refused, message, packed
+
+
+@pytest.fixture
+def fake():
+    made = Fake()
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def said():
+    return []
+
+
+@pytest.fixture
+def ire(fake, said):
+    with trocar.connect(fake.address, say=said.append) as session:
+        yield session
+
+
+@pytest.fixture
+def r(ire):
+    return ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provided"))
+
+
+def invoke(fake, function):
+    fake.answers["InteractService/Invoke"] = function
+
+
+def raises(error):
+    def answer(request, context):
+        raise error
+
+    return answer
+
+
+def test_a_refusal_has_code_reason_sentence_and_values(fake, r):
+    invoke(fake, raises(packed(grpc.StatusCode.NOT_FOUND, "there is no such thing; there are a, b", "MEMBER_NOT_FOUND", known="a, b")))
+    with pytest.raises(trocar.TrocarError) as e:
+        r.Read()
+    assert (e.value.code, e.value.reason, e.value.metadata) == ("NOT_FOUND", "MEMBER_NOT_FOUND", {"known": "a, b"})
+    assert str(e.value) == "NOT_FOUND [MEMBER_NOT_FOUND] there is no such thing; there are a, b"
+
+
+@pytest.mark.parametrize(
+    "error, reason",
+    [
+        (Refused(grpc.StatusCode.INTERNAL, "no details at all"), "OTHER"),
+        (Refused(grpc.StatusCode.INTERNAL, "details that are none", b"\xff\xff\xff\xff"), "OTHER"),
+        (Refused(grpc.StatusCode.UNAVAILABLE, "proxy says no"), "GCM_UNREACHABLE"),
+        (Refused(grpc.StatusCode.UNIMPLEMENTED, "what?"), "NOT_IMPLEMENTED"),
+        (RuntimeError("the server raised"), "OTHER"),
+    ],
+)
+def test_an_error_that_explains_nothing_is_an_error_all_the_same(fake, r, error, reason):
+    invoke(fake, raises(error))
+    with pytest.raises(trocar.TrocarError) as e:
+        r.Read()
+    assert e.value.reason == reason and e.value.sentence
+
+
+def test_a_call_that_is_never_answered_ends_at_its_deadline(fake, r):
+    def hang(request, context):
+        fake.stay(context)
+        return message("InvokeResponse")
+
+    invoke(fake, hang)
+    with pytest.raises(trocar.TrocarError) as e:
+        r.Write(1, deadline=0.05)
+    assert (e.value.code, e.value.reason) == ("DEADLINE_EXCEEDED", "DEADLINE") and "may still" in e.value.sentence
+
+
+def test_what_a_call_says_of_its_deadline_reaches_the_host(fake, r):
+    seen = []
+
+    def answer(request, context):
+        seen.append((request.path, request.deadline.seconds + request.deadline.nanos / 1e9, request.json.number_value, request.send))
+        return message("InvokeResponse", executed=True)
+
+    invoke(fake, answer)
+    r.Write(30)
+    r.Write(31, deadline=2.5)
+    r.Write.send(32)
+    path = "ProcessServer/Server/Provided/Write"
+    assert seen == [(path, 1.0, 30, False), (path, 2.5, 31, False), (path, 1.0, 32, True)]
+
+
+def test_bytes_that_do_not_fit_their_type_are_refused(fake, r):
+    invoke(fake, lambda request, context: message("InvokeResponse", encoded=b"\x01\x02"))
+    with pytest.raises(trocar.TrocarError, match="2 bytes came for 1 of i32, which has 4"):
+        r.Read()
+
+
+def test_a_gcm_without_guests_is_used_all_the_same_and_that_is_said(fake, said):
+    del fake.answers["GuestService/Join"]
+    with trocar.connect(fake.address, say=said.append) as ire:
+        assert said == ["this GCM knows no guests: the session works, but the graph does not show it"]
+        r = ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provided"))
+        invoke(fake, lambda request, context: message("InvokeResponse", encoded=(30).to_bytes(4, "little"), unit="mm"))
+        assert repr(r.Read()) == "30 mm" and ire.component == ""
+
+
+def test_a_gcm_that_never_answers_the_first_question_is_told_of(fake):
+    def silent(request, context):
+        fake.stay(context)
+        yield from ()
+
+    fake.answers["GcmService/Watch"] = silent
+    with pytest.raises(trocar.TrocarError) as e:
+        trocar.connect(fake.address, timeout=0.2)
+    assert e.value.code == "DEADLINE_EXCEEDED" and "0.2 s" in e.value.sentence
+
+
+def test_a_name_that_is_taken_is_the_servers_to_change(fake, ire):
+    def join(request, context):
+        yield message("JoinResponse", process="ire7", component="ire7/shell", term=7)
+        fake.stay(context)
+
+    fake.answers["GuestService/Join"] = join
+    with trocar.connect(fake.address) as other:
+        assert (other.process, other.component) == ("ire7", "ire7/shell")
+
+
+def items(fake, values, skipped=0):
+    """Subscribe sends the state, these events, and stays."""
+
+    def subscribe(request, context):
+        event = request.selections[0].path
+        yield message("SubscribeResponse", path="ProcessServer/Server", kind=1)
+        for n, value in enumerate(values):
+            yield message("SubscribeResponse", path=event, kind=2, json=_values.to_wire(value), stamp_ns=n + 1, seq=n + 1, skipped=skipped)
+        fake.stay(context)
+
+    fake.answers["InteractService/Subscribe"] = subscribe
+
+
+def test_a_full_queue_drops_the_oldest_and_the_next_item_tells_how_many(fake, r):
+    import threading
+
+    items(fake, range(1000))
+    entered, release, got = threading.Event(), threading.Event(), []
+
+    def slow(v, item):
+        entered.set()
+        release.wait(60)
+        got.append((int(v), item.skipped))
+
+    f = r.on.SetPointReached(slow, depth=10)
+    assert entered.wait(60)
+    eventually("all have come", lambda: f.received == 1000)
+    release.set()
+    eventually("those that were kept were handled", lambda: len(got) == 1000 - f.skipped)
+    assert got[-10:] == [(990, got[-10][1]), *((n, 0) for n in range(991, 1000))], got
+    assert sum(skipped for _, skipped in got) == f.skipped == 1000 - len(got)
+    assert all(b[0] == a[0] + 1 + b[1] for a, b in zip(got, got[1:])), "each gap is told where it is"
+
+
+def test_what_the_host_left_out_is_counted_too(fake, r):
+    items(fake, range(5), skipped=3)
+    with r.on.SetPointReached.follow() as f:
+        assert [f.next(30).skipped for _ in range(5)] == [3] * 5
+        assert f.skipped == 15 and f.received == 5
+
+
+def test_a_stream_that_breaks_is_taken_up_again(fake, r):
+    times = []
+
+    def subscribe(request, context):
+        times.append(1)
+        yield message("SubscribeResponse", path="ProcessServer/Server", kind=1)
+        yield message("SubscribeResponse", path=request.selections[0].path, kind=2, json=_values.to_wire(len(times)), seq=1)
+        if len(times) < 3:
+            raise Refused(grpc.StatusCode.UNAVAILABLE, "connection reset")
+        fake.stay(context)
+
+    fake.answers["InteractService/Subscribe"] = subscribe
+    with r.on.SetPointReached.follow() as f:
+        assert [int(f.next(30).value) for _ in range(3)] == [1, 2, 3]
+        assert f.breaks == 2
+
+
+def test_following_what_is_refused_raises_at_once(fake, r):
+    def refused(request, context):
+        raise packed(grpc.StatusCode.NOT_FOUND, "no such event", "MEMBER_NOT_FOUND")
+        yield
+
+    fake.answers["InteractService/Subscribe"] = refused
+    with pytest.raises(trocar.TrocarError, match="MEMBER_NOT_FOUND"):
+        r.on.SetPointReached(print)
+
+
+def test_a_place_that_ends_is_taken_again_with_what_was_required(fake, said):
+    left = []
+
+    def join(request, context):
+        n = len(left) + 1
+        left.append(n)
+        yield message("JoinResponse", process=request.process, component=f"{request.process}/shell", term=n)
+        if n == 1:
+            release.wait(60)
+            return
+        fake.stay(context)
+
+    import threading
+
+    release, required = threading.Event(), []
+    fake.answers["GuestService/Join"] = join
+    require = fake.answers["GuestService/Require"]
+
+    def required_once_more(request, context):
+        required.append((request.component, request.name))
+        return require(request, context)
+
+    fake.answers["GuestService/Require"] = required_once_more
+    with trocar.connect(fake.address, say=said.append) as ire:
+        ire.AddInterfaceRequiredAndConnect(("ProcessServer", "Server", "Provided"), "mine")
+        release.set()
+        eventually("it is said", lambda: any("joined again as ire/shell, 1 of 1 connected again" in s for s in said))
+        assert required == [("ire/shell", "mine"), ("ire/shell", "Provided")], "the name it was given is asked for"
+
+
+def test_closing_ends_calls_streams_and_threads(fake, r, ire):
+    import threading
+
+    items(fake, range(3))
+    f = r.on.SetPointReached(lambda v: None)
+    ire.close()
+    ire.close()
+    eventually(
+        "no thread of the session is left", lambda: not [t for t in threading.enumerate() if t.name.startswith("trocar-") and t.is_alive()]
+    )
+    assert "closed" in repr(ire) and "closed" in repr(f)
+    for late in (r.Read, lambda: ire.start("a/b"), lambda: r.on.SetPointReached(print)):
+        with pytest.raises(trocar.TrocarError, match="CLOSED"):
+            late()
+
+
+def test_channel_credentials_are_taken_and_needed(tmp_path):
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is missing, which makes the certificate")
+    key, cert = tmp_path / "key.pem", tmp_path / "cert.pem"
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", cert, "-days", "2", "-subj",
+                    "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"], check=True, capture_output=True)  # fmt: skip
+    fake = Fake(grpc.ssl_server_credentials([(key.read_bytes(), cert.read_bytes())]))
+    try:
+        credentials = grpc.ssl_channel_credentials(pathlib.Path(cert).read_bytes())
+        with trocar.connect(fake.address, credentials=credentials, timeout=30) as ire:
+            assert ire.process == "ire"
+        with pytest.raises(trocar.TrocarError):
+            trocar.connect(fake.address, timeout=1)
+        with pytest.raises(trocar.TrocarError):
+            trocar.connect(fake.address, credentials=grpc.ssl_channel_credentials(), timeout=1)
+    finally:
+        fake.end()
+
+
+def test_an_address_that_is_none_is_refused():
+    with pytest.raises(trocar.TrocarError, match="HOST:PORT"):
+        trocar.connect(42)
+    begun = time.monotonic()
+    with pytest.raises(trocar.TrocarError) as e:
+        trocar.connect("nobody.invalid:1", timeout=1)
+    assert e.value.code in ("UNAVAILABLE", "DEADLINE_EXCEEDED"), (e.value, time.monotonic() - begun)

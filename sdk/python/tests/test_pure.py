@@ -1,0 +1,250 @@
+"""Promise: values, paths, system files, pictures and completion are right without any system."""
+
+import math
+import pathlib
+import pickle
+import struct
+import xml.dom.minidom
+
+import numpy as np
+import pytest
+
+import trocar
+from trocar import _ipython, _paths, _proto, _system_file, _values
+
+from .fake import message
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+
+
+def primitive(number, name, size):
+    return message("TypeInfo", name=name, size=size, primitive=number)
+
+
+F64, U32, U64, BOOL = primitive(11, "f64", 8), primitive(6, "u32", 4), primitive(8, "u64", 8), primitive(1, "bool", 1)
+
+
+def structure(name, size, *fields):
+    ty = message("TypeInfo", name=name, size=size)
+    ty.structure.name, ty.structure.size = name, size
+    for field, offset, inner, unit in fields:
+        ty.structure.fields.add(name=field, offset=offset, type=inner, unit=unit)
+    return ty
+
+
+def listed(item, n):
+    return message("TypeInfo", name=f"list {n}", size=8 + n * item.size, list=message("ArrayType", item=item, n=n))
+
+
+def test_the_descriptors_are_those_of_the_host():
+    packed = ROOT / "proto/src/gen/trocar.v1.bin"
+    if not packed.exists():
+        pytest.skip("not in a checkout")
+    mine = pathlib.Path(trocar.__file__).with_name("trocar.v1.bin")
+    assert mine.read_bytes() == packed.read_bytes(), "cp proto/src/gen/trocar.v1.bin sdk/python/src/trocar/"
+
+
+def test_every_primitive_comes_back_as_it_was_with_its_unit():
+    for number, (word, fmt) in enumerate(_values._STRUCTS.items(), 1):
+        size = struct.calcsize(fmt)
+        ty = primitive(number, word, size)
+        value = {"bool": True, "f32": 0.5, "f64": -2.25}.get(word, 77)
+        got = _values.to_value(ty, struct.pack(fmt, value), "mm")
+        assert got == value and (word == "bool" or repr(got) == f"{value} mm"), word
+        assert _values.raw_dtype(ty).itemsize == size
+
+
+def test_numbers_with_units_calculate_pickle_and_format_like_numbers():
+    n, x = _values.Int(30, "mm"), _values.Float(0.5, "N")
+    assert n + 1 == 31 and type(n + 1) is int and np.array([n, n]).sum() == 60 and f"{n:d}" == "30" and f"{x:.2f}" == "0.50"
+    assert pickle.loads(pickle.dumps(n)).unit == "mm" and pickle.loads(pickle.dumps(x)) == 0.5
+
+
+def test_structs_lists_texts_and_enumerations_come_as_people_think_of_them():
+    mode = message("TypeInfo", name="Mode", size=4)
+    mode.enumeration.name, mode.enumeration.repr = "Mode", 6
+    mode.enumeration.values.add(name="FAST", number=2)
+    text = message("TypeInfo", name="text[8]", size=16, text=8)
+    ty = structure(
+        "Thing", 72, ("joints", 0, listed(F64, 4), "m|rad"), ("name", 40, text, ""), ("mode", 56, mode, ""), ("n", 64, U64, "px")
+    )
+    raw = struct.pack("<Q4d", 2, 1.5, -2, 0, 0) + struct.pack("<Q8s", 3, b"abc") + struct.pack("<IIQ", 2, 0, 2**63)
+    thing = _values.to_value(ty, raw)
+    assert thing.joints.tolist() == [1.5, -2] and thing.name == "abc" and thing.mode == "FAST" and repr(thing.n) == f"{2**63} px"
+    assert thing.units == {"joints": "m|rad", "name": "", "mode": "", "n": "px"} and "m|rad" in repr(thing)
+    with pytest.raises(AttributeError, match="has no field 'jonits'"):
+        thing.jonits
+    with pytest.raises(AttributeError, match="cannot be changed"):
+        thing.n = 3
+    # A list that says it is longer than there is room is as long as the room.
+    rows = _values.to_rows(ty, [raw, struct.pack("<Q4d", 9, 1, 2, 3, 4) + raw[40:]])
+    assert rows["joints"].shape == (2, 4) and np.isnan(rows["joints"][0, 2:]).all() and rows["mode"].tolist() == ["FAST"] * 2
+    with pytest.raises(trocar.TrocarError, match="71 bytes came for 1 of Thing, which has 72"):
+        _values.to_value(ty, raw[:-1])
+
+
+def test_nested_structs_become_nested_arrays():
+    inner = structure("P", 16, ("x", 0, F64, "m"), ("y", 8, F64, "m"))
+    pair = message("TypeInfo", name="P[2]", size=32, array=message("ArrayType", item=inner, n=2))
+    rows = _values.to_rows(structure("Q", 32, ("points", 0, pair, "")), [struct.pack("<4d", 1, 2, 3, 4)])
+    assert rows["points"]["y"].tolist() == [[2, 4]]
+
+
+def test_what_json_cannot_carry_goes_as_text_or_is_refused():
+    wire = _values.to_wire({"big": 2**60, "nan": math.nan, "inf": -math.inf, "a": np.float32(0.5), "l": np.arange(3), "t": (True, None)})
+    assert _values.plain(wire) == {"big": str(2**60), "nan": "NaN", "inf": "-Infinity", "a": 0.5, "l": [0, 1, 2], "t": [True, None]}
+    row = np.zeros(1, [("x", "f8"), ("y", "i4")])[0]
+    assert _values.plain(_values.to_wire(row)) == {"x": 0, "y": 0}
+    for bad in (object(), {1: 2}, {3.0}, b"x", 1j):
+        with pytest.raises(trocar.TrocarError):
+            _values.to_wire(bad)
+    assert _values.from_json(U64, str(2**63)) == 2**63 and math.isnan(_values.from_json(F64, "NaN"))
+
+
+def frame_type(form, *fields):
+    fmt = message("TypeInfo", name="PixelFormat", size=4)
+    fmt.enumeration.repr = 6
+    for number, name in enumerate(("GRAY8", "RGB8", "BGR8", "RGBA8", "GRAY16"), 1):
+        fmt.enumeration.values.add(name=name, number=number)
+    names = [*fields[:-1], "format"]
+    header = structure("H", 4 * len(names), *((n, 4 * i, fmt if n == "format" else U32, "") for i, n in enumerate(names)))
+    return message("FrameType", header=header, format=form)
+
+
+def test_an_image_is_an_array_and_a_header_that_lies_is_refused():
+    ty = frame_type("image", "width", "height", "stride", "format")
+    data = bytes(range(40))
+    image = _values.to_frame(ty, struct.pack("<4I", 3, 2, 16, 2), data)
+    assert image.shape == (2, 3, 3) and image[1, 0].tolist() == [16, 17, 18] and image.pixels == "RGB8" and image.header.width == 3
+    gray = _values.to_frame(ty, struct.pack("<4I", 4, 2, 16, 5), data)
+    assert gray.shape == (2, 4) and gray.dtype == np.uint16
+    for lie in ((3, 3, 16, 2), (6, 2, 16, 2), (2**31, 2**31, 2**32 - 1, 2), (4, 2, 4, 2)):
+        with pytest.raises(trocar.TrocarError, match="FORMAT_MISMATCH"):
+            _values.to_frame(ty, struct.pack("<4I", *lie), data)
+    unknown = _values.to_frame(ty, struct.pack("<4I", 3, 2, 16, 99), data)
+    assert unknown.shape == (40,), "what is not known is handed out as bytes"
+
+
+@pytest.mark.parametrize("bad", ["", "/", "a//b", "a/b/", "../x", "a b", "a/\n", 42, None, (), ("a", 1), "a/b\x00"])
+def test_a_path_that_is_none_is_refused_with_how_one_looks(bad):
+    with pytest.raises(trocar.TrocarError, match="BAD_PATH"):
+        _paths.path_of(bad, (2, 3))
+
+
+def test_globs_stay_within_a_name_or_go_on():
+    assert _paths.globbed("robot/**").match("robot/arm/x") and not _paths.globbed("robot/*").match("robot/arm/x")
+    assert _paths.globbed("*/a.b/?").match("x/a.b/y") and not _paths.globbed("*/a.b/?").match("x/aXb/y")
+
+
+class Nothing:
+    """A graph with one process and nothing in it."""
+
+    processes = {"host": message("Process", name="host")}  # noqa: RUF012
+    components = {}  # noqa: RUF012
+    connections = {}  # noqa: RUF012
+
+
+def steps(**parts):
+    return _system_file.steps(("f.json", {"version": 1, **parts}), Nothing, True)
+
+
+@pytest.mark.parametrize(
+    "parts, why",
+    [
+        ({"version": 2}, "version 1"),
+        ({"componets": {}}, "did you mean components"),
+        ({"components": {"host": {"class": "x"}}}, "process/component"),
+        ({"components": {"host/a": {"clas": "x"}}}, "did you mean class"),
+        ({"components": {"host/a": {}}}, '"class" is missing'),
+        ({"components": {"nobody/a": {"class": "x"}}}, "does not run; there are host"),
+        ({"components": {"host/a": {"class": "x", "execution": {"rate_hz": "fast"}}}}, "rate_hz"),
+        ({"components": {"host/a": {"class": "x", "execution": {"rate_hz": 1, "period_us": 1}}}}, "not both"),
+        ({"components": {"host/a": {"class": "x", "start": "no"}}}, "true or false"),
+        ({"components": {"host/a": {"class": "x", "isolation": "vm"}}}, "neither"),
+        ({"components": {"host/a": {"class": "x", "config": [1]}}}, "object"),
+        ({"components": []}, "object of components"),
+        ({"components": {"host/a": {"class": "x"}}, "connections": [{"client": "host/a/b"}]}, '"server" is missing'),
+        ({"connections": [{"client": "host/a/b", "server": "host/a/c"}]}, "not in this file"),
+        ({"components": {"host/a": {"class": "x"}}, "connections": [{"client": "host/a/b", "server": "host/a/c", "queue": {"fifo": 0}}]},
+         "1 to 65536"),
+        ({"scenarios": {"x": 1}}, "not part of this version"),
+    ],
+)  # fmt: skip
+def test_a_system_file_that_is_wrong_says_where_and_what_exists(parts, why):
+    with pytest.raises(trocar.TrocarError) as e:
+        steps(**parts)
+    assert why in e.value.sentence, e.value
+
+
+def test_a_system_file_becomes_steps_owners_first():
+    made = steps(
+        components={
+            "host/b": {"class": "x", "execution": {"stream_of": "host/a"}, "start": False},
+            "host/a": {"class": "x", "config": {"//": "why", "k": 1}, "isolation": "process"},
+        },
+        connections=[{"client": "host/b/in", "server": "host/a/out", "queue": {"fifo": 4}, "max_age_ms": 200}],
+    )
+    assert [s.WhichOneof("step") for s in made] == ["create", "create", "connect", "start"]
+    assert made[0].create.path == "host/a" and made[0].create.isolation == "process" and "//" not in made[0].create.config.fields
+    assert made[2].connect.server == "host.a/a/out" and made[2].connect.options.max_age.nanos == 200_000_000
+    assert list(made[3].start.paths) == ["host.a/a"]
+
+
+def test_a_file_that_is_no_json_or_hides_a_key_is_refused(tmp_path):
+    file = tmp_path / "s.json"
+    for text, why in (
+        (b'{"version": 1,,}', "s.json:1:"),
+        (b'{"a": 1, "a": 2}', "twice"),
+        (b"\xff", "UTF-8"),
+        (b"[]", "object"),
+        (b"[" * 100_000, ""),
+    ):
+        file.write_bytes(text)
+        with pytest.raises(trocar.TrocarError, match="SYSTEM_FILE_INVALID") as e:
+            _system_file.load(str(file))
+        assert why in e.value.sentence
+    with pytest.raises(trocar.TrocarError, match="cannot be read"):
+        _system_file.load(str(tmp_path / "none.json"))
+
+
+class Hostile:
+    """A session with names and words that mean ill."""
+
+    address = '<script>alert("a")</script>'
+    component = ""
+
+    class _graph:
+        revision, term = 1, 1
+        processes = {"p": message("Process", name="p", state=1, guest='</text><script>&"')}  # noqa: RUF012
+        components = {}  # noqa: RUF012
+        connections = {1: message("Connection", id=1, client="p/c/in<", server='p/c/out">', carrier="<x>")}  # noqa: RUF012
+
+
+Hostile._graph.components["p/c"] = _proto.message("Component")(path="p/c", state=5, fault="\x1b]0;owned\x07 & <b>", **{"class": "<i>"})
+
+
+def test_the_picture_of_the_graph_is_whole_and_escapes_what_it_shows():
+    from trocar._show import Tree
+
+    tree = Tree(Hostile())
+    svg = tree.svg()
+    xml.dom.minidom.parseString(svg)
+    assert "<script" not in svg and "<i>" not in svg and "\x1b" not in repr(tree) and "\\x1b" in repr(tree)
+
+
+def test_completion_never_evaluates_what_is_not_ours():
+    called = []
+
+    class Trap:
+        def __getattr__(self, name):
+            called.append(name)
+            return self
+
+        def __dir__(self):
+            called.append("dir")
+            return ["x"]
+
+    names = {"trap": Trap(), "os": __import__("os")}
+    for text in ("trap.", "trap.a.b", "os.sys", 'trap["x"].', "f().", "", "x.y.", 'trap.f("a/b'):
+        assert _ipython.complete(names, text) == []
+    assert not called
