@@ -13,6 +13,8 @@ use crate::types::same_text;
 pub const MAX_NAME: usize = 63;
 /// The interface that every component has; no port of a class is called so.
 pub const RESERVED_NAME: &str = "system";
+/// Outputs that every component has; no port of a class is called so.
+pub const RESERVED_OUTPUTS: [&str; 3] = ["tap_rows", "tap_events", "tap_commands"];
 /// Shortest and longest period, ns.
 pub const PERIOD_NS: (u64, u64) = (1_000, 3_600_000_000_000);
 /// Limits of the longest stay inside a component's own code, ns.

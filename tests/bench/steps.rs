@@ -1,6 +1,6 @@
 //! Whole steps: statistics, publication, hops of a chain.
 
-use trocar::model::ExecutionModel;
+use trocar::model::{ConnectOptions, Execution, ExecutionModel, Queue};
 
 use crate::baseline;
 use crate::lab::{Lab, after, as_number, model};
@@ -28,6 +28,41 @@ pub(crate) fn measure(table: &mut Table) {
         let goal = Goal::Ns(60.0 + 0.8 * f64::from(numbers));
         table.row(&what, publish, goal, "a copy of it", baseline::copy(8 * numbers as usize));
     }
+    for (what, class, port) in [
+        ("row of 1 f64", "row1", "tap_rows"),
+        ("row of 100 f64", "row100", "tap_rows"),
+        ("event", "speaker", "tap_events"),
+    ] {
+        let what = format!("{what} told to a tap, read by another thread");
+        table.row(&what, tapped(class, port), Goal::Ns(60.0), beside, clock);
+    }
+}
+
+/// What a tap with a listener adds to one step of a class, ns.
+fn tapped(class: &str, port: &str) -> f64 {
+    let once = || (with_taps(class, Some(port)) - with_taps(class, None)) / MANY as f64;
+    median((0..ROUNDS).map(|_| once()).collect())
+}
+
+/// As [`between`], with a listener for each on a thread that looks each millisecond, connected to this tap.
+fn with_taps(class: &str, port: Option<&str>) -> f64 {
+    let lab = Lab::new();
+    lab.create("head", "head", model(ExecutionModel::Continuous));
+    for i in 0..MANY {
+        lab.create(&format!("one{i}"), class, after("head"));
+        let execution = if i == 0 { Execution::default() } else { after("ear0") };
+        lab.create(&format!("ear{i}"), "listener", execution);
+        if let Some(port) = port {
+            let queue = Some(Queue::Fifo { depth: 4096, drop_oldest: true });
+            let options = ConnectOptions { queue, ..ConnectOptions::default() };
+            lab.connect_with(&format!("ear{i}/any"), &format!("one{i}/{port}"), options);
+        }
+    }
+    let taken = cycle(&lab);
+    if port.is_some() {
+        lab.wait("ear7", "taken", 1.0);
+    }
+    taken
 }
 
 /// What one step of a class takes, its publication included, ns.

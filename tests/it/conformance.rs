@@ -137,6 +137,12 @@ macro_rules! conform {
                 cases rows:
                     each_row_is_found_by_its_time_its_tick_and_its_distance,
                     rows_are_the_same_over_grpc;
+                cases taps:
+                    each_row_of_a_state_table_is_told_with_its_number,
+                    each_event_is_told_to_its_tap,
+                    each_command_is_told_to_its_tap_whoever_gave_it,
+                    what_a_tap_cannot_queue_is_a_counted_drop,
+                    taps_of_ports_that_change_go_and_those_of_rows_stay;
                 cases payloads:
                     every_kind_of_payload_comes_back_as_it_went,
                     json_that_does_not_fit_its_payload_is_refused_with_the_place,

@@ -286,6 +286,29 @@ async fn a_passive_component_in_its_callers_step() -> Done {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_component_whose_rows_events_and_commands_are_told_to_taps() -> Done {
+    for carrier in ["", "memfd"] {
+        let scene = Scene::over(carrier).await?;
+        scene.watched("caller", "worker", periodic()).await?;
+        scene.beside("passive", "worker", model(ExecutionModel::None)).await?;
+        // A command that runs in the caller's thread is not carried over memory.
+        let options = ConnectOptions::default();
+        scene.host.connect_with("host/caller/peer", "host/passive/ctl", options).await?;
+        for (ear, tap) in [
+            ("rows", "caller/tap_rows"),
+            ("events", "caller/tap_events"),
+            ("commands", "passive/tap_commands"),
+        ] {
+            scene.beside(ear, "worker", periodic()).await?;
+            scene.connect(&format!("{ear}/any"), tap).await?;
+            scene.proved_by(ear, &["any_came"]);
+        }
+        scene.proves_pure("that are told to taps", book::AND_BELLS).await?;
+    }
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_component_whose_peer_does_not_run_and_has_full_queues() -> Done {
     let scene = Scene::new().await?;
     scene.watched("head", "worker", periodic()).await?;

@@ -215,6 +215,16 @@ pub struct Output {
     pub tag: Tag,
 }
 
+/// Outputs every component has without any code: its state rows, its events, its commands. No class may use one of the names.
+pub const TAPS: [&str; 3] = ["tap_rows", "tap_events", "tap_commands"];
+
+impl Output {
+    /// It tells what the component does without its doing: see [`TAPS`].
+    pub fn is_tap(&self) -> bool {
+        TAPS.contains(&self.name.as_str())
+    }
+}
+
 /// What a port has to do with a simulation; decides who may be connected to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Tag {

@@ -74,10 +74,15 @@ impl Ports {
         input().or_else(output).or_else(required).or_else(provided)
     }
 
-    /// Names of all ports: inputs, outputs, required, provided, each in the class's order.
+    /// Outputs that are the class's own: all but the taps.
+    pub fn own_outputs(&self) -> impl Iterator<Item = &Output> {
+        self.outputs.iter().filter(|output| !output.is_tap())
+    }
+
+    /// Names of all ports but the taps: inputs, outputs, required, provided, each in the class's order.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         let inputs = self.inputs.iter().map(|p| p.name.as_str());
-        let outputs = self.outputs.iter().map(|p| p.name.as_str());
+        let outputs = self.own_outputs().map(|p| p.name.as_str());
         let required = self.required.iter().map(|p| p.name.as_str());
         inputs.chain(outputs).chain(required).chain(self.provided.iter().map(|p| p.name.as_str()))
     }

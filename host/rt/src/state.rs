@@ -151,6 +151,12 @@ impl StateWriter {
         }
     }
 
+    /// The row that was published last, zeros before the first.
+    #[inline]
+    pub fn newest(&mut self) -> &[u8] {
+        &self.scratch.as_mut_slice()[..self.table.row_bytes]
+    }
+
     /// Another reader of the same table.
     pub fn reader(&self) -> StateReader {
         StateReader { table: Arc::clone(&self.table), attempts: ATTEMPTS }

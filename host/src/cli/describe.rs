@@ -243,10 +243,13 @@ impl Page {
 
     fn ports(&mut self, ports: &PortsView) {
         for (heading, streams) in [("inputs", &ports.inputs), ("outputs", &ports.outputs)] {
-            if !streams.is_empty() {
+            // Every component has taps, and their types repeat what stands below: `--json` tells them, and so does one that is asked for.
+            let asked_for = ports.provided.is_empty();
+            let own: Vec<&StreamView> = streams.iter().filter(|s| asked_for || !s.tap).collect();
+            if !own.is_empty() {
                 self.heading(heading);
             }
-            for s in streams {
+            for s in own {
                 self.stream(s);
             }
         }

@@ -310,6 +310,9 @@ pub(super) struct StreamView {
     pub(super) optional: bool,
     /// Default queue depth, samples; 0 = latest value.
     pub(super) fifo: u32,
+    /// Every component has it: see `trocar_model::TAPS`.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub(super) tap: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

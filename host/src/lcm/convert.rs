@@ -1,7 +1,7 @@
 //! Manifest → model: the class descriptions of a plugin in the graph's own types.
 //!
 //! Invariant: order is kept (ids are positions), offsets and sizes are checked here so that nobody behind this file has to
-//! distrust a description; the system interface is appended to every class, last, so it moves no id.
+//! distrust a description; the system interface and the taps are appended to every class, last, so they move no id.
 
 pub mod back;
 mod frames;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use trocar_model as model;
 use trocar_plugin_api::manifest as wire;
 
-use super::system;
+use super::{system, taps};
 
 /// Largest payload that may pass through a mailbox or a state table, bytes.
 pub const MAX_PAYLOAD: usize = 64 * 1024;
@@ -167,6 +167,9 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
         if n == system::INTERFACE {
             return Err(format!("{kind} may not be named {n}: every component has that interface already"));
         }
+        if model::TAPS.contains(&n) {
+            return Err(format!("{kind} may not be named {n}: every component has that output already"));
+        }
         if seen.insert(n.to_owned()) {
             Ok(())
         } else {
@@ -213,6 +216,7 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
         ports.state = Some(types.state(state).map_err(|e| format!("state: {e}"))?);
     }
     ports.provided.push(system::interface());
+    taps::append(&mut ports);
     Ok(ports)
 }
 

@@ -6,15 +6,15 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use trocar_model::Ports;
+use trocar_model::{Ports, TAPS};
 use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
 use trocar_rt::reply::ReplyPool;
 
 use super::boundary::{
-    ERR_BYTES, EntryError, EventCell, NoRoom, Slots, same, same_input, same_output, same_provided,
-    same_required,
+    CommandTap, ERR_BYTES, EntryError, EventCell, EventTap, NoRoom, OutCell, Slots, same, same_input,
+    same_output, same_provided, same_required,
 };
 use super::context;
 use super::convert;
@@ -40,6 +40,8 @@ pub(super) struct PortSet {
     pub(super) external: Arc<Inbox>,
     /// Input and output of the same type, for a filter that is bypassed.
     pub(super) bypass: Option<(usize, usize)>,
+    /// Told of the commands, where there are any.
+    pub(super) command_tap: Option<CommandTap>,
     max_ret: usize,
 }
 
@@ -82,9 +84,38 @@ impl PortSet {
                     &trocar_model::Input { name: input.name.clone(), ty: o.ty.clone(), ..input.clone() },
                 )
             };
-            ports.outputs.iter().position(fits).map(|output| (0, output))
+            ports.own_outputs().position(fits).map(|output| (0, output))
         });
-        Ok(PortSet { ports: Arc::new(ports), slots, commands, handlers, external, bypass, max_ret })
+        let tap = ports.outputs.iter().position(|output| output.name == TAPS[2]);
+        let command_tap = tap.map(|at| CommandTap {
+            cell: slots.output(at).clone(),
+            arg_bytes: all().map(|c| c.arg.as_ref().map_or(0, |a| a.ty.size())).collect(),
+        });
+        Ok(PortSet {
+            ports: Arc::new(ports),
+            slots,
+            commands,
+            handlers,
+            external,
+            bypass,
+            command_tap,
+            max_ret,
+        })
+    }
+
+    /// The tap of its rows, where it has any.
+    pub(super) fn row_tap(&self) -> Option<&Arc<OutCell>> {
+        Some(self.slots.output(self.ports.outputs.iter().position(|output| output.name == TAPS[0])?))
+    }
+
+    /// Its events are told to its own tap from now on, also those it has from the set before.
+    pub(super) fn tap_events(&self) {
+        let tap = self.ports.outputs.iter().position(|output| output.name == TAPS[1]);
+        let cell = tap.map(|at| self.slots.output(at));
+        for id in 0..self.ports.first_event(self.ports.provided.len()) {
+            let tap = cell.map(|cell| EventTap { cell: cell.clone(), which: id as u32 });
+            self.slots.event(id).set_tap(tap);
+        }
     }
 
     /// Words a result of any of its commands needs.
@@ -154,8 +185,10 @@ impl Described {
     /// # Errors
     /// As for [`PortSet::new`].
     pub(super) fn new(ports: Ports) -> Result<Described, NoRoom> {
+        let set = PortSet::new(ports, None)?;
+        set.tap_events();
         Ok(Described {
-            now: BindingCell::new(Box::new(Arc::new(PortSet::new(ports, None)?))),
+            now: BindingCell::new(Box::new(Arc::new(set))),
             wished: AtomicBool::new(false),
             life: Mutex::new(Life::default()),
         })
@@ -163,6 +196,11 @@ impl Described {
 
     pub(super) fn now(&self) -> Arc<PortSet> {
         self.now.enter().clone()
+    }
+
+    /// Shows the present set to `f`. Any thread; real-time.
+    pub(super) fn look<R>(&self, f: impl FnOnce(&PortSet) -> R) -> R {
+        self.now.look(|set| f(set))
     }
 
     /// Names of the ports that went since the last time somebody asked.
@@ -324,9 +362,12 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     life.kept.push(before.clone());
     drop(life);
     new.renumber(&before);
+    new.tap_events();
     instance.show_positions();
-    let ret = &mut entered.inner().ret;
-    ret.resize(new.ret_words().max(ret.len()), 0);
+    let inner = entered.inner();
+    inner.ret.resize(new.ret_words().max(inner.ret.len()), 0);
+    inner.row_tap = new.row_tap().cloned();
+    inner.command_tap.clone_from(&new.command_tap);
     described.now.swap(Box::new(new.clone()));
     instance.edit_inboxes(|all| {
         all.retain(|i| !Arc::ptr_eq(i, &before.external));

@@ -125,7 +125,7 @@ impl Output {
         let ports = &set.ports;
         let Some(index) = ports.outputs.iter().position(|o| o.name == port.port.as_str()) else {
             if let Some(what) = no_output(ports, port.port.as_str()) {
-                let outputs: Vec<&str> = ports.outputs.iter().map(|o| o.name.as_str()).collect();
+                let outputs: Vec<&str> = ports.own_outputs().map(|o| o.name.as_str()).collect();
                 let there = if outputs.is_empty() { "none".to_owned() } else { outputs.join(", ") };
                 return Err(Refusal::ArgumentInvalid {
                     what: format!("Read {port}"),
@@ -135,7 +135,7 @@ impl Output {
             }
             return Err(Refusal::InterfaceNotFound {
                 port: port.clone(),
-                known: ports.outputs.iter().map(|o| o.name.clone()).collect(),
+                known: ports.own_outputs().map(|o| o.name.clone()).collect(),
             });
         };
         let cell = set.slots.output(index).clone();

@@ -23,7 +23,7 @@ use trocar_rt::wake::Waker;
 use self::running::Terms;
 pub(super) use self::status::Loss;
 use super::boundary::LoadedClass;
-use super::boundary::{EntryError, HostContext, NoRoom, Object, SharedTable};
+use super::boundary::{CommandTap, EntryError, HostContext, NoRoom, Object, OutCell, SharedTable};
 use super::context::ExecutorId;
 use super::dynamic::Described;
 use super::executor::Executor;
@@ -215,6 +215,9 @@ struct Faces {
 /// What only the holder of the entry lock touches.
 pub(super) struct Inner {
     rows: StateWriter,
+    /// The taps of its rows and of its commands, as its ports are now.
+    pub(super) row_tap: Option<Arc<OutCell>>,
+    pub(super) command_tap: Option<CommandTap>,
     /// Where results of queued commands are written before they go to the reply cell.
     pub(super) ret: Vec<u64>,
     /// Cycles so far, over all Starts: ticks of rows never go back, or none could be found by its tick.
@@ -312,6 +315,8 @@ impl Instance {
                 class.table(),
                 Inner {
                     rows: writer,
+                    row_tap: now.row_tap().cloned(),
+                    command_tap: now.command_tap.clone(),
                     ret: vec![0; now.ret_words()],
                     cycle: 0,
                     cycle_at_start: 0,

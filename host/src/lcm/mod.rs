@@ -33,6 +33,7 @@ mod static_classes;
 mod store;
 mod supervise;
 mod system;
+mod taps;
 #[cfg(test)]
 mod tests;
 

@@ -22,6 +22,7 @@ mod safety;
 mod services;
 mod standing;
 mod supervision;
+mod taps;
 mod telling;
 
 use std::path::PathBuf;

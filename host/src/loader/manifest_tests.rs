@@ -68,6 +68,7 @@ fn what_is_wrong_is_named() {
         ),
         // What only the listing of the classes finds.
         ("/classes/0/inputs/1/name", json!("system"), "may not be named system"),
+        ("/classes/0/inputs/1/name", json!("tap_events"), "may not be named tap_events: every component has"),
         ("/types/0/fields/1/unit", json!("newton"), "did you mean `N`?"),
         ("/classes/0/inputs/0/tag", json!("truth"), "input raw: tag \"truth\" is not one of sim"),
         ("/classes/0/provided/0/tag", json!("thruth"), "tag \"thruth\" is not one of truth, sim"),

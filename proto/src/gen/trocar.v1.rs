@@ -187,6 +187,9 @@ pub struct Output {
     /// "truth" or "sim": who may take it is checked at Connect; empty = no tag.
     #[prost(string, tag = "4")]
     pub tag: ::prost::alloc::string::String,
+    /// Every component has it without any code: what the component does, for recorders. Costs nothing unless connected.
+    #[prost(bool, tag = "5")]
+    pub tap: bool,
 }
 /// A provided interface: commands and events offered to clients.
 #[derive(Clone, PartialEq, ::prost::Message)]

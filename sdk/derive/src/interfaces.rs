@@ -8,7 +8,7 @@ use crate::class::ClassAttr;
 use crate::fields::{ComponentFields, Port};
 use proc_macro2::{Ident, Span};
 use quote::format_ident;
-use trocar_plugin_api::limits::RESERVED_NAME;
+use trocar_plugin_api::limits::{RESERVED_NAME, RESERVED_OUTPUTS};
 
 /// An interface with the ports that belong to it.
 pub(crate) struct Interface<'a> {
@@ -183,6 +183,10 @@ pub(crate) fn unique_names(
     for (name, span) in ports.chain(named) {
         if name == RESERVED_NAME {
             let why = format!("every component has an interface `{name}` already: choose another name");
+            return Err(syn::Error::new(span, why));
+        }
+        if RESERVED_OUTPUTS.contains(&name.as_str()) {
+            let why = format!("every component has an output `{name}` already: choose another name");
             return Err(syn::Error::new(span, why));
         }
         if attrs::is_many(&name) && name == "{}" {

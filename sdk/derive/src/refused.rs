@@ -87,6 +87,10 @@ fn a_name_that_a_host_refuses_does_not_compile() {
             r#"#[component(provides("system"))] struct C {}"#.into(),
             "every component has an interface `system` already",
         ),
+        (
+            "struct C { #[output] tap_rows: Out<f64> }".into(),
+            "every component has an output `tap_rows` already: choose another name",
+        ),
         ("struct C { #[input] x: In<f64>, #[output(name = \"x\")] y: Out<f64> }".into(), "`x` is used twice"),
         (
             r#"struct C { #[event("ctl")] a: Event, #[event("ctl", name = "a")] b: Event }"#.into(),

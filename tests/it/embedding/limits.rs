@@ -94,6 +94,7 @@ async fn what_just_compiles_is_listed_and_one_step_further_is_refused() -> Done 
         (limits!(), &format!("{arg}2"), &format!("{arg}3"), "a payload of 65544 bytes is larger than 65536"),
         (limits!(), long, &format!("{long}4"), "is not a valid name"),
         (limits!(), "\"name\":\"type\"", "\"name\":\"system\"", "may not be named system"),
+        (limits!(), "\"name\":\"type\"", "\"name\":\"tap_rows\"", "may not be named tap_rows"),
         (
             limits!(),
             "\"model\":\"periodic\"",

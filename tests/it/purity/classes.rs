@@ -131,7 +131,7 @@ impl Worker {
     }
 
     fn work_untyped(&mut self) {
-        bridge(&mut self.any, &mut self.any_out);
+        self.done.any_came += bridge(&mut self.any, &mut self.any_out);
         let (sent, called) = call_any(&self.any_call);
         self.note(sent);
         self.done.any_called += called;
@@ -142,12 +142,15 @@ impl Worker {
     }
 }
 
-/// Sends on what came, as a bridge would: its bytes, then the sample itself.
-fn bridge(any: &mut AnyIn, out: &mut AnyOut) {
+/// Sends on what came, as a bridge would: its bytes, then the sample itself. How many there were.
+fn bridge(any: &mut AnyIn, out: &mut AnyOut) -> u64 {
+    let mut came = 0;
     while let Some(sample) = any.next() {
         out.write_bytes(sample.value(), sample.stamp());
         out.forward(&sample);
+        came += 1;
     }
+    came
 }
 
 /// Sends and calls with bytes that are not aligned, as those of a packet are not: what became of the send, and 1 when the call was
@@ -168,6 +171,8 @@ struct Done {
     adapted: u64,
     /// What came from a peer's `any_out`, which has it from its `any`.
     came_back: u64,
+    /// Samples at `any`.
+    any_came: u64,
     /// Calls by `any_call` that were answered.
     any_called: u64,
     /// Calls and sends of a peer's `any_call`.

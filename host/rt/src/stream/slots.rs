@@ -75,6 +75,33 @@ impl Slots {
         }
     }
 
+    /// As [`Slots::write`]: `head`, then `body`, then zeros up to `bytes`.
+    ///
+    /// # Safety
+    /// The caller owns the place; both together are no longer than `bytes`, and that no longer than the link's samples.
+    #[inline]
+    pub(super) unsafe fn write_parts(
+        &self,
+        place: usize,
+        meta: Meta,
+        head: &[u8],
+        body: &[u8],
+        bytes: usize,
+    ) {
+        let filled = head.len() + body.len();
+        debug_assert!(filled <= bytes && bytes <= self.stride, "the writer checks the lengths");
+        // SAFETY: the caller owns the place, which has `stride` bytes.
+        unsafe {
+            let to = self.plain.at(place * self.stride);
+            copy(head.as_ptr(), to, head.len());
+            copy(body.as_ptr(), to.add(head.len()), body.len());
+            to.add(filled).write_bytes(0, bytes - filled);
+            let content = self.contents[place].exclusive();
+            (*content).meta = meta;
+            (*content).len = bytes as u64;
+        }
+    }
+
     /// Describes a frame and puts it there, where the other end takes it from this process.
     ///
     /// # Safety

@@ -12,7 +12,7 @@ use super::slots::{Located, Slots};
 use super::{
     DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, latest, tally,
 };
-use crate::exclusive::TryCell;
+use crate::exclusive::{TryCell, TryGuard};
 use crate::pool::Frame;
 use crate::sync::Ordering;
 
@@ -29,6 +29,9 @@ pub enum Pushed {
     /// The reader is gone.
     NoReader,
 }
+
+/// How often a push of [`StreamWriter::push_parts`] looks again, each time for some nanoseconds: a push takes tens of them.
+const LOOKS: u32 = 64;
 
 /// The places the writer owns.
 enum Owned {
@@ -66,6 +69,15 @@ impl StreamWriter {
     pub fn push(&self, data: &[u8], meta: Meta) -> Pushed {
         let fits = matches!(self.link.payload, Payload::Plain { bytes } if data.len() <= bytes);
         self.offer(fits, Plain { data, meta })
+    }
+
+    /// Offers a sample in three parts: `head`, `body`, and zeros up to `bytes`. From several threads: where another one is just
+    /// pushing, this looks again a few times before it counts a drop. Never waits longer.
+    #[inline]
+    pub fn push_parts(&self, head: &[u8], body: &[u8], bytes: usize, meta: Meta) -> Pushed {
+        let filled = head.len().checked_add(body.len()).is_some_and(|n| n <= bytes);
+        let fits = filled && matches!(self.link.payload, Payload::Plain { bytes: most } if bytes <= most);
+        self.offer_again(fits, Parts { head, body, bytes, meta }, LOOKS)
     }
 
     /// As [`StreamWriter::push`], for a sample that does not leave its thread: a latest link of plain bytes takes it without an
@@ -118,10 +130,15 @@ impl StreamWriter {
 
     #[inline]
     fn offer(&self, fits: bool, sample: impl Offered) -> Pushed {
+        self.offer_again(fits, sample, 0)
+    }
+
+    #[inline(always)]
+    fn offer_again(&self, fits: bool, sample: impl Offered, looks: u32) -> Pushed {
         let counters = &self.link.counters.writer.0;
         if fits
             && self.has_reader()
-            && let Some(mut end) = self.end.try_enter()
+            && let Some(mut end) = self.end.try_enter().or_else(|| self.enter_again(looks))
         {
             tally(&counters.pushed, 1);
             let pushed = self.put(&mut end, sample);
@@ -138,6 +155,14 @@ impl StreamWriter {
         } else {
             Pushed::DroppedNewest
         }
+    }
+
+    #[cold]
+    fn enter_again(&self, looks: u32) -> Option<TryGuard<'_, End>> {
+        (0..looks).find_map(|_| {
+            std::hint::spin_loop();
+            self.end.try_enter()
+        })
     }
 
     #[inline]
@@ -259,6 +284,28 @@ impl Offered for Plain<'_> {
     unsafe fn fill(self, slots: &Slots, place: usize, _: &mut Option<Lending>) -> bool {
         // SAFETY: the caller's promise is the one asked for.
         unsafe { slots.write(place, self.meta, self.data) };
+        true
+    }
+}
+
+struct Parts<'a> {
+    head: &'a [u8],
+    body: &'a [u8],
+    /// With the zeros behind both.
+    bytes: usize,
+    meta: Meta,
+}
+
+impl Offered for Parts<'_> {
+    #[inline]
+    fn make_room(&self, _: &Fifo, _: &mut Writing, _: impl FnMut(usize)) -> Option<u64> {
+        Some(0)
+    }
+
+    #[inline]
+    unsafe fn fill(self, slots: &Slots, place: usize, _: &mut Option<Lending>) -> bool {
+        // SAFETY: the caller's promise is the one asked for.
+        unsafe { slots.write_parts(place, self.meta, self.head, self.body, self.bytes) };
         true
     }
 }

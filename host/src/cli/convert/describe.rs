@@ -45,8 +45,11 @@ fn ports(p: &v1::Ports) -> PortsView {
         fifo: i.fifo,
         ..stream(&i.name, &i.doc, i.r#type.as_ref())
     };
-    let output =
-        |o: &v1::Output| StreamView { tag: o.tag.clone(), ..stream(&o.name, &o.doc, o.r#type.as_ref()) };
+    let output = |o: &v1::Output| StreamView {
+        tag: o.tag.clone(),
+        tap: o.tap,
+        ..stream(&o.name, &o.doc, o.r#type.as_ref())
+    };
     PortsView {
         inputs: p.inputs.iter().map(input).collect(),
         outputs: p.outputs.iter().map(output).collect(),

@@ -106,6 +106,7 @@ pub(crate) fn ports(p: &model::Ports) -> v1::Ports {
                 doc: o.doc.clone(),
                 r#type: Some(port_type(&o.ty)),
                 tag: o.tag.name().to_owned(),
+                tap: o.is_tap(),
             })
             .collect(),
         required: p.required.iter().map(required).collect(),

@@ -70,7 +70,7 @@ pub(super) fn narrow(
     kept.outputs.retain(|p| p.name == port.as_str());
     kept.required.retain(|p| p.name == port.as_str());
     kept.provided.retain(|p| p.name == port.as_str());
-    if kept.names().next().is_none() {
+    if kept.find(port.as_str()).is_none() {
         let known = ports.names().map(str::to_owned).collect();
         return Err(Refusal::InterfaceNotFound { port: id.port(port.clone()), known });
     }

@@ -8,8 +8,8 @@ use std::io::Write;
 use std::sync::Arc;
 
 use trocar_plugin_api::abi::{
-    Bytes, CallOpts, DEADLINE, DISABLED, EXECUTED, ErrBuf, FAILED, INVALID_ARGUMENT, MODE_CALL, MODE_SEND,
-    Outcome, PEER_LOST, STATUS_OK, Sink, Status, UNBOUND, WOULD_BLOCK,
+    Bytes, CallOpts, DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, Outcome,
+    PEER_LOST, QUEUE_FULL, STATUS_OK, Sink, Status, UNBOUND, WOULD_BLOCK,
 };
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
@@ -25,6 +25,7 @@ use super::options;
 use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
 use super::read::ReadTarget;
+use super::tap::plain_outcome;
 use super::{misused, text_in, told};
 
 /// Deadline of a blocking call that names none, ns.
@@ -207,7 +208,7 @@ pub(in crate::lcm) fn outcome_of(status: Status, err: *mut ErrBuf) -> Outcome {
         return EXECUTED;
     }
     explain(status, err);
-    if status == trocar_plugin_api::abi::STATUS_INVALID { INVALID_ARGUMENT } else { FAILED }
+    plain_outcome(status)
 }
 
 #[cold]
@@ -250,7 +251,24 @@ impl CommandTarget {
         ret: *mut u8,
         opts: Option<&mut CallOpts>,
     ) -> Outcome {
-        if range.holds(arg) { self.call_allowed(arg, ret, opts) } else { INVALID_ARGUMENT }
+        if range.holds(arg) {
+            self.call_allowed(arg, ret, opts)
+        } else {
+            self.turned_away(arg, INVALID_ARGUMENT)
+        }
+    }
+
+    /// It is not carried out: its tap is told.
+    #[cold]
+    fn turned_away(&self, arg: *const u8, outcome: Outcome) -> Outcome {
+        if let Some(command) = self.command.get() {
+            self.server.described.look(|set| {
+                if let Some(tap) = set.command_tap.as_ref().filter(|tap| tap.is_listened()) {
+                    tap.tell(command, arg, outcome);
+                }
+            });
+        }
+        outcome
     }
 
     /// The argument is there and may be.
@@ -262,7 +280,7 @@ impl CommandTarget {
             return INVALID_ARGUMENT;
         }
         if !self.server.is_active() {
-            return self.server.turned_away();
+            return self.turned_away(arg, self.server.turned_away());
         }
         // A component this thread runs, in a cycle, with nobody inside: the common way has no other question.
         match self.server.object.enter_kept() {
@@ -365,7 +383,10 @@ impl CommandTarget {
         deadline_ns: u64,
         opts: Option<&mut CallOpts>,
     ) -> Outcome {
-        queue(self, &self.lane, arg, ret, mode, deadline_ns, opts)
+        match queue(self, &self.lane, arg, ret, mode, deadline_ns, opts) {
+            QUEUE_FULL => self.turned_away(arg, QUEUE_FULL),
+            outcome => outcome,
+        }
     }
 }
 

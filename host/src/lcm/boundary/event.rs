@@ -15,6 +15,7 @@ use super::super::context;
 use super::super::inbox::{ENTRY_EVENT, Inbox, Position};
 use super::super::instance::Instance;
 use super::super::pending;
+use super::tap::EventTap;
 use super::told;
 
 /// One observer of one event.
@@ -56,9 +57,17 @@ pub(in crate::lcm) struct Tap {
     pub(in crate::lcm) mailbox: Mailbox,
 }
 
+/// Who is given an event now.
+#[derive(Clone, Default)]
+struct Sinks {
+    all: Vec<Arc<EventSink>>,
+    /// Told of it as well, which its sender does not notice.
+    tap: Option<EventTap>,
+}
+
 /// Host cell behind an event slot.
 pub(in crate::lcm) struct EventCell {
-    sinks: BindingCell<Vec<Arc<EventSink>>>,
+    sinks: BindingCell<Sinks>,
     /// Managers change them one after the other.
     editing: Mutex<()>,
     pub(in crate::lcm) bytes: usize,
@@ -81,11 +90,16 @@ pub(super) unsafe extern "C" fn emit(ctx: *mut c_void, payload: *const c_void) -
 impl EventCell {
     /// Any thread. Real-time.
     pub(in crate::lcm) fn emit(&self, payload: &[u8]) -> Outcome {
-        self.sinks.look(|sinks| give(sinks, payload))
+        self.sinks.look(|sinks| {
+            if let Some(tap) = &sinks.tap {
+                tap.tell(payload);
+            }
+            give(&sinks.all, payload)
+        })
     }
 
     pub(super) fn new(bytes: usize) -> EventCell {
-        EventCell { sinks: BindingCell::new(Box::new(Vec::new())), editing: Mutex::new(()), bytes }
+        EventCell { sinks: BindingCell::new(Box::default()), editing: Mutex::new(()), bytes }
     }
 
     pub(super) fn reclaim(&self) -> usize {
@@ -94,6 +108,15 @@ impl EventCell {
 
     /// Adds or removes observers; managers only.
     pub(in crate::lcm) fn edit(&self, f: impl FnOnce(&mut Vec<Arc<EventSink>>)) {
+        self.change(|sinks| f(&mut sinks.all));
+    }
+
+    /// It is told to this tap from now on; managers only.
+    pub(in crate::lcm) fn set_tap(&self, tap: Option<EventTap>) {
+        self.change(|sinks| sinks.tap = tap);
+    }
+
+    fn change(&self, f: impl FnOnce(&mut Sinks)) {
         let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
         let mut sinks = self.sinks.enter().clone();
         f(&mut sinks);

@@ -403,9 +403,10 @@ impl Classes for KnownClasses {
     }
 }
 
-/// The fake class as the graph knows it, with these ports and the system interface.
+/// The fake class as the graph knows it, with these ports, the system interface and the taps.
 pub(in crate::lcm) fn class(mut ports: trocar_model::Ports, safety: Safety) -> ClassInfo {
     ports.provided.push(crate::lcm::system::interface());
+    crate::lcm::taps::append(&mut ports);
     ClassInfo {
         plugin: "fakes".into(),
         version: "1.0.0".into(),

@@ -26,6 +26,7 @@ mod queue;
 mod range;
 mod read;
 pub(super) mod same;
+mod tap;
 #[cfg(test)]
 mod tests;
 pub(super) mod told;
@@ -49,6 +50,7 @@ pub(super) use queue::Lane;
 pub(super) use range::RangeCheck;
 pub(super) use read::{ReadTarget, Reader, read_published};
 pub(super) use same::{same_input, same_output, same_provided, same_required};
+pub(super) use tap::{CommandTap, EventTap, plain_outcome};
 
 use super::instance::Instance;
 use trocar_plugin_api::abi::{ErrBuf, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status};

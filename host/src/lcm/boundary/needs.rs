@@ -1,7 +1,7 @@
 //! Which entries of a class table a description makes necessary.
 //!
 //! Invariant: as the loader asks a manifest (`loader/table.rs`), asked of ports that came later; the system interface, which
-//! stands last, is answered by the host and needs none.
+//! stands last, and the taps are the host's own and need none.
 
 use trocar_model::{CommandKind, Ports};
 use trocar_plugin_api::abi::ClassTable;
@@ -20,7 +20,7 @@ pub(super) fn lacking(table: *const ClassTable, ports: &Ports) -> Option<(&'stat
     };
     let slot = || {
         let input = ports.inputs.first().map(|p| format!("the input {}", p.name));
-        let output = || ports.outputs.first().map(|p| format!("the output {}", p.name));
+        let output = || ports.own_outputs().next().map(|p| format!("the output {}", p.name));
         let mut functions = ports.required.iter().flat_map(|r| r.functions.iter().map(move |f| (r, f)));
         let mut events = own.iter().flat_map(|p| p.events.iter().map(move |e| (p, e)));
         input

@@ -4,7 +4,7 @@
 
 use std::ffi::c_void;
 use std::io;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::PortType;
@@ -92,7 +92,7 @@ struct Pools {
 
 /// Host cell behind an output slot.
 pub(in crate::lcm) struct OutCell {
-    outs: BindingCell<Outs>,
+    pub(super) outs: BindingCell<Outs>,
     /// Managers change it one after the other.
     editing: Mutex<()>,
     /// Where frames come from.
@@ -111,6 +111,8 @@ pub(in crate::lcm) struct OutCell {
     pub(in crate::lcm) total_bytes: AtomicU64,
     /// Loans that were refused so far: pools come and go.
     exhausted: AtomicU64,
+    /// Of a tap: somebody was connected.
+    pub(super) listened: AtomicBool,
 }
 
 impl OutCell {
@@ -133,6 +135,7 @@ impl OutCell {
             seq: AtomicU64::new(0),
             total_bytes: AtomicU64::new(0),
             exhausted: AtomicU64::new(0),
+            listened: AtomicBool::new(false),
         }
     }
 
@@ -148,6 +151,7 @@ impl OutCell {
 
     /// Adds a link whose samples have the given type; managers only.
     pub(in crate::lcm) fn add(&self, link: Arc<OutLink>, ty: &PortType, described: &Arc<str>) {
+        self.listened.store(true, Ordering::Relaxed);
         self.edit(|outs| {
             if link.connection != OUTSIDE {
                 outs.described = described.clone();
@@ -347,6 +351,23 @@ impl Outs {
     fn publish_owed(&self) {
         if !self.links.iter().all(|link| link.is_read_here()) {
             pending::publish();
+        }
+    }
+}
+
+impl Outs {
+    #[inline]
+    pub(super) fn is_unread(&self) -> bool {
+        self.links.is_empty()
+    }
+
+    /// Offers what a tap tells to everybody; zeros fill it up to the size of its samples.
+    #[inline]
+    pub(super) fn tell(&self, head: &[u8], body: &[u8], meta: Meta) {
+        for link in &self.links {
+            link.begin(meta.seq);
+            link.writer.push_parts(head, body, self.shape.bytes, meta);
+            link.signal(meta.stamp_ns);
         }
     }
 }

@@ -43,6 +43,7 @@ impl<C, S> Port<C, S> {
 
 /// The ports of one description.
 pub(in crate::lcm) struct Slots {
+    /// The class's own outputs, then the taps.
     outputs: Vec<Port<OutCell, OutSlot>>,
     inputs: Vec<Port<InCell, InSlot>>,
     functions: Vec<Port<FnCell, FnSlot>>,
@@ -239,18 +240,19 @@ impl Slots {
         }
         // The plugin knows only its own events; the system interface's, which come last, are the host's to emit.
         let own_events = events.len() - ports.provided.last().map_or(0, |p| p.events.len());
-        Ok(Self::with_ports(outputs, inputs, functions, events, own_events))
+        // Nor does it know the taps, which stand last, too.
+        let own_outputs = ports.own_outputs().count();
+        Ok(Self::with_ports((outputs, own_outputs), inputs, functions, (events, own_events)))
     }
 
     fn with_ports(
-        outputs: Vec<Port<OutCell, OutSlot>>,
+        (outputs, own_outputs): (Vec<Port<OutCell, OutSlot>>, usize),
         inputs: Vec<Port<InCell, InSlot>>,
         functions: Vec<Port<FnCell, FnSlot>>,
-        events: Vec<Port<EventCell, EventSlot>>,
-        own_events: usize,
+        (events, own_events): (Vec<Port<EventCell, EventSlot>>, usize),
     ) -> Self {
         let pointers = Pointers {
-            outputs: outputs.iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
+            outputs: outputs[..own_outputs].iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
             inputs: inputs.iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
             functions: functions.iter().map(|p| Arc::as_ptr(&p.slot)).collect(),
             events: events[..own_events].iter().map(|p| Arc::as_ptr(&p.slot)).collect(),

@@ -5,16 +5,25 @@
 use std::sync::{Arc, PoisonError};
 
 use trocar_plugin_api::abi::{
-    DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK, STATUS_PANICKED,
-    Status,
+    DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK,
+    STATUS_PANICKED, Status,
 };
 use trocar_rt::mailbox::EntryHead;
 
-use super::super::boundary::{EntryError, as_bytes, outcome_of, sentence, text_in, write_err};
+use super::super::boundary::{EntryError, as_bytes, outcome_of, plain_outcome, sentence, text_in, write_err};
 use super::super::inbox::{ENTRY_EVENT, Inbox};
 use super::super::supervise::Entry;
 use super::super::{context, pending};
 use super::{Entered, Instance, Misuse};
+
+/// A command that was queued is not carried out: its tap is told.
+#[cold]
+fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outcome: Outcome) {
+    let tap = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened());
+    if let Some((tap, command)) = tap.zip(command) {
+        tap.tell_queued(command, arg, outcome);
+    }
+}
 
 /// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
 const ROUNDS: usize = 2;
@@ -69,8 +78,14 @@ impl Instance {
             }
             let run = |head: EntryHead, payload: &[u8]| {
                 let Some(target) = inbox.targets.get(head.index as usize) else { return };
+                let turn_away = |entered: &mut Entered<'_>, outcome| {
+                    if head.kind != ENTRY_EVENT {
+                        tell_queued(entered, target.get(), payload, outcome);
+                    }
+                    inbox.refuse(head, outcome);
+                };
                 if !inbox.admits(head, payload) {
-                    return inbox.refuse(head, INVALID_ARGUMENT);
+                    return turn_away(entered, INVALID_ARGUMENT);
                 }
                 match (head.kind, target.get()) {
                     (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, self.turned_away()),
@@ -82,7 +97,7 @@ impl Instance {
                         }
                     }
                     (_, Some(_)) if head.reply == 0 && !self.is_active() => {
-                        inbox.refuse(head, self.turned_away())
+                        turn_away(entered, self.turned_away())
                     }
                     (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
                     // Queued for a command that is not in the description any more.
@@ -139,7 +154,7 @@ impl Instance {
             match inbox.replies.begin(reply, PEER_LOST) {
                 Some(running) => Some(running),
                 // The caller gave up before it began: not executed, as it was told.
-                None => return,
+                None => return tell_queued(entered, Some(command), payload, DEADLINE),
             }
         };
         let mut err = entered.err_buf();
@@ -147,7 +162,9 @@ impl Instance {
         let outcome = if self.is_active() {
             self.command_inside(entered, command, payload.as_ptr(), ret.cast(), &raw mut err)
         } else {
-            self.turned_away()
+            let outcome = self.turned_away();
+            tell_queued(entered, Some(command), payload, outcome);
+            outcome
         };
         if running.is_some() {
             // Whoever gets the answer may read at once, also of others that ran inside this command.
@@ -189,6 +206,9 @@ impl Instance {
         self.watch.leave(watched);
         context::swap_component(before);
         self.counters.command();
+        if let Some(tap) = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened()) {
+            tap.tell(command, arg, plain_outcome(status));
+        }
         if status == STATUS_PANICKED {
             self.command_panicked(entered, command, err);
         } else if !pending::later(self) {

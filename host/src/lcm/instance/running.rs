@@ -254,8 +254,13 @@ impl Instance {
         self.owed.take();
         if self.state_bytes > 0 {
             let (inner, block) = entered.with_state();
-            inner.rows.publish(stamp_ns, inner.cycle, |row| block.copy_to(row));
+            let published = inner.rows.publish(stamp_ns, inner.cycle, |row| block.copy_to(row));
             self.show_row();
+            if let Some(tap) = &inner.row_tap
+                && tap.is_listened()
+            {
+                tap.tell_row(inner.rows.newest(), stamp_ns, published.row + 1);
+            }
         }
     }
 

@@ -13,6 +13,7 @@ pub mod outcomes;
 pub mod payloads;
 pub mod rows;
 pub mod streams;
+pub mod taps;
 pub mod untyped;
 
 use trocar::model::{Execution, ExecutionModel};
