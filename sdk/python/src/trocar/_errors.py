@@ -73,7 +73,7 @@ def from_rpc(error: Any, what: str, address: str) -> TrocarError:
     sentence = (error.details() if hasattr(error, "details") else "") or str(error)
     packed = _details(error)
     if packed is not None:
-        found = {name: [] for name in _DETAILS}
+        found: dict[str, list[Any]] = {kind: [] for kind in _DETAILS}
         for detail in packed.details:
             kind = detail.type_url.rpartition("/")[2]
             if kind in _DETAILS:

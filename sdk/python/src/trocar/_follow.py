@@ -167,7 +167,7 @@ class Follower:
                 return
             arguments = [item.value, item][: self._takes]
             try:
-                self._handler(*arguments)
+                self(*arguments)
             except Exception:
                 self.errors += 1
                 try:

@@ -40,7 +40,7 @@ def _session(thing: Any) -> Any:
 
 def _resolve(namespace: dict[str, Any], text: str) -> Any:
     first = re.match(r"\w+", text)
-    thing = namespace.get(first.group(0)) if first else None
+    thing: Any = namespace.get(first.group(0)) if first else None
     if first is None or not _ours(thing):
         return None
     for step in _STEP.finditer(text, first.end()):

@@ -31,17 +31,11 @@ class Signal:
         self.why = ""
         self.path, self._steps = _split(session, text)
         self._read: Callable[[], tuple[int, Any]] = _reader(session, self.path)
-        stamp, value = self._first(session)
+        stamp, value = self._read()
         self.unit = _unit(value, self._steps)
         self.pick(value)
         self.points: collections.deque[tuple[float, float]] = collections.deque(maxlen=_MOST)
         self.began_ns = stamp
-
-    def _first(self, session: Any) -> tuple[int, Any]:
-        try:
-            return self._read()
-        except TrocarError as e:
-            raise e from None
 
     def pick(self, value: Any) -> float:
         """The number that is meant, in its unit."""
@@ -49,38 +43,36 @@ class Signal:
             try:
                 value = value[name] if name else value[int(index)]
             except (KeyError, ValueError):
-                known = (
-                    ", ".join(getattr(value, "dtype", None).names or ())
-                    if isinstance(value, np.ndarray)
-                    else ", ".join(value)
-                    if isinstance(value, _values.Record)
-                    else "no fields"
-                )
-                raise invalid(f"{self.text}: there is no field {name!r} in it; there are {known}", field=self.text) from None
+                there = f"there are {', '.join(_fields(value))}" if _fields(value) else "it has no fields"
+                raise invalid(f"{self.text}: there is no field {name!r} in it; {there}", field=self.text) from None
             except (IndexError, TypeError):
                 length = len(value) if hasattr(value, "__len__") else 0
                 raise invalid(f"{self.text}: there is no item {name or index} in it; it has {length}", field=self.text) from None
         try:
             return float(value)
         except (TypeError, ValueError):
-            fields = list(value) if isinstance(value, _values.Record) else getattr(getattr(value, "dtype", None), "names", None)
-            hint = f"; name one of its fields: {', '.join(f'.{f}' for f in fields)}" if fields else "; name one item: [0]"
-            raise invalid(f"{self.text} is no single number{hint}", field=self.text) from None
+            fields = _fields(value)
+            hint = f"name one of its fields: {', '.join(f'.{f}' for f in fields)}" if fields else "name one item: [0]"
+            raise invalid(f"{self.text} is no single number; {hint}", field=self.text) from None
 
-    def sample(self) -> None:
+    def sample(self, lock: threading.Lock) -> None:
         """Looks once."""
+        point = None
         try:
             stamp, value = self._read()
-            number = self.pick(value)
+            point = ((stamp - self.began_ns) / 1e9, self.pick(value))
         except TrocarError as e:
-            self.missed += 1
-            self.why = str(e)
-            if self.points:
-                self.points.append((self.points[-1][0], np.nan))
-            return
-        at = (stamp - self.began_ns) / 1e9
-        if not self.points or at > self.points[-1][0] or np.isnan(self.points[-1][1]):
-            self.points.append((at, number))
+            self.missed, self.why = self.missed + 1, str(e)
+        with lock:
+            last = self.points[-1] if self.points else None
+            if point is None and last is not None:
+                self.points.append((last[0], np.nan))
+            elif point is not None and (last is None or point[0] > last[0] or np.isnan(last[1])):
+                self.points.append(point)
+
+
+def _fields(value: Any) -> list[str]:
+    return list(value) if isinstance(value, _values.Record) else list(getattr(getattr(value, "dtype", None), "names", None) or ())
 
 
 def _split(session: Any, text: str) -> tuple[str, list[tuple[str, str]]]:
@@ -172,9 +164,7 @@ class Plot:
         while not self._ended.is_set() and not self._session.closed:
             for signal in self.signals:
                 try:
-                    with self._lock:
-                        pass
-                    signal.sample()
+                    signal.sample(self._lock)
                 except Exception as e:  # Whatever one look meets, the next one is made.
                     signal.missed, signal.why = signal.missed + 1, str(e)
             with self._lock:

@@ -40,7 +40,7 @@ class Command:
     # One command. Call it; ``deadline`` is how long to wait, s (the session's by default). ``.send(…)`` returns as soon as it is queued,
     # ``.aio(…)`` is awaited. A struct is given as one dict, record or numpy row, or field by field: ``servo_jp(position=[…])``.
     # No docstring of the class: ``r.Write?`` would show it below that of the command.
-    __doc__ = None
+    __doc__: Any = None
 
     def __init__(self, session: Any, path: str, description: Any) -> None:
         self._session = session
@@ -52,7 +52,7 @@ class Command:
         self._type = description.ret if description.HasField("ret") else None
         self._fields = _fields(self._argument.type) if self._argument is not None else {}
         self.__signature__ = _signature(description)
-        self.__call__ = _shown_call(self.__signature__)
+        self.__dict__["__call__"] = _shown_call(self.__signature__)
 
     kind = property(lambda self: _proto.KINDS[self._about.kind].lower(), doc="What kind of command it is: write, read, …")
     unit = property(lambda self: self._about.ret_unit, doc="Unit of the result; empty = none or inside it.")
@@ -209,6 +209,9 @@ class Event:
 class Events:
     """The events of an interface, by name."""
 
+    _owner: str
+    _events: dict[str, Event]
+
     def __init__(self, owner: str, events: dict[str, Event]) -> None:
         self.__dict__.update(_owner=owner, _events=events)
 
@@ -234,6 +237,13 @@ class Interface:
 
     Made by ``AddInterfaceRequiredAndConnect`` it stands in the graph as a connection of this process.
     """
+
+    on: Events
+    _session: Any
+    _path: str
+    _client: str
+    _connection: int
+    _commands: dict[str, Command]
 
     def __init__(self, session: Any, path: str, provided: Any, client: str = "", connection: int = 0) -> None:
         self.__dict__.update(_session=session, _path=path, _client=client, _connection=connection)
@@ -286,8 +296,8 @@ def _no_such(path: str, what: str, name: str, known: Mapping[str, Any]) -> str:
     return f"{path} has no {what} {name!r}; it has {', '.join(known) or 'none'}{nearest(name, known)}"
 
 
-def _first(doc: str) -> str:
-    return doc.split("\n", 1)[0]
+def _first(doc: str | None) -> str:
+    return (doc or "").split("\n", 1)[0]
 
 
 def _sentence(doc: str) -> str:

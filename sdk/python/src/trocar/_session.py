@@ -324,7 +324,7 @@ class Session:
     def describe(self, path: Any = "", *, class_: str = "") -> Description:
         """What a process, component, port, command or class offers, with types, units, ranges and documentation."""
         __tracebackhide__ = True
-        fields = {"class": class_} if class_ else {"path": path_of(path)}
+        fields: dict[str, Any] = {"class": class_} if class_ else {"path": path_of(path)}
         return Description(self._call("GcmService/Describe", **fields), str(path) or class_)
 
     def classes(self, pattern: str = "") -> list[str]:

@@ -155,6 +155,7 @@ class Tree:
     def __repr__(self) -> str:
         lines = [f"{self.address}, revision {self.revision}"]
         wide = max((len(p.partition("/")[2]) for p in self.components), default=0)
+        kinds = max((len(getattr(c, "class")) for c in self.components.values()), default=0)
         for i, (name, process) in enumerate(self.processes.items()):
             last = i == len(self.processes) - 1
             guest = f", {clean(process.guest)}" if process.guest else ""
@@ -169,7 +170,7 @@ class Tree:
                 health = f" {health}" if health not in ("", "UNSPECIFIED", "OK") else ""
                 fault = f": {clean(c.fault)}" if c.fault else ""
                 short = path.partition("/")[2]
-                lines.append(f"{bar}{turn} {short:<{wide}}  {getattr(c, 'class') or 'shell':<24}  {state_text(c)}{health}{fault}")
+                lines.append(f"{bar}{turn} {short:<{wide}}  {getattr(c, 'class'):<{kinds}}  {state_text(c)}{health}{fault}")
         lines += [f"{c.server} → {c.client}" for c in self.connections.values()]
         return "\n".join(lines)
 
@@ -187,57 +188,90 @@ class Tree:
 
 
 _COLOURS = {"ACTIVE": "#2e9d58", "READY": "#3b7dd8", "CREATED": "#9aa0a6", "STOPPED": "#d08700", "FAULT": "#c5221f"}
-_WIDE, _ROW, _HEAD, _GAP, _ASIDE = 230, 16, 38, 18, 90
+_WIDE, _ROW, _HEAD, _GAP, _ASIDE = 240, 16, 38, 18, 80
+_PAGE = 1700
 
 
 class _Picture:
-    """Processes beside each other, components below each other, servers' ports right and clients' left."""
+    """Processes as boxes, in them components in columns from servers to clients; servers' ports right and clients' left."""
 
     def __init__(self, tree: Tree) -> None:
         self.tree = tree
         self.left: dict[str, list[str]] = {}
         self.right: dict[str, list[str]] = {}
+        self.before: dict[str, list[str]] = {}
         for c in tree.connections.values():
             for end, side in ((c.client, self.left), (c.server, self.right)):
                 owner, _, port = end.rpartition("/")
                 ports = side.setdefault(owner, [])
                 if port not in ports:
                     ports.append(port)
+            client, server = c.client.rpartition("/")[0], c.server.rpartition("/")[0]
+            if client != server and client.partition("/")[0] == server.partition("/")[0]:
+                self.before.setdefault(client, []).append(server)
         self.ends: dict[tuple[str, str], tuple[float, float]] = {}
         self.out: list[str] = []
 
     def draw(self) -> str:
-        x, tallest = 20.0, 0.0
+        x, y, tallest, widest = 20.0, 20.0, 20.0, 240.0
         for name, process in self.tree.processes.items():
-            bottom = self._process(x, name, process)
-            tallest, x = max(tallest, bottom), x + _WIDE + 24 + _ASIDE
+            columns = self._columns(list(self.tree._of(name)))
+            wide = len(columns) * (_WIDE + _ASIDE) - _ASIDE + 24
+            if x > 20 and x + wide > _PAGE:
+                x, y = 20.0, tallest + 30
+            tallest = max(tallest, self._process(x, y, wide, name, process, columns))
+            widest, x = max(widest, x + wide + 20), x + wide + _ASIDE
         edges = [self._edge(c) for c in self.tree.connections.values()]
-        wide, tall = max(x, 240), tallest + 24
+        tall = tallest + 20
         style = (
             "text{font:12px sans-serif;fill:#202124}.s{font-size:11px;fill:#5f6368}.p{fill:#f1f3f4;stroke:#bdc1c6}"
             ".c{fill:#fff;stroke:#5f6368}.e{fill:none;stroke:#3b7dd8;stroke-width:1.5;opacity:.8}"
         )
         title = html.escape(f"{self.tree.address}, revision {self.tree.revision}")
         return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:.0f} {tall:.0f}" width="{wide:.0f}" height="{tall:.0f}" '
-            f'style="max-width:100%;background:#fff" role="img"><title>{title}</title><style>{style}</style>'
-            f"{''.join(self.out)}{''.join(edges)}</svg>"
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {widest:.0f} {tall:.0f}" width="{widest:.0f}" '
+            f'height="{tall:.0f}" style="max-width:100%;height:auto;background:#fff" role="img"><title>{title}</title>'
+            f"<style>{style}</style>{''.join(self.out)}{''.join(edges)}</svg>"
         )
 
-    def _process(self, x: float, name: str, process: Any) -> float:
-        y, inside, boxes = 20.0 + 34, self.tree._of(name), []
-        for path, component in inside.items():
-            box, y = self._component(x + 12, y, path, component)
-            boxes.append(box)
-        y = y if inside else y + 20
+    def _columns(self, paths: list[str]) -> list[list[str]]:
+        """Whoever is served stands right of its servers; a circle is cut where it is met."""
+        rank: dict[str, int] = {}
+
+        def place(path: str, above: tuple[str, ...]) -> int:
+            if path not in rank:
+                servers = [s for s in self.before.get(path, ()) if s in paths and s not in above and s != path]
+                rank[path] = max((place(s, (*above, path)) + 1 for s in servers), default=0)
+            return rank[path]
+
+        # The busiest servers first: circles are then cut behind them.
+        for path in sorted(paths, key=lambda p: (len(self.left.get(p, ())), -len(self.right.get(p, ())), p)):
+            place(path, ())
+        columns: list[list[str]] = [[] for _ in range(max(rank.values(), default=0) + 1)]
+        row: dict[str, float] = {}
+        for number, column in enumerate(columns):
+            column += [p for p in paths if rank[p] == number]
+            at = {p: [row[s] for s in self.before.get(p, ()) if s in row] for p in column}
+            column.sort(key=lambda p: (sum(at[p]) / len(at[p]) if at[p] else 1e9, p))
+            row.update((p, i) for i, p in enumerate(column))
+        return columns
+
+    def _process(self, x: float, y: float, wide: float, name: str, process: Any, columns: list[list[str]]) -> float:
+        boxes, bottom = [], y + 54
+        for number, column in enumerate(columns):
+            at = y + 34
+            for path in column:
+                box, at = self._component(x + 12 + number * (_WIDE + _ASIDE), at, path, self.tree.components[path])
+                boxes.append(box)
+            bottom = max(bottom, at)
         state = _proto.PROCESS_STATES.get(process.state, "?")
         note = html.escape(clean(process.guest)) or state.lower()
         self.out.append(
-            f'<rect class="p" x="{x}" y="20" width="{_WIDE + 24}" height="{y - 20:.0f}" rx="8"/>'
-            f'<text x="{x + 12}" y="40" font-weight="bold">{html.escape(name)} '
+            f'<rect class="p" x="{x:.0f}" y="{y:.0f}" width="{wide:.0f}" height="{bottom - y:.0f}" rx="8"/>'
+            f'<text x="{x + 12:.0f}" y="{y + 20:.0f}" font-weight="bold">{html.escape(name)} '
             f'<tspan class="s" font-weight="normal">{note}</tspan></text>{"".join(boxes)}'
         )
-        return y
+        return bottom
 
     def _component(self, x: float, y: float, path: str, c: Any) -> tuple[str, float]:
         left, right = self.left.get(path, []), self.right.get(path, [])
@@ -245,7 +279,7 @@ class _Picture:
         state = state_text(c)
         colour = _COLOURS.get(state.partition("{")[0], "#9aa0a6")
         short = html.escape(path.partition("/")[2])
-        kind = html.escape(getattr(c, "class") or "shell")
+        kind = html.escape(getattr(c, "class"))
         out = [
             f'<rect class="c" x="{x}" y="{y}" width="{_WIDE}" height="{tall}" rx="5"/>'
             f'<circle cx="{x + 12}" cy="{y + 13}" r="5" fill="{colour}"><title>{html.escape(state)}</title></circle>'

@@ -41,7 +41,7 @@ class Int(int):
     def __repr__(self) -> str:
         return f"{int(self)} {self.unit}" if self.unit else int.__repr__(self)
 
-    def __getnewargs__(self) -> tuple[int, str]:
+    def __getnewargs__(self) -> Any:
         return (int(self), self.unit)
 
 
@@ -58,7 +58,7 @@ class Float(float):
     def __repr__(self) -> str:
         return f"{float(self)!r} {self.unit}" if self.unit else float.__repr__(self)
 
-    def __getnewargs__(self) -> tuple[float, str]:
+    def __getnewargs__(self) -> Any:
         return (float(self), self.unit)
 
 

@@ -74,9 +74,13 @@ class Wire:
         done: asyncio.Future[Any] = loop.create_future()
         asked = self.begin(name, request, timeout)
 
+        def wake() -> None:
+            if not done.done():
+                done.set_result(None)
+
         def tell(_: Any) -> None:
             if not loop.is_closed():
-                loop.call_soon_threadsafe(lambda: done.done() or done.set_result(None))
+                loop.call_soon_threadsafe(wake)
 
         asked.add_done_callback(tell)
         try:
