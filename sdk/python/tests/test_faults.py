@@ -276,3 +276,40 @@ def test_an_address_that_is_none_is_refused():
     with pytest.raises(trocar.TrocarError) as e:
         trocar.connect("nobody.invalid:1", timeout=1)
     assert e.value.code in ("UNAVAILABLE", "DEADLINE_EXCEEDED"), (e.value, time.monotonic() - begun)
+
+
+def measured(fake, numbers):
+    """Read answers these numbers one after the other, each 10 ms later, then refuses."""
+    left = list(enumerate(numbers, 1))
+
+    def answer(request, context):
+        if not left:
+            raise packed(grpc.StatusCode.FAILED_PRECONDITION, "it is not ACTIVE", "NOT_ACTIVE")
+        n, value = left.pop(0)
+        return message("InvokeResponse", encoded=value.to_bytes(4, "little"), unit="mm", stamp_ns=n * 10_000_000)
+
+    invoke(fake, answer)
+
+
+def test_a_plot_with_a_window_draws_itself_and_shows_a_gap_where_nothing_was_read(fake, ire, monkeypatch):
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    # The canvas is one without a screen; everything else is as with one.
+    matplotlib.use("Agg")
+    monkeypatch.setattr(matplotlib, "get_backend", lambda: "QtAgg")
+    monkeypatch.setattr(plt, "show", lambda block: None)
+    measured(fake, [5, 7, 9])
+    plot = ire.plot("ProcessServer/Server/Provided/Read", seconds=60, rate_hz=200)
+    eventually("reads are refused", lambda: plot.signals[0].missed > 3)
+    for callback, args, kwargs in plot._timer.callbacks:
+        callback(*args, **kwargs)
+    (axes,) = plot._figure.axes
+    assert axes.get_ylabel() == "mm" and axes.get_xlabel() == "time, s"
+    y = axes.lines[0].get_ydata()
+    assert [float(v) for v in y if v == v] == [5, 7, 9] and (y != y).any(), "a gap, and no old value"
+    assert "it is not ACTIVE" in repr(plot)
+    assert plot._repr_png_().startswith(b"\x89PNG")
+    plot._figure.canvas.callbacks.process("close_event", None)
+    assert plot._ended.is_set(), "closing the window ends it"
+    plt.close(plot._figure)

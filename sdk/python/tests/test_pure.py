@@ -4,6 +4,8 @@ import math
 import pathlib
 import pickle
 import struct
+import subprocess
+import sys
 import xml.dom.minidom
 
 import numpy as np
@@ -248,3 +250,33 @@ def test_completion_never_evaluates_what_is_not_ours():
     for text in ("trap.", "trap.a.b", "os.sys", 'trap["x"].', "f().", "", "x.y.", 'trap.f("a/b'):
         assert _ipython.complete(names, text) == []
     assert not called
+
+
+def test_the_source_is_clean():
+    package = ROOT / "sdk/python"
+    if not (package / "pyproject.toml").exists():
+        pytest.skip("not in a checkout")
+    ruff = pathlib.Path(sys.executable).with_name("ruff")
+    for command in (["check"], ["format", "--check"]):
+        done = subprocess.run([ruff, *command, "--no-cache", package], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_without_the_extras_everything_else_works_and_the_rest_says_what_to_install():
+    code = """
+import sys
+for name in ("IPython", "matplotlib", "mcap", "mcap_protobuf"):
+    sys.modules[name] = None
+import trocar
+from trocar import _plot, ire
+for ask in (lambda: trocar.read("x.mcap"), _plot._matplotlib):
+    try:
+        ask()
+    except trocar.TrocarError as e:
+        assert e.reason == "NOT_INSTALLED" and "trocar[ire]" in e.sentence, e
+    else:
+        raise AssertionError(ask)
+sys.exit(ire.main([]) + 10)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 11 and "IPython is missing" in done.stderr, done

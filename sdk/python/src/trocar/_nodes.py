@@ -47,9 +47,13 @@ class Node:
         return self._child(found)
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self._names():
+        if name not in self._all():
             raise KeyError(f"{self._path} has no {name!r}; it has {', '.join(self._names()) or 'nothing'}")
         return self._child(name)
+
+    def _all(self) -> list[str]:
+        """Also what is reached by its name alone."""
+        return self._names()
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"{self._path}: settings are changed by configure, values by commands")
@@ -97,6 +101,9 @@ class ComponentNode(Node):
         # What every component has beside its own is reached by name, and not shown with it.
         outputs = [o for o in p.outputs if not getattr(o, "tap", False)]
         return [x.name for group in (p.provided, outputs, p.inputs, p.required) for x in group]
+
+    def _all(self) -> list[str]:
+        return [*self._names(), *(o.name for o in self._ports().outputs)]
 
     def _child(self, name: str) -> Any:
         p, path = self._ports(), f"{self._path}/{name}"

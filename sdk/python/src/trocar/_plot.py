@@ -33,7 +33,7 @@ class Signal:
         self._read: Callable[[], tuple[int, Any]] = _reader(session, self.path)
         stamp, value = self._read()
         self.unit = _unit(value, self._steps)
-        self.pick(value)
+        self.first = (stamp, self.pick(value))
         self.points: collections.deque[tuple[float, float]] = collections.deque(maxlen=_MOST)
         self.began_ns = stamp
 
@@ -150,6 +150,7 @@ class Plot:
         first = min(s.began_ns for s in self.signals)
         for signal in self.signals:
             signal.began_ns = first
+            signal.points.append(((signal.first[0] - first) / 1e9, signal.first[1]))
         self._lock = threading.Lock()
         self._full, self._ended = threading.Event(), threading.Event()
         self._session = session

@@ -131,7 +131,10 @@ def _ports_text(ports: Any) -> list[str]:
     for r in ports.required:
         needs = ", ".join(f.name for f in r.functions)
         lines.append(f"requires {r.name}{' (optional)' if r.optional else ''}: {needs}")
-    lines += [f"output {o.name}: {_typed(o.type)}  {_first(o.doc)}" for o in ports.outputs]
+    # What every component gives besides, for recorders, is one line.
+    taps = [o.name for o in ports.outputs if getattr(o, "tap", False)]
+    lines += [f"output {o.name}: {_typed(o.type)}  {_first(o.doc)}" for o in ports.outputs if o.name not in taps]
+    lines += [f"taps {', '.join(taps)}"] if taps else []
     lines += [f"input {i.name}: {_typed(i.type)}{' (optional)' if i.optional else ''}  {_first(i.doc)}" for i in ports.inputs]
     if ports.HasField("state") and ports.state.size:
         lines += ["state", *_shape_lines(ports.state, "  ")]
