@@ -21,8 +21,9 @@ _OPTIONS = [
     ("grpc.max_send_message_length", 16 << 20),
     # A GCM that comes back is found again soon, not after the minute gRPC would let pass.
     ("grpc.initial_reconnect_backoff_ms", 100),
-    ("grpc.min_reconnect_backoff_ms", 100),
     ("grpc.max_reconnect_backoff_ms", 1000),
+    # In spite of its name the time one attempt may take: a busy machine answers late.
+    ("grpc.min_reconnect_backoff_ms", 5000),
     ("grpc.keepalive_time_ms", 20_000),
     ("grpc.enable_http_proxy", 0),
 ]
