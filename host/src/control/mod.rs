@@ -12,6 +12,7 @@ mod server;
 mod services;
 mod status;
 mod uplink;
+mod web;
 
 #[cfg(test)]
 mod tests;

@@ -1,4 +1,4 @@
-//! The port: binds, serves every service with reflection and health, stops gracefully.
+//! The port: binds, serves every service with reflection and health, and the viewer; stops gracefully.
 //!
 //! Invariant: only loopback addresses until calls are authenticated; connections are bounded in size, number of streams
 //! and idle time.
@@ -13,6 +13,7 @@ use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
+use tonic::service::Routes;
 use trocar_model::{Name, Refusal};
 use trocar_proto::FILE_DESCRIPTOR_SET;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
@@ -25,6 +26,7 @@ use super::attach::{AttachEdge, MAX_MESSAGE};
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
 use super::server::Edge;
+use super::web;
 use crate::gcm::{Gcm, Lines};
 use crate::lcm::{Lcm, News};
 
@@ -250,20 +252,26 @@ async fn routes(
             .include_reflection_service(false)
     };
     let mut server = tonic::transport::Server::builder()
+        // Browsers speak it; `web` keeps foreign ones out.
+        .accept_http1(true)
         .max_concurrent_streams(MAX_STREAMS)
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(10)));
-    Ok(server
+    let mut services = Routes::builder();
+    services
         .add_service(GcmServiceServer::new(edge.clone()))
         .add_service(InteractServiceServer::new(edge.clone()))
         .add_service(PluginServiceServer::new(edge.clone()))
         .add_service(GuestServiceServer::new(edge))
-        .add_optional_service(gcm.map(|gcm| {
-            AttachServiceServer::new(AttachEdge::new(gcm, closing))
-                .max_decoding_message_size(MAX_MESSAGE)
-                .max_encoding_message_size(MAX_MESSAGE)
-        }))
         .add_service(health)
         .add_service(reflection().build_v1().map_err(|e| e.to_string())?)
-        .add_service(reflection().build_v1alpha().map_err(|e| e.to_string())?))
+        .add_service(reflection().build_v1alpha().map_err(|e| e.to_string())?);
+    if let Some(gcm) = gcm {
+        services.add_service(
+            AttachServiceServer::new(AttachEdge::new(gcm, closing))
+                .max_decoding_message_size(MAX_MESSAGE)
+                .max_encoding_message_size(MAX_MESSAGE),
+        );
+    }
+    Ok(server.add_routes(web::with_page(services.routes())))
 }

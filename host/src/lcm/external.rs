@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use tokio::sync::{broadcast, mpsc};
+use tokio::sync::{Semaphore, broadcast, mpsc};
 use trocar_model::{ComponentId, MemberId, PortId, PortType, Ports, Refusal, Type, ValueError, decode};
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::os;
@@ -19,6 +19,7 @@ use super::convert::back;
 use super::instance::Instance;
 use super::local::LocalLcm;
 use super::rows;
+use super::thumbnail::{self, Small};
 
 /// Items a slow receiver may have waiting.
 const ITEMS: usize = 256;
@@ -30,6 +31,10 @@ const MOST_FRAME_BYTES: usize = 24 << 20;
 const LOOK: Duration = Duration::from_millis(5);
 /// Items per second of an output when nothing else is asked.
 const DEFAULT_RATE_HZ: f64 = 30.0;
+/// Pictures per second of one output, Hz: nobody sees more.
+const MOST_PICTURES_HZ: f64 = 60.0;
+/// Pictures made at once: a page full of them takes no more of the machine than this.
+static MAKING: Semaphore = Semaphore::const_new(2);
 
 /// The bytes of a value come from the plugin, and so does what is wrong with them.
 pub(super) fn misfit(instance: &Instance, e: &ValueError) -> String {
@@ -67,7 +72,7 @@ pub(super) async fn read(
     let mut output = Output::open(lcm.instance(&port.component)?, &port)?;
     let began = Instant::now();
     loop {
-        if let Some((sample, _)) = output.newest_with(frame)? {
+        if let Some((sample, ..)) = output.newest(Want { frame, width: 0 })? {
             return Ok(sample);
         }
         if Instant::now() >= deadline {
@@ -105,6 +110,15 @@ fn no_output(ports: &Ports, name: &str) -> Option<&'static str> {
     } else {
         None
     }
+}
+
+/// What is wanted of a frame beside its header.
+#[derive(Clone, Copy, Default)]
+struct Want {
+    /// All its bytes.
+    frame: bool,
+    /// The image in it, so many pixels wide; 0 = none.
+    width: u32,
 }
 
 /// A reader from outside on one output; the link goes with it.
@@ -156,22 +170,19 @@ impl Output {
         Ok(Output { instance, name: port.port.to_string(), cell, ty, reader, link, last_seq: 0 })
     }
 
-    /// The newest sample not shown yet, and how many were left out before it.
-    fn newest(&mut self) -> Result<Option<(Sample, u64)>, Refusal> {
-        self.newest_with(false)
-    }
-
-    /// The same, with the bytes of a frame where they are wanted.
+    /// The newest sample not shown yet, how many were left out before it, and the image in it, where one is wanted.
     ///
     /// # Errors
-    /// Also where they are more than can be handed out.
-    fn newest_with(&mut self, frame: bool) -> Result<Option<(Sample, u64)>, Refusal> {
+    /// It is no value of its type; its frame is wanted and more than can be handed out.
+    fn newest(&mut self, want: Want) -> Result<Option<(Sample, u64, Option<Small>)>, Refusal> {
+        let Want { frame, width } = want;
         let Some(sample) = self.reader.latest().filter(|s| s.fresh) else { return Ok(None) };
         let value =
             decode(&self.ty, sample.data).map_err(|e| not_shown(&self.instance, "show an output", &e))?;
         // Numbers stand still where a component writes from two threads at once.
         let skipped = if self.last_seq == 0 { 0 } else { sample.meta.seq.saturating_sub(self.last_seq + 1) };
         self.last_seq = sample.meta.seq;
+        let image = if width > 0 { thumbnail::small(&value, sample.bytes, width) } else { None };
         let shown = Sample {
             value,
             encoded: sample.data.to_vec(),
@@ -196,7 +207,7 @@ impl Output {
                 field: "frame".into(),
             });
         }
-        Ok(Some((shown, skipped)))
+        Ok(Some((shown, skipped, image)))
     }
 }
 
@@ -311,9 +322,13 @@ impl Drop for EventFeed {
 
 /// What one selection follows.
 enum Feed {
-    State { instance: Arc<Instance>, news: broadcast::Receiver<News> },
+    State {
+        instance: Arc<Instance>,
+        news: broadcast::Receiver<News>,
+    },
     Event(EventFeed),
-    Output(Box<Output>, Duration),
+    /// With the pause between looks and the width of pictures, 0 = none.
+    Output(Box<Output>, Duration, u32),
 }
 
 /// Opens every selection, or none, and follows them until the receiver is dropped.
@@ -339,8 +354,10 @@ fn open(lcm: &LocalLcm, selection: &Selection) -> Result<Feed, Refusal> {
         3 => {
             let port = PortId::parse(path)?;
             let rate = if selection.max_rate_hz > 0.0 { selection.max_rate_hz } else { DEFAULT_RATE_HZ };
-            let pause = Duration::from_secs_f64(1.0 / rate.clamp(0.01, 1000.0));
-            Ok(Feed::Output(Box::new(Output::open(lcm.instance(&port.component)?, &port)?), pause))
+            let width = selection.thumbnail_width;
+            let most = if width > 0 { MOST_PICTURES_HZ } else { 1000.0 };
+            let pause = Duration::from_secs_f64(1.0 / rate.clamp(0.01, most));
+            Ok(Feed::Output(Box::new(Output::open(lcm.instance(&port.component)?, &port)?), pause, width))
         }
         _ => {
             let member = MemberId::parse(path)?;
@@ -394,13 +411,15 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
                 }
             }
         }
-        Feed::Output(mut output, pause) => {
+        Feed::Output(mut output, pause, width) => {
             while !rest(&teller, pause).await {
                 if output.instance.is_closed() {
                     return;
                 }
-                match output.newest() {
-                    Ok(Some((sample, skipped))) => {
+                let Some((back, newest)) = look(output, width).await else { return };
+                output = back;
+                match newest {
+                    Ok(Some((sample, skipped, jpeg))) => {
                         let mut value = sample.value;
                         if sample.frame_bytes > 0
                             && let Some(object) = value.as_object_mut()
@@ -414,7 +433,7 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
                             stamp_ns: sample.stamp_ns,
                             seq: sample.seq,
                             skipped,
-                            jpeg: Vec::new(),
+                            jpeg,
                         });
                     }
                     Ok(None) => {}
@@ -423,6 +442,27 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
             }
         }
     }
+}
+
+type Look = Result<Option<(Sample, u64, Vec<u8>)>, Refusal>;
+
+/// The newest sample with its picture, which is made on a thread for such work: it takes milliseconds, and other followers share
+/// this one. The frame is held only while it is scaled. None when the process ends.
+async fn look(mut output: Box<Output>, width: u32) -> Option<(Box<Output>, Look)> {
+    if width == 0 {
+        let newest = output.newest(Want::default()).map(|n| n.map(|(sample, skipped, _)| (sample, skipped, Vec::new())));
+        return Some((output, newest));
+    }
+    let _turn = MAKING.acquire().await.ok()?;
+    let make = move || {
+        let newest = output.newest(Want { frame: false, width }).map(|newest| {
+            newest.map(|(sample, skipped, image)| {
+                (sample, skipped, image.as_ref().map(thumbnail::jpeg).unwrap_or_default())
+            })
+        });
+        (output, newest)
+    };
+    tokio::task::spawn_blocking(make).await.ok()
 }
 
 /// A component's state as an item.

@@ -36,6 +36,7 @@ mod system;
 mod taps;
 #[cfg(test)]
 mod tests;
+mod thumbnail;
 
 pub use api::*;
 pub use boundary::{LoadedClass, plugin_log};

@@ -1,0 +1,196 @@
+//! Who may ask through a browser: pages this port served itself, under a name of this machine.
+//!
+//! Invariant: a request with any sign of a browser is let in only when Host is a loopback name and Origin, if there is one, is
+//! that Host; there is no CORS, so that nobody else's script ever reads an answer.
+
+use std::net::IpAddr;
+
+use axum::body::Body;
+use axum::extract::Request;
+use axum::http::header::{CONTENT_TYPE, HOST, ORIGIN};
+use axum::http::{HeaderMap, Method, StatusCode, Version};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use tonic::Status;
+
+/// What stands between the port and everything it serves.
+pub(super) async fn guard(request: Request, next: Next) -> Response {
+    match judge(request.method(), request.version(), host_of(&request), request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(why) => refuse(&request, &why),
+    }
+}
+
+/// True for gRPC in any of its forms.
+pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
+    text(headers, CONTENT_TYPE.as_str()).is_some_and(|t| t.starts_with("application/grpc"))
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    // One that is no text is judged as one that names nobody.
+    headers.get(name).map(|value| value.to_str().unwrap_or_default())
+}
+
+/// HTTP/2 carries it in the address, HTTP/1 in a header.
+fn host_of(request: &Request) -> Option<&str> {
+    request.uri().authority().map(|a| a.as_str()).or_else(|| text(request.headers(), HOST.as_str()))
+}
+
+/// Browsers speak HTTP/2 only under TLS, which is not served here, and send Origin with whatever is no plain GET.
+fn judge(method: &Method, version: Version, host: Option<&str>, headers: &HeaderMap) -> Result<(), String> {
+    let origin = text(headers, ORIGIN.as_str());
+    let site = text(headers, "sec-fetch-site");
+    if version == Version::HTTP_2 && origin.is_none() && site.is_none() {
+        return Ok(());
+    }
+    let host = host.unwrap_or_default();
+    if !is_loopback(host) {
+        return Err(format!(
+            "it was asked for as \"{}\", which is no name of this machine's loopback: open it as http://localhost:PORT/ or \
+             http://127.0.0.1:PORT/, from elsewhere through an SSH tunnel",
+            shown(host)
+        ));
+    }
+    if let Some(origin) = origin
+        && !origin.strip_prefix("http://").is_some_and(|from| from.eq_ignore_ascii_case(host))
+    {
+        return Err(format!(
+            "a page of \"{}\" asked, and only the viewer's own page at http://{host}/ may",
+            shown(origin)
+        ));
+    }
+    match site {
+        None | Some("same-origin" | "none") => Ok(()),
+        // A link somewhere else to the viewer: it opens a page of ours, which nobody can look into.
+        Some(_) if method == Method::GET && text(headers, "sec-fetch-dest") == Some("document") => Ok(()),
+        Some(site) => {
+            Err(format!("a {} page asked, and only the viewer's own page at http://{host}/ may", shown(site)))
+        }
+    }
+}
+
+/// What a stranger wrote, short and without what could be markup or control.
+fn shown(text: &str) -> String {
+    text.chars().filter(|c| c.is_ascii_graphic() && !"<>\"".contains(*c)).take(100).collect()
+}
+
+/// `localhost`, `NAME.localhost` and loopback addresses, with or without a port. Names of that kind are not looked up in DNS.
+fn is_loopback(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => match rest.split_once(']') {
+            Some((address, port)) if port.is_empty() || is_port(port) => address,
+            _ => return false,
+        },
+        None => match host.split_once(':') {
+            Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
+            Some(_) => return false,
+            None => host,
+        },
+    };
+    let name = name.to_ascii_lowercase();
+    name == "localhost"
+        || name.ends_with(".localhost")
+        || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+fn is_port(text: &str) -> bool {
+    text.strip_prefix(':').is_some_and(|digits| digits.bytes().all(|b| b.is_ascii_digit()))
+}
+
+fn refuse(request: &Request, why: &str) -> Response {
+    log::warn!("a browser's request for {} was refused: {why}", shown(request.uri().path()));
+    let said = format!("refused: {why}");
+    if is_grpc(request.headers()) {
+        let mut response = Status::permission_denied(said).into_http::<Body>();
+        // gRPC says everything under 200; whoever only looks at this sees it, too.
+        *response.status_mut() = StatusCode::FORBIDDEN;
+        return response;
+    }
+    (StatusCode::FORBIDDEN, said + "\n").into_response()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    fn asked(version: Version, host: &str, headers: &[(&str, &str)]) -> Result<(), String> {
+        let mut map = HeaderMap::new();
+        for (name, value) in headers {
+            let name = axum::http::HeaderName::from_bytes(name.as_bytes()).unwrap();
+            map.append(name, value.parse().unwrap());
+        }
+        judge(&Method::POST, version, Some(host), &map)
+    }
+
+    #[test]
+    fn names_of_the_loopback_are_let_in_and_no_name_that_dns_could_lend() {
+        for host in
+            ["localhost", "localhost:50551", "LocalHost:1", "eye.localhost:8", "127.0.0.1:50551", "[::1]:9"]
+        {
+            assert_eq!(asked(Version::HTTP_11, host, &[]), Ok(()), "{host}");
+        }
+        for host in [
+            "",
+            "evil.example:50551",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example:50551",
+            "evillocalhost",
+            "192.168.1.2:50551",
+            "0.0.0.0:50551",
+            "[::1",
+            "[::1]evil",
+            "localhost:evil",
+            "user@localhost:1",
+        ] {
+            let why = asked(Version::HTTP_11, host, &[]).unwrap_err();
+            assert!(why.contains("loopback") && why.contains("localhost:PORT"), "{host}: {why}");
+        }
+    }
+
+    #[test]
+    fn only_the_page_of_this_very_port_may_ask() {
+        let host = "127.0.0.1:50551";
+        assert_eq!(asked(Version::HTTP_11, host, &[("origin", "http://127.0.0.1:50551")]), Ok(()));
+        for origin in [
+            "http://evil.example",
+            "https://127.0.0.1:50551",
+            "http://127.0.0.1:8080",
+            "http://localhost:50551",
+            "null",
+            "",
+        ] {
+            let why = asked(Version::HTTP_11, host, &[("origin", origin)]).unwrap_err();
+            assert!(why.contains("the viewer's own page"), "{origin}: {why}");
+        }
+    }
+
+    #[test]
+    fn a_program_that_speaks_grpc_is_asked_nothing_and_one_that_shows_a_page_behind_it_is() {
+        assert_eq!(asked(Version::HTTP_2, "any.name", &[]), Ok(()));
+        assert!(asked(Version::HTTP_2, "localhost:1", &[("origin", "http://evil.example")]).is_err());
+        assert!(asked(Version::HTTP_11, "localhost:1", &[("sec-fetch-site", "cross-site")]).is_err());
+        assert!(asked(Version::HTTP_11, "localhost:1", &[("sec-fetch-site", "same-site")]).is_err());
+    }
+
+    #[test]
+    fn a_link_elsewhere_opens_the_page_and_loads_nothing_else() {
+        let from = |dest: &str| {
+            let mut map = HeaderMap::new();
+            map.insert("sec-fetch-site", "cross-site".parse().unwrap());
+            map.insert("sec-fetch-dest", dest.parse().unwrap());
+            judge(&Method::GET, Version::HTTP_11, Some("localhost:1"), &map)
+        };
+        assert_eq!(from("document"), Ok(()));
+        for dest in ["image", "script", "iframe", "empty"] {
+            assert!(from(dest).is_err(), "{dest}");
+        }
+    }
+
+    #[test]
+    fn what_a_stranger_wrote_is_told_without_markup_and_cut() {
+        let why = asked(Version::HTTP_11, &"<script>\u{7}".repeat(100), &[]);
+        let why = why.err().unwrap_or_default();
+        assert!(!why.contains('<') && why.len() < 400, "{why}");
+    }
+}

@@ -1,0 +1,97 @@
+/// Rates, latencies and losses: one List for everything, once a second, and what is different from the one before.
+///
+/// Invariant: one question at a time, so a slow server is asked more seldom, never more often.
+import { SvelteMap } from 'svelte/reactivity';
+import type { Connection } from '../gen/trocar/v1/types_pb';
+import { gcm } from './api';
+import { system } from './system.svelte';
+
+const EVERY = 1000;
+
+export interface EdgeFigures {
+  /// Samples, commands and events per second; bytes per second.
+  rate: number;
+  bytes: number;
+  p50: number;
+  p99: number;
+  /// Since the connection was made, and per second now.
+  dropped: number;
+  dropping: number;
+  failed: number;
+  /// It carried something before, and now nothing does.
+  stalled: boolean;
+}
+
+class Figures {
+  edges = new SvelteMap<string, EdgeFigures>();
+  steps = new SvelteMap<string, number>();
+  warnings = $state<string[]>([]);
+  #before = new Map<string, { at: number; c: Connection }>();
+  #executed = new Map<string, { at: number; n: bigint }>();
+  #quiet = new Map<string, number>();
+  #stop: AbortController | null = null;
+
+  async follow() {
+    if (this.#stop) return;
+    const stop = (this.#stop = new AbortController());
+    while (!stop.signal.aborted) {
+      try {
+        const list = await gcm.list({}, { signal: stop.signal, timeoutMs: 4000 });
+        this.#take(list.connections, performance.now());
+        this.warnings = list.warnings;
+        const at = performance.now();
+        for (const c of list.components) {
+          const shown = system.components.get(c.path);
+          if (!shown) continue;
+          const n = c.stats?.executed;
+          const old = this.#executed.get(c.path);
+          if (n !== undefined) {
+            if (old && n >= old.n) this.steps.set(c.path, Number(n - old.n) / ((at - old.at) / 1000));
+            this.#executed.set(c.path, { at, n });
+          }
+          // Watch alone says how it stands: its news may be newer than this answer.
+          system.components.set(c.path, { ...shown, stats: c.stats });
+        }
+      } catch {
+        // Watch says that the server is away; figures just stand still.
+      }
+      await new Promise((wake) => setTimeout(wake, EVERY));
+    }
+  }
+
+  pause() {
+    this.#stop?.abort();
+    this.#stop = null;
+  }
+
+  #take(connections: Connection[], at: number) {
+    const seen = new Set<string>();
+    for (const c of connections) {
+      const id = String(c.id);
+      seen.add(id);
+      const old = this.#before.get(id);
+      this.#before.set(id, { at, c });
+      if (!old || c.passed < old.c.passed) continue;
+      const seconds = (at - old.at) / 1000;
+      const rate = Number(c.passed - old.c.passed) / seconds;
+      const was = this.edges.get(id);
+      const quiet = rate === 0 && was && (was.rate > 0.7 || was.stalled || this.#quiet.has(id)) ? (this.#quiet.get(id) ?? 0) + 1 : 0;
+      if (quiet) this.#quiet.set(id, quiet);
+      else this.#quiet.delete(id);
+      this.edges.set(id, {
+        rate,
+        bytes: Number(c.bytes - old.c.bytes) / seconds,
+        p50: Number(c.latencyP50Ns),
+        p99: Number(c.latencyP99Ns),
+        dropped: Number(c.dropped),
+        dropping: Number(c.dropped - old.c.dropped) / seconds,
+        failed: Number(c.failed),
+        stalled: quiet >= 2,
+      });
+    }
+    for (const id of [...this.edges.keys()]) if (!seen.has(id)) this.edges.delete(id);
+    for (const id of [...this.#before.keys()]) if (!seen.has(id)) this.#before.delete(id);
+  }
+}
+
+export const figures = new Figures();

@@ -1,0 +1,113 @@
+/// What this page itself remembers: what is selected, which panel shows, light or dark, what was told.
+import { Code, ConnectError } from '@connectrpc/connect';
+import { said } from './api';
+import { Curve, type Signal } from './signals.svelte';
+
+export type Tab = 'overview' | 'interfaces' | 'configure' | 'invoke';
+export type Dock = 'plots' | 'video' | 'events' | 'log';
+
+interface Note {
+  id: number;
+  text: string;
+  bad: boolean;
+}
+
+const query = new URLSearchParams(location.search);
+
+class Page {
+  /// Nothing can be changed from this page.
+  readonly = query.has('readonly');
+  /// process/component, or "connection:ID".
+  selected = $state('');
+  tab = $state<Tab>('overview');
+  /// Command to open in the form.
+  command = $state('');
+  dock = $state<Dock>('plots');
+  docked = $state(false);
+  palette = $state(false);
+  searching = $state(false);
+  dark = $state(stored('theme', matchMedia('(prefers-color-scheme: dark)').matches ? 'dark' : 'light') === 'dark');
+  notes = $state<Note[]>([]);
+  curves = $state.raw<Curve[]>([]);
+  /// Outputs shown as pictures.
+  pictures = $state.raw<string[]>([]);
+  /// Events followed in the list.
+  events = $state.raw<string[]>([]);
+  /// Brings a component into view.
+  reveal: (path: string) => void = () => {};
+  #count = 0;
+
+  theme(dark: boolean) {
+    this.dark = dark;
+    try {
+      localStorage.setItem('theme', dark ? 'dark' : 'light');
+    } catch {
+      // It is then remembered as long as the page is open.
+    }
+  }
+
+  tell(text: string, bad = false) {
+    const id = ++this.#count;
+    this.notes = [...this.notes.slice(-4), { id, text, bad }];
+    setTimeout(() => this.dismiss(id), bad ? 12000 : 4000);
+  }
+
+  dismiss(id: number) {
+    this.notes = this.notes.filter((n) => n.id !== id);
+  }
+
+  /// Does what was asked and tells what became of it.
+  async ask(what: string, call: () => Promise<{ warnings?: string[]; skipped?: { path: string; why: string }[] }>): Promise<boolean> {
+    try {
+      const answer = await call();
+      for (const s of answer.skipped ?? []) this.tell(`${what}: ${s.path} was left alone: ${s.why}`, true);
+      for (const w of answer.warnings ?? []) this.tell(`${what}: ${w}`, true);
+      if (!answer.skipped?.length) this.tell(`${what}: done`);
+      return true;
+    } catch (error) {
+      const code = Code[ConnectError.from(error).code];
+      this.tell(`${what}: ${said(error)} (${code})`, true);
+      return false;
+    }
+  }
+
+  open(path: string, tab: Tab, command = '') {
+    this.selected = path;
+    this.tab = tab;
+    this.command = command;
+  }
+
+  plot(signal: Signal) {
+    this.docked = true;
+    this.dock = 'plots';
+    if (this.curves.some((c) => c.signal.path === signal.path && c.signal.field === signal.field)) return;
+    this.curves = [...this.curves, new Curve(signal)];
+  }
+
+  unplot(curve: Curve) {
+    curve.close();
+    this.curves = this.curves.filter((c) => c !== curve);
+  }
+
+  picture(path: string) {
+    this.docked = true;
+    this.dock = 'video';
+    if (!this.pictures.includes(path)) this.pictures = [...this.pictures, path];
+  }
+
+  event(path: string) {
+    this.docked = true;
+    this.dock = 'events';
+    if (!this.events.includes(path)) this.events = [...this.events, path];
+  }
+}
+
+function stored(key: string, otherwise: string): string {
+  try {
+    return localStorage.getItem(key) ?? otherwise;
+  } catch {
+    return otherwise;
+  }
+}
+
+export const page = new Page();

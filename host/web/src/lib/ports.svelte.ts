@@ -1,0 +1,216 @@
+/// What components offer: their class's ports at once, their own as soon as they are asked.
+///
+/// Invariant: one question at a time; whoever is looked at is asked first.
+import { SvelteMap } from 'svelte/reactivity';
+import type { ClassInfo, Command, Event, Ports, PortType, TypeInfo } from '../gen/trocar/v1/types_pb';
+import { gcm } from './api';
+import { system } from './system.svelte';
+
+export type PortKind = 'input' | 'output' | 'required' | 'provided';
+
+export interface Port {
+  name: string;
+  kind: PortKind;
+  doc: string;
+  tag: string;
+  optional: boolean;
+  /// Name and hash of what passes; the hash decides the colour.
+  type: string;
+  hash: string;
+  /// A frame with an image in it.
+  image: boolean;
+  frame: boolean;
+  any: boolean;
+}
+
+export interface Described {
+  ports: Port[];
+  raw: Ports;
+  /// True once the component itself was asked.
+  own: boolean;
+}
+
+class Offers {
+  of = new SvelteMap<string, Described>();
+  classes = new SvelteMap<string, ClassInfo>();
+  /// Classes by process.
+  #asked = new Set<string>();
+  #queue: string[] = [];
+  #busy = false;
+
+  async learnClasses() {
+    const list = await gcm.list({ classes: true, brief: true }, { timeoutMs: 8000 });
+    const seen = new Set<string>();
+    for (const info of list.classes) {
+      const name = `${info.plugin}/${info.name}`;
+      seen.add(name);
+      this.classes.set(name, info);
+    }
+    for (const name of [...this.classes.keys()]) if (!seen.has(name)) this.classes.delete(name);
+  }
+
+  /// Makes sure that something is known of everything that is there.
+  catchUp() {
+    for (const c of system.components.values()) {
+      if (!this.of.has(c.path)) {
+        const info = this.classes.get(c.class);
+        if (info?.ports) this.of.set(c.path, { ports: flat(info.ports), raw: info.ports, own: false });
+      }
+      if (!this.#asked.has(c.path)) this.#ask(c.path, false);
+    }
+    for (const path of [...this.of.keys()]) if (!system.components.has(path)) this.#forget(path);
+    for (const c of system.connections.values()) {
+      for (const end of [c.client, c.server]) {
+        const path = end.split('/').slice(0, 2).join('/');
+        const known = this.of.get(path);
+        if (known?.own && !known.ports.some((p) => `${path}/${p.name}` === end)) this.#ask(path, false);
+      }
+    }
+  }
+
+  /// Asks again, before all others.
+  look(path: string) {
+    this.#ask(path, true);
+  }
+
+  port(path: string): Port | undefined {
+    const [process, component, name] = path.split('/');
+    return this.of.get(`${process}/${component}`)?.ports.find((p) => p.name === name);
+  }
+
+  #forget(path: string) {
+    this.of.delete(path);
+    this.#asked.delete(path);
+  }
+
+  #ask(path: string, first: boolean) {
+    this.#asked.add(path);
+    this.#queue = this.#queue.filter((p) => p !== path);
+    if (first) this.#queue.unshift(path);
+    else this.#queue.push(path);
+    void this.#work();
+  }
+
+  async #work() {
+    if (this.#busy) return;
+    this.#busy = true;
+    for (let path = this.#queue.shift(); path; path = this.#queue.shift()) {
+      try {
+        const answer = await gcm.describe({ path }, { timeoutMs: 4000 });
+        if (answer.ports) this.of.set(path, { ports: flat(answer.ports), raw: answer.ports, own: true });
+        if (answer.class) this.classes.set(`${answer.class.plugin}/${answer.class.name}`, answer.class);
+      } catch {
+        // Asked again when it is looked at, or when it is there again.
+        this.#asked.delete(path);
+      }
+    }
+    this.#busy = false;
+  }
+}
+
+export const offers = new Offers();
+
+function typed(t: PortType | undefined): Pick<Port, 'type' | 'hash' | 'image' | 'frame' | 'any'> {
+  switch (t?.kind.case) {
+    case 'plain':
+      return { type: t.kind.value.name, hash: t.kind.value.hash, image: false, frame: false, any: false };
+    case 'frame': {
+      const header = t.kind.value.header;
+      const fields = header?.shape.case === 'structure' ? header.shape.value.fields.map((f) => f.name) : [];
+      const image = ['width', 'height', 'stride', 'format'].every((f) => fields.includes(f));
+      return { type: `${header?.name ?? ''} + bytes`, hash: header?.hash ?? '', image, frame: true, any: false };
+    }
+    default:
+      return { type: 'takes the type of what it is connected to', hash: '', image: false, frame: false, any: true };
+  }
+}
+
+const INTERFACE = { hash: '', image: false, frame: false, any: false };
+
+function flat(ports: Ports): Port[] {
+  return [
+    ...ports.inputs.map((p): Port => ({ name: p.name, kind: 'input', doc: p.doc, tag: p.tag, optional: p.optional, ...typed(p.type) })),
+    ...ports.required.map(
+      (p): Port => ({ name: p.name, kind: 'required', doc: p.doc, tag: '', optional: p.optional, type: `${p.functions.length} functions, ${p.handlers.length} handlers`, ...INTERFACE }),
+    ),
+    ...ports.outputs.map((p): Port => ({ name: p.name, kind: 'output', doc: p.doc, tag: p.tag, optional: true, ...typed(p.type) })),
+    ...ports.provided.map(
+      (p): Port => ({ name: p.name, kind: 'provided', doc: p.doc, tag: p.tag, optional: true, type: `${p.commands.length} commands, ${p.events.length} events`, ...INTERFACE }),
+    ),
+  ];
+}
+
+export function isClient(kind: PortKind): boolean {
+  return kind === 'input' || kind === 'required';
+}
+
+/// Can never be joined, whatever the server would say in detail; empty = worth asking.
+export function plainlyWrong(client: Port, server: Port): string {
+  if (!isClient(client.kind) || isClient(server.kind)) return 'a connection joins a required interface to a provided one, or an input to an output';
+  if ((client.kind === 'input') !== (server.kind === 'output')) {
+    return client.kind === 'input' ? 'an input takes an output, not an interface' : 'a required interface takes a provided one, not an output';
+  }
+  if (client.kind === 'input' && !client.any && !server.any && client.hash !== server.hash) {
+    return `it takes ${client.type}, and that gives ${server.type}`;
+  }
+  return '';
+}
+
+/// Paths of all numbers in a value of the type, as they are in JSON: "position[0]".
+export function numbersIn(t: TypeInfo | undefined, prefix = '', unit = ''): { path: string; unit: string }[] {
+  if (!t) return [];
+  switch (t.shape.case) {
+    case 'primitive':
+      return [{ path: prefix, unit }];
+    case 'array':
+    case 'list': {
+      const { item, n } = t.shape.value;
+      return Array.from({ length: Math.min(n, 16) }, (_, i) => numbersIn(item, `${prefix}[${i}]`, unit)).flat();
+    }
+    case 'enumeration':
+      return [];
+    case 'structure':
+      return t.shape.value.fields.flatMap((f) =>
+        numbersIn(f.type, prefix ? `${prefix}.${f.name}` : f.name, f.unit || unit),
+      );
+    default:
+      return [];
+  }
+}
+
+/// The value at such a path; NaN where there is none.
+export function pick(value: unknown, path: string): number {
+  let at: unknown = value;
+  for (const part of path.split(/[.[\]]+/)) {
+    if (part === '') continue;
+    if (at === null || typeof at !== 'object') return Number.NaN;
+    at = (at as Record<string, unknown>)[part];
+  }
+  if (typeof at === 'boolean') return at ? 1 : 0;
+  if (typeof at === 'string') return at === 'NaN' ? Number.NaN : Number(at);
+  return typeof at === 'number' ? at : Number.NaN;
+}
+
+/// A value of the type to begin from in a form.
+export function blank(t: TypeInfo | undefined): unknown {
+  switch (t?.shape.case) {
+    case 'primitive':
+      return t.name === 'bool' ? false : 0;
+    case 'array': {
+      const { item, n } = t.shape.value;
+      return Array.from({ length: n }, () => blank(item));
+    }
+    case 'list':
+      return [];
+    case 'text':
+      return '';
+    case 'enumeration':
+      return t.shape.value.values[0]?.name ?? 0;
+    case 'structure':
+      return Object.fromEntries(t.shape.value.fields.filter((f) => f.type?.name !== 'stamp' && !f.name.startsWith('reserved')).map((f) => [f.name, blank(f.type)]));
+    default:
+      return null;
+  }
+}
+
+export type { Command, Event };
