@@ -9,5 +9,7 @@ export default defineConfig({
     target: 'es2022',
     chunkSizeWarningLimit: 2000,
     modulePreload: { polyfill: false },
+    // Whose code is in the files that are served.
+    license: { fileName: 'licenses.md' },
   },
 });

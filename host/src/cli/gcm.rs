@@ -56,6 +56,7 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
             "listening": hosting::address(&host),
             "pid": std::process::id(),
             "state": host.state_dir().path(),
+            "viewer": hosting::viewer(&hosting::address(&host)),
         });
         args.tie.say(&line.to_string());
         out::line(&line.to_string());
@@ -65,6 +66,7 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
             "  attach hosts: trocar host --gcm {} --listen 127.0.0.1:0 --name NAME",
             hosting::address(&host)
         ));
+        out::line(&format!("  viewer {}", hosting::viewer(&hosting::address(&host))));
     }
     hosting::until_stopped(host, stop).await
 }

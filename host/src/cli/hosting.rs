@@ -192,6 +192,11 @@ pub(super) fn address(host: &Host) -> String {
     host.addr().map_or_else(|| "nowhere".to_owned(), |addr| addr.to_string())
 }
 
+/// Where a browser sees the system of the GCM at this address.
+pub(super) fn viewer(gcm: &str) -> String {
+    format!("http://{gcm}/")
+}
+
 fn say_listening(config: &HostConfig, host: &Host, tie: Tie, session: &Session) {
     let dirs: Vec<String> = config.plugins.iter().map(|d| d.display().to_string()).collect();
     if session.json() {
@@ -202,6 +207,7 @@ fn say_listening(config: &HostConfig, host: &Host, tie: Tie, session: &Session) 
             "state": host.state_dir().path(),
             "plugins": dirs,
             "gcm": config.gcm,
+            "viewer": viewer(config.gcm.as_deref().unwrap_or(&address(host))),
         });
         tie.say(&line.to_string());
         out::line(&line.to_string());
@@ -210,6 +216,7 @@ fn say_listening(config: &HostConfig, host: &Host, tie: Tie, session: &Session) 
     let gcm = config.gcm.as_ref().map_or_else(|| "its own GCM".to_owned(), |addr| format!("GCM {addr}"));
     out::line(&format!("host {} listening on {}", config.name, address(host)));
     out::line(&format!("  {gcm}, plugins {}, state {}", dirs.join(" "), host.state_dir().path().display()));
+    out::line(&format!("  viewer {}", viewer(config.gcm.as_deref().unwrap_or(&address(host)))));
     out::line("  Ctrl-C stops it, devices safe first");
 }
 

@@ -151,7 +151,10 @@ fn say_running(host: &Host, file: &SystemFile, session: &Session) {
 /// Lines to paste. `command` is a read command to call, if one is known.
 pub(super) fn hints(addr: &str, command: Option<&str>) -> String {
     let gcm = if addr == session::DEFAULT_GCM { String::new() } else { format!(" --gcm {addr}") };
-    let mut text = format!("  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n");
+    let viewer = hosting::viewer(addr);
+    let mut text = format!(
+        "  viewer {viewer}\n  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n"
+    );
     if let Some(command) = command {
         text.push_str(&format!(
             "  grpcurl -plaintext -d '{{\"path\":\"{command}\"}}' {addr} trocar.v1.InteractService/Invoke\n"

@@ -15,8 +15,8 @@ use trocar_model::Name;
 use super::news::News;
 use super::programs::GCM;
 use super::{Up, called};
-use crate::cli::out;
 use crate::cli::session::Session;
+use crate::cli::{hosting, out};
 use crate::gcm::{Fate, Told};
 use crate::processes::{Phase, Status};
 use crate::system_file::SystemFile;
@@ -109,6 +109,7 @@ impl Voice {
                 "name": self.name,
                 "listening": gcm,
                 "pid": std::process::id(),
+                "viewer": hosting::viewer(gcm),
                 "gcm_pid": statuses.get(GCM).map(|s| s.pid),
                 "processes": processes,
                 "components": file.components.len(),
@@ -133,6 +134,7 @@ impl Voice {
         for (path, stands) in &idle {
             self.complain("warning", &format!("{path} does not run, it is {stands}"));
         }
+        self.line(&format!("  viewer {}", hosting::viewer(gcm)));
         self.line(&format!("  what they print goes to {}", up.place.display()));
         self.line("  Ctrl-C takes it down, devices safe first");
     }

@@ -7,6 +7,8 @@ import { gcm } from './api';
 import { system } from './system.svelte';
 
 const EVERY = 1000;
+/// Answers a rate is taken over: one that was long on its way shifts it less.
+const OVER = 4;
 
 export interface EdgeFigures {
   /// Samples, commands and events per second; bytes per second.
@@ -26,8 +28,9 @@ class Figures {
   edges = new SvelteMap<string, EdgeFigures>();
   steps = new SvelteMap<string, number>();
   warnings = $state<string[]>([]);
-  #before = new Map<string, { at: number; c: Connection }>();
-  #executed = new Map<string, { at: number; n: bigint }>();
+  /// The last answers, oldest first.
+  #before = new Map<string, { at: number; c: Connection }[]>();
+  #executed = new Map<string, { at: number; n: bigint }[]>();
   #quiet = new Map<string, number>();
   #stop: AbortController | null = null;
 
@@ -36,18 +39,21 @@ class Figures {
     const stop = (this.#stop = new AbortController());
     while (!stop.signal.aborted) {
       try {
+        const asked = performance.now();
         const list = await gcm.list({}, { signal: stop.signal, timeoutMs: 4000 });
-        this.#take(list.connections, performance.now());
+        const at = (asked + performance.now()) / 2;
+        this.#take(list.connections, at);
         this.warnings = list.warnings;
-        const at = performance.now();
         for (const c of list.components) {
           const shown = system.components.get(c.path);
           if (!shown) continue;
           const n = c.stats?.executed;
-          const old = this.#executed.get(c.path);
           if (n !== undefined) {
-            if (old && n >= old.n) this.steps.set(c.path, Number(n - old.n) / ((at - old.at) / 1000));
-            this.#executed.set(c.path, { at, n });
+            let past = this.#executed.get(c.path) ?? [];
+            // Made anew: it counts from the beginning.
+            if (past.length && n < past.at(-1)!.n) past = [];
+            if (past.length) this.steps.set(c.path, Number(n - past[0]!.n) / ((at - past[0]!.at) / 1000));
+            this.#executed.set(c.path, [...past, { at, n }].slice(-OVER));
           }
           // Watch alone says how it stands: its news may be newer than this answer.
           system.components.set(c.path, { ...shown, stats: c.stats });
@@ -69,11 +75,14 @@ class Figures {
     for (const c of connections) {
       const id = String(c.id);
       seen.add(id);
-      const old = this.#before.get(id);
-      this.#before.set(id, { at, c });
-      if (!old || c.passed < old.c.passed) continue;
+      let past = this.#before.get(id) ?? [];
+      if (past.length && c.passed < past.at(-1)!.c.passed) past = [];
+      this.#before.set(id, [...past, { at, c }].slice(-OVER));
+      const old = past[0];
+      if (!old) continue;
       const seconds = (at - old.at) / 1000;
-      const rate = Number(c.passed - old.c.passed) / seconds;
+      const moving = c.passed > past.at(-1)!.c.passed;
+      const rate = moving ? Number(c.passed - old.c.passed) / seconds : 0;
       const was = this.edges.get(id);
       const quiet = rate === 0 && was && (was.rate > 0.7 || was.stalled || this.#quiet.has(id)) ? (this.#quiet.get(id) ?? 0) + 1 : 0;
       if (quiet) this.#quiet.set(id, quiet);

@@ -70,7 +70,7 @@ export async function layout(processes: string[], boxes: Box[], connections: Con
         'elk.direction': 'RIGHT',
         'elk.padding': `[top=${PAD.top},left=${PAD.side},bottom=${PAD.side},right=${PAD.side}]`,
         'elk.spacing.nodeNode': '26',
-        'elk.layered.spacing.nodeNodeBetweenLayers': '84',
+        'elk.layered.spacing.nodeNodeBetweenLayers': '130',
         'elk.separateConnectedComponents': 'true',
         'elk.spacing.componentComponent': '30',
         'elk.aspectRatio': '1.7',

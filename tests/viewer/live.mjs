@@ -1,0 +1,135 @@
+/// What streams: plots, pictures, events, the log, and how many windows may look at once.
+import { box, create, eventually, grpcurl, holds, is, settled, shot, start, state } from './world.mjs';
+
+async function plot(page, path, number) {
+  await page.locator(`[data-plot="${path}#${number}"]`).evaluate((e) => { e.closest('details').open = true; });
+  await page.locator(`[data-plot="${path}#${number}"]`).click();
+}
+const points = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => Number(e.dataset.points)));
+
+export async function six_plots_and_a_second_window_stay_live(world) {
+  const host = await world.host();
+  for (const n of [1, 2, 3]) await create(host.addr, 'sine', `host/s${n}`, { frequency_hz: n / 2 });
+  await start(host.addr, 'host/**');
+  const open = async (page) => {
+    await page.locator('[data-standing=live]').waitFor();
+    for (const n of [1, 2, 3]) {
+      await box(page, `host/s${n}`).waitFor();
+      await page.keyboard.press('Control+k');
+      await page.getByRole('combobox', { name: 'search' }).fill(`host/s${n}`);
+      await page.keyboard.press('Enter');
+      await page.getByRole('tab', { name: 'Interfaces' }).click();
+      await plot(page, `host/s${n}/value`, 'value');
+      await (n === 1 ? plot(page, 'host/s1', 'latest.value') : n === 2 ? plot(page, 'host/s2/signal/value', '') : plot(page, 'host/s3', 'latest.value'));
+    }
+  };
+  const first = await world.viewer(host.addr);
+  await open(first);
+  is((await points(first)).length, 6, 'plots');
+  await eventually('all six have points', async () => (await points(first)).every((n) => n > 40));
+  const second = await first.context().newPage();
+  await second.goto(`http://${host.addr}/`);
+  await open(second);
+  for (const page of [first, second, first]) {
+    await page.bringToFront();
+    const before = await points(page);
+    await eventually('all six go on', async () => (await points(page)).every((n, i) => n > before[i] + 20 || n === 3000));
+  }
+  await shot(first, 'plots');
+  // And calls still get through beside what streams.
+  await first.bringToFront();
+  await box(first, 'host/s3').locator('header').click({ button: 'right' });
+  await first.getByRole('menuitem', { name: /^Stop/ }).click();
+  await eventually('it stops', async () => (await state(host.addr, 'host/s3')) === 'STOPPED');
+}
+
+export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video(world) {
+  const demo = await world.demo();
+  const page = await world.viewer(demo.addr);
+  await box(page, 'host/pip').waitFor();
+  await settled(page);
+  await shot(page, 'demo');
+  await page.keyboard.press('Control+k');
+  await page.getByRole('combobox', { name: 'search' }).fill('host/pip');
+  await page.keyboard.press('Enter');
+  await page.getByRole('tab', { name: 'Interfaces' }).click();
+  await page.locator('[data-picture="host/pip/composed"]').click();
+  const shown = page.locator('[data-picture-of="host/pip/composed"]');
+  await eventually('pictures come', async () => Number(await shown.getAttribute('data-shown')) > 3);
+  const colours = await shown.locator('canvas').evaluate((c) => {
+    const { data } = c.getContext('2d').getImageData(0, 0, c.width, c.height);
+    return { width: c.width, different: new Set(Array.from({ length: data.length / 400 }, (_, i) => data[i * 400] >> 3)).size };
+  });
+  holds(colours.width > 100 && colours.width <= 480 && colours.different > 5, `a picture with something in it: ${JSON.stringify(colours)}`);
+  await shot(page, 'thumbnails');
+  await page.goto(`http://${demo.addr}/video`);
+  const video = page.locator('[data-picture-of]');
+  await video.waitFor();
+  is(await video.getAttribute('data-picture-of'), 'host/pip/composed', 'what goes into the display');
+  await eventually('the video runs', async () => Number(await video.getAttribute('data-shown')) > 5);
+  await shot(page, 'video');
+}
+
+export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
+  const host = await world.host();
+  const makers = Array.from({ length: 16 }, (_, n) => `host/e${n}`);
+  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 1000 });
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  for (const path of makers) {
+    await page.keyboard.press('Control+k');
+    await page.getByRole('combobox', { name: 'search' }).fill(path);
+    await page.keyboard.press('Enter');
+    await page.getByRole('tab', { name: 'Interfaces' }).click();
+    await page.locator(`[data-follow="${path}/ctl/ticked"]`).click();
+  }
+  const list = page.locator('[data-list=events]');
+  const seen = async () => Number(await list.getAttribute('data-total')) + Number(await list.getAttribute('data-skipped'));
+  await eventually('events come', async () => (await seen()) > 20_000);
+  const [began, had] = [Date.now(), await seen()];
+  await page.evaluate(() => {
+    window.frames = [];
+    let last = performance.now();
+    requestAnimationFrame(function f(now) { window.frames.push(now - last); last = now; requestAnimationFrame(f); });
+  });
+  await eventually('forty thousand more', async () => (await seen()) > had + 40_000);
+  const rate = ((await seen()) - had) / ((Date.now() - began) / 1000);
+  const frames = (await page.evaluate(() => window.frames)).sort((a, b) => a - b);
+  const rows = await list.locator('.list > div').count();
+  console.log(`events: ${rate.toFixed(0)}/s came or were counted as skipped (${await list.getAttribute('data-skipped')} in all), frames p95 ${frames[Math.floor(frames.length * 0.95)].toFixed(0)} ms, largest ${frames.at(-1).toFixed(0)} ms, ${rows} rows`);
+  holds(rows <= 200, `the list stays short: ${rows}`);
+  holds(frames[Math.floor(frames.length / 2)] < 500, 'frames come');
+  // The page answers while they come.
+  await box(page, 'host/e0').locator('header').click({ button: 'right' });
+  await page.getByRole('menuitem', { name: /^Stop/ }).click();
+  await eventually('it stops', async () => (await state(host.addr, 'host/e0')) === 'STOPPED');
+  await shot(page, 'events');
+}
+
+export async function a_plot_goes_on_when_its_component_and_its_server_come_back(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  await start(host.addr, 'host/sine');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await box(page, 'host/sine').locator('header').click();
+  await page.getByRole('tab', { name: 'Interfaces' }).click();
+  await plot(page, 'host/sine/value', 'value');
+  await eventually('points come', async () => (await points(page))[0] > 20);
+  await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
+  await grpcurl(host.addr, 'GcmService/Reset', { path: 'host/sine' });
+  await grpcurl(host.addr, 'GcmService/Start', { path: 'host/sine' });
+  const before = (await points(page))[0];
+  await eventually('points come again', async () => (await points(page))[0] > before + 20);
+}
+
+export async function the_log_shows_what_hosts_say(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  const page = await world.viewer(host.addr);
+  await page.getByRole('button', { name: 'Log' }).click();
+  const lines = page.locator('[data-list=log] .list > div');
+  await eventually('lines are shown', async () => (await lines.count()) > 0);
+  await shot(page, 'log');
+}

@@ -1,0 +1,66 @@
+/// The page itself: search, light and dark, the keyboard.
+import { box, create, eventually, holds, is, settled, shot, start, state } from './world.mjs';
+
+export async function search_finds_components_ports_and_states(world) {
+  const host = await world.host();
+  for (const n of [1, 2]) await create(host.addr, 'sine', `host/s${n}`);
+  await create(host.addr, 'echo', 'host/echo');
+  await start(host.addr, 'host/s2');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await page.keyboard.press('Control+k');
+  const found = () => page.locator('#found li b').allInnerTexts();
+  for (const [typed, wanted] of [['active', ['host/s2']], ['sample_out', ['host/echo/sample_out']], ['nobody', []]]) {
+    await page.getByRole('combobox', { name: 'search' }).fill(typed);
+    await eventually(`${typed} finds ${wanted}`, async () => JSON.stringify(await found()) === JSON.stringify(wanted));
+  }
+  await page.getByRole('combobox', { name: 'search' }).fill('s');
+  await shot(page, 'search');
+  await page.getByRole('combobox', { name: 'search' }).fill('host/s1');
+  await page.keyboard.press('Enter');
+  await page.locator('.inspector strong', { hasText: 'host/s1' }).waitFor();
+  is(await page.locator('.search').count(), 0, 'open searches');
+}
+
+export async function dark_and_light_are_both_legible_and_remembered(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  const page = await world.viewer(host.addr, '', { colorScheme: 'dark' });
+  await settled(page);
+  const contrast = () => page.evaluate(() => {
+    const light = (c) => { const [r, g, b] = c.match(/[\d.]+/g).map(Number).map((v) => (v / 255 <= 0.03928 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4)); return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+    const e = document.querySelector('.component');
+    const [a, b] = [light(getComputedStyle(e).color), light(getComputedStyle(e).backgroundColor)].sort((x, y) => y - x);
+    return (a + 0.05) / (b + 0.05);
+  });
+  const theme = () => page.evaluate(() => document.documentElement.dataset.theme);
+  is(await theme(), 'dark', 'as the system is set');
+  holds((await contrast()) > 7, `dark: contrast ${await contrast()}`);
+  await shot(page, 'dark');
+  await page.getByRole('button', { name: 'light mode' }).click();
+  holds((await contrast()) > 7, `light: contrast ${await contrast()}`);
+  await page.reload();
+  await box(page, 'host/sine').waitFor();
+  is(await theme(), 'light', 'after loading again');
+}
+
+export async function everything_is_reached_by_keys_alone(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await page.locator('.svelte-flow__node-component').focus();
+  await page.keyboard.press('Shift+F10');
+  await page.getByRole('menuitem', { name: /^Start/ }).waitFor();
+  await page.keyboard.press('Enter');
+  await eventually('it runs', async () => (await state(host.addr, 'host/sine')) === 'ACTIVE');
+  await page.locator('.svelte-flow__node-component').focus();
+  await page.keyboard.press('Enter');
+  await page.locator('.inspector').waitFor();
+  await page.keyboard.press('Escape');
+  await page.locator('.inspector').waitFor({ state: 'detached' });
+  await page.keyboard.press('p');
+  await page.locator('.palette').waitFor();
+  await page.keyboard.press('d');
+  is(await page.evaluate(() => document.documentElement.dataset.theme), 'dark', 'theme');
+}

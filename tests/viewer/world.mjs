@@ -1,0 +1,166 @@
+/// What a test of the viewer owns: built programs on free ports, a browser with a profile of its own, pictures of what was seen.
+///
+/// Invariant: everything started here is ended here by its handle; nothing waits for a time, only for what is to be seen.
+import { execFile, spawn } from 'node:child_process';
+import fs from 'node:fs';
+import os from 'node:os';
+import path from 'node:path';
+import { chromium } from 'playwright-core';
+
+const BIN = process.env.TROCAR_BIN_DIR ?? path.resolve('../../release');
+const PLUGINS = process.env.TROCAR_PLUGIN_DIR ?? BIN;
+export const PICTURES = path.resolve('pictures');
+/// How long anything may take to be seen; only a test that fails waits so long, ms.
+export const PATIENCE = 60_000;
+const ARGS = [
+  '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking',
+  '--disable-component-update', '--disable-sync', '--disable-dev-shm-usage',
+];
+
+/// A program of ours, and what it printed.
+class Program {
+  constructor(args, name, env = {}) {
+    this.name = name;
+    this.printed = '';
+    this.child = spawn(path.join(BIN, 'trocar'), args, { stdio: ['ignore', 'pipe', 'pipe'], env: { ...process.env, NO_COLOR: '1', ...env } });
+    this.ended = new Promise((over) => this.child.once('exit', (code, signal) => over(signal ?? code)));
+    for (const stream of [this.child.stdout, this.child.stderr]) stream.on('data', (text) => (this.printed = (this.printed + text).slice(-60_000)));
+    this.ready = new Promise((yes, no) => {
+      const look = () => {
+        const found = /listening on (127\.0\.0\.1:\d+)/.exec(this.printed);
+        if (found) yes((this.addr = found[1]));
+      };
+      this.child.stdout.on('data', look);
+      this.ended.then((how) => no(new Error(`${name} ended (${how}) before it listened:\n${this.printed}`)));
+    });
+  }
+  kill(signal) {
+    this.child.kill(signal);
+  }
+}
+
+export class World {
+  programs = [];
+  contexts = [];
+  constructor() {
+    this.dir = fs.mkdtempSync(path.join(os.tmpdir(), 'trocar-viewer-'));
+  }
+  async start(args, name) {
+    const program = new Program(args, name, { XDG_STATE_HOME: path.join(this.dir, 'state'), HOME: this.dir });
+    this.programs.push(program);
+    await program.ready;
+    return program;
+  }
+  host(name = 'host', more = []) {
+    return this.start(['host', '--name', name, '--plugins', PLUGINS, '--listen', '127.0.0.1:0', '--state', path.join(this.dir, name), ...more], name);
+  }
+  gcm(listen = '127.0.0.1:0') {
+    return this.start(['gcm', '--listen', listen, '--state', path.join(this.dir, 'gcm')], 'gcm');
+  }
+  demo(more = []) {
+    return this.start(['demo', '--plugins', PLUGINS, '--listen', '127.0.0.1:0', ...more], 'demo');
+  }
+  /// A profile of its own: windows of one browser share what it may have open to one address.
+  async browser(options = {}) {
+    const profile = fs.mkdtempSync(path.join(this.dir, 'profile-'));
+    const context = await chromium.launchPersistentContext(profile, {
+      executablePath: process.env.CHROMIUM, headless: true, args: ARGS, viewport: { width: 1500, height: 900 }, ...options,
+    });
+    context.setDefaultTimeout(PATIENCE);
+    // For work on the page: files of a build that no program embeds yet.
+    if (process.env.VIEWER_DIST) {
+      await context.route(/^http:[/][/]127\.0\.0\.1:\d+[/](video|icon\.svg|assets[/].*)?(\?.*)?$/, async (route) => {
+        const asked = new URL(route.request().url()).pathname;
+        const file = path.join(process.env.VIEWER_DIST, asked === '/' || asked === '/video' ? 'index.html' : asked);
+        if (fs.existsSync(file)) await route.fulfill({ path: file });
+        else await route.continue();
+      });
+    }
+    this.contexts.push(context);
+    return context;
+  }
+  /// The viewer in a browser of its own; what goes wrong in it fails the test.
+  async viewer(addr, query = '', options = {}) {
+    const context = await this.browser(options);
+    const page = await context.newPage();
+    page.wrong = [];
+    page.on('pageerror', (e) => page.wrong.push(String(e.stack ?? e)));
+    page.on('console', (m) => {
+      if (m.type() === 'error' && !/Failed to load resource|ERR_CONNECTION|ERR_INCOMPLETE|ERR_EMPTY/.test(m.text())) page.wrong.push(m.text());
+    });
+    await page.goto(`http://${addr}/${query}`);
+    await page.waitForSelector('[data-standing=live]');
+    return page;
+  }
+  async end() {
+    for (const c of this.contexts) await c.close().catch(() => {});
+    for (const p of this.programs) p.kill('SIGINT');
+    for (const p of this.programs) {
+      const late = setTimeout(() => p.kill('SIGKILL'), 10_000);
+      await p.ended;
+      clearTimeout(late);
+    }
+    fs.rmSync(this.dir, { recursive: true, force: true });
+  }
+}
+
+/// grpcurl's answer; a refusal is thrown in its own words.
+export function grpcurl(addr, method, request = {}) {
+  return new Promise((yes, no) => {
+    execFile(process.env.GRPCURL, ['-plaintext', '-d', JSON.stringify(request), addr, `trocar.v1.${method}`], { maxBuffer: 64 << 20 }, (error, out, said) =>
+      error ? no(new Error(`${method} ${JSON.stringify(request)}: ${said}`)) : yes(JSON.parse(out)),
+    );
+  });
+}
+
+/// Asks until it is so.
+export async function eventually(what, ask) {
+  const until = Date.now() + PATIENCE;
+  for (let last; ; await new Promise((next) => setTimeout(next, 50))) {
+    try {
+      last = await ask();
+      if (last) return last;
+    } catch (e) {
+      last = e;
+    }
+    if (Date.now() > until) throw new Error(`${what}: not so within ${PATIENCE / 1000} s; last: ${last}`);
+  }
+}
+
+export function is(found, wanted, what) {
+  if (JSON.stringify(found) !== JSON.stringify(wanted)) throw new Error(`${what}: ${JSON.stringify(found)}, wanted ${JSON.stringify(wanted)}`);
+}
+
+export function holds(yes, what) {
+  if (!yes) throw new Error(what);
+}
+
+export async function shot(page, name) {
+  fs.mkdirSync(PICTURES, { recursive: true });
+  await page.screenshot({ path: path.join(PICTURES, `${name}.png`) });
+}
+
+export const create = (addr, cls, p, config, execution) => grpcurl(addr, 'GcmService/Create', { path: p, class: cls, config, execution });
+export const start = (addr, ...paths) => grpcurl(addr, 'GcmService/Start', { paths });
+export const connect = (addr, client, server) => grpcurl(addr, 'GcmService/Connect', { client, server });
+export const state = async (addr, p) => (await grpcurl(addr, 'GcmService/GetState', { path: p })).component.state?.replace('COMPONENT_STATE_', '');
+
+/// The box of a component on the page.
+export const box = (page, p) => page.locator(`[data-path="${p}"]`);
+/// The middle of a port's handle.
+export async function handle(page, port) {
+  const [at, name] = [port.slice(0, port.lastIndexOf('/')), port.slice(port.lastIndexOf('/') + 1)];
+  const found = await page.locator(`[data-path="${at}"] [data-handleid="${name}"]`).boundingBox();
+  return { x: found.x + found.width / 2, y: found.y + found.height / 2 };
+}
+/// Waits until the layout has put everything where it stays and the view fits it.
+export async function settled(page) {
+  let before = '';
+  await eventually('the graph stands still', async () => {
+    const now = await page.evaluate(() => [...document.querySelectorAll('[data-path]')].map((e) => { const b = e.getBoundingClientRect(); return `${Math.round(b.x)},${Math.round(b.y)}`; }).join(' '));
+    const same = now !== '' && now === before && (await page.locator('.laid-out').count()) > 0;
+    before = now;
+    if (!same) await page.evaluate(() => new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r))));
+    return same;
+  });
+}
