@@ -46,6 +46,7 @@ export async function a_connection_made_by_grpcurl_is_on_the_screen_at_once(worl
     new MutationObserver(look).observe(document.body, { subtree: true, childList: true, attributes: true });
   });
   const times = [];
+  const whole = [];
   const controls = [];
   for (let round = 0; round < 20; round += 1) {
     // What this browser on this machine takes at this moment to ask for nothing and draw it.
@@ -56,18 +57,21 @@ export async function a_connection_made_by_grpcurl_is_on_the_screen_at_once(worl
       return performance.now() - began;
     }));
     const before = await page.evaluate(() => window.seen.length);
+    const began = Date.now();
     const { id } = await connect(host.addr, 'host/echo/sample', 'host/sine/value');
     const done = Date.now();
     const seen = await eventually('the edge is on the screen', () => page.evaluate((n) => window.seen.slice(n).find((s) => s.there), before));
-    times.push(seen.at - done);
+    // It may be seen before grpcurl has ended.
+    times.push(Math.max(0, seen.at - done));
+    whole.push(seen.at - began);
     await grpcurl(host.addr, 'GcmService/Disconnect', { id });
     await page.waitForFunction(() => document.querySelector('[data-connection]') === null);
   }
   const middle = (all) => [...all].sort((a, b) => a - b)[Math.floor(all.length / 2)];
   const control = middle(controls);
   const [p50, most] = [middle(times), Math.max(...times)];
-  console.log(`bench Watch → DOM: grpcurl Connect answered → edge on the screen: median ${p50.toFixed(0)} ms, largest of 20 ${most.toFixed(0)} ms; control (empty request and a frame) ${control.toFixed(0)} ms`);
-  fs.writeFileSync('watch-to-dom.json', JSON.stringify({ p50, most, control, times }));
+  console.log(`bench Watch → DOM: grpcurl Connect answered → edge on the screen: median ${p50.toFixed(0)} ms, largest of 20 ${most.toFixed(0)} ms; from grpcurl's start median ${middle(whole).toFixed(0)} ms, largest ${Math.max(...whole).toFixed(0)} ms; control (empty request and a frame) ${control.toFixed(0)} ms`);
+  fs.writeFileSync('watch-to-dom.json', JSON.stringify({ p50, most, control, times, whole }));
   holds(p50 <= BOUND + 2 * control, `an edge takes ${p50} ms to be seen; ${BOUND} ms and twice the control of ${control} ms are allowed`);
 }
 
@@ -184,6 +188,10 @@ export async function three_hundred_components_are_drawn_and_can_be_worked_with(
   await page.keyboard.press('Enter');
   await box(page, 'host/e77').waitFor();
   await page.locator('.inspector', { hasText: 'host/e77' }).waitFor();
+  await eventually('it is in the middle and can be read', async () => {
+    const b = await box(page, 'host/e77').boundingBox();
+    return b && b.width > 150 && b.x > 200 && b.x + b.width < 1130 && b.y > 100 && b.y + b.height < 850;
+  });
   await shot(page, 'three-hundred-found');
   is(await state(host.addr, 'host/e77'), 'READY', 'state');
 }

@@ -13,8 +13,8 @@ export async function six_plots_and_a_second_window_stay_live(world) {
   await start(host.addr, 'host/**');
   const open = async (page) => {
     await page.locator('[data-standing=live]').waitFor();
+    await box(page, 'host/s3').waitFor();
     for (const n of [1, 2, 3]) {
-      await box(page, `host/s${n}`).waitFor();
       await page.keyboard.press('Control+k');
       await page.getByRole('combobox', { name: 'search' }).fill(`host/s${n}`);
       await page.keyboard.press('Enter');
