@@ -189,9 +189,5 @@ async fn what_finds_its_queue_full_is_a_counted_drop() {
     }
     let links = world.lcm.links().await.unwrap();
     assert_eq!((links[0].passed, links[0].dropped), (0, 6));
-    world.start("taker").await;
-    eventually("what was kept is told", || taker.len() == 4).await;
-    let numbers: Vec<u64> = taker.all().iter().map(|(_, seq)| *seq).collect();
-    assert_eq!(numbers, [7, 8, 9, 10], "the gap is what was dropped");
     world.end().await;
 }
