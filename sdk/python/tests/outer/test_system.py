@@ -355,7 +355,9 @@ def test_a_recording_is_made_read_back_and_its_recorder_is_gone(system, ire, tmp
         rec.marker("half way")
         first = rec.status()["messages"]
         eventually("messages are written", lambda: rec.status()["messages"] > first + 100)
-    assert rec.path == str(tmp_path / "trial7.mcap") and rec.result["lost"] == 0, rec.result
+    assert rec.path == str(tmp_path / "trial7.mcap")
+    told = rec.read()["/recorder/loss"].messages[-1:] if rec.result["lost"] else []
+    assert rec.result["lost"] == 0, (rec.topics, told)
     assert not [c for c in ire._graph.components if "rec_" in c and c in {x.path for x in ire._call("GcmService/List").components}]
     file = rec.read()
     assert file.complete and file.profile == "trocar", file
