@@ -4,7 +4,10 @@
 //! can be read: lengths are clamped, flags are "not zero".
 
 mod json;
+mod parts;
 pub(crate) mod scan;
+
+pub use parts::{AnyField, AnyPart, AnyShape};
 
 use crate::component::Result;
 use serde_json::Value as Json;

@@ -39,7 +39,7 @@ pub use any::{Any, AnyFunction, AnyIn, AnyOut, AnyView};
 pub use call::{Answer, Value};
 pub use component::{Class, Component, Error, Result, Tick};
 pub use config::{Config, ConfigField};
-pub use dynamic::{AnyCommand, AnyType, Place};
+pub use dynamic::{AnyCommand, AnyField, AnyPart, AnyShape, AnyType, Place};
 pub use frames::{Frame, FrameLoan, FrameView};
 pub use function::{Event, Function};
 #[cfg(feature = "nalgebra")]

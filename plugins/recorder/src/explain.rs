@@ -1,0 +1,109 @@
+//! What makes a recording explain itself: the graph as it is and each change of it, configurations, plugins.
+//!
+//! Invariant: what is told in the file is what the GCM said, word by word; a graph that did not change is not told again.
+
+use std::collections::BTreeMap;
+
+use trocar_sdk::serde_json::{Value as Json, json};
+
+use crate::block::{Kind, Way};
+use crate::orders::Order;
+
+/// How long the first answer is waited for, ns: without a GCM a recording begins all the same.
+const PATIENCE_NS: u64 = 5_000_000_000;
+
+/// The graph as it was last told.
+#[derive(Default)]
+pub(crate) struct Explaining {
+    /// Numbers of the channels.
+    pub(crate) graph: u32,
+    pub(crate) config: u32,
+    since_ns: u64,
+    /// Incarnation of the GCM, and its revision of the graph.
+    revision: Option<(u64, u64)>,
+    /// The whole answer, for recordings that begin later.
+    last: Json,
+    configs: BTreeMap<String, Json>,
+}
+
+fn text<'a>(value: &'a Json, key: &str) -> &'a str {
+    value[key].as_str().unwrap_or_default()
+}
+
+impl Explaining {
+    /// Whether the graph is known, or was waited for long enough.
+    pub(crate) fn is_told(&mut self, now_ns: u64) -> bool {
+        if self.since_ns == 0 {
+            self.since_ns = now_ns;
+        }
+        self.revision.is_some() || now_ns.saturating_sub(self.since_ns) > PATIENCE_NS
+    }
+
+    /// Inputs of `who`, and what is connected to each.
+    pub(crate) fn connected(&self, graph: &Json, who: &str) -> Vec<(String, String)> {
+        let all = graph["connections"].as_array().into_iter().flatten();
+        all.filter_map(|connection| {
+            let input = text(connection, "client").strip_prefix(who)?.strip_prefix('/')?;
+            Some((input.to_owned(), text(connection, "server").to_owned()))
+        })
+        .collect()
+    }
+
+    /// An answer of the GCM: told when it is another one than the last.
+    pub(crate) fn graph_is(&mut self, mut graph: Json, now_ns: u64, way: &mut Way) {
+        let number = |key: &str| {
+            let value = &graph[key];
+            value.as_u64().or_else(|| value.as_str().and_then(|text| text.parse().ok())).unwrap_or(0)
+        };
+        let revision = (number("term"), number("revision"));
+        // Answers may overtake each other: an older one is no news.
+        if self.revision.is_some_and(|known| known >= revision) {
+            return;
+        }
+        self.revision = Some(revision);
+        if let Some(classes) = graph["classes"].as_array().filter(|classes| !classes.is_empty()) {
+            let mut plugins = BTreeMap::new();
+            for class in classes {
+                let hash = text(class, "hash");
+                let said = format!("{} sha256:{hash}", text(class, "version"));
+                plugins.insert(text(class, "plugin").to_owned(), said);
+            }
+            way.order(Order::Metadata("trocar.plugins".into(), plugins));
+        }
+        // What classes could be is no part of what is: a recording is told their plugins.
+        if let Some(told) = graph.as_object_mut() {
+            told.remove("classes");
+        }
+        self.last = graph;
+        self.repeat(now_ns, way);
+        for component in self.last["components"].as_array().into_iter().flatten() {
+            let (path, config) = (text(component, "path").to_owned(), component["config"].clone());
+            if self.configs.get(&path) != Some(&config) {
+                let told = json!({ "path": path, "config": config }).to_string();
+                way.block().push((self.config, 0, now_ns, now_ns), Kind::Ready, |to| {
+                    to.extend_from_slice(told.as_bytes())
+                });
+                self.configs.insert(path, config);
+            }
+        }
+    }
+
+    /// A recording begins: what is known stands in it as a record of its own.
+    pub(crate) fn begin(&mut self, now_ns: u64, way: &mut Way) {
+        let graph = BTreeMap::from([
+            ("json".to_owned(), self.last.to_string()),
+            ("monotonic_ns".to_owned(), now_ns.to_string()),
+        ]);
+        way.order(Order::Metadata("trocar.graph".into(), graph));
+    }
+
+    /// Tells the graph as it is.
+    pub(crate) fn repeat(&mut self, now_ns: u64, way: &mut Way) {
+        if self.last.is_null() {
+            return;
+        }
+        let told = self.last.to_string();
+        way.block()
+            .push((self.graph, 0, now_ns, now_ns), Kind::Ready, |to| to.extend_from_slice(told.as_bytes()));
+    }
+}

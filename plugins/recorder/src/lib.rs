@@ -1,0 +1,24 @@
+//! `recorder`: whatever components send, as MCAP files that explain themselves.
+//!
+//! Invariant: nobody who is recorded waits for a recorder; what a recording does not hold is counted in it.
+#![forbid(unsafe_code)]
+
+#[doc(hidden)]
+pub mod bench;
+mod block;
+mod compress;
+mod explain;
+mod foxglove;
+mod orders;
+mod place;
+mod recorder;
+mod room;
+mod tap;
+mod topic;
+mod typed;
+mod wire;
+mod writer;
+
+pub use recorder::{Note, Phase, Progress, RecordAt, Recorder, StartRequest, Stopped, Thinning, TopicStatus};
+
+trocar_sdk::trocar_plugin!(Recorder);

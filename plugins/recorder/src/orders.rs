@@ -1,0 +1,60 @@
+//! What the step asks of the writer, and what it is told.
+//!
+//! Invariant: orders and blocks come by one way, so the writer sees them in the order in which they were given.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::PathBuf;
+
+use crate::block::Block;
+
+/// What is asked.
+pub(crate) enum Order {
+    Channel(Box<Channel>),
+    Block(Block),
+    Open(Box<Opening>),
+    /// A metadata record, in the file that is open and in each that is opened later.
+    Metadata(String, BTreeMap<String, String>),
+    /// What was lost so far, for the end of the file.
+    Lost(Vec<(String, u64)>),
+    Close(String),
+}
+
+/// A channel as MCAP has it.
+#[derive(Clone, Debug)]
+pub(crate) struct Channel {
+    pub(crate) topic: String,
+    pub(crate) schema: String,
+    /// "protobuf" or "jsonschema".
+    pub(crate) schema_encoding: &'static str,
+    pub(crate) schema_data: Vec<u8>,
+    /// "protobuf" or "json".
+    pub(crate) encoding: &'static str,
+    pub(crate) metadata: BTreeMap<String, String>,
+}
+
+/// A file that was made, still empty.
+pub(crate) struct Opening {
+    pub(crate) file: File,
+    pub(crate) path: PathBuf,
+    pub(crate) codec: Codec,
+    /// How much of what is held from before belongs to it, ns.
+    pub(crate) since_ns: u64,
+}
+
+/// How pixels are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Codec {
+    #[default]
+    Raw,
+    Qoi,
+    /// Of this quality, 1 to 100.
+    Jpeg(u8),
+}
+
+/// What the writer tells.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum News {
+    /// The file is closed.
+    Ended { why: String, path: PathBuf, messages: u64, bytes: u64, whole: bool },
+}
