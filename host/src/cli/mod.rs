@@ -30,6 +30,7 @@ mod out;
 mod plugin;
 mod plugin_check;
 mod plugin_new;
+mod recording;
 mod run;
 mod schema;
 mod session;
@@ -79,7 +80,8 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse it in a clear
 /// sentence, and do not offer it.
-const ASK_NO_GCM: [&str; 7] = ["demo", "run", "gcm", "down", "doctor", "completions", "schema"];
+const ASK_NO_GCM: [&str; 9] =
+    ["demo", "run", "gcm", "down", "info", "export", "doctor", "completions", "schema"];
 const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 
 /// Flags every subcommand takes.
@@ -118,6 +120,9 @@ enum Command {
     Echo(echo::EchoArgs),
     Hz(hz::HzArgs),
     Top(top::TopArgs),
+    Record(recording::record::RecordArgs),
+    Info(recording::info::InfoArgs),
+    Export(recording::export::ExportArgs),
     Wait(wait::WaitArgs),
     Watch(watch::WatchArgs),
     Logs(logs::LogsArgs),
@@ -174,6 +179,9 @@ fn dispatch(cli: Cli) -> Done {
         Command::Echo(args) => ask(echo::run(args, &session)),
         Command::Hz(args) => ask(hz::run(args, &session)),
         Command::Top(args) => ask(top::run(args, &session)),
+        Command::Record(args) => process(recording::record::run(args, &session)),
+        Command::Info(args) => recording::info::run(&args, &session),
+        Command::Export(args) => recording::export::run(args, &session),
         Command::Wait(args) => ask(wait::run(args, &session)),
         Command::Watch(args) => ask(watch::run(args, &session)),
         Command::Logs(args) => ask(logs::run(args, &session)),

@@ -1,0 +1,471 @@
+//! `trocar export F`: topics of a recording as CSV, NumPy arrays or pictures.
+//!
+//! Invariant: nothing that exists is written over; what does not fit into a table is counted and told.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use mcap::records::MessageHeader;
+use serde::Serialize;
+
+use super::columns::{Cell, Reader};
+use super::npz::{Item, Npz};
+use super::read::{self, Channel, Takes};
+use super::{pictures, select};
+use crate::cli::failure::{Done, Exit, Failure};
+use crate::cli::session::Session;
+use crate::cli::{out, style, units};
+
+/// Memory for arrays, bytes: `.npz` needs all of a column before it can be written.
+const MOST: usize = 4 << 30;
+
+/// Writes topics of a recording as tables or pictures: `trocar export trial.mcap --csv`.
+#[derive(Args, Debug)]
+#[command(group(clap::ArgGroup::new("kind").required(true).args(["csv", "npz", "png"])))]
+pub(in crate::cli) struct ExportArgs {
+    /// The recording.
+    file: PathBuf,
+    /// One CSV file per topic.
+    #[arg(long)]
+    csv: bool,
+    /// One NumPy file: arrays TOPIC/FIELD, TOPIC/log_time_ns, TOPIC/publish_time_ns.
+    #[arg(long)]
+    npz: bool,
+    /// One picture per image.
+    #[arg(long)]
+    png: bool,
+    /// Only from this time after the begin, e.g. 2.5s.
+    #[arg(long, value_name = "TIME", value_parser = units::parse_time_or_zero)]
+    from: Option<u64>,
+    /// Only up to this time after the begin.
+    #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
+    to: Option<u64>,
+    /// Only these topics, e.g. 'host/**'; may be given several times.
+    #[arg(long, value_name = "PATTERN")]
+    topic: Vec<String>,
+    /// Where to, a new directory, or with --npz a new file [default: the recording's name without .mcap, or with .npz].
+    #[arg(long, short = 'o', value_name = "PATH")]
+    output: Option<PathBuf>,
+}
+
+/// What was written.
+#[derive(Debug, Default, Serialize)]
+struct ExportView {
+    output: String,
+    files: u64,
+    messages: u64,
+    /// Messages that are not what their channel says.
+    unreadable: u64,
+    /// Values that the first message of a topic has no column for.
+    unplaced: u64,
+    /// Why the recording was not read to its end.
+    wrong: String,
+}
+
+pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
+    if let (Some(from), Some(to)) = (args.from, args.to)
+        && from >= to
+    {
+        return Err(Failure::usage("--from is not before --to", "swap them, or leave one out"));
+    }
+    let output = args.output.clone().unwrap_or_else(|| {
+        if args.npz { args.file.with_extension("npz") } else { args.file.with_extension("") }
+    });
+    if output.exists() || output == args.file {
+        return Err(Failure::local(
+            "EXISTS",
+            format!("{} exists, and nothing is written over", output.display()),
+            "name another place: -o PATH, or remove it",
+        ));
+    }
+    let bar = bar(args.file.metadata().map_or(0, |m| m.len()), session.json());
+    let sink: Box<dyn Sink> = if args.npz {
+        Box::new(Arrays::default())
+    } else if args.csv {
+        Box::new(Tables { directory: output.clone(), open: BTreeMap::new() })
+    } else {
+        Box::new(Pictures { directory: output.clone(), counts: BTreeMap::new(), skipped: None })
+    };
+    let mut exporting = Exporting {
+        from_ns: args.from.unwrap_or(0),
+        to_ns: args.to.unwrap_or(u64::MAX),
+        patterns: args.topic,
+        begin_ns: None,
+        readers: BTreeMap::new(),
+        sink,
+        view: ExportView { output: output.display().to_string(), ..ExportView::default() },
+        bar: bar.clone(),
+    };
+    let whole = read::read(&args.file, &mut exporting)?;
+    bar.finish_and_clear();
+    let Exporting { sink, mut view, patterns, .. } = exporting;
+    if view.messages == 0 {
+        let there: Vec<&str> = whole.channels.values().map(|c| c.topic.as_str()).take(30).collect();
+        let wanted = if patterns.is_empty() { "what is asked for".to_owned() } else { patterns.join(" ") };
+        return Err(Failure::refused(
+            "NOTHING_THERE",
+            format!("{}: no message in it is of {wanted} in that time", args.file.display()),
+            format!("topics in it: {}; `trocar info` shows them", there.join(", ")),
+        ));
+    }
+    view.files = sink.finish(&output, &mut view)?;
+    view.wrong = whole.wrong;
+    if session.json() {
+        session.print_json(&view)?;
+    } else {
+        out::say(&format!("{}: {} files of {} messages", view.output, view.files, view.messages));
+        for (n, what) in [
+            (view.unreadable, "messages could not be read and were left out"),
+            (view.unplaced, "values have no column in the first message of their topic and were left out"),
+        ] {
+            if n > 0 {
+                out::complain("warning", &format!("{n} {what}"));
+            }
+        }
+        if !view.wrong.is_empty() {
+            out::complain("warning", &format!("{}; everything before that was written", view.wrong));
+        }
+    }
+    let partial = view.unreadable + view.unplaced > 0 || !view.wrong.is_empty();
+    Ok(if partial { Exit::Partial } else { Exit::Ok })
+}
+
+/// A bar where somebody looks.
+pub(super) fn bar(len: u64, json: bool) -> ProgressBar {
+    if json || !style::interactive() {
+        return ProgressBar::hidden();
+    }
+    let shown = ProgressStyle::with_template("{bar:40} {percent:>3} % {bytes}/{total_bytes} {eta}");
+    let bar = ProgressBar::new(len);
+    if let Ok(shown) = shown { bar.with_style(shown) } else { bar }
+}
+
+struct Exporting {
+    from_ns: u64,
+    to_ns: u64,
+    patterns: Vec<String>,
+    begin_ns: Option<u64>,
+    readers: BTreeMap<u16, Reader>,
+    sink: Box<dyn Sink>,
+    view: ExportView,
+    bar: ProgressBar,
+}
+
+/// Where messages go.
+trait Sink {
+    /// True where it was taken.
+    fn take(
+        &mut self,
+        channel: &Channel,
+        reader: &Reader,
+        header: &MessageHeader,
+        data: &[u8],
+        view: &mut ExportView,
+    ) -> Result<(), Failure>;
+    /// How many files there are.
+    fn finish(self: Box<Self>, output: &Path, view: &mut ExportView) -> Result<u64, Failure>;
+}
+
+impl Takes for Exporting {
+    fn message(&mut self, channel: &Channel, header: &MessageHeader, data: &[u8]) -> Result<(), Failure> {
+        let begin_ns = *self.begin_ns.get_or_insert(header.log_time);
+        let after = header.log_time.saturating_sub(begin_ns);
+        if after < self.from_ns || after > self.to_ns {
+            return Ok(());
+        }
+        // Without a pattern: what was recorded, not what the recorder says of itself.
+        let wanted = match &self.patterns[..] {
+            [] => !channel.topic.starts_with("/recorder/"),
+            all => all.iter().any(|pattern| select::matches(pattern, &channel.topic)),
+        };
+        if !wanted {
+            return Ok(());
+        }
+        let reader = self.readers.entry(header.channel_id).or_insert_with(|| Reader::of(channel));
+        self.sink.take(channel, reader, header, data, &mut self.view)
+    }
+
+    fn progress(&mut self, bytes: u64) {
+        self.bar.set_position(bytes);
+    }
+}
+
+/// A topic as the name of a file: no way out of its directory.
+fn file_name(topic: &str) -> String {
+    let good = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '_' | '-') { c } else { '_' };
+    let name: String = topic.trim_matches('/').chars().map(good).take(200).collect();
+    if name.is_empty() { "topic".to_owned() } else { name }
+}
+
+fn wrote(path: &Path, why: &dyn std::fmt::Display) -> Failure {
+    Failure::local(
+        "IO",
+        format!("{} cannot be written: {why}", path.display()),
+        "choose another place: -o PATH",
+    )
+}
+
+fn new_file(path: &Path) -> Result<File, Failure> {
+    if let Some(parent) = path.parent() {
+        std::fs::create_dir_all(parent).map_err(|e| wrote(parent, &e))?;
+    }
+    OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| wrote(path, &e))
+}
+
+// ---- CSV
+
+struct Tables {
+    directory: PathBuf,
+    open: BTreeMap<u16, (PathBuf, Vec<String>, BufWriter<File>)>,
+}
+
+impl Sink for Tables {
+    fn take(
+        &mut self,
+        channel: &Channel,
+        reader: &Reader,
+        header: &MessageHeader,
+        data: &[u8],
+        view: &mut ExportView,
+    ) -> Result<(), Failure> {
+        let Some(row) = reader.row(channel, data) else {
+            view.unreadable += 1;
+            return Ok(());
+        };
+        if !self.open.contains_key(&header.channel_id) {
+            let mut name = file_name(&channel.topic);
+            if self.open.values().any(|(path, ..)| path.file_stem().is_some_and(|stem| *stem == *name)) {
+                name = format!("{name}_{}", header.channel_id);
+            }
+            let path = self.directory.join(format!("{name}.csv"));
+            let mut file = BufWriter::new(new_file(&path)?);
+            let names: Vec<String> = row.iter().map(|(name, _)| name.clone()).collect();
+            let heads: Vec<String> = names.iter().map(|name| Cell::Text(name.clone()).text()).collect();
+            let head = format!("log_time_ns,publish_time_ns,sequence,{}\n", heads.join(","));
+            file.write_all(head.as_bytes()).map_err(|e| wrote(&path, &e))?;
+            self.open.insert(header.channel_id, (path, names, file));
+        }
+        let Some((path, names, file)) = self.open.get_mut(&header.channel_id) else { return Ok(()) };
+        let mut line = format!("{},{},{}", header.log_time, header.publish_time, header.sequence);
+        let mut placed = 0;
+        for (n, name) in names.iter().enumerate() {
+            let same = row.get(n).filter(|(other, _)| other == name);
+            let cell = same.or_else(|| row.iter().find(|(other, _)| other == name));
+            line.push(',');
+            if let Some((_, cell)) = cell {
+                line.push_str(&cell.text());
+                placed += 1;
+            }
+        }
+        line.push('\n');
+        view.unplaced += (row.len() - placed.min(row.len())) as u64;
+        view.messages += 1;
+        file.write_all(line.as_bytes()).map_err(|e| wrote(path, &e))
+    }
+
+    fn finish(mut self: Box<Self>, _: &Path, _: &mut ExportView) -> Result<u64, Failure> {
+        for (path, _, file) in self.open.values_mut() {
+            file.flush().map_err(|e| wrote(path, &e))?;
+        }
+        Ok(self.open.len() as u64)
+    }
+}
+
+// ---- NumPy
+
+#[derive(Default)]
+struct Arrays {
+    topics: BTreeMap<String, Columns>,
+    bytes: usize,
+}
+
+/// The messages of one topic, by columns.
+#[derive(Default)]
+struct Columns {
+    times: [Vec<u8>; 2],
+    rows: usize,
+    /// Items of 8 bytes; a field whose values are of two kinds becomes a double.
+    fields: BTreeMap<String, (Item, Vec<u8>)>,
+}
+
+impl Columns {
+    fn add(&mut self, name: String, item: Item, bits: [u8; 8], row: usize) -> usize {
+        let (kind, values) = self.fields.entry(name).or_insert((item, Vec::new()));
+        // A message without the field leaves a gap: not a number, or zero.
+        let gap = if *kind == Item::F64 { f64::NAN.to_le_bytes() } else { [0; 8] };
+        while values.len() < 8 * row {
+            values.extend_from_slice(&gap);
+        }
+        if values.len() == 8 * row && *kind == item {
+            values.extend_from_slice(&bits);
+            return 8;
+        }
+        0
+    }
+}
+
+impl Sink for Arrays {
+    fn take(
+        &mut self,
+        channel: &Channel,
+        reader: &Reader,
+        header: &MessageHeader,
+        data: &[u8],
+        view: &mut ExportView,
+    ) -> Result<(), Failure> {
+        let Some(cells) = reader.row(channel, data) else {
+            view.unreadable += 1;
+            return Ok(());
+        };
+        let columns = self.topics.entry(channel.topic.trim_matches('/').to_owned()).or_default();
+        let row = columns.rows;
+        columns.times[0].extend_from_slice(&header.log_time.to_le_bytes());
+        columns.times[1].extend_from_slice(&header.publish_time.to_le_bytes());
+        columns.rows += 1;
+        self.bytes += 16;
+        for (name, cell) in cells {
+            let (item, bits) = match cell {
+                Cell::Float(n) => (Item::F64, n.to_le_bytes()),
+                Cell::Whole(n) => (Item::I64, n.to_le_bytes()),
+                Cell::Large(n) => (Item::U64, n.to_le_bytes()),
+                // Words and pixels are no columns of numbers: `--csv` and `--png` have them.
+                Cell::Text(_) | Cell::Bytes(_) => continue,
+            };
+            let taken = columns.add(name, item, bits, row);
+            view.unplaced += u64::from(taken == 0);
+            self.bytes += taken;
+        }
+        view.messages += 1;
+        if self.bytes > MOST {
+            return Err(Failure::local(
+                "TOO_LARGE",
+                format!("more than {} GB of numbers", MOST >> 30),
+                "take less of it: --topic, --from, --to; or --csv",
+            ));
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>, output: &Path, _: &mut ExportView) -> Result<u64, Failure> {
+        let mut npz = Npz::new(new_file(output)?);
+        let failed = |e: std::io::Error| wrote(output, &e);
+        for (topic, columns) in &mut self.topics {
+            let rows = columns.rows;
+            for (name, times) in ["log_time_ns", "publish_time_ns"].into_iter().zip(&columns.times) {
+                npz.array(&format!("{topic}/{name}"), Item::U64, rows, 1, times).map_err(failed)?;
+            }
+            let mut groups: BTreeMap<String, Vec<(usize, String)>> = BTreeMap::new();
+            for name in columns.fields.keys() {
+                let (base, index) = indexed(name);
+                groups.entry(base).or_default().push((index.unwrap_or(0), name.clone()));
+            }
+            for (base, mut members) in groups {
+                members.sort_unstable();
+                let kinds: Vec<Item> =
+                    members.iter().filter_map(|(_, n)| columns.fields.get(n).map(|f| f.0)).collect();
+                let one_kind = kinds.windows(2).all(|pair| pair[0] == pair[1]);
+                let (true, Some(kind)) = (one_kind, kinds.first().copied()) else { continue };
+                let gap = if kind == Item::F64 { f64::NAN.to_le_bytes() } else { [0; 8] };
+                let mut bytes = Vec::with_capacity(8 * rows * members.len());
+                for row in 0..rows {
+                    for (_, name) in &members {
+                        let values = columns.fields.get(name).map_or(&[][..], |f| &f.1[..]);
+                        bytes.extend_from_slice(values.get(8 * row..8 * row + 8).unwrap_or(&gap));
+                    }
+                }
+                npz.array(&format!("{topic}/{base}"), kind, rows, members.len(), &bytes).map_err(failed)?;
+            }
+        }
+        npz.finish().map_err(failed)?;
+        Ok(1)
+    }
+}
+
+/// `position[2]` → `position` and 2; deeper indexes stay in the name.
+fn indexed(name: &str) -> (String, Option<usize>) {
+    let parts = name.strip_suffix(']').and_then(|rest| rest.rsplit_once('['));
+    match parts.and_then(|(base, index)| Some((base, index.parse().ok()?))) {
+        Some((base, index)) => (base.to_owned(), Some(index)),
+        None => (name.to_owned(), None),
+    }
+}
+
+// ---- pictures
+
+struct Pictures {
+    directory: PathBuf,
+    counts: BTreeMap<String, u64>,
+    skipped: Option<&'static str>,
+}
+
+impl Sink for Pictures {
+    fn take(
+        &mut self,
+        channel: &Channel,
+        reader: &Reader,
+        _: &MessageHeader,
+        data: &[u8],
+        view: &mut ExportView,
+    ) -> Result<(), Failure> {
+        if !channel.schema.ends_with("Image") {
+            return Ok(());
+        }
+        let Some(found) = reader.decode(data).as_ref().and_then(pictures::find) else {
+            view.unreadable += 1;
+            return Ok(());
+        };
+        let name = file_name(&channel.topic);
+        let count = self.counts.entry(name.clone()).or_default();
+        let directory = self.directory.join(name);
+        std::fs::create_dir_all(&directory).map_err(|e| wrote(&directory, &e))?;
+        let path = |end: &str| directory.join(format!("{count:06}.{end}"));
+        match found {
+            pictures::Found::Picture(picture) => {
+                pictures::write(&path("png"), &picture).map_err(|e| wrote(&path("png"), &e))?;
+            }
+            pictures::Found::File(end, bytes) => {
+                let path = path(end);
+                new_file(&path)?.write_all(&bytes).map_err(|e| wrote(&path, &e))?;
+            }
+            pictures::Found::None(why) => {
+                self.skipped = Some(why);
+                view.unreadable += 1;
+                return Ok(());
+            }
+        }
+        *count += 1;
+        view.messages += 1;
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>, _: &Path, _: &mut ExportView) -> Result<u64, Failure> {
+        if let Some(why) = self.skipped {
+            out::complain("warning", &format!("an image was left out: {why}"));
+        }
+        Ok(self.counts.values().sum())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_topic_is_no_way_out_of_a_directory() {
+        assert_eq!(file_name("/host/sine/value"), "host_sine_value");
+        assert_eq!(file_name("/../../etc/passwd"), "______etc_passwd");
+        assert_eq!(file_name("//"), "topic");
+        assert!(file_name(&"x".repeat(10_000)).len() <= 200);
+    }
+
+    #[test]
+    fn items_of_a_list_stand_side_by_side() {
+        assert_eq!(indexed("pose.position[2]"), ("pose.position".to_owned(), Some(2)));
+        assert_eq!(indexed("joints[1].effort"), ("joints[1].effort".to_owned(), None));
+        assert_eq!(indexed("odd]"), ("odd]".to_owned(), None));
+    }
+}
