@@ -450,7 +450,9 @@ type Look = Result<Option<(Sample, u64, Vec<u8>)>, Refusal>;
 /// this one. The frame is held only while it is scaled. None when the process ends.
 async fn look(mut output: Box<Output>, width: u32) -> Option<(Box<Output>, Look)> {
     if width == 0 {
-        let newest = output.newest(Want::default()).map(|n| n.map(|(sample, skipped, _)| (sample, skipped, Vec::new())));
+        let newest = output
+            .newest(Want::default())
+            .map(|n| n.map(|(sample, skipped, _)| (sample, skipped, Vec::new())));
         return Some((output, newest));
     }
     let _turn = MAKING.acquire().await.ok()?;

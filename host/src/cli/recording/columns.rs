@@ -30,7 +30,11 @@ pub(super) struct Reader {
 impl Reader {
     pub(super) fn of(channel: &Channel) -> Reader {
         let proto = channel.encoding == "protobuf" && channel.schema_encoding == "protobuf";
-        let pool = || DescriptorPool::decode(channel.schema_data.as_slice()).ok();
+        // Of some damaged descriptions the library panics while it words its error: they describe nothing either.
+        let pool = || {
+            let decode = || DescriptorPool::decode(channel.schema_data.as_slice()).ok();
+            std::panic::catch_unwind(decode).ok().flatten()
+        };
         Reader {
             message: if proto { pool().and_then(|p| p.get_message_by_name(&channel.schema)) } else { None },
         }

@@ -178,3 +178,7 @@ impl Whole {
         record.1.get(key).map(String::as_str)
     }
 }
+
+#[cfg(test)]
+#[path = "read_tests.rs"]
+mod tests;
