@@ -1,6 +1,7 @@
-//! Decibels of many powers at once, by a short series instead of a logarithm each.
+//! Decibels of many powers at once, by a short series instead of a logarithm each, and bytes of many decibels.
 //!
-//! Invariant: within 1e-4 dB of `10 log10` for powers from 1e-20 to 1e30; nothing is below [`SILENT_DB`].
+//! Invariant: within 1e-4 dB of `10 log10` for powers from 1e-20 to 1e30; nothing is below [`SILENT_DB`]. No branch and no
+//! conversion that saturates: the compiler does several side by side.
 
 /// What no power at all gives, dB, and what a line is filled with that says nothing.
 pub const SILENT_DB: f32 = -200.0;
@@ -23,9 +24,39 @@ pub fn decibel(power: f32) -> f32 {
     octave as f32 * PER_OCTAVE + PER_SERIES * series
 }
 
+/// Added to a number from 0 to 255, the sum's lowest byte is that number, to the nearest, the even one of two.
+const BYTE_LOWEST: f32 = 8_388_608.0;
+
+/// The byte of each value, 0 for `low` dB and less, 255 for `high` dB and more; what is no number is 0. As many as both have.
+pub fn shades(db: &[f32], low: f32, high: f32, to: &mut [u8]) {
+    let scale = 255.0 / (high - low);
+    for (db, to) in db.iter().zip(to) {
+        let shade = (db - low) * scale;
+        // Not `clamp`, which lets through what is no number.
+        let shade = if shade > 0.0 { shade } else { 0.0 };
+        let shade = if shade < 255.0 { shade } else { 255.0 };
+        *to = (shade + BYTE_LOWEST).to_bits() as u8;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_shade_is_the_nearest_of_256_and_all_beyond_the_range_are_black_or_white() {
+        let db: Vec<f32> = (-3000..3000).map(|n| n as f32 * 0.05).collect();
+        let mut bytes = vec![1; db.len()];
+        shades(&db, 45.0, 95.0, &mut bytes);
+        for (db, byte) in db.iter().zip(bytes) {
+            let exact = (f64::from(*db) - 45.0) * 255.0 / 50.0;
+            let off = exact.clamp(0.0, 255.0) - f64::from(byte);
+            assert!(off.abs() <= 0.5 + 1e-4, "{db} dB is {exact}, not {byte}");
+        }
+        let mut bytes = [1; 5];
+        shades(&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, SILENT_DB], 45.0, 95.0, &mut bytes);
+        assert_eq!(bytes, [0, 255, 0, 255, 0]);
+    }
 
     #[test]
     fn the_series_is_the_logarithm() {

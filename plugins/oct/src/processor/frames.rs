@@ -3,6 +3,7 @@
 //! Invariant: all lines of a frame are processed, or none.
 
 use trocar_oct_core::chain::Light;
+use trocar_oct_core::decibel::shades;
 use trocar_sdk::data::{AScanHeader, LinesView, SampleFormat, SpectraHeader};
 use trocar_sdk::prelude::*;
 
@@ -39,8 +40,7 @@ impl OctProcessor {
         if let Some(bytes) = &mut bytes_loan {
             *bytes.header_mut() = AScanHeader { format: SampleFormat::U8, ..out };
         }
-        let scale = 255.0 / (self.range.high - self.range.low) as f32;
-        let low = self.range.low as f32;
+        let (low, high) = (self.range.low as f32, self.range.high as f32);
         let before = works.light;
         let (mut last, mut lights) = (before, [0u64; 2]);
         let mut captured = None;
@@ -63,9 +63,7 @@ impl OctProcessor {
                 }
             }
             if let Some(room) = bytes_loan.as_mut().and_then(|b| b.bytes_mut().get_mut(at..at + bins)) {
-                for (db, room) in works.ascan.iter().zip(room) {
-                    *room = ((db - low) * scale) as u8;
-                }
+                shades(&works.ascan, low, high, room);
             }
         }
         works.light = last;
