@@ -5,7 +5,7 @@
 use serde_json::json;
 use trocar_proto::v1::Execution;
 
-use crate::book::Book;
+use crate::book::{Book, Counts};
 use crate::clock::within;
 use crate::program::Program;
 use crate::rpc::Rpc;
@@ -87,15 +87,17 @@ impl Bystander {
     }
 
     /// What it missed since it began; then the control ends.
-    pub(crate) fn tell(mut self, book: &mut Book, tried: usize) -> Result<(), String> {
+    pub(crate) fn tell(mut self, book: &mut Book) -> Result<(), String> {
         let (ours, theirs) = self.now()?;
         let (before, theirs_before) = self.before;
         let elapsed = ours.elapsed - before.elapsed;
-        let (seen, control) = (ours.skipped - before.skipped, theirs.skipped - theirs_before.skipped);
-        // One in a thousand: neither sees the other's processor all the time.
-        let allowed = (elapsed / 1000 + 1) as f64;
-        let what = format!("of {elapsed} periods of a bystander: missed (G4)");
-        book.beside(&what, tried, seen as f64, control as f64, allowed, "periods");
+        let counts = Counts {
+            seen: ours.skipped - before.skipped,
+            control: theirs.skipped - theirs_before.skipped,
+            // One in a thousand: neither sees the other's processor all the time.
+            allowed: elapsed / 1000 + 1,
+        };
+        book.counts("periods of a bystander: missed (G4)", elapsed as usize, counts);
         self.host.terminate()
     }
 }

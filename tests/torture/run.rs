@@ -48,10 +48,10 @@ impl Run {
         fastrand::Rng::with_seed(self.seed ^ hasher.finish())
     }
 
-    /// Carries a row out; once more when it failed while the machine itself stood still, and when it failed only in times
-    /// that a single hiccup beside the control run can spoil: what the fault does, it does again. Either is told.
+    /// Carries a row out; once more when it failed while the machine itself stood still, and when it failed only in what is
+    /// counted beside a control run: then both runs are judged together. Either is told.
     pub(crate) fn row(&self, row: &Row) -> Book {
-        let (mut attempt, mut in_time_once, mut before) = (1, false, Vec::<String>::new());
+        let (mut attempt, mut counted, mut before) = (1, None::<Book>, Vec::<String>::new());
         loop {
             let witness = Witness::start();
             let mut book = self.attempt(row);
@@ -61,13 +61,14 @@ impl Run {
                     "attempt {attempt}: the machine itself was late by {late_ms:.0} ms"
                 ));
             }
+            let stood_still = late_ms > UNQUIET && attempt < ATTEMPTS;
+            if let Some(earlier) = counted.as_ref().filter(|_| book.holds() || !stood_still) {
+                book.with_counts_of(earlier);
+            }
             let again: Option<String> = match book.holds() {
                 true => None,
-                false if late_ms > UNQUIET && attempt < ATTEMPTS => {
-                    Some(format!("the machine itself was late by {late_ms:.0} ms"))
-                }
-                false if book.fails_in_time_only() && !in_time_once => {
-                    in_time_once = true;
+                false if stood_still => Some(format!("the machine itself was late by {late_ms:.0} ms")),
+                false if book.fails_in_counts_only() && counted.is_none() => {
                     Some(book.failing().map(Line::words).collect::<Vec<_>>().join("; "))
                 }
                 false => None,
@@ -80,6 +81,9 @@ impl Run {
             };
             eprintln!("  once more: {why}");
             before.push(format!("attempt {attempt}, done again: {why}"));
+            if !stood_still {
+                counted = Some(book);
+            }
             attempt += 1;
         }
     }

@@ -1,5 +1,5 @@
-//! How many A-scans the built OCT plugin makes of spectra in a second of one core, the surface included: by itself, which is gate A8,
-//! and beside the stereo load, which takes of the caches and of what two processors share.
+//! How many A-scans the built OCT plugin makes of spectra in a second of one core, the surface included: by itself
+//! and beside the stereo load, which takes of the caches and of what two processors share: gate A8 holds for both.
 //!
 //! Invariant: timed from spectra that are there to their distances, in the stream that makes them, frame by frame of 64 lines.
 
@@ -68,16 +68,8 @@ fn measure_one(
     // A bare thread beside the same load, whose turns take as long as a frame.
     let period_ns = (1e9 * LINES / line_rate_hz) as u64;
     let control_ns = longer(period_ns, of("p50") * LINES, seconds) / LINES;
-    match beside {
-        Beside::Nothing => {
-            verdicts.at_least(what, 1e9 / of("mean"), least, Unit::PerSecond);
-            verdicts.at_most("time of one A-scan, p99", of("p99"), LATEST_NS, control_ns, Unit::Ns);
-        }
-        Beside::Stereo => {
-            verdicts.tell(what, 1e9 / of("mean"), None, Unit::PerSecond);
-            verdicts.tell("time of one A-scan, p99", of("p99"), Some(control_ns), Unit::Ns);
-        }
-    }
+    verdicts.at_least(what, 1e9 / of("mean"), least, Unit::PerSecond);
+    verdicts.at_most("time of one A-scan, p99", of("p99"), LATEST_NS, control_ns, Unit::Ns);
     verdicts.tell("A-scans per second, median", 1e9 / of("p50"), None, Unit::PerSecond);
     rig.end();
 }

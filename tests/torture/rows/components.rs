@@ -93,7 +93,7 @@ impl Scene {
     /// Nobody else was harmed, and nothing stays; whoever panicked said that it was chaos.
     fn end(self, book: &mut Book, tried: usize) -> Result<(), String> {
         let Scene { world, mut host, bystander, .. } = self;
-        bystander.tell(book, tried)?;
+        bystander.tell(book)?;
         host.terminate()?;
         nothing_runs(book, &world);
         let strange = |line: &&str| line.contains("panicked at") && !line.contains("chaos");

@@ -73,7 +73,7 @@ fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&
         }
     }
     trial.tell(book);
-    bystander.tell(book, times as usize)?;
+    bystander.tell(book)?;
     let slowest = Timed { ms: churned.longest_ms, late_ms: 0.0 };
     let counts = format!("({} done, {} refused)", churned.made, churned.refused);
     book.times(&format!("Connect and Disconnect meanwhile {counts}"), &[slowest], 5_000.0);
