@@ -226,6 +226,8 @@ pub(super) struct Inner {
     pub(super) cycle_at_start: u64,
     /// It was started since it was made: there is run-time state to go on with.
     pub(super) started: bool,
+    /// Its start or resume was entered, and no stop has come back since.
+    pub(super) to_stop: bool,
     pub(super) last_begin_ns: u64,
     /// A thread of the device is inside: what it was doing before.
     in_callback: Option<running::Outer>,
@@ -321,6 +323,7 @@ impl Instance {
                     cycle: 0,
                     cycle_at_start: 0,
                     started: false,
+                    to_stop: false,
                     last_begin_ns: 0,
                     in_callback: None,
                 },

@@ -28,7 +28,8 @@ pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryErr
 }
 
 pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
-    entered.inner().started = false;
+    let inner = entered.inner();
+    (inner.started, inner.to_stop) = (false, false);
     entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
     // What the one before it owed is not this one's.
     instance.watch.takes_owed_safe();
@@ -111,7 +112,8 @@ fn run(
     entry: &'static str,
     f: fn(&mut Entered<'_>) -> Result<(), EntryError>,
 ) -> Entry {
-    entered.inner().last_begin_ns = 0;
+    let inner = entered.inner();
+    (inner.last_begin_ns, inner.to_stop) = (0, true);
     instance.set_going(false);
     let from = instance.state();
     if let Err(e) = f(entered) {
@@ -176,6 +178,7 @@ pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
         instance.fail(entered, "stop", &e);
         return Err(("stop", e));
     }
+    entered.inner().to_stop = false;
     let safe = instance.make_safe(entered);
     instance.publish_state(entered);
     if instance.is_active() {

@@ -293,7 +293,8 @@ impl LocalLcm {
         let work = |instance: &Instance, entered: &mut Entered<'_>| match instance.state() {
             // Never started, or a start that came too late was taken back.
             State::Created | State::Ready => Ok(()),
-            State::Stopped(_) if !entered.inner().started => Ok(()),
+            // At the end of a host all are stopped: what one does when it stops, it does not do again.
+            State::Stopped(_) if !entered.inner().to_stop => Ok(()),
             _ => stop(instance, entered),
         };
         let done = tokio::select! {

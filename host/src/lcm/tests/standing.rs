@@ -107,6 +107,22 @@ async fn a_configure_that_waited_while_the_step_failed_is_refused_and_revives_no
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_stands_still_is_not_stopped_again_when_the_host_ends() {
+    let world = World::new("st_twice");
+    let (held, _open) = Held::at("", "");
+    world.create("c", periodic(1_000_000), held.clone()).await;
+    world.start("c").await;
+    world.run("c", Verb::Stop).await.unwrap();
+    world.run("c", Verb::Stop).await.unwrap();
+    assert_eq!(held.stops.load(Ordering::SeqCst), 1, "it stood still when it was asked again");
+    world.run("c", Verb::Resume).await.unwrap();
+    world.run("c", Verb::Stop).await.unwrap();
+    assert_eq!(held.stops.load(Ordering::SeqCst), 2, "it ran in between");
+    world.end().await;
+    assert_eq!(held.stops.load(Ordering::SeqCst), 2, "the host's end stopped what stood still");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn no_thread_of_a_device_that_waited_comes_in_after_stop() {
     let world = World::new("st_device");
     let (held, open) = Held::at("command", "");
