@@ -218,7 +218,7 @@ def test_commands_begin_pause_mark_thin_and_end_a_recording():
         assert last["whole"] and last["reason"] == "stopped as asked" and last["lost"] == 0, last
         topics, _, _ = messages(world.dir / "rec/a.mcap")
         assert topics["/recorder/markers"][0][1].message == "incision"
-        assert topics["/recorder/note/operator"][0][1] == {"name": "A"}
+        assert topics["/recorder/note_operator"][0][1] == {"name": "A"}
         values = topics["/host/sine/value"]
         assert len(values) > 200, len(values)
 

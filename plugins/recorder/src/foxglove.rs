@@ -250,6 +250,12 @@ fn field(name: &str, number: i32, kind: Type, of: &str) -> FieldDescriptorProto 
     }
 }
 
+/// Fields with their numbers, behind the time that each of these messages begins with.
+fn stamped(others: &[(&str, i32, Type, &str)]) -> Vec<FieldDescriptorProto> {
+    let time = [("timestamp", 1, Type::Message, STAMP)];
+    time.iter().chain(others).map(|(name, number, kind, of)| field(name, *number, *kind, of)).collect()
+}
+
 fn message(name: &str, fields: Vec<FieldDescriptorProto>) -> DescriptorProto {
     DescriptorProto { name: Some(name.into()), field: fields, ..DescriptorProto::default() }
 }
@@ -283,25 +289,23 @@ fn schema(name: &'static str, messages: Vec<DescriptorProto>) -> Schema {
 }
 
 pub(crate) fn raw_image() -> Schema {
-    let fields = vec![
-        field("timestamp", 1, Type::Message, STAMP),
-        field("width", 2, Type::Fixed32, ""),
-        field("height", 3, Type::Fixed32, ""),
-        field("encoding", 4, Type::String, ""),
-        field("step", 5, Type::Fixed32, ""),
-        field("data", 6, Type::Bytes, ""),
-        field("frame_id", 7, Type::String, ""),
-    ];
+    let fields = stamped(&[
+        ("width", 2, Type::Fixed32, ""),
+        ("height", 3, Type::Fixed32, ""),
+        ("encoding", 4, Type::String, ""),
+        ("step", 5, Type::Fixed32, ""),
+        ("data", 6, Type::Bytes, ""),
+        ("frame_id", 7, Type::String, ""),
+    ]);
     schema("foxglove.RawImage", vec![message("RawImage", fields)])
 }
 
 pub(crate) fn compressed_image() -> Schema {
-    let fields = vec![
-        field("timestamp", 1, Type::Message, STAMP),
-        field("data", 2, Type::Bytes, ""),
-        field("format", 3, Type::String, ""),
-        field("frame_id", 4, Type::String, ""),
-    ];
+    let fields = stamped(&[
+        ("data", 2, Type::Bytes, ""),
+        ("format", 3, Type::String, ""),
+        ("frame_id", 4, Type::String, ""),
+    ]);
     schema("foxglove.CompressedImage", vec![message("CompressedImage", fields)])
 }
 
@@ -313,11 +317,7 @@ fn pose_in_frame() -> Schema {
         field("position", 1, Type::Message, "foxglove.Vector3"),
         field("orientation", 2, Type::Message, "foxglove.Quaternion"),
     ];
-    let fields = vec![
-        field("timestamp", 1, Type::Message, STAMP),
-        field("frame_id", 2, Type::String, ""),
-        field("pose", 3, Type::Message, "foxglove.Pose"),
-    ];
+    let fields = stamped(&[("frame_id", 2, Type::String, ""), ("pose", 3, Type::Message, "foxglove.Pose")]);
     let messages = vec![
         message("Vector3", numbers(&["x", "y", "z"])),
         message("Quaternion", numbers(&["x", "y", "z", "w"])),
@@ -341,7 +341,8 @@ fn joint_states() -> Schema {
     }
     let mut joints = field("joints", 2, Type::Message, "foxglove.JointState");
     joints.label = Some(Label::Repeated as i32);
-    let fields = vec![field("timestamp", 1, Type::Message, STAMP), joints];
+    let mut fields = stamped(&[]);
+    fields.push(joints);
     schema("foxglove.JointStates", vec![joint, message("JointStates", fields)])
 }
 
@@ -352,14 +353,13 @@ pub(crate) fn log() -> Schema {
         number: Some(n as i32),
         ..EnumValueDescriptorProto::default()
     };
-    let fields = vec![
-        field("timestamp", 1, Type::Message, STAMP),
-        field("level", 2, Type::Enum, "foxglove.Log.Level"),
-        field("message", 3, Type::String, ""),
-        field("name", 4, Type::String, ""),
-        field("file", 5, Type::String, ""),
-        field("line", 6, Type::Fixed32, ""),
-    ];
+    let fields = stamped(&[
+        ("level", 2, Type::Enum, "foxglove.Log.Level"),
+        ("message", 3, Type::String, ""),
+        ("name", 4, Type::String, ""),
+        ("file", 5, Type::String, ""),
+        ("line", 6, Type::Fixed32, ""),
+    ]);
     let mut log = message("Log", fields);
     log.enum_type.push(EnumDescriptorProto {
         name: Some("Level".into()),

@@ -13,12 +13,16 @@ mod orders;
 mod place;
 mod recorder;
 mod room;
+mod running;
+mod settings;
 mod tap;
 mod topic;
 mod typed;
 mod wire;
+mod words;
 mod writer;
 
-pub use recorder::{Note, Phase, Progress, RecordAt, Recorder, StartRequest, Stopped, Thinning, TopicStatus};
+pub use recorder::Recorder;
+pub use words::{Note, Phase, Progress, RecordAt, StartRequest, Stopped, Thinning, TopicStatus};
 
 trocar_sdk::trocar_plugin!(Recorder);

@@ -48,7 +48,8 @@ fn values(types: &Json, field: &Json) -> Vec<(String, i64)> {
 }
 
 impl Tap {
-    /// None where the description is none of a tap. `name` is that of the tap, `/process/component/tap_events`.
+    /// None where the description is none of a tap. `name` is that of the tap, `/process/component/tap_events`: its members are
+    /// topics below it, where no other output's can be, for the name is reserved.
     pub(crate) fn of(description: &str, name: &str, add: &mut dyn FnMut(Channel) -> u32) -> Option<Tap> {
         let json: Json = trocar_sdk::serde_json::from_str(description).ok()?;
         let types = &json["types"];
@@ -62,7 +63,6 @@ impl Tap {
         let field = |name: &str| fields.iter().find(|f| f["name"] == name);
         let at = |name: &str| field(name)?["at"].as_u64().and_then(|n| usize::try_from(n).ok());
         let room = field("bytes")?["type"]["n"].as_u64().and_then(|n| usize::try_from(n).ok())?;
-        let component = name.rsplit_once('/').map_or(name, |(component, _)| component);
         let mut members = BTreeMap::new();
         for (member, number) in values(types, field("which")?) {
             let Ok(number) = u32::try_from(number) else { continue };
@@ -88,7 +88,7 @@ impl Tap {
                 metadata.insert(format!("unit:{path}"), unit.clone());
             }
             let channel = add(Channel {
-                topic: format!("{component}/{member}"),
+                topic: format!("{name}/{member}"),
                 schema: typed.name.clone(),
                 schema_encoding: "protobuf",
                 schema_data: typed.descriptors.clone(),
@@ -172,7 +172,7 @@ mod tests {
         };
         let tap = Tap::of(COMMANDS, "/host/robot/tap_commands", &mut add).expect("a tap");
         let topics: Vec<&str> = channels.iter().map(|c| c.topic.as_str()).collect();
-        assert_eq!(topics, ["/host/robot/arm/move", "/host/robot/arm/hold"]);
+        assert_eq!(topics, ["/host/robot/tap_commands/arm/move", "/host/robot/tap_commands/arm/hold"]);
         let (mut way, received, _) = way(1 << 20);
         let mut take =
             |value: &[u8]| tap.write(&Seen { value, bytes: &[], stamp_ns: 1, seq: 1 }, (1, 1), &mut way);

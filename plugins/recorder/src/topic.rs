@@ -86,8 +86,6 @@ impl Topic {
 
     /// Another name, so other channels.
     pub(crate) fn rename(&mut self, name: &str) {
-        let rows = name.strip_suffix("/tap_rows").map(|component| format!("{component}/state"));
-        let name = rows.as_deref().unwrap_or(name);
         if self.name != name {
             self.name = name.to_owned();
             self.encoder = None;

@@ -1,0 +1,238 @@
+//! A recorder between Start and Stop: the way to its writer, what it tells of itself, and the recording that is open or planned.
+//!
+//! Invariant: the writer counts channels as they are counted here, so each is added by [`Running::add`] and nowhere else.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+
+use trocar_imaging::side;
+use trocar_sdk::prelude::*;
+use trocar_sdk::serde_json::Value as Json;
+
+use crate::block::{Kind, Way, way};
+use crate::explain::Explaining;
+use crate::foxglove;
+use crate::orders::{Channel, Codec, News, Opening, Order};
+use crate::settings::{RecorderConfig, seconds};
+use crate::topic::Topic;
+use crate::writer::{Writer, Written};
+
+/// Kinds of notes, at most: each is a channel of every file to come.
+const KINDS: usize = 32;
+
+pub(crate) struct Running {
+    pub(crate) way: Way,
+    pub(crate) news: Receiver<News>,
+    pub(crate) written: Arc<Written>,
+    thread: Option<JoinHandle<()>>,
+    channels: u32,
+    pub(crate) explaining: Explaining,
+    own: OwnChannels,
+    pub(crate) codec: Codec,
+    pub(crate) pre_trigger_ns: u64,
+    pub(crate) plan: Option<Plan>,
+    /// When the recording began; 0 = there is none.
+    pub(crate) began_ns: u64,
+    pub(crate) ends_ns: u64,
+    pub(crate) pause_ns: u64,
+    pub(crate) paused: bool,
+    pub(crate) told_ns: u64,
+    markers: u64,
+}
+
+/// A recording that begins later: its file is made already.
+pub(crate) struct Plan {
+    pub(crate) opening: Box<Opening>,
+    pub(crate) at_ns: u64,
+    pub(crate) duration_ns: u64,
+}
+
+/// Channels of what the recorder itself has to tell.
+#[derive(Default)]
+struct OwnChannels {
+    loss: u32,
+    markers: u32,
+    notes: BTreeMap<String, u32>,
+}
+
+impl Running {
+    /// With its writer's thread.
+    ///
+    /// # Errors
+    /// There is no thread.
+    pub(crate) fn start(host: &Host, cfg: &RecorderConfig) -> Result<Running> {
+        let (way, orders, returns) = way(cfg.buffer_mb << 20);
+        let (tell, news) = channel();
+        let written = Arc::new(Written::default());
+        let pre_trigger_ns = seconds("pre_trigger_s", cfg.pre_trigger_s)?;
+        let hold = (pre_trigger_ns, cfg.pre_trigger_mb << 20);
+        let writer = Writer::new(returns, tell, written.clone(), hold);
+        let asking = host.clone();
+        let name = host.instance_name().rsplit('/').next().unwrap_or_default().to_owned();
+        let mut looks = 0u32;
+        let thread = side::spawn(&format!("{name} mcap"), move || {
+            writer.run(&orders, move || {
+                // What the graph is now; the step may not ask.
+                if looks.is_multiple_of(10) {
+                    let fields = json!({ "brief": true, "classes": looks == 0 });
+                    // One that is not taken is asked again in a second.
+                    let _ = asking.services().ask("List", fields);
+                }
+                looks = looks.wrapping_add(1);
+            });
+        })
+        .map_err(|why| format!("no thread to write: {why}"))?;
+        let mut run = Running {
+            way,
+            news,
+            written,
+            thread: Some(thread),
+            channels: 0,
+            explaining: Explaining::default(),
+            own: OwnChannels::default(),
+            codec: cfg.codec(),
+            pre_trigger_ns,
+            plan: None,
+            began_ns: 0,
+            ends_ns: 0,
+            pause_ns: 0,
+            paused: false,
+            told_ns: 0,
+            markers: 0,
+        };
+        run.introduce(host, cfg);
+        Ok(run)
+    }
+
+    /// The recorder's own channels, and what each file says of it.
+    fn introduce(&mut self, host: &Host, cfg: &RecorderConfig) {
+        let log = foxglove::log();
+        self.own.loss = self.add(json_channel("/recorder/loss"));
+        self.own.markers = self.add(Channel {
+            topic: "/recorder/markers".into(),
+            schema: log.name.into(),
+            schema_encoding: "protobuf",
+            schema_data: log.descriptors,
+            encoding: "protobuf",
+            metadata: BTreeMap::new(),
+        });
+        self.explaining.graph = self.add(json_channel("/recorder/graph"));
+        self.explaining.config = self.add(json_channel("/recorder/config"));
+        self.way.order(Order::Metadata("trocar.clock".into(), clock(host)));
+        let recorder = BTreeMap::from([
+            ("component".to_owned(), host.instance_name().to_owned()),
+            ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("video".to_owned(), cfg.video.clone()),
+        ]);
+        self.way.order(Order::Metadata("trocar.recorder".into(), recorder));
+    }
+
+    /// A channel in each file from now on: its number.
+    pub(crate) fn add(&mut self, channel: Channel) -> u32 {
+        self.way.order(Order::Channel(Box::new(channel)));
+        self.channels += 1;
+        self.channels - 1
+    }
+
+    /// Whether the time of what was planned has come, and it is known what is to be recorded.
+    pub(crate) fn is_due(&mut self, now_ns: u64) -> bool {
+        // What is recorded is known by name once the graph was told; a second is enough to tell it.
+        let explained = self.explaining.is_told(now_ns);
+        explained && self.plan.as_ref().is_some_and(|plan| plan.at_ns <= now_ns)
+    }
+
+    /// Begins what was planned.
+    pub(crate) fn begin(&mut self, host: &Host, now_ns: u64) {
+        let Some(plan) = self.plan.take() else { return };
+        self.began_ns = now_ns;
+        self.ends_ns = if plan.duration_ns == 0 { 0 } else { now_ns + plan.duration_ns };
+        (self.told_ns, self.markers) = (now_ns, 0);
+        self.explaining.begin(now_ns, &mut self.way);
+        self.way.order(Order::Metadata("trocar.clock".into(), clock(host)));
+        self.way.order(Order::Open(plan.opening));
+        self.explaining.repeat(now_ns, &mut self.way);
+    }
+
+    /// A line at this time.
+    pub(crate) fn mark(&mut self, now_ns: u64, text: &str, who: &str) {
+        self.markers += 1;
+        let line = foxglove::log_line(now_ns, text, who);
+        let head = (self.own.markers, self.markers, now_ns, now_ns);
+        self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(&line));
+    }
+
+    /// JSON at this time, to the topic of its kind.
+    ///
+    /// # Errors
+    /// There are too many kinds.
+    pub(crate) fn note(&mut self, now_ns: u64, kind: &str, json: &Json) -> Result {
+        let channel = match self.own.notes.get(kind) {
+            Some(channel) => *channel,
+            None if self.own.notes.len() >= KINDS => {
+                return Err(format!("kind: there are {KINDS} kinds already: use one of them").into());
+            }
+            None => {
+                let channel = self.add(json_channel(&format!("/recorder/note_{kind}")));
+                self.own.notes.insert(kind.to_owned(), channel);
+                channel
+            }
+        };
+        let text = json.to_string();
+        let head = (channel, 0, now_ns, now_ns);
+        self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
+        Ok(())
+    }
+
+    /// What was lost so far, into the recording and for its end.
+    pub(crate) fn tell_loss(&mut self, each: &[Topic], now_ns: u64) {
+        let lost: Vec<(String, u64)> =
+            each.iter().filter(|t| t.lost > 0).map(|t| (t.name.clone(), t.lost)).collect();
+        let by_topic: Json = lost.iter().map(|(name, n)| (name.clone(), json!(n))).collect();
+        let total: u64 = lost.iter().map(|(_, n)| n).sum();
+        let text = json!({ "lost": total, "topics": by_topic }).to_string();
+        let head = (self.own.loss, 0, now_ns, now_ns);
+        self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
+        self.way.order(Order::Lost(lost));
+    }
+
+    /// Ends the writer, which closes what is open first: the last that it told.
+    pub(crate) fn finish(mut self) -> Option<News> {
+        self.way.send();
+        let Running { way, news, thread, .. } = self;
+        // Without its orders the writer closes what is open and ends.
+        drop(way);
+        if let Some(thread) = thread {
+            let _ = thread.join();
+        }
+        news.try_iter().last()
+    }
+}
+
+fn json_channel(topic: &str) -> Channel {
+    Channel {
+        topic: topic.to_owned(),
+        schema: format!("trocar.json.{}", topic.rsplit('/').next().unwrap_or_default()),
+        schema_encoding: "jsonschema",
+        schema_data: br#"{"type":"object"}"#.to_vec(),
+        encoding: "json",
+        metadata: BTreeMap::new(),
+    }
+}
+
+/// What the clock of all stamps is on the wall: the offset between the two, read between two readings.
+fn clock(host: &Host) -> BTreeMap<String, String> {
+    let before = host.now().ns();
+    let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    let after = host.now().ns();
+    let wall_ns = wall.map_or(0, |t| t.as_nanos() as i128);
+    let monotonic_ns = before / 2 + after / 2;
+    BTreeMap::from([
+        ("clock".to_owned(), "CLOCK_MONOTONIC of the machine, ns; one for all of its processes".to_owned()),
+        ("monotonic_ns".to_owned(), monotonic_ns.to_string()),
+        ("unix_ns".to_owned(), wall_ns.to_string()),
+        ("offset_to_unix_ns".to_owned(), (wall_ns - i128::from(monotonic_ns)).to_string()),
+        ("uncertainty_ns".to_owned(), (after - before).to_string()),
+    ])
+}
