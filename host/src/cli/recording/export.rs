@@ -155,17 +155,26 @@ struct Exporting {
     bar: ProgressBar,
 }
 
+/// One message, and what it takes to read it.
+struct Message<'a> {
+    channel: &'a Channel,
+    reader: &'a Reader,
+    header: &'a MessageHeader,
+    data: &'a [u8],
+}
+
+impl Message<'_> {
+    /// Its values; one that has none is counted.
+    fn row(&self, view: &mut ExportView) -> Option<Vec<(String, Cell)>> {
+        let row = self.reader.row(self.channel, self.data);
+        view.unreadable += u64::from(row.is_none());
+        row
+    }
+}
+
 /// Where messages go.
 trait Sink {
-    /// True where it was taken.
-    fn take(
-        &mut self,
-        channel: &Channel,
-        reader: &Reader,
-        header: &MessageHeader,
-        data: &[u8],
-        view: &mut ExportView,
-    ) -> Result<(), Failure>;
+    fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure>;
     /// How many files there are.
     fn finish(self: Box<Self>, output: &Path, view: &mut ExportView) -> Result<u64, Failure>;
 }
@@ -179,14 +188,14 @@ impl Takes for Exporting {
         }
         // Without a pattern: what was recorded, not what the recorder says of itself.
         let wanted = match &self.patterns[..] {
-            [] => !channel.topic.starts_with("/recorder/"),
+            [] => !select::is_recorders(&channel.topic),
             all => all.iter().any(|pattern| select::matches(pattern, &channel.topic)),
         };
         if !wanted {
             return Ok(());
         }
         let reader = self.readers.entry(header.channel_id).or_insert_with(|| Reader::of(channel));
-        self.sink.take(channel, reader, header, data, &mut self.view)
+        self.sink.take(&Message { channel, reader, header, data }, &mut self.view)
     }
 
     fn progress(&mut self, bytes: u64) {
@@ -224,18 +233,9 @@ struct Tables {
 }
 
 impl Sink for Tables {
-    fn take(
-        &mut self,
-        channel: &Channel,
-        reader: &Reader,
-        header: &MessageHeader,
-        data: &[u8],
-        view: &mut ExportView,
-    ) -> Result<(), Failure> {
-        let Some(row) = reader.row(channel, data) else {
-            view.unreadable += 1;
-            return Ok(());
-        };
+    fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure> {
+        let Some(row) = message.row(view) else { return Ok(()) };
+        let Message { channel, header, .. } = *message;
         if !self.open.contains_key(&header.channel_id) {
             let mut name = file_name(&channel.topic);
             if self.open.values().any(|(path, ..)| path.file_stem().is_some_and(|stem| *stem == *name)) {
@@ -309,18 +309,9 @@ impl Columns {
 }
 
 impl Sink for Arrays {
-    fn take(
-        &mut self,
-        channel: &Channel,
-        reader: &Reader,
-        header: &MessageHeader,
-        data: &[u8],
-        view: &mut ExportView,
-    ) -> Result<(), Failure> {
-        let Some(cells) = reader.row(channel, data) else {
-            view.unreadable += 1;
-            return Ok(());
-        };
+    fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure> {
+        let Some(cells) = message.row(view) else { return Ok(()) };
+        let Message { channel, header, .. } = *message;
         let columns = self.topics.entry(channel.topic.trim_matches('/').to_owned()).or_default();
         let row = columns.rows;
         columns.times[0].extend_from_slice(&header.log_time.to_le_bytes());
@@ -403,14 +394,8 @@ struct Pictures {
 }
 
 impl Sink for Pictures {
-    fn take(
-        &mut self,
-        channel: &Channel,
-        reader: &Reader,
-        _: &MessageHeader,
-        data: &[u8],
-        view: &mut ExportView,
-    ) -> Result<(), Failure> {
+    fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure> {
+        let Message { channel, reader, data, .. } = *message;
         if !channel.schema.ends_with("Image") {
             return Ok(());
         }

@@ -91,6 +91,11 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
             ..TopicView::default()
         });
     }
+    // What is lost of a tap or a pair of images is counted for the output, whose topics lie below it.
+    for name in whole.all("trocar.end").filter_map(|(key, _)| key.strip_prefix("lost:")) {
+        let topic = || TopicView { topic: name.to_owned(), ..TopicView::default() };
+        topics.entry(name.to_owned()).or_insert_with(topic);
+    }
     for topic in topics.values_mut() {
         let lost = whole.told("trocar.end", &format!("lost:{}", topic.topic));
         topic.lost = lost.and_then(|n| n.parse().ok()).unwrap_or(0);

@@ -9,4 +9,5 @@ mod npz;
 mod pictures;
 mod read;
 pub(super) mod record;
+mod records;
 mod select;

@@ -18,6 +18,12 @@ pub(super) fn matches(pattern: &str, path: &str) -> bool {
     whole || parts(&inside, &path)
 }
 
+/// Whether a topic is what a recorder tells of itself: `/recorder/NAME`. What is recorded has a name of three parts, in a process
+/// that is called `recorder`, too.
+pub(super) fn is_recorders(topic: &str) -> bool {
+    topic.strip_prefix("/recorder/").is_some_and(|name| !name.contains('/'))
+}
+
 fn parts(pattern: &[String], path: &[String]) -> bool {
     match pattern.split_first() {
         None => path.is_empty(),
@@ -51,6 +57,12 @@ fn one(pattern: &[u8], name: &[u8]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_process_called_recorder_is_recorded_like_any_other() {
+        assert!(is_recorders("/recorder/graph") && is_recorders("/recorder/note_operator"));
+        assert!(!is_recorders("/recorder/robot/tip") && !is_recorders("/host/recorder"));
+    }
 
     #[test]
     fn a_pattern_means_what_it_shows() {
