@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is told in the file is what the GCM said, word by word; a graph that did not change is not told again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use trocar_sdk::serde_json::{Value as Json, json};
 
@@ -75,14 +75,15 @@ impl Explaining {
             told.remove("classes");
         }
         self.last = graph;
-        self.repeat(now_ns, way);
+        tell(self.graph, &self.last, now_ns, way);
+        // Of components that are gone there is nothing to tell in recordings to come.
+        let there = self.last["components"].as_array().into_iter().flatten().map(|c| text(c, "path"));
+        let there: BTreeSet<&str> = there.collect();
+        self.configs.retain(|path, _| there.contains(path.as_str()));
         for component in self.last["components"].as_array().into_iter().flatten() {
             let (path, config) = (text(component, "path").to_owned(), component["config"].clone());
             if self.configs.get(&path) != Some(&config) {
-                let told = json!({ "path": path, "config": config }).to_string();
-                way.block().push((self.config, 0, now_ns, now_ns), Kind::Ready, |to| {
-                    to.extend_from_slice(told.as_bytes())
-                });
+                tell(self.config, &json!({ "path": path, "config": config }), now_ns, way);
                 self.configs.insert(path, config);
             }
         }
@@ -97,13 +98,19 @@ impl Explaining {
         way.order(Order::Metadata("trocar.graph".into(), graph));
     }
 
-    /// Tells the graph as it is.
+    /// Tells the graph and all configurations as they are.
     pub(crate) fn repeat(&mut self, now_ns: u64, way: &mut Way) {
         if self.last.is_null() {
             return;
         }
-        let told = self.last.to_string();
-        way.block()
-            .push((self.graph, 0, now_ns, now_ns), Kind::Ready, |to| to.extend_from_slice(told.as_bytes()));
+        tell(self.graph, &self.last, now_ns, way);
+        for (path, config) in &self.configs {
+            tell(self.config, &json!({ "path": path, "config": config }), now_ns, way);
+        }
     }
+}
+
+fn tell(channel: u32, what: &Json, now_ns: u64, way: &mut Way) {
+    let told = what.to_string();
+    way.block().push((channel, 0, now_ns, now_ns), Kind::Ready, |to| to.extend_from_slice(told.as_bytes()));
 }
