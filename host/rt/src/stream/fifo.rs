@@ -111,14 +111,12 @@ impl Fifo {
     }
 
     /// Writer: a free place to fill. Of depth + 3 places at most depth are queued and two at the reader, so
-    /// there always is one.
+    /// there always is one. What came back goes first: so only as many places are used as were ever queued at once, and those of a
+    /// queue that is much deeper than it is full stay in the cache.
     pub(super) fn free_place(&self, writing: &mut Writing) -> Option<usize> {
-        if let Some(place) = writing.free.pop() {
-            return Some(place as usize);
-        }
         let head = writing.returned_head;
         if self.returned_tail.0.load(Ordering::Acquire) == head {
-            return None;
+            return writing.free.pop().map(|place| place as usize);
         }
         writing.returned_head = head + 1;
         Some(self.place_in(at(&self.returned, head)))
@@ -189,6 +187,25 @@ mod tests {
     use super::*;
 
     /// Each place the writer is told of twice would be a place more in its list, in memory taken during a step.
+    #[test]
+    fn a_deep_queue_that_is_read_in_time_uses_few_of_its_places() {
+        let fifo = Layout::on_heap(|layout| Fifo::lay_out(layout, 1000, DropPolicy::DropOldest));
+        let (mut writing, mut reading) = (fifo.writing(), Reading::default());
+        let mut used = std::collections::BTreeSet::new();
+        for _ in 0..1000 {
+            for _ in 0..10 {
+                let place = fifo.free_place(&mut writing).expect("it is not full");
+                used.insert(place);
+                assert!(!fifo.push(&mut writing, place, |_| ()));
+            }
+            let end = fifo.end();
+            while let Some(place) = fifo.pop(end) {
+                fifo.give_back(&mut reading, place);
+            }
+        }
+        assert_eq!(used.len(), 10);
+    }
+
     #[test]
     fn a_reader_that_plays_with_the_words_adds_no_place() {
         let fifo = Layout::on_heap(|layout| Fifo::lay_out(layout, 4, DropPolicy::DropOldest));
