@@ -27,7 +27,7 @@ use table::Table;
 const SECONDS: u64 = 60;
 /// Processes killed unless told otherwise.
 const KILLS: usize = 50;
-const SUBJECTS: [&str; 17] = [
+const SUBJECTS: [&str; 18] = [
     "inline",
     "queued",
     "steps",
@@ -45,6 +45,7 @@ const SUBJECTS: [&str; 17] = [
     "eyesaw/scan",
     "eyesaw/depth",
     "eyesaw/stop",
+    "eyesaw/recording",
 ];
 
 fn main() -> ExitCode {

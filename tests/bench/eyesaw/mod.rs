@@ -1,4 +1,4 @@
-//! EyeSAW under its full load, held against its gates: `bench eyesaw[/load|/spectra|/scan|/depth|/stop]`.
+//! EyeSAW under its full load, held against its gates: `bench eyesaw[/load|/spectra|/scan|/depth|/stop|/recording]`.
 //!
 //! Invariant: the built programs and plugins run as users start them; what decides is counted inside of them, and each bound is
 //! widened by what bare threads on the same machine showed.
@@ -7,6 +7,7 @@ mod control;
 mod depth;
 mod load;
 mod plan;
+mod recording;
 mod rig;
 mod scan;
 mod spectra;
@@ -30,6 +31,7 @@ pub(crate) fn measure(subject: &str, verdicts: &mut Verdicts, amount: Amount) {
         "eyesaw/load" => load::measure(verdicts, amount.seconds),
         "eyesaw/spectra" => spectra::measure(verdicts, amount.seconds),
         "eyesaw/scan" => scan::measure(verdicts),
+        "eyesaw/recording" => recording::measure(verdicts, amount.seconds),
         "eyesaw/depth" => depth::measure(verdicts),
         _ => stop::measure(verdicts, amount.kills),
     }

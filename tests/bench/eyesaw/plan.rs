@@ -3,6 +3,7 @@
 //! Invariant: a plan is a whole system file at any time; what is not said to change stays as the file has it.
 
 use std::fs;
+use std::path::Path;
 
 use serde_json::{Map, Value, json};
 use trocar_tests::repository;
@@ -18,6 +19,8 @@ const VIDEO: [&str; 4] = ["host/camera", "host/overlay", "host/pip", "host/displ
 /// Of the displayed path and the one beside it, as in the file; and of the three threads of 1 kHz there.
 pub(super) const VIDEO_PRIORITY: i32 = 40;
 pub(super) const FAST_PRIORITIES: [i32; 3] = [80, 70, 75];
+/// What records, where there is one.
+pub(super) const RECORDER: &str = "host/rec";
 /// Processes of the file.
 const HOST: &str = "host";
 const STREAM: &str = "host/rectify";
@@ -143,6 +146,29 @@ impl Plan {
         self
     }
 
+    /// Accounts of how long each step of these takes, `…-ends`.
+    pub(super) fn with_steps_timed(mut self, paths: &[&str]) -> Plan {
+        for path in paths {
+            let (begins, ends) = (format!("{path}-begins"), format!("{path}-ends"));
+            let inside = |model: &str| json!({ "model": model, "inside": path });
+            self.add(&begins, "fixture-ledger/step_begins", inside("exec_in"), json!({}));
+            self.add(&ends, "fixture-ledger/step_ends", inside("exec_out"), json!({}));
+            self.connect(&format!("{ends}/begun"), &format!("{begins}/begun"));
+        }
+        self
+    }
+
+    /// A recorder in the process of the camera, with these outputs at the inputs it has without being configured, and queues as
+    /// `trocar record` makes them.
+    pub(super) fn recorded(mut self, outputs: &[(&str, usize)], directory: &Path) -> Plan {
+        self.add(RECORDER, "recorder/recorder", json!({}), json!({ "directory": directory }));
+        for (n, (output, fifo)) in (1..).zip(outputs) {
+            let client = format!("{RECORDER}/in_{n}");
+            self.connections.push(json!({ "client": client, "server": output, "queue": { "fifo": fifo } }));
+        }
+        self
+    }
+
     /// A rectified camera of the eye alone, whose maps are compared with the truth: no tool, no display.
     pub(super) fn of_depth() -> Plan {
         let mut plan = Plan { components: Map::new(), connections: Vec::new(), one: true };
@@ -229,6 +255,9 @@ impl Plan {
             let mut component = component.clone();
             if let Some(head) = component["execution"]["stream_of"].as_str() {
                 component["execution"]["stream_of"] = json!(self.place(head));
+            }
+            if let Some(other) = component["execution"]["inside"].as_str() {
+                component["execution"]["inside"] = json!(self.place(other));
             }
             components.insert(self.place(path), component);
         }

@@ -2,6 +2,8 @@
 //!
 //! Invariant: everything is asked between measurements, not in them: each question is a process of its own.
 
+use std::fs;
+
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, World, eventually};
 
@@ -9,8 +11,17 @@ use super::plan::Plan;
 use crate::lab::as_number;
 
 /// Plugins of the systems.
-const PLUGINS: [&str; 8] =
-    ["bscan", "display", "eyerobot", "oct", "stereo", "stereo_depth", "vision_filters", "fixture_ledger"];
+const PLUGINS: [&str; 9] = [
+    "bscan",
+    "display",
+    "eyerobot",
+    "oct",
+    "recorder",
+    "stereo",
+    "stereo_depth",
+    "vision_filters",
+    "fixture_ledger",
+];
 /// What a scan keeps, m.
 pub(super) const OFFSET_M: f64 = 500e-6;
 
@@ -93,6 +104,16 @@ impl Rig {
         of.map_or(0, |process| as_number(&process["pid"]) as i32)
     }
 
+    /// Processor time that the threads of a process whose names begin so have spent, s.
+    pub(super) fn processor_s(&self, process: &str, threads: &str) -> f64 {
+        let tasks = fs::read_dir(format!("/proc/{}/task", self.pid(process)));
+        let tasks = tasks.unwrap_or_else(|e| panic!("threads of {process}: {e}"));
+        let stats = tasks.flatten().filter_map(|task| fs::read_to_string(task.path().join("stat")).ok());
+        let ticks: f64 = stats.filter_map(|stat| ticks(&stat, threads)).sum();
+        // SAFETY: only asks.
+        ticks / unsafe { libc::sysconf(libc::_SC_CLK_TCK) } as f64
+    }
+
     /// Waits until another incarnation of a process has all the former one had.
     pub(super) fn await_back(&self, process: &str, before: i32) {
         eventually(&format!("{process} is back"), || match self.pid(process) {
@@ -146,6 +167,14 @@ impl Rig {
     pub(super) fn end(mut self) {
         self.up.terminate();
     }
+}
+
+/// Of a thread's line of figures, where its name begins so.
+fn ticks(stat: &str, threads: &str) -> Option<f64> {
+    let (head, rest) = stat.rsplit_once(") ")?;
+    let (_, name) = head.split_once('(')?;
+    let mut fields = rest.split(' ').skip(11).map_while(|field| field.parse::<f64>().ok());
+    name.starts_with(threads).then(|| fields.next().unwrap_or(0.0) + fields.next().unwrap_or(0.0))
 }
 
 /// A phase by its name or its number.
