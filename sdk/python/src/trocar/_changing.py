@@ -1,0 +1,150 @@
+"""What a session changes: components, connections, whole systems. Each is one request, and ``dry_run`` only answers what would be done.
+
+Invariant: nothing is decided here: the GCM refuses or does it, and the session's own copy of the graph has seen it on return.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from . import _proto, _system_file, _values
+from ._errors import invalid
+from ._graph import Graph
+from ._paths import path_of
+from ._place import Place
+from ._proxy import Interface
+from ._show import Answer
+from ._wire import Wire
+
+_PATIENCE = 10.0
+
+
+class Changing:
+    """The verbs of ``Session`` that change the system."""
+
+    _wire: Wire
+    _graph: Graph
+    _place: Place
+
+    def create(
+        self,
+        path: Any,
+        class_: str,
+        config: Mapping[str, Any] | None = None,
+        execution: Mapping[str, Any] | None = None,
+        *,
+        isolation: str = "",
+        dry_run: bool = False,
+    ) -> Answer:
+        """Makes a component: ``ire.create("host/robot", "eyerobot", {"seed": 7}, {"rate_hz": 1000})``."""
+        __tracebackhide__ = True
+        fields: dict[str, Any] = {"class": class_, "path": path_of(path, (2,)), "isolation": isolation}
+        return self._change("Create", fields, config, execution, dry_run)
+
+    def configure(
+        self,
+        path: Any,
+        config: Mapping[str, Any] | None = None,
+        execution: Mapping[str, Any] | None = None,
+        *,
+        dry_run: bool = False,
+        **settings: Any,
+    ) -> Answer:
+        """Changes settings of a component: what is given is merged into what it has, ``None`` gives a key its default."""
+        __tracebackhide__ = True
+        merged = {**(config or {}), **settings} if config is not None or settings else None
+        return self._change("Configure", {"path": path_of(path, (2,))}, merged, execution, dry_run)
+
+    def start(self, *paths: Any, dry_run: bool = False) -> Answer:
+        """Starts components, servers before clients; globs like ``"host/**"`` too. From STOPPED this is a fresh start."""
+        __tracebackhide__ = True
+        return self._each("Start", paths, dry_run)
+
+    def stop(self, *paths: Any, dry_run: bool = False) -> Answer:
+        """Stops components; their devices are made safe."""
+        __tracebackhide__ = True
+        return self._each("Stop", paths, dry_run)
+
+    def resume(self, *paths: Any, dry_run: bool = False) -> Answer:
+        """Lets stopped components go on with the state they had."""
+        __tracebackhide__ = True
+        return self._each("Resume", paths, dry_run)
+
+    def reset(self, *paths: Any, dry_run: bool = False) -> Answer:
+        """Makes components anew, from FAULT to READY."""
+        __tracebackhide__ = True
+        return self._each("Reset", paths, dry_run)
+
+    def remove(self, path: Any, *, force: bool = False, dry_run: bool = False) -> Answer:
+        """Destroys a component; ``force`` stops and disconnects it first."""
+        __tracebackhide__ = True
+        return self._change("Remove", {"path": path_of(path, (2,)), "force": force}, None, None, dry_run)
+
+    def connect(self, client: Any, server: Any, *, dry_run: bool = False, **options: Any) -> Answer:
+        """Connects a required interface or input to a provided interface or output.
+
+        ``options`` as in a system file: ``queue={"fifo": 8}``, ``max_age_ms``, ``deadline_ms``, ``mailbox``, ``adapt``,
+        ``carrier``, and ``replace=True``.
+        """
+        __tracebackhide__ = True
+        fields: dict[str, Any] = {"client": path_of(client, (3,)), "server": path_of(server, (3,))}
+        if options:
+            fields["options"] = _system_file.connect_options(options, "connect")
+        return self._change("Connect", fields, None, None, dry_run)
+
+    def disconnect(self, client: Any, server: Any = None, *, dry_run: bool = False) -> Answer:
+        """Takes a connection away: by its number, its two ends, one end where that is enough, or the proxy that uses it."""
+        __tracebackhide__ = True
+        fields: dict[str, Any] = {}
+        if isinstance(client, bool) or (isinstance(client, int) and client <= 0):
+            raise invalid(f"connection {client!r}: give a number of `tree`, or its ends", field="id")
+        if isinstance(client, int):
+            fields["id"] = client
+        elif isinstance(client, Interface) and client._connection:
+            fields["id"] = client._connection
+        else:
+            fields["client"] = path_of(client, (3,))
+        if server is not None:
+            fields["server"] = path_of(server, (3,))
+        answer = self._change("Disconnect", fields, None, None, dry_run)
+        if not dry_run and "id" in fields:
+            self._place.forget(fields["id"])
+        return answer
+
+    def apply(self, system: Any, *, dry_run: bool = False, start: bool = True) -> Answer:
+        """Makes the system of a file (or of a dict of its form), all or nothing; what is there already is only changed.
+
+        Shows what it does as lines ``+ create …``, ``~ configure …``; with ``dry_run`` nothing is done.
+        """
+        __tracebackhide__ = True
+        self._call("GcmService/List", brief=True)
+        steps = _system_file.steps(_system_file.load(system), self._graph, start)
+        request = _proto.message("ApplyRequest")(steps=steps, validate_only=dry_run)
+        if not steps:
+            return Answer("Apply", _proto.message("ApplyResponse")(revision=self.revision), dry_run)
+        answer = self._wire.call("GcmService/Apply", request, 60.0)
+        self._seen(0 if dry_run else answer.revision)
+        return Answer("Apply", answer, dry_run)
+
+    def _seen(self, revision: int) -> None:
+        """Waits a moment until this session's own copy of the graph shows what was just done."""
+        self._graph.wait(lambda: self._graph.revision >= revision or not self._graph.connected, 0.5)
+
+    def _each(self, verb: str, paths: tuple[Any, ...], dry_run: bool) -> Answer:
+        __tracebackhide__ = True
+        if not paths:
+            raise invalid(f'{verb}: name components, e.g. "host/robot" or "host/**"', field="paths")
+        names = [p if isinstance(p, str) else path_of(p, (2,)) for p in paths]
+        return self._change(verb, {"paths": names}, None, None, dry_run)
+
+    def _change(self, verb: str, fields: dict[str, Any], config: Any, execution: Any, dry_run: bool) -> Answer:
+        __tracebackhide__ = True
+        request = _proto.message(f"{verb}Request")(**fields, validate_only=dry_run)
+        if config is not None:
+            request.config.CopyFrom(_values.to_wire_struct(config, "config"))
+        if execution is not None:
+            request.execution.CopyFrom(_system_file.execution(execution, "execution"))
+        answer = self._wire.call(f"GcmService/{verb}", request, _PATIENCE)
+        self._seen(0 if dry_run else answer.revision)
+        return Answer(verb, answer, dry_run)
