@@ -3,6 +3,7 @@
 
     python3 sdk/python/tests/run.py [PYTEST ARGUMENTS]
     python3 sdk/python/tests/run.py --bench [ARGUMENTS]     tests/bench.py instead: what a call costs
+    python3 sdk/python/tests/run.py --oldest [ARGUMENTS]    the same tests with the oldest Python that pyproject.toml promises
 
 Makes the venv under the target directory, installs the package itself into it (``pip install ./sdk/python[ire,test]``), and runs
 pytest: those of ``outer/`` against the program in TROCAR_BIN_DIR. Prints libtest's lines; names what was skipped in TROCAR_SKIPS.
@@ -13,6 +14,7 @@ Exit 77 when the packages cannot be had.
 import hashlib
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 
@@ -20,11 +22,31 @@ HERE = pathlib.Path(__file__).resolve().parent
 PACKAGE = HERE.parent
 ROOT = HERE.parents[2]
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-VENV = TARGET / "outer" / "python-venv"
+VENV = TARGET / "outer" / os.environ.get("TROCAR_PYTHON_VENV", "python-venv")
+OLDEST = "3.9"
 SKIPPED = 77
 
 
+def oldest():
+    """An interpreter of the oldest version: in PATH, or kept by pyenv."""
+    assert f'requires-python = ">={OLDEST}"' in (PACKAGE / "pyproject.toml").read_text(), "OLDEST is what pyproject.toml promises"
+    told = subprocess.run(["pyenv", "prefix", OLDEST], capture_output=True, text=True).stdout.strip() if shutil.which("pyenv") else ""
+    for python in (f"python{OLDEST}", *([f"{told}/bin/python"] if told else [])):
+        found = shutil.which(python)
+        if found and subprocess.run([found, "--version"], capture_output=True, text=True).stdout.startswith(f"Python {OLDEST}."):
+            return found
+    return None
+
+
 def main():
+    if sys.argv[1:2] == ["--oldest"]:
+        python = oldest()
+        if python is None:
+            print(f"Python {OLDEST} is not here, neither as python{OLDEST} nor in pyenv")
+            return SKIPPED
+        # In a venv of its own beside the other one.
+        os.environ["TROCAR_PYTHON_VENV"] = f"python-venv-{OLDEST}"
+        os.execv(python, [python, __file__, *sys.argv[2:]])
     python = VENV / "bin" / "python"
     if not python.exists():
         VENV.parent.mkdir(parents=True, exist_ok=True)

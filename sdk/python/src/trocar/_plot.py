@@ -32,7 +32,7 @@ class Signal:
         self.path, self._steps = _split(session, text)
         self._read: Callable[[], tuple[int, Any]] = _reader(session, self.path)
         stamp, value = self._read()
-        self.unit = _unit(value, self._steps)
+        self.unit = _applies(session, self.path, self._steps, _unit(value, self._steps))
         self.first = (stamp, self.pick(value))
         self.points: collections.deque[tuple[float, float]] = collections.deque(maxlen=_MOST)
         self.began_ns = stamp
@@ -131,6 +131,19 @@ def _unit(value: Any, steps: list[tuple[str, str]]) -> str:
         except (KeyError, ValueError, IndexError, TypeError):
             break
     return getattr(value, "unit", "") or unit
+
+
+def _applies(session: Any, path: str, steps: list[tuple[str, str]], unit: str) -> str:
+    """Of ``m|rad`` the one that is a joint's unit, by the interface's ``configuration_js``; both where nobody tells."""
+    joint = next((int(index) for name, index in steps if not name), None)
+    ways = dict(zip(("PRISMATIC", "REVOLUTE"), unit.split("|")))
+    if len(ways) < 2 or joint is None or path.count("/") != 3:
+        return unit
+    try:
+        kind = session.call(f"{path.rpartition('/')[0]}/configuration_js")["kinds"][joint]
+    except (TrocarError, KeyError, IndexError):
+        return unit
+    return ways.get(getattr(kind, "name", str(kind)), unit)
 
 
 class Plot:

@@ -339,6 +339,22 @@ def test_a_plot_is_sampled_and_saved_without_a_screen(ire, tmp_path):
     plot.stop()
 
 
+def test_a_plot_of_a_joint_has_the_unit_of_that_joint(ire):
+    ire.create("host/jointed", "eyerobot/eyerobot", {}, {"rate_hz": 200})
+    try:
+        ire.start("host/jointed")
+        slide, turn = (f"host/jointed/arm/measured_js.position[{n}]" for n in (0, 3))
+        both = "host/jointed/arm/measured_js"
+        assert ire.call(both).units["position"] == "m|rad", "the type leaves it open"
+        plot = ire.plot(slide, turn, seconds=0.2)
+        assert repr(plot).startswith(f"<plot of {slide} (m), {turn} (rad) over"), plot
+        plot.stop()
+        # An interface that does not tell leaves it open.
+        assert ire.plot("robot/EyeRobot/Arm/measured_js.position[0]", seconds=0.2).signals[0].unit == "m|rad"
+    finally:
+        ire.remove("host/jointed", force=True)
+
+
 def test_the_graph_is_a_picture_with_everything_in_it(ire, server):
     text = repr(ire.tree)
     svg = ire._repr_html_()
