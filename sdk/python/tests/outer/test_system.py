@@ -220,7 +220,7 @@ def test_a_handler_that_stalls_slows_nothing_and_what_it_misses_is_counted(ire, 
     # Let go, it gets what its queue kept, and the count in between is told with it.
     release.set()
     eventually("it goes on", lambda: stalled.waiting == 0)
-    assert stalled.received == stalled.received and "skipped" in repr(stalled)
+    assert stalled.received > 0 and "skipped" in repr(stalled)
     stalled.close()
     awake.close()
 
