@@ -19,3 +19,5 @@ pub use memory::MemoryBounds;
 pub use process::Host;
 pub use signals::{StopRequest, say_to_keeper};
 pub use state_dir::{StateChoice, StateDir, state_home};
+
+pub use crate::control::Viewer;

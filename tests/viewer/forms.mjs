@@ -1,5 +1,5 @@
 /// What people do to components: menus, forms, the palette.
-import { box, create, eventually, grpcurl, holds, is, settled, shot, start, state } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, holds, is, settled, shot, start, state } from './world.mjs';
 
 async function menu(page, path, item) {
   await box(page, path).locator('header').click({ button: 'right' });
@@ -137,4 +137,54 @@ export async function a_page_that_only_reads_offers_no_way_to_change_anything(wo
   await page.getByRole('menuitem', { name: 'Show configuration' }).click();
   await page.locator('[data-configure]').waitFor();
   is(await page.getByRole('button', { name: 'Configure', exact: true }).count(), 0, 'ways to configure');
+}
+
+/// One gRPC-Web call as a page would make it, past what its buttons allow: the status and the sentence.
+const asked = (page, method, message) =>
+  page.evaluate(async ([method, message]) => {
+    const body = new Uint8Array([0, 0, 0, 0, message.length, ...message]);
+    const headers = { 'content-type': 'application/grpc-web+proto', 'x-grpc-web': '1' };
+    const answer = await fetch(`/trocar.v1.${method}`, { method: 'POST', body, headers });
+    const text = new TextDecoder('latin1').decode(new Uint8Array(await answer.arrayBuffer()));
+    const of = (name) => answer.headers.get(name) ?? new RegExp(`${name}: ?([^\\r\\n]*)`).exec(text)?.[1] ?? '';
+    return { status: of('grpc-status'), said: decodeURIComponent(of('grpc-message')) };
+  }, [method, message]);
+/// A field of text: its number, its length, its letters.
+const text = (field, value) => [field << 3 | 2, value.length, ...new TextEncoder().encode(value)];
+
+export async function a_program_whose_viewer_only_reads_tells_its_page_and_refuses_it_what_changes_something(world) {
+  const host = await world.host('host', ['--viewer-read-only']);
+  await create(host.addr, 'sine', 'host/sine');
+  await create(host.addr, 'echo', 'host/echo');
+  await connect(host.addr, 'host/echo/sample', 'host/sine/value');
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await page.getByText('read-only').waitFor();
+  is(await page.getByRole('button', { name: 'Palette' }).count(), 0, 'palettes');
+  await box(page, 'host/sine').locator('header').click({ button: 'right' });
+  is(await page.getByRole('menuitem', { name: /^Stop/ }).getAttribute('aria-disabled'), 'true', 'Stop');
+  await shot(page, 'read-only-by-the-server');
+  await page.keyboard.press('Escape');
+  // Whoever writes to the port from the page's own console gets no further.
+  const path = text(1, 'host/sine');
+  const changes = ['Create', 'Remove', 'Configure', 'Start', 'Stop', 'Resume', 'Reset', 'Connect', 'Disconnect', 'Apply', 'Replace', 'Move'].map((m) => `GcmService/${m}`);
+  for (const method of [...changes, 'InteractService/Emit', 'PluginService/Load', 'PluginService/Unload', 'PluginService/Reload', 'GuestService/Join', 'GuestService/Require', 'AttachService/Tell', 'AttachService/Attach']) {
+    const { status, said } = await asked(page, method, path);
+    is(status, '7', `${method} is refused: ${said}`);
+    holds(said.includes('this viewer only reads') && said.includes(method.split('/')[1]), `${method} says why: ${said}`);
+  }
+  is(await state(host.addr, 'host/sine'), 'ACTIVE', 'state');
+  // Commands that read may be called, those that change something may not, also not while an event is waited for.
+  is(await asked(page, 'InteractService/Invoke', text(1, 'host/sine/signal/value')), { status: '0', said: '' }, 'a read command');
+  const write = await asked(page, 'InteractService/Invoke', text(1, 'host/echo/ctl/write'));
+  is(write.status, '7', `a write command: ${write.said}`);
+  holds(write.said.includes('host/echo/ctl/write') && write.said.includes('only reads'), write.said);
+  const call = text(1, 'host/echo/ctl/write');
+  is((await asked(page, 'GcmService/WaitFor', [...text(1, 'host/echo/ctl/written'), (4 << 3) | 2, call.length, ...call])).status, '7', 'a write command beside WaitFor');
+  is((await asked(page, 'InteractService/Invoke', text(1, 'host/sine/signal/nothing'))).status, '5', 'a command that is not there');
+  for (const method of ['GcmService/List', 'GcmService/GetState', 'GcmService/Describe', 'InteractService/Read']) is((await asked(page, method, path)).status, '0', method);
+  // Programs go on as ever.
+  await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
+  await box(page, 'host/sine').locator('[data-state]', { hasText: 'STOPPED' }).waitFor();
 }

@@ -1,5 +1,7 @@
-/// The page itself: search, light and dark, the keyboard.
-import { box, create, eventually, holds, is, settled, shot, start, state } from './world.mjs';
+/// The page itself: where it is, search, light and dark, the keyboard.
+import fs from 'node:fs';
+import path from 'node:path';
+import { box, create, eventually, holds, is, PLUGINS, settled, shot, start, state } from './world.mjs';
 
 export async function search_finds_components_ports_and_states(world) {
   const host = await world.host();
@@ -63,4 +65,30 @@ export async function everything_is_reached_by_keys_alone(world) {
   await page.locator('.palette').waitFor();
   await page.keyboard.press('d');
   is(await page.evaluate(() => document.documentElement.dataset.theme), 'dark', 'theme');
+}
+
+export async function whatever_serves_the_page_names_its_address_for_scripts(world) {
+  const file = path.join(world.dir, 'one.json');
+  fs.writeFileSync(file, JSON.stringify({ version: 1, processes: { host: {} }, components: { 'host/sine': { class: 'sine' } }, connections: [] }));
+  const at = ['--listen', '127.0.0.1:0', '--json'];
+  const plugins = ['--plugins', PLUGINS];
+  const programs = {
+    host: ['host', ...plugins, '--state', path.join(world.dir, 'h'), ...at],
+    gcm: ['gcm', '--state', path.join(world.dir, 'g'), ...at],
+    run: ['run', file, ...plugins, ...at],
+    up: ['up', file, ...plugins, ...at],
+    demo: ['demo', ...plugins, ...at],
+  };
+  for (const [name, args] of Object.entries(programs)) {
+    for (const more of [[], ['--viewer-read-only']]) {
+      const program = await world.start([...args, ...more], name);
+      const line = program.printed.split('\n').find((l) => l.includes('"listening"'));
+      const { viewer } = JSON.parse(line);
+      is(viewer, `http://${program.addr}/`, `${name}'s viewer`);
+      const page = await (await fetch(viewer)).text();
+      is(/<meta name="viewer" content="([^"]*)"/.exec(page)?.[1], more.length ? 'read-only' : 'full', `what ${name} tells its page`);
+      program.kill('SIGINT');
+      await program.ended;
+    }
+  }
 }

@@ -8,7 +8,7 @@ import path from 'node:path';
 import { chromium } from 'playwright-core';
 
 const BIN = process.env.TROCAR_BIN_DIR ?? path.resolve('../../release');
-const PLUGINS = process.env.TROCAR_PLUGIN_DIR ?? BIN;
+export const PLUGINS = process.env.TROCAR_PLUGIN_DIR ?? BIN;
 export const PICTURES = path.resolve('pictures');
 /// How long anything may take to be seen; only a test that fails waits so long, ms.
 export const PATIENCE = 60_000;
@@ -27,7 +27,7 @@ class Program {
     for (const stream of [this.child.stdout, this.child.stderr]) stream.on('data', (text) => (this.printed = (this.printed + text).slice(-60_000)));
     this.ready = new Promise((yes, no) => {
       const look = () => {
-        const found = /listening on (127\.0\.0\.1:\d+)/.exec(this.printed);
+        const found = /listening(?: on |": ?")(127\.0\.0\.1:\d+)/.exec(this.printed);
         if (found) yes((this.addr = found[1]));
       };
       this.child.stdout.on('data', look);
@@ -72,7 +72,12 @@ export class World {
       await context.route(/^http:[/][/]127\.0\.0\.1:\d+[/](video|icon\.svg|assets[/].*)?(\?.*)?$/, async (route) => {
         const asked = new URL(route.request().url()).pathname;
         const file = path.join(process.env.VIEWER_DIST, asked === '/' || asked === '/video' ? 'index.html' : asked);
-        if (fs.existsSync(file)) await route.fulfill({ path: file });
+        if (file.endsWith('index.html')) {
+          // What the program says of itself in the page stays.
+          const told = /<meta name="viewer"[^>]*>/.exec(await (await route.fetch()).text())?.[0];
+          const built = fs.readFileSync(file, 'utf8').replace(/<meta name="viewer"[^>]*>/, told ?? '');
+          await route.fulfill({ body: built, contentType: 'text/html; charset=utf-8' });
+        } else if (fs.existsSync(file)) await route.fulfill({ path: file });
         else await route.continue();
       });
     }

@@ -295,6 +295,10 @@ pub enum Refusal {
     Forbidden {
         what: String,
     },
+    /// It would change something, and came from a page that only reads.
+    ReadOnly {
+        what: String,
+    },
     Internal {
         text: String,
     },

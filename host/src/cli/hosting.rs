@@ -12,7 +12,7 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{logging, out, session};
 use crate::host::{
-    Host, HostConfig, HostError, MemoryBounds, StateChoice, StopRequest, say_to_keeper, state_home,
+    Host, HostConfig, HostError, MemoryBounds, StateChoice, StopRequest, Viewer, say_to_keeper, state_home,
 };
 use crate::loader::Trust;
 use crate::system_file::ProcessSpec;
@@ -52,7 +52,28 @@ pub(super) struct HostArgs {
     #[command(flatten)]
     memory: MemoryArgs,
     #[command(flatten)]
+    viewer: ViewerArgs,
+    #[command(flatten)]
     tie: Tie,
+}
+
+/// What the page at a program's address may do.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct ViewerArgs {
+    /// The viewer's page changes nothing: what it asks for is refused. `trocar` and grpcurl go on as ever.
+    #[arg(long = "viewer-read-only")]
+    only_reads: bool,
+}
+
+impl ViewerArgs {
+    pub(super) fn viewer(self) -> Viewer {
+        if self.only_reads { Viewer::ReadOnly } else { Viewer::Full }
+    }
+
+    /// The same for a program that is started.
+    pub(super) fn flag(self) -> Option<&'static str> {
+        self.only_reads.then_some("--viewer-read-only")
+    }
 }
 
 /// How much memory a process may use.
@@ -117,6 +138,7 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
     let config = HostConfig {
         plugins: plugin_dirs(args.plugins),
         listen: Some(args.listen),
+        viewer: args.viewer.viewer(),
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),

@@ -38,6 +38,8 @@ pub(super) struct RunArgs {
     /// End by itself after this many seconds.
     #[arg(long, value_name = "N")]
     seconds: Option<u64>,
+    #[command(flatten)]
+    viewer: hosting::ViewerArgs,
 }
 
 pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
@@ -51,6 +53,7 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     let file = args.named.read()?;
     let base = args.named.file.parent().unwrap_or(Path::new("")).to_owned();
     let config = config(&file, &base, args.named.plugins, args.listen)?;
+    let config = HostConfig { viewer: args.viewer.viewer(), ..config };
     let mut stop = StopRequest::listen();
     let mut host = config.start().await?;
     logging::to_readers(host.own_lines());
@@ -139,6 +142,7 @@ fn say_running(host: &Host, file: &SystemFile, session: &Session) {
             "listening": hosting::address(host),
             "components": components,
             "connections": connections,
+            "viewer": hosting::viewer(&hosting::address(host)),
         });
         out::line(&line.to_string());
         return;

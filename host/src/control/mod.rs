@@ -20,3 +20,4 @@ mod tests;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
 pub use uplink::{Begin, Uplink, UplinkError};
+pub use web::Viewer;

@@ -26,7 +26,7 @@ use super::attach::{AttachEdge, MAX_MESSAGE};
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
 use super::server::Edge;
-use super::web;
+use super::web::{self, Viewer};
 use crate::gcm::{Gcm, Lines};
 use crate::lcm::{Lcm, News};
 
@@ -44,6 +44,8 @@ pub struct ServeConfig {
     pub local: Option<(Name, Arc<dyn Lcm>)>,
     /// Address of the GCM that manages this process, when it is another's.
     pub managed_by: Option<String>,
+    /// What the viewer's page may do.
+    pub viewer: Viewer,
 }
 
 /// Why a port cannot be served.
@@ -89,9 +91,11 @@ impl Server {
         let edge =
             Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by, lines };
         let (open, closing) = watch::channel(());
-        let router = routes(edge, config.gcm, closing).await.map_err(|because| ServeError::Unusable {
-            because,
-            help: "rebuild trocar: its service descriptions are damaged".into(),
+        let router = routes(edge, config.gcm, config.viewer, closing).await.map_err(|because| {
+            ServeError::Unusable {
+                because,
+                help: "rebuild trocar: its service descriptions are damaged".into(),
+            }
         })?;
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(async move {
@@ -231,6 +235,7 @@ fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>
 async fn routes(
     edge: Edge,
     gcm: Option<Gcm>,
+    viewer: Viewer,
     closing: watch::Receiver<()>,
 ) -> Result<tonic::transport::server::Router, String> {
     let (reporter, health) = tonic_health::server::health_reporter();
@@ -273,5 +278,5 @@ async fn routes(
                 .max_encoding_message_size(MAX_MESSAGE),
         );
     }
-    Ok(server.add_routes(web::with_page(services.routes())))
+    Ok(server.add_routes(web::with_page(services.routes(), viewer)))
 }

@@ -8,6 +8,7 @@ use trocar_model::{Name, Refusal};
 use trocar_plugin_api::abi::StaticPlugin;
 
 use super::{Host, HostError, MemoryBounds, StateChoice};
+use crate::control::Viewer;
 use crate::loader::Trust;
 
 /// What a host is made from.
@@ -23,6 +24,8 @@ pub struct HostConfig {
     pub state: StateChoice,
     /// Forget what an earlier process left in the state directory.
     pub fresh: bool,
+    /// What the page at that address may do.
+    pub viewer: Viewer,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,
     /// Wait for that GCM when it does not answer yet, or still takes an earlier incarnation of this process for alive.
@@ -45,6 +48,7 @@ impl HostConfig {
             plugins: Vec::new(),
             linked: Vec::new(),
             listen: None,
+            viewer: Viewer::Full,
             state: StateChoice::Ephemeral,
             fresh: false,
             gcm: None,
@@ -114,6 +118,12 @@ impl HostBuilder {
     #[must_use]
     pub fn listen(self, addr: impl Into<String>) -> Self {
         self.with(|c| c.listen = Some(addr.into()))
+    }
+
+    /// What the viewer's page at that address may do.
+    #[must_use]
+    pub fn viewer(self, viewer: Viewer) -> Self {
+        self.with(|c| c.viewer = viewer)
     }
 
     /// Where it keeps its state.

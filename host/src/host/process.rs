@@ -15,7 +15,7 @@ use super::announce::Announcement;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
-use crate::control::{Begin, GcmServices, ServeConfig, Server, Uplink};
+use crate::control::{Begin, GcmServices, ServeConfig, Server, Uplink, Viewer};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine};
 use crate::loader::{CatalogChange, PluginEntry, PluginError};
@@ -53,10 +53,15 @@ impl Host {
     ///
     /// # Errors
     /// State directory or port cannot be used.
-    pub async fn start_gcm(listen: &str, state: &StateChoice, fresh: bool) -> Result<Self, HostError> {
+    pub async fn start_gcm(
+        listen: &str,
+        state: &StateChoice,
+        fresh: bool,
+        viewer: Viewer,
+    ) -> Result<Self, HostError> {
         needs_runtime()?;
         let mut host = Self::in_directory(state, fresh)?;
-        let done = host.bring_up_gcm(listen).await;
+        let done = host.bring_up_gcm(listen, viewer).await;
         host.if_up(done).await
     }
 
@@ -138,6 +143,7 @@ impl Host {
                 gcm: self.gcm.clone(),
                 local: Some((config.name.clone(), local.clone())),
                 managed_by: config.gcm.clone(),
+                viewer: config.viewer,
             })
             .await?;
         }
@@ -159,11 +165,17 @@ impl Host {
         Ok(())
     }
 
-    async fn bring_up_gcm(&mut self, listen: &str) -> Result<(), HostError> {
+    async fn bring_up_gcm(&mut self, listen: &str, viewer: Viewer) -> Result<(), HostError> {
         let gcm = start_gcm(&self.state).await?;
         self.gcm = Some(gcm.clone());
-        self.listen(ServeConfig { listen: listen.to_owned(), gcm: Some(gcm), local: None, managed_by: None })
-            .await
+        self.listen(ServeConfig {
+            listen: listen.to_owned(),
+            gcm: Some(gcm),
+            local: None,
+            managed_by: None,
+            viewer,
+        })
+        .await
     }
 
     async fn listen(&mut self, config: ServeConfig) -> Result<(), HostError> {

@@ -97,6 +97,7 @@ impl Refusal {
             Refusal::QueueFull { .. } => (ResourceExhausted, "QUEUE_FULL"),
             Refusal::NotImplemented { .. } => (Unimplemented, "NOT_IMPLEMENTED"),
             Refusal::Forbidden { .. } => (PermissionDenied, "FORBIDDEN"),
+            Refusal::ReadOnly { .. } => (PermissionDenied, "READ_ONLY"),
             Refusal::Internal { .. } => (Internal, "INTERNAL"),
         }
     }
@@ -197,7 +198,7 @@ impl Refusal {
                 m.put("member", member).put("after_ns", after_ns).put("may_still_run", may_still_run)
             }
             QueueFull { member, depth } => m.put("member", member).put("depth", depth),
-            NotImplemented { what, .. } | Forbidden { what } => m.put("what", what),
+            NotImplemented { what, .. } | Forbidden { what } | ReadOnly { what } => m.put("what", what),
             Internal { text } => m.put("text", text),
         };
         m.0

@@ -227,6 +227,7 @@ fn calling() -> Vec<Refusal> {
             hint: "Create both components in one process.".into(),
         },
         Refusal::Forbidden { what: "Remove".into() },
+        Refusal::ReadOnly { what: "Remove".into() },
         Refusal::Internal { text: "the plan left a connection without a client".into() },
     ]
 }

@@ -309,6 +309,7 @@ impl Display for Refusal {
             }
             NotImplemented { what, .. } => write!(f, "{what} is not in this version"),
             Forbidden { what } => write!(f, "{what} is not allowed for this caller"),
+            ReadOnly { what } => write!(f, "{what} changes something, and this viewer only reads"),
             Internal { text } => write!(f, "trocar itself made a mistake: {text}"),
         }
     }
@@ -525,6 +526,7 @@ impl Refusal {
             NotImplemented { hint, .. } if !hint.is_empty() => hint.clone(),
             NotImplemented { .. } => "Do without it in this version.".into(),
             Forbidden { .. } => "Ask with an identity whose role allows it.".into(),
+            ReadOnly { .. } => "Ask with `trocar` or grpcurl, or start the program without --viewer-read-only.".into(),
             Internal { .. } => "Please report it with the log; nothing was changed on purpose.".into(),
         }
     }

@@ -25,7 +25,7 @@ use super::session::Session;
 use super::up::programs::{self, Launch};
 use super::up::{self, System};
 use super::{hosting, logging, out, run, session, style};
-use crate::host::{StateChoice, StateDir, StopRequest};
+use crate::host::{HostConfig, StateChoice, StateDir, StopRequest};
 use crate::system_file::SystemFile;
 
 /// The source of the video.
@@ -73,6 +73,8 @@ pub(super) struct DemoArgs {
     /// Address to listen on; port 0 takes a free one.
     #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
     listen: String,
+    #[command(flatten)]
+    viewer: hosting::ViewerArgs,
 }
 
 fn processes(text: &str) -> Result<usize, String> {
@@ -98,7 +100,7 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     let pictures = args.pictures.map(|dir| acting::directory(&dir, behavior, layout)).transpose()?;
     let file = layout.file("demo.json", behavior.system())?;
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
-    let show = Show { seconds: args.seconds, pictures, session, behavior, layout };
+    let show = Show { seconds: args.seconds, pictures, session, behavior, layout, viewer: args.viewer };
     if layout.processes() == 1 {
         in_one(&file, plugins, args.listen, &show).await
     } else {
@@ -108,6 +110,7 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
 
 async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: &Show<'_>) -> Done {
     let config = run::config(file, Path::new(""), plugins, listen)?;
+    let config = HostConfig { viewer: show.viewer.viewer(), ..config };
     let mut stop = StopRequest::listen();
     let host = config.start().await?;
     logging::to_readers(host.own_lines());
@@ -132,8 +135,8 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
 async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: &Show<'_>) -> Done {
     let mut stop = StopRequest::listen();
     let state = StateDir::open(&StateChoice::Ephemeral, false)?;
-    let gcm = programs::gcm(listen, state.path());
-    let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path());
+    let gcm = programs::gcm(listen, state.path(), show.viewer);
+    let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path(), show.viewer);
     let mut system = System::new(up::Gcm::Own(gcm), launch);
     let came_up = tokio::select! {
         came_up = system.come_up(file) => Some(came_up),
@@ -169,13 +172,16 @@ struct Show<'a> {
     session: &'a Session,
     behavior: Behavior,
     layout: Layout,
+    viewer: hosting::ViewerArgs,
 }
 
 impl Show<'_> {
     async fn begin(&self, how: &str, addr: &str) {
         if self.session.json() {
             if self.seconds.is_none() && self.pictures.is_none() {
-                out::line(&serde_json::json!({ "listening": addr }).to_string());
+                out::line(
+                    &serde_json::json!({ "listening": addr, "viewer": hosting::viewer(addr) }).to_string(),
+                );
             }
             return;
         }

@@ -59,6 +59,8 @@ pub(super) struct UpArgs {
     /// Answer when everything is up, and leave it to `trocar down`.
     #[arg(long)]
     detach: bool,
+    #[command(flatten)]
+    viewer: hosting::ViewerArgs,
     /// This is what --detach left running.
     #[arg(long, hide = true)]
     detached: bool,
@@ -138,9 +140,9 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     let mut door = Door::open(state.path()).map_err(|e| no_door(state.path(), &e))?;
     let gcm = match session.explicit_gcm() {
         Some(addr) => Gcm::Of(addr.to_owned()),
-        None => Gcm::Own(programs::gcm(&args.listen, state.path())),
+        None => Gcm::Own(programs::gcm(&args.listen, state.path(), args.viewer)),
     };
-    let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path());
+    let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path(), args.viewer);
     let mut system = System::new(gcm, launch);
     let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;

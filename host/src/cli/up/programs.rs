@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use trocar_model::{ComponentId, Name};
 
-use crate::cli::hosting;
+use crate::cli::hosting::{self, ViewerArgs};
 use crate::processes::{Limits, Policy, Program};
 use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
 
@@ -31,10 +31,13 @@ fn output(state: &Path, process: Option<&str>) -> PathBuf {
     })
 }
 
-pub(in crate::cli) fn gcm(listen: &str, state: &Path) -> Program {
+pub(in crate::cli) fn gcm(listen: &str, state: &Path, viewer: ViewerArgs) -> Program {
+    let mut args: Vec<OsString> =
+        ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into();
+    args.extend(viewer.flag().map(Into::into));
     Program {
         name: GCM.to_owned(),
-        args: ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into(),
+        args,
         listen: listen.to_owned(),
         stays: true,
         env: Vec::new(),
@@ -50,14 +53,21 @@ pub(in crate::cli) struct Launch {
     base: PathBuf,
     plugins: Vec<PathBuf>,
     state: PathBuf,
+    viewer: ViewerArgs,
 }
 
 impl Launch {
     /// Of a file that lies at `at`; `plugins` instead of its own, when there are any.
-    pub(in crate::cli) fn new(file: &SystemFile, at: &Path, plugins: &[PathBuf], state: &Path) -> Launch {
+    pub(in crate::cli) fn new(
+        file: &SystemFile,
+        at: &Path,
+        plugins: &[PathBuf],
+        state: &Path,
+        viewer: ViewerArgs,
+    ) -> Launch {
         let base = absolute(at.parent().unwrap_or(Path::new("")));
         let (processes, plugins, state) = (file.processes.clone(), plugins.to_vec(), state.to_owned());
-        Launch { processes, base, plugins, state }
+        Launch { processes, base, plugins, state, viewer }
     }
 
     pub(super) fn hosts(&self) -> Vec<Program> {
@@ -73,7 +83,9 @@ impl Launch {
     }
 
     fn host(&self, process: &ProcessSpec) -> Program {
-        host(process, &self.base, &self.plugins, &self.state)
+        let mut program = host(process, &self.base, &self.plugins, &self.state);
+        program.args.extend(self.viewer.flag().map(Into::into));
+        program
     }
 }
 

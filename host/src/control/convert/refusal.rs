@@ -90,6 +90,7 @@ refusals! {
     QueueFull { member, depth }
     NotImplemented { what, hint }
     Forbidden { what }
+    ReadOnly { what }
     Internal { text }
 }
 

@@ -343,6 +343,9 @@ impl GcmService for Edge {
         &self,
         request: Request<v1::WaitForRequest>,
     ) -> Result<Response<v1::WaitForResponse>, Status> {
+        if let Some(call) = &request.get_ref().call {
+            self.may_call(request.extensions(), &call.path).map_err(refuse)?;
+        }
         let Wait { what, until } = Wait::read(request).map_err(refuse)?;
         let (id, item) = match what {
             Awaited::States(id, states) => {

@@ -80,6 +80,7 @@ impl InteractService for Edge {
         request: Request<v1::InvokeRequest>,
     ) -> Result<Response<v1::InvokeResponse>, Status> {
         let until = deadline(&request);
+        self.may_call(request.extensions(), &request.get_ref().path).map_err(refuse)?;
         Ok(Response::new(self.call(request.into_inner(), until).await?))
     }
 

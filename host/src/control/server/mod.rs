@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
-use tonic::Status;
+use tonic::{Extensions, Status};
 use trocar_model::{ComponentId, Name, Refusal, SystemGraph};
 
 use super::convert::Figures;
@@ -28,6 +28,10 @@ const FIGURES: Duration = Duration::from_secs(1);
 /// The component a request comes from, when it never left this process.
 #[derive(Clone)]
 pub(super) struct Caller(pub(super) String);
+
+/// The request comes from a page that only reads; of what can do both it may ask only that.
+#[derive(Clone, Copy)]
+pub(super) struct OnlyReads;
 
 /// Whom this port speaks for.
 #[derive(Clone)]
@@ -61,6 +65,24 @@ impl Edge {
                 known: local.iter().map(|(name, _)| name.clone()).collect(),
             }),
         }
+    }
+
+    /// A page that only reads may call commands that read.
+    fn may_call(&self, extensions: &Extensions, path: &str) -> Result<(), Refusal> {
+        if extensions.get::<OnlyReads>().is_none() {
+            return Ok(());
+        }
+        let (id, port, member) = part::split(path)?;
+        let refused = || Refusal::ReadOnly { what: path.to_owned() };
+        // Without a graph nobody here knows what a command does.
+        let graph = self.gcm.as_ref().map(Gcm::graph).ok_or_else(refused)?;
+        let Some(component) = graph.components.get(&id) else {
+            let known = graph.components.keys().cloned().collect();
+            return Err(Refusal::ComponentNotFound { id, known });
+        };
+        let found = part::narrow(&component.ports, &id, port.as_ref(), member.as_ref())?;
+        let mut commands = found.provided.iter().flat_map(|p| &p.commands);
+        if commands.all(|c| c.kind.is_read()) { Ok(()) } else { Err(refused()) }
     }
 
     /// Every process whose LCM can be asked.

@@ -6,7 +6,7 @@ use tonic_health::pb::health_client::HealthClient;
 use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
 use trocar_proto::v1;
 
-use super::super::{ServeConfig, ServeError, Server};
+use super::super::{ServeConfig, ServeError, Server, Viewer};
 use super::{System, connect, create, serve, start, stop};
 
 /// Symbols a tool asks for: our services and the error details.
@@ -131,7 +131,13 @@ async fn logs_are_kept_for_who_asks_later_and_end_unless_followed() {
 #[tokio::test]
 async fn a_taken_port_and_an_open_address_are_refused_with_what_to_do() {
     let first = serve("127.0.0.1:0", None, None).await;
-    let config = |listen: String| ServeConfig { listen, gcm: None, local: None, managed_by: None };
+    let config = |listen: String| ServeConfig {
+        listen,
+        gcm: None,
+        local: None,
+        managed_by: None,
+        viewer: Viewer::Full,
+    };
     for (listen, what, remedy) in
         [(first.addr().to_string(), "taken", "--listen"), ("0.0.0.0:0".into(), "not authenticated", "SSH")]
     {

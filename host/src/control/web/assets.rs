@@ -11,10 +11,17 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
+use super::Viewer;
+
 /// What the build made.
 #[derive(RustEmbed)]
 #[folder = "web/dist"]
 struct Built;
+
+/// The page, and how it is told what it may do.
+const PAGE: &str = "index.html";
+const FULL: &str = "<meta name=\"viewer\" content=\"full\"";
+const ONLY_READS: &str = "<meta name=\"viewer\" content=\"read-only\"";
 
 /// Scripts, data and pictures from here only; nobody may frame the page. Styles of elements are set by the graph's library.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; \
@@ -22,8 +29,14 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; s
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Every page is the same file: it looks at its own address.
-pub(super) async fn page() -> Response {
-    file("index.html", "no-cache")
+pub(super) async fn page(viewer: Viewer) -> Response {
+    match (viewer, Built::get(PAGE)) {
+        (Viewer::ReadOnly, Some(found)) => {
+            let told = String::from_utf8_lossy(&found.data).replacen(FULL, ONLY_READS, 1);
+            answer(PAGE, "no-cache", told.into())
+        }
+        _ => file(PAGE, "no-cache"),
+    }
 }
 
 /// Names there carry a hash of what they hold.
@@ -45,6 +58,10 @@ fn file(name: &str, cache: &'static str) -> Response {
         std::borrow::Cow::Borrowed(bytes) => Bytes::from_static(bytes),
         std::borrow::Cow::Owned(bytes) => Bytes::from(bytes),
     };
+    answer(name, cache, body)
+}
+
+fn answer(name: &str, cache: &'static str, body: Bytes) -> Response {
     let headers = [
         (CONTENT_TYPE, HeaderValue::from_static(kind(name))),
         (CACHE_CONTROL, HeaderValue::from_static(cache)),
@@ -79,6 +96,16 @@ mod tests {
         assert!(names.iter().any(|n| n == "index.html"), "the viewer is not built: {names:?}");
         for name in names {
             assert_ne!(kind(&name), "application/octet-stream", "{name}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_page_that_only_reads_is_told_so() {
+        for (viewer, told) in [(Viewer::Full, FULL), (Viewer::ReadOnly, ONLY_READS)] {
+            let body = axum::body::to_bytes(page(viewer).await.into_body(), 1 << 20).await.unwrap();
+            let page = String::from_utf8(body.to_vec()).unwrap();
+            assert_eq!(page.matches("<meta name=\"viewer\"").count(), 1, "{page}");
+            assert!(page.contains(told), "{page}");
         }
     }
 

@@ -21,6 +21,11 @@ pub(super) async fn guard(request: Request, next: Next) -> Response {
     }
 }
 
+/// True for a program that speaks gRPC, without any sign of a browser.
+pub(super) fn is_program(version: Version, headers: &HeaderMap) -> bool {
+    version == Version::HTTP_2 && !headers.contains_key(ORIGIN) && !headers.contains_key("sec-fetch-site")
+}
+
 /// True for gRPC in any of its forms.
 pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
     text(headers, CONTENT_TYPE.as_str()).is_some_and(|t| t.starts_with("application/grpc"))
@@ -40,7 +45,7 @@ fn host_of(request: &Request) -> Option<&str> {
 fn judge(method: &Method, version: Version, host: Option<&str>, headers: &HeaderMap) -> Result<(), String> {
     let origin = text(headers, ORIGIN.as_str());
     let site = text(headers, "sec-fetch-site");
-    if version == Version::HTTP_2 && origin.is_none() && site.is_none() {
+    if is_program(version, headers) {
         return Ok(());
     }
     let host = host.unwrap_or_default();

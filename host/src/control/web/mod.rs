@@ -4,6 +4,7 @@
 
 mod assets;
 mod guard;
+mod reading;
 
 use axum::Router;
 use axum::body::Body;
@@ -15,16 +16,31 @@ use tonic::Status;
 use tonic::service::Routes;
 use tonic_web::GrpcWebLayer;
 
+/// What the viewer's page may do on a port.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Viewer {
+    /// Whatever anybody may who reaches the port.
+    #[default]
+    Full,
+    /// Look: what comes through a browser changes nothing. Programs that speak gRPC go on as ever.
+    ReadOnly,
+}
+
 /// The services and the page as one.
-pub(super) fn with_page(services: Routes) -> Routes {
+pub(super) fn with_page(services: Routes, viewer: Viewer) -> Routes {
     let services = services.into_axum_router().layer(GrpcWebLayer::new()).reset_fallback();
     let page = Router::new()
-        .route("/", get(assets::page))
-        .route("/video", get(assets::page))
+        .route("/", get(move || assets::page(viewer)))
+        .route("/video", get(move || assets::page(viewer)))
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/assets/{name}", get(assets::asset))
         .route("/{name}", get(assets::beside));
-    services.merge(page).fallback(nothing_there).layer(from_fn(guard::guard)).into()
+    let all = services.merge(page).fallback(nothing_there);
+    let all = match viewer {
+        Viewer::Full => all,
+        Viewer::ReadOnly => all.layer(from_fn(reading::only)),
+    };
+    all.layer(from_fn(guard::guard)).into()
 }
 
 /// gRPC keeps its own answer to what it does not know; everybody else is told what there is.

@@ -15,8 +15,8 @@ interface Note {
 const query = new URLSearchParams(location.search);
 
 class Page {
-  /// Nothing can be changed from this page.
-  readonly = query.has('readonly');
+  /// Nothing can be changed from this page: its address says so, or the server, which then refuses it, too.
+  readonly = query.has('readonly') || document.querySelector('meta[name=viewer]')?.getAttribute('content') === 'read-only';
   /// process/component, or "connection:ID".
   selected = $state('');
   tab = $state<Tab>('overview');

@@ -67,6 +67,12 @@ export class Curve {
     else this.first = (this.first + 1) % KEPT;
   }
 
+  /// Nothing could be read: no line leads over it.
+  gap() {
+    const last = (this.first + this.n - 1) % KEPT;
+    if (this.n > 0 && Number.isFinite(this.y[last]!)) this.add(this.x[last]! + 1e-6, Number.NaN);
+  }
+
   /// The last `seconds`, oldest first.
   window(seconds: number): [number[], number[]] {
     const xs: number[] = [];
@@ -118,7 +124,10 @@ class Reader {
             c.add(Number(answer.stampNs) / 1e9, pick(value, c.signal.field));
           }
         } catch (error) {
-          for (const c of curves) c.why = said(error);
+          for (const c of curves) {
+            c.why = said(error);
+            c.gap();
+          }
         }
       }
       await new Promise((wake) => setTimeout(wake, Math.max(5, ROUND - (performance.now() - began))));

@@ -1,0 +1,73 @@
+/// Whether people without a mouse, or who hear the page instead of seeing it, can use it: judged by axe-core, view by view.
+import fs from 'node:fs';
+import { createRequire } from 'node:module';
+import { box, connect, create, eventually, is, settled, start } from './world.mjs';
+
+const AXE = fs.readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
+
+/// What axe finds wrong in this view: rule, how bad, and the first places.
+async function wrong(page, view) {
+  // Sent by the driver: the page's policy lets in no script that is not its own.
+  if (!(await page.evaluate(() => 'axe' in window))) await page.evaluate(AXE);
+  const { violations, passes } = await page.evaluate(() => window.axe.run(document, { resultTypes: ['violations'] }));
+  if (passes.length < 10) throw new Error(`${view}: axe looked at nothing: ${passes.length} rules passed`);
+  return violations.map((v) => `${view}: ${v.id} (${v.impact}): ${v.help}: ${v.nodes.length} × ${v.nodes.slice(0, 3).map((n) => `${n.html.slice(0, 160)} ${n.any[0]?.message ?? ''}`).join(' | ')}`);
+}
+
+async function every_view(world, scheme) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  await create(host.addr, 'echo', 'host/echo');
+  await connect(host.addr, 'host/echo/sample', 'host/sine/value');
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr, '', { colorScheme: scheme, reducedMotion: 'reduce' });
+  await settled(page);
+  const edge = page.locator('[data-connection="host/sine/value → host/echo/sample"]');
+  await eventually('figures stand on the edge', async () => /\d\/s/.test(await edge.innerText()));
+  const found = await wrong(page, 'graph');
+  const look = async (view) => found.push(...(await wrong(page, view)));
+  await page.keyboard.press('p');
+  await page.locator('.palette').waitFor();
+  await look('palette');
+  await page.keyboard.press('p');
+  await box(page, 'host/sine').locator('header').click();
+  await page.locator('.inspector').waitFor();
+  for (const tab of ['Overview', 'Interfaces', 'Configure', 'Invoke']) {
+    await page.getByRole('tab', { name: tab }).click();
+    await look(tab);
+  }
+  await page.getByRole('tab', { name: 'Interfaces' }).click();
+  await page.locator('[data-plot="host/sine/value#value"]').evaluate((e) => { e.closest('details').open = true; });
+  await page.locator('[data-plot="host/sine/value#value"]').click();
+  await page.locator('[data-curve]').waitFor();
+  await look('plot');
+  for (const dock of ['Pictures', 'Events', 'Log']) {
+    await page.getByRole('button', { name: dock, exact: true }).click();
+    await look(dock);
+  }
+  await edge.click();
+  await look('connection');
+  await box(page, 'host/sine').locator('header').click({ button: 'right' });
+  await page.getByRole('menuitem', { name: /^Stop/ }).waitFor();
+  await look('menu');
+  await page.getByRole('menuitem', { name: /^Remove/ }).click();
+  await page.getByText('This would be done:').waitFor();
+  await look('remove');
+  await page.keyboard.press('Escape');
+  await page.keyboard.press('Control+k');
+  await page.getByRole('combobox', { name: 'search' }).fill('s');
+  await look('search');
+  is(found, [], `what is wrong with the page in ${scheme}`);
+}
+
+export const nothing_is_wrong_for_screen_readers_and_weak_eyes_in_light = (world) => every_view(world, 'light');
+export const nothing_is_wrong_for_screen_readers_and_weak_eyes_in_dark = (world) => every_view(world, 'dark');
+
+export async function the_video_page_is_as_accessible(world) {
+  const demo = await world.demo();
+  const context = await world.browser();
+  const page = await context.newPage();
+  await page.goto(`http://${demo.addr}/video`);
+  await eventually('the video runs', async () => Number(await page.locator('[data-picture-of]').getAttribute('data-shown')) > 2);
+  is(await wrong(page, 'video'), [], 'what is wrong with the video page');
+}
