@@ -1,5 +1,6 @@
 //! Requests over gRPC, beside the cheapest request there is.
 
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use tonic::transport::Channel;
@@ -7,10 +8,12 @@ use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 use trocar_tests::{Built, HostProcess, World};
 
-use crate::table::{Goal, Table, median};
+use crate::table::{Goal, Table, median, timed};
 
-/// Components created.
+/// Components created, of each of two classes.
 const CREATED: usize = 40;
+/// A listing is there at once for whoever typed it.
+const LISTED: Goal = Goal::Ns(50e6);
 
 /// Requests over one kept connection, beside the cheapest request there is.
 pub(crate) fn measure(table: &mut Table) {
@@ -25,6 +28,18 @@ pub(crate) fn measure(table: &mut Table) {
     for (what, ns) in ["Create", "Connect", "Start"].iter().zip(times.1) {
         table.row(what, ns, Goal::None, "GetState", times.0);
     }
+    table.title(&format!("`trocar ls`, from its start to its end ({} components)", 2 * CREATED));
+    let bare = timed(|| run(&["--version"]));
+    for args in [&["ls", "--gcm", host.address()][..], &["ls", "--json", "--gcm", host.address()]] {
+        let what = format!("`trocar {}`", args[..args.len() - 2].join(" "));
+        table.row(&what, timed(|| run(args)), LISTED, "`trocar --version`", bare);
+    }
+}
+
+/// The program, until it has ended well.
+fn run(args: &[&str]) {
+    let ended = Command::new(Built::trocar()).args(args).output().expect("the built program can be started");
+    assert!(ended.status.success(), "{args:?}: {}", String::from_utf8_lossy(&ended.stderr));
 }
 
 async fn requests(address: &str) -> (f64, [f64; 3]) {
