@@ -186,7 +186,6 @@ impl Fifo {
 mod tests {
     use super::*;
 
-    /// Each place the writer is told of twice would be a place more in its list, in memory taken during a step.
     #[test]
     fn a_deep_queue_that_is_read_in_time_uses_few_of_its_places() {
         let fifo = Layout::on_heap(|layout| Fifo::lay_out(layout, 1000, DropPolicy::DropOldest));
@@ -206,6 +205,7 @@ mod tests {
         assert_eq!(used.len(), 10);
     }
 
+    /// Each place the writer is told of twice would be a place more in its list, in memory taken during a step.
     #[test]
     fn a_reader_that_plays_with_the_words_adds_no_place() {
         let fifo = Layout::on_heap(|layout| Fifo::lay_out(layout, 4, DropPolicy::DropOldest));
