@@ -21,7 +21,7 @@ use crate::greeting::{Greeting, Said, VERSION, parse};
 use crate::links::{Ask, Failed, Handler, Shared};
 use crate::live::{BEAT_NS, Heart, kernel_says};
 use crate::session::{self, Heard, Lost, Peer, Session, receive, send};
-use crate::steps::{Refusal, Stage, Step, refuse, step};
+use crate::steps::{By, Refusal, Stage, Step, refuse, step};
 use crate::watch::Watch;
 
 /// A greeting takes this long at most, ns.
@@ -384,12 +384,12 @@ impl<H: Handler> Server<H> {
         match next {
             Ok(Step::On(stage)) => self.ends.push(End::Greeting { socket, pid, until_ns, stage }),
             Ok(Step::Met(card, pulse)) => self.meet(socket, pid, card, pulse, dialled, now),
-            Err(Refusal { why, tell }) => {
-                if tell {
+            Err(Refusal { why, by }) => {
+                if by == By::Us {
                     refuse(&socket, why.clone());
                 }
                 match &dialled {
-                    Some(at) => self.failed(at, Failed { why, refused: true }, now),
+                    Some(at) => self.failed(at, Failed { why, refused: by != By::Nobody }, now),
                     None => self.turn_away(pid, &why, now),
                 }
             }

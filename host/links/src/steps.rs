@@ -44,17 +44,22 @@ pub(crate) enum Step {
 
 pub(crate) struct Refusal {
     pub(crate) why: String,
-    /// The other end is told, too.
-    pub(crate) tell: bool,
+    pub(crate) by: By,
+}
+
+/// By whom a greeting ended.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum By {
+    /// This process, which tells the other one.
+    Us,
+    Them,
+    /// Nobody: the other end hung up in the middle, perhaps since its time was over. It is called again.
+    Nobody,
 }
 
 impl Refusal {
     pub(crate) fn told(why: String) -> Refusal {
-        Refusal { why, tell: true }
-    }
-
-    fn untold(why: String) -> Refusal {
-        Refusal { why, tell: false }
+        Refusal { why, by: By::Us }
     }
 }
 
@@ -71,7 +76,7 @@ pub(crate) fn step(
 ) -> Result<Step, Refusal> {
     let tell = |said: &Greeting, files: &[BorrowedFd<'_>]| {
         send(socket.as_fd(), &[&said.encode()], files)
-            .map_err(|e| Refusal::untold(format!("it cannot be answered: {e}")))
+            .map_err(|e| Refusal { why: format!("it cannot be answered: {e}"), by: By::Nobody })
     };
     let fits = |card: &Card| {
         card.check().map_err(Refusal::told)?;
@@ -109,7 +114,9 @@ pub(crate) fn step(
             Ok(Step::Met(card, pulse))
         }
         (Stage::Echoed { card, pulse, .. }, Greeting::Ready) => Ok(Step::Met(card, pulse)),
-        (stage, Greeting::Refused { why }) if stage.at().is_some() => Err(Refusal::untold(plain(&why))),
+        (stage, Greeting::Refused { why }) if stage.at().is_some() => {
+            Err(Refusal { why: plain(&why), by: By::Them })
+        }
         (_, said) => Err(Refusal::told(format!("out of turn: {}", said.name()))),
     }
 }

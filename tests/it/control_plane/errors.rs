@@ -21,6 +21,7 @@ const NOT_YET: &[(&str, &str)] = &[
         "it needs two processes that cannot share memory, or have none: hostile/elsewhere.rs, hostile/limits.rs",
     ),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
+    ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
     ("PROCESS_NOT_UP", "it needs a process that cannot come up: processes/isolated.rs"),
     ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),

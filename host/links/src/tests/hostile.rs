@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use proptest::prelude::*;
 use rustix::fs::{MemfdFlags, SealFlags};
-use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
+use rustix::net::{AddressFamily, Shutdown, SocketAddrUnix, SocketFlags, SocketType};
 use rustix::process::Resource;
 
 use super::*;
@@ -207,6 +207,15 @@ fn whatever_an_impostor_hands_over_for_memory_is_looked_at_first() {
     caller.hears().unwrap();
     caller.say(b"d\0already");
     awaits(&a, &at, "data before the greeting was over");
+    assert_eq!(a.links.refused(&at), None, "it may yet answer");
+    // Who hangs up in the middle, since its time is over, has refused nothing.
+    let caller = impostor.called();
+    caller.hears().unwrap();
+    rustix::net::shutdown(&caller.0, Shutdown::Read).unwrap();
+    let page = Pulse::create([1, 2]).unwrap();
+    let welcome = Greeting::Welcome { card: card.clone() }.encode();
+    send(caller.0.as_fd(), &[&welcome], &[page.fd().unwrap()]).unwrap();
+    awaits(&a, &at, "it cannot be answered");
     assert_eq!(a.links.refused(&at), None, "it may yet answer");
     // Who was patient with the impostor meets the right one in the end.
     drop(impostor);
