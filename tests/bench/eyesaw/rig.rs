@@ -110,8 +110,7 @@ impl Rig {
         let tasks = tasks.unwrap_or_else(|e| panic!("threads of {process}: {e}"));
         let stats = tasks.flatten().filter_map(|task| fs::read_to_string(task.path().join("stat")).ok());
         let ticks: f64 = stats.filter_map(|stat| ticks(&stat, threads)).sum();
-        // SAFETY: only asks.
-        ticks / unsafe { libc::sysconf(libc::_SC_CLK_TCK) } as f64
+        ticks / rustix::param::clock_ticks_per_second() as f64
     }
 
     /// Waits until another incarnation of a process has all the former one had.
