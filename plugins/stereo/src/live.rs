@@ -141,14 +141,17 @@ impl Live {
         if before.is_valid() && shot.stamp > *before {
             ports.geometry.fps = (gap + 1) as f64 / shot.stamp.seconds_since(*before);
         }
-        *before = shot.stamp;
+        // Two that were read at once are still one after the other.
+        let least = if before.is_valid() { before.ns() + 1 } else { 0 };
+        let stamp = Stamp::from_ns(shot.stamp.ns().max(least));
+        *before = stamp;
         match ports.image.loan() {
             Ok(mut loan) => {
-                *loan.header_mut() = layout.header(shot.stamp, index);
+                *loan.header_mut() = layout.header(stamp, index);
                 if let Some(room) = loan.bytes_mut().get_mut(..shot.bytes.len()) {
                     room.copy_from_slice(&shot.bytes);
                 }
-                loan.commit(shot.bytes.len(), shot.stamp);
+                loan.commit(shot.bytes.len(), stamp);
                 ports.sent.emitted += 1;
             }
             Err(_) => {

@@ -57,7 +57,10 @@ fn pairs_drawn_ahead_are_those_of_their_stamp_and_none_is_of_the_future() {
         let mut bench = bench(more);
         let renderer = &mut Renderer::new(World::named("default", 1).unwrap(), Rig::rectified(64, 48));
         let begun = std::time::Instant::now();
+        // Between two pairs of a camera there is time to draw; here there is as much as this machine needs for it.
+        let mut between = std::time::Duration::from_micros(100);
         while bench.state().drawn_ahead < 8 {
+            let before = bench.state().drawn_ahead;
             let told = tip(bench.now(), 0.2e-3, 0.003);
             bench.push("tip", told);
             bench.step(1);
@@ -77,8 +80,11 @@ fn pairs_drawn_ahead_are_those_of_their_stamp_and_none_is_of_the_future() {
                 });
             }
             assert!(bytes == drawn, "pair {}", header.index);
-            assert!(begun.elapsed().as_secs() < 30, "nothing is drawn ahead");
-            std::thread::yield_now();
+            assert!(begun.elapsed().as_secs() < 120, "nothing is drawn ahead");
+            if bench.state().drawn_ahead == before {
+                between = (2 * between).min(std::time::Duration::from_millis(100));
+            }
+            std::thread::sleep(between);
         }
         // One that no reader has room for does not stop it.
         bench.exhaust("image", true);
