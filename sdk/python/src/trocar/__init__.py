@@ -9,6 +9,12 @@
 ``connect`` gives a ``Session``; ``read`` opens a recording; what is refused raises ``TrocarError``.
 """
 
+import os as _os
+
+# gRPC's handlers around fork() abort processes that somebody starts while calls are under way (seen with grpcio 1.80). Nobody needs them
+# who goes on with exec(), as subprocess does; a session is no child's to go on with anyway.
+_os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "false")
+
 from ._errors import TrocarError
 from ._follow import Follower, Item
 from ._mcap import RecordingFile, Topic, read

@@ -16,7 +16,8 @@ from ._paths import globbed, nearest, path_of
 
 _CLASS = "recorder/recorder"
 _MOST = 1024
-_DEPTH = 4096
+# Samples that may wait, at most, and bytes of them; frames that may: a queue leaves their pool enough for its owner.
+_DEEPEST, _QUEUE_BYTES, _FRAMES = 4096, 16 << 20, 64
 _BEGUN = ("RECORDING", "PAUSED")
 
 
@@ -52,7 +53,8 @@ class Recording:
         self.component = ""
         self._running = False
         wanted = [patterns] if isinstance(patterns, str) else list(patterns)
-        self.topics = _matching(session, wanted)
+        self._depths = _matching(session, wanted)
+        self.topics = list(self._depths)
         self._arm(name, process, directory, video, max_rate_hz, float(pre_trigger), dict(config or {}))
         session._recordings.add(self)
 
@@ -69,6 +71,8 @@ class Recording:
         component = _free(session, process, name)
         Step = _proto.message("Step")
         create = _proto.message("CreateRequest")(**{"class": _CLASS}, path=component)
+        # Above all without one, as `trocar record`: what the disk does in the kernel may hold those up for 100 ms.
+        create.execution.priority = 1
         create.config.CopyFrom(_values.to_wire_struct(config, "config"))
         # Its inputs are there once it is configured, so it is made first; whatever fails then takes it away again.
         session._seen(session._wire.call("GcmService/Create", create, 10.0).revision)
@@ -76,7 +80,7 @@ class Recording:
         steps = []
         for name, topic in zip(inputs, self.topics):
             connect = _proto.message("ConnectRequest")(client=f"{component}/{name}", server=topic)
-            connect.options.queue.fifo, connect.options.queue.drop_oldest = _DEPTH, False
+            connect.options.queue.fifo, connect.options.queue.drop_oldest = self._depths[topic], False
             steps.append(Step(connect=connect))
         steps.append(Step(start=_proto.message("StartRequest")(paths=[component])))
         try:
@@ -110,7 +114,7 @@ class Recording:
             return self.result
         try:
             if self._running:
-                self.result = self._session.wait_for(f"{self.component}/ctl/stopped", deadline=30.0, call=f"{self.component}/ctl/stop")
+                self.result = self._end()
                 self.path = str(self.result["path"])
                 if self.result["lost"]:
                     self._session._say(f"{self.path}: {int(self.result['lost'])} samples were lost; the file tells which")
@@ -118,6 +122,17 @@ class Recording:
             self._running = False
             self.close()
         return self.result
+
+    def _end(self) -> Any:
+        __tracebackhide__ = True
+        try:
+            return self._session.wait_for(f"{self.component}/ctl/stopped", deadline=30.0, call=f"{self.component}/ctl/stop")
+        except TrocarError:
+            # It has ended by itself: its time was over, or there was no more room.
+            last = self._ctl("last")
+            if not last["reason"]:
+                raise
+            return last
 
     def marker(self, text: str) -> None:
         """Puts a line into the recording, at this time."""
@@ -177,33 +192,40 @@ def _rate(rate: Any, topic: str) -> float:
     return next((float(r) for pattern, r in rate.items() if globbed(pattern).match(topic)), 0.0)
 
 
-def _matching(session: Any, patterns: list[str]) -> list[str]:
-    """Outputs that patterns name: ``robot/**``, ``*/camera/image``; a component means all of its outputs."""
+def _depth(port_type: Any) -> int:
+    """How many samples of this type may wait."""
+    if port_type.WhichOneof("kind") == "frame":
+        return _FRAMES
+    return min(max(_QUEUE_BYTES // max(port_type.plain.size, 1), 16), _DEEPEST)
+
+
+def _matching(session: Any, patterns: list[str]) -> dict[str, int]:
+    """Outputs that patterns name, with how deep their queues are: ``robot/**``, ``*/camera/image``; a component means all of them."""
     if not patterns or not all(isinstance(p, str) for p in patterns):
         raise invalid('record: name what to record, e.g. ["robot/**"]', field="patterns")
-    there = []
+    there: dict[str, int] = {}
     for path in sorted(session._graph.components):
         described = session._graph.describe(path)
         cls = getattr(described.component, "class")
         if cls == _CLASS or session._graph.processes[path.partition("/")[0]].guest:
             continue
-        there += [f"{path}/{o.name}" for o in described.ports.outputs if o.type.WhichOneof("kind") != "any"]
-    found: dict[str, None] = {}
+        there |= {f"{path}/{o.name}": _depth(o.type) for o in described.ports.outputs if o.type.WhichOneof("kind") != "any"}
+    found: dict[str, int] = {}
     for pattern in patterns:
         regex = globbed(pattern if "*" in pattern or pattern.count("/") != 1 else f"{pattern}/**")
         hits = [p for p in there if regex.match(p)]
         if not hits:
-            shown = ", ".join(there[:20]) + (f" and {len(there) - 20} more" if len(there) > 20 else "")
+            shown = ", ".join(list(there)[:20]) + (f" and {len(there) - 20} more" if len(there) > 20 else "")
             raise TrocarError(
                 "NOT_FOUND",
                 "NOTHING_MATCHES",
                 f"record: {pattern!r} matches no output; there are {shown or 'none'}{nearest(pattern, there)}",
                 {"pattern": pattern, "known": ", ".join(there)},
             )
-        found.update(dict.fromkeys(hits))
+        found.update((p, there[p]) for p in hits)
     if len(found) > _MOST:
         raise invalid(f"record: the patterns name {len(found)} outputs; a recorder takes {_MOST}: name fewer", field="patterns")
-    return list(found)
+    return found
 
 
 def _best_process(session: Any, topics: list[str]) -> str:

@@ -50,6 +50,22 @@ def test_a_shell_that_is_killed_goes_from_the_graph_too(system, ire):
     eventually("it is gone", lambda: "dies" not in ire._graph.processes)
 
 
+def test_programs_that_are_started_beside_a_session_run_undisturbed(system):
+    # By fork: newer versions of subprocess have a way without, which pty and others do not take.
+    code = """
+import os, sys, trocar
+ire = trocar.connect(sys.argv[1])
+for _ in range(100):
+    child = os.fork()
+    if child == 0:
+        os.execvp("true", ["true"])
+    if os.waitpid(child, 0)[1] != 0:
+        sys.exit("a child was ended")
+"""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code, system.address], capture_output=True, text=True)
+    assert done.returncode == 0 and "fork" not in done.stderr, done
+
+
 def test_each_way_of_naming_an_interface_is_the_same_one(ire, server):
     named = [
         ire.AddInterfaceRequiredAndConnect("ProcessServer/Server/Provided"),
@@ -380,6 +396,10 @@ def test_a_recording_is_made_read_back_and_its_recorder_is_gone(system, ire, tmp
     position = file["/robot/EyeRobot/position"]
     assert len(position) > 50 and np.abs(position.value).max() <= 0.01
     assert (np.diff(position.publish_time.astype(np.int64)) > 0).all()
+    brief = ire.record("brief", ["robot/**"], directory=str(tmp_path)).start(duration=0.3)
+    eventually("it ended by itself", lambda: str(brief.status()["phase"]) == "IDLE" or "0" == str(brief.status()["phase"]))
+    assert brief.stop()["reason"] == "its time was over" and brief.path == str(tmp_path / "brief.mcap")
+    assert brief.read().complete
     with pytest.raises(trocar.TrocarError, match="exists"):
         with ire.record("trial7", ["robot/**"], directory=str(tmp_path)):
             pass
