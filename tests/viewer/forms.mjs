@@ -80,6 +80,22 @@ export async function any_command_is_invoked_and_wrong_arguments_are_refused_in_
   await shot(page, 'invoke');
 }
 
+export async function what_is_out_of_a_commands_range_is_refused_with_the_range(world) {
+  const host = await world.host();
+  await create(host.addr, 'example/Server', 'host/Server');
+  await start(host.addr, 'host/Server');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await menu(page, 'host/Server', 'Invoke…');
+  await page.getByLabel('Command').selectOption('Provided/Write');
+  for (const [wrong, why] of [['300', /300 is above maximum 100 mm/], ['-1', /-1 is below minimum 0 mm/]]) {
+    await page.locator('#argument').fill(wrong);
+    await page.getByRole('button', { name: 'Invoke' }).click();
+    await page.locator('[data-outcome].refusal', { hasText: why }).waitFor();
+  }
+  await shot(page, 'invoke-out-of-range');
+}
+
 export async function a_class_is_dragged_from_the_palette_into_a_process(world) {
   const host = await world.host();
   const page = await world.viewer(host.addr);

@@ -1,6 +1,10 @@
 /// What streams: plots, pictures, events, the log, and how many windows may look at once.
 import { box, create, eventually, grpcurl, holds, is, settled, shot, start, state } from './world.mjs';
 
+async function interfacesOf(page, path) {
+  await box(page, path).locator('header').click();
+  await page.getByRole('tab', { name: 'Interfaces' }).click();
+}
 async function plot(page, path, number) {
   await page.locator(`[data-plot="${path}#${number}"]`).evaluate((e) => { e.closest('details').open = true; });
   await page.locator(`[data-plot="${path}#${number}"]`).click();
@@ -24,9 +28,18 @@ export async function six_plots_and_a_second_window_stay_live(world) {
     }
   };
   const first = await world.viewer(host.addr);
+  const asked = { open: new Set(), reads: 0 };
+  const isCall = (name) => (request) => request.url().endsWith(`InteractService/${name}`);
+  first.on('request', (request) => {
+    if (isCall('Subscribe')(request)) asked.open.add(request);
+    if (isCall('Read')(request)) asked.reads += 1;
+  });
+  for (const over of ['requestfinished', 'requestfailed']) first.on(over, (request) => asked.open.delete(request));
   await open(first);
   is((await points(first)).length, 6, 'plots');
   await eventually('all six have points', async () => (await points(first)).every((n) => n > 40));
+  await eventually('one call brings all that is followed', () => asked.open.size === 1);
+  is(asked.reads, 0, 'state rows that were asked for one by one');
   const second = await first.context().newPage();
   await second.goto(`http://${host.addr}/`);
   await open(second);
@@ -36,11 +49,24 @@ export async function six_plots_and_a_second_window_stay_live(world) {
     await eventually('all six go on', async () => (await points(page)).every((n, i) => n > before[i] + 20 || n === 3000));
   }
   await shot(first, 'plots');
+  await shot(second, 'second-window');
   // And calls still get through beside what streams.
   await first.bringToFront();
   await box(first, 'host/s3').locator('header').click({ button: 'right' });
   await first.getByRole('menuitem', { name: /^Stop/ }).click();
   await eventually('it stops', async () => (await state(host.addr, 'host/s3')) === 'STOPPED');
+}
+
+export async function numbers_of_events_are_plotted(world) {
+  const host = await world.host();
+  await create(host.addr, 'fixture-torture/server', 'host/e', undefined, { rate_hz: 100 });
+  await start(host.addr, 'host/e');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await interfacesOf(page, 'host/e');
+  await plot(page, 'host/e/ctl/ticked', 'number');
+  await eventually('points come', async () => (await points(page))[0] > 100);
+  await shot(page, 'plot-event');
 }
 
 export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video(world) {
@@ -119,7 +145,10 @@ export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
   console.log(`events: ${rate.toFixed(0)}/s came or were counted as skipped (${await list.getAttribute('data-skipped')} in all), frames p95 ${frames[Math.floor(frames.length * 0.95)].toFixed(0)} ms, largest ${frames.at(-1).toFixed(0)} ms, ${rows} rows`);
   holds(rows <= 200, `the list stays short: ${rows}`);
   holds(frames[Math.floor(frames.length / 2)] < 500, 'frames come');
-  // The page answers while they come.
+  // The page answers while they come: it goes back to the first of them, and stops it.
+  await page.keyboard.press('Control+k');
+  await page.getByRole('combobox', { name: 'search' }).fill('host/e0');
+  await page.keyboard.press('Enter');
   await box(page, 'host/e0').locator('header').click({ button: 'right' });
   await page.getByRole('menuitem', { name: /^Stop/ }).click();
   await eventually('it stops', async () => (await state(host.addr, 'host/e0')) === 'STOPPED');
@@ -132,8 +161,7 @@ export async function a_plot_goes_on_when_its_component_is_made_anew(world) {
   await start(host.addr, 'host/sine');
   const page = await world.viewer(host.addr);
   await settled(page);
-  await box(page, 'host/sine').locator('header').click();
-  await page.getByRole('tab', { name: 'Interfaces' }).click();
+  await interfacesOf(page, 'host/sine');
   await plot(page, 'host/sine/value', 'value');
   await eventually('points come', async () => (await points(page))[0] > 20);
   await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
@@ -150,16 +178,16 @@ export async function a_plot_goes_on_when_its_process_was_lost_and_is_back(world
   await start(gcm.addr, 'left/sine');
   const page = await world.viewer(gcm.addr);
   await settled(page);
-  await box(page, 'left/sine').locator('header').click();
-  await page.getByRole('tab', { name: 'Interfaces' }).click();
-  // One that is followed, and one that is asked for again and again.
+  await interfacesOf(page, 'left/sine');
+  // A sample and a state row.
   await plot(page, 'left/sine/value', 'value');
   await plot(page, 'left/sine', 'latest.value');
   await eventually('points come', async () => (await points(page)).every((n) => n > 20));
   left.kill('SIGKILL');
   await page.locator('[data-process=left][data-standing=lost]').waitFor();
   const why = page.locator('[data-curve] .refusal');
-  await eventually('a plot says why it stands still', async () => (await why.allInnerTexts()).some((t) => t.length > 12));
+  const words = 'left/sine: its process does not answer';
+  await eventually('both plots say why they stand still', async () => (await why.allInnerTexts()).filter((t) => t === words).length === 2);
   await shot(page, 'plot-lost');
   await world.host('left', ['--gcm', gcm.addr]);
   await page.locator('[data-process=left][data-standing=attached]').waitFor();

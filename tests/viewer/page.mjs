@@ -63,6 +63,7 @@ export async function everything_is_reached_by_keys_alone(world) {
   await page.locator('.inspector').waitFor({ state: 'detached' });
   await page.keyboard.press('p');
   await page.locator('.palette').waitFor();
+  await shot(page, 'keys');
   await page.keyboard.press('d');
   is(await page.evaluate(() => document.documentElement.dataset.theme), 'dark', 'theme');
 }

@@ -74,6 +74,12 @@ impl Ports {
         input().or_else(output).or_else(required).or_else(provided)
     }
 
+    /// Whether what comes by this input is only looked at: it takes any type, and the component has neither outputs nor anybody it calls.
+    pub fn looks_on(&self, input: usize) -> bool {
+        let any = self.inputs.get(input).is_some_and(|input| input.ty == PortType::Any);
+        any && self.required.is_empty() && self.own_outputs().next().is_none()
+    }
+
     /// Outputs that are the class's own: all but the taps.
     pub fn own_outputs(&self) -> impl Iterator<Item = &Output> {
         self.outputs.iter().filter(|output| !output.is_tap())

@@ -333,3 +333,18 @@ fn rewiring_an_end_that_closed_a_circle_is_judged_without_the_old_wire() {
         ],
     );
 }
+
+#[test]
+fn only_what_takes_any_type_and_does_nothing_with_it_looks_on() {
+    let number = || PortType::Plain(Type::Prim(Prim::F64));
+    let looks = |ty, required, outputs: Vec<Output>| {
+        let ports = Ports { inputs: vec![input("i", ty)], required, outputs, ..Ports::default() };
+        ports.looks_on(0)
+    };
+    assert!(looks(PortType::Any, vec![], vec![]));
+    assert!(looks(PortType::Any, vec![], vec![output(TAPS[0], number())]), "every component has taps");
+    assert!(!looks(number(), vec![], vec![]), "it knows what it takes");
+    assert!(!looks(PortType::Any, vec![], vec![output("o", number())]), "a filter");
+    assert!(!looks(PortType::Any, vec![required("r", vec![], vec![])], vec![]), "it tells somebody");
+    assert!(!Ports::default().looks_on(0));
+}

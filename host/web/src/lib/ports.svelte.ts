@@ -21,6 +21,8 @@ export interface Port {
   image: boolean;
   frame: boolean;
   any: boolean;
+  /// Every component has it, without any code.
+  tap: boolean;
 }
 
 export interface Described {
@@ -33,6 +35,11 @@ export interface Described {
 class Offers {
   of = new SvelteMap<string, Described>();
   classes = new SvelteMap<string, ClassInfo>();
+  /// Whether taps are drawn that nothing is connected to: three at each component.
+  taps = $state(false);
+  #used = $derived(new Set([...system.connections.values()].map((c) => c.server)));
+  /// What was drawn of a component last, for as long as that is the same.
+  #drawn = new Map<string, Port[]>();
   /// Classes by process.
   #asked = new Set<string>();
   #queue: string[] = [];
@@ -73,6 +80,16 @@ class Offers {
     this.#ask(path, true);
   }
 
+  /// The ports that are drawn of a component.
+  drawn(path: string): Port[] {
+    const all = this.of.get(path)?.ports ?? [];
+    const ports = this.taps ? all : all.filter((p) => !p.tap || this.#used.has(`${path}/${p.name}`));
+    const last = this.#drawn.get(path);
+    if (last?.length === ports.length && last.every((p, i) => p === ports[i])) return last;
+    this.#drawn.set(path, ports);
+    return ports;
+  }
+
   port(path: string): Port | undefined {
     const [process, component, name] = path.split('/');
     return this.of.get(`${process}/${component}`)?.ports.find((p) => p.name === name);
@@ -80,6 +97,7 @@ class Offers {
 
   #forget(path: string) {
     this.of.delete(path);
+    this.#drawn.delete(path);
     this.#asked.delete(path);
   }
 
@@ -125,15 +143,15 @@ function typed(t: PortType | undefined): Pick<Port, 'type' | 'hash' | 'image' | 
   }
 }
 
-const INTERFACE = { hash: '', image: false, frame: false, any: false };
+const INTERFACE = { hash: '', image: false, frame: false, any: false, tap: false };
 
 function flat(ports: Ports): Port[] {
   return [
-    ...ports.inputs.map((p): Port => ({ name: p.name, kind: 'input', doc: p.doc, tag: p.tag, optional: p.optional, ...typed(p.type) })),
+    ...ports.inputs.map((p): Port => ({ name: p.name, kind: 'input', doc: p.doc, tag: p.tag, optional: p.optional, tap: false, ...typed(p.type) })),
     ...ports.required.map(
       (p): Port => ({ name: p.name, kind: 'required', doc: p.doc, tag: '', optional: p.optional, type: `${p.functions.length} functions, ${p.handlers.length} handlers`, ...INTERFACE }),
     ),
-    ...ports.outputs.map((p): Port => ({ name: p.name, kind: 'output', doc: p.doc, tag: p.tag, optional: true, ...typed(p.type) })),
+    ...ports.outputs.map((p): Port => ({ name: p.name, kind: 'output', doc: p.doc, tag: p.tag, optional: true, tap: p.tap, ...typed(p.type) })),
     ...ports.provided.map(
       (p): Port => ({ name: p.name, kind: 'provided', doc: p.doc, tag: p.tag, optional: true, type: `${p.commands.length} commands, ${p.events.length} events`, ...INTERFACE }),
     ),

@@ -1,15 +1,16 @@
 /// Curves: numbers over time out of outputs, events, state rows and read commands, in rings of fixed size.
 ///
-/// Invariant: memory does not grow with time; rows and reads are asked for one after the other, so a slow server slows the
-/// curves and nothing else.
+/// Invariant: memory does not grow with time; all but reads come by the page's one Subscribe, state rows as what their tap gives.
+/// Reads are asked for one after the other, so a slow server slows their curves and nothing else.
 import { interact, plain, said } from './api';
 import { live } from './live.svelte';
 import { pick } from './ports.svelte';
 
 /// Points of a curve.
 const KEPT = 3000;
-/// Outputs are followed at this rate; rows and reads are asked for as often at most, Hz.
-const RATE = 60;
+/// Outputs and state rows are followed at these rates, Hz: a row has all numbers of a component.
+const RATE = { output: 60, state: 25, event: 0 };
+/// Time between two reads, ms.
 const ROUND = 40;
 
 export type Source = 'output' | 'event' | 'state' | 'read';
@@ -21,6 +22,11 @@ export interface Signal {
   field: string;
   source: Source;
   unit: string;
+}
+
+/// What is asked for to have it.
+export function followed(s: Signal): string {
+  return s.source === 'state' ? `${s.path}/tap_rows` : s.path;
 }
 
 export function nameOf(s: Signal): string {
@@ -39,17 +45,17 @@ export class Curve {
 
   constructor(public signal: Signal) {
     this.#leave =
-      signal.source === 'output' || signal.source === 'event'
-        ? live.follow({
-            path: signal.path,
-            rate: signal.source === 'output' ? RATE : 0,
+      signal.source === 'read'
+        ? reader.follow(this)
+        : live.follow({
+            path: followed(signal),
+            rate: RATE[signal.source],
             width: 0,
             take: (item) => {
               this.skipped += Number(item.skipped);
               this.add(Number(item.stampNs) / 1e9, pick(plain(item.json), signal.field));
             },
-          })
-        : reader.follow(this);
+          });
   }
 
   /// `at`: s of the host's monotonic clock.
@@ -95,7 +101,7 @@ export class Curve {
   }
 }
 
-/// Asks for rows and reads, round by round; one question serves all curves of a path.
+/// Asks for reads, round by round; one question serves all curves of a path.
 class Reader {
   #curves = new Set<Curve>();
   #busy = false;
@@ -116,8 +122,7 @@ class Reader {
       for (const [path, curves] of paths) {
         if (document.hidden) break;
         try {
-          const rows = curves[0]!.signal.source === 'state';
-          const answer = rows ? await interact.read({ path }, { timeoutMs: 2000 }) : await interact.invoke({ path }, { timeoutMs: 2000 });
+          const answer = await interact.invoke({ path }, { timeoutMs: 2000 });
           const value = plain(answer.json);
           for (const c of curves) {
             c.why = '';

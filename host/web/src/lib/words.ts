@@ -25,6 +25,13 @@ export function stateOf(c: Component): { text: string; tone: Tone } {
   return { text: why && why !== 'UNSPECIFIED' ? `${word} · ${why.toLowerCase().replaceAll('_', ' ')}` : word, tone };
 }
 
+/// Why nothing new comes from a component; empty = it may.
+export function whyStill(path: string, c: Component | undefined): string {
+  if (!c) return `${path} is not there any more`;
+  if (c.health === Health.LOST) return `${path}: its process does not answer`;
+  return c.state === ComponentState.ACTIVE ? '' : `${path} is ${stateOf(c).text}`;
+}
+
 export function healthOf(c: Component): { text: string; tone: Tone; why: string } {
   const [text, tone, means] = HEALTH[c.health] ?? ['not known', 'new', 'nobody told'];
   const details = [c.fault || means, ...(c.stats?.warnings ?? [])];
