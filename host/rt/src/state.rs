@@ -234,11 +234,12 @@ impl StateReader {
             return Err(Miss::NotYet);
         }
         let info = self.read(n, out)?;
-        match info.tick == tick {
-            true => Ok(info),
-            false if self.may_be_lapped(n) => Err(Miss::Lapped),
-            false => Err(Miss::Missing),
+        if info.tick == tick {
+            return Ok(info);
         }
+        // Only while the row before can still be read does anybody know that the tick lies between the two.
+        self.info(n.checked_sub(1).ok_or(Miss::Missing)?)?;
+        Err(Miss::Missing)
     }
 
     /// The row nearest in time. Stamps must not decrease from row to row. A time after the newest row gives
@@ -322,10 +323,6 @@ impl StateReader {
         published.saturating_sub(self.table.rows)
     }
 
-    fn may_be_lapped(&self, n: u64) -> bool {
-        n > 0 && n <= self.oldest(self.published())
-    }
-
     /// The first kept row for which `reached` holds, or `published`: a binary search in which an overwritten
     /// row counts as not reached.
     fn first(&self, published: u64, reached: impl Fn(RowInfo) -> bool) -> u64 {
@@ -354,5 +351,26 @@ impl StateReader {
             Err(Stale::Later) => Err(Miss::Lapped),
             Err(Stale::Earlier) => Err(Miss::NotYet),
         }
+    }
+}
+
+#[cfg(all(test, not(loom)))]
+mod tests {
+    use super::*;
+
+    /// The writer has begun to write over the oldest row and has not told so yet.
+    #[test]
+    fn a_tick_whose_row_is_being_written_over_is_lapped_and_not_missing() {
+        let (mut writer, reader) = state_table(8, 4);
+        for n in 0..10 {
+            writer.publish(1000 * n, 2 * n, |row| row.fill(n as u8));
+        }
+        writer.table.row(10)[0].store(2 * 10 + 1, Ordering::Relaxed);
+        let mut out = [0; 8];
+        for tick in [12, 13] {
+            assert_eq!(reader.at_tick(tick, &mut out), Err(Miss::Lapped), "tick {tick}");
+        }
+        assert_eq!(reader.at_tick(15, &mut out), Err(Miss::Missing), "it lies between two that are kept");
+        assert_eq!(reader.at_tick(14, &mut out).map(|info| info.row), Ok(7));
     }
 }
