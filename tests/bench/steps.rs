@@ -32,24 +32,35 @@ pub(crate) fn measure(table: &mut Table) {
         ("row of 1 f64", "row1", "tap_rows"),
         ("row of 100 f64", "row100", "tap_rows"),
         ("event", "speaker", "tap_events"),
+        ("command with 8 bytes", "relay", "tap_commands"),
     ] {
         let what = format!("{what} told to a tap, read by another thread");
-        table.row(&what, tapped(class, port), Goal::Ns(60.0), beside, clock);
+        let [step, turn] = tapped(class, port);
+        table.row(&format!("{what}: a step longer by"), step, Goal::None, beside, clock);
+        table.row(&format!("{what}: its thread's turn longer by"), turn, Goal::Ns(60.0), beside, clock);
     }
 }
 
-/// What a tap with a listener adds to one step of a class, ns.
-fn tapped(class: &str, port: &str) -> f64 {
-    let once = || (with_taps(class, Some(port)) - with_taps(class, None)) / MANY as f64;
-    median((0..ROUNDS).map(|_| once()).collect())
+/// What a tap with a listener adds to one step of a class, and to its thread's turn; ns.
+fn tapped(class: &str, port: &str) -> [f64; 2] {
+    let once = || {
+        let (with, without) = (with_taps(class, Some(port)), with_taps(class, None));
+        [0, 1].map(|at| (with[at] - without[at]) / MANY as f64)
+    };
+    let all: Vec<[f64; 2]> = (0..ROUNDS).map(|_| once()).collect();
+    [0, 1].map(|at| median(all.iter().map(|figures| figures[at]).collect()))
 }
 
-/// As [`between`], with a listener for each on a thread that looks each millisecond, connected to this tap.
-fn with_taps(class: &str, port: Option<&str>) -> f64 {
+/// As [`between`], and a whole turn, with a listener for each on a thread that looks each millisecond, connected to this tap.
+fn with_taps(class: &str, port: Option<&str>) -> [f64; 2] {
     let lab = Lab::new();
     lab.create("head", "head", model(ExecutionModel::Continuous));
     for i in 0..MANY {
         lab.create(&format!("one{i}"), class, after("head"));
+        if class == "relay" {
+            lab.create(&format!("asker{i}"), "asker", after("head"));
+            lab.connect(&format!("asker{i}/next"), &format!("one{i}/ctl"));
+        }
         let execution = if i == 0 { Execution::default() } else { after("ear0") };
         lab.create(&format!("ear{i}"), "listener", execution);
         if let Some(port) = port {
@@ -62,7 +73,7 @@ fn with_taps(class: &str, port: Option<&str>) -> f64 {
     if port.is_some() {
         lab.wait("ear7", "taken", 1.0);
     }
-    taken
+    [taken, as_number(&lab.invoke("head/turn/median", serde_json::Value::Null))]
 }
 
 /// What one step of a class takes, its publication included, ns.

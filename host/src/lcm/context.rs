@@ -11,6 +11,7 @@ use trocar_rt::team::Team;
 use trocar_rt::wake::{WakeList, Waker};
 
 use super::boundary::{HostContext, told};
+use super::late;
 
 /// Identifies a thread of the LCM; 0 is every other thread.
 pub(super) type ExecutorId = u64;
@@ -38,6 +39,7 @@ pub(super) fn set_executor(id: ExecutorId) {
     // Makes the thread-locals exist before the first step.
     WAKES.with_borrow(|_| ());
     TEAM.with_borrow(|_| ());
+    late::prepare();
     ROUNDING.set(os::rounding());
 }
 

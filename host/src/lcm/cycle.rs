@@ -13,7 +13,7 @@ use trocar_rt::turn;
 use super::boundary;
 use super::context;
 use super::instance::Instance;
-use super::pending;
+use super::{late, pending};
 
 /// When a member of a thread steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +89,7 @@ fn serve_signalled(members: &[Member], pace: Pace) {
         pending::publish();
         context::set_stepping(false);
         context::flush_wakes();
+        late::give();
     }
 }
 
@@ -107,9 +108,10 @@ fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
         keep(members);
         let stepped = turn_of(members, cycle, by_signal);
         pending::publish();
-        members.iter().for_each(|m| m.instance.object.let_go());
         context::set_stepping(false);
         context::flush_wakes();
+        late::give();
+        members.iter().for_each(|m| m.instance.object.let_go());
         stepped
     })
 }

@@ -165,7 +165,7 @@ impl Output {
             PortType::Any => return Err(Refusal::Internal { text: format!("{port} passes no type") }),
         };
         let (writer, reader) = stream_link(payload, Queue::Latest);
-        let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside));
+        let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true));
         cell.add(link.clone(), &passing, &back::port(&passing).into());
         Ok(Output { instance, name: port.port.to_string(), cell, ty, reader, link, last_seq: 0 })
     }

@@ -218,6 +218,8 @@ pub(super) struct Inner {
     /// The taps of its rows and of its commands, as its ports are now.
     pub(super) row_tap: Option<Arc<OutCell>>,
     pub(super) command_tap: Option<CommandTap>,
+    /// Stamp, ns, and number of the newest row, where its tap was not told of it yet.
+    untold: Option<(u64, u64)>,
     /// Where results of queued commands are written before they go to the reply cell.
     pub(super) ret: Vec<u64>,
     /// Cycles so far, over all Starts: ticks of rows never go back, or none could be found by its tick.
@@ -231,6 +233,17 @@ pub(super) struct Inner {
     pub(super) last_begin_ns: u64,
     /// A thread of the device is inside: what it was doing before.
     in_callback: Option<running::Outer>,
+}
+
+impl Inner {
+    /// Tells the tap of the newest row, unless it knows it.
+    fn tell_row(&mut self) {
+        if let Some((stamp_ns, row)) = self.untold.take()
+            && let Some(tap) = &self.row_tap
+        {
+            tap.tell_row(self.rows.newest(), stamp_ns, row);
+        }
+    }
 }
 
 pub(super) type Entered<'a> = super::boundary::Entered<'a, Inner>;
@@ -319,6 +332,7 @@ impl Instance {
                     rows: writer,
                     row_tap: now.row_tap().cloned(),
                     command_tap: now.command_tap.clone(),
+                    untold: None,
                     ret: vec![0; now.ret_words()],
                     cycle: 0,
                     cycle_at_start: 0,

@@ -20,6 +20,7 @@ mod gate;
 mod hub;
 mod inbox;
 mod instance;
+mod late;
 mod lifecycle;
 mod local;
 mod logs;

@@ -5,7 +5,8 @@
 use std::ffi::c_int;
 use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
 use serde::{Deserialize, Serialize};
@@ -13,6 +14,7 @@ use trocar_plugin_api::abi::{ClassTable, PluginTable, STATUS_OK};
 use trocar_plugin_api::layout::{AbiHeader, LAYOUT_SYMBOL, LibHeader};
 use trocar_plugin_api::manifest::{Class, Manifest};
 use trocar_plugin_api::{ENTRY_SYMBOL, EntryFn, layout};
+use trocar_rt::os;
 
 use super::error::Stage;
 use super::host_table::{self, LogFn};
@@ -91,8 +93,54 @@ struct Opened {
     classes: Vec<*const ClassTable>,
 }
 
+/// Loads that began and that ended in this process.
+static LOADS: (AtomicU64, AtomicU64) = (AtomicU64::new(0), AtomicU64::new(0));
+/// When the last one began, ns.
+static BEGAN_NS: AtomicU64 = AtomicU64::new(0);
+/// One at a time: each has to find the process as it was before, and to leave it so. The dynamic linker has such a lock anyway.
+static ONE: Mutex<()> = Mutex::new(());
+/// A load that takes longer hangs, ns: it will put nothing back.
+const HANGS_NS: u64 = 10_000_000_000;
+
+/// A load under way. What the process is found to be meanwhile is the load's doing, and its own to put back.
+pub(crate) struct Loading(#[expect(dead_code, reason = "held")] MutexGuard<'static, ()>);
+
+impl Loading {
+    pub(crate) fn begin() -> Loading {
+        let one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+        BEGAN_NS.store(os::now_ns(), Ordering::SeqCst);
+        LOADS.0.fetch_add(1, Ordering::SeqCst);
+        Loading(one)
+    }
+}
+
+impl Drop for Loading {
+    fn drop(&mut self) {
+        LOADS.1.fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+/// A moment, as [`has_loaded_since`] asks for it.
+#[derive(Clone, Copy)]
+pub(crate) struct Moment(u64);
+
+/// Now, counted in loads that have ended.
+pub(crate) fn moment() -> Moment {
+    Moment(LOADS.1.load(Ordering::SeqCst))
+}
+
+/// A plugin's code was being loaded at that moment, or at any time since, and does not hang. Asked after the look that it is to
+/// explain.
+pub(crate) fn has_loaded_since(moment: Moment) -> bool {
+    let began = LOADS.0.load(Ordering::SeqCst);
+    let is_inside = began != LOADS.1.load(Ordering::SeqCst);
+    let hangs = is_inside && os::now_ns().saturating_sub(BEGAN_NS.load(Ordering::SeqCst)) > HANGS_NS;
+    began != moment.0 && !hangs
+}
+
 /// Loads a vetted cache file into the host and calls its `init`.
 pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {
+    let _loading = Loading::begin();
     let place = std::env::current_dir().ok();
     let loaded = load_here(path, hash, manifest, log);
     if let Some(place) = place

@@ -31,7 +31,10 @@ pub use hash::Hash;
 pub use host_table::{LogFn, log_to_crate};
 pub use inspect::{Inspection, inspect_file};
 pub use linked::LinkedPlugin;
+#[cfg(test)]
+pub(crate) use load::Loading;
 pub use load::{LoadedClass, LoadedPlugin};
+pub(crate) use load::{Moment, has_loaded_since, moment};
 pub use store::{ClassRef, ListedPlugin, PluginStore, PluginStoreConfig};
 pub use trust::{AllowList, Trust};
 pub use vet::{VET_ARG, try_file};

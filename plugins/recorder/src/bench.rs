@@ -32,7 +32,7 @@ fn file(path: &Path) -> std::io::Result<File> {
 pub fn ours(path: &Path, n: u64, len: usize) -> std::io::Result<f64> {
     let (mut way, orders, returns) = way(LIMIT);
     let (tell, _news) = std::sync::mpsc::channel();
-    let writer = Writer::new(returns, tell, Arc::default(), (0, 0));
+    let writer = Writer::new(returns, tell, (0, 0));
     let message = vec![7u8; len];
     let file = file(path)?;
     let begun = Instant::now();
@@ -45,7 +45,8 @@ pub fn ours(path: &Path, n: u64, len: usize) -> std::io::Result<f64> {
         encoding: "json",
         metadata: BTreeMap::new(),
     })));
-    let opening = Opening { file, path: path.to_owned(), codec: Codec::Raw, since_ns: 0 };
+    let opening =
+        Opening { file, path: path.to_owned(), codec: Codec::Raw, since_ns: 0, written: Arc::default() };
     way.order(Order::Open(Box::new(opening)));
     for seq in 0..n {
         // A recorder would count these as lost; here the time of all of them is wanted.

@@ -15,6 +15,7 @@ mod recorder;
 mod room;
 mod running;
 mod settings;
+mod sink;
 mod tap;
 mod topic;
 mod typed;

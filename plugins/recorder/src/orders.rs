@@ -5,6 +5,8 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use crate::block::Block;
 
@@ -21,7 +23,7 @@ pub(crate) enum Order {
 }
 
 /// A channel as MCAP has it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Channel {
     pub(crate) topic: String,
     pub(crate) schema: String,
@@ -40,6 +42,14 @@ pub(crate) struct Opening {
     pub(crate) codec: Codec,
     /// How much of what is held from before belongs to it, ns.
     pub(crate) since_ns: u64,
+    pub(crate) written: Arc<Written>,
+}
+
+/// How much of a recording is in its file, as the writer tells it.
+#[derive(Default)]
+pub(crate) struct Written {
+    pub(crate) messages: AtomicU64,
+    pub(crate) bytes: AtomicU64,
 }
 
 /// How pixels are kept.
@@ -56,5 +66,6 @@ pub(crate) enum Codec {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum News {
     /// The file is closed.
-    Ended { why: String, path: PathBuf, messages: u64, bytes: u64, whole: bool },
+    /// `lost`: what should be in it and is not, those among them that could not be compressed.
+    Ended { why: String, path: PathBuf, messages: u64, bytes: u64, lost: u64, whole: bool },
 }

@@ -1,9 +1,10 @@
 //! The component `recorder`: takes what comes by its inputs, and hands it to the thread that writes.
 //!
-//! Invariant: what is recorded pays one push into its queue; everything else happens in this component's own thread and the
+//! Invariant: what is recorded pays one push into its queue, behind its steps; everything else happens in this component's own thread and the
 //! writer's. What is not kept is counted.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use trocar_sdk::prelude::*;
@@ -11,7 +12,7 @@ use trocar_sdk::serde_json::Value as Json;
 
 use crate::orders::{News, Opening, Order};
 use crate::place;
-use crate::running::{Plan, Running};
+use crate::running::{Plan, Running, lost_of};
 use crate::settings::{LONGEST_S, RecorderConfig, gap, seconds};
 use crate::topic::{Seen, Topic};
 use crate::words::{Note, Phase, Progress, RecordAt, StartRequest, Stopped, Thinning, TopicStatus};
@@ -106,6 +107,7 @@ impl Recorder {
         if run.began_ns == 0 && run.plan.is_none() {
             return Err("nothing is recorded: there is nothing to stop".into());
         }
+        self.catch_up();
         self.end("stopped as asked");
         Ok(())
     }
@@ -113,6 +115,8 @@ impl Recorder {
     /// Leaves out what comes from now on, until `resume`. That is no loss.
     #[command]
     fn pause(&mut self) -> Result {
+        self.recording()?;
+        self.catch_up();
         self.recording()?.paused = true;
         Ok(())
     }
@@ -128,6 +132,8 @@ impl Recorder {
     /// Goes on after a pause.
     #[command(name = "resume")]
     fn resume_recording(&mut self) -> Result {
+        self.recording()?;
+        self.catch_up();
         let run = self.recording()?;
         (run.paused, run.pause_ns) = (false, 0);
         Ok(())
@@ -138,8 +144,7 @@ impl Recorder {
     fn marker(&mut self, text: &Text<1000>) -> Result {
         let (now_ns, who) = (self.host.now().ns(), self.host.instance_name().to_owned());
         let run = self.recording()?;
-        run.mark(now_ns, text, &who);
-        Ok(())
+        run.mark(now_ns, text, &who)
     }
 
     /// Puts a note of any kind into this recording and those that follow.
@@ -255,7 +260,9 @@ impl Recorder {
         let (file, path) = place::make(&self.cfg.directory, path)?;
         self.path = Text::new(&path.display().to_string());
         let since_ns = at_ns.saturating_sub(run.pre_trigger_ns);
-        let opening = Box::new(Opening { file, path, codec: run.codec, since_ns });
+        run.written = Arc::default();
+        let opening =
+            Box::new(Opening { file, path, codec: run.codec, since_ns, written: run.written.clone() });
         run.plan = Some(Plan { opening, at_ns, duration_ns });
         self.status.phase = Phase::WAITING;
         Ok(())
@@ -303,6 +310,12 @@ impl Recorder {
                 self.cfg.max_rate_hz.get(at).and_then(|rate| gap("", *rate).ok()).unwrap_or_default();
             self.each.push(topic);
         }
+    }
+
+    /// What has come so far, before a command changes what becomes of what comes.
+    fn catch_up(&mut self) {
+        let recording = self.run.as_ref().is_some_and(|run| run.began_ns != 0);
+        self.drain(recording);
     }
 
     /// What came by the inputs since the last step.
@@ -362,7 +375,7 @@ impl Recorder {
 }
 
 impl Recorder {
-    fn tell_end(&mut self, News::Ended { why, path, messages, bytes, whole }: &News) {
+    fn tell_end(&mut self, News::Ended { why, path, messages, bytes, lost, whole }: &News) {
         if !whole || why == crate::writer::FULL {
             log::warn!("the recording {} has ended: {why}", path.display());
         }
@@ -371,7 +384,7 @@ impl Recorder {
             reason: Text::new(why),
             messages: *messages,
             bytes: *bytes,
-            lost: self.each.iter().map(|topic| topic.lost).sum(),
+            lost: *lost,
             whole: (*whole).into(),
             reserved: [0; 7],
         };
@@ -442,12 +455,16 @@ impl Component for Recorder {
         self.hear();
         let Some(run) = &mut self.run else { return Ok(()) };
         if run.is_due(now_ns) {
-            self.each.iter_mut().for_each(Topic::begin);
+            let since_ns = run.reaches_back_to(now_ns);
+            self.each.iter_mut().for_each(|topic| topic.begin(since_ns));
             run.begin(&self.host, now_ns);
         }
         if run.pause_ns != 0 && run.pause_ns <= now_ns {
+            self.catch_up();
+            let Some(run) = &mut self.run else { return Ok(()) };
             (run.paused, run.pause_ns) = (true, 0);
         }
+        let Some(run) = &mut self.run else { return Ok(()) };
         let recording = run.began_ns != 0;
         self.drain(recording);
         let Some(run) = &mut self.run else { return Ok(()) };
@@ -466,6 +483,11 @@ impl Component for Recorder {
             lost: self.each.iter().map(|topic| topic.lost).sum(),
             elapsed: if recording { now_ns.saturating_sub(run.began_ns) as f64 * 1e-9 } else { 0.0 },
         };
+        if recording && self.status.lost != run.lost_told {
+            // The writer may have to close the file at any moment.
+            run.lost_told = self.status.lost;
+            run.way.order(Order::Lost(lost_of(&self.each)));
+        }
         if recording && now_ns.saturating_sub(run.told_ns) >= 1_000_000_000 {
             run.told_ns = now_ns;
             run.tell_loss(&self.each, now_ns);
@@ -480,13 +502,10 @@ impl Component for Recorder {
 
 impl Recorder {
     fn drain_and_end(&mut self) {
-        let recording = self.run.as_ref().is_some_and(|run| run.began_ns != 0);
-        if recording {
-            self.drain(true);
-        }
+        self.catch_up();
         self.end("the recorder was stopped");
         let Some(run) = self.run.take() else { return };
-        if let Some(news) = run.finish() {
+        for news in run.finish() {
             self.tell_end(&news);
         }
         self.path = Text::default();

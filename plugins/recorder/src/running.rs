@@ -14,10 +14,10 @@ use trocar_sdk::serde_json::Value as Json;
 use crate::block::{Kind, Way, way};
 use crate::explain::Explaining;
 use crate::foxglove;
-use crate::orders::{Channel, Codec, News, Opening, Order};
+use crate::orders::{Channel, Codec, News, Opening, Order, Written};
 use crate::settings::{RecorderConfig, seconds};
 use crate::topic::Topic;
-use crate::writer::{Writer, Written};
+use crate::writer::Writer;
 
 /// Kinds of notes, at most: each is a channel of every file to come.
 const KINDS: usize = 32;
@@ -25,9 +25,11 @@ const KINDS: usize = 32;
 pub(crate) struct Running {
     pub(crate) way: Way,
     pub(crate) news: Receiver<News>,
+    /// Of the last recording that was planned.
     pub(crate) written: Arc<Written>,
     thread: Option<JoinHandle<()>>,
-    channels: u32,
+    /// The writer's channels.
+    channels: Vec<Channel>,
     pub(crate) explaining: Explaining,
     own: OwnChannels,
     pub(crate) codec: Codec,
@@ -39,6 +41,8 @@ pub(crate) struct Running {
     pub(crate) pause_ns: u64,
     pub(crate) paused: bool,
     pub(crate) told_ns: u64,
+    /// What was lost when the writer was told last.
+    pub(crate) lost_told: u64,
     markers: u64,
 }
 
@@ -65,10 +69,9 @@ impl Running {
     pub(crate) fn start(host: &Host, cfg: &RecorderConfig) -> Result<Running> {
         let (way, orders, returns) = way(cfg.buffer_mb << 20);
         let (tell, news) = channel();
-        let written = Arc::new(Written::default());
         let pre_trigger_ns = seconds("pre_trigger_s", cfg.pre_trigger_s)?;
         let hold = (pre_trigger_ns, cfg.pre_trigger_mb << 20);
-        let writer = Writer::new(returns, tell, written.clone(), hold);
+        let writer = Writer::new(returns, tell, hold);
         let asking = host.clone();
         let name = host.instance_name().rsplit('/').next().unwrap_or_default().to_owned();
         let mut looks = 0u32;
@@ -87,9 +90,9 @@ impl Running {
         let mut run = Running {
             way,
             news,
-            written,
+            written: Arc::default(),
             thread: Some(thread),
-            channels: 0,
+            channels: Vec::new(),
             explaining: Explaining::default(),
             own: OwnChannels::default(),
             codec: cfg.codec(),
@@ -100,6 +103,7 @@ impl Running {
             pause_ns: 0,
             paused: false,
             told_ns: 0,
+            lost_told: 0,
             markers: 0,
         };
         run.introduce(host, cfg);
@@ -129,11 +133,16 @@ impl Running {
         self.way.order(Order::Metadata("trocar.recorder".into(), recorder));
     }
 
-    /// A channel in each file from now on: its number.
+    /// A channel in each file from now on: its number. One that is there already, as after a connection was made anew, stays the
+    /// only one.
     pub(crate) fn add(&mut self, channel: Channel) -> u32 {
-        self.way.order(Order::Channel(Box::new(channel)));
-        self.channels += 1;
-        self.channels - 1
+        let known = self.channels.iter().position(|old| *old == channel);
+        let at = known.unwrap_or_else(|| {
+            self.way.order(Order::Channel(Box::new(channel.clone())));
+            self.channels.push(channel);
+            self.channels.len() - 1
+        });
+        at as u32
     }
 
     /// Whether the time of what was planned has come, and it is known what is to be recorded.
@@ -143,11 +152,17 @@ impl Running {
         explained && self.plan.as_ref().is_some_and(|plan| plan.at_ns <= now_ns)
     }
 
+    /// From when on samples are in the recording that begins now, ns.
+    pub(crate) fn reaches_back_to(&self, now_ns: u64) -> u64 {
+        self.plan.as_ref().map_or(now_ns, |plan| plan.opening.since_ns)
+    }
+
     /// Begins what was planned.
     pub(crate) fn begin(&mut self, host: &Host, now_ns: u64) {
         let Some(plan) = self.plan.take() else { return };
         self.began_ns = now_ns;
         self.ends_ns = if plan.duration_ns == 0 { 0 } else { now_ns + plan.duration_ns };
+        (self.pause_ns, self.paused, self.lost_told) = (0, false, 0);
         (self.told_ns, self.markers) = (now_ns, 0);
         self.explaining.begin(now_ns, &mut self.way);
         self.way.order(Order::Metadata("trocar.clock".into(), clock(host)));
@@ -156,18 +171,33 @@ impl Running {
     }
 
     /// A line at this time.
-    pub(crate) fn mark(&mut self, now_ns: u64, text: &str, who: &str) {
-        self.markers += 1;
+    ///
+    /// # Errors
+    /// There is no room for it.
+    pub(crate) fn mark(&mut self, now_ns: u64, text: &str, who: &str) -> Result {
         let line = foxglove::log_line(now_ns, text, who);
+        self.make_sure(line.len())?;
+        self.markers += 1;
         let head = (self.own.markers, self.markers, now_ns, now_ns);
         self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(&line));
+        Ok(())
+    }
+
+    /// Room for so many bytes that somebody gives the recorder to keep.
+    fn make_sure(&self, bytes: usize) -> Result {
+        if self.way.has_room(bytes) {
+            return Ok(());
+        }
+        Err("the recorder's buffer is full, since the disk is too slow: say it again, or configure `buffer_mb`".into())
     }
 
     /// JSON at this time, to the topic of its kind.
     ///
     /// # Errors
-    /// There are too many kinds.
+    /// There are too many kinds, or there is no room for it.
     pub(crate) fn note(&mut self, now_ns: u64, kind: &str, json: &Json) -> Result {
+        let text = json.to_string();
+        self.make_sure(text.len())?;
         let channel = match self.own.notes.get(kind) {
             Some(channel) => *channel,
             None if self.own.notes.len() >= KINDS => {
@@ -179,7 +209,6 @@ impl Running {
                 channel
             }
         };
-        let text = json.to_string();
         let head = (channel, 0, now_ns, now_ns);
         self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
         Ok(())
@@ -187,8 +216,7 @@ impl Running {
 
     /// What was lost so far, into the recording and for its end.
     pub(crate) fn tell_loss(&mut self, each: &[Topic], now_ns: u64) {
-        let lost: Vec<(String, u64)> =
-            each.iter().filter(|t| t.lost > 0).map(|t| (t.name.clone(), t.lost)).collect();
+        let lost = lost_of(each);
         let by_topic: Json = lost.iter().map(|(name, n)| (name.clone(), json!(n))).collect();
         let total: u64 = lost.iter().map(|(_, n)| n).sum();
         let text = json!({ "lost": total, "topics": by_topic }).to_string();
@@ -197,8 +225,8 @@ impl Running {
         self.way.order(Order::Lost(lost));
     }
 
-    /// Ends the writer, which closes what is open first: the last that it told.
-    pub(crate) fn finish(mut self) -> Option<News> {
+    /// Ends the writer, which closes what is open first: what it told and nobody heard yet.
+    pub(crate) fn finish(mut self) -> Vec<News> {
         self.way.send();
         let Running { way, news, thread, .. } = self;
         // Without its orders the writer closes what is open and ends.
@@ -206,8 +234,13 @@ impl Running {
         if let Some(thread) = thread {
             let _ = thread.join();
         }
-        news.try_iter().last()
+        news.try_iter().collect()
     }
+}
+
+/// Topics that have lost samples, with how many.
+pub(crate) fn lost_of(each: &[Topic]) -> Vec<(String, u64)> {
+    each.iter().filter(|t| t.lost > 0).map(|t| (t.name.clone(), t.lost)).collect()
 }
 
 fn json_channel(topic: &str) -> Channel {

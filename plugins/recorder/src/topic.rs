@@ -1,8 +1,9 @@
 //! One input while it is recorded: what comes by it, how that is encoded, what of it is kept, what was lost.
 //!
-//! Invariant: kept + left out + lost = sent by the source since the recording began, as far as its count tells.
+//! Invariant: kept + left out + lost = sent by the source since the recording began, as far as its count tells; what was lost of
+//! the time before, as far as the recording reaches back, is among the lost.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use trocar_sdk::{AnyShape, AnyType, AnyView};
 
@@ -15,6 +16,8 @@ use crate::typed::{self, Typed};
 
 /// What a frame takes beside its bytes when it is encoded.
 const AROUND: usize = 512;
+/// Losses that are remembered with their times; of more, the oldest pass for newer ones.
+const RECENT: usize = 64;
 
 /// One input.
 #[derive(Default)]
@@ -34,6 +37,8 @@ pub(crate) struct Topic {
     seq: u64,
     last_kept_ns: u64,
     since_kept: u64,
+    /// When something was lost, ns, and how much.
+    recent: VecDeque<(u64, u64)>,
     encoder: Option<Encoder>,
 }
 
@@ -78,10 +83,25 @@ impl Topic {
         *self = Topic { name, every: self.every, gap_ns: self.gap_ns, ..Topic::default() };
     }
 
-    /// Counts from here.
-    pub(crate) fn begin(&mut self) {
-        (self.kept, self.left_out, self.lost, self.bytes) = (0, 0, 0, 0);
+    /// Counts from here; what was lost counts from that time on.
+    pub(crate) fn begin(&mut self, since_ns: u64) {
+        (self.kept, self.left_out, self.bytes) = (0, 0, 0);
         (self.last_kept_ns, self.since_kept) = (0, 0);
+        self.recent.retain(|(when_ns, _)| *when_ns >= since_ns);
+        self.lost = self.recent.iter().map(|(_, n)| n).sum();
+    }
+
+    fn lose(&mut self, n: u64, now_ns: u64) {
+        if n == 0 {
+            return;
+        }
+        self.lost += n;
+        self.recent.push_back((now_ns, n));
+        if self.recent.len() > RECENT
+            && let (Some((_, older)), Some(oldest)) = (self.recent.pop_front(), self.recent.front_mut())
+        {
+            oldest.1 += older;
+        }
     }
 
     /// Another name, so other channels.
@@ -184,23 +204,24 @@ impl Topic {
     /// Keeps a sample, unless it is to be left out or there is no room.
     pub(crate) fn take(&mut self, seen: &Seen<'_>, now_ns: u64, way: &mut Way) {
         if self.seq != 0 && seen.seq > self.seq {
-            self.lost += seen.seq - self.seq - 1;
+            self.lose(seen.seq - self.seq - 1, now_ns);
         }
         self.seq = seen.seq;
         self.since_kept += 1;
         let stamp_ns = if seen.stamp_ns == 0 { now_ns } else { seen.stamp_ns };
-        let soon = self.last_kept_ns != 0 && stamp_ns < self.last_kept_ns.saturating_add(self.gap_ns);
+        // A stamp from before the last one is of another clock or another thread: the gap begins anew.
+        let soon = (self.last_kept_ns..self.last_kept_ns.saturating_add(self.gap_ns)).contains(&stamp_ns);
         if self.last_kept_ns != 0 && (self.since_kept < self.every || soon) {
             self.left_out += 1;
             return;
         }
         let Some(encoder) = &self.encoder else {
-            self.lost += 1;
+            self.lose(1, now_ns);
             return;
         };
         let needed = seen.bytes.len() + 2 * seen.value.len() + AROUND;
         if seen.value.len() != encoder.size || !way.has_room(needed) {
-            self.lost += 1;
+            self.lose(1, now_ns);
             return;
         }
         let before = way.block().len();
@@ -209,7 +230,7 @@ impl Topic {
             self.bytes += (way.block().len().saturating_sub(before)) as u64;
             (self.last_kept_ns, self.since_kept) = (stamp_ns.max(1), 0);
         } else {
-            self.lost += 1;
+            self.lose(1, now_ns);
         }
     }
 }
@@ -248,5 +269,81 @@ fn push_image(image: &Image<'_>, head: (u32, u64, u64, u64), compress: bool, sta
         way.block().push(head, kind, |to| to.extend_from_slice(bytes));
     } else {
         way.block().push(head, Kind::Ready, |to| image.encode(stamp_ns, to));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::block::way;
+
+    const NUMBER: &str = r#"{"plain": "f64"}"#;
+    const ALL: Topic = Topic {
+        name: String::new(),
+        every: 1,
+        gap_ns: 0,
+        kept: 0,
+        left_out: 0,
+        lost: 0,
+        bytes: 0,
+        source: 0,
+        seq: 0,
+        last_kept_ns: 0,
+        since_kept: 0,
+        recent: VecDeque::new(),
+        encoder: None,
+    };
+
+    /// What becomes of samples with these numbers and stamps: kept, left out, lost.
+    fn taken(mut topic: Topic, samples: &[(u64, u64)]) -> (u64, u64, u64) {
+        let (mut way, _received, _) = way(1 << 20);
+        let value = 1f64.to_le_bytes();
+        for (seq, stamp_ns) in samples.iter().copied() {
+            let seen = Seen { value: &value, bytes: &[], stamp_ns, seq };
+            if !topic.is_known(1) {
+                topic.connected(1, NUMBER, (Codec::Raw, &seen), &mut |_| 0);
+            }
+            topic.take(&seen, 1, &mut way);
+        }
+        (topic.kept, topic.left_out, topic.lost)
+    }
+
+    #[test]
+    fn what_is_not_thinned_is_kept_whatever_its_stamps() {
+        let falling = [(1, 900), (2, 100), (3, 100), (4, 50), (5, 1000)];
+        assert_eq!(taken(ALL, &falling), (5, 0, 0));
+    }
+
+    #[test]
+    fn of_many_each_nth_is_kept_and_the_others_are_left_out_and_not_lost() {
+        let all: Vec<(u64, u64)> = (1..=100).map(|n| (n, n * 10)).collect();
+        assert_eq!(taken(Topic { every: 10, ..ALL }, &all), (10, 90, 0));
+        assert_eq!(taken(Topic { gap_ns: 200, ..ALL }, &all), (5, 95, 0));
+    }
+
+    #[test]
+    fn a_stamp_far_ahead_silences_nobody() {
+        let jumps = [(1, 10), (2, 1_000_000), (3, 30), (4, 40), (5, 240)];
+        assert_eq!(taken(Topic { gap_ns: 200, ..ALL }, &jumps), (4, 1, 0));
+    }
+
+    #[test]
+    fn numbers_that_never_came_are_lost() {
+        assert_eq!(taken(ALL, &[(3, 1), (4, 2), (9, 3)]), (3, 0, 4));
+    }
+
+    #[test]
+    fn what_was_lost_before_a_recording_counts_as_far_as_that_reaches_back() {
+        let mut topic = ALL;
+        topic.lose(3, 100);
+        topic.lose(4, 200);
+        topic.begin(150);
+        assert_eq!(topic.lost, 4);
+        topic.lose(1, 300);
+        topic.begin(400);
+        assert_eq!(topic.lost, 0, "the next one begins behind it");
+        (0..10 * RECENT as u64).for_each(|n| topic.lose(1, n));
+        topic.begin(0);
+        assert_eq!((topic.lost, topic.recent.len()), (10 * RECENT as u64, RECENT), "none is forgotten");
     }
 }

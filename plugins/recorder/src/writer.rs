@@ -4,10 +4,10 @@
 //! taken is in the file at most [`FLUSH`] later.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -17,8 +17,9 @@ use mcap::{McapError, WriteOptions};
 
 use crate::block::{Block, Head, Kind, Returns};
 use crate::compress;
-use crate::orders::{Channel, Codec, News, Opening, Order};
+use crate::orders::{Channel, Codec, News, Opening, Order, Written};
 use crate::room::Room;
+use crate::sink::{Sink, Word};
 
 /// A message is in the file after so long.
 const FLUSH: Duration = Duration::from_millis(10);
@@ -38,18 +39,10 @@ const PER_CHANNEL: u64 = 48;
 /// Why a recording ends that finds no more room.
 pub(crate) const FULL: &str = "the disk is full: there is room for the end of the file alone";
 
-/// What the writer shares with the step.
-#[derive(Default)]
-pub(crate) struct Written {
-    pub(crate) messages: AtomicU64,
-    pub(crate) bytes: AtomicU64,
-}
-
 /// The writer's thread, from begin to end.
 pub(crate) struct Writer {
     returns: Returns,
     news: Sender<News>,
-    written: Arc<Written>,
     channels: Vec<Channel>,
     metadata: Vec<(String, BTreeMap<String, String>)>,
     lost: Vec<(String, u64)>,
@@ -63,11 +56,12 @@ pub(crate) struct Writer {
 }
 
 struct OpenFile {
-    mcap: mcap::Writer<NoSeek<Counted>>,
+    mcap: mcap::Writer<NoSeek<Sink>>,
     path: PathBuf,
+    written: Arc<Written>,
     codec: Codec,
     room: Room,
-    len: Arc<AtomicU64>,
+    word: Arc<Word>,
     /// The file's number of each channel of ours.
     ids: Vec<u16>,
     messages: u64,
@@ -75,28 +69,11 @@ struct OpenFile {
     spoiled: BTreeMap<u32, u64>,
     /// In the chunk that is open.
     pending: u64,
+    /// When the first of what may not be in the file yet was taken.
     pending_since: Option<Instant>,
     /// What the summary will take.
     summary: u64,
     scratch: Vec<u8>,
-}
-
-/// The file with its length.
-struct Counted {
-    file: BufWriter<std::fs::File>,
-    len: Arc<AtomicU64>,
-}
-
-impl Write for Counted {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let n = self.file.write(bytes)?;
-        self.len.fetch_add(n as u64, Ordering::Relaxed);
-        Ok(n)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
 }
 
 /// Why a file ends before anybody asked for it.
@@ -118,16 +95,10 @@ impl From<io::Error> for Broken {
 }
 
 impl Writer {
-    pub(crate) fn new(
-        returns: Returns,
-        news: Sender<News>,
-        written: Arc<Written>,
-        (hold_ns, hold_bytes): (u64, u64),
-    ) -> Writer {
+    pub(crate) fn new(returns: Returns, news: Sender<News>, (hold_ns, hold_bytes): (u64, u64)) -> Writer {
         Writer {
             returns,
             news,
-            written,
             channels: Vec::new(),
             metadata: Vec::new(),
             lost: Vec::new(),
@@ -143,8 +114,8 @@ impl Writer {
     pub(crate) fn run(mut self, orders: &Receiver<Order>, mut every: impl FnMut()) {
         let mut looked = Instant::now();
         loop {
-            let waits = self.file.as_ref().is_some_and(|file| file.pending_since.is_some());
-            match orders.recv_timeout(if waits { FLUSH / 2 } else { IDLE }) {
+            let since = self.file.as_ref().and_then(|file| file.pending_since);
+            match orders.recv_timeout(since.map_or(IDLE, |since| FLUSH.saturating_sub(since.elapsed()))) {
                 Ok(order) => self.carry_out(order),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
@@ -206,8 +177,8 @@ impl Writer {
                 return;
             }
         }
-        self.written.messages.store(file.messages, Ordering::Relaxed);
-        self.written.bytes.store(file.len.load(Ordering::Relaxed) + file.pending, Ordering::Relaxed);
+        file.written.messages.store(file.messages, Ordering::Relaxed);
+        file.written.bytes.store(file.word.len.load(Ordering::Relaxed) + file.pending, Ordering::Relaxed);
     }
 
     /// Keeps what came before a recording, as long and as much as was asked for.
@@ -228,7 +199,6 @@ impl Writer {
 
     fn open(&mut self, opening: Opening) {
         self.close("another recording was begun");
-        self.written.messages.store(0, Ordering::Relaxed);
         self.lost.clear();
         let (path, since_ns) = (opening.path.clone(), opening.since_ns);
         match OpenFile::new(opening, &self.channels, &self.metadata) {
@@ -238,7 +208,7 @@ impl Writer {
                     Broken::Full => "there is no room on the disk".to_owned(),
                     Broken::Other(why) => why,
                 };
-                self.tell(News::Ended { why, path, messages: 0, bytes: 0, whole: false });
+                self.tell(News::Ended { why, path, messages: 0, bytes: 0, lost: 0, whole: false });
                 return;
             }
         }
@@ -258,10 +228,10 @@ impl Writer {
             Broken::Other(why) => {
                 // Nothing more can be written: the file is what it is, and readers that read from the begin read it.
                 if let Some(file) = self.file.take() {
-                    let bytes = file.len.load(Ordering::Relaxed);
                     let (path, messages) = (file.path.clone(), file.messages);
-                    file.give_up();
-                    self.tell(News::Ended { why, path, messages, bytes, whole: false });
+                    let lost = self.lost_of(&file);
+                    let bytes = file.give_up();
+                    self.tell(News::Ended { why, path, messages, bytes, lost, whole: false });
                 }
             }
         }
@@ -270,10 +240,17 @@ impl Writer {
     fn close(&mut self, why: &str) {
         let Some(file) = self.file.take() else { return };
         let (path, messages) = (file.path.clone(), file.messages);
+        let lost = self.lost_of(&file);
+        let written = file.written.clone();
         let (bytes, whole, told) = file.finish(why, &self.lost, &self.channels);
         let why = told.unwrap_or_else(|| why.to_owned());
-        self.written.bytes.store(bytes, Ordering::Relaxed);
-        self.tell(News::Ended { why, path, messages, bytes, whole });
+        written.bytes.store(bytes, Ordering::Relaxed);
+        self.tell(News::Ended { why, path, messages, bytes, lost, whole });
+    }
+
+    /// Of the recording in this file, as far as it was told.
+    fn lost_of(&self, file: &OpenFile) -> u64 {
+        file.all_spoiled() + self.lost.iter().map(|(_, n)| n).sum::<u64>()
     }
 
     fn tell(&self, news: News) {
@@ -291,8 +268,8 @@ impl OpenFile {
         if !room.ensure(2 * TAIL)? {
             return Err(Broken::Full);
         }
-        let len = Arc::new(AtomicU64::new(0));
-        let file = Counted { file: BufWriter::with_capacity(64 << 10, opening.file), len: len.clone() };
+        let word = Arc::new(Word::default());
+        let file = Sink::new(opening.file, word.clone());
         let options = WriteOptions::new()
             .compression(None)
             .profile("trocar")
@@ -305,9 +282,10 @@ impl OpenFile {
         let mut file = OpenFile {
             mcap,
             path: opening.path,
+            written: opening.written,
             codec: opening.codec,
             room,
-            len,
+            word,
             ids: Vec::new(),
             messages: 0,
             spoiled: BTreeMap::new(),
@@ -329,7 +307,7 @@ impl OpenFile {
     /// Makes sure of the room for `more` bytes and for everything that has to follow them.
     fn room_for(&mut self, more: u64) -> Result<(), Broken> {
         let open_chunk = self.pending + PER_CHUNK + PER_CHANNEL * self.ids.len() as u64;
-        let end = self.len.load(Ordering::Relaxed)
+        let end = self.word.len.load(Ordering::Relaxed)
             + open_chunk
             + more
             + self.summary
@@ -356,8 +334,8 @@ impl OpenFile {
         self.summary += 128;
         self.flush()?;
         self.mcap.write_metadata(&Metadata { name: name.to_owned(), metadata: values.clone() })?;
-        self.mcap.flush()?;
-        Ok(())
+        self.word.urgent.store(true, Ordering::Relaxed);
+        self.close_chunk()
     }
 
     fn message(&mut self, head: &Head, bytes: &[u8]) -> Result<(), Broken> {
@@ -393,14 +371,31 @@ impl OpenFile {
         self.messages += 1;
         self.pending += data.len() as u64 + PER_MESSAGE;
         self.pending_since.get_or_insert_with(Instant::now);
-        if self.pending >= CHUNK { self.flush() } else { Ok(()) }
+        if self.pending >= CHUNK { self.close_chunk() } else { Ok(()) }
     }
 
-    fn flush(&mut self) -> Result<(), Broken> {
-        if self.pending_since.take().is_some() {
+    fn all_spoiled(&self) -> u64 {
+        self.spoiled.values().sum()
+    }
+
+    /// What is in the chunk goes on its way.
+    fn close_chunk(&mut self) -> Result<(), Broken> {
+        if self.pending > 0 {
             self.summary += open_chunk_summary(self.ids.len());
             self.pending = 0;
-            self.mcap.flush()?;
+        }
+        self.mcap.flush()?;
+        if self.word.stored.load(Ordering::Relaxed) == self.word.len.load(Ordering::Relaxed) {
+            self.pending_since = None;
+        }
+        Ok(())
+    }
+
+    /// All that was taken is in the file.
+    fn flush(&mut self) -> Result<(), Broken> {
+        if self.pending_since.take().is_some() {
+            self.word.urgent.store(true, Ordering::Relaxed);
+            self.close_chunk()?;
         }
         Ok(())
     }
@@ -439,19 +434,18 @@ impl OpenFile {
             .flush()
             .and_then(|()| self.mcap.write_metadata(&record))
             .and_then(|()| self.mcap.finish().map(|_| ()));
-        let flushed = self.mcap.into_inner().into_inner().file.flush();
-        let done = done.and(flushed.map_err(McapError::from));
-        let bytes = self.len.load(Ordering::Relaxed);
+        let (bytes, closed) = self.mcap.into_inner().into_inner().close();
+        let done = done.and(closed.map_err(McapError::from));
         let told = done.err().map(|e| format!("{why}; the file could not be closed: {e}"));
         self.room.trim(bytes);
         (bytes, told.is_none(), told)
     }
 
-    /// Leaves the file as it is; nothing of what waits is written.
-    fn give_up(self) {
-        self.room.trim(self.len.load(Ordering::Relaxed));
-        // What lies in its buffer may still find its way; a summary is not tried.
-        drop(self.mcap.into_inner());
+    /// Leaves the file as it is, and tells its length; nothing of what waits is written, and a summary is not tried.
+    fn give_up(self) -> u64 {
+        let stored = self.mcap.into_inner().into_inner().stored();
+        self.room.trim(stored);
+        stored
     }
 }
 

@@ -18,14 +18,20 @@ fn channel(topic: &str) -> Order {
 
 fn opening(path: &std::path::Path, since_ns: u64) -> Order {
     let file = OpenOptions::new().read(true).write(true).create_new(true).open(path).expect("a new file");
-    Order::Open(Box::new(Opening { file, path: path.to_owned(), codec: Codec::Raw, since_ns }))
+    Order::Open(Box::new(Opening {
+        file,
+        path: path.to_owned(),
+        codec: Codec::Raw,
+        since_ns,
+        written: Arc::default(),
+    }))
 }
 
 /// Runs a writer over orders, and tells what it told.
 fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::block::Way)) -> Vec<News> {
     let (mut way, orders, returns) = way(64 << 20);
     let (tell, news) = std::sync::mpsc::channel();
-    let writer = Writer::new(returns, tell, Arc::default(), hold);
+    let writer = Writer::new(returns, tell, hold);
     let thread = std::thread::spawn(move || writer.run(&orders, || {}));
     give(&mut way);
     way.send();
@@ -97,7 +103,8 @@ fn a_file_that_can_take_no_more_is_closed_with_its_end() {
     let path = dir.path().join("a.mcap");
     // A room that ends at 1 MB stands for a disk: the real one is filled from outside.
     let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path).expect("a new file");
-    let opening = Opening { file, path: path.clone(), codec: Codec::Raw, since_ns: 0 };
+    let opening =
+        Opening { file, path: path.clone(), codec: Codec::Raw, since_ns: 0, written: Arc::default() };
     let Order::Channel(only) = channel("/a") else { panic!("a channel") };
     let Ok(mut open) = OpenFile::new(opening, &[*only], &[]) else { panic!("it opens") };
     open.room = Room::ending_at(open.room, 1 << 20);

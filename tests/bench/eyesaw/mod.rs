@@ -3,6 +3,7 @@
 //! Invariant: the built programs and plugins run as users start them; what decides is counted inside of them, and each bound is
 //! widened by what bare threads on the same machine showed.
 
+mod bare;
 mod control;
 mod depth;
 mod load;

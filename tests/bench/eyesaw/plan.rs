@@ -158,14 +158,10 @@ impl Plan {
         self
     }
 
-    /// A recorder in the process of the camera, with these outputs at the inputs it has without being configured, and queues as
-    /// `trocar record` makes them.
-    pub(super) fn recorded(mut self, outputs: &[(&str, usize)], directory: &Path) -> Plan {
-        self.add(RECORDER, "recorder/recorder", json!({}), json!({ "directory": directory }));
-        for (n, (output, fifo)) in (1..).zip(outputs) {
-            let client = format!("{RECORDER}/in_{n}");
-            self.connections.push(json!({ "client": client, "server": output, "queue": { "fifo": fifo } }));
-        }
+    /// A recorder in the process of the camera, as `trocar record` makes them, with nothing connected to it.
+    pub(super) fn recorder(mut self, directory: &Path) -> Plan {
+        let execution = json!({ "priority": 1 });
+        self.add(RECORDER, "recorder/recorder", execution, json!({ "directory": directory }));
         self
     }
 

@@ -1,16 +1,19 @@
 //! The canonical load while it is recorded: video, 4000 A-scans a second, a robot of 1 kHz that scans, all events and commands.
 //!
-//! Invariant: what a recorder costs whom it records is the time of their steps with it beside that in two runs without, of the same
-//! length, one before and one after; what these differ among themselves is the machine's doing.
+//! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without, in one running system,
+//! turn and turn about: without is nothing connected and the recorder standing still. What the stretches without differ among
+//! themselves is the machine's doing. Told beside it is what the same bytes cost them when a program does nothing but write them,
+//! through the page cache: last, for that has held the robot up for so long that a scan was given up.
 
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use trocar_tests::eventually;
 
+use super::bare::BareWriter;
 use super::plan::{Plan, RECORDER};
-use super::rig::{OFFSET_M, Rig, world};
+use super::rig::{OFFSET_M, Rig, is_phase, world};
 use super::verdicts::{Unit, Verdicts};
 use crate::lab::as_number;
 
@@ -34,9 +37,23 @@ const OF_A_CORE: f64 = 0.35;
 /// Of what is to come, what comes at least: the file begins and ends some cycles beside the run.
 const AT_LEAST: f64 = 0.9;
 const BITS_PER_S: f64 = 1e9;
-/// The scan is longer than the run by so much, s.
-const SPARE_S: f64 = 5.0;
+/// With and without take turns so often, each of them, so that a machine that becomes slower is so for both.
+const ROUNDS: u64 = 20;
+/// Stretches beside a [`BareWriter`].
+const BARE_ROUNDS: u64 = 5;
+/// The scan is longer than all of it by so much, s; and by so much for each change from one to the other.
+const SPARE_S: f64 = 20.0;
+const CHANGE_S: f64 = 3.0;
 const LINE_M: f64 = 0.003;
+/// After a change, until times are taken.
+const SETTLE: Duration = Duration::from_millis(500);
+
+/// Whose times are kept apart: those of stretches without in even and in odd rounds, of stretches with it, of stretches beside a
+/// [`BareWriter`], of anything else.
+const WITHOUT: [u32; 2] = [0, 1];
+const WITH: u32 = 2;
+const BESIDE: u32 = 3;
+const ASIDE: u32 = 4;
 
 /// Times of steps, ns, in the order of [`TIMED`] and then that of one A-scan: percentile 99 and median.
 struct Times {
@@ -45,114 +62,184 @@ struct Times {
 }
 
 pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
-    let plan = || Plan::new().with_accounts().with_steps_timed(&TIMED);
-    let control = |rig: Rig| {
-        let times = stretch(&rig, seconds);
-        rig.end();
-        times
-    };
-    let before = control(Rig::up(world(), plan()));
     let world = world();
-    let outputs = OUTPUTS.map(|(output, fifo, _)| (output, fifo));
-    let plan_recorded = plan().recorded(&outputs, &world.path(""));
-    verdicts.title(&format!("Canonical load recorded for {seconds} s, three processes"));
-    let with = recorded(verdicts, &Rig::up(world, plan_recorded), seconds);
-    let after = control(Rig::up(self::world(), plan()));
-    for (at, name) in
-        TIMED.iter().map(|path| format!("step of {path}")).chain(["time of one A-scan".into()]).enumerate()
-    {
-        for (what, of) in [("p99", 0), ("p50", 1)] {
-            let pick = |times: &Times| if of == 0 { times.p99[at] } else { times.p50[at] };
-            let (a, b) = (pick(&before), pick(&after));
-            let base = 0.5 * (a + b);
-            let seen = pick(&with) / base - 1.0;
-            let control = (a - b).abs() / base;
-            if of == 0 {
-                verdicts.at_most(&format!("{name}, {what}, longer by"), seen, SLOWER, control, Unit::Share);
-            } else {
-                verdicts.tell(&format!("{name}, {what}, longer by"), seen, Some(control), Unit::Share);
-            }
-            verdicts.tell(
-                &format!("{name}, {what}, recorded; beside it not recorded"),
-                pick(&with),
-                Some(base),
-                Unit::Ns,
-            );
-        }
-    }
-}
-
-/// One run's times.
-fn stretch(rig: &Rig, seconds: u64) -> Times {
-    begin(rig, seconds);
-    thread::sleep(Duration::from_secs(seconds));
-    times(rig)
-}
-
-/// Lets it scan, and all accounts begin.
-fn begin(rig: &Rig, seconds: u64) {
+    let directory = world.path("");
+    let plan = Plan::new().with_accounts().with_steps_timed(&TIMED).recorder(&directory);
+    let rig = Rig::up(world, plan);
     rig.await_active("host/camera");
-    rig.scan_of(LINE_M, LINE_M / (seconds as f64 + SPARE_S), 1.0);
-    for path in TIMED {
-        rig.call(&format!("{path}-ends"), "ledger/clear", Value::Null);
-    }
+    rig.run(RECORDER, "Stop");
+    let changes = (2 * ROUNDS + BARE_ROUNDS) as f64;
+    let all_s = (4 * seconds) as f64 + changes * CHANGE_S + SPARE_S;
+    rig.scan_of(LINE_M, LINE_M / all_s, 1.0);
     rig.call("oct/ledger", "ledger/clear", json!(OFFSET_M));
+
+    verdicts.title(&format!("Canonical load recorded for {seconds} s, three processes"));
+    turn_to(&rig, ASIDE);
+    let bytes_per_s = recorded(verdicts, &rig, seconds);
+
+    verdicts.title(&format!("Steps with and without a recorder, {ROUNDS} times {} s each", each_s(seconds)));
+    let lost: f64 = (0..ROUNDS).map(|round| take_turns(&rig, round, each_s(seconds))).sum();
+    let scans = is_phase(&rig.progress(), "SCAN", 2);
+    let bare = directory.join("bare");
+    for _ in 0..BARE_ROUNDS {
+        let _writes = BareWriter::begin(&bare, bytes_per_s);
+        stretch(&rig, BESIDE, each_s(seconds));
+    }
+    compare(verdicts, &rig);
+    verdicts.at_most("samples lost in these recordings", lost, 0.0, 0.0, Unit::Count);
+    verdicts.at_least("scans that went on all the while", f64::from(u8::from(scans)), 1.0, Unit::Count);
+    let scans = is_phase(&rig.progress(), "SCAN", 2);
+    verdicts.tell(
+        "scans that went on beside the program that only writes, too",
+        f64::from(u8::from(scans)),
+        None,
+        Unit::Count,
+    );
+    rig.end();
 }
 
-fn times(rig: &Rig) -> Times {
-    let ledgers = TIMED.iter().map(|path| format!("{path}-ends")).chain(["oct/ledger".to_owned()]);
-    let figures: Vec<Value> = ledgers.map(|path| rig.call(&path, "ledger/figures", Value::Null)).collect();
+fn each_s(seconds: u64) -> u64 {
+    seconds.div_ceil(ROUNDS).max(1)
+}
+
+/// The times of so many seconds go to that account.
+fn stretch(rig: &Rig, account: u32, seconds: u64) {
+    thread::sleep(SETTLE);
+    turn_to(rig, account);
+    thread::sleep(Duration::from_secs(seconds));
+    turn_to(rig, ASIDE);
+}
+
+/// A stretch without and one with it, or the other way round; what was lost.
+fn take_turns(rig: &Rig, round: u64, seconds: u64) -> f64 {
+    let without = || stretch(rig, WITHOUT[(round % 2) as usize], seconds);
+    // Each comes first as often as last.
+    let forth = (round / 2).is_multiple_of(2);
+    if forth {
+        without();
+    }
+    let recording = Recording::begin(rig, &format!("round{round}.mcap"));
+    stretch(rig, WITH, seconds);
+    let (lost, dropped, _) = recording.end();
+    if !forth {
+        without();
+    }
+    lost + dropped
+}
+
+/// The components that keep the times.
+fn ledgers() -> impl Iterator<Item = String> {
+    TIMED.iter().map(|path| format!("{path}-ends")).chain(["oct/ledger".to_owned()])
+}
+
+fn turn_to(rig: &Rig, account: u32) {
+    ledgers().for_each(|path| drop(rig.call(&path, "ledger/account", json!(account))));
+}
+
+fn times(rig: &Rig, account: u32) -> Times {
+    turn_to(rig, account);
+    let figures: Vec<Value> = ledgers().map(|path| rig.call(&path, "ledger/figures", Value::Null)).collect();
     let all = |key: &str| figures.iter().map(|figures| as_number(&figures[key])).collect();
     Times { p99: all("p99"), p50: all("p50") }
 }
 
-fn recorded(verdicts: &mut Verdicts, rig: &Rig, seconds: u64) -> Times {
-    begin(rig, seconds);
-    let ctl = |member: &str, arg: Value| rig.call(RECORDER, &format!("ctl/{member}"), arg);
-    ctl("start", json!({ "path": "load.mcap", "delay": 0, "duration": 0 }));
-    eventually("it records", || {
-        let status = ctl("status", Value::Null);
-        if as_number(&status["messages"]) > 0.0 { Ok(()) } else { Err(status.to_string()) }
-    });
-    let drops = |at: usize| rig.dropped(&format!("{RECORDER}/in_{}", at + 1));
-    // What came between the connection and Start found nobody, and is no loss of a recording.
-    let before: Vec<f64> = (0..OUTPUTS.len()).map(drops).collect();
+fn compare(verdicts: &mut Verdicts, rig: &Rig) {
+    let [even, odd] = WITHOUT.map(|account| times(rig, account));
+    let (with, beside) = (times(rig, WITH), times(rig, BESIDE));
+    let names = TIMED.iter().map(|path| format!("step of {path}")).chain(["time of one A-scan".into()]);
+    for (at, name) in names.enumerate() {
+        let pick = |what: &str, of: &Times| if what == "p99" { of.p99[at] } else { of.p50[at] };
+        for what in ["p99", "p50"] {
+            let [with, beside, even, odd] = [&with, &beside, &even, &odd].map(|times| pick(what, times));
+            let base = 0.5 * (even + odd);
+            let control = (even - odd).abs() / base;
+            let longer = format!("{name}, {what}, longer by");
+            match what {
+                "p99" => verdicts.at_most(&longer, with / base - 1.0, SLOWER, control, Unit::Share),
+                _ => verdicts.tell(&longer, with / base - 1.0, Some(control), Unit::Share),
+            }
+            let both = format!("{name}, {what}, recorded; beside it not recorded");
+            verdicts.tell(&both, with, Some(base), Unit::Ns);
+            let bare = format!("{name}, {what}, longer by, beside a program that only writes the bytes");
+            verdicts.tell(&bare, beside / base - 1.0, None, Unit::Share);
+        }
+    }
+}
+
+/// A recording that goes on, of all [`OUTPUTS`].
+struct Recording<'r> {
+    rig: &'r Rig,
+    file: String,
+    /// What its queues had dropped when it began: what came between the connection and then found nobody, and is no loss of it.
+    dropped: Vec<f64>,
+}
+
+impl<'r> Recording<'r> {
+    fn begin(rig: &'r Rig, file: &str) -> Recording<'r> {
+        rig.run(RECORDER, "Start");
+        for (at, (output, fifo, _)) in OUTPUTS.iter().enumerate() {
+            rig.connect(&format!("{RECORDER}/in_{}", at + 1), output, *fifo);
+        }
+        let recording = Recording { rig, file: file.to_owned(), dropped: Vec::new() };
+        recording.ctl("start", json!({ "path": file, "delay": 0, "duration": 0 }));
+        eventually("it records", || {
+            let status = recording.ctl("status", Value::Null);
+            if as_number(&status["messages"]) > 0.0 { Ok(()) } else { Err(status.to_string()) }
+        });
+        Recording { dropped: recording.drops(), ..recording }
+    }
+
+    fn ctl(&self, member: &str, arg: Value) -> Value {
+        self.rig.call(RECORDER, &format!("ctl/{member}"), arg)
+    }
+
+    fn drops(&self) -> Vec<f64> {
+        (1..=OUTPUTS.len()).map(|n| self.rig.dropped(&format!("{RECORDER}/in_{n}"))).collect()
+    }
+
+    /// Closes its file, and leaves nothing of it: samples lost as the recorder counts, samples its queues dropped, whether it was
+    /// whole.
+    fn end(self) -> (f64, f64, bool) {
+        self.ctl("stop", Value::Null);
+        let last = eventually("its file is closed", || {
+            let last = self.ctl("last", Value::Null);
+            let closed = last["path"].as_str().is_some_and(|path| path.ends_with(&self.file));
+            if closed { Ok(last) } else { Err(last.to_string()) }
+        });
+        let dropped = self.drops().iter().zip(&self.dropped).map(|(after, before)| after - before).sum();
+        self.rig.run(RECORDER, "Stop");
+        for (at, (output, ..)) in OUTPUTS.iter().enumerate() {
+            self.rig.disconnect(&format!("{RECORDER}/in_{}", at + 1), output);
+        }
+        let path = last["path"].as_str().unwrap_or_default();
+        std::fs::remove_file(path).unwrap_or_else(|e| panic!("{path}: {e}"));
+        (as_number(&last["lost"]), dropped, last["whole"] == true)
+    }
+}
+
+/// One recording of so many seconds; the bytes it writes in a second.
+fn recorded(verdicts: &mut Verdicts, rig: &Rig, seconds: u64) -> f64 {
+    let recording = Recording::begin(rig, "load.mcap");
     let spent_s = rig.processor_s("host", THREADS);
-    let begun = (std::time::Instant::now(), as_number(&ctl("status", Value::Null)["bytes"]));
+    let begun = (Instant::now(), as_number(&recording.ctl("status", Value::Null)["bytes"]));
     thread::sleep(Duration::from_secs(seconds));
     let took_s = begun.0.elapsed().as_secs_f64();
     let spent_s = rig.processor_s("host", THREADS) - spent_s;
-    let bytes = as_number(&ctl("status", Value::Null)["bytes"]) - begun.1;
-    let times = times(rig);
-    ctl("stop", Value::Null);
-    let last = eventually("its file is closed", || {
-        let last = ctl("last", Value::Null);
-        if last["reason"].as_str().is_some_and(|why| !why.is_empty()) {
-            Ok(last)
-        } else {
-            Err(last.to_string())
-        }
-    });
-    let mut dropped = 0.0;
+    let bytes = as_number(&recording.ctl("status", Value::Null)["bytes"]) - begun.1;
     for (at, (output, _, rate)) in OUTPUTS.iter().enumerate() {
-        dropped += drops(at) - before[at];
-        let kept = as_number(&ctl("topic", json!(at))["kept"]);
+        let kept = as_number(&recording.ctl("topic", json!(at))["kept"]);
+        let what = format!("{output} in the file");
         match *rate > 0.0 {
-            true => verdicts.at_least(
-                &format!("{output} in the file"),
-                kept,
-                AT_LEAST * rate * seconds as f64,
-                Unit::Count,
-            ),
-            false => verdicts.tell(&format!("{output} in the file"), kept, None, Unit::Count),
+            true => verdicts.at_least(&what, kept, AT_LEAST * rate * seconds as f64, Unit::Count),
+            false => verdicts.tell(&what, kept, None, Unit::Count),
         }
     }
-    verdicts.at_most("samples lost, as the recorder counts", as_number(&last["lost"]), 0.0, 0.0, Unit::Count);
+    let (lost, dropped, whole) = recording.end();
+    verdicts.at_most("samples lost, as the recorder counts", lost, 0.0, 0.0, Unit::Count);
     verdicts.at_most("samples its full queues dropped", dropped, 0.0, 0.0, Unit::Count);
-    let whole = if last["whole"] == true { 1.0 } else { 0.0 };
-    verdicts.at_least("its file is whole", whole, 1.0, Unit::Count);
+    verdicts.at_least("its file is whole", f64::from(u8::from(whole)), 1.0, Unit::Count);
     let what = "processor of the recorder's threads, of a core";
     verdicts.at_most(what, spent_s / took_s, OF_A_CORE, 0.0, Unit::Share);
     verdicts.at_least("bits written", 8.0 * bytes / took_s, BITS_PER_S, Unit::PerSecond);
-    times
+    bytes / took_s
 }

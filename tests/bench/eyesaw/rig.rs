@@ -60,6 +60,22 @@ impl Rig {
         self.grpc.await_state(&self.plan.place(path), "ACTIVE");
     }
 
+    /// Start, Stop, Resume of a component.
+    pub(super) fn run(&self, path: &str, verb: &str) {
+        self.grpc.ok(&format!("GcmService/{verb}"), json!({ "path": self.plan.place(path) }));
+    }
+
+    pub(super) fn connect(&self, client: &str, server: &str, fifo: usize) {
+        let (client, server) = (self.plan.place(client), self.plan.place(server));
+        let options = json!({ "queue": { "fifo": fifo } });
+        self.grpc.ok("GcmService/Connect", json!({ "client": client, "server": server, "options": options }));
+    }
+
+    pub(super) fn disconnect(&self, client: &str, server: &str) {
+        let (client, server) = (self.plan.place(client), self.plan.place(server));
+        self.grpc.ok("GcmService/Disconnect", json!({ "client": client, "server": server }));
+    }
+
     /// Calls a command of a component.
     pub(super) fn call(&self, path: &str, member: &str, arg: Value) -> Value {
         self.grpc.invoke(&format!("{}/{member}", self.plan.place(path)), arg)
@@ -177,6 +193,6 @@ fn ticks(stat: &str, threads: &str) -> Option<f64> {
 }
 
 /// A phase by its name or its number.
-fn is_phase(progress: &Value, name: &str, number: u64) -> bool {
+pub(super) fn is_phase(progress: &Value, name: &str, number: u64) -> bool {
     progress["phase"] == name || progress["phase"] == number
 }

@@ -116,7 +116,7 @@ impl Frame {
     }
 
     /// Whether at least `n` slots of its pool are free now.
-    pub(crate) fn pool_has_free(&self, n: u64) -> bool {
+    pub fn pool_has_free(&self, n: u64) -> bool {
         self.0.pool().slots.has_free(n)
     }
 

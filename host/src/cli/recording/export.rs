@@ -8,7 +8,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
 use serde::Serialize;
 
@@ -18,7 +18,7 @@ use super::read::{self, Channel, Takes};
 use super::{pictures, select};
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::session::Session;
-use crate::cli::{out, style, units};
+use crate::cli::{out, units};
 
 /// Memory for arrays, bytes: `.npz` needs all of a column before it can be written.
 const MOST: usize = 4 << 30;
@@ -82,7 +82,7 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
             "name another place: -o PATH, or remove it",
         ));
     }
-    let bar = bar(args.file.metadata().map_or(0, |m| m.len()), session.json());
+    let bar = super::reading_bar(&args.file, session.json());
     let sink: Box<dyn Sink> = if args.npz {
         Box::new(Arrays::default())
     } else if args.csv {
@@ -100,8 +100,9 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
         view: ExportView { output: output.display().to_string(), ..ExportView::default() },
         bar: bar.clone(),
     };
-    let whole = read::read(&args.file, &mut exporting)?;
+    let whole = read::read(&args.file, &mut exporting);
     bar.finish_and_clear();
+    let whole = whole?;
     let Exporting { sink, mut view, patterns, .. } = exporting;
     if view.messages == 0 {
         let there: Vec<&str> = whole.channels.values().map(|c| c.topic.as_str()).take(30).collect();
@@ -132,16 +133,6 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     }
     let partial = view.unreadable + view.unplaced > 0 || !view.wrong.is_empty();
     Ok(if partial { Exit::Partial } else { Exit::Ok })
-}
-
-/// A bar where somebody looks.
-pub(super) fn bar(len: u64, json: bool) -> ProgressBar {
-    if json || !style::interactive() {
-        return ProgressBar::hidden();
-    }
-    let shown = ProgressStyle::with_template("{bar:40} {percent:>3} % {bytes}/{total_bytes} {eta}");
-    let bar = ProgressBar::new(len);
-    if let Ok(shown) = shown { bar.with_style(shown) } else { bar }
 }
 
 struct Exporting {

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
+use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
 use serde::Serialize;
 
@@ -56,9 +57,9 @@ struct InfoView {
     metadata: BTreeMap<String, BTreeMap<String, String>>,
 }
 
-#[derive(Default)]
 struct Counting {
     topics: BTreeMap<String, TopicView>,
+    bar: ProgressBar,
 }
 
 impl Takes for Counting {
@@ -78,11 +79,18 @@ impl Takes for Counting {
         topic.last_ns = topic.last_ns.max(header.log_time);
         Ok(())
     }
+
+    fn progress(&mut self, bytes: u64) {
+        self.bar.set_position(bytes);
+    }
 }
 
 pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
-    let mut counting = Counting::default();
-    let whole = read::read(&args.file, &mut counting)?;
+    let bar = super::reading_bar(&args.file, session.json());
+    let mut counting = Counting { topics: BTreeMap::new(), bar: bar.clone() };
+    let whole = read::read(&args.file, &mut counting);
+    bar.finish_and_clear();
+    let whole = whole?;
     let mut topics = counting.topics;
     for channel in whole.channels.values() {
         topics.entry(channel.topic.clone()).or_insert_with(|| TopicView {

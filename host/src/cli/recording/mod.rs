@@ -11,3 +11,21 @@ mod read;
 pub(super) mod record;
 mod records;
 mod select;
+
+use std::path::Path;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::style;
+
+/// How far a recording has been read, in bytes, where somebody looks.
+fn reading_bar(file: &Path, json: bool) -> ProgressBar {
+    if json || !style::interactive() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(file.metadata().map_or(0, |m| m.len()));
+    match ProgressStyle::with_template("{bar:40} {percent:>3} % {bytes}/{total_bytes} {eta}") {
+        Ok(shown) => bar.with_style(shown),
+        Err(_) => bar,
+    }
+}

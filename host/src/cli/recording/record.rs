@@ -23,6 +23,8 @@ use crate::cli::states::Verb;
 use crate::cli::{out, style};
 
 const CLASS: &str = "recorder/recorder";
+/// Of its thread, above everything without one: what the disk does for it in the kernel may hold such threads up for 100 ms.
+const PRIORITY: u8 = 1;
 /// How often it is looked at, and what is shown renewed.
 const LOOK: Duration = Duration::from_millis(200);
 /// A question to the recorder, ns.
@@ -99,7 +101,7 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         class: CLASS.to_owned(),
         config: Some(config),
         isolation: None,
-        execution: ExecutionArgs::default(),
+        execution: ExecutionArgs { priority: Some(PRIORITY), ..ExecutionArgs::default() },
         mutation: MutationArgs::default(),
     };
     session.create(&create).await?;

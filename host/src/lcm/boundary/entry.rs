@@ -186,7 +186,7 @@ impl<T: Send> Object<T> {
 
     /// This thread holds the entry lock for its cycle. Only the keeper's own thread ever finds its own number here.
     #[inline]
-    pub(super) fn is_kept_here(&self) -> bool {
+    pub(in crate::lcm) fn is_kept_here(&self) -> bool {
         self.keeper.load(Ordering::Relaxed) | INSIDE == (context::executor() * 2) | INSIDE
     }
 

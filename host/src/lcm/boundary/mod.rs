@@ -54,6 +54,7 @@ pub(super) use tap::{CommandTap, EventTap, plain_outcome};
 
 use super::instance::Instance;
 use trocar_plugin_api::abi::{ErrBuf, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status};
+use trocar_rt::turn;
 
 /// Words viewed as their bytes.
 pub(super) fn as_bytes(words: &[u64]) -> &[u8] {
@@ -81,6 +82,11 @@ fn running() -> Option<std::sync::Arc<Instance>> {
     // SAFETY: null, or the context of the instance that is being called on this very thread.
     let host = unsafe { super::context::component().as_ref() }?;
     host.instance.get().and_then(std::sync::Weak::upgrade)
+}
+
+/// The component whose code runs on this thread is one that no other thread enters before this turn ends.
+pub(super) fn runs_kept() -> bool {
+    turn::is_inside() && running().is_some_and(|instance| instance.object.is_kept_here())
 }
 
 /// Counts what the component whose code runs on this thread did.

@@ -19,7 +19,7 @@ use trocar_rt::wake::Waker;
 
 use super::super::context;
 use super::super::instance::Instance;
-use super::super::pending;
+use super::super::{late, pending};
 use super::input::InCell;
 use super::told;
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
@@ -33,6 +33,8 @@ pub(in crate::lcm) struct OutLink {
     pub(in crate::lcm) connection: u64,
     writer: StreamWriter,
     consumer: Consumer,
+    /// Its reader looks on: it is given what is there when the writer's turn ends.
+    observes: bool,
 }
 
 /// Who reads a link, and how it is told that there is something to read.
@@ -46,8 +48,14 @@ pub(in crate::lcm) enum Consumer {
 }
 
 impl OutLink {
-    pub(in crate::lcm) fn new(connection: u64, writer: StreamWriter, consumer: Consumer) -> Self {
-        OutLink { connection, writer, consumer }
+    /// `observes`: its reader only looks on, see [`trocar_model::Ports::looks_on`].
+    pub(in crate::lcm) fn new(
+        connection: u64,
+        writer: StreamWriter,
+        consumer: Consumer,
+        observes: bool,
+    ) -> Self {
+        OutLink { connection, writer, consumer, observes }
     }
 }
 
@@ -316,14 +324,10 @@ impl OutCell {
         outs.publish_owed();
         let meta = self.next_meta(stamp_ns, bytes);
         for link in others {
-            link.begin(meta.seq);
-            link.writer.push_frame(frame.clone(), meta);
-            link.signal(meta.stamp_ns);
+            link.push_frame(frame.clone(), meta);
         }
         // The last one gets the handle itself, so that a single reader is the frame's only owner.
-        last.begin(meta.seq);
-        last.writer.push_frame(frame, meta);
-        last.signal(meta.stamp_ns);
+        last.push_frame(frame, meta);
         EXECUTED
     }
 
@@ -345,10 +349,11 @@ impl OutCell {
 }
 
 impl Outs {
-    /// State rows this thread owes are out before a sample tells another thread of what they hold.
+    /// State rows this thread owes are out before a sample tells another thread of what they hold. Links to those who look on see to it
+    /// themselves, when they push.
     #[inline]
     fn publish_owed(&self) {
-        if !self.links.iter().all(|link| link.is_read_here()) {
+        if !self.links.iter().all(|link| link.observes || link.is_read_here()) {
             pending::publish();
         }
     }
@@ -376,8 +381,47 @@ impl OutLink {
         matches!(&self.consumer, Consumer::Here(consumer, _) if consumer.object.is_kept_here())
     }
 
+    /// Its reader looks on from another thread.
     #[inline]
-    fn push(&self, value: &[u8], meta: Meta) {
+    fn is_watched(&self) -> bool {
+        self.observes && !self.is_read_here()
+    }
+
+    #[inline]
+    fn push(self: &Arc<Self>, value: &[u8], meta: Meta) {
+        if self.is_watched() {
+            if super::runs_kept() && late::sample(self, value, meta) {
+                return;
+            }
+            pending::publish();
+        }
+        self.push_now(value, meta);
+    }
+
+    #[inline]
+    fn push_frame(self: &Arc<Self>, mut frame: Frame, meta: Meta) {
+        if self.is_watched() {
+            if super::runs_kept() {
+                match late::frame(self, frame, meta) {
+                    None => return,
+                    Some(given_back) => frame = given_back,
+                }
+            }
+            pending::publish();
+        }
+        self.push_frame_now(frame, meta);
+    }
+
+    /// Now, whoever reads it.
+    #[inline]
+    pub(in crate::lcm) fn push_frame_now(&self, frame: Frame, meta: Meta) {
+        self.begin(meta.seq);
+        self.writer.push_frame(frame, meta);
+        self.signal(meta.stamp_ns);
+    }
+
+    #[inline]
+    pub(in crate::lcm) fn push_now(&self, value: &[u8], meta: Meta) {
         if self.is_read_here() {
             // SAFETY: a reader is used by whoever is inside its component alone, and the lock for that is this thread's until
             // its cycle ends: nobody else is in it meanwhile, and whoever gets the lock later comes after.

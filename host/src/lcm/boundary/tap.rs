@@ -12,8 +12,8 @@ use trocar_plugin_api::abi::{
 use trocar_rt::os;
 use trocar_rt::stream::Meta;
 
-use super::super::pending;
 use super::super::taps::{HEAD, MOST};
+use super::super::{late, pending};
 use super::output::OutCell;
 
 /// The tap of an event.
@@ -37,15 +37,15 @@ impl EventTap {
     #[inline(always)]
     pub(super) fn tell(&self, payload: &[u8]) {
         if self.cell.is_listened() {
-            self.tell_all(payload);
+            self.tell_all(payload, super::runs_kept());
         }
     }
 
     #[inline(never)]
-    fn tell_all(&self, payload: &[u8]) {
+    fn tell_all(&self, payload: &[u8], later: bool) {
         let kept = &payload[..payload.len().min(MOST)];
         let words = [self.which, kept.len() as u32, payload.len() as u32, 0];
-        self.cell.tell(words, kept, os::now_ns());
+        tell(&self.cell, words, kept, later);
     }
 }
 
@@ -55,9 +55,10 @@ impl CommandTap {
         self.cell.is_listened()
     }
 
-    /// A command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. Any thread. Real-time.
+    /// A command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. `later`: no other thread enters the
+    /// component before this turn ends. Any thread. Real-time.
     #[inline(never)]
-    pub(in crate::lcm) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome) {
+    pub(in crate::lcm) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, later: bool) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept: &[u8] = if whole == 0 || arg.is_null() {
             &[]
@@ -65,7 +66,7 @@ impl CommandTap {
             // SAFETY: whoever runs a command lends an argument of its type, as for the command itself.
             unsafe { std::slice::from_raw_parts(arg, whole.min(MOST)) }
         };
-        self.cell.tell(words(command, outcome, kept, whole), kept, os::now_ns());
+        tell(&self.cell, words(command, outcome, kept, whole), kept, later);
     }
 
     /// As [`CommandTap::tell`], of an argument that may be of any length: another process put it there.
@@ -73,7 +74,15 @@ impl CommandTap {
     pub(in crate::lcm) fn tell_queued(&self, command: u32, arg: &[u8], outcome: Outcome) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept = &arg[..arg.len().min(whole).min(MOST)];
-        self.cell.tell(words(command, outcome, kept, whole), kept, os::now_ns());
+        tell(&self.cell, words(command, outcome, kept, whole), kept, false);
+    }
+}
+
+/// When this thread's turn ends where it may be told `later`, else at once.
+fn tell(tap: &Arc<OutCell>, words: [u32; 4], kept: &[u8], later: bool) {
+    let stamp_ns = os::now_ns();
+    if !later || !late::told(tap, words, kept, stamp_ns) {
+        tap.tell_now(words, kept, stamp_ns);
     }
 }
 
@@ -106,7 +115,8 @@ impl OutCell {
     }
 
     /// An event or command: the words before its payload, and what of that is kept. Any thread. Real-time.
-    fn tell(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64) {
+    #[inline(never)]
+    pub(in crate::lcm) fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64) {
         let mut head = [0; HEAD];
         for (to, word) in head.chunks_exact_mut(4).zip(words) {
             to.copy_from_slice(&word.to_le_bytes());
@@ -143,7 +153,7 @@ mod tests {
         assert_eq!(event.emit(&[1, 2, 3, 4]), UNBOUND);
         assert_eq!(cell.seq.load(Ordering::Relaxed), 0, "nobody was ever connected: not even counted");
         let (writer, mut reader) = stream_link(Payload::Plain { bytes: HEAD + 8 }, Queue::Latest);
-        cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside)), &ty, &"".into());
+        cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true)), &ty, &"".into());
         event.edit(|_| ());
         assert_eq!(event.emit(&[1, 2, 3, 4]), UNBOUND, "it has still no handler");
         let sample = reader.next().map(|sample| (sample.meta.seq, sample.data.to_vec()));
@@ -164,16 +174,16 @@ mod tests {
         let ty = PortType::Plain(Type::Array { item: Box::new(Type::Prim(Prim::U8)), n });
         let cell = Arc::new(OutCell::new(&ty));
         let (writer, mut reader) = stream_link(Payload::Plain { bytes: n }, Queue::Latest);
-        cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside)), &ty, &"".into());
+        cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true)), &ty, &"".into());
         let arg = vec![7u8; MOST + 100];
         let tap = CommandTap { cell, arg_bytes: Arc::new([0, arg.len()]) };
-        tap.tell(1, arg.as_ptr(), EXECUTED);
+        tap.tell(1, arg.as_ptr(), EXECUTED, false);
         let data = reader.next().map(|sample| sample.data.to_vec()).unwrap_or_default();
         let word =
             |at: usize| u32::from_le_bytes([data[at], data[at + 1], data[at + 2], data[at + 3]]) as usize;
         assert_eq!((word(0), word(8), word(12), data.len()), (1, MOST, MOST + 100, n));
         assert!(data[HEAD..].iter().all(|byte| *byte == 7));
-        tap.tell(2, arg.as_ptr(), EXECUTED);
+        tap.tell(2, arg.as_ptr(), EXECUTED, false);
         assert!(reader.next().is_none(), "a command that is not described has no size, and is not told");
     }
 }

@@ -188,7 +188,7 @@ fn streams(both: &Both<'_>, input: usize, output: usize, adapt: bool) -> Result<
     let link = Arc::new(InLink::new(reader, depth, max_age_ns, newest, described.clone(), adapt));
     in_cell.connect(Some(link.clone()));
     let consumer = Consumer::Here(client.clone(), (max_age_ns > 0).then_some(stamp));
-    let out = Arc::new(OutLink::new(connection.id.0, writer, consumer));
+    let out = Arc::new(OutLink::new(connection.id.0, writer, consumer, to_set.ports.looks_on(input)));
     out_cell.add(out, &ty, &described);
     Ok(Ends::Stream {
         input: in_cell.clone(),

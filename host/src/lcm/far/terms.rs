@@ -27,6 +27,8 @@ pub(super) enum Way {
         shape: StreamShape,
         depth: usize,
         adapt: Option<(Vec<CopyRun>, usize)>,
+        /// The client only looks on.
+        observes: bool,
     },
     Calls {
         binding: Binding,
@@ -126,7 +128,8 @@ fn stream(
     let Passage { payload, queue, depth, adapt } = Passage::of(connection, &ty, to, adapt);
     let hash = hash([back::port(&ty), format!("{payload:?} {queue:?}")]);
     let shape = StreamShape { payload, queue };
-    Ok(Terms { hash, way: Way::Stream { input, output, ty, shape, depth, adapt } })
+    let observes = client.looks_on(input);
+    Ok(Terms { hash, way: Way::Stream { input, output, ty, shape, depth, adapt, observes } })
 }
 
 fn calls(connection: &Connection, client: &Ports, server: &Ports, binding: Binding, own: bool) -> Terms {

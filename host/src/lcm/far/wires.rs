@@ -157,13 +157,13 @@ impl ServerWires {
         desk: impl FnOnce(Vec<Served>) -> Desk,
     ) -> io::Result<ServerWires> {
         match (offer, way) {
-            (Offer::Output { stream, pools }, Way::Stream { output, ty, .. }) => {
+            (Offer::Output { stream, pools }, Way::Stream { output, ty, observes, .. }) => {
                 let cell = set.slots.output(*output).clone();
                 let stats = stream.end.counters();
                 let newest_ns = connection.options.max_age_ns.map(|_| stream.newest_ns);
                 let first = Arc::new(AtomicU64::new(0));
                 let consumer = Consumer::Far { bell: stream.for_reader, newest_ns, first: first.clone() };
-                let link = Arc::new(OutLink::new(connection.id.0, stream.end, consumer));
+                let link = Arc::new(OutLink::new(connection.id.0, stream.end, consumer, *observes));
                 cell.add(link, ty, &back::port(ty).into());
                 here.instance.reclaim();
                 Ok(ServerWires::Output {

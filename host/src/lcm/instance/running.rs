@@ -14,8 +14,8 @@ use trocar_rt::wake::Waker;
 use super::super::boundary::HostContext;
 use super::super::context::{self, ExecutorId};
 use super::super::executor::{Executor, Pace};
-use super::super::pending;
 use super::super::supervise::{Entry, Misdeed, Suspicion};
+use super::super::{late, pending};
 use super::{Entered, Instance, Misuse};
 
 /// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are longer.
@@ -254,13 +254,24 @@ impl Instance {
         self.owed.take();
         if self.state_bytes > 0 {
             let (inner, block) = entered.with_state();
+            // What was left for the turn's end, while it is still the newest.
+            inner.tell_row();
             let published = inner.rows.publish(stamp_ns, inner.cycle, |row| block.copy_to(row));
             self.show_row();
-            if let Some(tap) = &inner.row_tap
-                && tap.is_listened()
-            {
-                tap.tell_row(inner.rows.newest(), stamp_ns, published.row + 1);
+            if inner.row_tap.as_ref().is_some_and(|tap| tap.is_listened()) {
+                inner.untold = Some((stamp_ns, published.row + 1));
+                if !self.object.is_kept_here() || !late::row(self) {
+                    inner.tell_row();
+                }
             }
+        }
+    }
+
+    /// Tells the tap of the row that was left for the turn's end. Where this very thread is inside, which has no room to leave more,
+    /// its next publication does.
+    pub(in crate::lcm) fn tell_row_of_turn(&self) {
+        if let Some(mut entered) = self.object.try_enter() {
+            entered.inner().tell_row();
         }
     }
 

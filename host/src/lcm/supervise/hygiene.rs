@@ -15,6 +15,8 @@ use std::sync::{Mutex, PoisonError};
 use trocar_model::Health;
 use trocar_rt::os::{self, Hygiene};
 
+use crate::loader::{self, Moment};
+
 use super::super::executor;
 use super::super::instance::Instance;
 use super::super::realtime;
@@ -38,6 +40,11 @@ fn whereabouts() -> Option<(PathBuf, PathBuf)> {
     Some((now, home))
 }
 
+/// Takes where the process is now for where it belongs, before anybody's code has run.
+pub(super) fn settle() {
+    let _ = whereabouts();
+}
+
 /// Brings the process back to where it belongs, or lets it belong where it is; answers what came of it.
 fn go_home(now: PathBuf, home: &PathBuf) -> String {
     match std::env::set_current_dir(home) {
@@ -54,6 +61,7 @@ pub(in crate::lcm) struct Manners {
     thread: Hygiene,
     /// Where the process was then; elsewhere than at home it was by somebody else's doing.
     directory: Option<PathBuf>,
+    moment: Moment,
     /// Empty while the component runs: its threads are not to wait for this look.
     threads: BTreeSet<i32>,
 }
@@ -67,6 +75,7 @@ impl Manners {
         instance.watch.mind();
         Manners {
             thread: os::thread_hygiene(),
+            moment: loader::moment(),
             directory: whereabouts().map(|(now, _)| now),
             threads: if instance.is_active() { BTreeSet::new() } else { threads() },
         }
@@ -96,6 +105,7 @@ impl Manners {
         if let Some((now, home)) = whereabouts()
             && now != home
             && self.directory.is_some_and(|before| before != now)
+            && !loader::has_loaded_since(self.moment)
         {
             let put_back = go_home(now, &home);
             instance.warn(&format!("{entry}: it changed the working directory of the process, {put_back}"));
@@ -141,15 +151,17 @@ pub(super) struct Premises {
 }
 
 impl Premises {
-    /// One look. `busy`, asked after it, are those that were inside since the last look that answered true, the ones with commands first.
-    /// False: somebody is inside who looks for himself, so nothing is said yet.
+    /// One look. `are_all`, asked after it: no component has come since `wards` were taken. `busy`, asked last, are those that
+    /// were inside since the last look that answered true, the ones with commands first.
+    /// False: somebody is inside who looks for himself, or is not known yet, so nothing is said yet.
     pub(super) fn look<'a>(
         &mut self,
         now_ns: u64,
         wards: &[&'a Ward],
+        are_all: impl FnOnce() -> bool,
         busy: impl FnOnce() -> Vec<&'a Ward>,
     ) -> bool {
-        let directory = look_at_directory(wards, busy);
+        let directory = look_at_directory(wards, are_all, busy);
         let mut suspects = directory == Found::Several;
         if now_ns.saturating_sub(self.masks_ns) >= MASKS_NS {
             self.masks_ns = now_ns;
@@ -172,13 +184,21 @@ enum Found {
     Settled,
     /// Several may have done it, and were told.
     Several,
-    /// Somebody looks for himself; asked again when he is done.
+    /// Somebody looks for himself, or has come since; asked again when he is done, or known.
     TooEarly,
 }
 
-fn look_at_directory<'a>(wards: &[&'a Ward], busy: impl FnOnce() -> Vec<&'a Ward>) -> Found {
+fn look_at_directory<'a>(
+    wards: &[&'a Ward],
+    are_all: impl FnOnce() -> bool,
+    busy: impl FnOnce() -> Vec<&'a Ward>,
+) -> Found {
     let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+    let moment = loader::moment();
     let Some((now, home)) = whereabouts().filter(|(now, home)| now != home) else { return Found::Settled };
+    if loader::has_loaded_since(moment) || !are_all() {
+        return Found::TooEarly;
+    }
     let hang = match minding(wards, &before) {
         Minding::Nobody => None,
         Minding::Looks => return Found::TooEarly,

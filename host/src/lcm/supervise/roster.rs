@@ -41,6 +41,12 @@ impl Roster {
         self.edition.fetch_add(1, Ordering::Release);
     }
 
+    /// Every component that is on the list now is one of those. Who has gone since may still be among them.
+    pub(super) fn has_only(&self, known: &[&Ward]) -> bool {
+        let wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
+        wards.iter().all(|w| known.iter().any(|k| k.instance.number == w.instance.number))
+    }
+
     /// The list, when it is another edition than `seen`, which is brought up to date.
     pub(super) fn news(&self, seen: &mut u64) -> Option<Vec<Ward>> {
         let edition = self.edition.load(Ordering::Acquire);

@@ -13,7 +13,7 @@ use trocar_rt::os;
 use super::super::context;
 use super::super::hub::Hub;
 use super::charge::Charge;
-use super::hygiene::Premises;
+use super::hygiene::{self, Premises};
 use super::roster::{Roster, Ward};
 
 /// Shortest and longest time between two looks, ns; in between it is the shortest period of a running component.
@@ -36,6 +36,7 @@ impl Watchdog {
     /// # Errors
     /// The machine gives no more threads.
     pub(in crate::lcm) fn start(hub: Arc<Hub>, roster: Arc<Roster>) -> std::io::Result<Watchdog> {
+        hygiene::settle();
         let stop = Arc::new(AtomicBool::new(false));
         let (asked, shared) = (stop.clone(), hub.clone());
         let thread = thread::Builder::new()
@@ -89,7 +90,7 @@ impl Rounds {
                 self.take(wards);
             }
             self.look(now_ns);
-            self.look_around(now_ns);
+            self.look_around(now_ns, roster);
             next_ns = self.next_ns(os::now_ns());
         }
     }
@@ -110,7 +111,7 @@ impl Rounds {
     }
 
     /// The process and its threads: what components should have left as it was.
-    fn look_around(&mut self, now_ns: u64) {
+    fn look_around(&mut self, now_ns: u64, roster: &Roster) {
         let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
         let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
         let busy = || -> Vec<&Ward> {
@@ -118,7 +119,7 @@ impl Rounds {
             let commanded: Vec<&Ward> = those(Charge::commanded).collect();
             if commanded.is_empty() { those(Charge::entered).collect() } else { commanded }
         };
-        let settled = self.premises.look(now_ns, &wards, busy);
+        let settled = self.premises.look(now_ns, &wards, || roster.has_only(&wards), busy);
         let executors: BTreeSet<i32> = wards.iter().map(|w| w.executor.tid()).collect();
         for (charge, counts) in self.charges.iter_mut().zip(counts) {
             charge.look_behind(now_ns, &executors);

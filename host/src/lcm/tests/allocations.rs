@@ -120,6 +120,33 @@ async fn a_stream_with_a_filter_allocates_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_is_left_for_observers_until_the_turn_ends_allocates_nothing() {
+    let world = World::new("a_observed");
+    let watched = Arc::new(Watched::default());
+    world.create_as("source", class(plain(false, true), Safety::None), periodic(20), watched.clone()).await;
+    let mut looks_on = plain(true, false);
+    looks_on.inputs[0].ty = PortType::Any;
+    world
+        .create_as(
+            "observer",
+            class(looks_on, Safety::None),
+            model(ExecutionModel::OnSignal),
+            Arc::new(Stepping),
+        )
+        .await;
+    let queue = Some(trocar_model::Queue::Fifo { depth: 8, drop_oldest: true });
+    let options = ConnectOptions { queue, ..ConnectOptions::default() };
+    world.connect(1, "observer/in", "source/out", options).await;
+    world.start("observer").await;
+    world.start("source").await;
+    without_allocations("that somebody observes", &watched).await;
+    let links = world.lcm.links().await.unwrap();
+    let given = links[0].passed + links[0].dropped;
+    assert!(given + 8 >= STEPS, "it was given {given} of {STEPS} samples");
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn callbacks_of_a_device_allocate_nothing() {
     let world = World::new("a_device");
     let called = Arc::new(Watched::default());

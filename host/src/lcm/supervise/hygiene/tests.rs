@@ -1,6 +1,9 @@
-//! A thread whose signal mask was changed while it hangs is given one job for it, not one with every look.
+//! A thread whose signal mask was changed while it hangs is given one job for it, not one with every look. A directory that
+//! may be a newcomer's doing, or a load's, is left until that is known.
 #![allow(clippy::unwrap_used)]
 
+use std::env;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
@@ -9,7 +12,7 @@ use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Port
 use trocar_rt::os;
 
 use super::super::Ward;
-use super::{blocked, mask};
+use super::{Found, blocked, look_at_directory, mask};
 use crate::lcm::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm};
 
@@ -67,4 +70,42 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         }
     }
     lcm.shutdown(PATIENCE).await;
+}
+
+/// Says that this is the process made for it: the directory is everybody's.
+const CHILD: &str = "TROCAR_HYGIENE_CHILD";
+
+#[test]
+fn the_process_that_is_looked_at() {
+    if env::var_os(CHILD).is_none() {
+        return;
+    }
+    let home = env::current_dir().unwrap();
+    let look = |all: bool| look_at_directory(&[], || all, Vec::new);
+    let place = || env::current_dir().unwrap();
+    assert_eq!(look(true), Found::Settled);
+    env::set_current_dir("/").unwrap();
+    assert_eq!(look(false), Found::TooEarly, "somebody came who is not known yet");
+    assert_ne!(place(), home, "nothing is put back before it can be said whose doing it was");
+    assert_eq!(look(true), Found::Settled);
+    assert_eq!(place(), home);
+    // A load that is under way changes it; the load puts it back and says so.
+    let loading = crate::loader::Loading::begin();
+    env::set_current_dir("/").unwrap();
+    assert_eq!(look(true), Found::TooEarly, "a plugin is being loaded");
+    assert_ne!(place(), home);
+    drop(loading);
+    assert_eq!(look(true), Found::Settled);
+    assert_eq!(place(), home);
+}
+
+#[test]
+fn what_a_newcomer_or_a_load_may_have_done_is_left_until_that_is_known() {
+    let child = Command::new(env::current_exe().unwrap())
+        .args(["--exact", "lcm::supervise::hygiene::tests::the_process_that_is_looked_at", "--nocapture"])
+        .env(CHILD, "1")
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&child.stdout).into_owned() + &String::from_utf8_lossy(&child.stderr);
+    assert!(child.status.success() && said.contains("1 passed"), "{said}");
 }

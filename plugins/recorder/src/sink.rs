@@ -1,0 +1,263 @@
+//! The file as a writer fills it. What is much goes to the disk past the page cache: copying it there and cleaning up behind it
+//! takes as long as everything else a recording does. A disk that is slow for it gets it through the page cache, which has room for
+//! seconds of it.
+//!
+//! Invariant: after a `flush` that was said to be urgent the file begins with all that was written, and what follows is nothing or
+//! one record that readers leave out.
+
+#[cfg(test)]
+mod tests;
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::os::unix::fs::FileExt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::io::Errno;
+
+/// What disks take past the page cache begins, ends and lies in memory at multiples of it, bytes.
+const PAGE: usize = 4 << 10;
+/// Written at once when so many bytes wait.
+const HOLDS: usize = 512 << 10;
+/// Past the page cache, less than this waits for more, unless it is urgent.
+const WORTH: usize = 256 << 10;
+/// How long bytes are counted before it is decided how the next ones go.
+const LOOK: Duration = Duration::from_millis(100);
+/// From so many bytes per second on, and down to so many, the page cache is passed by.
+const MUCH: (f64, f64) = (16e6, 4e6);
+/// What comes faster is a burst, which memory takes at once and few disks do, bytes per second.
+const BURST: f64 = 600e6;
+/// The share of the time that may be spent waiting for the disk; one that takes more is tried again later.
+const WAITS: f64 = 0.3;
+/// The first time after so long, later twice as long each time up to this.
+const AGAIN: (Duration, Duration) = (Duration::from_secs(10), Duration::from_secs(640));
+/// Opcode of the record that fills a page: the format leaves those from here on to applications, and readers leave them out.
+const FILLER: u8 = 0x80;
+/// Pages that fillers may take behind what is in memory: each at most two, and one that is replaced reaches one further.
+const FILLERS: usize = 4;
+/// Of a record: its opcode and its length.
+const RECORD_HEAD: usize = 9;
+
+/// How bytes go to the disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Route {
+    /// Through the page cache.
+    Cached,
+    /// Past it.
+    Direct,
+    /// Through the page cache: the file system knows no other way.
+    CachedOnly,
+}
+
+/// What a writer and its sink tell each other while another library stands between them.
+#[derive(Default)]
+pub(crate) struct Word {
+    /// All that was written, bytes.
+    pub(crate) len: AtomicU64,
+    /// What of it was in the file when it was flushed last, bytes.
+    pub(crate) stored: AtomicU64,
+    /// The next flush is to bring all of it into the file.
+    pub(crate) urgent: AtomicBool,
+}
+
+pub(crate) struct Sink {
+    file: File,
+    word: Arc<Word>,
+    memory: Memory,
+    /// Where in the file the memory begins: at a page.
+    at: u64,
+    /// In memory.
+    filled: usize,
+    /// Of it, in the file already.
+    stored: usize,
+    /// Where in the file the filler ends that follows what is stored; at most where that ends: there is none.
+    padded_to: u64,
+    route: Route,
+    /// Since when bytes are counted, and how many there were then.
+    looked: (Instant, u64),
+    /// How long the disk was waited for since then.
+    waited: Duration,
+    /// Before then the page cache is not passed by, and after the next time it was too slow for so long.
+    not_before: Instant,
+    pause: Duration,
+}
+
+/// Bytes that begin at a page.
+struct Memory {
+    bytes: Vec<u8>,
+    begin: usize,
+}
+
+impl Memory {
+    fn new(len: usize) -> Memory {
+        let bytes = vec![0; len + PAGE];
+        let begin = bytes.as_ptr().align_offset(PAGE);
+        // Where that cannot be told, disks refuse, and the page cache takes it.
+        Memory { bytes, begin: if begin < PAGE { begin } else { 0 } }
+    }
+
+    fn at(&mut self) -> &mut [u8] {
+        &mut self.bytes[self.begin..]
+    }
+}
+
+impl Sink {
+    pub(crate) fn new(file: File, word: Arc<Word>) -> Sink {
+        Sink {
+            file,
+            word,
+            memory: Memory::new(HOLDS + FILLERS * PAGE),
+            at: 0,
+            filled: 0,
+            stored: 0,
+            padded_to: 0,
+            route: Route::Cached,
+            looked: (Instant::now(), 0),
+            waited: Duration::ZERO,
+            not_before: Instant::now(),
+            pause: AGAIN.0,
+        }
+    }
+
+    /// How much of what was written is in the file, bytes.
+    pub(crate) fn stored(&self) -> u64 {
+        self.at + self.stored as u64
+    }
+
+    /// How the next bytes go, from how many there were and how long the disk took.
+    fn choose(&mut self) {
+        let len = self.word.len.load(Ordering::Relaxed);
+        let (since, before) = self.looked;
+        let elapsed = since.elapsed();
+        if elapsed < LOOK {
+            return;
+        }
+        self.looked = (Instant::now(), len);
+        let waited = std::mem::take(&mut self.waited).as_secs_f64() / elapsed.as_secs_f64();
+        let rate = (len - before) as f64 / elapsed.as_secs_f64();
+        match self.route {
+            Route::Cached if (MUCH.0..BURST).contains(&rate) && self.looked.0 >= self.not_before => {
+                self.take(Route::Direct);
+            }
+            Route::Direct if waited > WAITS => {
+                self.not_before = self.looked.0 + self.pause;
+                self.pause = AGAIN.1.min(2 * self.pause);
+                self.take(Route::Cached);
+            }
+            Route::Direct if rate < MUCH.1 => self.take(Route::Cached),
+            _ => {}
+        }
+    }
+
+    fn take(&mut self, route: Route) {
+        let set = |direct: bool| {
+            let flags = fcntl_getfl(&self.file)? - OFlags::DIRECT;
+            fcntl_setfl(&self.file, if direct { flags | OFlags::DIRECT } else { flags })
+        };
+        self.route = match set(route == Route::Direct) {
+            Ok(()) => route,
+            Err(_) => Route::CachedOnly,
+        };
+    }
+
+    /// Writes the memory from what is not stored up to `end`.
+    fn store(&mut self, end: usize) -> io::Result<()> {
+        if self.route == Route::Direct {
+            let from = self.stored - self.stored % PAGE;
+            let begun = Instant::now();
+            let done = self.file.write_all_at(&self.memory.at()[from..end], self.at + from as u64);
+            self.waited += begun.elapsed();
+            match done {
+                Err(why) if Errno::from_io_error(&why) == Some(Errno::INVAL) => self.take(Route::CachedOnly),
+                other => return other,
+            }
+        }
+        let from = self.stored;
+        self.file.write_all_at(&self.memory.at()[from..end], self.at + from as u64)
+    }
+
+    /// Lets go of whole pages that are in the file.
+    fn advance(&mut self) {
+        let whole = self.stored - self.stored % PAGE;
+        self.memory.at().copy_within(whole..self.filled, 0);
+        self.at += whole as u64;
+        self.filled -= whole;
+        self.stored -= whole;
+    }
+
+    /// Makes room: whole pages go to the file.
+    fn spill(&mut self) -> io::Result<()> {
+        self.choose();
+        let whole = self.filled - self.filled % PAGE;
+        self.store(whole)?;
+        // A filler is shorter than what memory holds: they have replaced it.
+        self.stored = whole;
+        self.advance();
+        Ok(())
+    }
+
+    /// Behind what is in memory, a record up to the end of a page and of the filler that is there; its end. Past the page cache
+    /// a whole page is written; else only what replaces a filler.
+    fn pad(&mut self, page: usize) -> usize {
+        let filled = self.filled;
+        let old = usize::try_from(self.padded_to.saturating_sub(self.at)).unwrap_or(0);
+        let end = old.max(filled).next_multiple_of(page);
+        if end == filled {
+            return filled;
+        }
+        let end =
+            if end - filled < RECORD_HEAD { (filled + RECORD_HEAD).next_multiple_of(page) } else { end };
+        let filler = &mut self.memory.at()[filled..end];
+        filler.fill(0);
+        filler[0] = FILLER;
+        filler[1..RECORD_HEAD].copy_from_slice(&((end - filled - RECORD_HEAD) as u64).to_le_bytes());
+        end
+    }
+
+    /// All that was written is in the file, which may be longer: it is cut to the length that is told, whatever went wrong.
+    pub(crate) fn close(mut self) -> (u64, io::Result<()>) {
+        if self.route == Route::Direct {
+            self.take(Route::Cached);
+        }
+        let done = self.store(self.filled);
+        if done.is_ok() {
+            self.stored = self.filled;
+        }
+        (self.stored(), done)
+    }
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.filled == HOLDS {
+            self.spill()?;
+        }
+        let n = bytes.len().min(HOLDS - self.filled);
+        let filled = self.filled;
+        self.memory.at()[filled..filled + n].copy_from_slice(&bytes[..n]);
+        self.filled += n;
+        self.word.len.fetch_add(n as u64, Ordering::Relaxed);
+        Ok(n)
+    }
+
+    /// At the end of a record.
+    fn flush(&mut self) -> io::Result<()> {
+        self.choose();
+        let urgent = self.word.urgent.swap(false, Ordering::Relaxed);
+        let waits = self.filled - self.stored;
+        if waits == 0 || (self.route == Route::Direct && !urgent && waits < WORTH) {
+            return Ok(());
+        }
+        // The file is never made shorter meanwhile: that would give back the room that was promised behind its end.
+        let end = self.pad(if self.route == Route::Direct { PAGE } else { 1 });
+        self.store(end)?;
+        self.padded_to = self.at + end as u64;
+        self.stored = self.filled;
+        self.word.stored.store(self.stored(), Ordering::Relaxed);
+        self.advance();
+        Ok(())
+    }
+}

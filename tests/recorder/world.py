@@ -1,0 +1,210 @@
+"""What the tests of recordings stand on: the packages, a host in a directory of its own, a file read by the stock reader."""
+
+import json
+import os
+import pathlib
+import pty
+import re
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+BIN = pathlib.Path(os.environ.get("TROCAR_BIN_DIR", TARGET / "release"))
+VENV = TARGET / "recorder-venv"
+# Nothing here is judged by time; this only ends what would hang.
+PATIENCE_S = 120
+OK, REFUSED, USAGE, PARTIAL = 0, 1, 2, 5
+SKIPPED = 77
+
+
+class Skip(Exception):
+    """Why a test cannot run here."""
+
+
+def enter_venv():
+    """Makes the venv where it is missing, and goes on in it."""
+    python = VENV / "bin" / "python"
+    if pathlib.Path(sys.prefix) == VENV:
+        return
+    if not python.exists():
+        made = subprocess.run([sys.executable, "-m", "venv", str(VENV)], capture_output=True, text=True)
+        if made.returncode:
+            print(f"suite.py: no venv can be made: {made.stderr.strip()[-200:]}")
+            sys.exit(SKIPPED)
+    install = [python, "-m", "pip", "install", "-q", "--retries", "1", "-r", str(HERE / "packages.txt")]
+    done = subprocess.run(install, capture_output=True, text=True)
+    if done.returncode:
+        print(f"suite.py: the packages of packages.txt cannot be had: {done.stderr.strip().splitlines()[-1:]}")
+        sys.exit(SKIPPED)
+    os.execv(python, [str(python), *sys.argv])
+
+
+def eventually(what, probe):
+    """Asks again until it is so."""
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        answer = probe()
+        if answer:
+            return answer
+        if time.monotonic() > end:
+            raise AssertionError(f"never: {what}; last seen: {answer!r}")
+        time.sleep(0.02)
+
+
+class World:
+    """A host in a directory of its own, ended with the test."""
+
+    def __init__(self, plugins, system=None):
+        self.dir = pathlib.Path(tempfile.mkdtemp(prefix="trocar-recorder-"))
+        (self.dir / "plugins").mkdir()
+        (self.dir / "rec").mkdir()
+        for name in ("recorder", *plugins):
+            shutil.copy(BIN / f"libtrocar_{name}.so", self.dir / "plugins")
+        self.env = {**os.environ, "XDG_STATE_HOME": str(self.dir / "state"), "NO_COLOR": "1"}
+        self.env.pop("TROCAR_GCM", None)
+        self.log = open(self.dir / "host.log", "w+")
+        command = [BIN / "trocar", "host", "--name", "host", "--plugins", "plugins", "--listen", "127.0.0.1:0",
+                   "--state", "host-state"]
+        if system:
+            (self.dir / "system.json").write_text(json.dumps(system))
+            command = [BIN / "trocar", "up", "system.json", "--listen", "127.0.0.1:0"]
+        self.host = subprocess.Popen(command, cwd=self.dir, env=self.env, stdout=self.log, stderr=subprocess.STDOUT)
+        address = eventually("the host says its address", self.address)
+        self.env["TROCAR_GCM"] = address
+        eventually("the classes are there", lambda: "recorder/recorder" in self.run("ls", "--json").stdout or None)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.host.poll() is None:
+            self.host.terminate()
+            try:
+                self.host.wait(20)
+            except subprocess.TimeoutExpired:
+                self.host.kill()
+                self.host.wait()
+        self.log.close()
+        shutil.rmtree(self.dir, ignore_errors=True)
+
+    def address(self):
+        found = re.search(r"127\.0\.0\.1:\d+", (self.dir / "host.log").read_text())
+        return found and found.group(0)
+
+    def run(self, *words, code=None):
+        done = subprocess.run([BIN / "trocar", *map(str, words)], cwd=self.dir, env=self.env, capture_output=True, text=True,
+                              timeout=PATIENCE_S)
+        if code is not None and done.returncode != code:
+            raise AssertionError(f"trocar {' '.join(map(str, words))}: {done.returncode}, not {code}\n{done.stdout}\n{done.stderr}")
+        return done
+
+    def json(self, *words, code=OK):
+        return json.loads(self.run(*words, "--json", code=code).stdout)
+
+    def call(self, path, arg=None, code=OK):
+        words = ["call", path] + ([] if arg is None else [json.dumps(arg)])
+        return self.run(*words, "--deadline", "20s", code=code)
+
+    def read(self, path):
+        return json.loads(self.call(path).stdout)
+
+    def follow(self, component, event):
+        """Hears an event of a component from now on."""
+        echo = subprocess.Popen([BIN / "trocar", "echo", component, f"{component}/{event}", "--json"], cwd=self.dir, env=self.env,
+                                stdout=subprocess.PIPE, text=True)
+        # How the component stands comes first: then it hears.
+        assert json.loads(echo.stdout.readline())["kind"] == "state"
+        return echo
+
+    def source(self, name="sine", cls="sine", config=None):
+        self.run("create", f"host/{name}", cls, "--config", json.dumps(config or {}), code=OK)
+        self.run("start", f"host/{name}", code=OK)
+        return f"host/{name}"
+
+    def recorder(self, connections, config=None, path="host/rec"):
+        """A recorder that runs, connected by name to what is said."""
+        config = {"directory": "rec", "topics": list(connections), **(config or {})}
+        self.run("create", path, "recorder", "--config", json.dumps(config), code=OK)
+        for name, server in connections.items():
+            # Frames are few and large.
+            self.run("connect", f"{path}/{name}", server, "--fifo", "64" if server.endswith("/image") else "4096", code=OK)
+        self.run("start", path, code=OK)
+
+    def begin(self, path, delay=0, duration=0, code=OK):
+        return self.call("host/rec/ctl/start", {"path": path, "delay": delay, "duration": duration}, code=code)
+
+    def topic(self, at):
+        return json.loads(self.call("host/rec/ctl/topic", at).stdout)
+
+    def wait(self, what, wanted):
+        return eventually(what, lambda: (lambda s: s if wanted(s) else None)(self.read("host/rec/ctl/status")))
+
+    def end(self):
+        self.call("host/rec/ctl/stop")
+        return eventually("the file is closed", lambda: (lambda s: s if s["reason"] else None)(self.read("host/rec/ctl/last")))
+
+
+class Terminal:
+    """The program as somebody sees it who looks."""
+
+    def __init__(self, world, *words):
+        self.master, slave = pty.openpty()
+        self.process = subprocess.Popen([BIN / "trocar", *words], cwd=world.dir, env=world.env, stdin=slave, stdout=slave, stderr=slave)
+        os.close(slave)
+        self.shown = ""
+
+    def read(self):
+        """More of it; false at its end."""
+        assert select.select([self.master], [], [], PATIENCE_S)[0], f"nothing more was shown: {self.shown!r}"
+        try:
+            more = os.read(self.master, 4096)
+        except OSError:  # The other end is closed.
+            more = b""
+        self.shown += more.decode(errors="replace")
+        return bool(more)
+
+    def shows(self, text):
+        while text not in self.shown:
+            assert self.read(), f"never {text!r}: {self.shown!r}"
+
+    def ends(self):
+        while self.read():
+            pass
+        os.close(self.master)
+        return self.process.wait(PATIENCE_S)
+
+
+def messages(path, whole=True):
+    """Topic -> [(record, decoded)], metadata, and whether the reader came to the file's end."""
+    from mcap.exceptions import EndOfFile
+    from mcap.reader import NonSeekingReader, make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+    topics, ended = {}, True
+    with open(path, "rb") as file:
+        factories = [DecoderFactory()]
+        reader = make_reader(file, decoder_factories=factories) if whole else NonSeekingReader(file, decoder_factories=factories)
+        decoders = {}
+        try:
+            for schema, channel, message in reader.iter_messages(log_time_order=whole):
+                if channel.message_encoding == "json":
+                    value = json.loads(message.data)
+                else:
+                    if channel.id not in decoders:
+                        decoders[channel.id] = factories[0].decoder_for(channel.message_encoding, schema)
+                    value = decoders[channel.id](message.data)
+                topics.setdefault(channel.topic, []).append((message, value))
+        except EndOfFile:
+            ended = False
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()} if whole else {}
+    return topics, metadata, ended
+
+
+def contiguous(records):
+    numbers = [message.sequence for message, _ in records]
+    return all(b == a + 1 for a, b in zip(numbers, numbers[1:]))
