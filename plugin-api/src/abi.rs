@@ -8,7 +8,7 @@ use core::ffi::c_void;
 /// Version of this contract. A host loads plugins of the same major and of any minor.
 pub const ABI_MAJOR: u32 = 1;
 /// Grows when entries are appended. Older and newer minors load each other.
-pub const ABI_MINOR: u32 = 1;
+pub const ABI_MINOR: u32 = 2;
 /// The one symbol a plugin exports.
 pub const ENTRY_SYMBOL: &str = "trocar_plugin_v1";
 /// Signature of [`ENTRY_SYMBOL`]: returns a table that lives as long as the library.
@@ -285,6 +285,26 @@ pub struct InSlot {
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
     /// Since 1.1. Bytes of the plain value, or of the header of the frame, in the sample shown last; 0 without one.
     pub header_len: unsafe extern "C" fn(ctx: *mut c_void) -> u64,
+    /// Since 1.2. Holds the frame shown last beyond the next one: IN_SAMPLE, and `held` is filled; IN_EMPTY where it was no frame, or
+    /// where too few would stay free for its source; IN_UNBOUND without a connection. The caller sets `struct_size`. For the
+    /// component's thread, as the others.
+    pub hold: unsafe extern "C" fn(ctx: *mut c_void, held: *mut Held) -> i32,
+}
+
+/// A frame that is held, whatever becomes of the input, as long as the plugin's own code runs. Since 1.2.
+#[repr(C)]
+#[derive(Clone, Copy)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Held {
+    pub struct_size: u32,
+    pub flags: u32,
+    /// They stay as they are until `release`; of another process, as long as that is linked to this one.
+    pub bytes: *const u8,
+    pub len: u64,
+    /// The host's own.
+    pub token: u64,
+    /// Gives the frame back: once, from any thread.
+    pub release: unsafe extern "C" fn(token: u64),
 }
 
 /// Returns at once: EXECUTED when it ran inline, QUEUED, or the reason why not.

@@ -20,7 +20,11 @@ use crate::abi::{ABI_MINOR, PluginTable};
 pub const LAYOUT_SYMBOL: &str = "trocar_layout_v1";
 
 /// Layouts that were released, by ABI minor.
-const FROZEN: [&str; 2] = [include_str!("../layouts/1.0.txt"), include_str!("../layouts/1.1.txt")];
+const FROZEN: [&str; 3] = [
+    include_str!("../layouts/1.0.txt"),
+    include_str!("../layouts/1.1.txt"),
+    include_str!("../layouts/1.2.txt"),
+];
 
 /// abi_stable's root module: every struct of the contract is reached from the entry's type.
 #[repr(C)]

@@ -34,7 +34,7 @@ extern "C" {
 
 /* Version of this contract. A host loads plugins of the same major and of any minor. */
 #define TROCAR_ABI_MAJOR 1u
-#define TROCAR_ABI_MINOR 1u
+#define TROCAR_ABI_MINOR 2u
 
 /* True when the field lies inside what the table says it has. */
 #define TROCAR_HAS(type, table, field) \
@@ -172,6 +172,17 @@ typedef struct trocar_out {
 /* Answers of latest and next. */
 enum { TROCAR_IN_SAMPLE = 1, TROCAR_IN_EMPTY = 0, TROCAR_IN_UNBOUND = -1 };
 
+/* A frame that is held, whatever becomes of the input, as long as the plugin's own code runs: bytes stay as they are until release,
+   which is called once, from any thread; of another process, as long as that is linked to this one. Since 1.2. */
+typedef struct trocar_held {
+    uint32_t struct_size;
+    uint32_t flags;
+    const uint8_t *bytes;
+    uint64_t len;
+    uint64_t token;
+    void (*release)(uint64_t token);
+} trocar_held;
+
 /* An input. latest gives the newest sample again and again (see FRESH); next gives each once, in order. */
 typedef struct trocar_in {
     uint32_t struct_size;
@@ -186,6 +197,9 @@ typedef struct trocar_in {
     trocar_status (*type_of)(void *ctx, const trocar_sink *sink);
     /* Since 1.1. Bytes of the plain value, or of the header of the frame, in the sample shown last; 0 without one. */
     uint64_t (*header_len)(void *ctx);
+    /* Since 1.2. Holds the frame shown last beyond the next one: IN_SAMPLE, and held is filled; IN_EMPTY where it was no frame, or
+       where too few would stay free for its source; IN_UNBOUND without a connection. The caller sets struct_size. */
+    int32_t (*hold)(void *ctx, trocar_held *held);
 } trocar_in;
 
 /* Returns at once: EXECUTED when it ran inline, QUEUED, or the reason why not. */
@@ -364,7 +378,8 @@ TROCAR_ASSERT(sizeof(trocar_tick) == 48, "trocar_tick");
 TROCAR_ASSERT(sizeof(trocar_loan) == 40, "trocar_loan");
 TROCAR_ASSERT(sizeof(trocar_sample) == 56, "trocar_sample");
 TROCAR_ASSERT(sizeof(trocar_out) == 80, "trocar_out");
-TROCAR_ASSERT(sizeof(trocar_in) == 64, "trocar_in");
+TROCAR_ASSERT(sizeof(trocar_held) == 40, "trocar_held");
+TROCAR_ASSERT(sizeof(trocar_in) == 72, "trocar_in");
 TROCAR_ASSERT(sizeof(trocar_call_opts) == 40, "trocar_call_opts");
 TROCAR_ASSERT(sizeof(trocar_fn) == 40, "trocar_fn");
 TROCAR_ASSERT(sizeof(trocar_event) == 24, "trocar_event");

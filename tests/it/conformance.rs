@@ -130,6 +130,8 @@ macro_rules! conform {
                     calls_of_ports_that_come_and_go_are_each_answered_and_none_runs_twice;
                 cases untyped:
                     an_untyped_input_takes_samples_and_frames_as_they_are,
+                    a_frame_that_an_untyped_input_keeps_stays_whatever_becomes_of_the_input,
+                    frames_are_held_as_long_as_enough_stay_free_for_their_source,
                     an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size,
                     two_untyped_ends_pass_what_a_third_one_made_of_the_output,
                     an_untyped_function_calls_what_it_is_connected_to_and_nothing_of_another_size,

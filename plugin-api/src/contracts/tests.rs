@@ -13,7 +13,7 @@ fn sensor() -> Value {
         f
     };
     json!({
-        "trocar": 1, "abi": [1, 1], "name": "p", "version": "1",
+        "trocar": 1, "abi": [1, 2], "name": "p", "version": "1",
         "types": [
             {"name": "Load", "size": 56, "align": 8, "fields": [
                 field("stamp", 0, json!({"type": "stamp"})),
@@ -149,7 +149,7 @@ fn a_servo_that_queues_is_no_servo() {
             "arg": {"name": "goal", "type": {"ref": "Pose"}}});
         let class = json!({"name": "a", "safety": "actuator",
             "provided": [{"name": "body", "commands": [servo]}]});
-        let manifest = json!({"trocar": 1, "abi": [1, 1], "name": "p", "version": "1", "types": [pose], "classes": [class]});
+        let manifest = json!({"trocar": 1, "abi": [1, 2], "name": "p", "version": "1", "types": [pose], "classes": [class]});
         let manifest: Manifest = serde_json::from_value(manifest).unwrap();
         let found = check(&manifest, "a", &ARM);
         found.iter().map(ToString::to_string).filter(|said| said.contains("overflow")).collect::<Vec<_>>()

@@ -5,7 +5,7 @@
 #include <cstdio>
 
 TROCAR_MANIFEST(R"json({
-"trocar":1,"abi":[1,1],"name":"cpp_arms","version":"0.1.0","panic":"none",
+"trocar":1,"abi":[1,2],"name":"cpp_arms","version":"0.1.0","panic":"none",
 "types":[{"name":"ArmsState","size":32,"align":8,"fields":[{"name":"goal","at":0,"type":{"array":"f64","n":4},"unit":"rad"}]}],
 "classes":[{"name":"cpp_arms","execution":{"model":"on_signal"},
  "config":{"type":"object","additionalProperties":false,"properties":{

@@ -4,7 +4,7 @@
 #include <cstdio>
 
 TROCAR_MANIFEST(R"json({
-"trocar":1,"abi":[1,1],"name":"cpp_gauge","version":"0.2.0","panic":"none",
+"trocar":1,"abi":[1,2],"name":"cpp_gauge","version":"0.2.0","panic":"none",
 "types":[{"name":"GaugeState","size":16,"align":8,"fields":[
  {"name":"sum","at":0,"type":"f64"},{"name":"count","at":8,"type":"u64"}]}],
 "classes":[{"name":"gauge","doc":"\"adds\" \u00b5 up","execution":{"model":"periodic","period_ns":1000000},

@@ -16,7 +16,7 @@ use core::mem::offset_of;
 use core::time::Duration;
 use serde_json::Value as Json;
 use trocar_plugin_api::abi::{
-    Bytes, CallOpts, FnSlot, InSlot, OutSlot, STATUS_OK, SampleView, Sink, Status, has_entry,
+    Bytes, CallOpts, FnSlot, Held, IN_SAMPLE, InSlot, OutSlot, STATUS_OK, SampleView, Sink, Status, has_entry,
 };
 use trocar_plugin_api::desc::TypeDesc;
 
@@ -39,6 +39,38 @@ pub struct AnyView<'a> {
     slot: &'a InSlot,
 }
 
+/// A frame that is held, see [`AnyView::hold`]; dropped, it goes back to its source. It outlives its connection, its source and the
+/// component's stop; threads that have some must have ended when the component is destroyed, as all of its threads.
+pub struct HeldFrame(Held);
+
+// SAFETY: its bytes stay as they are, and any thread may give it back.
+unsafe impl Send for HeldFrame {}
+// SAFETY: as above; a shared one is only read.
+unsafe impl Sync for HeldFrame {}
+
+impl HeldFrame {
+    pub fn bytes(&self) -> &[u8] {
+        if self.0.bytes.is_null() {
+            return &[];
+        }
+        // SAFETY: the host holds `len` readable bytes until the release.
+        unsafe { core::slice::from_raw_parts(self.0.bytes, self.0.len as usize) }
+    }
+}
+
+impl core::fmt::Debug for HeldFrame {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "frame of {} bytes", self.0.len)
+    }
+}
+
+impl Drop for HeldFrame {
+    fn drop(&mut self) {
+        // SAFETY: what the host gave with this token, once.
+        unsafe { (self.0.release)(self.0.token) };
+    }
+}
+
 impl AnyView<'_> {
     /// The bytes of the plain value, or of the header of a frame: [`AnyType::to_json`] and [`crate::Place::number`] read
     /// them. Empty on a host older than ABI 1.1.
@@ -57,6 +89,27 @@ impl AnyView<'_> {
         }
         // SAFETY: the slot gives `len` readable bytes while the view borrows the input.
         unsafe { core::slice::from_raw_parts(self.view.bytes, self.view.len as usize) }
+    }
+
+    /// Holds the frame beyond this view, for any thread: nothing is copied, and its source has one frame less to fill until it is
+    /// dropped. None for plain samples, where few of the source's frames would stay free (of another process one is held at a time),
+    /// and on a host older than ABI 1.2: then copy what you need. For `step`.
+    pub fn hold(&self) -> Option<HeldFrame> {
+        unsafe extern "C" fn nothing(_: u64) {}
+        if !has_entry(self.slot.struct_size, offset_of!(InSlot, hold), ENTRY) {
+            return None;
+        }
+        let mut held = Held {
+            struct_size: size_of::<Held>() as u32,
+            flags: 0,
+            bytes: core::ptr::null(),
+            len: 0,
+            token: 0,
+            release: nothing,
+        };
+        // SAFETY: the entry lies inside the slot, and the room is a whole `Held`.
+        let answer = unsafe { (self.slot.hold)(self.slot.ctx, &raw mut held) };
+        (answer == IN_SAMPLE).then_some(HeldFrame(held))
     }
 
     pub fn stamp(&self) -> Stamp {
@@ -321,4 +374,32 @@ unsafe fn ask_type(
     // SAFETY: the sink lives through the call.
     let status = unsafe { type_of(ctx, &sink) };
     (status == STATUS_OK).then(|| String::from_utf8_lossy(&text).into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_plugin_api::abi::SAMPLE_FRESH;
+
+    #[test]
+    fn a_host_without_the_entry_is_not_asked_to_hold() {
+        unsafe extern "C" fn hold(_: *mut c_void, _: *mut Held) -> i32 {
+            std::process::abort()
+        }
+        // SAFETY: the stub is static.
+        let stub = unsafe { core::ptr::read(stubs::input()) };
+        let slot = InSlot { struct_size: offset_of!(InSlot, hold) as u32, hold, ..stub };
+        let nothing = core::ptr::null();
+        let view = SampleView {
+            struct_size: size_of::<SampleView>() as u32,
+            flags: SAMPLE_FRESH,
+            header: nothing,
+            bytes: nothing.cast(),
+            len: 0,
+            stamp_ns: 0,
+            seq: 1,
+            token: 0,
+        };
+        assert!(AnyView { view, len: 0, slot: &slot }.hold().is_none());
+    }
 }

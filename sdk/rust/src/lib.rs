@@ -35,7 +35,7 @@ mod stubs;
 pub mod testing;
 mod values;
 
-pub use any::{Any, AnyFunction, AnyIn, AnyOut, AnyView};
+pub use any::{Any, AnyFunction, AnyIn, AnyOut, AnyView, HeldFrame};
 pub use call::{Answer, Value};
 pub use component::{Class, Component, Error, Result, Tick};
 pub use config::{Config, ConfigField};

@@ -24,6 +24,9 @@ pub(crate) fn input() -> *const InSlot {
     unsafe extern "C" fn header_len(_: *mut c_void) -> u64 {
         0
     }
+    unsafe extern "C" fn hold(_: *mut c_void, _: *mut Held) -> i32 {
+        IN_UNBOUND
+    }
     static SLOT: Shared<InSlot> = Shared(InSlot {
         struct_size: size_of::<InSlot>() as u32,
         flags: 0,
@@ -34,6 +37,7 @@ pub(crate) fn input() -> *const InSlot {
         writable,
         type_of,
         header_len,
+        hold,
     });
     &SLOT.0
 }

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use trocar_plugin_api::abi::STATUS_INVALID;
+use trocar_sdk::HeldFrame;
 use trocar_sdk::data::{ImageHeader, Pose, Scalar};
 use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::json;
@@ -120,6 +121,48 @@ fn frames_pass_untyped_ports_with_header_and_bytes() {
     bench.step(1);
     let frames = bench.frames::<ImageHeader>("to");
     assert_eq!((frames[0].0.stride, frames[0].1.as_slice()), (3, &[1u8, 2, 3][..]));
+}
+
+/// Keeps every other frame, and reads the last it kept in another thread.
+#[derive(Component)]
+#[component(rate_hz = 100)]
+struct Keeper {
+    #[input(fifo = 4)]
+    from: AnyIn,
+    #[state]
+    first: f64,
+    #[state]
+    none: u64,
+    kept: Option<HeldFrame>,
+}
+
+impl Component for Keeper {
+    fn step(&mut self, _: &Tick) -> Result {
+        while let Some(sample) = self.from.next() {
+            match sample.hold() {
+                Some(frame) if sample.seq() % 2 == 1 => self.kept = Some(frame),
+                Some(_) => {}
+                None => self.none += 1,
+            }
+        }
+        let kept = self.kept.as_ref();
+        let first = || kept.and_then(|frame| frame.bytes().first().copied()).map_or(f64::NAN, f64::from);
+        self.first = std::thread::scope(|scope| scope.spawn(first).join().unwrap());
+        Ok(())
+    }
+}
+
+#[test]
+fn a_frame_that_is_held_outlives_those_that_come_behind_it() {
+    let mut bench = Bench::<Keeper>::new("{}");
+    for (n, first) in [(1u8, 1.0), (2, 1.0), (3, 3.0), (4, 3.0)] {
+        bench.push_frame("from", ImageHeader::default(), &[n, 0, 0]);
+        bench.step(1);
+        assert_eq!((bench.state().first, bench.state().none), (first, 0));
+    }
+    bench.push("from", 1.5);
+    bench.step(1);
+    assert_eq!((bench.state().first, bench.state().none), (3.0, 1), "a plain sample is no frame");
 }
 
 #[test]

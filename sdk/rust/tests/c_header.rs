@@ -42,7 +42,8 @@ fn structs() -> Vec<Both> {
         trocar_loan = Loan { struct_size, flags, header, bytes, capacity, token }
         trocar_sample = SampleView { struct_size, flags, header, bytes, len, stamp_ns, seq, token }
         trocar_out = OutSlot { struct_size, flags, ctx, write, loan, commit, cancel, forward, reserve, type_of, write_bytes }
-        trocar_in = InSlot { struct_size, flags, ctx, latest, next, release, writable, type_of, header_len }
+        trocar_in = InSlot { struct_size, flags, ctx, latest, next, release, writable, type_of, header_len, hold }
+        trocar_held = Held { struct_size, flags, bytes, len, token, release }
         trocar_call_opts = CallOpts { struct_size, mode, deadline_ns, err, stamp_ns, may_still_run, reserved }
         trocar_fn = FnSlot { struct_size, flags, ctx, call, type_of, call_bytes }
         trocar_event = EventSlot { struct_size, flags, ctx, emit }

@@ -13,7 +13,7 @@
 // JSON's own escapes: after the manifest is read these are the characters themselves.
 #define LIE "\\u001b[2J\\u001b[31mgone\\nERROR host/other: it burns"
 
-TROCAR_MANIFEST("{\"trocar\":1,\"abi\":[1,1],\"name\":\"odd\",\"version\":\"0.1.0\",\"license\":\"" LIE "\","
+TROCAR_MANIFEST("{\"trocar\":1,\"abi\":[1,2],\"name\":\"odd\",\"version\":\"0.1.0\",\"license\":\"" LIE "\","
 "\"doc\":\"plugin " LIE "\",\"built_with\":\"" LIE "\",\"panic\":\"none\","
 R"json("types":[
  {"name":"Header","size":8,"align":8,"fields":[{"name":"stamp","at":0,"type":"stamp"}]},

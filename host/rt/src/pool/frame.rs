@@ -115,6 +115,13 @@ impl Frame {
         (file.number(), slot)
     }
 
+    /// Whether it can be held beyond its turn: its maker has slots left for one more that is shown, one that waits and one that is
+    /// filled. Of another process it is the only one here, for nobody here knows what is free there.
+    pub fn can_be_held(&self) -> bool {
+        let pool = self.0.pool();
+        if pool.file().is_some() { pool.slots.has_free(LEFT_FREE) } else { pool.slots.lent() <= 1 }
+    }
+
     /// Whether at least `n` slots of its pool are free now.
     pub fn pool_has_free(&self, n: u64) -> bool {
         self.0.pool().slots.has_free(n)
@@ -150,6 +157,8 @@ impl Frame {
     }
 }
 
+/// Slots that stay free where a frame is held.
+const LEFT_FREE: u64 = 3;
 /// Marks the number of a [`FrameMut`]; the lowest bit of a descriptor is 0.
 const WRITING: u64 = 1;
 

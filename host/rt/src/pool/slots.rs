@@ -83,6 +83,11 @@ impl Slots {
         None
     }
 
+    /// How many are lent now.
+    pub(super) fn lent(&self) -> u32 {
+        self.lent.load(Ordering::Relaxed)
+    }
+
     /// Whether at least `n` slots could be taken now: by their bits, which is what a taker goes by, not by the counter.
     pub(super) fn has_free(&self, n: u64) -> bool {
         let mut free = 0;

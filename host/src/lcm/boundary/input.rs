@@ -10,12 +10,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_model::CopyRun;
 use trocar_plugin_api::abi::{
-    IN_EMPTY, IN_SAMPLE, IN_UNBOUND, INVALID_ARGUMENT, Outcome, SAMPLE_FRESH, SAMPLE_STALE, SampleView, Sink,
-    Status,
+    Held, IN_EMPTY, IN_SAMPLE, IN_UNBOUND, INVALID_ARGUMENT, Outcome, SAMPLE_FRESH, SAMPLE_STALE, SampleView,
+    Sink, Status,
 };
 use trocar_rt::cell::BindingCell;
 use trocar_rt::left::{Leave, Left, LeftList};
 use trocar_rt::os;
+use trocar_rt::pool::Frame;
 use trocar_rt::segment::Word;
 use trocar_rt::stream::{Sample, StreamReader};
 use trocar_rt::timing::Histogram;
@@ -320,6 +321,36 @@ pub(super) unsafe extern "C" fn header_len(ctx: *mut c_void) -> u64 {
     }
     // SAFETY: component's thread only.
     unsafe { (*link.reader.get()).current() }.map_or(0, |sample| sample.data.len() as u64)
+}
+
+/// Gives a held frame back.
+unsafe extern "C" fn release_held(token: u64) {
+    // SAFETY: a count that `hold` handed out, which kept its pool alive; it comes back once.
+    drop(unsafe { Frame::from_raw(token) });
+}
+
+pub(super) unsafe extern "C" fn hold(ctx: *mut c_void, held: *mut Held) -> i32 {
+    // SAFETY: null, or a struct that begins with its size.
+    if held.is_null() || (unsafe { (&raw const (*held).struct_size).read() } as usize) < size_of::<Held>() {
+        return INVALID_ARGUMENT;
+    }
+    // SAFETY: component's thread only.
+    let Some(link) = (unsafe { &*in_cell(ctx).held.get() }) else { return IN_UNBOUND };
+    // SAFETY: component's thread only.
+    let frame = unsafe { (*link.reader.get()).frame() };
+    let Some(frame) = frame.filter(|frame| frame.can_be_held()).cloned() else { return IN_EMPTY };
+    let bytes = frame.bytes();
+    let kept = Held {
+        struct_size: size_of::<Held>() as u32,
+        flags: 0,
+        bytes: bytes.as_ptr(),
+        len: bytes.len() as u64,
+        token: frame.into_raw(),
+        release: release_held,
+    };
+    // SAFETY: the caller lends room for a Held.
+    unsafe { held.write(kept) };
+    IN_SAMPLE
 }
 
 pub(super) unsafe extern "C" fn writable(ctx: *mut c_void, view: *mut SampleView) -> *mut u8 {

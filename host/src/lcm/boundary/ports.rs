@@ -162,6 +162,7 @@ fn new_input() -> Port<InCell, InSlot> {
         writable: input::writable,
         type_of: input::type_of,
         header_len: input::header_len,
+        hold: input::hold,
     })
 }
 

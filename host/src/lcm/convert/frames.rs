@@ -78,7 +78,7 @@ mod tests {
         });
         change(&mut class);
         let manifest = json!({
-            "trocar": 1, "abi": [1, 1], "name": "toy", "version": "1.0.0",
+            "trocar": 1, "abi": [1, 2], "name": "toy", "version": "1.0.0",
             "types": [{ "name": "Pose", "size": 32, "align": 8, "fields": [
                 { "name": "stamp", "at": 0, "type": "stamp" },
                 { "name": "p", "at": 8, "type": { "array": "f64", "n": 3 }, "unit": "m" }

@@ -9,7 +9,7 @@ use super::{classes, description};
 
 fn manifest(unit: &str) -> Manifest {
     let text = json!({
-        "trocar": 1, "abi": [1, 1], "name": "toy", "version": "1.0.0",
+        "trocar": 1, "abi": [1, 2], "name": "toy", "version": "1.0.0",
         "types": [{ "name": "Force", "size": 8, "align": 8, "fields": [
             { "name": "z", "at": 0, "type": "f64", "unit": unit }
         ]}],

@@ -7,7 +7,7 @@ const SOURCE: &str = r#"
 #include <fcntl.h>
 #include <stdlib.h>
 #include <unistd.h>
-TROCAR_MANIFEST("{\"trocar\":1,\"abi\":[1,1],\"name\":\"probe\",\"version\":\"1\",\"classes\":[{\"name\":\"c\"@MORE@}]}\n");
+TROCAR_MANIFEST("{\"trocar\":1,\"abi\":[1,2],\"name\":\"probe\",\"version\":\"1\",\"classes\":[{\"name\":\"c\"@MORE@}]}\n");
 static int made;
 static void *create(const trocar_host *host, trocar_bytes name, trocar_err *err) {
     (void)host; (void)name; (void)err;
@@ -103,7 +103,7 @@ fn a_newer_minor_may_have_longer_tables_and_another_major_none() {
     let store = world.open();
     // What lies behind the struct is never read.
     assert!(store.load(&store.class("probe/c").unwrap()).is_ok());
-    refused(&built("", "table.abi_major = 2", ""), &["ABI 1.1 in the manifest, 2.1 in the entry"]);
+    refused(&built("", "table.abi_major = 2", ""), &["ABI 1.2 in the manifest, 2.2 in the entry"]);
 }
 
 #[test]

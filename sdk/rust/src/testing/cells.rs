@@ -161,6 +161,25 @@ impl InCell {
             // SAFETY: as in `latest`.
             unsafe { &(*ctx.cast::<InCell>()).held }.as_ref().map_or(0, |held| held.header_len as u64)
         }
+        unsafe extern "C" fn hold(ctx: *mut c_void, held: *mut Held) -> i32 {
+            unsafe extern "C" fn release(token: u64) {
+                let _quiet = alloc::pause();
+                // SAFETY: the copy below, which comes back once.
+                drop(unsafe { Box::from_raw(token as *mut Vec<u8>) });
+            }
+            let _quiet = alloc::pause();
+            // SAFETY: as in `latest`; the room is the caller's.
+            let (cell, held) = unsafe { (&*ctx.cast::<InCell>(), &mut *held) };
+            let Some(frame) = cell.held.as_ref().filter(|held| !held.bytes.is_empty()) else {
+                return IN_EMPTY;
+            };
+            let kept = Box::new(frame.bytes.clone());
+            held.bytes = kept.as_ptr();
+            held.len = kept.len() as u64;
+            held.release = release;
+            held.token = Box::into_raw(kept) as u64;
+            IN_SAMPLE
+        }
         unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
             // SAFETY: as in `latest`; the sink is the caller's.
             unsafe {
@@ -178,6 +197,7 @@ impl InCell {
             writable,
             type_of,
             header_len,
+            hold,
         }
     }
 }

@@ -260,8 +260,11 @@ fn in_slot(ctx: *mut c_void) -> InSlot {
     unsafe extern "C" fn header_len(_: *mut c_void) -> u64 {
         8
     }
+    unsafe extern "C" fn hold(_: *mut c_void, _: *mut Held) -> i32 {
+        IN_EMPTY
+    }
     let struct_size = size_of::<InSlot>() as u32;
-    InSlot { struct_size, flags: 0, ctx, latest, next: latest, release, writable, type_of, header_len }
+    InSlot { struct_size, flags: 0, ctx, latest, next: latest, release, writable, type_of, header_len, hold }
 }
 
 fn out_slot(ctx: *mut c_void) -> OutSlot {

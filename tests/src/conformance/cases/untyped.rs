@@ -7,6 +7,7 @@ use trocar_sdk::Outcome;
 use super::super::answer::whole;
 use super::super::{Call, Function, Lab, Way};
 use super::changing::asking;
+use crate::eventually;
 
 /// Writes a sample of the server, or a frame.
 fn publish(lab: &Lab, command: &str) {
@@ -35,6 +36,77 @@ pub fn an_untyped_input_takes_samples_and_frames_as_they_are(way: &Way) {
     publish(&lab, "publish_frames");
     let seen = lab.own("see");
     assert_eq!((whole(&seen["value_len"]), whole(&seen["frame_len"])), (32, 4096));
+}
+
+/// What a probe says of the frame it keeps: whether there is one, its first byte, its length.
+fn kept(lab: &Lab, command: &str) -> (u64, u64, u64) {
+    kept_by(lab, "client", command)
+}
+
+fn kept_by(lab: &Lab, probe: &str, command: &str) -> (u64, u64, u64) {
+    let reply = lab.invoke(&format!("{probe}/run/{command}"), None, false);
+    let kept = reply.unwrap_or_else(|refusal| panic!("{command}: {refusal}")).value.unwrap_or_default();
+    (whole(&kept["there"]), whole(&kept["byte"]), whole(&kept["len"]))
+}
+
+/// More frames than there are slots.
+fn go_round(lab: &Lab) {
+    let done = lab.invoke("server/ctl/publish_frames", Some(json!(9.0)), false);
+    done.unwrap_or_else(|refusal| panic!("publishing frames: {refusal}"));
+}
+
+pub fn a_frame_that_an_untyped_input_keeps_stays_whatever_becomes_of_the_input(way: &Way) {
+    let lab = probe(way);
+    lab.connect("client/any", "server/value_out");
+    publish(&lab, "publish");
+    assert_eq!(kept(&lab, "keep").0, 0, "a plain sample is no frame");
+    let options = ConnectOptions { replace: true, ..ConnectOptions::default() };
+    lab.connect_with("client/any", "server/frame_out", options);
+    assert_eq!(kept(&lab, "keep").0, 0, "there is none yet");
+    publish(&lab, "publish_frames");
+    // The first one of a pool comes when its memory is mapped.
+    let first = eventually("it keeps the frame", || match kept(&lab, "keep") {
+        (0, ..) => Err("it keeps none"),
+        some => Ok(some),
+    });
+    assert_eq!((first.0, first.2), (1, 4096));
+    for _ in 0..20 {
+        publish(&lab, "publish_frames");
+        lab.own("see");
+        assert_eq!(kept(&lab, "kept"), first, "it was filled anew");
+    }
+    assert_eq!(lab.count("server", "exhausted"), 0);
+    let next = kept(&lab, "keep");
+    assert_eq!((next.0, next.1), (1, first.1 + 20), "the newest instead of it");
+    lab.disconnect("client/any", "server/frame_out");
+    go_round(&lab);
+    assert_eq!(kept(&lab, "kept"), next, "the connection is gone");
+    lab.remove("server");
+    assert_eq!(kept(&lab, "kept"), next, "its source is gone");
+    assert_eq!(kept(&lab, "keep").0, 0, "nothing is connected");
+}
+
+pub fn frames_are_held_as_long_as_enough_stay_free_for_their_source(way: &Way) {
+    let lab = probe(way);
+    lab.create("second", "Probe", json!({}), super::own_thread());
+    lab.start("second");
+    for name in ["client", "second"] {
+        lab.connect(&format!("{name}/any"), "server/frame_out");
+    }
+    publish(&lab, "publish_frames");
+    for name in ["client", "second"] {
+        eventually("the first one comes", || match kept_by(&lab, name, "keep") {
+            (0, ..) => Err(name),
+            _ => Ok(()),
+        });
+    }
+    // Of four slots one is held by both; of another one, with one to be shown and one to wait, none would be left to fill.
+    publish(&lab, "publish_frames");
+    let other = kept_by(&lab, "second", "keep").0;
+    assert_eq!(other, u64::from(lab.maps()), "where each has its own link, each holds one");
+    go_round(&lab);
+    assert_eq!(kept(&lab, "kept").0, 1);
+    assert_eq!(lab.count("server", "exhausted"), 0);
 }
 
 pub fn an_untyped_output_gives_what_its_peer_takes_and_nothing_of_another_size(way: &Way) {

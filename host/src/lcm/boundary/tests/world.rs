@@ -129,7 +129,7 @@ impl World {
         script: Script,
     ) -> Result<Report, Refusal> {
         let manifest: Manifest = serde_json::from_value(json!({
-            "trocar": 1, "abi": [1, 1], "name": "puppets", "version": "1",
+            "trocar": 1, "abi": [1, 2], "name": "puppets", "version": "1",
             "types": types(), "classes": [class(name, ports)],
         }))
         .unwrap();
