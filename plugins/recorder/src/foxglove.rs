@@ -56,6 +56,8 @@ pub(crate) struct Image<'a> {
     /// As Foxglove calls it.
     pub(crate) encoding: &'static str,
     pub(crate) bytes: &'a [u8],
+    /// Where in the frame they begin.
+    pub(crate) at: usize,
 }
 
 impl Shown {
@@ -139,7 +141,8 @@ impl ImagePlaces {
         }
         let len = (height - 1).checked_mul(stride)?.checked_add(row)?;
         let one = |at: u64| {
-            let bytes = frame.get(usize::try_from(at).ok()?..usize::try_from(at.checked_add(len)?).ok()?)?;
+            let at = usize::try_from(at).ok()?;
+            let bytes = frame.get(at..at.checked_add(usize::try_from(len).ok()?)?)?;
             let number = |n| u32::try_from(n).ok();
             Some(Image {
                 width: number(width)?,
@@ -147,6 +150,7 @@ impl ImagePlaces {
                 stride: number(stride)?,
                 encoding,
                 bytes,
+                at,
             })
         };
         let first = one(0)?;
@@ -159,14 +163,14 @@ impl ImagePlaces {
 }
 
 impl Image<'_> {
-    /// As a `foxglove.RawImage`. One copy, and rows stay as far apart as they are.
+    /// As a `foxglove.RawImage` that the image's own bytes have to follow: rows stay as far apart as they are.
     pub(crate) fn encode(&self, stamp_ns: u64, to: &mut Vec<u8>) {
         wire::timestamp(to, 1, stamp_ns);
         wire::fixed32(to, 2, self.width);
         wire::fixed32(to, 3, self.height);
         wire::bytes(to, 4, self.encoding.as_bytes());
         wire::fixed32(to, 5, self.stride);
-        wire::bytes(to, 6, self.bytes);
+        wire::bytes_follow(to, 6, self.bytes.len());
     }
 }
 

@@ -33,6 +33,7 @@ fn an_image_is_a_raw_image_and_one_that_promises_too_much_is_none() {
     let [Some(image), None] = places.images(&header(2, 8), &pixels).expect("an image") else { panic!("one") };
     let mut to = Vec::new();
     image.encode(1_500_000_000, &mut to);
+    to.extend_from_slice(image.bytes);
     let message = read(&raw_image(), &to);
     assert_eq!((got(&message, "width"), got(&message, "step")), (Value::U32(2), Value::U32(8)));
     assert_eq!(got(&message, "encoding"), Value::String("rgb8".into()));

@@ -9,6 +9,7 @@ mod block;
 mod compress;
 mod explain;
 mod foxglove;
+mod mcap_file;
 mod orders;
 mod place;
 mod recorder;

@@ -335,7 +335,8 @@ impl Recorder {
         for (input, topic) in self.topics.ports_mut().chain(fixed).zip(&mut self.each) {
             for _ in 0..AT_ONCE {
                 let Some(view) = input.next() else { break };
-                let seen = Seen::of(&view);
+                // What waits for a recording to begin may wait for long.
+                let seen = Seen::of(&view, recording);
                 if !wanted {
                     topic.pass(&seen);
                     continue;
@@ -349,7 +350,7 @@ impl Recorder {
                 let (value, bytes) = (seen.value.to_vec(), seen.bytes.to_vec());
                 let (stamp_ns, seq) = (seen.stamp_ns, seen.seq);
                 let description = input.type_json().unwrap_or_default();
-                let seen = Seen { value: &value, bytes: &bytes, stamp_ns, seq };
+                let seen = Seen::copied(&value, &bytes, stamp_ns, seq);
                 let codec = run.codec;
                 topic.connected(source, &description, (codec, &seen), &mut |channel| run.add(channel));
                 topic.take(&seen, self.host.now().ns(), &mut run.way);

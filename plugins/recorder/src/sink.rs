@@ -1,6 +1,6 @@
 //! The file as a writer fills it. What is much goes to the disk past the page cache: copying it there and cleaning up behind it
 //! takes as long as everything else a recording does. A disk that is slow for it gets it through the page cache, which has room for
-//! seconds of it.
+//! seconds of it. What is large is written from where it lies.
 //!
 //! Invariant: after a `flush` that was said to be urgent the file begins with all that was written, and what follows is nothing or
 //! one record that readers leave out.
@@ -9,10 +9,8 @@
 mod tests;
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io;
 use std::os::unix::fs::FileExt;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
@@ -38,6 +36,8 @@ const AGAIN: (Duration, Duration) = (Duration::from_secs(10), Duration::from_sec
 const FILLER: u8 = 0x80;
 /// Pages that fillers may take behind what is in memory: each at most two, and one that is replaced reaches one further.
 const FILLERS: usize = 4;
+/// A filler before what is placed is shorter than this, bytes.
+pub(crate) const MOST_FILLER: usize = 2 * PAGE;
 /// Of a record: its opcode and its length.
 const RECORD_HEAD: usize = 9;
 
@@ -52,20 +52,8 @@ enum Route {
     CachedOnly,
 }
 
-/// What a writer and its sink tell each other while another library stands between them.
-#[derive(Default)]
-pub(crate) struct Word {
-    /// All that was written, bytes.
-    pub(crate) len: AtomicU64,
-    /// What of it was in the file when it was flushed last, bytes.
-    pub(crate) stored: AtomicU64,
-    /// The next flush is to bring all of it into the file.
-    pub(crate) urgent: AtomicBool,
-}
-
 pub(crate) struct Sink {
     file: File,
-    word: Arc<Word>,
     memory: Memory,
     /// Where in the file the memory begins: at a page.
     at: u64,
@@ -105,10 +93,9 @@ impl Memory {
 }
 
 impl Sink {
-    pub(crate) fn new(file: File, word: Arc<Word>) -> Sink {
+    pub(crate) fn new(file: File) -> Sink {
         Sink {
             file,
-            word,
             memory: Memory::new(HOLDS + FILLERS * PAGE),
             at: 0,
             filled: 0,
@@ -122,6 +109,19 @@ impl Sink {
         }
     }
 
+    /// Past the page cache from now on, where the file system knows that way; false where it does not.
+    #[cfg(test)]
+    pub(crate) fn go_direct(&mut self) -> bool {
+        self.looked.0 = Instant::now() + Duration::from_secs(3600);
+        self.take(Route::Direct);
+        self.route == Route::Direct
+    }
+
+    /// All that was written, bytes.
+    pub(crate) fn len(&self) -> u64 {
+        self.at + self.filled as u64
+    }
+
     /// How much of what was written is in the file, bytes.
     pub(crate) fn stored(&self) -> u64 {
         self.at + self.stored as u64
@@ -129,7 +129,7 @@ impl Sink {
 
     /// How the next bytes go, from how many there were and how long the disk took.
     fn choose(&mut self) {
-        let len = self.word.len.load(Ordering::Relaxed);
+        let len = self.len();
         let (since, before) = self.looked;
         let elapsed = since.elapsed();
         if elapsed < LOOK {
@@ -167,16 +167,38 @@ impl Sink {
     fn store(&mut self, end: usize) -> io::Result<()> {
         if self.route == Route::Direct {
             let from = self.stored - self.stored % PAGE;
+            let (file, at) = (&self.file, self.at + from as u64);
             let begun = Instant::now();
-            let done = self.file.write_all_at(&self.memory.at()[from..end], self.at + from as u64);
-            self.waited += begun.elapsed();
-            match done {
-                Err(why) if Errno::from_io_error(&why) == Some(Errno::INVAL) => self.take(Route::CachedOnly),
-                other => return other,
+            let done = file.write_all_at(&self.memory.at()[from..end], at);
+            if self.took(begun, &done) {
+                return done;
             }
         }
         let from = self.stored;
         self.file.write_all_at(&self.memory.at()[from..end], self.at + from as u64)
+    }
+
+    /// Whole pages from elsewhere, at the page behind what is stored.
+    fn store_pages(&mut self, pages: &[u8]) -> io::Result<()> {
+        if self.route == Route::Direct {
+            let begun = Instant::now();
+            let done = self.file.write_all_at(pages, self.at);
+            if self.took(begun, &done) {
+                return done;
+            }
+        }
+        self.file.write_all_at(pages, self.at)
+    }
+
+    /// Counts how long the disk took; false where it has to be done again, through the page cache.
+    fn took(&mut self, begun: Instant, done: &io::Result<()>) -> bool {
+        self.waited += begun.elapsed();
+        let refused = |why: &io::Error| Errno::from_io_error(why) == Some(Errno::INVAL);
+        let again = done.as_ref().is_err_and(refused);
+        if again {
+            self.take(Route::CachedOnly);
+        }
+        !again
     }
 
     /// Lets go of whole pages that are in the file.
@@ -190,7 +212,6 @@ impl Sink {
 
     /// Makes room: whole pages go to the file.
     fn spill(&mut self) -> io::Result<()> {
-        self.choose();
         let whole = self.filled - self.filled % PAGE;
         self.store(whole)?;
         // A filler is shorter than what memory holds: they have replaced it.
@@ -212,9 +233,71 @@ impl Sink {
             if end - filled < RECORD_HEAD { (filled + RECORD_HEAD).next_multiple_of(page) } else { end };
         let filler = &mut self.memory.at()[filled..end];
         filler.fill(0);
-        filler[0] = FILLER;
-        filler[1..RECORD_HEAD].copy_from_slice(&((end - filled - RECORD_HEAD) as u64).to_le_bytes());
+        filler[..RECORD_HEAD].copy_from_slice(&filler_head(end - filled));
         end
+    }
+
+    /// Behind what was written.
+    pub(crate) fn put(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        loop {
+            let (now, later) = bytes.split_at(bytes.len().min(HOLDS - self.filled));
+            let filled = self.filled;
+            self.memory.at()[filled..filled + now.len()].copy_from_slice(now);
+            self.filled += now.len();
+            if later.is_empty() {
+                return Ok(());
+            }
+            bytes = later;
+            self.spill()?;
+        }
+    }
+
+    /// `head`, and `body` behind it, which is not copied but for its ends; where `head` begins. Past the page cache a filler may come
+    /// before: pages of memory go to pages of the file. For a body of several pages, at the begin of a record.
+    pub(crate) fn place(&mut self, head: &[u8], body: &[u8]) -> io::Result<u64> {
+        self.choose();
+        if self.route == Route::Direct {
+            let there = (self.filled + head.len()) % PAGE;
+            let wanted = body.as_ptr().addr() % PAGE;
+            let mut filler = (wanted + PAGE - there) % PAGE;
+            if (1..RECORD_HEAD).contains(&filler) {
+                filler += PAGE;
+            }
+            if filler > 0 {
+                self.put(&filler_head(filler))?;
+                self.put(&[0; MOST_FILLER][..filler - RECORD_HEAD])?;
+            }
+        }
+        let begins = self.len();
+        self.put(head)?;
+        let (first, rest) = body.split_at(body.len().min((PAGE - self.filled % PAGE) % PAGE));
+        self.put(first)?;
+        let (pages, last) = rest.split_at(rest.len() - rest.len() % PAGE);
+        // Memory ends at a page.
+        self.store(self.filled)?;
+        self.stored = self.filled;
+        self.advance();
+        self.store_pages(pages)?;
+        self.at += pages.len() as u64;
+        self.put(last)?;
+        Ok(begins)
+    }
+
+    /// At the end of a record: what waits goes to the file, past the page cache only when it is much or `urgent`; whether all of it
+    /// is in the file.
+    pub(crate) fn flush(&mut self, urgent: bool) -> io::Result<bool> {
+        self.choose();
+        let waits = self.filled - self.stored;
+        if waits == 0 || (self.route == Route::Direct && !urgent && waits < WORTH) {
+            return Ok(waits == 0);
+        }
+        // The file is never made shorter meanwhile: that would give back the room that was promised behind its end.
+        let end = self.pad(if self.route == Route::Direct { PAGE } else { 1 });
+        self.store(end)?;
+        self.padded_to = self.at + end as u64;
+        self.stored = self.filled;
+        self.advance();
+        Ok(true)
     }
 
     /// All that was written is in the file, which may be longer: it is cut to the length that is told, whatever went wrong.
@@ -230,34 +313,9 @@ impl Sink {
     }
 }
 
-impl Write for Sink {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.filled == HOLDS {
-            self.spill()?;
-        }
-        let n = bytes.len().min(HOLDS - self.filled);
-        let filled = self.filled;
-        self.memory.at()[filled..filled + n].copy_from_slice(&bytes[..n]);
-        self.filled += n;
-        self.word.len.fetch_add(n as u64, Ordering::Relaxed);
-        Ok(n)
-    }
-
-    /// At the end of a record.
-    fn flush(&mut self) -> io::Result<()> {
-        self.choose();
-        let urgent = self.word.urgent.swap(false, Ordering::Relaxed);
-        let waits = self.filled - self.stored;
-        if waits == 0 || (self.route == Route::Direct && !urgent && waits < WORTH) {
-            return Ok(());
-        }
-        // The file is never made shorter meanwhile: that would give back the room that was promised behind its end.
-        let end = self.pad(if self.route == Route::Direct { PAGE } else { 1 });
-        self.store(end)?;
-        self.padded_to = self.at + end as u64;
-        self.stored = self.filled;
-        self.word.stored.store(self.stored(), Ordering::Relaxed);
-        self.advance();
-        Ok(())
-    }
+/// Of a filler so long.
+fn filler_head(len: usize) -> [u8; RECORD_HEAD] {
+    let mut head = [FILLER; RECORD_HEAD];
+    head[1..].copy_from_slice(&((len - RECORD_HEAD) as u64).to_le_bytes());
+    head
 }

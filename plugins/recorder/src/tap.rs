@@ -110,31 +110,33 @@ impl Tap {
         })
     }
 
-    /// Writes a sample to its member's topic; false where it cannot be told what it is.
-    pub(crate) fn write(&self, seen: &Seen<'_>, (now_ns, stamp_ns): (u64, u64), way: &mut Way) -> bool {
+    /// Writes a sample to its member's topic: how many bytes, none where it cannot be told what it is.
+    pub(crate) fn write(
+        &self,
+        seen: &Seen<'_>,
+        (now_ns, stamp_ns): (u64, u64),
+        way: &mut Way,
+    ) -> Option<usize> {
         let word = |at: usize| {
             let bytes = seen.value.get(at..at + 4)?;
             bytes.first_chunk::<4>().map(|b| u32::from_le_bytes(*b))
         };
-        let (Some(which), Some(len), Some(whole)) = (word(self.which), word(self.len), word(self.whole))
-        else {
-            return false;
-        };
-        let Some(member) = self.members.get(&which) else { return false };
+        let (which, len, whole) = (word(self.which)?, word(self.len)?, word(self.whole)?);
+        let member = self.members.get(&which)?;
         let room = seen.value.get(self.bytes..self.bytes + self.room).unwrap_or_default();
-        let Some(payload) = room.get(..len as usize) else { return false };
+        let payload = room.get(..len as usize)?;
         if whole > len || payload.len() < member.size {
-            return false;
+            return None;
         }
         let outcome = self.outcome.and_then(word).map(u32::cast_signed);
-        way.block().push((member.channel, seen.seq, now_ns, stamp_ns), Kind::Ready, |to| {
-            member.typed.encode(payload, &[], to);
+        let head = (member.channel, seen.seq, now_ns, stamp_ns);
+        Some(way.block().push(head, Kind::Ready, |to| {
+            member.typed.encode(payload, 0, to);
             if let Some(number) = outcome {
                 let word = self.outcomes.get(&i64::from(number)).map_or("", String::as_str);
                 Typed::outcome(word, to);
             }
-        });
-        true
+        }))
     }
 }
 
@@ -174,8 +176,7 @@ mod tests {
         let topics: Vec<&str> = channels.iter().map(|c| c.topic.as_str()).collect();
         assert_eq!(topics, ["/host/robot/tap_commands/arm/move", "/host/robot/tap_commands/arm/hold"]);
         let (mut way, received, _) = way(1 << 20);
-        let mut take =
-            |value: &[u8]| tap.write(&Seen { value, bytes: &[], stamp_ns: 1, seq: 1 }, (1, 1), &mut way);
+        let mut take = |value: &[u8]| tap.write(&Seen::plain(value, 1, 1), (1, 1), &mut way).is_some();
         assert!(take(&sample(4, -3, 8, 8, &2.5f64.to_le_bytes())));
         assert!(take(&sample(5, 0, 0, 0, &[])));
         for (wrong, value) in [
@@ -191,7 +192,7 @@ mod tests {
         let Ok(Order::Block(block)) = received.try_recv() else { panic!("a block") };
         let read: Vec<DynamicMessage> = block
             .messages()
-            .map(|(head, bytes)| {
+            .map(|(head, [bytes, _])| {
                 let channel = &channels[head.channel as usize];
                 let pool = DescriptorPool::decode(channel.schema_data.as_slice()).expect("descriptors");
                 let message = pool.get_message_by_name(&channel.schema).expect("its own name");

@@ -4,10 +4,12 @@
 //! the time before, as far as the recording reaches back, is among the lost.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
+use std::sync::Arc;
 
 use trocar_sdk::{AnyShape, AnyType, AnyView};
 
-use crate::block::{Kind, Way};
+use crate::block::{HeldPart, Kind, LARGE, Piece, Way};
 use crate::compress;
 use crate::foxglove::{self, Image, Shown};
 use crate::orders::{Channel, Codec};
@@ -16,6 +18,8 @@ use crate::typed::{self, Typed};
 
 /// What a frame takes beside its bytes when it is encoded.
 const AROUND: usize = 512;
+/// Frames of a topic that are held at once: their source fills them anew only afterwards.
+const HELD_AT_ONCE: usize = 3;
 /// Losses that are remembered with their times; of more, the oldest pass for newer ones.
 const RECENT: usize = 64;
 
@@ -40,6 +44,8 @@ pub(crate) struct Topic {
     /// When something was lost, ns, and how much.
     recent: VecDeque<(u64, u64)>,
     encoder: Option<Encoder>,
+    /// One more for each frame that is held.
+    held: Arc<()>,
 }
 
 struct Encoder {
@@ -64,11 +70,40 @@ pub(crate) struct Seen<'a> {
     pub(crate) bytes: &'a [u8],
     pub(crate) stamp_ns: u64,
     pub(crate) seq: u64,
+    /// Where its frame may be held.
+    view: Option<&'a AnyView<'a>>,
 }
 
 impl<'a> Seen<'a> {
-    pub(crate) fn of(view: &'a AnyView<'_>) -> Seen<'a> {
-        Seen { value: view.value(), bytes: view.bytes(), stamp_ns: view.stamp().ns(), seq: view.seq() }
+    /// `may_hold`: what becomes of it will be in the file soon.
+    pub(crate) fn of(view: &'a AnyView<'a>, may_hold: bool) -> Seen<'a> {
+        let (stamp_ns, seq) = (view.stamp().ns(), view.seq());
+        Seen { value: view.value(), bytes: view.bytes(), stamp_ns, seq, view: may_hold.then_some(view) }
+    }
+
+    /// Of something that was put aside.
+    pub(crate) fn copied(value: &'a [u8], bytes: &'a [u8], stamp_ns: u64, seq: u64) -> Seen<'a> {
+        Seen { value, bytes, stamp_ns, seq, view: None }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn plain(value: &'a [u8], stamp_ns: u64, seq: u64) -> Seen<'a> {
+        Seen::copied(value, &[], stamp_ns, seq)
+    }
+}
+
+/// The bytes of a frame, and the frame where it is held.
+struct Frame<'a> {
+    bytes: &'a [u8],
+    held: Option<Arc<HeldPart>>,
+}
+
+impl<'a> Frame<'a> {
+    fn piece(&self, range: Range<usize>) -> Piece<'a> {
+        match &self.held {
+            Some(part) => Piece::Held(part.clone(), range),
+            None => Piece::Copied(&self.bytes[range]),
+        }
     }
 }
 
@@ -219,56 +254,81 @@ impl Topic {
             self.lose(1, now_ns);
             return;
         };
-        let needed = seen.bytes.len() + 2 * seen.value.len() + AROUND;
-        if seen.value.len() != encoder.size || !way.has_room(needed) {
-            self.lose(1, now_ns);
-            return;
+        let around = 2 * seen.value.len() + AROUND;
+        let mut fits = seen.value.len() == encoder.size && way.has_room(around);
+        let held = seen.view.filter(|_| fits && self.may_hold(seen.bytes.len())).and_then(AnyView::hold);
+        let held = held.map(|frame| Arc::new(HeldPart::new(frame, self.held.clone())));
+        fits &= held.is_some() || way.has_room(around + seen.bytes.len());
+        let frame = Frame { bytes: seen.bytes, held };
+        match fits.then(|| encoder.write(seen, &frame, (now_ns, stamp_ns), way)).flatten() {
+            Some(bytes) => {
+                self.kept += 1;
+                self.bytes += bytes as u64;
+                (self.last_kept_ns, self.since_kept) = (stamp_ns.max(1), 0);
+            }
+            None => self.lose(1, now_ns),
         }
-        let before = way.block().len();
-        if encoder.write(seen, now_ns, stamp_ns, way) {
-            self.kept += 1;
-            self.bytes += (way.block().len().saturating_sub(before)) as u64;
-            (self.last_kept_ns, self.since_kept) = (stamp_ns.max(1), 0);
-        } else {
-            self.lose(1, now_ns);
-        }
+    }
+
+    /// Whether a frame of so many bytes is to be held.
+    fn may_hold(&self, len: usize) -> bool {
+        // One count is its own.
+        len >= LARGE && Arc::strong_count(&self.held) <= HELD_AT_ONCE
     }
 }
 
 impl Encoder {
-    fn write(&self, seen: &Seen<'_>, now_ns: u64, stamp_ns: u64, way: &mut Way) -> bool {
+    /// How many bytes were written; none where the sample is not what its type says.
+    fn write(
+        &self,
+        seen: &Seen<'_>,
+        frame: &Frame<'_>,
+        (now_ns, stamp_ns): (u64, u64),
+        way: &mut Way,
+    ) -> Option<usize> {
         let head = |channel: u32| (channel, seen.seq, now_ns, stamp_ns);
         let [first, second] = self.channels;
-        match &self.how {
+        let value = seen.value;
+        Some(match &self.how {
             How::Typed(typed) => {
-                way.block().push(head(first), Kind::Ready, |to| typed.encode(seen.value, seen.bytes, to));
+                let len = frame.bytes.len();
+                let write = |to: &mut Vec<u8>| typed.encode(value, len, to);
+                way.block().push_with(head(first), Kind::Ready, write, frame.piece(0..len))
             }
             How::Tap(tap) => return tap.write(seen, (now_ns, stamp_ns), way),
             How::Shown(Shown::Pose(places)) => {
-                way.block().push(head(first), Kind::Ready, |to| places.encode(seen.value, stamp_ns, to));
+                way.block().push(head(first), Kind::Ready, |to| places.encode(value, stamp_ns, to))
             }
             How::Shown(Shown::Joints(places)) => {
-                way.block().push(head(first), Kind::Ready, |to| places.encode(seen.value, stamp_ns, to));
+                way.block().push(head(first), Kind::Ready, |to| places.encode(value, stamp_ns, to))
             }
             How::Shown(Shown::Image(places)) | How::Pixels(places) => {
-                let Some(images) = places.images(seen.value, seen.bytes) else { return false };
+                let images = places.images(value, frame.bytes)?;
                 let compress = matches!(self.how, How::Pixels(_));
-                for (image, channel) in images.iter().flatten().zip([first, second]) {
-                    push_image(image, head(channel), compress, stamp_ns, way);
-                }
+                let each = images.iter().flatten().zip([first, second]);
+                each.map(|(image, channel)| {
+                    let piece = frame.piece(image.at..image.at + image.bytes.len());
+                    push_image(image, piece, head(channel), compress, way)
+                })
+                .sum()
             }
-        }
-        true
+        })
     }
 }
 
-fn push_image(image: &Image<'_>, head: (u32, u64, u64, u64), compress: bool, stamp_ns: u64, way: &mut Way) {
+/// `head`: with the image's stamp last.
+fn push_image(
+    image: &Image<'_>,
+    piece: Piece<'_>,
+    head: (u32, u64, u64, u64),
+    compress: bool,
+    way: &mut Way,
+) -> usize {
     if compress {
-        let Image { width, height, stride, encoding, bytes } = *image;
-        let kind = Kind::Pixels { width, height, stride, encoding };
-        way.block().push(head, kind, |to| to.extend_from_slice(bytes));
+        let Image { width, height, stride, encoding, .. } = *image;
+        way.block().push_with(head, Kind::Pixels { width, height, stride, encoding }, |_| (), piece)
     } else {
-        way.block().push(head, Kind::Ready, |to| image.encode(stamp_ns, to));
+        way.block().push_with(head, Kind::Ready, |to| image.encode(head.3, to), piece)
     }
 }
 
@@ -278,28 +338,17 @@ mod tests {
     use crate::block::way;
 
     const NUMBER: &str = r#"{"plain": "f64"}"#;
-    const ALL: Topic = Topic {
-        name: String::new(),
-        every: 1,
-        gap_ns: 0,
-        kept: 0,
-        left_out: 0,
-        lost: 0,
-        bytes: 0,
-        source: 0,
-        seq: 0,
-        last_kept_ns: 0,
-        since_kept: 0,
-        recent: VecDeque::new(),
-        encoder: None,
-    };
+    /// All of it is kept.
+    fn whole() -> Topic {
+        Topic { every: 1, ..Topic::default() }
+    }
 
     /// What becomes of samples with these numbers and stamps: kept, left out, lost.
     fn taken(mut topic: Topic, samples: &[(u64, u64)]) -> (u64, u64, u64) {
         let (mut way, _received, _) = way(1 << 20);
         let value = 1f64.to_le_bytes();
         for (seq, stamp_ns) in samples.iter().copied() {
-            let seen = Seen { value: &value, bytes: &[], stamp_ns, seq };
+            let seen = Seen::plain(&value, stamp_ns, seq);
             if !topic.is_known(1) {
                 topic.connected(1, NUMBER, (Codec::Raw, &seen), &mut |_| 0);
             }
@@ -311,30 +360,30 @@ mod tests {
     #[test]
     fn what_is_not_thinned_is_kept_whatever_its_stamps() {
         let falling = [(1, 900), (2, 100), (3, 100), (4, 50), (5, 1000)];
-        assert_eq!(taken(ALL, &falling), (5, 0, 0));
+        assert_eq!(taken(whole(), &falling), (5, 0, 0));
     }
 
     #[test]
     fn of_many_each_nth_is_kept_and_the_others_are_left_out_and_not_lost() {
         let all: Vec<(u64, u64)> = (1..=100).map(|n| (n, n * 10)).collect();
-        assert_eq!(taken(Topic { every: 10, ..ALL }, &all), (10, 90, 0));
-        assert_eq!(taken(Topic { gap_ns: 200, ..ALL }, &all), (5, 95, 0));
+        assert_eq!(taken(Topic { every: 10, ..whole() }, &all), (10, 90, 0));
+        assert_eq!(taken(Topic { gap_ns: 200, ..whole() }, &all), (5, 95, 0));
     }
 
     #[test]
     fn a_stamp_far_ahead_silences_nobody() {
         let jumps = [(1, 10), (2, 1_000_000), (3, 30), (4, 40), (5, 240)];
-        assert_eq!(taken(Topic { gap_ns: 200, ..ALL }, &jumps), (4, 1, 0));
+        assert_eq!(taken(Topic { gap_ns: 200, ..whole() }, &jumps), (4, 1, 0));
     }
 
     #[test]
     fn numbers_that_never_came_are_lost() {
-        assert_eq!(taken(ALL, &[(3, 1), (4, 2), (9, 3)]), (3, 0, 4));
+        assert_eq!(taken(whole(), &[(3, 1), (4, 2), (9, 3)]), (3, 0, 4));
     }
 
     #[test]
     fn what_was_lost_before_a_recording_counts_as_far_as_that_reaches_back() {
-        let mut topic = ALL;
+        let mut topic = whole();
         topic.lose(3, 100);
         topic.lose(4, 200);
         topic.begin(150);
@@ -345,5 +394,17 @@ mod tests {
         (0..10 * RECENT as u64).for_each(|n| topic.lose(1, n));
         topic.begin(0);
         assert_eq!((topic.lost, topic.recent.len()), (10 * RECENT as u64, RECENT), "none is forgotten");
+    }
+
+    #[test]
+    fn few_frames_are_held_at_once_and_small_ones_are_not() {
+        let topic = whole();
+        assert!(topic.may_hold(LARGE) && !topic.may_hold(LARGE - 1));
+        let mut held: Vec<Arc<()>> = (1..HELD_AT_ONCE).map(|_| topic.held.clone()).collect();
+        assert!(topic.may_hold(LARGE), "one more");
+        held.push(topic.held.clone());
+        assert!(!topic.may_hold(LARGE), "{HELD_AT_ONCE} are held");
+        held.pop();
+        assert!(topic.may_hold(LARGE), "one was written");
     }
 }

@@ -166,11 +166,11 @@ impl Typed {
         wire::bytes(to, OUTCOME, word.as_bytes());
     }
 
-    /// Appends a sample, and a frame's bytes behind it.
-    pub(crate) fn encode(&self, value: &[u8], frame: &[u8], to: &mut Vec<u8>) {
+    /// Appends a sample; a frame's bytes, so many, are to follow it.
+    pub(crate) fn encode(&self, value: &[u8], frame_len: usize, to: &mut Vec<u8>) {
         encode(&self.plan, value, to);
-        if !frame.is_empty() {
-            wire::bytes(to, self.data, frame);
+        if frame_len > 0 {
+            wire::bytes_follow(to, self.data, frame_len);
         }
     }
 }

@@ -21,9 +21,14 @@ pub(crate) fn key(to: &mut Vec<u8>, number: u32, wire: u32) {
 }
 
 pub(crate) fn bytes(to: &mut Vec<u8>, number: u32, value: &[u8]) {
-    key(to, number, BYTES);
-    varint(to, value.len() as u64);
+    bytes_follow(to, number, value.len());
     to.extend_from_slice(value);
+}
+
+/// What stands before so many bytes.
+pub(crate) fn bytes_follow(to: &mut Vec<u8>, number: u32, len: usize) {
+    key(to, number, BYTES);
+    varint(to, len as u64);
 }
 
 pub(crate) fn fixed32(to: &mut Vec<u8>, number: u32, value: u32) {

@@ -12,14 +12,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
-use mcap::{McapError, WriteOptions};
 
 use crate::block::{Block, Head, Kind, Returns};
 use crate::compress;
+use crate::mcap_file::{McapFile, is_alone};
 use crate::orders::{Channel, Codec, News, Opening, Order, Written};
 use crate::room::Room;
-use crate::sink::{Sink, Word};
+use crate::sink::{MOST_FILLER, Sink};
 
 /// A message is in the file after so long.
 const FLUSH: Duration = Duration::from_millis(10);
@@ -29,12 +28,9 @@ const IDLE: Duration = Duration::from_millis(50);
 const CHUNK: u64 = 64 << 10;
 /// What the end of a file takes beside its indexes, bytes: statistics, offsets, footer, what is lost.
 const TAIL: u64 = 128 << 10;
-/// Of a message in a chunk beside its bytes: record, index entry.
+/// Of a message beside its bytes: record, index entry; of one that is a chunk of its own: that, too.
 const PER_MESSAGE: u64 = 64;
-/// Of a chunk: its record and index in the data, its index in the summary.
-const PER_CHUNK: u64 = 512;
-/// Of a channel: per chunk in index and summary.
-const PER_CHANNEL: u64 = 48;
+const PER_LARGE: u64 = 512 + MOST_FILLER as u64;
 
 /// Why a recording ends that finds no more room.
 pub(crate) const FULL: &str = "the disk is full: there is room for the end of the file alone";
@@ -46,33 +42,27 @@ pub(crate) struct Writer {
     channels: Vec<Channel>,
     metadata: Vec<(String, BTreeMap<String, String>)>,
     lost: Vec<(String, u64)>,
-    /// Held from before a recording, oldest first.
-    held: VecDeque<Block>,
-    held_bytes: u64,
-    /// How long and how much is held.
-    hold_ns: u64,
-    hold_bytes: u64,
+    /// From before a recording, oldest first.
+    past: VecDeque<Block>,
+    past_bytes: u64,
+    /// How much of it stays, in time and in bytes.
+    most_past: (u64, u64),
     file: Option<OpenFile>,
 }
 
 struct OpenFile {
-    mcap: mcap::Writer<NoSeek<Sink>>,
+    mcap: McapFile,
     path: PathBuf,
     written: Arc<Written>,
     codec: Codec,
     room: Room,
-    word: Arc<Word>,
     /// The file's number of each channel of ours.
     ids: Vec<u16>,
     messages: u64,
     /// Messages that could not be compressed, per channel.
     spoiled: BTreeMap<u32, u64>,
-    /// In the chunk that is open.
-    pending: u64,
     /// When the first of what may not be in the file yet was taken.
     pending_since: Option<Instant>,
-    /// What the summary will take.
-    summary: u64,
     scratch: Vec<u8>,
 }
 
@@ -82,12 +72,6 @@ enum Broken {
     Other(String),
 }
 
-impl From<McapError> for Broken {
-    fn from(why: McapError) -> Broken {
-        Broken::Other(why.to_string())
-    }
-}
-
 impl From<io::Error> for Broken {
     fn from(why: io::Error) -> Broken {
         Broken::Other(why.to_string())
@@ -95,17 +79,16 @@ impl From<io::Error> for Broken {
 }
 
 impl Writer {
-    pub(crate) fn new(returns: Returns, news: Sender<News>, (hold_ns, hold_bytes): (u64, u64)) -> Writer {
+    pub(crate) fn new(returns: Returns, news: Sender<News>, most_past: (u64, u64)) -> Writer {
         Writer {
             returns,
             news,
             channels: Vec::new(),
             metadata: Vec::new(),
             lost: Vec::new(),
-            held: VecDeque::new(),
-            held_bytes: 0,
-            hold_ns,
-            hold_bytes,
+            past: VecDeque::new(),
+            past_bytes: 0,
+            most_past,
             file: None,
         }
     }
@@ -151,7 +134,7 @@ impl Writer {
                     self.write(&block);
                     self.returns.give(block);
                 } else {
-                    self.hold(block);
+                    self.keep_past(block);
                 }
             }
             Order::Metadata(name, values) => {
@@ -171,28 +154,32 @@ impl Writer {
 
     fn write(&mut self, block: &Block) {
         let Some(file) = &mut self.file else { return };
-        for (head, bytes) in block.messages() {
-            if let Err(broken) = file.message(head, bytes) {
+        for (head, parts) in block.messages() {
+            if let Err(broken) = file.message(head, parts) {
                 self.broke(broken);
                 return;
             }
         }
         file.written.messages.store(file.messages, Ordering::Relaxed);
-        file.written.bytes.store(file.word.len.load(Ordering::Relaxed) + file.pending, Ordering::Relaxed);
+        file.written.bytes.store(file.mcap.len(), Ordering::Relaxed);
     }
 
     /// Keeps what came before a recording, as long and as much as was asked for.
-    fn hold(&mut self, block: Block) {
+    fn keep_past(&mut self, mut block: Block) {
+        let (most_ns, most_bytes) = self.most_past;
+        if most_ns > 0 {
+            block.copy_held();
+        }
         let newest_ns = block.newest_ns();
-        self.held_bytes += block.len() as u64;
-        self.held.push_back(block);
-        while let Some(oldest) = self.held.front() {
-            let old = oldest.newest_ns().saturating_add(self.hold_ns) < newest_ns;
-            if self.hold_ns > 0 && !old && self.held_bytes <= self.hold_bytes {
+        self.past_bytes += block.len() as u64;
+        self.past.push_back(block);
+        while let Some(oldest) = self.past.front() {
+            let old = oldest.newest_ns().saturating_add(most_ns) < newest_ns;
+            if most_ns > 0 && !old && self.past_bytes <= most_bytes {
                 break;
             }
-            let Some(oldest) = self.held.pop_front() else { break };
-            self.held_bytes -= oldest.len() as u64;
+            let Some(oldest) = self.past.pop_front() else { break };
+            self.past_bytes -= oldest.len() as u64;
             self.returns.give(oldest);
         }
     }
@@ -212,9 +199,9 @@ impl Writer {
                 return;
             }
         }
-        let held = std::mem::take(&mut self.held);
-        self.held_bytes = 0;
-        for block in held {
+        let past = std::mem::take(&mut self.past);
+        self.past_bytes = 0;
+        for block in past {
             if block.newest_ns() >= since_ns {
                 self.write(&block);
             }
@@ -268,30 +255,17 @@ impl OpenFile {
         if !room.ensure(2 * TAIL)? {
             return Err(Broken::Full);
         }
-        let word = Arc::new(Word::default());
-        let file = Sink::new(opening.file, word.clone());
-        let options = WriteOptions::new()
-            .compression(None)
-            .profile("trocar")
-            .library(concat!("trocar-recorder ", env!("CARGO_PKG_VERSION")))
-            .chunk_size(None)
-            .disable_seeking(true)
-            // Each chunk has its own: a second one over the same bytes finds nothing more.
-            .calculate_data_section_crc(false);
-        let mcap = options.create(NoSeek::new(file))?;
+        let library = concat!("trocar-recorder ", env!("CARGO_PKG_VERSION"));
         let mut file = OpenFile {
-            mcap,
+            mcap: McapFile::new(Sink::new(opening.file), "trocar", library)?,
             path: opening.path,
             written: opening.written,
             codec: opening.codec,
             room,
-            word,
             ids: Vec::new(),
             messages: 0,
             spoiled: BTreeMap::new(),
-            pending: 0,
             pending_since: None,
-            summary: 0,
             scratch: Vec::new(),
         };
         for channel in channels {
@@ -300,19 +274,13 @@ impl OpenFile {
         for (name, values) in metadata {
             file.metadata(name, values)?;
         }
-        file.mcap.flush()?;
+        file.mcap.flush(true)?;
         Ok(file)
     }
 
     /// Makes sure of the room for `more` bytes and for everything that has to follow them.
     fn room_for(&mut self, more: u64) -> Result<(), Broken> {
-        let open_chunk = self.pending + PER_CHUNK + PER_CHANNEL * self.ids.len() as u64;
-        let end = self.word.len.load(Ordering::Relaxed)
-            + open_chunk
-            + more
-            + self.summary
-            + open_chunk_summary(self.ids.len())
-            + TAIL;
+        let end = self.mcap.len() + more + self.mcap.end_len() + TAIL;
         if self.room.ensure(end)? { Ok(()) } else { Err(Broken::Full) }
     }
 
@@ -321,36 +289,34 @@ impl OpenFile {
         let bytes =
             (channel.topic.len() + channel.schema.len() + channel.schema_data.len() + metadata + 128) as u64;
         self.room_for(2 * bytes)?;
-        self.summary += bytes;
-        let schema = self.mcap.add_schema(&channel.schema, channel.schema_encoding, &channel.schema_data)?;
-        let id = self.mcap.add_channel(schema, &channel.topic, channel.encoding, &channel.metadata)?;
-        self.ids.push(id);
+        let schema = (channel.schema.as_str(), channel.schema_encoding, channel.schema_data.as_slice());
+        self.ids.push(self.mcap.add(&channel.topic, channel.encoding, &channel.metadata, schema)?);
         Ok(())
     }
 
     fn metadata(&mut self, name: &str, values: &BTreeMap<String, String>) -> Result<(), Broken> {
         let bytes: usize = values.iter().map(|(k, v)| k.len() + v.len() + 16).sum();
         self.room_for(bytes as u64 + 256)?;
-        self.summary += 128;
-        self.flush()?;
-        self.mcap.write_metadata(&Metadata { name: name.to_owned(), metadata: values.clone() })?;
-        self.word.urgent.store(true, Ordering::Relaxed);
-        self.close_chunk()
+        self.mcap.metadata(&Metadata { name: name.to_owned(), metadata: values.clone() })?;
+        self.pending_since.get_or_insert_with(Instant::now);
+        self.flush()
     }
 
-    fn message(&mut self, head: &Head, bytes: &[u8]) -> Result<(), Broken> {
+    /// In two parts, of which the second is a frame's.
+    fn message(&mut self, head: &Head, [begin, rest]: [&[u8]; 2]) -> Result<(), Broken> {
         let Some(id) = self.ids.get(head.channel as usize).copied() else { return Ok(()) };
         let mut scratch = std::mem::take(&mut self.scratch);
         let data = match head.kind {
-            Kind::Ready => bytes,
+            Kind::Ready => [begin, rest],
             kind @ Kind::Pixels { .. } => {
                 scratch.clear();
-                if !compress::encode(self.codec, kind, head.publish_ns, bytes, &mut scratch) {
+                let pixels = if rest.is_empty() { begin } else { rest };
+                if !compress::encode(self.codec, kind, head.publish_ns, pixels, &mut scratch) {
                     *self.spoiled.entry(head.channel).or_default() += 1;
                     self.scratch = scratch;
                     return Ok(());
                 }
-                &scratch
+                [scratch.as_slice(), &[]]
             }
         };
         let done = self.put(head, id, data);
@@ -358,8 +324,9 @@ impl OpenFile {
         done
     }
 
-    fn put(&mut self, head: &Head, channel_id: u16, data: &[u8]) -> Result<(), Broken> {
-        self.room_for(data.len() as u64 + PER_MESSAGE)?;
+    fn put(&mut self, head: &Head, channel_id: u16, parts: [&[u8]; 2]) -> Result<(), Broken> {
+        let len = (parts[0].len() + parts[1].len()) as u64;
+        self.room_for(len + if is_alone(parts) { PER_LARGE } else { PER_MESSAGE })?;
         let header = MessageHeader {
             channel_id,
             // The format has 32 bits for it: the count goes on from 0 there.
@@ -367,11 +334,10 @@ impl OpenFile {
             log_time: head.log_ns,
             publish_time: head.publish_ns,
         };
-        self.mcap.write_to_known_channel(&header, data)?;
+        self.mcap.message(&header, parts)?;
         self.messages += 1;
-        self.pending += data.len() as u64 + PER_MESSAGE;
         self.pending_since.get_or_insert_with(Instant::now);
-        if self.pending >= CHUNK { self.close_chunk() } else { Ok(()) }
+        if self.mcap.pending() >= CHUNK { self.close_chunk(false) } else { Ok(()) }
     }
 
     fn all_spoiled(&self) -> u64 {
@@ -379,13 +345,8 @@ impl OpenFile {
     }
 
     /// What is in the chunk goes on its way.
-    fn close_chunk(&mut self) -> Result<(), Broken> {
-        if self.pending > 0 {
-            self.summary += open_chunk_summary(self.ids.len());
-            self.pending = 0;
-        }
-        self.mcap.flush()?;
-        if self.word.stored.load(Ordering::Relaxed) == self.word.len.load(Ordering::Relaxed) {
+    fn close_chunk(&mut self, urgent: bool) -> Result<(), Broken> {
+        if self.mcap.flush(urgent)? {
             self.pending_since = None;
         }
         Ok(())
@@ -393,11 +354,7 @@ impl OpenFile {
 
     /// All that was taken is in the file.
     fn flush(&mut self) -> Result<(), Broken> {
-        if self.pending_since.take().is_some() {
-            self.word.urgent.store(true, Ordering::Relaxed);
-            self.close_chunk()?;
-        }
-        Ok(())
+        if self.pending_since.is_some() { self.close_chunk(true) } else { Ok(()) }
     }
 
     /// Closes the file: its length, whether it is whole, and what went wrong instead of the reason.
@@ -429,13 +386,9 @@ impl OpenFile {
             end.insert(format!("lost:{topic}"), n.to_string());
         }
         let record = Metadata { name: "trocar.end".to_owned(), metadata: end };
-        let done = self
-            .mcap
-            .flush()
-            .and_then(|()| self.mcap.write_metadata(&record))
-            .and_then(|()| self.mcap.finish().map(|_| ()));
-        let (bytes, closed) = self.mcap.into_inner().into_inner().close();
-        let done = done.and(closed.map_err(McapError::from));
+        let done = self.mcap.metadata(&record).and_then(|()| self.mcap.finish());
+        let (bytes, closed) = self.mcap.into_sink().close();
+        let done = done.and(closed);
         let told = done.err().map(|e| format!("{why}; the file could not be closed: {e}"));
         self.room.trim(bytes);
         (bytes, told.is_none(), told)
@@ -443,14 +396,10 @@ impl OpenFile {
 
     /// Leaves the file as it is, and tells its length; nothing of what waits is written, and a summary is not tried.
     fn give_up(self) -> u64 {
-        let stored = self.mcap.into_inner().into_inner().stored();
+        let stored = self.mcap.into_sink().stored();
         self.room.trim(stored);
         stored
     }
-}
-
-fn open_chunk_summary(channels: usize) -> u64 {
-    PER_CHUNK + PER_CHANNEL * channels as u64
 }
 
 #[cfg(test)]

@@ -9,11 +9,10 @@ fn pattern(from: u64, len: usize) -> Vec<u8> {
     (from..).take(len).map(|n| (n.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u8).collect()
 }
 
-fn new(dir: &tempfile::TempDir) -> (File, Sink, Arc<Word>) {
+fn new(dir: &tempfile::TempDir) -> (File, Sink) {
     let path = dir.path().join("a.mcap");
     let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path).expect("a new file");
-    let word = Arc::new(Word::default());
-    (File::open(path).expect("the file"), Sink::new(file, word.clone()), word)
+    (File::open(path).expect("the file"), Sink::new(file))
 }
 
 /// When nothing is chosen yet by the clock.
@@ -33,6 +32,14 @@ fn content(file: &File) -> Vec<u8> {
     let mut bytes = vec![0; file.metadata().expect("its length").len() as usize];
     file.read_exact_at(&mut bytes, 0).expect("the file is read");
     bytes
+}
+
+/// What it is told to take from now on, not what the clock makes it.
+fn send_by(sink: &mut Sink, route: Route) {
+    sink.looked.0 = far_ahead();
+    if sink.route != Route::CachedOnly && sink.route != route {
+        sink.take(route);
+    }
 }
 
 #[test]
@@ -68,23 +75,17 @@ fn the_file_is_what_was_written_whichever_way_it_goes() {
         &[Route::Direct, Route::Direct, Route::Cached, Route::Cached, Route::Direct],
     ] {
         let dir = tempfile::tempdir().expect("a directory");
-        let (file, mut sink, word) = new(&dir);
+        let (file, mut sink) = new(&dir);
         let (mut all, mut longest) = (Vec::new(), 0);
         for (n, size) in sizes.iter().cycle().take(3 * sizes.len() + 1).enumerate() {
-            // What it is told to take, not what the clock makes it.
-            sink.looked.0 = far_ahead();
-            let route = routes[n % routes.len()];
-            if sink.route != Route::CachedOnly && sink.route != route {
-                sink.take(route);
-            }
+            send_by(&mut sink, routes[n % routes.len()]);
             let more = pattern(all.len() as u64, *size);
-            sink.write_all(&more).expect("it is written");
+            sink.put(&more).expect("it is written");
             all.extend(more);
             if n % 4 == 3 {
                 continue;
             }
-            word.urgent.store(true, Ordering::Relaxed);
-            sink.flush().expect("it is flushed");
+            assert!(sink.flush(true).expect("it is flushed"), "not all of it");
             let found = content(&file);
             assert!(found.len() >= all.len(), "{routes:?} {n}: {} of {} B", found.len(), all.len());
             assert!(found[..all.len()] == all[..], "{routes:?} {n}: other bytes");
@@ -94,7 +95,7 @@ fn the_file_is_what_was_written_whichever_way_it_goes() {
             assert!(found.len() >= longest, "{routes:?} {n}: made shorter, which gives back room");
             longest = found.len();
         }
-        assert_eq!(word.len.load(Ordering::Relaxed), all.len() as u64);
+        assert_eq!(sink.len(), all.len() as u64);
         let (stored, closed) = sink.close();
         closed.expect("it closes");
         assert_eq!(stored, all.len() as u64);
@@ -105,36 +106,35 @@ fn the_file_is_what_was_written_whichever_way_it_goes() {
 #[test]
 fn what_is_not_urgent_waits_for_more_past_the_page_cache() {
     let dir = tempfile::tempdir().expect("a directory");
-    let (file, mut sink, word) = new(&dir);
+    let (file, mut sink) = new(&dir);
     sink.take(Route::Direct);
     if sink.route != Route::Direct {
         eprintln!("skip: the file system of the temporary directory knows the page cache only");
         return;
     }
-    let mut put = |len: usize| {
-        // What it was told to take, not what the clock makes it.
-        sink.looked.0 = far_ahead();
-        sink.write_all(&vec![1; len]).expect("it is written");
-        sink.flush().expect("it is flushed");
-        content(&file).len()
+    let mut put = |len: usize, urgent: bool| {
+        send_by(&mut sink, Route::Direct);
+        sink.put(&vec![1; len]).expect("it is written");
+        let all = sink.flush(urgent).expect("it is flushed");
+        (content(&file).len(), all)
     };
-    assert_eq!(put(1000), 0);
-    assert_eq!(put(WORTH), WORTH + PAGE, "the last page is filled up");
-    assert_eq!(put(PAGE), WORTH + PAGE);
-    word.urgent.store(true, Ordering::Relaxed);
-    assert_eq!(put(0), WORTH + 2 * PAGE);
+    assert_eq!(put(1000, false), (0, false));
+    assert_eq!(put(WORTH, false), (WORTH + PAGE, true), "the last page is filled up");
+    assert_eq!(put(PAGE, false), (WORTH + PAGE, false));
+    assert_eq!(put(0, true), (WORTH + 2 * PAGE, true));
 }
 
 #[test]
 fn much_passes_the_page_cache_by_and_little_does_not() {
     let dir = tempfile::tempdir().expect("a directory");
-    let (_file, mut sink, word) = new(&dir);
+    let (_file, mut sink) = new(&dir);
     // As if so many bytes had come in a second.
     let second = |sink: &mut Sink, bytes: u64| {
-        sink.write_all(&[7]).expect("it is written");
-        word.len.fetch_add(bytes - 1, Ordering::Relaxed);
-        sink.looked.0 = Instant::now().checked_sub(Duration::from_secs(1)).expect("a clock that has run");
-        sink.flush().expect("it is flushed");
+        let second_ago = Instant::now().checked_sub(Duration::from_secs(1)).expect("a clock that has run");
+        sink.looked = (second_ago, sink.len());
+        sink.put(&[7]).expect("it is written");
+        sink.at += bytes;
+        sink.flush(false).expect("it is flushed");
         sink.route
     };
     let little = second(&mut sink, 1 << 20);
@@ -154,4 +154,82 @@ fn much_passes_the_page_cache_by_and_little_does_not() {
     assert_eq!(second(&mut sink, 40 << 20), Route::Cached, "not tried again at once");
     sink.not_before = Instant::now();
     assert_eq!(second(&mut sink, 40 << 20), Route::Direct);
+}
+
+#[test]
+fn what_is_large_is_written_from_where_it_lies_and_the_records_around_it_are_whole() {
+    let memory = Memory::new(20 * PAGE);
+    for routes in
+        [&[Route::Cached][..], &[Route::Direct], &[Route::CachedOnly], &[Route::Direct, Route::Cached]]
+    {
+        let dir = tempfile::tempdir().expect("a directory");
+        let (file, mut sink) = new(&dir);
+        let mut all: Vec<u8> = Vec::new();
+        // Wherever a body begins in memory, and whatever comes before it; once so much that memory is full within.
+        for (n, (at, head)) in (0..120).map(|n| (n * 711 % (2 * PAGE), 1 + n * 97 % 5000)).enumerate() {
+            send_by(&mut sink, routes[n % routes.len()]);
+            if sink.route == Route::CachedOnly && routes.contains(&Route::Direct) {
+                eprintln!("skip: the file system of the temporary directory knows the page cache only");
+                return;
+            }
+            let head = pattern(all.len() as u64, if n % 50 == 7 { HOLDS - 100 + n } else { head });
+            let (begin, len) = (memory.begin + at, 17 * PAGE - n);
+            let body = &memory.bytes[begin..begin + len];
+            let begins = sink.place(&head, body).expect("it is placed");
+            assert_ne!(
+                (sink.route, routes[0]),
+                (Route::CachedOnly, Route::Direct),
+                "{n}: the disk refused it"
+            );
+            let before = usize::try_from(begins).expect("a length") - all.len();
+            assert!(before == 0 || (RECORD_HEAD..MOST_FILLER).contains(&before), "{routes:?} {n}: {before}");
+            all.resize(begins as usize, 0);
+            if before > 0 {
+                all[begins as usize - before..][..RECORD_HEAD].copy_from_slice(&filler_head(before));
+            }
+            all.extend(&head);
+            all.extend(body);
+            if sink.route == Route::Direct {
+                assert_eq!(
+                    (all.len() - len) % PAGE,
+                    body.as_ptr().addr() % PAGE,
+                    "its pages would be copied"
+                );
+            }
+            let small = pattern(7, n % 5 * 50);
+            sink.put(&small).expect("it is written");
+            all.extend(small);
+            // Behind each of the routes, and before each.
+            if n % 3 == 1 {
+                sink.flush(true).expect("it is flushed");
+                let found = content(&file);
+                assert!(
+                    found.len() >= all.len() && found[..all.len()] == all[..],
+                    "{routes:?} {n}: other bytes"
+                );
+                assert!(
+                    found.len() == all.len() || is_filler(&found[all.len()..]),
+                    "{routes:?} {n}: no filler"
+                );
+            }
+        }
+        let (stored, closed) = sink.close();
+        closed.expect("it closes");
+        assert_eq!(stored, all.len() as u64);
+        assert!(content(&file)[..all.len()] == all, "{routes:?}: other bytes at the end");
+    }
+}
+
+#[test]
+fn a_disk_that_takes_no_pages_past_the_page_cache_gets_them_through_it() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let (file, mut sink) = new(&dir);
+    sink.take(Route::Direct);
+    // Memory that begins at no page is what disks refuse.
+    sink.memory.begin += 1;
+    let (head, body) = (pattern(0, 77), pattern(99, 33 * PAGE));
+    let begins = sink.place(&head, &body).expect("it is placed") as usize;
+    sink.flush(true).expect("it is flushed");
+    assert_eq!(content(&file)[begins..][..head.len() + body.len()], [head, body].concat());
+    assert_eq!(sink.route, Route::CachedOnly);
 }
