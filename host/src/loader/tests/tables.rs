@@ -19,7 +19,7 @@ static trocar_class class_table = {
 static const trocar_class *const classes[] = {&class_table};
 static int32_t init(const trocar_host *host) { (void)host; @INIT@; return 0; }
 static trocar_plugin table = {
-    .struct_size = sizeof table, .abi_major = 1, .abi_minor = 1, .name = {(const uint8_t *)"probe", 5},
+    .struct_size = sizeof table, .abi_major = 1, .abi_minor = TROCAR_ABI_MINOR, .name = {(const uint8_t *)"probe", 5},
     .version = {(const uint8_t *)"1", 1}, .init = init, .class_count = 1, .classes = classes};
 TROCAR_EXPORT const trocar_plugin *trocar_plugin_v1(void) { @ENTRY@; return &table; }
 "#;
