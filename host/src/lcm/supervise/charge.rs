@@ -15,6 +15,7 @@ use super::hygiene::left_behind;
 use super::roster::Ward;
 use super::safe::give_up;
 use super::watch::{Busy, Entry, Misdeed};
+use super::watchdog::Lateness;
 
 /// An overrun is shown at least this long, so that health does not flicker, ns.
 const OVERRUN_SHOWN_NS: u64 = 1_000_000_000;
@@ -57,6 +58,7 @@ struct Inside {
     since_ns: u64,
     /// When it has taken what it may, ns.
     ends_ns: u64,
+    /// Of the watchdog, when it began.
     late_ns: u64,
     /// How long its thread had waited for a processor when it began to last long, ns.
     waited_ns: Option<u64>,
@@ -212,13 +214,14 @@ impl Charge {
     }
 
     /// Why it counts as unresponsive, if it does.
-    pub(super) fn stuck(&mut self, now_ns: u64, late_ns: u64) -> Option<String> {
+    pub(super) fn stuck(&mut self, now_ns: u64, late: Lateness) -> Option<String> {
         let Some(busy) = self.ward.instance.watch.busy() else {
             self.inside = None;
             return None;
         };
         if self.inside.as_ref().is_none_or(|i| i.busy != busy) {
             let since_ns = if busy.since_ns == 0 { now_ns } else { busy.since_ns };
+            let late_ns = late.at(since_ns, now_ns);
             self.inside = Some(Inside { busy, since_ns, ends_ns: 0, late_ns, waited_ns: None, ready: None });
         }
         let tid = self.ward.executor.tid();
@@ -229,7 +232,7 @@ impl Charge {
         inside.ends_ns = inside.since_ns.saturating_add(allowed_ns);
         let lasted_ns = now_ns.saturating_sub(inside.since_ns);
         // Where the watchdog could not run, neither could it, perhaps.
-        let mut counted_ns = lasted_ns.saturating_sub(late_ns - inside.late_ns);
+        let mut counted_ns = lasted_ns.saturating_sub(late.now_ns - inside.late_ns);
         if counted_ns > patience_ns / 2 {
             counted_ns = counted_ns.saturating_sub(inside.kept_ns(tid, now_ns));
         }

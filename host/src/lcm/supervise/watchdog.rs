@@ -1,7 +1,8 @@
 //! The watchdog: one thread that looks at every component and tells how it is.
 //!
 //! Invariant: it never enters a component and never waits for one; a look costs some loads per component. It looks once in
-//! the shortest period (1 to 10 ms), when somebody inside comes to the end of what it may take, and when a late cycle wakes it.
+//! the shortest period (5 to 10 ms: it comes between the steps of everybody, and patience begins at 50 ms), when somebody inside
+//! comes to the end of what it may take, and when a late cycle wakes it.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +18,9 @@ use super::hygiene::{self, Premises};
 use super::roster::{Roster, Ward};
 
 /// Shortest and longest time between two looks, ns; in between it is the shortest period of a running component.
-const LOOK_NS: (u64, u64) = (1_000_000, 10_000_000);
+const LOOK_NS: (u64, u64) = (5_000_000, 10_000_000);
+/// Least time between two looks, however soon somebody comes to the end of what it may take, ns.
+const SOONEST_NS: u64 = 1_000_000;
 /// Least time between two looks per component, so that looking stays cheap with many of them, ns.
 const LOOK_EACH_NS: u64 = 10_000;
 /// Waking up takes up to this long, ns: of the hundreds of looks in one patience it must not add up to a pardon.
@@ -65,13 +68,34 @@ impl Drop for Watchdog {
     }
 }
 
+/// How long the watchdog was itself kept from looking, summed up, ns.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Lateness {
+    pub(super) now_ns: u64,
+    /// At the look before.
+    pub(super) before_ns: u64,
+}
+
+impl Lateness {
+    /// One more look, which was due at `due_ns`.
+    fn look(&mut self, due_ns: u64, now_ns: u64) {
+        self.before_ns = self.now_ns;
+        self.now_ns += now_ns.saturating_sub(due_ns + WAKING_NS);
+    }
+
+    /// How it was when something began that is seen for the first time now. What has kept the watchdog since has kept that, too: it was not
+    /// there at the look before.
+    pub(super) fn at(self, since_ns: u64, now_ns: u64) -> u64 {
+        self.now_ns - (self.now_ns - self.before_ns).min(now_ns.saturating_sub(since_ns))
+    }
+}
+
 /// What the watchdog knows from its earlier looks.
 #[derive(Default)]
 struct Rounds {
     charges: Vec<Charge>,
     edition: u64,
-    /// How long it was itself kept from looking, summed up, ns.
-    late_ns: u64,
+    late: Lateness,
     priority: u8,
     premises: Premises,
 }
@@ -85,7 +109,7 @@ impl Rounds {
                 return;
             }
             let now_ns = os::now_ns();
-            self.late_ns += now_ns.saturating_sub(next_ns + WAKING_NS);
+            self.late.look(next_ns, now_ns);
             if let Some(wards) = roster.news(&mut self.edition) {
                 self.take(wards);
             }
@@ -97,8 +121,8 @@ impl Rounds {
 
     /// The components: who is stuck, whose thread is held by that one, how the others are.
     fn look(&mut self, now_ns: u64) {
-        let late_ns = self.late_ns;
-        let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late_ns)).collect();
+        let late = self.late;
+        let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
         for at in 0..self.charges.len() {
             let why = stuck[at].clone().or_else(|| {
                 let holders = self.charges.iter().zip(&stuck).filter(|(_, stuck)| stuck.is_some());
@@ -162,6 +186,28 @@ impl Rounds {
         let crowd_ns = self.charges.len() as u64 * LOOK_EACH_NS;
         let pause_ns = shortest.clamp(LOOK_NS.0, LOOK_NS.1).max(crowd_ns);
         let ends = self.charges.iter().filter_map(|c| c.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
-        ends.max(now_ns + LOOK_NS.0.max(crowd_ns)).min(now_ns + pause_ns)
+        ends.max(now_ns + SOONEST_NS.max(crowd_ns)).min(now_ns + pause_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_pause_of_the_machine_is_nobody_s_doing_who_was_inside_during_it() {
+        let mut late = Lateness::default();
+        late.look(10 * MS, 10 * MS);
+        // Due at 15 ms, and the machine stood from 12 to 80 ms.
+        late.look(15 * MS, 80 * MS);
+        let whole = 65 * MS - WAKING_NS;
+        assert_eq!((late.now_ns, late.before_ns), (whole, 0));
+        assert_eq!(late.at(12 * MS, 80 * MS), 0, "all of it came afterwards");
+        assert_eq!(late.at(78 * MS, 80 * MS), whole - 2 * MS, "what began when it was nearly over");
+        assert_eq!(late.at(80 * MS, 80 * MS), whole);
+        late.look(85 * MS, 85 * MS);
+        assert_eq!(late.at(82 * MS, 85 * MS), whole, "what began when it was over");
     }
 }
