@@ -338,6 +338,7 @@ mod tests {
     use crate::block::way;
 
     const NUMBER: &str = r#"{"plain": "f64"}"#;
+
     /// All of it is kept.
     fn whole() -> Topic {
         Topic { every: 1, ..Topic::default() }

@@ -119,7 +119,7 @@ impl Frame {
     /// filled. Of another process it is the only one here, for nobody here knows what is free there.
     pub fn can_be_held(&self) -> bool {
         let pool = self.0.pool();
-        if pool.file().is_some() { pool.slots.has_free(LEFT_FREE) } else { pool.slots.lent() <= 1 }
+        if pool.file().is_some() { pool.slots.has_free(FREE_BESIDE_HELD) } else { pool.slots.lent() <= 1 }
     }
 
     /// Whether at least `n` slots of its pool are free now.
@@ -158,7 +158,8 @@ impl Frame {
 }
 
 /// Slots that stay free where a frame is held.
-const LEFT_FREE: u64 = 3;
+const FREE_BESIDE_HELD: u64 = 3;
+
 /// Marks the number of a [`FrameMut`]; the lowest bit of a descriptor is 0.
 const WRITING: u64 = 1;
 

@@ -42,6 +42,16 @@ fn send_by(sink: &mut Sink, route: Route) {
     }
 }
 
+/// The file begins with all that was written, and behind it is one filler at most: how long it is.
+fn begins_with(file: &File, all: &[u8], when: &str) -> usize {
+    let found = content(file);
+    assert!(found.len() >= all.len(), "{when}: {} of {} B", found.len(), all.len());
+    assert!(found[..all.len()] == all[..], "{when}: other bytes");
+    let rest = &found[all.len()..];
+    assert!(rest.is_empty() || is_filler(rest), "{when}: {} B behind it", rest.len());
+    found.len()
+}
+
 #[test]
 fn the_file_is_what_was_written_whichever_way_it_goes() {
     // Sizes around pages, around what the memory holds, and several of it; around a filler's head before a page's end.
@@ -86,14 +96,10 @@ fn the_file_is_what_was_written_whichever_way_it_goes() {
                 continue;
             }
             assert!(sink.flush(true).expect("it is flushed"), "not all of it");
-            let found = content(&file);
-            assert!(found.len() >= all.len(), "{routes:?} {n}: {} of {} B", found.len(), all.len());
-            assert!(found[..all.len()] == all[..], "{routes:?} {n}: other bytes");
-            let rest = &found[all.len()..];
-            assert!(rest.is_empty() || is_filler(rest), "{routes:?} {n}: {} B behind it", rest.len());
-            assert!(routes.contains(&Route::Direct) || rest.is_empty(), "{routes:?} {n}: a filler");
-            assert!(found.len() >= longest, "{routes:?} {n}: made shorter, which gives back room");
-            longest = found.len();
+            let len = begins_with(&file, &all, &format!("{routes:?} {n}"));
+            assert!(routes.contains(&Route::Direct) || len == all.len(), "{routes:?} {n}: a filler");
+            assert!(len >= longest, "{routes:?} {n}: made shorter, which gives back room");
+            longest = len;
         }
         assert_eq!(sink.len(), all.len() as u64);
         let (stored, closed) = sink.close();
@@ -202,15 +208,7 @@ fn what_is_large_is_written_from_where_it_lies_and_the_records_around_it_are_who
             // Behind each of the routes, and before each.
             if n % 3 == 1 {
                 sink.flush(true).expect("it is flushed");
-                let found = content(&file);
-                assert!(
-                    found.len() >= all.len() && found[..all.len()] == all[..],
-                    "{routes:?} {n}: other bytes"
-                );
-                assert!(
-                    found.len() == all.len() || is_filler(&found[all.len()..]),
-                    "{routes:?} {n}: no filler"
-                );
+                begins_with(&file, &all, &format!("{routes:?} {n}"));
             }
         }
         let (stored, closed) = sink.close();
