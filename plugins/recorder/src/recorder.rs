@@ -4,6 +4,7 @@
 //! writer's. What is not kept is counted.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -315,11 +316,11 @@ impl Recorder {
     /// What has come so far, before a command changes what becomes of what comes.
     fn catch_up(&mut self) {
         let recording = self.run.as_ref().is_some_and(|run| run.began_ns != 0);
-        self.drain(recording);
+        self.drain(recording, 0..0);
     }
 
-    /// What came by the inputs since the last step.
-    fn drain(&mut self, recording: bool) {
+    /// What came by the inputs since the last step, but for what was acquired at times `beside` the recording, ns.
+    fn drain(&mut self, recording: bool, beside: Range<u64>) {
         let Some(run) = &mut self.run else { return };
         let wanted = (recording && !run.paused) || (run.began_ns == 0 && run.pre_trigger_ns > 0);
         let fixed = [
@@ -337,7 +338,7 @@ impl Recorder {
                 let Some(view) = input.next() else { break };
                 // What waits for a recording to begin may wait for long.
                 let seen = Seen::of(&view, recording);
-                if !wanted {
+                if !wanted || beside.contains(&seen.stamp_ns) {
                     topic.pass(&seen);
                     continue;
                 }
@@ -455,19 +456,28 @@ impl Component for Recorder {
         let now_ns = tick.now().ns();
         self.hear();
         let Some(run) = &mut self.run else { return Ok(()) };
+        // A step takes what came since the one before, and times that were asked for lie in between.
+        let mut beside = 0..0;
         if run.is_due(now_ns) {
             let since_ns = run.reaches_back_to(now_ns);
             self.each.iter_mut().for_each(|topic| topic.begin(since_ns));
             run.begin(&self.host, now_ns);
+            beside = run.stepped_ns..since_ns;
         }
+        run.stepped_ns = now_ns;
         if run.pause_ns != 0 && run.pause_ns <= now_ns {
-            self.catch_up();
+            let from_ns = run.pause_ns;
+            self.drain(true, from_ns..now_ns + 1);
             let Some(run) = &mut self.run else { return Ok(()) };
             (run.paused, run.pause_ns) = (true, 0);
         }
         let Some(run) = &mut self.run else { return Ok(()) };
         let recording = run.began_ns != 0;
-        self.drain(recording);
+        let is_over = recording && run.ends_ns != 0 && run.ends_ns <= now_ns;
+        if is_over {
+            beside = run.ends_ns..now_ns + 1;
+        }
+        self.drain(recording, beside);
         let Some(run) = &mut self.run else { return Ok(()) };
         run.way.send();
         self.status = Progress {
@@ -494,7 +504,7 @@ impl Component for Recorder {
             run.tell_loss(&self.each, now_ns);
             self.progress.emit(self.status);
         }
-        if recording && run.ends_ns != 0 && run.ends_ns <= now_ns {
+        if is_over {
             self.end("its time was over");
         }
         Ok(())

@@ -41,6 +41,8 @@ pub(crate) struct Running {
     pub(crate) pause_ns: u64,
     pub(crate) paused: bool,
     pub(crate) told_ns: u64,
+    /// When the step before was.
+    pub(crate) stepped_ns: u64,
     /// What was lost when the writer was told last.
     pub(crate) lost_told: u64,
     markers: u64,
@@ -103,6 +105,7 @@ impl Running {
             pause_ns: 0,
             paused: false,
             told_ns: 0,
+            stepped_ns: 0,
             lost_told: 0,
             markers: 0,
         };
@@ -161,7 +164,9 @@ impl Running {
     pub(crate) fn begin(&mut self, host: &Host, now_ns: u64) {
         let Some(plan) = self.plan.take() else { return };
         self.began_ns = now_ns;
-        self.ends_ns = if plan.duration_ns == 0 { 0 } else { now_ns + plan.duration_ns };
+        // Where its time was since the step before, it counts from then.
+        let from_ns = plan.at_ns.max(self.stepped_ns);
+        self.ends_ns = if plan.duration_ns == 0 { 0 } else { from_ns + plan.duration_ns };
         (self.pause_ns, self.paused, self.lost_told) = (0, false, 0);
         (self.told_ns, self.markers) = (now_ns, 0);
         self.explaining.begin(now_ns, &mut self.way);

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use trocar_imaging::side;
 use trocar_phantom::World;
@@ -18,8 +18,10 @@ use trocar_sdk::prelude::*;
 /// Buffers that go round. With one there is no wish while an earlier one is not fulfilled: on a busy machine, where the step draws
 /// what is late itself, nothing piles up.
 const BUFFERS: usize = 1;
-/// How often the thread looks whether it is asked.
+/// How often the thread looks whether it is asked, once a wish may come.
 const LOOKS: Duration = Duration::from_millis(1);
+/// It sleeps at most so long: whoever ends it waits for that.
+const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
 /// A pair, or the wish for one: both pictures' rows of red, green, blue, the left one's first.
 #[derive(Default)]
@@ -52,12 +54,15 @@ impl Ahead {
         let ends = Arc::new(AtomicBool::new(false));
         let ending = ends.clone();
         let thread = side::spawn(name, move || {
+            let mut beat = Beat::default();
             while !ending.load(Ordering::Acquire) {
                 match wished.try_recv() {
                     Ok(mut bare) => {
+                        let next = Instant::now() + beat.quiet_after(&bare);
                         draw(&mut renderer, &mut bare);
                         // There is room for all buffers.
                         let _ = draws.try_send(bare);
+                        std::thread::sleep(next.saturating_duration_since(Instant::now()));
                     }
                     Err(TryRecvError::Empty) => std::thread::sleep(LOOKS),
                     Err(TryRecvError::Disconnected) => return,
@@ -89,6 +94,25 @@ impl Ahead {
     pub(crate) fn give_back(&mut self, bare: Bare) {
         // Never more than there were, so this does not allocate.
         self.spare.push(bare.rgb);
+    }
+}
+
+/// When wishes come: each look is a timer that interrupts whoever runs there, so there are few while there is none to come.
+#[derive(Default)]
+struct Beat {
+    /// Stamp, ns, and number of the wish before.
+    before: Option<(u64, u64)>,
+}
+
+impl Beat {
+    /// How long after this wish there is certainly no other one: most of the time between two frames. Wishes that were left out
+    /// count by their numbers.
+    fn quiet_after(&mut self, wish: &Bare) -> Duration {
+        let now = (wish.stamp.ns(), wish.number);
+        let Some(before) = self.before.replace(now) else { return Duration::ZERO };
+        let frames = now.1.checked_sub(before.1).filter(|frames| *frames > 0);
+        let frame_ns = frames.map_or(0, |frames| now.0.saturating_sub(before.0) / frames);
+        LONGEST_SLEEP.min(Duration::from_nanos(frame_ns - frame_ns / 16))
     }
 }
 
@@ -132,5 +156,24 @@ fn draw(renderer: &mut Renderer, bare: &mut Bare) {
     let half = bare.rgb.len() / 2;
     for (side, to) in [Side::Left, Side::Right].into_iter().zip(bare.rgb.chunks_exact_mut(half)) {
         renderer.draw(side, &scene, |y, row| to[y * row.len()..][..row.len()].copy_from_slice(row));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_sleeps_for_most_of_a_frame_however_many_wishes_were_left_out() {
+        let mut beat = Beat::default();
+        let mut after = |ms: u64, number| {
+            beat.quiet_after(&Bare { stamp: Stamp::from_ns(ms * 1_000_000), number, rgb: Vec::new() })
+        };
+        assert_eq!(after(100, 3), Duration::ZERO, "nothing is known after the first");
+        assert_eq!(after(116, 4), Duration::from_millis(15));
+        assert_eq!(after(164, 7), Duration::from_millis(15), "three frames later");
+        assert_eq!(after(164, 7), Duration::ZERO, "the same once more");
+        assert_eq!(after(180, 1), Duration::ZERO, "numbers begin again");
+        assert_eq!(after(10_180, 2), LONGEST_SLEEP);
     }
 }

@@ -6,6 +6,7 @@
 mod bare;
 mod control;
 mod depth;
+mod disk;
 mod load;
 mod plan;
 mod recording;

@@ -4,6 +4,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::thread;
 
 use serde_json::{Map, Value, json};
 use trocar_tests::repository;
@@ -21,6 +22,9 @@ pub(super) const VIDEO_PRIORITY: i32 = 40;
 pub(super) const FAST_PRIORITIES: [i32; 3] = [80, 70, 75];
 /// What records, where there is one.
 pub(super) const RECORDER: &str = "host/rec";
+/// Heads of streams, and components with a thread of their own.
+const FAST: [&str; 3] = ["robot/robot", "oct/source", "host/bscan"];
+const SLOW: [&str; 3] = ["host/camera", "host/overlay", RECORDER];
 /// Processes of the file.
 const HOST: &str = "host";
 const STREAM: &str = "host/rectify";
@@ -158,9 +162,28 @@ impl Plan {
         self
     }
 
-    /// A recorder in the process of the camera, as `trocar record` makes them, with nothing connected to it.
+    /// Without what keeps account of the robot at rest, a thread of 1 kHz.
+    pub(super) fn without_rest(mut self) -> Plan {
+        self.remove(&["robot/rest"]);
+        self
+    }
+
+    /// Who has steps of microseconds is on one processor; pictures and the recorder are on that which the disk interrupts.
+    pub(super) fn placed(mut self, interrupted: usize) -> Plan {
+        let last = thread::available_parallelism().map_or(1, usize::from) - 1;
+        let quiet = usize::from(interrupted == 0).min(last);
+        for (paths, processor) in [(FAST, quiet), (SLOW, interrupted)] {
+            for path in paths {
+                self.component(path)["execution"]["cpus"] = json!([processor]);
+            }
+        }
+        self
+    }
+
+    /// A recorder in the process of the camera, with the priority that `trocar record` gives it, and nothing connected to it. It looks
+    /// when the fast are done, as they go one after the other in the file, and so often that it is done before they begin again.
     pub(super) fn recorder(mut self, directory: &Path) -> Plan {
-        let execution = json!({ "priority": 1 });
+        let execution = json!({ "priority": 1, "rate_hz": 500, "phase_us": 700 });
         self.add(RECORDER, "recorder/recorder", execution, json!({ "directory": directory }));
         self
     }

@@ -2,8 +2,9 @@
 //!
 //! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without, in one running system,
 //! turn and turn about: without is nothing connected and the recorder standing still. What the stretches without differ among
-//! themselves is the machine's doing. Told beside it is what the same bytes cost them when a program does nothing but write them,
-//! through the page cache: last, for that has held the robot up for so long that a scan was given up.
+//! themselves is the machine's doing. Whose steps take microseconds runs on a processor that the disk does not interrupt. Told beside
+//! it is what the same bytes cost them when a program does nothing but write them, through the page cache: last, for that has held
+//! the robot up for so long that a scan was given up.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -12,6 +13,8 @@ use serde_json::{Value, json};
 use trocar_tests::eventually;
 
 use super::bare::BareWriter;
+use super::control::stolen_s;
+use super::disk;
 use super::plan::{Plan, RECORDER};
 use super::rig::{OFFSET_M, Rig, is_phase, world};
 use super::verdicts::{Unit, Verdicts};
@@ -64,7 +67,8 @@ struct Times {
 pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
     let world = world();
     let directory = world.path("");
-    let plan = Plan::new().with_accounts().with_steps_timed(&TIMED).recorder(&directory);
+    let plan = Plan::new().with_accounts().without_rest().with_steps_timed(&TIMED).recorder(&directory);
+    let plan = plan.placed(disk::interrupted_processor(&directory));
     let rig = Rig::up(world, plan);
     rig.await_active("host/camera");
     rig.run(RECORDER, "Stop");
@@ -78,7 +82,8 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
     let bytes_per_s = recorded(verdicts, &rig, seconds);
 
     verdicts.title(&format!("Steps with and without a recorder, {ROUNDS} times {} s each", each_s(seconds)));
-    let lost: f64 = (0..ROUNDS).map(|round| take_turns(&rig, round, each_s(seconds))).sum();
+    let mut turns = Turns::default();
+    (0..ROUNDS).for_each(|round| turns.take(&rig, round, each_s(seconds)));
     let scans = is_phase(&rig.progress(), "SCAN", 2);
     let bare = directory.join("bare");
     for _ in 0..BARE_ROUNDS {
@@ -86,8 +91,15 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
         stretch(&rig, BESIDE, each_s(seconds));
     }
     compare(verdicts, &rig);
-    verdicts.at_most("samples lost in these recordings", lost, 0.0, 0.0, Unit::Count);
+    verdicts.at_most("samples lost in these recordings", turns.lost, 0.0, 0.0, Unit::Count);
+    let all_s = (ROUNDS * each_s(seconds)) as f64;
+    let taken = "taken by the machine's host, of a core, recorded; beside it not recorded";
+    verdicts.tell(taken, turns.stolen_with_s / all_s, Some(turns.stolen_without_s / all_s), Unit::Share);
     verdicts.at_least("scans that went on all the while", f64::from(u8::from(scans)), 1.0, Unit::Count);
+    for path in ["robot/robot", "host/bscan"] {
+        let skipped = rig.work(path).skipped;
+        verdicts.tell(&format!("periods that {path} left out in all of it"), skipped, None, Unit::Count);
+    }
     let scans = is_phase(&rig.progress(), "SCAN", 2);
     verdicts.tell(
         "scans that went on beside the program that only writes, too",
@@ -102,29 +114,43 @@ fn each_s(seconds: u64) -> u64 {
     seconds.div_ceil(ROUNDS).max(1)
 }
 
-/// The times of so many seconds go to that account.
-fn stretch(rig: &Rig, account: u32, seconds: u64) {
+/// The times of so many seconds go to that account; how much of the processors the machine's host took meanwhile, s.
+fn stretch(rig: &Rig, account: u32, seconds: u64) -> f64 {
     thread::sleep(SETTLE);
     turn_to(rig, account);
+    let stolen = stolen_s();
     thread::sleep(Duration::from_secs(seconds));
+    let stolen = stolen_s() - stolen;
     turn_to(rig, ASIDE);
+    stolen
 }
 
-/// A stretch without and one with it, or the other way round; what was lost.
-fn take_turns(rig: &Rig, round: u64, seconds: u64) -> f64 {
-    let without = || stretch(rig, WITHOUT[(round % 2) as usize], seconds);
-    // Each comes first as often as last.
-    let forth = (round / 2).is_multiple_of(2);
-    if forth {
-        without();
+/// What came of all turns.
+#[derive(Default)]
+struct Turns {
+    lost: f64,
+    /// Of the processors by the machine's host, s.
+    stolen_with_s: f64,
+    stolen_without_s: f64,
+}
+
+impl Turns {
+    /// A stretch without and one with it, or the other way round.
+    fn take(&mut self, rig: &Rig, round: u64, seconds: u64) {
+        let without = || stretch(rig, WITHOUT[(round % 2) as usize], seconds);
+        // Each comes first as often as last.
+        let forth = (round / 2).is_multiple_of(2);
+        if forth {
+            self.stolen_without_s += without();
+        }
+        let recording = Recording::begin(rig, &format!("round{round}.mcap"));
+        self.stolen_with_s += stretch(rig, WITH, seconds);
+        let (lost, dropped, _) = recording.end();
+        self.lost += lost + dropped;
+        if !forth {
+            self.stolen_without_s += without();
+        }
     }
-    let recording = Recording::begin(rig, &format!("round{round}.mcap"));
-    stretch(rig, WITH, seconds);
-    let (lost, dropped, _) = recording.end();
-    if !forth {
-        without();
-    }
-    lost + dropped
 }
 
 /// The components that keep the times.
