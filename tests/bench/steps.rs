@@ -29,12 +29,13 @@ pub(crate) fn measure(table: &mut Table) {
         table.row(&what, publish, goal, "a copy of it", baseline::copy(8 * numbers as usize));
     }
     for (what, class, port) in [
+        ("sample of an output, 16 bytes", "teller", "value"),
         ("row of 1 f64", "row1", "tap_rows"),
         ("row of 100 f64", "row100", "tap_rows"),
         ("event", "speaker", "tap_events"),
         ("command with 8 bytes", "relay", "tap_commands"),
     ] {
-        let what = format!("{what} told to a tap, read by another thread");
+        let what = format!("{what}, told to who looks on from another thread");
         let [step, turn] = tapped(class, port);
         table.row(&format!("{what}: a step longer by"), step, Goal::None, beside, clock);
         table.row(&format!("{what}: its thread's turn longer by"), turn, Goal::Ns(60.0), beside, clock);

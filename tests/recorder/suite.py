@@ -10,6 +10,7 @@ Invariant: the program is driven from outside only, and nothing here knows how a
 """
 
 import argparse
+import hashlib
 import json
 import os
 import re
@@ -40,8 +41,11 @@ def test_a_recording_by_the_command_line_is_whole_and_explains_itself():
         assert all(message.publish_time == value.stamp and message.log_time >= message.publish_time for message, value in values)
         graph = topics["/recorder/graph"][0][1]
         assert "host/sine" in [c["path"] for c in graph["components"]]
-        assert len(metadata["trocar.plugins"]["sine"].split("sha256:")[1]) == 64
-        assert int(metadata["trocar.clock"]["offset_to_unix_ns"]) != 0 and metadata["trocar.end"]["lost"] == "0"
+        plugin = hashlib.sha256((world.dir / "plugins/libtrocar_sine.so").read_bytes()).hexdigest()
+        assert metadata["trocar.plugins"]["sine"].endswith(f"sha256:{plugin}"), (metadata["trocar.plugins"], plugin)
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        assert abs(int(metadata["trocar.clock"]["offset_to_unix_ns"]) - offset_ns) < 1_000_000_000, (metadata["trocar.clock"], offset_ns)
+        assert metadata["trocar.end"]["lost"] == "0", metadata["trocar.end"]
         info = world.json("info", "a.mcap")
         assert info["whole"] and info["profile"] == "trocar"
         counted = {t["topic"]: t["messages"] for t in info["topics"]}
@@ -273,6 +277,96 @@ def test_video_is_recorded_raw_and_without_loss_in_less_room():
             assert picture.read_bytes()[1:4] == b"PNG" or kind == "jpeg"
 
 
+def pairs(directory, many):
+    """Stereo pairs in a folder, each image another one, larger than what the recorder copies: their pixels."""
+    import numpy as np
+    from PIL import Image
+    directory.mkdir()
+    y, x = np.mgrid[0:256, 0:320]
+    made = []
+    for n in range(many):
+        pair = [np.stack([(x + 40 * n) % 256, (y * (2 + eye)) % 256, (x // 8 * 8 + y // 8 * 8 + 90 * n) % 256], axis=2).astype(np.uint8)
+                for eye in range(2)]
+        for name, pixels in zip(("left", "right"), pair):
+            Image.fromarray(pixels).save(directory / f"{name}{n}.png")
+        made.append(pair)
+    return made
+
+
+def test_every_recorded_pixel_is_the_one_that_was_sent():
+    import numpy as np
+    from PIL import Image
+    system = {"version": 1,
+              "processes": {name: {"plugins": ["plugins"]} for name in ("host", "far")},
+              "components": {path: {"class": "stereo/image_source", "config": {"directory": "pairs"}}
+                             for path in ("host/camera", "far/camera")},
+              "connections": []}
+    with World(["stereo"], system, ready=lambda world: pairs(world.dir / "pairs", 3)) as world:
+        sent = [[pixels.tobytes() for pixels in pair] for pair in world.made]
+        sizes = {}
+        for kind in ("raw", "qoi"):
+            done = world.json("record", "host/camera/image", "far/camera/image", "-o", f"{kind}.mcap", "--in", "host", "--seconds", "2",
+                              "--video", kind)
+            assert done["lost"] == 0 and done["whole"], done
+            sizes[kind] = (world.dir / f"{kind}.mcap").stat().st_size
+            topics, _, _ = messages(world.dir / f"{kind}.mcap")
+            world.run("export", f"{kind}.mcap", "--png", code=OK)
+            for process in ("host", "far"):
+                seen = []
+                for eye, name in enumerate(("left", "right")):
+                    images = topics[f"/{process}/camera/image/{name}"]
+                    folder = world.dir / kind / f"{process}_camera_image_{name}"
+                    which = []
+                    for n, (message, image) in enumerate(images):
+                        exported = np.asarray(Image.open(folder / f"{n:06}.png")).tobytes()
+                        if kind == "raw":
+                            rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, : 3 * image.width]
+                            pixels = rows.reshape(image.height, image.width, 3)
+                            pixels = pixels[:, :, ::-1] if image.encoding == "bgr8" else pixels
+                            assert pixels.tobytes() == exported, (process, name, n)
+                        of = [k for k, pair in enumerate(sent) if pair[eye] == exported]
+                        assert len(of) == 1, f"{kind}: {process}/camera {name} {n}: no pixels that were sent"
+                        which.append((message.sequence, of[0]))
+                    assert len({k for _, k in which}) == 3, which
+                    seen.append(which)
+                assert seen[0] == seen[1], f"{kind}: {process}: left and right are of different pairs"
+        assert sizes["qoi"] < sizes["raw"] / 2, sizes
+
+
+def test_frames_that_are_no_pictures_go_to_numpy_as_they_were_sent():
+    import numpy as np
+    member = {"stream_of": "host/source"}
+    system = {"version": 1,
+              "processes": {"host": {"plugins": ["plugins"]}},
+              "components": {"host/source": {"class": "oct/oct_source", "execution": {"model": "stream", "rate_hz": 200}},
+                             "host/ascan": {"class": "oct/oct_processor", "execution": member},
+                             "host/camera": {"class": "stereo/phantom_source", "config": {"width": 320, "height": 240}},
+                             "host/depth": {"class": "stereo-depth/stereo_depth", "execution": {"model": "on_signal"},
+                                            "config": {"method": "bm", "width": 320, "height": 240}}},
+              "connections": [{"client": "host/ascan/spectra", "server": "host/source/spectra"},
+                              {"client": "host/depth/rectified", "server": "host/camera/image"}]}
+    with World(["oct", "stereo", "stereo_depth"], system) as world:
+        done = world.json("record", "host/source/spectra", "host/ascan/ascan", "host/depth/disparity", "host/camera/image", "-o", "a.mcap",
+                          "--seconds", "2")
+        assert done["lost"] == 0 and done["whole"], done
+        topics, _, _ = messages(world.dir / "a.mcap")
+        exported = world.json("export", "a.mcap", "--npz")
+        pictures = sum(len(topics[f"/host/camera/image/{eye}"]) for eye in ("left", "right"))
+        assert exported["pictures"] == pictures > 2 and exported["unplaced"] == 0, (exported, pictures)
+        arrays = np.load(world.dir / "a.npz")
+        for topic, items in (("host/source/spectra", ("<u2",)), ("host/ascan/ascan", ("<f4", "|u1"))):
+            frames = [frame for _, frame in topics[f"/{topic}"]]
+            data = arrays[f"{topic}/data"]
+            assert data.dtype.str in items and data.shape == (sum(f.lines for f in frames), frames[0].samples), (topic, data.dtype, data.shape)
+            used = [f.data[: f.lines * f.samples * data.dtype.itemsize] for f in frames]
+            assert data.tobytes() == b"".join(used) and len(np.unique(data)) > 10, topic
+        disparities = topics["/host/depth/disparity"]
+        data = arrays["host/depth/disparity/data"]
+        assert data.shape == (len(disparities), 240, 320) and data.dtype == np.int16, (data.shape, data.dtype)
+        assert data[0].tobytes() == disparities[0][1].data and data.any()
+        assert not any(name.startswith("host/camera/image/") and name.endswith("/data") for name in arrays.files), arrays.files
+
+
 def test_numbers_go_to_numpy_and_tables():
     import numpy as np
     with World(["sine", "eyerobot"]) as world:
@@ -288,6 +382,51 @@ def test_numbers_go_to_numpy_and_tables():
         rows = (world.dir / "a/host_sine_value.csv").read_text().splitlines()
         assert rows[0] == "log_time_ns,publish_time_ns,sequence,stamp,value" and 1 < len(rows) < n, rows[:2]
         assert [p.name for p in (world.dir / "a").iterdir()] == ["host_sine_value.csv"]
+        world.run("export", "a.mcap", "--npz", "--from", "300ms", "--to", "600ms", "-o", "part.npz", code=OK)
+        part = np.load(world.dir / "part.npz")
+        whole, some = (a["host/sine/value/log_time_ns"].astype(np.int64) for a in (arrays, part))
+        begin = min(message.log_time for topic in messages(world.dir / "a.mcap")[0].values() for message, _ in topic)
+        wanted = whole[(whole >= begin + 300_000_000) & (whole <= begin + 600_000_000)]
+        assert 0 < len(some) < n and (some == wanted).all(), (len(some), len(wanted), n)
+
+
+def test_a_recording_of_several_processes_is_made_where_it_is_asked_for_and_at_most_so_often():
+    system = {"version": 1,
+              "processes": {name: {"plugins": ["plugins"]} for name in ("a", "b")},
+              "components": {path: {"class": "sine/sine"} for path in ("a/sine", "a/other", "b/sine")},
+              "connections": []}
+    with World(["sine"], system) as world:
+        done = world.json("record", "a/**", "b/sine/value", "-o", "few.mcap", "--in", "b", "--max-rate-hz", "50", "--seconds", "2")
+        assert done["lost"] == 0 and done["whole"], done
+        topics, _, _ = messages(world.dir / "few.mcap")
+        values = {f"/{path}/value" for path in ("a/sine", "a/other", "b/sine")}
+        assert values <= set(topics), sorted(topics)
+        for name in values:
+            stamps = [message.publish_time for message, _ in topics[name]]
+            gaps = sorted(after - before for before, after in zip(stamps, stamps[1:]))
+            # A sample of 1 kHz is the first that is far enough from the one before.
+            assert len(stamps) > 20 and gaps[0] >= 19_000_000, (name, len(stamps), gaps[:3])
+        where = {c["path"].split("/")[0] for c in topics["/recorder/graph"][0][1]["components"] if c["class"] == "recorder/recorder"}
+        assert where == {"b"}, where
+        # Without being told it is where most of it is.
+        world.json("record", "a/**", "b/sine/value", "-o", "all.mcap", "--seconds", "0.5")
+        graph = messages(world.dir / "all.mcap")[0]["/recorder/graph"][0][1]
+        assert {c["path"].split("/")[0] for c in graph["components"] if c["class"] == "recorder/recorder"} == {"a"}, graph
+
+
+def test_who_records_is_told_when_it_ended_by_itself():
+    with World(["stereo"]) as world:
+        world.source("camera", "phantom_source", {"width": 160, "height": 120})
+        mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", world.dir / "rec"], capture_output=True, text=True)
+        if mounted.returncode:
+            raise Skip(f"no tmpfs can be mounted: {mounted.stderr.strip()}")
+        try:
+            done = world.json("record", "host/camera/image", "-o", "rec/full.mcap", "--seconds", "600", code=PARTIAL)
+            assert done["whole"] and "disk is full" in done["reason"], done
+            topics, metadata, ended = messages(world.dir / "rec/full.mcap")
+            assert ended and contiguous(topics["/host/camera/image/left"]) and "disk is full" in metadata["trocar.end"]["reason"]
+        finally:
+            subprocess.run(["umount", "-l", world.dir / "rec"], capture_output=True)
 
 
 def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
@@ -313,6 +452,27 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
             done = world.run(*words)
             assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
         assert precious.read_text() == "precious" and not list(world.dir.glob("a.*"))
+        world.json("record", "host/**", "-o", "good.mcap", "--seconds", "0.5")
+        (world.dir / "good").mkdir()
+        (world.dir / "good.npz").write_text("precious")
+        for words, code, says in (
+            (["--csv"], REFUSED, "good exists, and nothing is written over"),
+            (["--png"], REFUSED, "good exists, and nothing is written over"),
+            (["--npz"], REFUSED, "good.npz exists, and nothing is written over"),
+            (["--csv", "-o", "good.mcap"], REFUSED, "nothing is written over"),
+            (["--npz", "-o", "/sys/a.npz"], REFUSED, "choose another place"),
+            (["--csv", "-o", "/sys/a"], REFUSED, "choose another place"),
+            (["--csv", "-o", "new", "--topic", "host/nothing/**"], REFUSED, "/host/sine/value"),
+            (["--csv", "-o", "new", "--from", "5s"], REFUSED, "in that time"),
+            (["--csv", "-o", "new", "--from", "2s", "--to", "1s"], USAGE, "--from is not before --to"),
+            (["--csv", "-o", "new", "--from=-1s"], USAGE, "--from"),
+            (["--csv", "--npz", "-o", "new"], USAGE, "cannot be used with"),
+            (["--png", "-o", "new"], REFUSED, "no message in it is"),
+        ):
+            done = world.run("export", "good.mcap", *words)
+            assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
+        assert (world.dir / "good.npz").read_text() == "precious" and not list((world.dir / "good").iterdir())
+        assert not (world.dir / "new").exists()
         world.recorder({"a": f"{sine}/value"})
         (world.dir / "rec/there.mcap").write_text("precious")
         for path, says in (("../a.mcap", "leads out"), ("/tmp/a.mcap", "outside"), ("there.mcap", "nothing is written over"),
@@ -322,6 +482,10 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
         for delay, duration in ((-1, 0), (1e300, 0), (0, -5)):
             assert "is not between" in world.call("host/rec/ctl/start", {"path": "x.mcap", "delay": delay, "duration": duration},
                                                   code=REFUSED).stderr
+        for every, rate in ((0, 0.0), (1, -1.0), (1, 1e30)):
+            refused = world.call("host/rec/ctl/thin", {"input": "a", "every": every, "max_rate": rate}, code=REFUSED)
+            assert "error:" in refused.stderr, (every, rate, refused.stderr)
+        assert "a" in world.call("host/rec/ctl/thin", {"input": "none", "every": 1, "max_rate": 0.0}, code=REFUSED).stderr
         for config in ({"topics": ["a", "a"]}, {"topics": ["a/b"]}, {"topics": ["a"], "max_rate_hz": [-1]},
                        {"topics": ["a"], "every": [0]}, {"topics": [], "every": [1]}, {"pre_trigger_s": 1e9}):
             refused = world.run("create", "host/bad", "recorder", "--config", json.dumps(config))
@@ -333,24 +497,27 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
 
 def test_hostile_recordings_end_in_a_sentence():
     import random
-    with World(["sine"]) as world:
+    with World(["sine", "stereo"]) as world:
         world.source()
-        world.json("record", "host/sine", "-o", "a.mcap", "--seconds", "0.5")
-        good = (world.dir / "a.mcap").read_bytes()
+        world.source("camera", "phantom_source", {"width": 32, "height": 32})
         chance = random.Random(7)
-        for n in range(40):
-            bad = bytearray(good[: chance.randrange(9, len(good))] if n % 2 else good)
-            for _ in range(chance.randrange(1, 30)):
-                bad[chance.randrange(len(bad))] = chance.randrange(256)
-            if n % 5 == 0:
-                at = chance.randrange(8, len(bad) - 9)
-                bad[at + 1 : at + 9] = (1 << chance.randrange(40, 64)).to_bytes(8, "little")
-            path = world.dir / f"bad{n}.mcap"
-            path.write_bytes(bad)
-            for words in (["info", path], ["export", path, "--csv"], ["export", path, "--npz"]):
-                done = world.run(*words)
-                assert done.returncode in (OK, REFUSED, PARTIAL), (words, done.returncode, done.stderr[-500:])
-                assert "panicked" not in done.stderr, done.stderr[-500:]
+        for kind in ("raw", "qoi"):
+            world.json("record", "host/sine", "host/camera/image", "-o", f"{kind}.mcap", "--seconds", "0.5", "--video", kind)
+            good = (world.dir / f"{kind}.mcap").read_bytes()
+            for n in range(30):
+                bad = bytearray(good[: chance.randrange(9, len(good))] if n % 2 else good)
+                for _ in range(chance.randrange(1, 30)):
+                    bad[chance.randrange(len(bad))] = chance.randrange(256)
+                if n % 5 == 0:
+                    at = chance.randrange(8, len(bad) - 9)
+                    bad[at + 1 : at + 9] = (1 << chance.randrange(40, 64)).to_bytes(8, "little")
+                path = world.dir / f"{kind}{n}.mcap"
+                path.write_bytes(bad)
+                for words in (["info", path], ["export", path, "--csv", "-o", f"{path}.csv"], ["export", path, "--npz", "-o", f"{path}.npz"],
+                              ["export", path, "--png", "-o", f"{path}.png"]):
+                    done = world.run(*words)
+                    assert done.returncode in (OK, REFUSED, PARTIAL), (words, done.returncode, done.stderr[-500:])
+                    assert "panicked" not in done.stderr, done.stderr[-500:]
 
 
 def test_a_recording_begins_pauses_and_ends_at_the_times_that_were_asked_for():
@@ -438,7 +605,12 @@ def test_rows_events_and_commands_have_topics_of_their_own_and_tell_how_commands
         told = [(value.value, value.trocar_outcome) for _, value in topics[f"{commands}/state_command"]]
         assert told == [("nonsense", "FAILED"), ("disable", "EXECUTED")], told
         events = [name for name in topics if name.startswith("/host/robot/tap_events/")]
-        assert "/host/robot/tap_events/arm/operating_state" in events, events
+        told = [(value.DESCRIPTOR.fields_by_name["state"].enum_type.values_by_number[value.state].name, value.is_homed, message.publish_time)
+                for message, value in topics["/host/robot/tap_events/arm/operating_state"]]
+        disabled = [message.publish_time for message, value in topics[f"{commands}/state_command"] if value.value == "disable"]
+        # The event of what the command did.
+        assert len(told) == 1 and told[0][0].endswith("DISABLED") and told[0][1], (told, events)
+        assert abs(told[0][2] - disabled[0]) < 1_000_000_000, (told, disabled)
         world.run("info", "rec/a.mcap", code=OK)
         world.run("export", "rec/a.mcap", "--csv", "--topic", "host/robot/tap_commands", code=OK)
         names = {path.name for path in (world.dir / "rec/a").iterdir()}

@@ -60,12 +60,14 @@ def eventually(what, probe):
 class World:
     """A host in a directory of its own, ended with the test."""
 
-    def __init__(self, plugins, system=None):
+    def __init__(self, plugins, system=None, ready=None):
+        """`ready` makes what the system finds in its directory: `made`."""
         self.dir = pathlib.Path(tempfile.mkdtemp(prefix="trocar-recorder-"))
         (self.dir / "plugins").mkdir()
         (self.dir / "rec").mkdir()
         for name in ("recorder", *plugins):
             shutil.copy(BIN / f"libtrocar_{name}.so", self.dir / "plugins")
+        self.made = ready and ready(self)
         self.env = {**os.environ, "XDG_STATE_HOME": str(self.dir / "state"), "NO_COLOR": "1"}
         self.env.pop("TROCAR_GCM", None)
         self.log = open(self.dir / "host.log", "w+")

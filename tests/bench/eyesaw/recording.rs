@@ -74,39 +74,38 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
     rig.run(RECORDER, "Stop");
     let changes = (2 * ROUNDS + BARE_ROUNDS) as f64;
     let all_s = (4 * seconds) as f64 + changes * CHANGE_S + SPARE_S;
-    rig.scan_of(LINE_M, LINE_M / all_s, 1.0);
+    let scan_m_s = LINE_M / all_s;
+    rig.scan_of(LINE_M, scan_m_s, 1.0);
     rig.call("oct/ledger", "ledger/clear", json!(OFFSET_M));
 
     verdicts.title(&format!("Canonical load recorded for {seconds} s, three processes"));
     turn_to(&rig, ASIDE);
     let bytes_per_s = recorded(verdicts, &rig, seconds);
+    let scans = goes_on(&rig, scan_m_s);
+    verdicts.at_least("scans that went on all the while", f64::from(u8::from(scans)), 1.0, Unit::Count);
 
     verdicts.title(&format!("Steps with and without a recorder, {ROUNDS} times {} s each", each_s(seconds)));
-    let mut turns = Turns::default();
+    let mut turns = Turns { scan_m_s, ..Turns::default() };
     (0..ROUNDS).for_each(|round| turns.take(&rig, round, each_s(seconds)));
-    let scans = is_phase(&rig.progress(), "SCAN", 2);
     let bare = directory.join("bare");
     for _ in 0..BARE_ROUNDS {
         let _writes = BareWriter::begin(&bare, bytes_per_s);
-        stretch(&rig, BESIDE, each_s(seconds));
+        turns.stretch(&rig, BESIDE, each_s(seconds));
     }
     compare(verdicts, &rig);
     verdicts.at_most("samples lost in these recordings", turns.lost, 0.0, 0.0, Unit::Count);
     let all_s = (ROUNDS * each_s(seconds)) as f64;
     let taken = "taken by the machine's host, of a core, recorded; beside it not recorded";
-    verdicts.tell(taken, turns.stolen_with_s / all_s, Some(turns.stolen_without_s / all_s), Unit::Share);
-    verdicts.at_least("scans that went on all the while", f64::from(u8::from(scans)), 1.0, Unit::Count);
+    let [without, with, beside] = turns.of;
+    verdicts.tell(taken, with.stolen_s / all_s, Some(without.stolen_s / all_s), Unit::Share);
+    let given_up = "scans given up, recorded; beside it not recorded";
+    verdicts.at_most(given_up, with.given_up, 0.0, without.given_up, Unit::Count);
+    let given_up = "scans given up beside the program that only writes";
+    verdicts.tell(given_up, beside.given_up, None, Unit::Count);
     for path in ["robot/robot", "host/bscan"] {
         let skipped = rig.work(path).skipped;
         verdicts.tell(&format!("periods that {path} left out in all of it"), skipped, None, Unit::Count);
     }
-    let scans = is_phase(&rig.progress(), "SCAN", 2);
-    verdicts.tell(
-        "scans that went on beside the program that only writes, too",
-        f64::from(u8::from(scans)),
-        None,
-        Unit::Count,
-    );
     rig.end();
 }
 
@@ -114,43 +113,67 @@ fn each_s(seconds: u64) -> u64 {
     seconds.div_ceil(ROUNDS).max(1)
 }
 
-/// The times of so many seconds go to that account; how much of the processors the machine's host took meanwhile, s.
-fn stretch(rig: &Rig, account: u32, seconds: u64) -> f64 {
-    thread::sleep(SETTLE);
-    turn_to(rig, account);
-    let stolen = stolen_s();
-    thread::sleep(Duration::from_secs(seconds));
-    let stolen = stolen_s() - stolen;
-    turn_to(rig, ASIDE);
-    stolen
+/// What came of all stretches of a kind.
+#[derive(Clone, Copy, Default)]
+struct Of {
+    /// Of the processors by the machine's host, s.
+    stolen_s: f64,
+    /// Scans.
+    given_up: f64,
 }
 
 /// What came of all turns.
 #[derive(Default)]
 struct Turns {
+    scan_m_s: f64,
     lost: f64,
-    /// Of the processors by the machine's host, s.
-    stolen_with_s: f64,
-    stolen_without_s: f64,
+    /// Without a recorder, with one, beside a [`BareWriter`].
+    of: [Of; 3],
 }
 
 impl Turns {
+    /// The times of so many seconds go to that account. Where the scan was given up meanwhile another one is begun.
+    fn stretch(&mut self, rig: &Rig, account: u32, seconds: u64) {
+        thread::sleep(SETTLE);
+        turn_to(rig, account);
+        let stolen = stolen_s();
+        thread::sleep(Duration::from_secs(seconds));
+        let stolen = stolen_s() - stolen;
+        turn_to(rig, ASIDE);
+        let of = &mut self.of[match account {
+            WITH => 1,
+            BESIDE => 2,
+            _ => 0,
+        }];
+        of.stolen_s += stolen;
+        of.given_up += f64::from(u8::from(!goes_on(rig, self.scan_m_s)));
+    }
+
     /// A stretch without and one with it, or the other way round.
     fn take(&mut self, rig: &Rig, round: u64, seconds: u64) {
-        let without = || stretch(rig, WITHOUT[(round % 2) as usize], seconds);
+        let without = WITHOUT[(round % 2) as usize];
         // Each comes first as often as last.
         let forth = (round / 2).is_multiple_of(2);
         if forth {
-            self.stolen_without_s += without();
+            self.stretch(rig, without, seconds);
         }
         let recording = Recording::begin(rig, &format!("round{round}.mcap"));
-        self.stolen_with_s += stretch(rig, WITH, seconds);
+        self.stretch(rig, WITH, seconds);
         let (lost, dropped, _) = recording.end();
         self.lost += lost + dropped;
         if !forth {
-            self.stolen_without_s += without();
+            self.stretch(rig, without, seconds);
         }
     }
+}
+
+/// Whether the scan still goes on; where it was given up another one is begun.
+fn goes_on(rig: &Rig, scan_m_s: f64) -> bool {
+    let goes_on = is_phase(&rig.progress(), "SCAN", 2);
+    if !goes_on {
+        rig.scan_of(LINE_M, scan_m_s, 1.0);
+    }
+    goes_on
 }
 
 /// The components that keep the times.

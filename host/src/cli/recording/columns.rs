@@ -2,13 +2,14 @@
 //!
 //! Invariant: a message that is not what its channel says is counted and left out; it never ends the reading.
 
+use prost_reflect::bytes::Bytes;
 use prost_reflect::{
     DescriptorPool, DynamicMessage, FieldDescriptor, MessageDescriptor, ReflectMessage, Value,
 };
 
 use super::read::Channel;
 
-/// Values of one message at most; a row of more is no row.
+/// Values of one message at most; the others are counted.
 const MOST: usize = 4096;
 
 /// One value of a row.
@@ -18,8 +19,26 @@ pub(in crate::cli) enum Cell {
     Whole(i64),
     Large(u64),
     Text(String),
-    /// Bytes: only their number is shown.
-    Bytes(usize),
+    /// Bytes: as a text only their number.
+    Bytes(Bytes),
+}
+
+/// The values of one message, named by their path, in the order of its type.
+#[derive(Default)]
+pub(super) struct Values {
+    pub(super) row: Vec<(String, Cell)>,
+    /// How many there was no room for.
+    pub(super) left_out: u64,
+}
+
+impl Values {
+    fn push(&mut self, name: &str, cell: Cell) {
+        if self.row.len() < MOST {
+            self.row.push((name.to_owned(), cell));
+        } else {
+            self.left_out += 1;
+        }
+    }
 }
 
 /// Reads the messages of one channel.
@@ -44,33 +63,30 @@ impl Reader {
         DynamicMessage::decode(self.message.clone()?, data).ok()
     }
 
-    /// The values of a message, named by their path.
-    pub(super) fn row(&self, channel: &Channel, data: &[u8]) -> Option<Vec<(String, Cell)>> {
+    /// The values of a message.
+    pub(super) fn values(&self, channel: &Channel, data: &[u8]) -> Option<Values> {
+        let mut all = Values::default();
         if channel.encoding == "json" {
-            return Some(vec![("json".to_owned(), Cell::Text(String::from_utf8_lossy(data).into_owned()))]);
+            all.push("json", Cell::Text(String::from_utf8_lossy(data).into_owned()));
+        } else {
+            flatten(&self.decode(data)?, "", &mut all);
         }
-        let message = self.decode(data)?;
-        let mut row = Vec::new();
-        flatten(&message, "", &mut row);
-        Some(row)
+        Some(all)
     }
 }
 
-fn flatten(message: &DynamicMessage, path: &str, row: &mut Vec<(String, Cell)>) {
+fn flatten(message: &DynamicMessage, path: &str, all: &mut Values) {
     for field in message.descriptor().fields() {
         // Of "one of these" and of what may be missing only what is there.
         if field.supports_presence() && !message.has_field(&field) && field.kind().as_message().is_none() {
             continue;
         }
         let name = if path.is_empty() { field.name().to_owned() } else { format!("{path}.{}", field.name()) };
-        value(&message.get_field(&field), &name, &field, row);
+        value(&message.get_field(&field), &name, &field, all);
     }
 }
 
-fn value(value_of: &Value, name: &str, field: &FieldDescriptor, row: &mut Vec<(String, Cell)>) {
-    if row.len() >= MOST {
-        return;
-    }
+fn value(value_of: &Value, name: &str, field: &FieldDescriptor, all: &mut Values) {
     let cell = match value_of {
         Value::Bool(yes) => Cell::Whole(i64::from(*yes)),
         Value::I32(n) => Cell::Whole((*n).into()),
@@ -80,7 +96,7 @@ fn value(value_of: &Value, name: &str, field: &FieldDescriptor, row: &mut Vec<(S
         Value::F32(n) => Cell::Float((*n).into()),
         Value::F64(n) => Cell::Float(*n),
         Value::String(text) => Cell::Text(text.clone()),
-        Value::Bytes(bytes) => Cell::Bytes(bytes.len()),
+        Value::Bytes(bytes) => Cell::Bytes(bytes.clone()),
         Value::EnumNumber(n) => {
             let kind = field.kind();
             let of = kind.as_enum().and_then(|e| e.get_value(*n));
@@ -95,16 +111,16 @@ fn value(value_of: &Value, name: &str, field: &FieldDescriptor, row: &mut Vec<(S
             };
             Cell::Whole(part("seconds").saturating_mul(1_000_000_000).saturating_add(part("nanos")))
         }
-        Value::Message(message) => return flatten(message, name, row),
+        Value::Message(message) => return flatten(message, name, all),
         Value::List(items) => {
             for (n, item) in items.iter().enumerate() {
-                value(item, &format!("{name}[{n}]"), field, row);
+                value(item, &format!("{name}[{n}]"), field, all);
             }
             return;
         }
         Value::Map(_) => return,
     };
-    row.push((name.to_owned(), cell));
+    all.push(name, cell);
 }
 
 impl Cell {
@@ -114,7 +130,7 @@ impl Cell {
             Cell::Float(n) => n.to_string(),
             Cell::Whole(n) => n.to_string(),
             Cell::Large(n) => n.to_string(),
-            Cell::Bytes(n) => n.to_string(),
+            Cell::Bytes(bytes) => bytes.len().to_string(),
             Cell::Text(text) if text.contains(['"', ',', '\n', '\r']) => {
                 format!("\"{}\"", text.replace('"', "\"\""))
             }

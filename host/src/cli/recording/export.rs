@@ -14,6 +14,7 @@ use serde::Serialize;
 
 use super::columns::{Cell, Reader};
 use super::npz::{Item, Npz};
+use super::planes::{Plane, Row};
 use super::read::{self, Channel, Takes};
 use super::{pictures, select};
 use crate::cli::failure::{Done, Exit, Failure};
@@ -32,7 +33,7 @@ pub(in crate::cli) struct ExportArgs {
     /// One CSV file per topic.
     #[arg(long)]
     csv: bool,
-    /// One NumPy file: arrays TOPIC/FIELD, TOPIC/log_time_ns, TOPIC/publish_time_ns.
+    /// One NumPy file: arrays TOPIC/FIELD, TOPIC/log_time_ns, TOPIC/publish_time_ns; frames but pictures as TOPIC/data.
     #[arg(long)]
     npz: bool,
     /// One picture per image.
@@ -60,8 +61,10 @@ struct ExportView {
     messages: u64,
     /// Messages that are not what their channel says.
     unreadable: u64,
-    /// Values that the first message of a topic has no column for.
+    /// Values that the first message of a topic has no column for, and frames that are of another shape than the first.
     unplaced: u64,
+    /// Pictures: `--png` writes them, arrays do not hold them.
+    pictures: u64,
     /// Why the recording was not read to its end.
     wrong: String,
 }
@@ -121,7 +124,8 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
         out::say(&format!("{}: {} files of {} messages", view.output, view.files, view.messages));
         for (n, what) in [
             (view.unreadable, "messages could not be read and were left out"),
-            (view.unplaced, "values have no column in the first message of their topic and were left out"),
+            (view.unplaced, "values do not fit to the first message of their topic and were left out"),
+            (view.pictures, "pictures are not among the arrays: `--png` writes them"),
         ] {
             if n > 0 {
                 out::complain("warning", &format!("{n} {what}"));
@@ -155,11 +159,13 @@ struct Message<'a> {
 }
 
 impl Message<'_> {
-    /// Its values; one that has none is counted.
+    /// Its values; one that has none, and values that are too many, are counted.
     fn row(&self, view: &mut ExportView) -> Option<Vec<(String, Cell)>> {
-        let row = self.reader.row(self.channel, self.data);
-        view.unreadable += u64::from(row.is_none());
-        row
+        let values = self.reader.values(self.channel, self.data);
+        view.unreadable += u64::from(values.is_none());
+        let values = values?;
+        view.unplaced += values.left_out;
+        Some(values.row)
     }
 }
 
@@ -279,11 +285,34 @@ struct Arrays {
 struct Columns {
     times: [Vec<u8>; 2],
     rows: usize,
-    /// Items of 8 bytes; a field whose values are of two kinds becomes a double.
+    /// Items of 8 bytes.
     fields: BTreeMap<String, (Item, Vec<u8>)>,
+    /// Bytes of frames, in rows of the first one's shape.
+    planes: BTreeMap<String, Plane>,
 }
 
 impl Columns {
+    /// Rows of a frame behind those before. One that is not of the first one's shape is as many rows of zeros: rows stay with their
+    /// times. How many bytes, and whether it was as the first.
+    fn add_plane(&mut self, name: String, plane: Plane) -> (usize, bool) {
+        let first = self.planes.entry(name).or_insert_with(|| Plane {
+            rows: 0,
+            shape: plane.shape.clone(),
+            bytes: Vec::new(),
+            item: plane.item,
+        });
+        let fits = (first.item, &first.shape) == (plane.item, &plane.shape);
+        // Not larger than bytes that were there once, each of both.
+        let row = first.shape.iter().product::<usize>() * first.item.bytes();
+        let more = if fits { plane.bytes.len() } else { row.saturating_mul(plane.rows) };
+        if more <= MOST {
+            first.bytes.extend_from_slice(if fits { &plane.bytes } else { &[] });
+            first.bytes.resize(first.bytes.len() + if fits { 0 } else { more }, 0);
+            first.rows += plane.rows;
+        }
+        (more, fits)
+    }
+
     fn add(&mut self, name: String, item: Item, bits: [u8; 8], row: usize) -> usize {
         let (kind, values) = self.fields.entry(name).or_insert((item, Vec::new()));
         // A message without the field leaves a gap: not a number, or zero.
@@ -309,12 +338,23 @@ impl Sink for Arrays {
         columns.times[1].extend_from_slice(&header.publish_time.to_le_bytes());
         columns.rows += 1;
         self.bytes += 16;
+        let is_picture = pictures::is_one(&channel.schema, &Row(&cells));
+        view.pictures += u64::from(is_picture);
+        let planes = cells.iter().filter_map(|(name, cell)| match cell {
+            Cell::Bytes(bytes) if !is_picture => Some((name.clone(), Plane::of(&Row(&cells), name, bytes))),
+            _ => None,
+        });
+        for (name, plane) in planes.collect::<Vec<_>>() {
+            let (taken, fits) = columns.add_plane(name, plane);
+            view.unplaced += u64::from(!fits);
+            self.bytes = self.bytes.saturating_add(taken);
+        }
         for (name, cell) in cells {
             let (item, bits) = match cell {
                 Cell::Float(n) => (Item::F64, n.to_le_bytes()),
                 Cell::Whole(n) => (Item::I64, n.to_le_bytes()),
                 Cell::Large(n) => (Item::U64, n.to_le_bytes()),
-                // Words and pixels are no columns of numbers: `--csv` and `--png` have them.
+                // Words are no numbers: `--csv` has them. Bytes are placed.
                 Cell::Text(_) | Cell::Bytes(_) => continue,
             };
             let taken = columns.add(name, item, bits, row);
@@ -338,7 +378,11 @@ impl Sink for Arrays {
         for (topic, columns) in &mut self.topics {
             let rows = columns.rows;
             for (name, times) in ["log_time_ns", "publish_time_ns"].into_iter().zip(&columns.times) {
-                npz.array(&format!("{topic}/{name}"), Item::U64, rows, 1, times).map_err(failed)?;
+                npz.array(&format!("{topic}/{name}"), Item::U64, &[rows], times).map_err(failed)?;
+            }
+            for (name, plane) in &columns.planes {
+                let shape: Vec<usize> = [plane.rows].into_iter().chain(plane.shape.iter().copied()).collect();
+                npz.array(&format!("{topic}/{name}"), plane.item, &shape, &plane.bytes).map_err(failed)?;
             }
             let mut groups: BTreeMap<String, Vec<(usize, String)>> = BTreeMap::new();
             for name in columns.fields.keys() {
@@ -359,7 +403,9 @@ impl Sink for Arrays {
                         bytes.extend_from_slice(values.get(8 * row..8 * row + 8).unwrap_or(&gap));
                     }
                 }
-                npz.array(&format!("{topic}/{base}"), kind, rows, members.len(), &bytes).map_err(failed)?;
+                let shape = [rows, members.len()];
+                let shape = if members.len() == 1 { &shape[..1] } else { &shape[..] };
+                npz.array(&format!("{topic}/{base}"), kind, shape, &bytes).map_err(failed)?;
             }
         }
         npz.finish().map_err(failed)?;
@@ -436,6 +482,19 @@ mod tests {
         assert_eq!(file_name("/../../etc/passwd"), "______etc_passwd");
         assert_eq!(file_name("//"), "topic");
         assert!(file_name(&"x".repeat(10_000)).len() <= 200);
+    }
+
+    #[test]
+    fn a_frame_of_another_shape_is_zeros_so_that_rows_stay_with_their_times() {
+        let mut columns = Columns::default();
+        let mut add = |rows: usize, side: usize| {
+            let plane = Plane { item: Item::U16, rows, shape: vec![side], bytes: vec![7; 2 * rows * side] };
+            columns.add_plane("data".into(), plane)
+        };
+        assert_eq!((add(3, 2), add(1, 5), add(2, 2)), ((12, true), (4, false), (8, true)));
+        let data = &columns.planes["data"];
+        assert_eq!((data.rows, &data.shape[..]), (6, &[2][..]));
+        assert_eq!(data.bytes, [&[7; 12][..], &[0; 4], &[7; 8]].concat());
     }
 
     #[test]

@@ -7,6 +7,7 @@ pub(super) mod export;
 pub(super) mod info;
 mod npz;
 mod pictures;
+mod planes;
 mod read;
 pub(super) mod record;
 mod records;

@@ -17,8 +17,37 @@ pub(super) struct Npz {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Item {
     F64,
+    F32,
     I64,
+    I16,
     U64,
+    U16,
+    U8,
+}
+
+impl Item {
+    /// As NumPy names it.
+    fn name(self) -> &'static str {
+        match self {
+            Item::F64 => "<f8",
+            Item::F32 => "<f4",
+            Item::I64 => "<i8",
+            Item::I16 => "<i2",
+            Item::U64 => "<u8",
+            Item::U16 => "<u2",
+            Item::U8 => "|u1",
+        }
+    }
+
+    /// Of one item.
+    pub(super) fn bytes(self) -> usize {
+        match self {
+            Item::F64 | Item::I64 | Item::U64 => 8,
+            Item::F32 => 4,
+            Item::I16 | Item::U16 => 2,
+            Item::U8 => 1,
+        }
+    }
 }
 
 impl Npz {
@@ -26,22 +55,15 @@ impl Npz {
         Npz { zip: ZipWriter::new(file) }
     }
 
-    /// Adds an array of `rows` times `columns` items, 1-D for one column.
+    /// Adds an array of this shape.
     ///
     /// # Errors
     /// What the file system says.
-    pub(super) fn array(
-        &mut self,
-        name: &str,
-        item: Item,
-        rows: usize,
-        columns: usize,
-        bytes: &[u8],
-    ) -> io::Result<()> {
+    pub(super) fn array(&mut self, name: &str, item: Item, shape: &[usize], bytes: &[u8]) -> io::Result<()> {
         let options =
             SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
         self.zip.start_file(format!("{name}.npy"), options).map_err(io::Error::other)?;
-        self.zip.write_all(&header(item, rows, columns))?;
+        self.zip.write_all(&header(item, shape))?;
         self.zip.write_all(bytes)
     }
 
@@ -53,13 +75,11 @@ impl Npz {
 }
 
 /// Version 1.0 of the format: magic, length, a Python literal, filled up to a multiple of 64 bytes.
-fn header(item: Item, rows: usize, columns: usize) -> Vec<u8> {
-    let kind = match item {
-        Item::F64 => "<f8",
-        Item::I64 => "<i8",
-        Item::U64 => "<u8",
-    };
-    let shape = if columns == 1 { format!("({rows},)") } else { format!("({rows}, {columns})") };
+fn header(item: Item, shape: &[usize]) -> Vec<u8> {
+    let kind = item.name();
+    let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
+    let shape =
+        if let [side] = &sides[..] { format!("({side},)") } else { format!("({})", sides.join(", ")) };
     let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
     let pad = (64 - (10 + text.len() + 1) % 64) % 64;
     text.push_str(&" ".repeat(pad));
@@ -76,9 +96,9 @@ mod tests {
 
     #[test]
     fn a_header_ends_where_its_data_begin() {
-        for (rows, columns) in [(0, 1), (7, 1), (1_000_000, 12)] {
-            let bytes = header(Item::F64, rows, columns);
-            assert_eq!((bytes.len() % 64, bytes.last()), (0, Some(&b'\n')), "{rows} x {columns}");
+        for shape in [&[0][..], &[7], &[1_000_000, 12], &[30, 768, 1024]] {
+            let bytes = header(Item::F64, shape);
+            assert_eq!((bytes.len() % 64, bytes.last()), (0, Some(&b'\n')), "{shape:?}");
             assert_eq!(usize::from(u16::from_le_bytes([bytes[8], bytes[9]])) + 10, bytes.len());
         }
     }

@@ -9,6 +9,8 @@ use std::path::Path;
 use png::{BitDepth, ColorType};
 use prost_reflect::{DynamicMessage, ReflectMessage};
 
+use super::planes::Row;
+
 /// Largest side of a picture, pixels.
 const LARGEST: u32 = 1 << 15;
 
@@ -31,6 +33,26 @@ pub(super) enum Found {
     None(&'static str),
 }
 
+/// Whether a message of this schema and with these values is one that PNG or a file of its own has a word for.
+pub(super) fn is_one(schema: &str, row: &Row<'_>) -> bool {
+    match schema {
+        "foxglove.RawImage" => row.encoding().is_some_and(|encoding| pixels(encoding).is_some()),
+        "foxglove.CompressedImage" => true,
+        _ => false,
+    }
+}
+
+/// Colours, depth and bytes of a pixel.
+fn pixels(encoding: &str) -> Option<(ColorType, BitDepth, usize)> {
+    Some(match encoding {
+        "mono8" | "8UC1" | "bayer_rggb8" => (ColorType::Grayscale, BitDepth::Eight, 1),
+        "rgb8" | "bgr8" | "8UC3" => (ColorType::Rgb, BitDepth::Eight, 3),
+        "rgba8" | "bgra8" => (ColorType::Rgba, BitDepth::Eight, 4),
+        "mono16" | "16UC1" => (ColorType::Grayscale, BitDepth::Sixteen, 2),
+        _ => return None,
+    })
+}
+
 fn number(message: &DynamicMessage, name: &str) -> u32 {
     message.get_field_by_name(name).and_then(|v| v.as_u32()).unwrap_or(0)
 }
@@ -48,7 +70,10 @@ pub(super) fn find(message: &DynamicMessage) -> Option<Found> {
             let size = (number(message, "width"), number(message, "height"), number(message, "step"));
             Some(match raw(size, &text("encoding"), &data("data")) {
                 Some(picture) => Found::Picture(picture),
-                None => Found::None("its pixels are not all there, or of a kind that PNG has no word for"),
+                None if pixels(&text("encoding")).is_none() => Found::None(
+                    "its pixels are of a kind that PNG has no word for: `--npz` has disparity and depth",
+                ),
+                None => Found::None("its pixels are not all there"),
             })
         }
         "foxglove.CompressedImage" => Some(match text("format").as_str() {
@@ -62,13 +87,7 @@ pub(super) fn find(message: &DynamicMessage) -> Option<Found> {
 }
 
 fn raw((width, height, step): (u32, u32, u32), encoding: &str, data: &[u8]) -> Option<Picture> {
-    let (color, depth, bytes) = match encoding {
-        "mono8" | "8UC1" | "bayer_rggb8" => (ColorType::Grayscale, BitDepth::Eight, 1),
-        "rgb8" | "bgr8" | "8UC3" => (ColorType::Rgb, BitDepth::Eight, 3),
-        "rgba8" | "bgra8" => (ColorType::Rgba, BitDepth::Eight, 4),
-        "mono16" | "16UC1" => (ColorType::Grayscale, BitDepth::Sixteen, 2),
-        _ => return None,
-    };
+    let (color, depth, bytes) = pixels(encoding)?;
     if width == 0 || height == 0 || width > LARGEST || height > LARGEST {
         return None;
     }

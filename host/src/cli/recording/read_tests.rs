@@ -18,7 +18,7 @@ struct Counting {
 impl Takes for Counting {
     fn message(&mut self, channel: &Channel, header: &MessageHeader, data: &[u8]) -> Result<(), Failure> {
         self.messages.push(header.sequence);
-        self.values += columns::Reader::of(channel).row(channel, data).map_or(0, |row| row.len());
+        self.values += columns::Reader::of(channel).values(channel, data).map_or(0, |all| all.row.len());
         Ok(())
     }
 }
