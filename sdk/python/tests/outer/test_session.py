@@ -12,6 +12,7 @@ import pyte
 import pytest
 
 from ..conftest import eventually
+from .conftest import ROOT, Program
 
 TAB, ENTER, CLEAR = "\t", "\r", "\x15"
 
@@ -159,6 +160,43 @@ def test_the_session_of_the_documentation_runs_as_it_is_written(system, ire, ser
     eventually("the shell is gone from the graph", lambda: [p for p in ire._graph.processes if p.startswith("ire")] == [ire.process])
     if "recorder" in system.missing:
         pytest.skip("In [12], the recording: the recorder plugin was not built; the rest of the session ran")
+
+
+def written_session(text):
+    """The lines that are typed at prompts in a block of a document, each with what is written below it."""
+    session = []
+    for line in text.splitlines():
+        typed = re.match(r"In \[(\d+)\]: (.*)$", line)
+        if typed:
+            session.append((int(typed[1]), typed[2], []))
+        elif session:
+            session[-1][2].append(line)
+    return session
+
+
+def without_figures(text):
+    """Numbers, and how they stand in lines, are those of whoever wrote them down."""
+    text = re.sub(r"\[[-+.\de\s]*\]", "[]", text)
+    return " ".join(re.sub(r"-?\d+(\.\d+)?(e[-+]\d+)?", "0", text).split())
+
+
+def test_the_session_of_the_readme_runs_against_the_demo_it_starts(system, terminal, tmp_path):
+    told = (ROOT / "README.md").read_text().partition("## From Python")[2].partition("```console\n")[2].partition("```")[0]
+    assert told.startswith("$ ./target/release/trocar demo "), "it begins with the system that it needs"
+    session = written_session(told)
+    assert [n for n, _, _ in session] == [1, 2, 3, 4], session
+    demo = Program(tmp_path, "demo", "demo", "--listen", "127.0.0.1:0", "--plugins", system.plugins)
+    try:
+        t = terminal(demo.address(r"listening on (127\.0\.0\.1:\d+)"), "-m", "trocar.ire")
+        for number, typed, below in session:
+            shown = t.run(number, typed)
+            assert ("TrocarError" in shown) == any("TrocarError" in line for line in below), shown
+            assert without_figures("\n".join(below)) in without_figures(shown), (below, shown)
+        assert (tmp_path / "python-plot.png").read_bytes().startswith(b"\x89PNG")
+        t.child.send("exit()" + ENTER)
+        eventually("IPython has ended", lambda: not t.child.isalive())
+    finally:
+        demo.end()
 
 
 def test_trocar_ire_starts_connected_and_completes_live_names_and_paths(system, terminal):
