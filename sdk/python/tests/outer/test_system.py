@@ -275,14 +275,14 @@ def test_a_handler_that_stalls_slows_nothing_and_what_it_misses_is_counted(ire, 
             idle.append(window(ire, server, awake))
             go.clear()
             missed = stalled.skipped
-            eventually("many more events were sent than its queue holds", lambda: stalled.skipped > missed + 300)
+            eventually("many more events were sent than its queue holds", lambda missed=missed: stalled.skipped > missed + 300)
             before, missed = len(handled), stalled.skipped
             stall.append(window(ire, server, awake))
             assert len(handled) == before and stalled.skipped > missed + STEPS // 2, "it stalls all the time, and what it misses is counted"
             assert stalled.waiting <= 50, "its queue is bounded"
             # Let go, it gets what its queue kept.
             go.set()
-            eventually("it goes on", lambda: len(handled) > before + 50)
+            eventually("it goes on", lambda before=before: len(handled) > before + 50)
         server.Write(9)
         assert server.Read() == 9, "other calls go on"
     finally:
