@@ -181,9 +181,9 @@ impl Plan {
     }
 
     /// A recorder in the process of the camera, with the priority that `trocar record` gives it, and nothing connected to it. It looks
-    /// when the fast are done, as they go one after the other in the file, and so often that it is done before they begin again.
+    /// when the fast are done, as they go one after the other in the file.
     pub(super) fn recorder(mut self, directory: &Path) -> Plan {
-        let execution = json!({ "priority": 1, "rate_hz": 500, "phase_us": 700 });
+        let execution = json!({ "priority": 1, "phase_us": 700 });
         self.add(RECORDER, "recorder/recorder", execution, json!({ "directory": directory }));
         self
     }
