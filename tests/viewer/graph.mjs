@@ -1,6 +1,6 @@
 /// The graph in the browser: what there is, live, and what is drawn into it.
 import fs from 'node:fs';
-import { box, connect, create, eventually, grpcurl, handle, holds, is, settled, shot, start, state } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, handle, holds, is, menu, settled, shot, start, state } from './world.mjs';
 
 /// A connection may take this long to be on the screen, beyond what the browser takes for nothing, ms.
 const BOUND = 200;
@@ -28,6 +28,54 @@ export async function two_processes_are_drawn_with_ports_states_and_health(world
   const edge = page.locator('[data-connection="left/sine/value → right/echo/sample"]');
   await eventually('figures stand on the edge', async () => /\d+\/s/.test(await edge.innerText()) && /p99/.test(await edge.innerText()));
   await shot(page, 'graph');
+}
+
+export async function a_component_in_fault_says_why_wherever_it_is_shown_until_it_is_reset(world) {
+  const host = await world.host();
+  await create(host.addr, 'fixture-chaos/chaos', 'host/chaos', { panic_in: 'step', good_steps: 3 }, { model: 'periodic', rate_hz: 10 });
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  const card = box(page, 'host/chaos');
+  const tally = page.locator('.tally');
+  is([await card.locator('.why').count(), /FAULT/.test(await tally.innerText()), /FAULT/.test(await page.title())], [0, false, false], 'said of a FAULT before there is one');
+  await start(host.addr, 'host/chaos');
+  await card.locator('[data-state]', { hasText: /^FAULT$/ }).waitFor();
+  const { fault } = (await grpcurl(host.addr, 'GcmService/GetState', { path: 'host/chaos' })).component;
+  holds(fault.includes('chaos in step'), `why: ${fault}`);
+  is([await card.locator('.why').innerText(), await card.locator('.why').getAttribute('title')], [fault, fault], 'why, on the card');
+  const dot = card.locator('[data-health]');
+  holds((await dot.getAttribute('title')).includes(fault), `why, at the dot: ${await dot.getAttribute('title')}`);
+  holds((await dot.getAttribute('class')).includes('bad'), 'the dot is red');
+  holds((await card.getAttribute('aria-label')).includes('FAULT'), 'who hears the page is told');
+  await tally.filter({ hasText: '1 in FAULT' }).waitFor();
+  holds((await page.title()).startsWith('(1 FAULT)'), `the window's title: ${await page.title()}`);
+  await card.locator('header').click();
+  await page.locator('.inspector dt:text-is("why") + dd').filter({ hasText: fault }).waitFor();
+  await shot(page, 'fault');
+  // Its state does not allow Start, and says what it allows.
+  await menu(page, 'host/chaos', 'Start');
+  await page.locator('[data-note].bad', { hasText: /FAULT.*Reset/ }).waitFor();
+  await menu(page, 'host/chaos', 'Reset');
+  await card.locator('[data-state]', { hasText: /^READY$/ }).waitFor();
+  is(await state(host.addr, 'host/chaos'), 'READY', 'state');
+  await card.locator('.why').waitFor({ state: 'detached' });
+  await eventually('nobody speaks of a FAULT any more', async () => !/chaos in step/.test(await dot.getAttribute('title')) && !/FAULT/.test(await tally.innerText()) && !/FAULT/.test(await page.title()));
+  await shot(page, 'fault-reset');
+}
+
+export async function a_step_that_takes_too_long_is_seen_at_the_component_with_its_reason(world) {
+  const host = await world.host();
+  await create(host.addr, 'fixture-chaos/chaos', 'host/late', { slow_step_ms: 120 }, { model: 'periodic', rate_hz: 10 });
+  await start(host.addr, 'host/late');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  const dot = box(page, 'host/late').locator('[data-health=OVERRUN]');
+  await dot.waitFor();
+  holds((await dot.getAttribute('title')).includes('its step takes longer than its period'), `why: ${await dot.getAttribute('title')}`);
+  await box(page, 'host/late').locator('footer', { hasText: /[1-9]\d* overruns/ }).waitFor();
+  await shot(page, 'overrun');
+  await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/late' });
+  await box(page, 'host/late').locator('[data-health=OK]').waitFor();
 }
 
 export async function a_connection_made_by_grpcurl_is_on_the_screen_at_once(world) {
@@ -156,13 +204,22 @@ export async function a_killed_process_is_shown_lost_and_healed_without_a_reload
   await page.evaluate(() => (window.same = true));
   await page.locator('[data-process=right][data-standing=attached]').waitFor();
   await settled(page);
+  const edge = page.locator('[data-connection="left/sine/value → right/echo/sample"]');
+  await edge.filter({ hasText: /[1-9].*\/s/ }).waitFor();
   right.kill('SIGKILL');
   await page.locator('[data-process=right][data-standing=lost]').waitFor();
   await box(page, 'right/echo').locator('[data-health=LOST]').waitFor();
+  await page.locator('.stalled[data-connection]').waitFor();
   await shot(page, 'process-lost');
   await world.host('right', ['--gcm', gcm.addr]);
   await page.locator('[data-process=right][data-standing=attached]').waitFor();
   await eventually('its component is whole again', async () => (await box(page, 'right/echo').locator('[data-health]').getAttribute('data-health')) !== 'LOST');
+  // No actuator: it goes on as it was.
+  await box(page, 'right/echo').locator('[data-state]', { hasText: /^ACTIVE$/ }).waitFor();
+  is(await state(gcm.addr, 'right/echo'), 'ACTIVE', 'state');
+  // What was seen before it was lost counts no more after so many answers: the line would be stalled.
+  for (let n = 0; n < 4; n += 1) await page.waitForResponse((r) => r.url().endsWith('GcmService/List'));
+  await page.locator('[data-connection]:not(.stalled)').filter({ hasText: /[1-9].*\/s/ }).waitFor();
   holds(await page.evaluate(() => window.same === true), 'the page was not loaded again');
   await shot(page, 'process-healed');
 }

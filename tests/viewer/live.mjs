@@ -10,6 +10,15 @@ async function plot(page, path, number) {
   await page.locator(`[data-plot="${path}#${number}"]`).click();
 }
 const points = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => Number(e.dataset.points)));
+/// The newest number of each curve, as the page has it.
+const latest = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => e.dataset.latest));
+/// All curves change, and change again: one that stands still does not, however many points it has.
+async function go_on(page, what) {
+  for (let round = 0; round < 3; round += 1) {
+    const before = await latest(page);
+    await eventually(what, async () => (await latest(page)).every((v, i) => v !== before[i] && Number.isFinite(Number(v))));
+  }
+}
 
 export async function six_plots_and_a_second_window_stay_live(world) {
   const host = await world.host();
@@ -45,8 +54,7 @@ export async function six_plots_and_a_second_window_stay_live(world) {
   await open(second);
   for (const page of [first, second, first]) {
     await page.bringToFront();
-    const before = await points(page);
-    await eventually('all six go on', async () => (await points(page)).every((n, i) => n > before[i] + 20 || n === 3000));
+    await go_on(page, 'all six go on');
   }
   await shot(first, 'plots');
   await shot(second, 'second-window');
@@ -55,6 +63,26 @@ export async function six_plots_and_a_second_window_stay_live(world) {
   await box(first, 'host/s3').locator('header').click({ button: 'right' });
   await first.getByRole('menuitem', { name: /^Stop/ }).click();
   await eventually('it stops', async () => (await state(host.addr, 'host/s3')) === 'STOPPED');
+}
+
+export async function a_plot_shows_the_number_that_was_written_last(world) {
+  const host = await world.host();
+  await create(host.addr, 'example/Server', 'host/Server');
+  await start(host.addr, 'host/Server');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await interfacesOf(page, 'host/Server');
+  for (const [path, number] of [['host/Server/Provided/SetPointReached', ''], ['host/Server', 'set_point']]) {
+    const stands = page.waitForResponse((r) => r.url().endsWith('InteractService/Subscribe'));
+    await plot(page, path, number);
+    await stands;
+  }
+  await plot(page, 'host/Server/Provided/Read', '');
+  for (const written of [30, 31]) {
+    await grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/Server/Provided/Write', json: written });
+    await eventually(`event, read and state row are ${written}`, async () => (await latest(page)).join() === `${written},${written},${written}`);
+  }
+  is(await page.locator('[data-curve] figcaption span').allInnerTexts(), ['31.000 mm', '31.000 mm', '31.000 mm'], 'what people read');
 }
 
 export async function numbers_of_events_are_plotted(world) {
@@ -66,6 +94,7 @@ export async function numbers_of_events_are_plotted(world) {
   await interfacesOf(page, 'host/e');
   await plot(page, 'host/e/ctl/ticked', 'number');
   await eventually('points come', async () => (await points(page))[0] > 100);
+  await go_on(page, 'more come');
   await shot(page, 'plot-event');
 }
 
@@ -111,6 +140,41 @@ export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video
   await shot(page, 'video');
 }
 
+/// What the list of events shows: path and text of each row, oldest first.
+const eventRows = (page) => page.locator('[data-list=events] .list > div').evaluateAll((all) => all.map((e) => [e.querySelector('b').innerText, e.querySelector('span').innerText]));
+
+export async function an_event_that_is_followed_is_listed_with_path_and_value_in_order(world) {
+  const host = await world.host();
+  await create(host.addr, 'example/Server', 'host/Server');
+  await start(host.addr, 'host/Server');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await interfacesOf(page, 'host/Server');
+  const event = 'host/Server/Provided/SetPointReached';
+  const stands = page.waitForResponse((r) => r.url().endsWith('InteractService/Subscribe'));
+  await page.locator(`[data-follow="${event}"]`).click();
+  await stands;
+  const write = (value) => grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/Server/Provided/Write', json: value });
+  await write(30);
+  await write(31);
+  await eventually('both are listed', async () => (await eventRows(page)).length >= 2);
+  is(await eventRows(page), [[event, '30'], [event, '31']], 'rows');
+  const list = page.locator('[data-list=events]');
+  is([await list.getAttribute('data-total'), await list.getAttribute('data-skipped')], ['2', '0'], 'events and skipped ones');
+  const times = (await list.locator('time').allInnerTexts()).map(Number.parseFloat);
+  holds(times[0] > 0 && times[0] < times[1], `each at its time: ${times}`);
+  await shot(page, 'event-values');
+  // What is followed no more comes no more.
+  await page.getByRole('button', { name: `follow ${event} no more` }).click();
+  const again = page.waitForResponse((r) => r.url().endsWith('InteractService/Subscribe'));
+  await page.locator('[data-follow="host/Server/Provided/VoidCalled"]').click();
+  await again;
+  await write(32);
+  await grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/Server/Provided/Void' });
+  await eventually('the other event is listed', async () => (await eventRows(page)).some(([path]) => path === 'host/Server/Provided/VoidCalled'));
+  is(await eventRows(page), [[event, '30'], [event, '31'], ['host/Server/Provided/VoidCalled', '']], 'rows at the end');
+}
+
 export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
   const host = await world.host();
   const makers = Array.from({ length: 16 }, (_, n) => `host/e${n}`);
@@ -133,6 +197,8 @@ export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
     let last = performance.now();
     requestAnimationFrame(function f(now) { window.frames.push(now - last); last = now; requestAnimationFrame(f); });
   });
+  const total = async () => Number(await list.getAttribute('data-total'));
+  const [shown, older] = [await total(), numbered(await eventRows(page))];
   // Beside other work the makers may be late for a while; at least once all that is promised comes, forty thousand in a row.
   const rate = await eventually('ten thousand come each second', async () => {
     const [began, had] = [Date.now(), await seen()];
@@ -143,7 +209,11 @@ export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
   const frames = (await page.evaluate(() => window.frames)).sort((a, b) => a - b);
   const rows = await list.locator('.list > div').count();
   console.log(`events: ${rate.toFixed(0)}/s came or were counted as skipped (${await list.getAttribute('data-skipped')} in all), frames p95 ${frames[Math.floor(frames.length * 0.95)].toFixed(0)} ms, largest ${frames.at(-1).toFixed(0)} ms, ${rows} rows`);
-  holds(rows <= 200, `the list stays short: ${rows}`);
+  holds(rows > 0 && rows <= 200, `events are listed, and the list stays short: ${rows} rows`);
+  holds(shown > 0 && (await total()) > shown, `some were really sent, not only counted: ${shown}, then ${await total()}`);
+  const newer = numbered(await eventRows(page));
+  holds(Object.keys(older).some((path) => newer[path]?.at(-1) > older[path].at(-1)), `the newest are listed: ${JSON.stringify(older)}, then ${JSON.stringify(newer)}`);
+  for (const [path, numbers] of Object.entries(newer)) holds(makers.includes(path.split('/').slice(0, 2).join('/')) && numbers.every((n, i) => n > (numbers[i - 1] ?? 0)), `in order, ${path}: ${numbers}`);
   holds(frames[Math.floor(frames.length / 2)] < 500, 'frames come');
   // The page answers while they come: it goes back to the first of them, and stops it.
   await page.keyboard.press('Control+k');
@@ -153,6 +223,13 @@ export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
   await page.getByRole('menuitem', { name: /^Stop/ }).click();
   await eventually('it stops', async () => (await state(host.addr, 'host/e0')) === 'STOPPED');
   await shot(page, 'events');
+}
+
+/// The numbers of listed events by path; what was skipped is said behind them.
+function numbered(rows) {
+  const out = {};
+  for (const [path, text] of rows) (out[path] ??= []).push(JSON.parse(text.replace(/ \(\d+ skipped before\)$/, '')).number);
+  return out;
 }
 
 export async function a_plot_goes_on_when_its_component_is_made_anew(world) {
@@ -167,8 +244,7 @@ export async function a_plot_goes_on_when_its_component_is_made_anew(world) {
   await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
   await grpcurl(host.addr, 'GcmService/Reset', { path: 'host/sine' });
   await grpcurl(host.addr, 'GcmService/Start', { path: 'host/sine' });
-  const before = (await points(page))[0];
-  await eventually('points come again', async () => (await points(page))[0] > before + 20);
+  await go_on(page, 'points come again');
 }
 
 export async function a_plot_goes_on_when_its_process_was_lost_and_is_back(world) {
@@ -192,9 +268,7 @@ export async function a_plot_goes_on_when_its_process_was_lost_and_is_back(world
   await world.host('left', ['--gcm', gcm.addr]);
   await page.locator('[data-process=left][data-standing=attached]').waitFor();
   if ((await state(gcm.addr, 'left/sine')) !== 'ACTIVE') await start(gcm.addr, 'left/sine');
-  const latest = () => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => e.dataset.latest));
-  const before = await latest();
-  await eventually('both go on', async () => (await latest()).every((v, i) => v !== before[i]));
+  await go_on(page, 'both go on');
   await eventually('nothing is complained of any more', async () => (await why.count()) === 0);
 }
 
@@ -205,5 +279,9 @@ export async function the_log_shows_what_hosts_say(world) {
   await page.getByRole('button', { name: 'Log' }).click();
   const lines = page.locator('[data-list=log] .list > div');
   await eventually('lines are shown', async () => (await lines.count()) > 0);
+  // And what happens while somebody looks.
+  await create(host.addr, 'fixture-chaos/chaos', 'host/chaos', { panic_in: 'step' }, { model: 'periodic', rate_hz: 10 });
+  await start(host.addr, 'host/chaos');
+  await lines.filter({ has: page.locator('b', { hasText: 'host/chaos' }) }).filter({ hasText: 'chaos in step' }).first().waitFor();
   await shot(page, 'log');
 }

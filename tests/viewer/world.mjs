@@ -152,6 +152,11 @@ export const state = async (addr, p) => (await grpcurl(addr, 'GcmService/GetStat
 
 /// The box of a component on the page.
 export const box = (page, p) => page.locator(`[data-path="${p}"]`);
+/// Chooses from the menu of a component.
+export async function menu(page, p, item) {
+  await box(page, p).locator('header').click({ button: 'right' });
+  await page.getByRole('menuitem', { name: new RegExp(`^${item}`) }).click();
+}
 /// The middle of a port's handle.
 export async function handle(page, port) {
   const [at, name] = [port.slice(0, port.lastIndexOf('/')), port.slice(port.lastIndexOf('/') + 1)];
