@@ -1,10 +1,7 @@
 /// What people do to components: menus, forms, the palette.
-import { box, connect, create, eventually, grpcurl, holds, is, settled, shot, start, state } from './world.mjs';
-
-async function menu(page, path, item) {
-  await box(page, path).locator('header').click({ button: 'right' });
-  await page.getByRole('menuitem', { name: new RegExp(`^${item}`) }).click();
-}
+import fs from 'node:fs';
+import path from 'node:path';
+import { box, connect, create, eventually, grpcurl, holds, is, menu, settled, shot, start, state } from './world.mjs';
 
 export async function every_verb_of_the_menu_does_what_it_says(world) {
   const host = await world.host();
@@ -54,6 +51,115 @@ export async function a_configuration_is_a_form_and_what_is_refused_says_why(wor
   await field.fill('2.5');
   await send.click();
   await eventually('it is configured', async () => (await grpcurl(host.addr, 'GcmService/GetState', { path: 'host/sine' })).component.config.frequency_hz === 2.5);
+}
+
+const configOf = async (addr, p) => (await grpcurl(addr, 'GcmService/GetState', { path: p })).component.config;
+
+export async function of_a_large_form_only_what_was_changed_is_sent(world) {
+  const host = await world.host();
+  await create(host.addr, 'recorder/recorder', 'host/log', { directory: world.dir, topics: ['a', 'b'], every: [2, 3], jpeg_quality: 70 });
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await menu(page, 'host/log', 'Configure…');
+  const form = page.locator('[data-configure="host/log"]');
+  const field = (name) => form.getByLabel(name, { exact: true });
+  const send = page.getByRole('button', { name: 'Configure', exact: true });
+  const video = field('video');
+  is(await video.locator('option').allInnerTexts(), ['raw', 'qoi', 'jpeg'], 'what may be chosen');
+  is(await field('topics').inputValue(), '["a","b"]', 'an array is JSON');
+  holds(/1 … 100/.test(await form.locator('.field', { has: page.locator('label', { hasText: 'jpeg_quality' }) }).innerText()), 'a range is shown');
+  holds(await send.isDisabled(), 'where nothing was changed there is nothing to send');
+  let before = await configOf(host.addr, 'host/log');
+  const same = async (why) => is(await configOf(host.addr, 'host/log'), before, why);
+  const note = (words) => page.locator('[data-note]', { hasText: words });
+
+  await video.selectOption({ label: 'qoi' });
+  await page.getByRole('button', { name: 'Check only' }).click();
+  await note('would be done: ').filter({ hasText: 'host/log' }).waitFor();
+  await same('a check');
+  await shot(page, 'configure-checked');
+  await send.click();
+  await note('Configure host/log: done').waitFor();
+  before = { ...before, video: 'qoi' };
+  await same('only what was changed');
+
+  // What somebody else sets meanwhile is neither shown as it was, nor sent back.
+  await grpcurl(host.addr, 'GcmService/Configure', { path: 'host/log', config: { pre_trigger_mb: 64 } });
+  await field('every').fill('[4]');
+  await eventually('what somebody else has set is shown', async () => (await field('pre_trigger_mb').inputValue()) === '64');
+  is(await field('every').inputValue(), '[4]', 'what was typed stays');
+  await send.click();
+  before = { ...before, pre_trigger_mb: 64, every: [4] };
+  await eventually('it is configured', async () => (await configOf(host.addr, 'host/log')).every.length === 1);
+  await same('only what was changed, beside somebody else');
+
+  // Refused in the server's words.
+  for (const [name, typed, why] of [['jpeg_quality', '101', /jpeg_quality.*100/], ['every', '[0]', /every\[0\].*keeps nothing/], ['topics', '{"a": 1}', /topics/], ['max_rate_hz', '[1, 2, 3]', /max_rate_hz: 3 items for 2 topics/]]) {
+    const had = await field(name).inputValue();
+    await field(name).fill(typed);
+    await send.click();
+    await form.locator('.refusal', { hasText: why }).waitFor();
+    await same(`${name} ${typed}`);
+    await field(name).fill(had);
+  }
+
+  // Refused here: nobody could say what was meant, so nothing else of the form goes, either.
+  await video.selectOption({ label: 'jpeg' });
+  await field('topics').fill('["a", "b"');
+  const said = form.locator('.field', { has: page.locator('label', { hasText: 'topics' }) }).locator('.bad');
+  holds(/^this is no JSON: /.test(await said.innerText()), `a sentence: ${await said.innerText()}`);
+  await send.click();
+  await page.getByRole('button', { name: 'Check only' }).click();
+  await form.locator('.refusal', { hasText: 'topics' }).waitFor();
+  await shot(page, 'configure-no-json');
+  await same('no JSON');
+  await page.getByRole('button', { name: 'Revert' }).click();
+  is([await field('topics').inputValue(), await video.inputValue(), await said.count()], ['["a","b"]', '"qoi"', 0], 'everything is as it was');
+
+  await field('topics').fill('["left", "right", "third"]');
+  await send.click();
+  await page.locator('[data-port="host/log/third"]').waitFor();
+  before = { ...before, topics: ['left', 'right', 'third'] };
+  await same('an array');
+}
+
+export async function a_command_with_a_structure_is_invoked_and_names_the_field_that_is_wrong(world) {
+  const host = await world.host();
+  await create(host.addr, 'recorder/recorder', 'host/log', { directory: world.dir });
+  await start(host.addr, 'host/log');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await menu(page, 'host/log', 'Invoke…');
+  await page.getByLabel('Command').selectOption('ctl/start');
+  const argument = page.locator('#argument');
+  await eventually('all fields are there to be filled in', async () => JSON.stringify(JSON.parse(await argument.inputValue())) === '{"path":"","delay":0,"duration":0}');
+  const invoke = async (value) => {
+    await argument.fill(JSON.stringify(value));
+    await page.getByRole('button', { name: 'Invoke' }).click();
+  };
+  const file = path.join(world.dir, 'trial.mcap');
+  for (const [wrong, why] of [
+    [{ path: 'trial.mcap', dely: 0, duration: 0 }, /has no field `dely`; did you mean `delay`\?/],
+    [{ path: 'trial.mcap', delay: 0 }, /field `duration` of .* is missing/],
+    [{ path: 'trial.mcap', delay: 'soon', duration: 0 }, /delay.*soon/],
+    [{ path: 'trial.mcap', delay: 0, duration: -1 }, /duration: -1 s is not between 0 s and 86400 s/],
+    [{ path: '../trial.mcap', delay: 0, duration: 0 }, /leads out of the directory/],
+  ]) {
+    await invoke(wrong);
+    await page.locator('[data-outcome].refusal', { hasText: why }).waitFor();
+    holds(!fs.existsSync(file), `${JSON.stringify(wrong)} recorded`);
+  }
+  await shot(page, 'invoke-structure-refused');
+  await invoke({ path: 'trial.mcap', delay: 0, duration: 0 });
+  await page.locator('[data-outcome]:not(.refusal)').waitFor();
+  holds(fs.existsSync(file), 'the file is made');
+  const phase = async () => (await grpcurl(host.addr, 'InteractService/Read', { path: 'host/log' })).json.status.phase;
+  await eventually('it records', async () => (await phase()) === 'RECORDING');
+  await shot(page, 'invoke-structure');
+  await page.getByLabel('Command').selectOption('ctl/stop');
+  await page.getByRole('button', { name: 'Invoke' }).click();
+  await page.locator('[data-outcome]:not(.refusal)').waitFor();
+  await eventually('it has ended', async () => (await phase()) === 'IDLE');
 }
 
 export async function any_command_is_invoked_and_wrong_arguments_are_refused_in_the_servers_words(world) {
@@ -120,6 +226,74 @@ export async function a_class_is_dragged_from_the_palette_into_a_process(world) 
   is(await state(host.addr, 'host/made'), 'READY', 'state');
 }
 
+/// What can be touched and is smaller than a finger. Ports and lines stand too close for that; see docs/VIEWER.md.
+const small = (page) =>
+  page.locator('button:visible, select:visible, input:visible, textarea:visible, summary:visible, a:visible, [role=option]:visible').evaluateAll((all) =>
+    all.map((e) => [e, e.getBoundingClientRect()]).filter(([, b]) => b.height < 43.5 || b.width < 43.5).map(([e, b]) => `${e.tagName} ${e.getAttribute('aria-label') || e.innerText || e.id}: ${b.width} × ${b.height}`),
+  );
+
+export async function what_is_touched_is_as_large_as_a_finger_in_every_view(world) {
+  const host = await world.host();
+  for (const [cls, p] of [['sine', 'host/sine'], ['echo', 'host/echo'], ['example/Client', 'host/client'], ['example/Server', 'host/Server']]) await create(host.addr, cls, p);
+  await connect(host.addr, 'host/echo/sample', 'host/sine/value');
+  await start(host.addr, 'host/sine', 'host/echo');
+  const page = await world.viewer(host.addr, '', { hasTouch: true, isMobile: true, viewport: { width: 1024, height: 768 } });
+  await settled(page);
+  const found = [];
+  const look = async (view, least) => {
+    const looked = await page.locator('button:visible, select:visible, input:visible, textarea:visible, summary:visible, a:visible').count();
+    holds(looked >= least, `${view}: only ${looked} things to touch were found`);
+    for (const one of await small(page)) if (!found.some((f) => f.endsWith(one))) found.push(`${view}: ${one}`);
+  };
+  const tab = (name) => page.getByRole('tab', { name }).tap();
+  const reveal = async (p) => {
+    await page.keyboard.press('Control+k');
+    await page.getByRole('combobox', { name: 'search' }).fill(p);
+    await page.keyboard.press('Enter');
+    await page.locator('.inspector strong', { hasText: p }).waitFor();
+  };
+  await look('graph', 10);
+  await page.getByRole('button', { name: 'Palette' }).tap();
+  await page.locator('[data-class="sine/sine"]').waitFor();
+  await look('palette', 20);
+  await page.locator('[data-class="recorder/recorder"]').tap();
+  await page.locator('[data-create] summary').waitFor();
+  await page.locator('[data-create] details').evaluate((e) => { e.open = true; });
+  await look('create', 20);
+  await page.getByRole('button', { name: 'Cancel' }).tap();
+  await page.getByRole('button', { name: 'Palette' }).tap();
+  // A check box, an array and numbers; events and reads; a connection.
+  await reveal('host/client');
+  await tab('Configure');
+  await page.locator('[data-configure="host/client"] input[type=checkbox]').waitFor();
+  await look('Configure', 15);
+  await reveal('host/sine');
+  await tab('Overview');
+  await page.locator('.inspector button', { hasText: 'host/echo/sample' }).waitFor();
+  await look('Overview', 15);
+  await reveal('host/Server');
+  await tab('Invoke');
+  await page.getByLabel('Command').selectOption('Provided/Write');
+  await page.locator('#argument').waitFor();
+  await look('Invoke', 15);
+  await tab('Interfaces');
+  await page.locator('[data-plot="host/Server#set_point"]').waitFor({ state: 'attached' });
+  await page.locator('.inspector details').evaluateAll((all) => all.forEach((e) => { e.open = true; }));
+  await look('Interfaces', 20);
+  await shot(page, 'touch-interfaces');
+  await page.locator('[data-plot="host/Server#set_point"]').tap();
+  await page.locator('[data-curve]').waitFor();
+  await look('Plots', 20);
+  await shot(page, 'touch-plots');
+  await page.locator('[data-follow="host/Server/Provided/SetPointReached"]').tap();
+  await page.getByRole('button', { name: /^follow .* no more$/ }).waitFor();
+  await look('Events', 20);
+  await page.getByRole('button', { name: /^Search/ }).tap();
+  await page.locator('#found li').first().waitFor();
+  await look('search', 10);
+  is(found, [], 'what is smaller than a finger');
+}
+
 export async function fingers_open_the_menu_by_a_long_press_and_find_what_they_touch(world) {
   const host = await world.host();
   await create(host.addr, 'sine', 'host/sine');
@@ -132,10 +306,7 @@ export async function fingers_open_the_menu_by_a_long_press_and_find_what_they_t
   await page.getByRole('menuitem', { name: /^Start/ }).waitFor();
   await fingers.send('Input.dispatchTouchEvent', { type: 'touchEnd', touchPoints: [] });
   await shot(page, 'touch');
-  const small = await page.locator('button:visible, select:visible').evaluateAll((all) =>
-    all.map((e) => [e.getAttribute('aria-label') || e.innerText, e.getBoundingClientRect()]).filter(([, b]) => b.height < 43.5 || b.width < 43.5).map(([t, b]) => `${t}: ${b.width} × ${b.height}`),
-  );
-  is(small, [], 'buttons smaller than a finger');
+  is(await small(page), [], 'what is smaller than a finger');
   await page.getByRole('menuitem', { name: /^Start/ }).tap();
   await eventually('it runs', async () => (await state(host.addr, 'host/sine')) === 'ACTIVE');
 }
@@ -183,10 +354,10 @@ export async function a_program_whose_viewer_only_reads_tells_its_page_and_refus
   await shot(page, 'read-only-by-the-server');
   await page.keyboard.press('Escape');
   // Whoever writes to the port from the page's own console gets no further.
-  const path = text(1, 'host/sine');
+  const sine = text(1, 'host/sine');
   const changes = ['Create', 'Remove', 'Configure', 'Start', 'Stop', 'Resume', 'Reset', 'Connect', 'Disconnect', 'Apply', 'Replace', 'Move'].map((m) => `GcmService/${m}`);
   for (const method of [...changes, 'InteractService/Emit', 'PluginService/Load', 'PluginService/Unload', 'PluginService/Reload', 'GuestService/Join', 'GuestService/Require', 'AttachService/Tell', 'AttachService/Attach']) {
-    const { status, said } = await asked(page, method, path);
+    const { status, said } = await asked(page, method, sine);
     is(status, '7', `${method} is refused: ${said}`);
     holds(said.includes('this viewer only reads') && said.includes(method.split('/')[1]), `${method} says why: ${said}`);
   }
@@ -199,7 +370,7 @@ export async function a_program_whose_viewer_only_reads_tells_its_page_and_refus
   const call = text(1, 'host/echo/ctl/write');
   is((await asked(page, 'GcmService/WaitFor', [...text(1, 'host/echo/ctl/written'), (4 << 3) | 2, call.length, ...call])).status, '7', 'a write command beside WaitFor');
   is((await asked(page, 'InteractService/Invoke', text(1, 'host/sine/signal/nothing'))).status, '5', 'a command that is not there');
-  for (const method of ['GcmService/List', 'GcmService/GetState', 'GcmService/Describe', 'InteractService/Read']) is((await asked(page, method, path)).status, '0', method);
+  for (const method of ['GcmService/List', 'GcmService/GetState', 'GcmService/Describe', 'InteractService/Read']) is((await asked(page, method, sine)).status, '0', method);
   // Programs go on as ever.
   await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
   await box(page, 'host/sine').locator('[data-state]', { hasText: 'STOPPED' }).waitFor();
