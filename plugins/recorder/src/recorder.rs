@@ -316,11 +316,11 @@ impl Recorder {
     /// What has come so far, before a command changes what becomes of what comes.
     fn catch_up(&mut self) {
         let recording = self.run.as_ref().is_some_and(|run| run.began_ns != 0);
-        self.drain(recording, 0..0);
+        self.drain(recording, &[]);
     }
 
     /// What came by the inputs since the last step, but for what was acquired at times `beside` the recording, ns.
-    fn drain(&mut self, recording: bool, beside: Range<u64>) {
+    fn drain(&mut self, recording: bool, beside: &[Range<u64>]) {
         let Some(run) = &mut self.run else { return };
         let wanted = (recording && !run.paused) || (run.began_ns == 0 && run.pre_trigger_ns > 0);
         let fixed = [
@@ -338,7 +338,7 @@ impl Recorder {
                 let Some(view) = input.next() else { break };
                 // What waits for a recording to begin may wait for long.
                 let seen = Seen::of(&view, recording);
-                if !wanted || beside.contains(&seen.stamp_ns) {
+                if !wanted || beside.iter().any(|times| times.contains(&seen.stamp_ns)) {
                     topic.pass(&seen);
                     continue;
                 }
@@ -457,28 +457,24 @@ impl Component for Recorder {
         self.hear();
         let Some(run) = &mut self.run else { return Ok(()) };
         // A step takes what came since the one before, and times that were asked for lie in between.
-        let mut beside = 0..0;
+        let mut before = 0..0;
         if run.is_due(now_ns) {
             let since_ns = run.reaches_back_to(now_ns);
             self.each.iter_mut().for_each(|topic| topic.begin(since_ns));
             run.begin(&self.host, now_ns);
-            beside = run.stepped_ns..since_ns;
+            before = run.stepped_ns..since_ns;
         }
         run.stepped_ns = now_ns;
-        if run.pause_ns != 0 && run.pause_ns <= now_ns {
-            let from_ns = run.pause_ns;
-            self.drain(true, from_ns..now_ns + 1);
-            let Some(run) = &mut self.run else { return Ok(()) };
+        let recording = run.began_ns != 0;
+        let is_due = |at_ns: u64| recording && at_ns != 0 && at_ns <= now_ns;
+        let (pauses, is_over) = (is_due(run.pause_ns), is_due(run.ends_ns));
+        let until_ns = [run.pause_ns, run.ends_ns].into_iter().filter(|at_ns| is_due(*at_ns)).min();
+        let behind = until_ns.map_or(0..0, |at_ns| at_ns..now_ns + 1);
+        self.drain(recording, &[before, behind]);
+        let Some(run) = &mut self.run else { return Ok(()) };
+        if pauses {
             (run.paused, run.pause_ns) = (true, 0);
         }
-        let Some(run) = &mut self.run else { return Ok(()) };
-        let recording = run.began_ns != 0;
-        let is_over = recording && run.ends_ns != 0 && run.ends_ns <= now_ns;
-        if is_over {
-            beside = run.ends_ns..now_ns + 1;
-        }
-        self.drain(recording, beside);
-        let Some(run) = &mut self.run else { return Ok(()) };
         run.way.send();
         self.status = Progress {
             phase: match (recording, run.paused, &run.plan) {

@@ -41,7 +41,7 @@ pub(crate) struct Running {
     pub(crate) pause_ns: u64,
     pub(crate) paused: bool,
     pub(crate) told_ns: u64,
-    /// When the step before was.
+    /// When the step before was; before the first one, when it was started.
     pub(crate) stepped_ns: u64,
     /// What was lost when the writer was told last.
     pub(crate) lost_told: u64,
@@ -105,7 +105,7 @@ impl Running {
             pause_ns: 0,
             paused: false,
             told_ns: 0,
-            stepped_ns: 0,
+            stepped_ns: host.now().ns(),
             lost_told: 0,
             markers: 0,
         };

@@ -8,7 +8,7 @@ use super::columns::Cell;
 use super::npz::Item;
 
 /// Largest side of an image, pixels.
-const LARGEST: i64 = 1 << 15;
+const LARGEST: usize = 1 << 15;
 
 /// What one message adds to an array.
 #[derive(Debug, PartialEq)]
@@ -90,7 +90,7 @@ fn image(row: &Row<'_>, bytes: &Bytes) -> Option<Plane> {
         _ => return None,
     };
     let (width, height, step) = (row.whole("width")?, row.whole("height")?, row.whole("step")?);
-    let possible = 1..=LARGEST as usize;
+    let possible = 1..=LARGEST;
     if !possible.contains(&width) || !possible.contains(&height) {
         return None;
     }

@@ -1,0 +1,267 @@
+"""What becomes of a recording: pictures, arrays and tables of what was sent, Rerun; and what is refused on the way."""
+
+import json
+import re
+import subprocess
+import sys
+
+from world import HERE, OK, PARTIAL, PATIENCE_S, REFUSED, Skip, USAGE, VENV, World, messages
+
+
+def test_video_is_recorded_raw_and_without_loss_in_less_room():
+    with World(["stereo"]) as world:
+        camera = world.source("camera", "phantom_source", {"width": 160, "height": 120})
+        for kind in ("raw", "qoi", "jpeg"):
+            done = world.json("record", f"{camera}/image", "-o", f"{kind}.mcap", "--seconds", "1", "--video", kind)
+            assert done["messages"] > 4 and done["whole"], done
+            topics, _, _ = messages(world.dir / f"{kind}.mcap")
+            image = topics["/host/camera/image/left"][0][1]
+            assert set(topics) >= {"/host/camera/image/left", "/host/camera/image/right"}
+            if kind == "raw":
+                assert (image.width, image.height) == (160, 120) and len(image.data) >= image.step * 119
+            else:
+                assert image.format == kind and image.data[:4] in (b"qoif", b"\xff\xd8\xff\xe0"), image.format
+            world.run("export", f"{kind}.mcap", "--png", code=OK)
+            ending = "jpg" if kind == "jpeg" else "png"
+            picture = world.dir / kind / "host_camera_image_left" / f"000000.{ending}"
+            assert picture.read_bytes()[1:4] == b"PNG" or kind == "jpeg"
+
+
+def pairs(directory, many):
+    """Stereo pairs in a folder, each image another one, larger than what the recorder copies: their pixels."""
+    import numpy as np
+    from PIL import Image
+    directory.mkdir()
+    y, x = np.mgrid[0:256, 0:320]
+    made = []
+    for n in range(many):
+        pair = [np.stack([(x + 40 * n) % 256, (y * (2 + eye)) % 256, (x // 8 * 8 + y // 8 * 8 + 90 * n) % 256], axis=2).astype(np.uint8)
+                for eye in range(2)]
+        for name, pixels in zip(("left", "right"), pair):
+            Image.fromarray(pixels).save(directory / f"{name}{n}.png")
+        made.append(pair)
+    return made
+
+
+def test_every_recorded_pixel_is_the_one_that_was_sent():
+    import numpy as np
+    from PIL import Image
+    system = {"version": 1,
+              "processes": {name: {"plugins": ["plugins"]} for name in ("host", "far")},
+              "components": {path: {"class": "stereo/image_source", "config": {"directory": "pairs"}}
+                             for path in ("host/camera", "far/camera")},
+              "connections": []}
+    with World(["stereo"], system, ready=lambda world: pairs(world.dir / "pairs", 3)) as world:
+        sent = [[pixels.tobytes() for pixels in pair] for pair in world.made]
+        sizes = {}
+        for kind in ("raw", "qoi"):
+            done = world.json("record", "host/camera/image", "far/camera/image", "-o", f"{kind}.mcap", "--in", "host", "--seconds", "2",
+                              "--video", kind)
+            assert done["lost"] == 0 and done["whole"], done
+            sizes[kind] = (world.dir / f"{kind}.mcap").stat().st_size
+            topics, _, _ = messages(world.dir / f"{kind}.mcap")
+            world.run("export", f"{kind}.mcap", "--png", code=OK)
+            for process in ("host", "far"):
+                seen = []
+                for eye, name in enumerate(("left", "right")):
+                    images = topics[f"/{process}/camera/image/{name}"]
+                    folder = world.dir / kind / f"{process}_camera_image_{name}"
+                    which = []
+                    for n, (message, image) in enumerate(images):
+                        exported = np.asarray(Image.open(folder / f"{n:06}.png")).tobytes()
+                        if kind == "raw":
+                            rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, : 3 * image.width]
+                            pixels = rows.reshape(image.height, image.width, 3)
+                            pixels = pixels[:, :, ::-1] if image.encoding == "bgr8" else pixels
+                            assert pixels.tobytes() == exported, (process, name, n)
+                        of = [k for k, pair in enumerate(sent) if pair[eye] == exported]
+                        assert len(of) == 1, f"{kind}: {process}/camera {name} {n}: no pixels that were sent"
+                        which.append((message.sequence, of[0]))
+                    assert len({k for _, k in which}) == 3, which
+                    seen.append(which)
+                assert seen[0] == seen[1], f"{kind}: {process}: left and right are of different pairs"
+        assert sizes["qoi"] < sizes["raw"] / 2, sizes
+
+
+def test_frames_that_are_no_pictures_go_to_numpy_as_they_were_sent():
+    import numpy as np
+    member = {"stream_of": "host/source"}
+    system = {"version": 1,
+              "processes": {"host": {"plugins": ["plugins"]}},
+              "components": {"host/source": {"class": "oct/oct_source", "execution": {"model": "stream", "rate_hz": 200}},
+                             "host/ascan": {"class": "oct/oct_processor", "execution": member},
+                             "host/camera": {"class": "stereo/phantom_source", "config": {"width": 320, "height": 240}},
+                             "host/depth": {"class": "stereo-depth/stereo_depth", "execution": {"model": "on_signal"},
+                                            "config": {"method": "bm", "width": 320, "height": 240}}},
+              "connections": [{"client": "host/ascan/spectra", "server": "host/source/spectra"},
+                              {"client": "host/depth/rectified", "server": "host/camera/image"}]}
+    with World(["oct", "stereo", "stereo_depth"], system) as world:
+        done = world.json("record", "host/source/spectra", "host/ascan/ascan", "host/depth/disparity", "host/camera/image", "-o", "a.mcap",
+                          "--seconds", "2")
+        assert done["lost"] == 0 and done["whole"], done
+        topics, _, _ = messages(world.dir / "a.mcap")
+        exported = world.json("export", "a.mcap", "--npz")
+        pictures = sum(len(topics[f"/host/camera/image/{eye}"]) for eye in ("left", "right"))
+        assert exported["pictures"] == pictures > 2 and exported["unplaced"] == 0, (exported, pictures)
+        arrays = np.load(world.dir / "a.npz")
+        for topic, items in (("host/source/spectra", ("<u2",)), ("host/ascan/ascan", ("<f4", "|u1"))):
+            frames = [frame for _, frame in topics[f"/{topic}"]]
+            data = arrays[f"{topic}/data"]
+            assert data.dtype.str in items and data.shape == (sum(f.lines for f in frames), frames[0].samples), (topic, data.dtype, data.shape)
+            used = [f.data[: f.lines * f.samples * data.dtype.itemsize] for f in frames]
+            assert data.tobytes() == b"".join(used) and len(np.unique(data)) > 10, topic
+        disparities = topics["/host/depth/disparity"]
+        data = arrays["host/depth/disparity/data"]
+        assert data.shape == (len(disparities), 240, 320) and data.dtype == np.int16, (data.shape, data.dtype)
+        assert data[0].tobytes() == disparities[0][1].data and data.any()
+        assert not any(name.startswith("host/camera/image/") and name.endswith("/data") for name in arrays.files), arrays.files
+
+
+def test_numbers_go_to_numpy_and_tables():
+    import numpy as np
+    with World(["sine", "eyerobot"]) as world:
+        world.source()
+        world.source("robot", "eyerobot")
+        world.json("record", "host/sine/value", "host/robot/tip", "-o", "a.mcap", "--seconds", "1")
+        world.run("export", "a.mcap", "--npz", code=OK)
+        arrays = np.load(world.dir / "a.npz")
+        n = len(arrays["host/sine/value/value"])
+        assert n > 100 and arrays["host/sine/value/log_time_ns"].shape == (n,)
+        assert arrays["host/robot/tip/pose.position"].shape[1] == 3
+        world.run("export", "a.mcap", "--csv", "--from", "300ms", "--to", "600ms", "--topic", "host/sine", code=OK)
+        rows = (world.dir / "a/host_sine_value.csv").read_text().splitlines()
+        assert rows[0] == "log_time_ns,publish_time_ns,sequence,stamp,value" and 1 < len(rows) < n, rows[:2]
+        assert [p.name for p in (world.dir / "a").iterdir()] == ["host_sine_value.csv"]
+        world.run("export", "a.mcap", "--npz", "--from", "300ms", "--to", "600ms", "-o", "part.npz", code=OK)
+        part = np.load(world.dir / "part.npz")
+        whole, some = (a["host/sine/value/log_time_ns"].astype(np.int64) for a in (arrays, part))
+        begin = min(message.log_time for topic in messages(world.dir / "a.mcap")[0].values() for message, _ in topic)
+        wanted = whole[(whole >= begin + 300_000_000) & (whole <= begin + 600_000_000)]
+        assert 0 < len(some) < n and (some == wanted).all(), (len(some), len(wanted), n)
+
+
+def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
+    with World(["sine"]) as world:
+        sine = world.source()
+        precious = world.dir / "there.mcap"
+        precious.write_text("precious")
+        for words, code, says in (
+            (["record", "host/**", "-o", "there.mcap"], REFUSED, "nothing is written over"),
+            (["record", "host/nothing/**", "-o", "a.mcap"], REFUSED, "host/sine/value"),
+            (["record", "host/**", "-o", "a.txt"], USAGE, ".mcap"),
+            (["record", "host/**", "-o", "nowhere/a.mcap"], REFUSED, "make the directory"),
+            # Not even root makes a file there.
+            (["record", "host/**", "-o", "/sys/a.mcap"], REFUSED, "choose a directory that the host may write to"),
+            (["record", "host/**", "-o", "a.mcap", "--seconds", "-1"], USAGE, "seconds"),
+            (["record", "host/**", "-o", "a.mcap", "--seconds", "nan"], USAGE, "seconds"),
+            (["record", "host/**", "-o", "a.mcap", "--max-rate-hz", "1e30"], USAGE, "1000000"),
+            (["record", "host/**", "-o", "a.mcap", "--in", "elsewhere"], REFUSED, "elsewhere"),
+            (["info", "there.mcap"], REFUSED, "no MCAP file"),
+            (["info", "missing.mcap"], REFUSED, "cannot be read"),
+            (["export", "there.mcap", "--csv"], REFUSED, "no MCAP file"),
+        ):
+            done = world.run(*words)
+            assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
+        assert precious.read_text() == "precious" and not list(world.dir.glob("a.*"))
+        world.json("record", "host/**", "-o", "good.mcap", "--seconds", "0.5")
+        (world.dir / "good").mkdir()
+        (world.dir / "good.npz").write_text("precious")
+        for words, code, says in (
+            (["--csv"], REFUSED, "good exists, and nothing is written over"),
+            (["--png"], REFUSED, "good exists, and nothing is written over"),
+            (["--npz"], REFUSED, "good.npz exists, and nothing is written over"),
+            (["--csv", "-o", "good.mcap"], REFUSED, "nothing is written over"),
+            (["--npz", "-o", "/sys/a.npz"], REFUSED, "choose another place"),
+            (["--csv", "-o", "/sys/a"], REFUSED, "choose another place"),
+            (["--csv", "-o", "new", "--topic", "host/nothing/**"], REFUSED, "/host/sine/value"),
+            (["--csv", "-o", "new", "--from", "5s"], REFUSED, "in that time"),
+            (["--csv", "-o", "new", "--from", "2s", "--to", "1s"], USAGE, "--from is not before --to"),
+            (["--csv", "-o", "new", "--from=-1s"], USAGE, "--from"),
+            (["--csv", "--npz", "-o", "new"], USAGE, "cannot be used with"),
+            (["--png", "-o", "new"], REFUSED, "no message in it is"),
+        ):
+            done = world.run("export", "good.mcap", *words)
+            assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
+        assert (world.dir / "good.npz").read_text() == "precious" and not list((world.dir / "good").iterdir())
+        assert not (world.dir / "new").exists()
+        world.recorder({"a": f"{sine}/value"})
+        (world.dir / "rec/there.mcap").write_text("precious")
+        for path, says in (("../a.mcap", "leads out"), ("/tmp/a.mcap", "outside"), ("there.mcap", "nothing is written over"),
+                           ("a", ".mcap"), ("none/a.mcap", "make it first")):
+            refused = world.begin(path, code=REFUSED)
+            assert says in refused.stderr, (path, refused.stderr)
+        for delay, duration in ((-1, 0), (1e300, 0), (0, -5)):
+            assert "is not between" in world.call("host/rec/ctl/start", {"path": "x.mcap", "delay": delay, "duration": duration},
+                                                  code=REFUSED).stderr
+        for every, rate in ((0, 0.0), (1, -1.0), (1, 1e30)):
+            refused = world.call("host/rec/ctl/thin", {"input": "a", "every": every, "max_rate": rate}, code=REFUSED)
+            assert "error:" in refused.stderr, (every, rate, refused.stderr)
+        assert "a" in world.call("host/rec/ctl/thin", {"input": "none", "every": 1, "max_rate": 0.0}, code=REFUSED).stderr
+        for config in ({"topics": ["a", "a"]}, {"topics": ["a/b"]}, {"topics": ["a"], "max_rate_hz": [-1]},
+                       {"topics": ["a"], "every": [0]}, {"topics": [], "every": [1]}, {"pre_trigger_s": 1e9}):
+            refused = world.run("create", "host/bad", "recorder", "--config", json.dumps(config))
+            assert refused.returncode != OK and "error:" in refused.stderr, (config, refused.stdout, refused.stderr)
+            world.run("rm", "host/bad")
+        assert (world.dir / "rec/there.mcap").read_text() == "precious"
+        assert [p.name for p in (world.dir / "rec").iterdir()] == ["there.mcap"]
+
+
+def test_hostile_recordings_end_in_a_sentence():
+    import random
+    with World(["sine", "stereo"]) as world:
+        world.source()
+        world.source("camera", "phantom_source", {"width": 32, "height": 32})
+        chance = random.Random(7)
+        for kind in ("raw", "qoi"):
+            world.json("record", "host/sine", "host/camera/image", "-o", f"{kind}.mcap", "--seconds", "0.5", "--video", kind)
+            good = (world.dir / f"{kind}.mcap").read_bytes()
+            for n in range(30):
+                bad = bytearray(good[: chance.randrange(9, len(good))] if n % 2 else good)
+                for _ in range(chance.randrange(1, 30)):
+                    bad[chance.randrange(len(bad))] = chance.randrange(256)
+                if n % 5 == 0:
+                    at = chance.randrange(8, len(bad) - 9)
+                    bad[at + 1 : at + 9] = (1 << chance.randrange(40, 64)).to_bytes(8, "little")
+                path = world.dir / f"{kind}{n}.mcap"
+                path.write_bytes(bad)
+                for words in (["info", path], ["export", path, "--csv", "-o", f"{path}.csv"], ["export", path, "--npz", "-o", f"{path}.npz"],
+                              ["export", path, "--png", "-o", f"{path}.png"]):
+                    done = world.run(*words)
+                    assert done.returncode in (OK, REFUSED, PARTIAL), (words, done.returncode, done.stderr[-500:])
+                    assert "panicked" not in done.stderr, done.stderr[-500:]
+
+
+def test_rerun_shows_images_poses_and_plots():
+    rerun = VENV / "bin" / "rerun"
+    if not rerun.exists():
+        install = [sys.executable, "-m", "pip", "install", "-q", "--retries", "1", "-r", str(HERE / "packages-rerun.txt")]
+        done = subprocess.run(install, capture_output=True, text=True)
+        if done.returncode:
+            raise Skip(f"the package of packages-rerun.txt cannot be had: {done.stderr.strip().splitlines()[-1:]}")
+    with World(["sine", "eyerobot", "stereo"]) as world:
+        world.source()
+        world.source("robot", "eyerobot")
+        world.source("camera", "phantom_source", {"width": 160, "height": 120})
+        world.json("record", "host/sine/value", "host/robot/measured_cp", "host/camera/image", "-o", "trial.mcap", "--seconds", "1")
+
+        def asked(*words):
+            # Neither a viewer nor a word home.
+            env = {**world.env, "RERUN_ANALYTICS_ENABLED": "0", "HOME": str(world.dir)}
+            done = subprocess.run([rerun, *words], cwd=world.dir, env=env, capture_output=True, text=True, timeout=PATIENCE_S)
+            assert done.returncode == 0, (words, done.stderr[-2000:])
+            return done.stdout
+
+        asked("mcap", "convert", "trial.mcap", "-o", "trial.rrd")
+        rows = {}
+        for n, entity, columns in re.findall(r"with (\d+) rows .*? - (/\S+) - data columns: \[(.*?)\]", asked("rrd", "print", "trial.rrd")):
+            for column in columns.split():
+                rows[entity, column] = rows.get((entity, column), 0) + int(n)
+        for eye in ("left", "right"):
+            assert rows[f"/host/camera/image/{eye}", "Image:buffer"] > 10, rows
+        assert rows["/host/robot/measured_cp", "InstancePoses3D:translations"] > 500, rows
+        assert rows["/host/robot/measured_cp", "InstancePoses3D:quaternions"] > 500, rows
+        plots = [column for entity, column in rows if entity == "/host/sine/value" and column.endswith(".Scalar:message")]
+        assert len(plots) == 1 and rows["/host/sine/value", plots[0]] > 500, rows
+        # A plot is drawn of a field: each has its name and is a number.
+        shown = asked("rrd", "print", "-vv", "--entity", "/host/sine/value", "trial.rrd")
+        assert re.search(r'"value": (non-null )?Float64', shown), shown[:3000]

@@ -1,0 +1,280 @@
+"""What is in a recording, and how it is begun, paused, thinned and ended when somebody asks for it."""
+
+import hashlib
+import json
+import signal
+import subprocess
+import time
+
+from world import BIN, OK, PATIENCE_S, REFUSED, Terminal, World, contiguous, eventually, messages
+
+
+def test_a_recording_by_the_command_line_is_whole_and_explains_itself():
+    with World(["sine"]) as world:
+        world.source()
+        done = world.json("record", "host/**", "-o", "a.mcap", "--seconds", "1.5")
+        assert done["lost"] == 0 and done["whole"] and done["topics"] >= 1, done
+        topics, metadata, _ = messages(world.dir / "a.mcap")
+        values = topics["/host/sine/value"]
+        assert len(values) > 100 and contiguous(values), len(values)
+        assert all(-1.0 <= value.value <= 1.0 for _, value in values)
+        assert any(value.value != values[0][1].value for _, value in values)
+        assert all(message.publish_time == value.stamp and message.log_time >= message.publish_time for message, value in values)
+        graph = topics["/recorder/graph"][0][1]
+        assert "host/sine" in [c["path"] for c in graph["components"]]
+        plugin = hashlib.sha256((world.dir / "plugins/libtrocar_sine.so").read_bytes()).hexdigest()
+        assert metadata["trocar.plugins"]["sine"].endswith(f"sha256:{plugin}"), (metadata["trocar.plugins"], plugin)
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        assert abs(int(metadata["trocar.clock"]["offset_to_unix_ns"]) - offset_ns) < 1_000_000_000, (metadata["trocar.clock"], offset_ns)
+        assert metadata["trocar.end"]["lost"] == "0", metadata["trocar.end"]
+        info = world.json("info", "a.mcap")
+        assert info["whole"] and info["profile"] == "trocar"
+        counted = {t["topic"]: t["messages"] for t in info["topics"]}
+        assert counted["/host/sine/value"] == len(values), counted
+        # Nothing of it stays behind.
+        assert [c["path"] for c in world.json("ls")["components"]] == ["host/sine"]
+
+
+def test_commands_begin_pause_mark_thin_and_end_a_recording():
+    with World(["sine"]) as world:
+        sine = world.source()
+        world.recorder({"all": f"{sine}/value", "some": f"{sine}/tap_rows"}, {"every": [1, 10]})
+        world.call("host/rec/ctl/marker", "too early", code=REFUSED)
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 200)
+        world.call("host/rec/ctl/marker", "incision")
+        world.call("host/rec/ctl/annotate", {"kind": "operator", "json": '{"name": "A"}'})
+        world.call("host/rec/ctl/pause")
+        world.wait("it pauses", lambda s: s["phase"] == "PAUSED")
+        world.call("host/rec/ctl/resume")
+        whole = world.topic(0)
+        assert whole["left_out"] == 0, whole
+        before = world.read("host/rec/ctl/status")["messages"]
+        world.call("host/rec/ctl/thin", {"input": "all", "every": 1, "max_rate": 20.0})
+        world.wait("it goes on", lambda s: s["phase"] == "RECORDING" and s["messages"] > before + 50)
+        last = world.end()
+        assert last["whole"] and last["reason"] == "stopped as asked" and last["lost"] == 0, last
+        thinned, some = world.topic(0), world.topic(1)
+        assert thinned["left_out"] > thinned["kept"] - whole["kept"], (whole, thinned)
+        assert abs(some["left_out"] - 9 * some["kept"]) <= 9 and some["topic"] == "/host/sine/tap_rows", some
+        topics, _, _ = messages(world.dir / "rec/a.mcap")
+        assert len(topics["/host/sine/tap_rows"]) == some["kept"], some
+        assert topics["/recorder/markers"][0][1].message == "incision"
+        assert topics["/recorder/note_operator"][0][1] == {"name": "A"}
+        values = topics["/host/sine/value"]
+        assert len(values) > 200, len(values)
+
+
+def test_what_finds_its_queue_full_is_lost_and_the_file_says_so():
+    with World(["sine"]) as world:
+        sine = world.source()
+        world.recorder({"a": f"{sine}/value"})
+        world.run("disconnect", "host/rec/a", f"{sine}/value", code=OK)
+        world.run("connect", "host/rec/a", f"{sine}/value", "--fifo", "2", code=OK)
+        world.begin("a.mcap")
+        world.wait("it loses some", lambda s: s["phase"] == "RECORDING" and s["lost"] > 100)
+        last = world.end()
+        assert last["whole"] and last["lost"] > 100, last
+        topics, metadata, _ = messages(world.dir / "rec/a.mcap")
+        numbers = [message.sequence for message, _ in topics["/host/sine/value"]]
+        gaps = sum(after - before - 1 for before, after in zip(numbers, numbers[1:]))
+        told = topics["/recorder/loss"][-1][1]
+        assert gaps == last["lost"] == told["lost"] == told["topics"]["/host/sine/value"], (gaps, last, told)
+        assert int(metadata["trocar.end"]["lost"]) == gaps, metadata["trocar.end"]
+
+
+def test_a_pause_is_no_part_of_the_next_recording():
+    with World(["sine"]) as world:
+        world.recorder({"a": f"{world.source()}/value"})
+        world.begin("a.mcap", duration=1.0)
+        world.wait("it records", lambda s: s["phase"] == "RECORDING")
+        world.call("host/rec/ctl/pause")
+        eventually("its time is over", lambda: world.read("host/rec/ctl/last")["reason"] or None)
+        world.begin("b.mcap")
+        world.wait("the next one records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 100)
+
+
+def test_a_pre_trigger_puts_the_past_into_a_recording():
+    with World(["sine"]) as world:
+        sine = world.source()
+        world.recorder({"a": f"{sine}/value"}, {"pre_trigger_s": 2.0})
+        begun = world.read("host/rec/ctl/status")
+        assert begun["phase"] == "IDLE"
+        time.sleep(1.0)  # What is recorded of this second is the claim; how long it takes is none.
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["messages"] > 100)
+        world.end()
+        topics, metadata, _ = messages(world.dir / "rec/a.mcap")
+        values = topics["/host/sine/value"]
+        begun_ns = int(metadata["trocar.graph"]["monotonic_ns"])
+        before = [message for message, _ in values if message.log_time < begun_ns]
+        assert contiguous(values) and len(before) > 100, (len(before), len(values))
+
+
+def test_what_changes_in_the_graph_during_a_recording_is_in_it():
+    with World(["sine"]) as world:
+        sine = world.source()
+        world.recorder({"a": f"{sine}/value"})
+        world.begin("a.mcap")
+        told = world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 100)["messages"]
+        world.source("second", config={"amplitude": 0.25})
+        world.run("stop", sine, code=OK)
+        # Without samples, what is told of the graph is all that comes.
+        world.wait("the graph is told", lambda s: s["messages"] > told)
+        world.run("configure", sine, '{"amplitude": 0.5}', code=OK)
+        world.run("start", sine, code=OK)
+        eventually("its configuration is in the file", lambda: b'"amplitude":0.5' in (world.dir / "rec/a.mcap").read_bytes() or None)
+        world.run("rm", "host/second", "--force", code=OK)
+        eventually("the last graph is in the file", lambda: graphs(world)[-1] == ["host/rec", "host/sine"] or None)
+        world.end()
+        topics, _, _ = messages(world.dir / "rec/a.mcap")
+        seen = [sorted(c["path"] for c in graph["components"]) for _, graph in topics["/recorder/graph"]]
+        assert seen[0] == ["host/rec", "host/sine"] and ["host/rec", "host/second", "host/sine"] in seen, seen
+        configs = [(told["path"], told["config"]["amplitude"]) for _, told in topics["/recorder/config"] if told["path"] != "host/rec"]
+        assert ("host/second", 0.25) in configs and configs.index(("host/sine", 0.5)) > configs.index(("host/sine", 1.0)), configs
+        channels = [name for name in topics if name == "/host/sine/value"]
+        assert len(channels) == 1, channels
+
+
+def graphs(world):
+    topics, _, _ = messages(world.dir / "rec/a.mcap", whole=False)
+    return [sorted(c["path"] for c in graph["components"]) for _, graph in topics["/recorder/graph"]]
+
+
+def test_who_looks_sees_a_bar_and_ctrl_c_leaves_a_whole_file():
+    with World(["sine"]) as world:
+        world.source()
+        terminal = Terminal(world, "record", "host/**", "-o", "c.mcap")
+        terminal.shows("messages")
+        terminal.shows("Ctrl-C ends it")
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.ends() == OK, terminal.shown
+        topics, metadata, ended = messages(world.dir / "c.mcap")
+        assert ended and contiguous(topics["/host/sine/value"]) and metadata["trocar.end"]["reason"] == "stopped as asked", metadata
+        assert [c["path"] for c in world.json("ls")["components"]] == ["host/sine"]
+        for words, says in ((["record", "host/**", "-o", "d.mcap", "--seconds", "1"], " % "), (["info", "c.mcap"], " % "),
+                            (["export", "c.mcap", "--csv"], " % ")):
+            terminal = Terminal(world, *words)
+            terminal.shows(says)
+            assert terminal.ends() == OK, terminal.shown
+
+
+def test_a_recording_of_several_processes_is_made_where_it_is_asked_for_and_at_most_so_often():
+    system = {"version": 1,
+              "processes": {name: {"plugins": ["plugins"]} for name in ("a", "b")},
+              "components": {path: {"class": "sine/sine"} for path in ("a/sine", "a/other", "b/sine")},
+              "connections": []}
+    with World(["sine"], system) as world:
+        done = world.json("record", "a/**", "b/sine/value", "-o", "few.mcap", "--in", "b", "--max-rate-hz", "50", "--seconds", "2")
+        assert done["lost"] == 0 and done["whole"], done
+        topics, _, _ = messages(world.dir / "few.mcap")
+        values = {f"/{path}/value" for path in ("a/sine", "a/other", "b/sine")}
+        assert values <= set(topics), sorted(topics)
+        for name in values:
+            stamps = [message.publish_time for message, _ in topics[name]]
+            gaps = sorted(after - before for before, after in zip(stamps, stamps[1:]))
+            # A sample of 1 kHz is the first that is far enough from the one before.
+            assert len(stamps) > 20 and gaps[0] >= 19_000_000, (name, len(stamps), gaps[:3])
+        where = {c["path"].split("/")[0] for c in topics["/recorder/graph"][0][1]["components"] if c["class"] == "recorder/recorder"}
+        assert where == {"b"}, where
+        # Without being told it is where most of it is.
+        world.json("record", "a/**", "b/sine/value", "-o", "all.mcap", "--seconds", "0.5")
+        graph = messages(world.dir / "all.mcap")[0]["/recorder/graph"][0][1]
+        assert {c["path"].split("/")[0] for c in graph["components"] if c["class"] == "recorder/recorder"} == {"a"}, graph
+
+
+def test_a_recording_begins_pauses_and_ends_at_the_times_that_were_asked_for():
+    with World(["sine"]) as world:
+        sine = world.source()
+        world.recorder({"a": f"{sine}/value"})
+        echo = subprocess.Popen([BIN / "trocar", "echo", "host/rec/ctl/progress", "-n", "1", "--json"], cwd=world.dir, env=world.env,
+                                stdout=subprocess.PIPE, text=True)
+        try:
+            begins = time.monotonic_ns() + 800_000_000
+            world.call("host/rec/ctl/record_at", {"path": "a.mcap", "at": begins, "duration": 3.0})
+            assert world.read("host/rec/ctl/status")["phase"] == "WAITING"
+            world.wait("it records", lambda s: s["phase"] == "RECORDING")
+            pauses = time.monotonic_ns() + 500_000_000
+            world.call("host/rec/ctl/pause_at", pauses)
+            world.wait("it pauses by itself", lambda s: s["phase"] == "PAUSED")
+            last = eventually("its time is over", lambda: (lambda s: s if s["reason"] else None)(world.read("host/rec/ctl/last")))
+            told = json.loads(echo.communicate(timeout=PATIENCE_S)[0].splitlines()[0])
+        finally:
+            echo.kill()
+            echo.wait()
+        assert last["reason"] == "its time was over" and last["whole"] and last["lost"] == 0, last
+        progress = json.dumps(told)
+        assert "RECORDING" in progress or "PAUSED" in progress, progress
+        topics, metadata, _ = messages(world.dir / "rec/a.mcap")
+        # The recorder steps each 10 ms, and what it takes then belongs to the recording or not by when it was acquired.
+        times = [message.publish_time for message, _ in topics["/host/sine/value"]]
+        assert begins <= int(metadata["trocar.graph"]["monotonic_ns"])
+        assert begins <= times[0] < begins + 1_000_000_000, (begins, times[0])
+        assert len(times) > 100 and times[-1] < pauses, (len(times), times[-1] - pauses)
+        begins = time.monotonic_ns() + 300_000_000
+        world.call("host/rec/ctl/record_at", {"path": "whole.mcap", "at": begins, "duration": 0.5})
+        eventually("its time is over", lambda: world.read("host/rec/ctl/last")["path"].endswith("whole.mcap") or None)
+        topics, _, _ = messages(world.dir / "rec/whole.mcap")
+        times = [message.publish_time - begins for message, _ in topics["/host/sine/value"]]
+        assert 0 <= times[0] and 400_000_000 < times[-1] < 500_000_000, (times[0], times[-1])
+        for wrong in (time.monotonic_ns() - 1_000_000_000, 0, time.monotonic_ns() + 10 * 86_400_000_000_000):
+            refused = world.call("host/rec/ctl/record_at", {"path": "b.mcap", "at": wrong, "duration": 0.0}, code=REFUSED)
+            assert "name a time" in refused.stderr, refused.stderr
+        assert not (world.dir / "rec/b.mcap").exists()
+
+
+def test_a_system_file_records_by_inputs_that_need_no_configuration():
+    system = {"version": 1,
+              "processes": {"host": {"plugins": ["plugins"]}},
+              "components": {"host/rec": {"class": "recorder/recorder", "config": {"directory": "rec", "path": "a.mcap"}},
+                             **{f"host/s{n}": {"class": "sine/sine"} for n in range(1, 9)}},
+              "connections": [{"client": f"host/rec/in_{n}", "server": f"host/s{n}/value", "queue": {"fifo": 1024}}
+                              for n in range(1, 9)]}
+    with World(["sine"], system) as world:
+        world.wait("all of them are recorded", lambda s: s["phase"] == "RECORDING" and s["topics"] == 8 and s["messages"] > 800)
+        last = world.end()
+        assert last["whole"] and last["lost"] == 0, last
+        topics, _, _ = messages(world.dir / "rec/a.mcap")
+        for n in range(1, 9):
+            values = topics[f"/host/s{n}/value"]
+            assert len(values) > 20 and contiguous(values), (n, len(values))
+        configured = {told["path"] for _, told in topics["/recorder/config"]}
+        assert configured == {"host/rec", *(f"host/s{n}" for n in range(1, 9))}, configured
+
+
+def test_rows_events_and_commands_have_topics_of_their_own_and_tell_how_commands_ended():
+    with World(["eyerobot"]) as world:
+        world.source("robot", "eyerobot")
+        world.recorder({"state": "host/robot/state", "rows": "host/robot/tap_rows", "events": "host/robot/tap_events",
+                        "commands": "host/robot/tap_commands"})
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["messages"] > 100)
+        world.call("host/robot/arm/hold")
+        world.call("host/robot/arm/state_command", "nonsense", code=REFUSED)
+        world.call("host/robot/arm/state_command", "disable")
+        world.run("stop", "host/robot", code=OK)
+        refused = world.call("host/robot/arm/hold", code=REFUSED)
+        assert "STOPPED" in refused.stderr, refused.stderr
+        last = world.end()
+        assert last["lost"] == 0 and last["whole"], last
+        topics, _, _ = messages(world.dir / "rec/a.mcap")
+        # An output that is called state and the rows of the state table are two topics of two types.
+        kinds = {name: {type(value).__name__ for _, value in topics[f"/host/robot/{name}"]} for name in ("state", "tap_rows")}
+        assert all(len(kind) == 1 for kind in kinds.values()) and kinds["state"] != kinds["tap_rows"], kinds
+        commands = "/host/robot/tap_commands/arm"
+        # One that was turned away is told as well, though the component never saw it; and what came before `stop` is in the file.
+        holds = [value.trocar_outcome for _, value in topics[f"{commands}/hold"]]
+        assert holds == ["EXECUTED", "NOT_ACTIVE"], holds
+        told = [(value.value, value.trocar_outcome) for _, value in topics[f"{commands}/state_command"]]
+        assert told == [("nonsense", "FAILED"), ("disable", "EXECUTED")], told
+        events = [name for name in topics if name.startswith("/host/robot/tap_events/")]
+        told = [(value.DESCRIPTOR.fields_by_name["state"].enum_type.values_by_number[value.state].name, value.is_homed, message.publish_time)
+                for message, value in topics["/host/robot/tap_events/arm/operating_state"]]
+        disabled = [message.publish_time for message, value in topics[f"{commands}/state_command"] if value.value == "disable"]
+        # The event of what the command did.
+        assert len(told) == 1 and told[0][0].endswith("DISABLED") and told[0][1], (told, events)
+        assert abs(told[0][2] - disabled[0]) < 1_000_000_000, (told, disabled)
+        world.run("info", "rec/a.mcap", code=OK)
+        world.run("export", "rec/a.mcap", "--csv", "--topic", "host/robot/tap_commands", code=OK)
+        names = {path.name for path in (world.dir / "rec/a").iterdir()}
+        assert names == {"host_robot_tap_commands_arm_hold.csv", "host_robot_tap_commands_arm_state_command.csv"}, names
