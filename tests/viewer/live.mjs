@@ -5,6 +5,16 @@ async function interfacesOf(page, path) {
   await box(page, path).locator('header').click();
   await page.getByRole('tab', { name: 'Interfaces' }).click();
 }
+/// A host whose `host/Server` runs, and a page that shows its interfaces.
+async function serverShown(world) {
+  const host = await world.host();
+  await create(host.addr, 'example/Server', 'host/Server');
+  await start(host.addr, 'host/Server');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await interfacesOf(page, 'host/Server');
+  return { host, page };
+}
 async function plot(page, path, number) {
   await page.locator(`[data-plot="${path}#${number}"]`).evaluate((e) => { e.closest('details').open = true; });
   await page.locator(`[data-plot="${path}#${number}"]`).click();
@@ -66,12 +76,7 @@ export async function six_plots_and_a_second_window_stay_live(world) {
 }
 
 export async function a_plot_shows_the_number_that_was_written_last(world) {
-  const host = await world.host();
-  await create(host.addr, 'example/Server', 'host/Server');
-  await start(host.addr, 'host/Server');
-  const page = await world.viewer(host.addr);
-  await settled(page);
-  await interfacesOf(page, 'host/Server');
+  const { host, page } = await serverShown(world);
   for (const [path, number] of [['host/Server/Provided/SetPointReached', ''], ['host/Server', 'set_point']]) {
     const stands = page.waitForResponse((r) => r.url().endsWith('InteractService/Subscribe'));
     await plot(page, path, number);
@@ -144,12 +149,7 @@ export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video
 const eventRows = (page) => page.locator('[data-list=events] .list > div').evaluateAll((all) => all.map((e) => [e.querySelector('b').innerText, e.querySelector('span').innerText]));
 
 export async function an_event_that_is_followed_is_listed_with_path_and_value_in_order(world) {
-  const host = await world.host();
-  await create(host.addr, 'example/Server', 'host/Server');
-  await start(host.addr, 'host/Server');
-  const page = await world.viewer(host.addr);
-  await settled(page);
-  await interfacesOf(page, 'host/Server');
+  const { host, page } = await serverShown(world);
   const event = 'host/Server/Provided/SetPointReached';
   const stands = page.waitForResponse((r) => r.url().endsWith('InteractService/Subscribe'));
   await page.locator(`[data-follow="${event}"]`).click();
