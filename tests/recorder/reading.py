@@ -128,6 +128,8 @@ def test_numbers_go_to_numpy_and_tables():
         n = len(arrays["host/sine/value/value"])
         assert n > 100 and arrays["host/sine/value/log_time_ns"].shape == (n,)
         assert arrays["host/robot/tip/pose.position"].shape[1] == 3
+        sequence = arrays["host/robot/tip/sequence"]
+        assert (np.diff(sequence.astype(np.int64)) == 1).all(), sequence
         world.run("export", "a.mcap", "--csv", "--from", "300ms", "--to", "600ms", "--topic", "host/sine", code=OK)
         rows = (world.dir / "a/host_sine_value.csv").read_text().splitlines()
         assert rows[0] == "log_time_ns,publish_time_ns,sequence,stamp,value" and 1 < len(rows) < n, rows[:2]
@@ -138,6 +140,22 @@ def test_numbers_go_to_numpy_and_tables():
         begin = min(message.log_time for topic in messages(world.dir / "a.mcap")[0].values() for message, _ in topic)
         wanted = whole[(whole >= begin + 300_000_000) & (whole <= begin + 600_000_000)]
         assert 0 < len(some) < n and (some == wanted).all(), (len(some), len(wanted), n)
+
+
+def test_what_has_names_goes_to_tables_by_name_and_to_numpy_by_number():
+    import numpy as np
+    with World(["eyerobot"]) as world:
+        world.source("robot", "eyerobot")
+        world.json("record", "host/robot/tap_rows", "-o", "a.mcap", "--seconds", "0.5")
+        world.run("export", "a.mcap", "--npz", code=OK)
+        world.run("export", "a.mcap", "--csv", code=OK)
+        heads, first, *_ = (world.dir / "a/host_robot_tap_rows.csv").read_text().splitlines()
+        said = dict(zip(heads.split(","), first.split(",")))
+        assert said["operating_state.state"].startswith("STATE_"), said
+        numbers = np.load(world.dir / "a.npz")["host/robot/tap_rows/operating_state.state"]
+        topics, _, _ = messages(world.dir / "a.mcap")
+        state = topics["/host/robot/tap_rows"][0][1].operating_state.state
+        assert numbers.dtype == np.int64 and numbers[0] == state, (numbers, state)
 
 
 def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():

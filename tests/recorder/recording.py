@@ -136,9 +136,71 @@ def test_what_changes_in_the_graph_during_a_recording_is_in_it():
         assert len(channels) == 1, channels
 
 
+def test_a_fault_is_in_the_recorded_graph_although_nobody_asked_for_it():
+    with World(["fixture_chaos"]) as world:
+        chaos = "host/chaos"
+        world.run("create", chaos, "fixture-chaos/chaos", "--config", '{"panic_in": "step", "good_steps": 50}', code=OK)
+        world.recorder({"events": f"{chaos}/tap_events"})
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["phase"] == "RECORDING")
+        world.run("start", chaos, code=OK)
+        eventually("FAULT is in the file", lambda: "FAULT" in states(world, chaos) or None)
+        world.run("reset", chaos, code=OK)
+        eventually("what followed is in the file", lambda: states(world, chaos)[-1] == "READY" or None)
+        world.end()
+        assert states(world, chaos) == ["READY", "ACTIVE", "FAULT", "READY"], states(world, chaos)
+        topics, _, _ = messages(world.dir / "rec/a.mcap")
+        faults = [c["fault"] for _, graph in topics["/recorder/graph"] for c in graph["components"] if c["state"].endswith("FAULT")]
+        assert faults and all("chaos in step" in fault for fault in faults), faults
+
+
+def states(world, path):
+    """What the graphs in the file say of a component, each change once."""
+    topics, _, _ = messages(world.dir / "rec/a.mcap", whole=False)
+    all_of_it = [c["state"].removeprefix("COMPONENT_STATE_") for _, graph in topics["/recorder/graph"] for c in graph["components"] if c["path"] == path]
+    return [state for state, before in zip(all_of_it, [None, *all_of_it]) if state != before]
+
+
 def graphs(world):
     topics, _, _ = messages(world.dir / "rec/a.mcap", whole=False)
     return [sorted(c["path"] for c in graph["components"]) for _, graph in topics["/recorder/graph"]]
+
+
+def test_what_comes_before_its_name_is_known_is_in_the_topic_of_that_name():
+    with World(["sine"]) as world:
+        sine = world.source()
+        for n in range(3):
+            # The first step has samples; the GCM's answer comes after it.
+            world.recorder({"a": f"{sine}/value", "rows": f"{sine}/tap_rows"}, {"pre_trigger_s": 5.0}, path=f"host/rec{n}")
+            world.call(f"host/rec{n}/ctl/start", {"path": f"{n}.mcap", "delay": 0, "duration": 0})
+            eventually("it records", lambda: world.read(f"host/rec{n}/ctl/status")["messages"] > 100 or None)
+            world.run("stop", f"host/rec{n}", code=OK)
+            topics, _, _ = messages(world.dir / f"rec/{n}.mcap")
+            assert not [name for name in topics if name.startswith("/host/rec")], sorted(topics)
+            assert contiguous(topics["/host/sine/value"]) and contiguous(topics["/host/sine/tap_rows"]), sorted(topics)
+
+
+def test_a_recorder_that_cannot_start_leaves_nothing_behind():
+    with World([]) as world:
+        for n in range(5):
+            world.run("create", f"host/r{n}", "recorder", "--config", '{"directory": "rec", "path": "../x.mcap"}', code=OK)
+            assert "leads out" in world.run("start", f"host/r{n}", code=REFUSED).stderr
+            gone = world.run("rm", f"host/r{n}", "--force", code=OK)
+            assert "thread" not in gone.stdout + gone.stderr, gone.stdout + gone.stderr
+        assert list((world.dir / "rec").iterdir()) == []
+
+
+def test_a_closed_terminal_ends_a_recording_as_ctrl_c_does():
+    for ends in (signal.SIGHUP, signal.SIGTERM):
+        with World(["sine"]) as world:
+            world.source()
+            terminal = Terminal(world, "record", "host/**", "-o", "c.mcap")
+            terminal.shows("Ctrl-C ends it")
+            terminal.process.send_signal(ends)
+            assert terminal.ends() == OK, terminal.shown
+            topics, metadata, ended = messages(world.dir / "c.mcap")
+            assert ended and contiguous(topics["/host/sine/value"]) and metadata["trocar.end"]["reason"] == "stopped as asked", metadata
+            assert [c["path"] for c in world.json("ls")["components"]] == ["host/sine"]
 
 
 def test_who_looks_sees_a_bar_and_ctrl_c_leaves_a_whole_file():

@@ -175,6 +175,54 @@ export async function an_event_that_is_followed_is_listed_with_path_and_value_in
   is(await eventRows(page), [[event, '30'], [event, '31'], ['host/Server/Provided/VoidCalled', '']], 'rows at the end');
 }
 
+export async function who_follows_another_event_misses_none_of_the_first(world) {
+  const host = await world.host();
+  const makers = [1, 2, 3].map((n) => `host/e${n}`);
+  const events = makers.map((path) => `${path}/ctl/ticked`);
+  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 40 });
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  const list = page.locator('[data-list=events]');
+  /// All that was listed, from a list that keeps the newest only: read between two of its drawings.
+  const numbers = {};
+  const read = async () => {
+    for (const [path, shown] of Object.entries(numbered(await eventRows(page)))) {
+      holds(shown.every((n, i) => i === 0 || n > shown[i - 1]), `each once, in order, ${path}: ${shown}`);
+      const had = (numbers[path] ??= []);
+      had.push(...shown.filter((n) => n > (had.at(-1) ?? -1)));
+    }
+  };
+  const more = async (path, what) => {
+    const had = numbers[path]?.length ?? 0;
+    await eventually(what, async () => (await read(), (numbers[path]?.length ?? 0) >= had + 10));
+  };
+  for (const [n, event] of events.entries()) {
+    await interfacesOf(page, makers[n]);
+    await page.locator(`[data-follow="${event}"]`).click();
+    await more(event, `${event} is listed, and goes on`);
+  }
+  // One is left, and a curve is drawn: every change is a new call, and none of them may cost the others an event.
+  await page.getByRole('button', { name: `follow ${events[0]} no more` }).click();
+  await more(events[1], 'the second goes on without the first');
+  await plot(page, events[2], 'number');
+  await eventually('a curve beside the list', async () => (await points(page))[0] > 20);
+  // An item that came twice or too late would begin it anew.
+  const drawn = (await points(page))[0];
+  await interfacesOf(page, makers[1]);
+  await plot(page, events[1], 'number');
+  await eventually('a second curve', async () => (await points(page))[1] > 20);
+  holds((await points(page))[0] > drawn, `the first goes on: ${drawn} points, then ${(await points(page))[0]}`);
+  await page.getByRole('button', { name: 'Events' }).click();
+  await more(events[2], 'the third goes on');
+  for (const path of events) {
+    const had = numbers[path];
+    const gaps = had.flatMap((n, i) => (i && n !== had[i - 1] + 1 ? [`${had[i - 1]} to ${n}`] : []));
+    is(gaps, [], `what is missing of ${path}, of ${had.length}`);
+  }
+  is(await list.getAttribute('data-skipped'), '0', 'skipped');
+}
+
 export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
   const host = await world.host();
   const makers = Array.from({ length: 16 }, (_, n) => `host/e${n}`);

@@ -88,9 +88,14 @@ impl Server {
         let listener = bind(&config.listen, config.local.as_ref().map(|(name, _)| name)).await?;
         let addr = listener.local_addr().map_err(|e| unusable(&config.listen, &e))?;
         let (lines, logging) = lines(config.gcm.as_ref(), config.local.as_ref());
-        let edge =
-            Edge { gcm: config.gcm.clone(), local: config.local, managed_by: config.managed_by, lines };
         let (open, closing) = watch::channel(());
+        let edge = Edge {
+            gcm: config.gcm.clone(),
+            local: config.local,
+            managed_by: config.managed_by,
+            lines,
+            closing: closing.clone(),
+        };
         let router = routes(edge, config.gcm, config.viewer, closing).await.map_err(|because| {
             ServeError::Unusable {
                 because,

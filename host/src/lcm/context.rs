@@ -10,8 +10,8 @@ use trocar_rt::os;
 use trocar_rt::team::Team;
 use trocar_rt::wake::{WakeList, Waker};
 
+use super::boundary::late;
 use super::boundary::{HostContext, told};
-use super::late;
 
 /// Identifies a thread of the LCM; 0 is every other thread.
 pub(super) type ExecutorId = u64;

@@ -11,9 +11,10 @@ use trocar_rt::executor::{Cycle, Pace};
 use trocar_rt::turn;
 
 use super::boundary;
+use super::boundary::late;
 use super::context;
 use super::instance::Instance;
-use super::{late, pending};
+use super::pending;
 
 /// When a member of a thread steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -20,7 +20,6 @@ mod gate;
 mod hub;
 mod inbox;
 mod instance;
-mod late;
 mod lifecycle;
 mod local;
 mod logs;

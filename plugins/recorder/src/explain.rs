@@ -1,6 +1,7 @@
 //! What makes a recording explain itself: the graph as it is and each change of it, configurations, plugins.
 //!
-//! Invariant: what is told in the file is what the GCM said, word by word; a graph that did not change is not told again.
+//! Invariant: what is told in the file is what the GCM said, word by word; a graph that did not change is not told again, and one in
+//! which only a state or a health did is another one.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,6 +22,9 @@ pub(crate) struct Explaining {
     since_ns: u64,
     /// Incarnation of the GCM, and its revision of the graph.
     revision: Option<(u64, u64)>,
+    /// Names of classes, and what their plugins are.
+    classes: BTreeSet<String>,
+    plugins: BTreeMap<String, String>,
     /// The whole answer, for recordings that begin later.
     last: Json,
     configs: BTreeMap<String, Json>,
@@ -49,6 +53,18 @@ impl Explaining {
         .collect()
     }
 
+    /// Whether an answer told of all the classes its processes have.
+    pub(crate) fn knows_classes(&mut self, graph: &Json) -> bool {
+        let all = |key: &str| graph[key].as_array().into_iter().flatten();
+        let names = all("processes").flat_map(|process| process["classes"].as_array().into_iter().flatten());
+        let names: BTreeSet<&str> = names.filter_map(Json::as_str).collect();
+        // Those of a process that is gone are still what made the samples it sent.
+        if all("classes").next().is_some() {
+            self.classes.extend(names.iter().map(|name| (*name).to_owned()));
+        }
+        names.iter().all(|name| self.classes.contains(*name))
+    }
+
     /// An answer of the GCM: told when it is another one than the last.
     pub(crate) fn graph_is(&mut self, mut graph: Json, now_ns: u64, way: &mut Way) {
         let number = |key: &str| {
@@ -57,22 +73,26 @@ impl Explaining {
         };
         let revision = (number("term"), number("revision"));
         // Answers may overtake each other: an older one is no news.
-        if self.revision.is_some_and(|known| known >= revision) {
+        if self.revision.is_some_and(|known| known > revision) {
             return;
         }
         self.revision = Some(revision);
-        if let Some(classes) = graph["classes"].as_array().filter(|classes| !classes.is_empty()) {
-            let mut plugins = BTreeMap::new();
-            for class in classes {
-                let hash = text(class, "hash");
-                let said = format!("{} sha256:{hash}", text(class, "version"));
-                plugins.insert(text(class, "plugin").to_owned(), said);
-            }
-            way.order(Order::Metadata("trocar.plugins".into(), plugins));
+        let classes = graph["classes"].as_array().into_iter().flatten();
+        let of = |class| format!("{} sha256:{}", text(class, "version"), text(class, "hash"));
+        let plugins = classes.map(|class| (text(class, "plugin").to_owned(), of(class)));
+        let before = self.plugins.clone();
+        self.plugins.extend(plugins);
+        if self.plugins != before {
+            way.order(Order::Metadata("trocar.plugins".into(), self.plugins.clone()));
         }
-        // What classes could be is no part of what is: a recording is told their plugins.
+        // What classes could be is no part of what is: a recording is told their plugins. Nor is by what the answer is known.
         if let Some(told) = graph.as_object_mut() {
             told.remove("classes");
+            told.remove("etag");
+        }
+        // What was accepted and changed nothing is no change of it.
+        if ["processes", "components", "connections"].iter().all(|part| self.last[part] == graph[part]) {
+            return;
         }
         self.last = graph;
         tell(self.graph, &self.last, now_ns, way);

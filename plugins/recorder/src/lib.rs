@@ -3,6 +3,7 @@
 //! Invariant: nobody who is recorded waits for a recorder; what a recording does not hold is counted in it.
 #![forbid(unsafe_code)]
 
+mod asking;
 #[doc(hidden)]
 pub mod bench;
 mod block;

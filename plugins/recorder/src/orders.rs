@@ -13,6 +13,8 @@ use crate::block::Block;
 /// What is asked.
 pub(crate) enum Order {
     Channel(Box<Channel>),
+    /// The topic of a channel, while no file has it.
+    Renamed(usize, String),
     Block(Block),
     Open(Box<Opening>),
     /// A metadata record, in the file that is open and in each that is opened later.

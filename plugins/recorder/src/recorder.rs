@@ -417,7 +417,11 @@ impl Component for Recorder {
         if !self.cfg.path.is_empty() {
             let path = self.cfg.path.clone();
             let now_ns = self.host.now().ns();
-            self.plan(&path, now_ns, 0)?;
+            if let Err(why) = self.plan(&path, now_ns, 0) {
+                // It does not start: nothing of it stays.
+                self.drain_and_end();
+                return Err(why);
+            }
         }
         Ok(())
     }
@@ -435,7 +439,12 @@ impl Component for Recorder {
         let now_ns = self.host.now().ns();
         let who = self.host.instance_name().to_owned();
         let Some(run) = &mut self.run else { return Ok(()) };
-        if !reply.ok || !reply.response["components"].is_array() {
+        let told = reply.ok && reply.response["components"].is_array();
+        if !told || !run.explaining.knows_classes(&reply.response) {
+            run.asking.want_classes();
+        }
+        run.asking.answered(reply.response["etag"].as_str().unwrap_or_default());
+        if !told {
             return Ok(());
         }
         for (input, server) in run.explaining.connected(&reply.response, &who) {
@@ -445,7 +454,11 @@ impl Component for Recorder {
             if let Some(topic) = at.and_then(|at| self.each.get_mut(at))
                 && !said
             {
-                topic.rename(&format!("/{server}"));
+                let name = format!("/{server}");
+                if topic.name == format!("/{who}/{input}") {
+                    run.rename(&topic.name, &name);
+                }
+                topic.rename(&name);
             }
         }
         run.explaining.graph_is(reply.response, now_ns, &mut run.way);

@@ -1,6 +1,6 @@
 //! A recorder between Start and Stop: the way to its writer, what it tells of itself, and the recording that is open or planned.
 //!
-//! Invariant: the writer counts channels as they are counted here, so each is added by [`Running::add`] and nowhere else.
+//! Invariant: the writer counts channels as they are counted here, so each is added by [`Running::add`] and nowhere else, and none goes.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,6 +11,7 @@ use trocar_imaging::side;
 use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::Value as Json;
 
+use crate::asking::Asking;
 use crate::block::{Kind, Way, way};
 use crate::explain::Explaining;
 use crate::foxglove;
@@ -30,6 +31,7 @@ pub(crate) struct Running {
     thread: Option<JoinHandle<()>>,
     /// The writer's channels.
     channels: Vec<Channel>,
+    pub(crate) asking: Arc<Asking>,
     pub(crate) explaining: Explaining,
     own: OwnChannels,
     pub(crate) codec: Codec,
@@ -74,19 +76,12 @@ impl Running {
         let pre_trigger_ns = seconds("pre_trigger_s", cfg.pre_trigger_s)?;
         let hold = (pre_trigger_ns, cfg.pre_trigger_mb << 20);
         let writer = Writer::new(returns, tell, hold);
-        let asking = host.clone();
+        let host_of_writer = host.clone();
         let name = host.instance_name().rsplit('/').next().unwrap_or_default().to_owned();
-        let mut looks = 0u32;
+        let (asking, mut asked) = (Arc::new(Asking::default()), None);
+        let asks = asking.clone();
         let thread = side::spawn(&format!("{name} mcap"), move || {
-            writer.run(&orders, move || {
-                // What the graph is now; the step may not ask.
-                if looks.is_multiple_of(10) {
-                    let fields = json!({ "brief": true, "classes": looks == 0 });
-                    // One that is not taken is asked again in a second.
-                    let _ = asking.services().ask("List", fields);
-                }
-                looks = looks.wrapping_add(1);
-            });
+            writer.run(&orders, move || asks.look(&host_of_writer, &mut asked));
         })
         .map_err(|why| format!("no thread to write: {why}"))?;
         let mut run = Running {
@@ -95,6 +90,7 @@ impl Running {
             written: Arc::default(),
             thread: Some(thread),
             channels: Vec::new(),
+            asking,
             explaining: Explaining::default(),
             own: OwnChannels::default(),
             codec: cfg.codec(),
@@ -146,6 +142,22 @@ impl Running {
             self.channels.len() - 1
         });
         at as u32
+    }
+
+    /// What came by this topic before its name was known, and waits for a recording, has that name; in one that goes on it keeps its
+    /// own.
+    pub(crate) fn rename(&mut self, before: &str, now: &str) {
+        if before == now || self.began_ns != 0 {
+            return;
+        }
+        for (at, channel) in self.channels.iter_mut().enumerate() {
+            let below =
+                channel.topic.strip_prefix(before).filter(|rest| rest.is_empty() || rest.starts_with('/'));
+            if let Some(below) = below {
+                channel.topic = format!("{now}{below}");
+                self.way.order(Order::Renamed(at, channel.topic.clone()));
+            }
+        }
     }
 
     /// Whether the time of what was planned has come, and it is known what is to be recorded.

@@ -128,6 +128,11 @@ impl Writer {
                 }
                 self.channels.push(*channel);
             }
+            Order::Renamed(at, topic) => {
+                if let Some(channel) = self.channels.get_mut(at) {
+                    channel.topic = topic;
+                }
+            }
             Order::Block(block) => {
                 self.returns.arrived(&block);
                 if self.file.is_some() {

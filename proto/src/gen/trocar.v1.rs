@@ -1351,10 +1351,10 @@ pub struct SubscribeResponse {
     /// The state, payload or sample as JSON.
     #[prost(message, optional, tag = "3")]
     pub json: ::core::option::Option<::prost_types::Value>,
-    /// When it was made, ns of the host's monotonic clock.
+    /// When it was made, ns of the host's monotonic clock; of an event the same for everybody who follows it.
     #[prost(uint64, tag = "4")]
     pub stamp_ns: u64,
-    /// Its number since Start.
+    /// Its number: of a sample the output's own count, of an event since this call began to follow it, lost ones counted; of a state 0.
     #[prost(uint64, tag = "5")]
     pub seq: u64,
     /// Items lost on the way to this caller since the item before.
@@ -2428,6 +2428,10 @@ pub struct ListRequest {
     /// True: leave out live figures, which need a question to every process.
     #[prost(bool, tag = "3")]
     pub brief: bool,
+    /// The `etag` of an answer: this call waits until what it lists is otherwise than it was then, and answers what there is when its
+    /// deadline comes. Empty = it answers at once.
+    #[prost(string, tag = "4")]
+    pub unless_etag: ::prost::alloc::string::String,
 }
 /// Answers List.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -2453,6 +2457,9 @@ pub struct ListResponse {
     /// Processes that did not give their figures in time, and why.
     #[prost(string, repeated, tag = "7")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Stands for the processes, components and connections above without their figures: equal where they are equal, for this GCM.
+    #[prost(string, tag = "8")]
+    pub etag: ::prost::alloc::string::String,
 }
 /// Asks for Describe.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]

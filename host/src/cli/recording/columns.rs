@@ -19,6 +19,8 @@ pub(in crate::cli) enum Cell {
     Whole(i64),
     Large(u64),
     Text(String),
+    /// Of an enum: its number and name.
+    Named(i64, String),
     /// Bytes: as a text only their number.
     Bytes(Bytes),
 }
@@ -100,7 +102,7 @@ fn value(value_of: &Value, name: &str, field: &FieldDescriptor, all: &mut Values
         Value::EnumNumber(n) => {
             let kind = field.kind();
             let of = kind.as_enum().and_then(|e| e.get_value(*n));
-            of.map_or(Cell::Whole((*n).into()), |value| Cell::Text(value.name().to_owned()))
+            of.map_or(Cell::Whole((*n).into()), |value| Cell::Named((*n).into(), value.name().to_owned()))
         }
         Value::Message(message) if message.descriptor().full_name() == "google.protobuf.Timestamp" => {
             let part = |name: &str| {
@@ -134,7 +136,7 @@ impl Cell {
             Cell::Text(text) if text.contains(['"', ',', '\n', '\r']) => {
                 format!("\"{}\"", text.replace('"', "\"\""))
             }
-            Cell::Text(text) => text.clone(),
+            Cell::Text(text) | Cell::Named(_, text) => text.clone(),
         }
     }
 }

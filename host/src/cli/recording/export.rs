@@ -283,7 +283,7 @@ struct Arrays {
 /// The messages of one topic, by columns.
 #[derive(Default)]
 struct Columns {
-    times: [Vec<u8>; 2],
+    times: [Vec<u8>; 3],
     rows: usize,
     /// Items of 8 bytes.
     fields: BTreeMap<String, (Item, Vec<u8>)>,
@@ -336,8 +336,9 @@ impl Sink for Arrays {
         let row = columns.rows;
         columns.times[0].extend_from_slice(&header.log_time.to_le_bytes());
         columns.times[1].extend_from_slice(&header.publish_time.to_le_bytes());
+        columns.times[2].extend_from_slice(&u64::from(header.sequence).to_le_bytes());
         columns.rows += 1;
-        self.bytes += 16;
+        self.bytes += 24;
         let is_picture = pictures::is_one(&channel.schema, &Row(&cells));
         view.pictures += u64::from(is_picture);
         let planes = cells.iter().filter_map(|(name, cell)| match cell {
@@ -352,7 +353,7 @@ impl Sink for Arrays {
         for (name, cell) in cells {
             let (item, bits) = match cell {
                 Cell::Float(n) => (Item::F64, n.to_le_bytes()),
-                Cell::Whole(n) => (Item::I64, n.to_le_bytes()),
+                Cell::Whole(n) | Cell::Named(n, _) => (Item::I64, n.to_le_bytes()),
                 Cell::Large(n) => (Item::U64, n.to_le_bytes()),
                 // Words are no numbers: `--csv` has them. Bytes are placed.
                 Cell::Text(_) | Cell::Bytes(_) => continue,
@@ -377,7 +378,9 @@ impl Sink for Arrays {
         let failed = |e: std::io::Error| wrote(output, &e);
         for (topic, columns) in &mut self.topics {
             let rows = columns.rows;
-            for (name, times) in ["log_time_ns", "publish_time_ns"].into_iter().zip(&columns.times) {
+            let heads = ["log_time_ns", "publish_time_ns", "sequence"].into_iter().zip(&columns.times);
+            // Where the type has a field of that name, it is that field.
+            for (name, times) in heads.filter(|(name, _)| !columns.fields.contains_key(*name)) {
                 npz.array(&format!("{topic}/{name}"), Item::U64, &[rows], times).map_err(failed)?;
             }
             for (name, plane) in &columns.planes {

@@ -39,7 +39,7 @@ impl Row<'_> {
 
     fn text(&self, name: &str) -> &str {
         match self.cell(name) {
-            Some(Cell::Text(text)) => text,
+            Some(Cell::Text(text) | Cell::Named(_, text)) => text,
             _ => "",
         }
     }

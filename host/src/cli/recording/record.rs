@@ -1,6 +1,6 @@
 //! `trocar record PATTERN… -o F`: a recorder made for one recording, and taken away at its end.
 //!
-//! Invariant: whatever ends it (time, Ctrl-C, a full disk), the file is closed first and no component stays behind.
+//! Invariant: whatever ends it (time, Ctrl-C, a closed terminal, a full disk), the file is closed first and no component stays behind.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -9,6 +9,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::{Value, json};
+use tokio::signal::unix::{SignalKind, signal};
 
 use super::info::size;
 use super::select;
@@ -107,7 +108,7 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     session.create(&create).await?;
     let recorded = tokio::select! {
         recorded = recording(&args, session, &path, &place, &wanted) => recorded,
-        _ = tokio::signal::ctrl_c() => Ok(None),
+        () = interrupted() => Ok(None),
     };
     // Interrupted before or while it records: what is there is closed, and then shown as usual.
     let recorded = match recorded {
@@ -120,6 +121,20 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     removed?;
     view.topics = wanted.len() - view.left_out.len().min(wanted.len());
     shown(view, session)
+}
+
+/// Ctrl-C, a closed terminal, or an end that was asked for: a recording without its program would go on for ever.
+async fn interrupted() {
+    let signals = [SignalKind::interrupt(), SignalKind::hangup(), SignalKind::terminate()].map(signal);
+    let [Ok(mut interrupt), Ok(mut hangup), Ok(mut terminate)] = signals else {
+        let _ = tokio::signal::ctrl_c().await;
+        return;
+    };
+    tokio::select! {
+        _ = interrupt.recv() => {}
+        _ = hangup.recv() => {}
+        _ = terminate.recv() => {}
+    }
 }
 
 struct Place {

@@ -133,6 +133,7 @@ pub(crate) fn list(
             .collect(),
         classes: Vec::new(),
         warnings: figures.warnings.clone(),
+        etag: String::new(),
     }
 }
 

@@ -8,7 +8,8 @@ use trocar_model::{Change, ComponentId, Connection, Name, Refusal, Request as As
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_server::GcmService;
 
-use super::part::{keep_only, narrow, split};
+use super::list::{Listed, listed};
+use super::part::{narrow, split};
 use super::wait::{Awaited, Wait};
 use super::watch::{WatchStream, watch};
 use super::{Caller, Edge, not_built, refuse};
@@ -269,20 +270,14 @@ impl GcmService for Edge {
         let until = deadline(&request);
         let r = request.into_inner();
         let gcm = self.gcm()?;
-        let whole = gcm.graph();
-        let mut graph = whole.as_ref().clone();
-        if !r.path.is_empty() {
-            keep_only(&mut graph, &r.path).map_err(refuse)?;
-            let kept: Vec<ComponentId> = graph.components.keys().cloned().collect();
-            let holds = |id: &ComponentId| kept.contains(id);
-            graph.connections.retain(|_, c| holds(&c.client.component) || holds(&c.server.component));
-        }
-        let ids: Vec<ComponentId> = graph.components.keys().cloned().collect();
-        let figures = if r.brief { Figures::default() } else { self.figures(&graph, &ids, until).await };
-        let mut answer = convert::list(&whole, &graph, gcm.term(), &figures);
+        let listed = listed(gcm.watch(), &r, until - room(until), self.closing.clone()).await;
+        let Listed { whole, part, etag } = listed.map_err(refuse)?;
+        let ids: Vec<ComponentId> = part.components.keys().cloned().collect();
+        let figures = if r.brief { Figures::default() } else { self.figures(&part, &ids, until).await };
+        let mut answer = v1::ListResponse { etag, ..convert::list(&whole, &part, gcm.term(), &figures) };
         if r.classes {
             let mut seen = BTreeSet::new();
-            let classes = graph.processes.values().flat_map(|p| &p.classes);
+            let classes = part.processes.values().flat_map(|p| &p.classes);
             answer.classes = classes
                 .filter(|c| seen.insert((c.full_name(), c.hash.clone())))
                 .map(|c| convert::class(c))

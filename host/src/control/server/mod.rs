@@ -3,6 +3,7 @@
 mod gcm;
 mod guest;
 mod interact;
+mod list;
 mod logs;
 mod part;
 mod plugin;
@@ -13,6 +14,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use tokio::sync::watch::Receiver;
 use tokio::task::JoinSet;
 use tonic::{Extensions, Status};
 use trocar_model::{ComponentId, Name, Refusal, SystemGraph};
@@ -42,6 +44,8 @@ pub(super) struct Edge {
     pub(super) managed_by: Option<String>,
     /// What was logged here: by every process of a GCM, by this one otherwise.
     pub(super) lines: Arc<Lines>,
+    /// Its sender goes when this port closes: calls that wait for something end then.
+    pub(super) closing: Receiver<()>,
 }
 
 impl Edge {

@@ -44,7 +44,8 @@ impl Rpc {
         match service.methods().find(|m| m.name() == verb) {
             Some(method) if unary(&method) => Ok(Rpc(method)),
             Some(_) => Err(unknown(format!(
-                "{verb} is a stream, and a component gets one reply: ask WaitFor for one component, or List again"
+                "{verb} is a stream, and a component gets one reply: ask WaitFor for one component, or List with \
+                 unless_etag, the etag of its last answer"
             ))),
             None => {
                 let mut known: Vec<String> =

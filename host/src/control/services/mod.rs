@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use serde_json::{Map, Value, json};
 use tokio::runtime::Handle;
+use tokio::sync::watch;
 use tonic::client::Grpc;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Request, Status};
@@ -37,6 +38,8 @@ pub(super) const FOR_COMPONENT: &str = "trocar-component";
 pub struct GcmServices {
     runtime: Handle,
     way: Way,
+    /// Calls that wait for something end with it.
+    _open: watch::Sender<()>,
 }
 
 #[derive(Clone)]
@@ -49,8 +52,9 @@ impl GcmServices {
     /// To a GCM in this process. Call it inside a tokio runtime.
     pub fn here(gcm: Gcm) -> GcmServices {
         let lines = gcm.lines().clone();
-        let edge = Edge { gcm: Some(gcm), local: None, managed_by: None, lines };
-        GcmServices { runtime: Handle::current(), way: Way::Here(edge) }
+        let (open, closing) = watch::channel(());
+        let edge = Edge { gcm: Some(gcm), local: None, managed_by: None, lines, closing };
+        GcmServices { runtime: Handle::current(), way: Way::Here(edge), _open: open }
     }
 
     /// To the GCM at `addr`, connected when it is first asked, and again when it was lost. Call it inside a tokio runtime.
@@ -61,7 +65,8 @@ impl GcmServices {
         let bare = addr.strip_prefix("http://").unwrap_or(addr);
         let endpoint = Endpoint::from_shared(format!("http://{bare}")).map_err(|e| e.to_string())?;
         let channel = endpoint.connect_timeout(CONNECT).tcp_nodelay(true).connect_lazy();
-        Ok(GcmServices { runtime: Handle::current(), way: Way::There { addr: bare.into(), channel } })
+        let way = Way::There { addr: bare.into(), channel };
+        Ok(GcmServices { runtime: Handle::current(), way, _open: watch::channel(()).0 })
     }
 }
 

@@ -102,6 +102,45 @@ async fn a_watcher_gets_a_snapshot_and_then_what_changes() {
 }
 
 #[tokio::test]
+async fn who_names_what_was_listed_is_answered_when_it_is_otherwise() {
+    let s = System::start().await;
+    let mut gcm = s.gcm();
+    gcm.create(create("host/a")).await.unwrap();
+    let ask = |path: &str, etag: &str| v1::ListRequest {
+        path: path.into(),
+        unless_etag: etag.into(),
+        ..Default::default()
+    };
+    let first = gcm.list(ask("host/a", "")).await.unwrap().into_inner();
+    assert!(!first.etag.is_empty());
+    let brief = v1::ListRequest { brief: true, ..ask("host/a", "") };
+    assert_eq!(gcm.list(brief).await.unwrap().into_inner().etag, first.etag, "figures are no part of it");
+    let known = gcm.list(ask("host/a", "of another time")).await.unwrap().into_inner();
+    assert_eq!(known.etag, first.etag, "it is otherwise already");
+
+    // What is not listed is no news, and neither is what was accepted and changed nothing.
+    let mut waiting = gcm.clone();
+    let asked = ask("host/a", &first.etag);
+    let mut answer = tokio::spawn(async move { waiting.list(asked).await.unwrap().into_inner() });
+    gcm.create(create("host/b")).await.unwrap();
+    gcm.stop(stop("host/a")).await.unwrap();
+    tokio::select! {
+        biased;
+        early = &mut answer => panic!("nothing of host/a has changed: {early:?}"),
+        () = tokio::task::yield_now() => {}
+    }
+    gcm.start(start("host/a")).await.unwrap();
+    let changed = answer.await.unwrap();
+    assert_eq!(changed.components[0].state(), v1::ComponentState::Active);
+    assert_ne!(changed.etag, first.etag);
+
+    let mut soon = tonic::Request::new(ask("host/a", &changed.etag));
+    soon.set_timeout(std::time::Duration::from_millis(300));
+    let same = gcm.list(soon).await.expect("it is answered before the call's deadline").into_inner();
+    assert_eq!((same.etag, same.components.len()), (changed.etag, 1));
+}
+
+#[tokio::test]
 async fn logs_are_kept_for_who_asks_later_and_end_unless_followed() {
     let s = System::start().await;
     let path = "host/a";

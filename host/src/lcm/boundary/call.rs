@@ -264,7 +264,7 @@ impl CommandTarget {
         if let Some(command) = self.command.get() {
             self.server.described.look(|set| {
                 if let Some(tap) = set.command_tap.as_ref().filter(|tap| tap.is_listened()) {
-                    tap.tell(command, arg, outcome, false);
+                    tap.tell(command, arg, outcome, None);
                 }
             });
         }

@@ -185,6 +185,7 @@ fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
         return UNBOUND;
     }
     let mut outcome = EXECUTED;
+    let mut told_ns = None;
     for sink in sinks.iter() {
         match &**sink {
             EventSink::Handler(handler) => {
@@ -198,8 +199,9 @@ fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
                 }
             }
             EventSink::Tap(tap) => {
-                // Only the outside is told when it was; components need no clock for it.
-                let head = EntryHead { kind: ENTRY_EVENT, index: 0, reply: 0, stamp_ns: os::now_ns() };
+                // Only the outside is told when it was, and everybody there the same; components need no clock for it.
+                let stamp_ns = *told_ns.get_or_insert_with(os::now_ns);
+                let head = EntryHead { kind: ENTRY_EVENT, index: 0, reply: 0, stamp_ns };
                 let _ = tap.mailbox.push(head, payload, Overflow::DropOldest);
             }
         }

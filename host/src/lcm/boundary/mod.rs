@@ -17,6 +17,7 @@ mod here;
 mod host_table;
 mod hot;
 mod input;
+pub(super) mod late;
 mod needs;
 mod options;
 mod output;
@@ -77,24 +78,25 @@ pub(super) fn text_in(err: &ErrBuf) -> &[u8] {
     unsafe { std::slice::from_raw_parts(err.ptr, err.len.min(err.cap)) }
 }
 
-/// The component whose code runs on this thread; counted, so none that is being dropped.
-fn running() -> Option<std::sync::Arc<Instance>> {
+/// Shows `f` the component whose code runs on this thread, unless there is none or it is being dropped.
+fn running<R>(f: impl FnOnce(&Instance) -> R) -> Option<R> {
     // SAFETY: null, or the context of the instance that is being called on this very thread.
     let host = unsafe { super::context::component().as_ref() }?;
-    host.instance.get().and_then(std::sync::Weak::upgrade)
+    let instance = host.instance.get().filter(|instance| instance.strong_count() > 0)?;
+    // SAFETY: it was not being dropped, and its code runs on this very thread, inside its entry lock: who removes it waits for that
+    // lock, or leaves the instance where it is for good.
+    Some(f(unsafe { &*instance.as_ptr() }))
 }
 
 /// The component whose code runs on this thread is one that no other thread enters before this turn ends.
 pub(super) fn runs_kept() -> bool {
-    turn::is_inside() && running().is_some_and(|instance| instance.object.is_kept_here())
+    turn::is_inside() && running(|instance| instance.object.is_kept_here()) == Some(true)
 }
 
 /// Counts what the component whose code runs on this thread did.
 #[cold]
 fn misused(what: super::instance::Misuse) {
-    if let Some(instance) = running() {
-        instance.counters.misuse(what);
-    }
+    running(|instance| instance.counters.misuse(what));
 }
 
 /// Passes on what a filter that failed would have worked on, without a copy of a frame. Real-time.

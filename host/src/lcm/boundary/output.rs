@@ -19,9 +19,9 @@ use trocar_rt::wake::Waker;
 
 use super::super::context;
 use super::super::instance::Instance;
-use super::super::{late, pending};
+use super::super::pending;
 use super::input::InCell;
-use super::told;
+use super::{late, told};
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
 
 /// Connection number of readers from outside.
@@ -219,13 +219,14 @@ impl OutCell {
 
     /// Says of the component whose code runs here, and whose output this is, that it got no pool.
     fn tell_refused(&self, asked: &str) {
-        let Some(instance) = super::running() else {
+        let told = super::running(|instance| {
+            let set = instance.described.now();
+            let name = set.slots.output_of(self).map_or("an output", |i| set.ports.outputs[i].name.as_str());
+            instance.warn(&format!("{name}: {asked}"));
+        });
+        if told.is_none() {
             log::error!("{asked}");
-            return;
-        };
-        let set = instance.described.now();
-        let name = set.slots.output_of(self).map_or("an output", |i| set.ports.outputs[i].name.as_str());
-        instance.warn(&format!("{name}: {asked}"));
+        }
     }
 
     /// Another pool, or none, lends from now on. The one before stays at least until the next [`OutCell::reclaim`].
@@ -388,9 +389,10 @@ impl OutLink {
     }
 
     #[inline]
-    fn push(self: &Arc<Self>, value: &[u8], meta: Meta) {
+    fn push(&self, value: &[u8], meta: Meta) {
         if self.is_watched() {
-            if super::runs_kept() && late::sample(self, value, meta) {
+            // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
+            if super::runs_kept() && unsafe { late::sample(self, value, meta) } {
                 return;
             }
             pending::publish();
@@ -399,10 +401,11 @@ impl OutLink {
     }
 
     #[inline]
-    fn push_frame(self: &Arc<Self>, mut frame: Frame, meta: Meta) {
+    fn push_frame(&self, mut frame: Frame, meta: Meta) {
         if self.is_watched() {
             if super::runs_kept() {
-                match late::frame(self, frame, meta) {
+                // SAFETY: as in `push`.
+                match unsafe { late::frame(self, frame, meta) } {
                     None => return,
                     Some(given_back) => frame = given_back,
                 }
@@ -448,9 +451,17 @@ impl OutLink {
     #[inline(always)]
     fn signal(&self, stamp_ns: u64) {
         match &self.consumer {
-            // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
-            Consumer::Here(consumer, None) => unsafe { told::signal(consumer) },
+            Consumer::Here(consumer, None) => Self::tell_of_sample(consumer),
             _ => self.signal_with_stamp(stamp_ns),
+        }
+    }
+
+    /// `consumer` is this link's.
+    #[inline(always)]
+    fn tell_of_sample(consumer: &Instance) {
+        if !consumer.looks_for_samples() {
+            // SAFETY: as in `push`.
+            unsafe { told::signal(consumer) };
         }
     }
 
@@ -465,8 +476,7 @@ impl OutLink {
                 if let Some(newest_ns) = newest_ns {
                     newest_ns.store(written_ns(), Ordering::Relaxed);
                 }
-                // SAFETY: as in `signal`.
-                unsafe { told::signal(consumer) };
+                Self::tell_of_sample(consumer);
             }
             Consumer::Far { bell, newest_ns, .. } => {
                 if let Some(newest_ns) = newest_ns {

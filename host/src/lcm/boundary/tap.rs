@@ -12,8 +12,10 @@ use trocar_plugin_api::abi::{
 use trocar_rt::os;
 use trocar_rt::stream::Meta;
 
+use super::super::instance::Instance;
+use super::super::pending;
 use super::super::taps::{HEAD, MOST};
-use super::super::{late, pending};
+use super::late;
 use super::output::OutCell;
 
 /// The tap of an event.
@@ -55,10 +57,10 @@ impl CommandTap {
         self.cell.is_listened()
     }
 
-    /// A command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. `later`: no other thread enters the
-    /// component before this turn ends. Any thread. Real-time.
+    /// A command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. `of` is the
+    /// component, whose tap this is, where it was this thread that ran it. Any thread. Real-time.
     #[inline(never)]
-    pub(in crate::lcm) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, later: bool) {
+    pub(in crate::lcm) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, of: Option<&Instance>) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept: &[u8] = if whole == 0 || arg.is_null() {
             &[]
@@ -66,6 +68,7 @@ impl CommandTap {
             // SAFETY: whoever runs a command lends an argument of its type, as for the command itself.
             unsafe { std::slice::from_raw_parts(arg, whole.min(MOST)) }
         };
+        let later = of.is_some_and(|instance| instance.object.is_kept_here());
         tell(&self.cell, words(command, outcome, kept, whole), kept, later);
     }
 
@@ -79,9 +82,10 @@ impl CommandTap {
 }
 
 /// When this thread's turn ends where it may be told `later`, else at once.
-fn tell(tap: &Arc<OutCell>, words: [u32; 4], kept: &[u8], later: bool) {
+fn tell(tap: &OutCell, words: [u32; 4], kept: &[u8], later: bool) {
     let stamp_ns = os::now_ns();
-    if !later || !late::told(tap, words, kept, stamp_ns) {
+    // SAFETY: later is only what was reached through the event's binding in this turn, or is of a component this thread keeps.
+    if !later || !unsafe { late::told(tap, words, kept, stamp_ns) } {
         tap.tell_now(words, kept, stamp_ns);
     }
 }
@@ -177,13 +181,13 @@ mod tests {
         cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true)), &ty, &"".into());
         let arg = vec![7u8; MOST + 100];
         let tap = CommandTap { cell, arg_bytes: Arc::new([0, arg.len()]) };
-        tap.tell(1, arg.as_ptr(), EXECUTED, false);
+        tap.tell(1, arg.as_ptr(), EXECUTED, None);
         let data = reader.next().map(|sample| sample.data.to_vec()).unwrap_or_default();
         let word =
             |at: usize| u32::from_le_bytes([data[at], data[at + 1], data[at + 2], data[at + 3]]) as usize;
         assert_eq!((word(0), word(8), word(12), data.len()), (1, MOST, MOST + 100, n));
         assert!(data[HEAD..].iter().all(|byte| *byte == 7));
-        tap.tell(2, arg.as_ptr(), EXECUTED, false);
+        tap.tell(2, arg.as_ptr(), EXECUTED, None);
         assert!(reader.next().is_none(), "a command that is not described has no size, and is not told");
     }
 }

@@ -207,7 +207,7 @@ impl Instance {
         context::swap_component(before);
         self.counters.command();
         if let Some(tap) = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened()) {
-            tap.tell(command, arg, plain_outcome(status), self.object.is_kept_here());
+            tap.tell(command, arg, plain_outcome(status), Some(self));
         }
         if status == STATUS_PANICKED {
             self.command_panicked(entered, command, err);

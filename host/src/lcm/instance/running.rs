@@ -12,10 +12,11 @@ use trocar_rt::os;
 use trocar_rt::wake::Waker;
 
 use super::super::boundary::HostContext;
+use super::super::boundary::late;
 use super::super::context::{self, ExecutorId};
 use super::super::executor::{Executor, Pace};
+use super::super::pending;
 use super::super::supervise::{Entry, Misdeed, Suspicion};
-use super::super::{late, pending};
 use super::{Entered, Instance, Misuse};
 
 /// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are longer.
@@ -32,6 +33,8 @@ pub(super) struct Terms {
     called_back: bool,
     /// Its executor looks by itself, so nobody needs to wake it.
     polled: bool,
+    /// It steps with its thread, which does so, and its steps alone take its samples.
+    looks: bool,
     /// Frames pass it unchanged when its step has failed.
     bypass: bool,
     /// Steps on a stream of somebody else.
@@ -46,17 +49,22 @@ impl Terms {
             Pace::Grid { period_ns, .. } if execution.stream_of.is_none() => period_ns,
             _ => 0,
         };
+        let passive = execution.model == Some(ExecutionModel::None);
+        let called_back = execution.model == Some(ExecutionModel::OnCallback);
+        let filter = execution.stream_of.is_some();
+        let bypass = execution.on_failure == Some(OnFailure::Bypass);
         Terms {
             period_ns,
             patience_ns: match period_ns {
                 0 => execution.max_step_ns.unwrap_or(PATIENCE_NS),
                 period => PATIENCE_NS.max(5 * period),
             },
-            passive: execution.model == Some(ExecutionModel::None),
-            called_back: execution.model == Some(ExecutionModel::OnCallback),
+            passive,
+            called_back,
             polled: thread.polls,
-            bypass: execution.on_failure == Some(OnFailure::Bypass),
-            filter: execution.stream_of.is_some(),
+            looks: thread.polls && !passive && !called_back && !filter && !bypass,
+            bypass,
+            filter,
         }
     }
 
@@ -169,6 +177,11 @@ impl Instance {
         self.wake();
     }
 
+    /// No sample makes it step or pass something on: its steps come by themselves and take those that wait, so nobody tells of one.
+    pub(in crate::lcm) fn looks_for_samples(&self) -> bool {
+        self.terms.looks
+    }
+
     /// Signalled from here that is one plain store, or has to be looked at by its caller at once: nothing to put off.
     pub(in crate::lcm) fn signals_itself(&self) -> bool {
         self.is_passive() || context::executor() == self.executor_id()
@@ -260,7 +273,7 @@ impl Instance {
             self.show_row();
             if inner.row_tap.as_ref().is_some_and(|tap| tap.is_listened()) {
                 inner.untold = Some((stamp_ns, published.row + 1));
-                if !self.object.is_kept_here() || !late::row(self) {
+                if !late::row(self) {
                     inner.tell_row();
                 }
             }

@@ -55,21 +55,28 @@ struct Nothing;
 
 impl Behaviour for Nothing {}
 
+fn queued() -> ConnectOptions {
+    let queue = Some(Queue::Fifo { depth: 1024, drop_oldest: false });
+    ConnectOptions { queue, ..ConnectOptions::default() }
+}
+
+/// A component on a thread of its own that writes when it is called.
+async fn create_source(world: &World) {
+    let ports = Ports { provided: ctl().provided, ..plain(false, true) };
+    let (class, source) = (class(ports, Safety::None), Arc::new(Source::default()));
+    world.create_as("source", class, model(ExecutionModel::OnSignal), source).await;
+}
+
 /// A source on a thread of its own, a filter that fails at its first sample, and a sink, on the thread of `head`.
 async fn all_that_comes_passes(process: &'static str, head: Execution) {
     let world = World::new(process);
-    let (source, sink) = (Arc::new(Source::default()), Arc::new(Sink::default()));
-    let ports = Ports { provided: ctl().provided, ..plain(false, true) };
-    world
-        .create_as("source", class(ports, Safety::None), model(ExecutionModel::OnSignal), source.clone())
-        .await;
+    let sink = Arc::new(Sink::default());
+    create_source(&world).await;
     world.create("head", head, Arc::new(Nothing)).await;
     let of_head = stream_of(&world.id("head"));
     let bypass = Execution { on_failure: Some(OnFailure::Bypass), ..of_head.clone() };
     world.create_as("filter", class(plain(true, true), Safety::None), bypass, Arc::new(Fails)).await;
     world.create_as("sink", class(plain(true, false), Safety::None), of_head, sink.clone()).await;
-    let queue = Some(Queue::Fifo { depth: 1024, drop_oldest: false });
-    let queued = || ConnectOptions { queue, ..ConnectOptions::default() };
     world.connect(1, "filter/in", "source/out", queued()).await;
     world.connect(2, "sink/in", "filter/out", queued()).await;
     for name in ["head", "sink", "filter", "source"] {
@@ -93,6 +100,35 @@ async fn all_that_was_queued_passes_a_filter_that_failed_and_nothing_waits_for_t
     all_that_comes_passes("f_bypass_fast", grid(1_000_000)).await;
     // Such a thread looks at its queues between its cycles, too.
     all_that_comes_passes("f_bypass_slow", grid(20_000_000)).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_head_that_failed_lets_pass_what_comes_for_it_on_any_grid() {
+    for (process, period_ns) in [("f_head_fast", 1_000_000), ("f_head_slow", 20_000_000)] {
+        let world = World::new(process);
+        let sink = Arc::new(Sink::default());
+        create_source(&world).await;
+        let head = Execution {
+            period_ns: Some(period_ns),
+            on_failure: Some(OnFailure::Bypass),
+            ..model(ExecutionModel::Stream)
+        };
+        world.create_as("head", class(plain(true, true), Safety::None), head, Arc::new(Fails)).await;
+        let of_head = stream_of(&world.id("head"));
+        world.create_as("sink", class(plain(true, false), Safety::None), of_head, sink.clone()).await;
+        world.connect(1, "head/in", "source/out", queued()).await;
+        world.connect(2, "sink/in", "head/out", queued()).await;
+        for name in ["sink", "head", "source"] {
+            world.start(name).await;
+        }
+        world.eventually("FAULT", "head", |r| r.state == State::Fault).await;
+        for burst in 0..=3 {
+            world.call("source").await.unwrap();
+            let all: Vec<u64> = (0..=burst * BURST).collect();
+            eventually("all samples, in their order", || *sink.0.lock().unwrap() == all).await;
+        }
+        world.end().await;
+    }
 }
 
 /// Cycles executed and left out, in an instance's own figures.

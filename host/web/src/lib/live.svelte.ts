@@ -1,7 +1,7 @@
 /// Everything this page follows, in one Subscribe: events, outputs, thumbnails.
 ///
-/// Invariant: a changed wish opens the new call before it leaves the old one, so that no view stands still; one path that is
-/// refused never takes the others along.
+/// Invariant: a changed wish opens the new call before it leaves the old one, and of samples and events what both bring is given once,
+/// in its order: no view stands still or misses an item for it. One path that is refused never takes the others along.
 import { SvelteMap } from 'svelte/reactivity';
 import type { SubscribeResponse } from '../gen/trocar/v1/interact_pb';
 import { interact, isGone, said, wasAborted } from './api';
@@ -11,6 +11,10 @@ import { componentOf } from './words';
 const GATHER = 60;
 /// Pause before the next try, ms.
 const AGAIN = 1000;
+/// The old call goes on this long beside the new one, ms: until it has brought what was made before the new one began. Where it is
+/// far behind, so long at most: what it then still had is lost.
+const TOGETHER = 100;
+const MOST_TOGETHER = 1000;
 
 export interface Wish {
   path: string;
@@ -21,31 +25,57 @@ export interface Wish {
   take: (item: SubscribeResponse) => void;
 }
 
+/// One Subscribe of this page.
+class Call {
+  stop = new AbortController();
+  /// What came while the call before it still gives; null = it gives by itself.
+  held: SubscribeResponse[] | null;
+  /// How far the call before it had come, by path, ns: what is not newer was given. A path goes with its first item that is.
+  known = new Map<string, bigint>();
+
+  constructor(
+    public paths: Set<string>,
+    public before: Call | null,
+  ) {
+    this.held = before ? [] : null;
+  }
+
+  /// With all that were before it.
+  leave() {
+    this.stop.abort();
+    this.before?.leave();
+    this.before = null;
+  }
+}
+
 class Live {
   /// Why a path cannot be followed.
   refused = new SvelteMap<string, string>();
   /// Items the server left out for this page, by path.
   skipped = new SvelteMap<string, number>();
-  #wishes = new Set<Wish>();
-  #now: AbortController | null = null;
+  #wishes = new Map<string, Set<Wish>>();
+  #now: Call | null = null;
+  /// When the item of each path that was given last was made, ns.
+  #newest = new Map<string, bigint>();
   #gathering: ReturnType<typeof setTimeout> | undefined;
   #away = false;
-  #running = 0;
 
   /// Follows until the returned function is called.
   follow(wish: Wish): () => void {
-    this.#wishes.add(wish);
+    const same = this.#wishes.get(wish.path) ?? new Set();
+    this.#wishes.set(wish.path, same.add(wish));
     this.#changed();
     return () => {
-      this.#wishes.delete(wish);
+      same.delete(wish);
+      if (same.size === 0 && this.#wishes.get(wish.path) === same) this.#wishes.delete(wish.path);
       this.#changed();
     };
   }
 
   /// A component began anew: what was followed of it has ended.
   renewed(path: string) {
-    for (const wish of this.#wishes) {
-      if (componentOf(wish.path) === path) {
+    for (const followed of this.#wishes.keys()) {
+      if (componentOf(followed) === path) {
         this.#changed(GATHER * 4);
         return;
       }
@@ -54,14 +84,19 @@ class Live {
 
   pause() {
     this.#away = true;
-    this.#now?.abort();
-    this.#now = null;
+    this.#end();
   }
 
   resume() {
     if (!this.#away) return;
     this.#away = false;
     this.#changed();
+  }
+
+  #end() {
+    this.#now?.leave();
+    this.#now = null;
+    this.#newest.clear();
   }
 
   #changed(after = GATHER) {
@@ -71,62 +106,85 @@ class Live {
 
   /// One selection per path: the fastest rate and the widest picture anybody wants.
   #selections(without: Set<string>) {
-    const merged = new Map<string, { path: string; maxRateHz: number; thumbnailWidth: number }>();
-    for (const { path, rate, width } of this.#wishes) {
-      if (without.has(path)) continue;
-      const had = merged.get(path);
-      merged.set(path, {
+    return [...this.#wishes]
+      .filter(([path]) => !without.has(path))
+      .map(([path, wishes]) => ({
         path,
-        maxRateHz: Math.max(rate, had?.maxRateHz ?? 0),
-        thumbnailWidth: Math.max(width, had?.thumbnailWidth ?? 0),
-      });
-    }
-    return [...merged.values()];
+        maxRateHz: Math.max(...[...wishes].map((w) => w.rate)),
+        thumbnailWidth: Math.max(...[...wishes].map((w) => w.width)),
+      }));
   }
 
   async #open(without: Set<string>) {
     if (this.#away) return;
-    const number = ++this.#running;
-    const old = this.#now;
     const selections = this.#selections(without);
+    this.#retryRefused(without);
     if (selections.length === 0) {
-      old?.abort();
-      this.#now = null;
-      this.#retryRefused(without);
+      this.#end();
       return;
     }
-    const stop = (this.#now = new AbortController());
-    const takers = new Map<string, Wish[]>();
-    for (const wish of this.#wishes) takers.set(wish.path, [...(takers.get(wish.path) ?? []), wish]);
+    const call = (this.#now = new Call(new Set(selections.map((s) => s.path)), this.#now));
+    const onHeader = () => {
+      for (const s of selections) this.refused.delete(s.path);
+      if (call.before) this.#takeOverSoon(call, MOST_TOGETHER / TOGETHER);
+    };
     try {
-      const items = interact.subscribe(
-        { selections },
-        {
-          signal: stop.signal,
-          onHeader: () => {
-            old?.abort();
-            for (const s of selections) this.refused.delete(s.path);
-          },
-        },
-      );
-      this.#retryRefused(without);
-      for await (const item of items) {
-        if (item.skipped > 0n) this.skipped.set(item.path, (this.skipped.get(item.path) ?? 0) + Number(item.skipped));
-        for (const wish of takers.get(item.path) ?? []) if (this.#wishes.has(wish)) wish.take(item);
+      for await (const item of interact.subscribe({ selections }, { signal: call.stop.signal, onHeader })) {
+        if (call.held) call.held.push(item);
+        else this.#give(call, item);
       }
     } catch (error) {
-      if (stop.signal.aborted || wasAborted(error)) return;
-      if (number === this.#running && !isGone(error)) {
+      if (call.stop.signal.aborted || wasAborted(error)) return;
+      if (call === this.#now && !isGone(error)) {
         const bad = await this.#whoIsRefused(selections, said(error));
-        if (number === this.#running) {
-          old?.abort();
-          void this.#open(new Set([...without, ...bad]));
-        }
+        if (call !== this.#now) return;
+        // What is followed already goes on until the rest of the new call stands.
+        this.#now = call.before;
+        call.before = null;
+        void this.#open(new Set([...without, ...bad]));
         return;
       }
     }
-    old?.abort();
-    if (number === this.#running && !stop.signal.aborted) this.#changed(AGAIN);
+    if (call !== this.#now || call.stop.signal.aborted) return;
+    this.#takeOver(call);
+    this.#end();
+    this.#changed(AGAIN);
+  }
+
+  #takeOverSoon(call: Call, tries: number) {
+    setTimeout(() => {
+      if (!call.before || call.stop.signal.aborted) return;
+      if (tries > 1 && this.#lags(call.before, call.held ?? [])) this.#takeOverSoon(call, tries - 1);
+      else this.#takeOver(call);
+    }, TOGETHER);
+  }
+
+  /// Whether a call has still to bring what was made before the first of these items was.
+  #lags(call: Call, items: SubscribeResponse[]): boolean {
+    const first = new Map<string, bigint>();
+    for (const { path, stampNs } of items) if (call.paths.has(path) && !first.has(path)) first.set(path, stampNs);
+    return [...first].some(([path, stampNs]) => (this.#newest.get(path) ?? -1n) < stampNs);
+  }
+
+  /// The call before it ends; what that one has not brought, this one gives.
+  #takeOver(call: Call) {
+    call.before?.leave();
+    call.before = null;
+    call.known = new Map(this.#newest);
+    const held = call.held ?? [];
+    call.held = null;
+    for (const item of held) this.#give(call, item);
+  }
+
+  #give(call: Call, item: SubscribeResponse) {
+    const known = call.known.get(item.path);
+    if (known !== undefined) {
+      if (item.stampNs <= known) return;
+      call.known.delete(item.path);
+    }
+    this.#newest.set(item.path, item.stampNs);
+    if (item.skipped > 0n) this.skipped.set(item.path, (this.skipped.get(item.path) ?? 0) + Number(item.skipped));
+    for (const wish of this.#wishes.get(item.path) ?? []) wish.take(item);
   }
 
   /// What is refused now may be there later.

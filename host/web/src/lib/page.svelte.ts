@@ -1,6 +1,7 @@
 /// What this page itself remembers: what is selected, which panel shows, light or dark, what was told.
 import { Code, ConnectError } from '@connectrpc/connect';
 import { said } from './api';
+import { events } from './events.svelte';
 import { Curve, type Signal } from './signals.svelte';
 
 export type Tab = 'overview' | 'interfaces' | 'configure' | 'invoke';
@@ -31,8 +32,6 @@ class Page {
   curves = $state.raw<Curve[]>([]);
   /// Outputs shown as pictures.
   pictures = $state.raw<string[]>([]);
-  /// Events followed in the list.
-  events = $state.raw<string[]>([]);
   /// Brings a component into view.
   reveal: (path: string) => void = () => {};
   #count = 0;
@@ -98,7 +97,7 @@ class Page {
   event(path: string) {
     this.docked = true;
     this.dock = 'events';
-    if (!this.events.includes(path)) this.events = [...this.events, path];
+    events.follow(path);
   }
 }
 

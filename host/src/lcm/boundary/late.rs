@@ -2,19 +2,20 @@
 //!
 //! Invariant: no step waits for whoever only looks on. What is for them is noted in the thread's turn, and given when that ends: in
 //! the order it came, after all who work with what the turn has made were woken. Nothing is left over when a turn ends. Only what a
-//! component did is noted that no other thread enters before then ([`super::boundary::runs_kept`]): nobody overtakes it.
+//! component did is noted that no other thread enters before then ([`super::runs_kept`]): nobody overtakes it. What is noted stays
+//! until its turn ends, so noting it counts nothing.
 
 use std::cell::{Cell, RefCell};
 use std::ops::Range;
-use std::sync::Arc;
+use std::ptr::NonNull;
 
 use trocar_rt::pool::Frame;
 use trocar_rt::stream::Meta;
 use trocar_rt::turn;
 
-use super::boundary::{OutCell, OutLink};
-use super::instance::Instance;
-use super::{context, pending};
+use super::super::instance::Instance;
+use super::super::{context, pending};
+use super::output::{OutCell, OutLink};
 
 /// How much a turn may have to give later; with more of it what is there is given at once.
 const MOST: usize = 64;
@@ -35,30 +36,46 @@ struct Late {
     bytes: Vec<u8>,
 }
 
+/// What stays where it is until this turn ends, by the promise of whoever noted it.
+struct Staying<T>(NonNull<T>);
+
+impl<T> Staying<T> {
+    fn new(what: &T) -> Staying<T> {
+        Staying(NonNull::from(what))
+    }
+
+    /// # Safety
+    /// In the turn in which it was noted.
+    unsafe fn get(&self) -> &T {
+        // SAFETY: it stays until that turn ends.
+        unsafe { self.0.as_ref() }
+    }
+}
+
 enum What {
     /// The newest row of its state table.
-    Row(Arc<Instance>),
+    Row(Staying<Instance>),
     /// An event or command, by the words before its payload.
     Told {
-        tap: Arc<OutCell>,
+        tap: Staying<OutCell>,
         words: [u32; 4],
         payload: Range<usize>,
         stamp_ns: u64,
     },
     Sample {
-        link: Arc<OutLink>,
+        link: Staying<OutLink>,
         value: Range<usize>,
         meta: Meta,
     },
     Frame {
-        link: Arc<OutLink>,
+        link: Staying<OutLink>,
         frame: Frame,
         meta: Meta,
     },
 }
 
 /// Makes room for this thread, before its first turn.
-pub(super) fn prepare() {
+pub(in crate::lcm) fn prepare() {
     // Written to, so that it is memory before it is needed.
     let mut bytes = vec![1; ROOM];
     bytes.clear();
@@ -67,38 +84,50 @@ pub(super) fn prepare() {
 
 /// Leaves the newest row of a component for later; false where it has to be told now.
 #[inline(never)]
-pub(super) fn row(instance: &Instance) -> bool {
-    let Some(me) = has_room(0).then(|| instance.me()).flatten() else { return false };
-    note(&[], |_| What::Row(me));
-    true
+pub(in crate::lcm) fn row(instance: &Instance) -> bool {
+    // One that this thread keeps is a member of its executor, which holds it through all of its turn.
+    let later = instance.object.is_kept_here() && has_room(0);
+    if later {
+        note(&[], |_| What::Row(Staying::new(instance)));
+    }
+    later
 }
 
 /// Leaves an event or command for later; false where it has to be told now.
-pub(super) fn told(tap: &Arc<OutCell>, words: [u32; 4], payload: &[u8], stamp_ns: u64) -> bool {
+///
+/// # Safety
+/// In a turn of this thread: `tap` was reached through a binding in that very turn, or is that of a component this thread keeps.
+pub(super) unsafe fn told(tap: &OutCell, words: [u32; 4], payload: &[u8], stamp_ns: u64) -> bool {
     let later = has_room(payload.len());
     if later {
-        note(payload, |payload| What::Told { tap: tap.clone(), words, payload, stamp_ns });
+        note(payload, |payload| What::Told { tap: Staying::new(tap), words, payload, stamp_ns });
     }
     later
 }
 
 /// Leaves a sample for later; false where it has to be pushed now.
-pub(super) fn sample(link: &Arc<OutLink>, value: &[u8], meta: Meta) -> bool {
+///
+/// # Safety
+/// In a turn of this thread: `link` was reached through a binding in that very turn.
+pub(super) unsafe fn sample(link: &OutLink, value: &[u8], meta: Meta) -> bool {
     let later = has_room(value.len());
     if later {
-        note(value, |value| What::Sample { link: link.clone(), value, meta });
+        note(value, |value| What::Sample { link: Staying::new(link), value, meta });
     }
     later
 }
 
 /// Leaves a frame for later; given back where it has to be pushed now.
-pub(super) fn frame(link: &Arc<OutLink>, frame: Frame, meta: Meta) -> Option<Frame> {
+///
+/// # Safety
+/// As of [`sample`].
+pub(super) unsafe fn frame(link: &OutLink, frame: Frame, meta: Meta) -> Option<Frame> {
     // What waits here leaves slots of the pool free, as what waits in a queue does.
     if !has_room(0) || !frame.pool_has_free(LEFT_FREE) {
         give();
         return Some(frame);
     }
-    note(&[], |_| What::Frame { link: link.clone(), frame, meta });
+    note(&[], |_| What::Frame { link: Staying::new(link), frame, meta });
     None
 }
 
@@ -130,7 +159,7 @@ fn note(bytes: &[u8], what: impl FnOnce(Range<usize>) -> What) {
 
 /// Gives observers what was noted in this turn. Real-time; in the turn it was noted in, after its wakes.
 #[inline]
-pub(super) fn give() {
+pub(in crate::lcm) fn give() {
     if NOTED.get() {
         give_all();
     }
@@ -146,11 +175,17 @@ fn give_all() {
     context::set_stepping(true);
     let Late { all, bytes } = &mut late;
     for what in all.drain(..) {
-        match what {
-            What::Row(instance) => instance.tell_row_of_turn(),
-            What::Told { tap, words, payload, stamp_ns } => tap.tell_now(words, &bytes[payload], stamp_ns),
-            What::Sample { link, value, meta } => link.push_now(&bytes[value], meta),
-            What::Frame { link, frame, meta } => link.push_frame_now(frame, meta),
+        // SAFETY: all of it was noted in this turn: whoever runs turns comes here before they end, but for one that unwinds, which
+        // ends its thread, and what it noted is dropped without a look at it.
+        unsafe {
+            match what {
+                What::Row(instance) => instance.get().tell_row_of_turn(),
+                What::Told { tap, words, payload, stamp_ns } => {
+                    tap.get().tell_now(words, &bytes[payload], stamp_ns);
+                }
+                What::Sample { link, value, meta } => link.get().push_now(&bytes[value], meta),
+                What::Frame { link, frame, meta } => link.get().push_frame_now(frame, meta),
+            }
         }
     }
     bytes.clear();
@@ -165,7 +200,9 @@ fn give_all() {
 mod tests {
     use trocar_rt::stream::{DropPolicy, Payload, Queue, StreamReader, stream_link};
 
-    use super::super::boundary::{Consumer, OUTSIDE};
+    use std::sync::Arc;
+
+    use super::super::output::{Consumer, OUTSIDE};
     use super::*;
 
     const BYTES: usize = 2048;
@@ -178,7 +215,8 @@ mod tests {
 
     fn give_sample(link: &Arc<OutLink>, seq: u64, bytes: usize) {
         let (value, meta) = (vec![seq as u8; bytes], Meta { stamp_ns: seq, seq });
-        if !sample(link, &value, meta) {
+        // SAFETY: the caller holds it until its turn has ended.
+        if !unsafe { sample(link, &value, meta) } {
             link.push_now(&value, meta);
         }
     }
@@ -251,10 +289,12 @@ mod tests {
         let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true));
         turn(|| {
             let lend = || pool.loan().expect("one is free").freeze(8);
-            assert!(frame(&link, lend(), Meta { stamp_ns: 1, seq: 1 }).is_none());
+            // SAFETY: held until the turn has ended.
+            let frame = |seq| unsafe { frame(&link, lend(), Meta { stamp_ns: seq, seq }) };
+            assert!(frame(1).is_none());
             assert_eq!(pool.stats().free, 2);
             assert!(reader.next().is_none());
-            assert!(frame(&link, lend(), Meta { stamp_ns: 2, seq: 2 }).is_some(), "too few would be free");
+            assert!(frame(2).is_some(), "too few would be free");
         });
         assert_eq!(reader.next().map(|sample| sample.meta.seq), Some(1));
         drop((reader, link));

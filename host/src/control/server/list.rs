@@ -1,0 +1,69 @@
+//! List: the graph or a part of it, at once, or as soon as it is otherwise than the caller knows it.
+//!
+//! Invariant: an etag depends on what is listed alone, so a caller that asks again with it misses no change, only states between.
+
+use std::collections::hash_map::DefaultHasher;
+use std::hash::Hasher;
+use std::sync::Arc;
+use std::time::Instant;
+
+use prost_reflect::prost::Message;
+use tokio::sync::watch;
+use trocar_model::{ComponentId, Refusal, SystemGraph};
+use trocar_proto::v1;
+
+use super::part::keep_only;
+use crate::control::convert::{self, Figures};
+
+/// What is listed.
+pub(super) struct Listed {
+    pub(super) whole: Arc<SystemGraph>,
+    /// The part of it that was asked for.
+    pub(super) part: SystemGraph,
+    pub(super) etag: String,
+}
+
+/// What `request` names; where it has an etag, once that is another one, or what there is at `until`, or when the port closes.
+///
+/// # Errors
+/// There is nothing of that name.
+pub(super) async fn listed(
+    mut graphs: watch::Receiver<Arc<SystemGraph>>,
+    request: &v1::ListRequest,
+    until: Instant,
+    mut closing: watch::Receiver<()>,
+) -> Result<Listed, Refusal> {
+    loop {
+        let whole = graphs.borrow_and_update().clone();
+        let part = part(&whole, &request.path)?;
+        let etag = etag(&whole, &part);
+        if etag == request.unless_etag {
+            tokio::select! {
+                changed = graphs.changed() => if changed.is_ok() { continue },
+                () = tokio::time::sleep_until(until.into()) => {}
+                _ = closing.changed() => {}
+            }
+        }
+        return Ok(Listed { whole, part, etag });
+    }
+}
+
+fn part(whole: &SystemGraph, path: &str) -> Result<SystemGraph, Refusal> {
+    let mut part = whole.clone();
+    if !path.is_empty() {
+        keep_only(&mut part, path)?;
+        let kept: Vec<ComponentId> = part.components.keys().cloned().collect();
+        let holds = |id: &ComponentId| kept.contains(id);
+        part.connections.retain(|_, c| holds(&c.client.component) || holds(&c.server.component));
+    }
+    Ok(part)
+}
+
+/// Of what is listed and not of its revision: what was accepted and changed nothing is no other graph.
+fn etag(whole: &SystemGraph, part: &SystemGraph) -> String {
+    let listed = convert::list(whole, part, 0, &Figures::default());
+    let listed = v1::ListResponse { revision: 0, ..listed };
+    let mut hasher = DefaultHasher::new();
+    hasher.write(&listed.encode_to_vec());
+    format!("{:016x}", hasher.finish())
+}
