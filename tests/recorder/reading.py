@@ -166,6 +166,7 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
         for words, code, says in (
             (["record", "host/**", "-o", "there.mcap"], REFUSED, "nothing is written over"),
             (["record", "host/nothing/**", "-o", "a.mcap"], REFUSED, "host/sine/value"),
+            (["record", "host/sine/valeu", "-o", "a.mcap"], REFUSED, "did you mean host/sine/value?"),
             (["record", "host/**", "-o", "a.txt"], USAGE, ".mcap"),
             (["record", "host/**", "-o", "nowhere/a.mcap"], REFUSED, "make the directory"),
             # Not even root makes a file there.
@@ -196,7 +197,8 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
             (["--csv", "-o", "new", "--from", "2s", "--to", "1s"], USAGE, "--from is not before --to"),
             (["--csv", "-o", "new", "--from=-1s"], USAGE, "--from"),
             (["--csv", "--npz", "-o", "new"], USAGE, "cannot be used with"),
-            (["--png", "-o", "new"], REFUSED, "no message in it is"),
+            (["--png", "-o", "new"], REFUSED, "no picture among"),
+            (["--csv", "-o", "new", "--topic", "host/sine/valeu"], REFUSED, "did you mean /host/sine/value?"),
         ):
             done = world.run("export", "good.mcap", *words)
             assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
@@ -205,7 +207,7 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
         world.recorder({"a": f"{sine}/value"})
         (world.dir / "rec/there.mcap").write_text("precious")
         for path, says in (("../a.mcap", "leads out"), ("/tmp/a.mcap", "outside"), ("there.mcap", "nothing is written over"),
-                           ("a", ".mcap"), ("none/a.mcap", "make it first")):
+                           ("a", ".mcap"), ("a\nb.mcap", "cannot be seen"), ("none/a.mcap", "make it first")):
             refused = world.begin(path, code=REFUSED)
             assert says in refused.stderr, (path, refused.stderr)
         for delay, duration in ((-1, 0), (1e300, 0), (0, -5)):
@@ -222,6 +224,37 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
             world.run("rm", "host/bad")
         assert (world.dir / "rec/there.mcap").read_text() == "precious"
         assert [p.name for p in (world.dir / "rec").iterdir()] == ["there.mcap"]
+
+
+def test_what_the_recorder_says_of_itself_is_read_by_the_stock_reader_as_the_manual_says():
+    manual = (HERE.parents[1] / "docs/RECORDER.md").read_text()
+    code = re.search(r"```python\n(.*?)```", manual, re.S).group(1)
+    with World(["sine"]) as world:
+        world.source()
+        world.json("record", "host/sine/value", "-o", "trial.mcap", "--seconds", "0.5")
+        done = subprocess.run([sys.executable, "-c", code], cwd=world.dir, capture_output=True, text=True, timeout=PATIENCE_S)
+        assert done.returncode == 0, done.stderr
+        lines = done.stdout.splitlines()
+        assert any(line.startswith("/recorder/graph ") and "'host/sine'" in line for line in lines), lines[:3]
+        assert sum(line.startswith("/host/sine/value ") for line in lines) > 100, len(lines)
+        exported = world.json("export", "trial.mcap", "--csv")
+        own = [line for line in lines if line.startswith("/recorder/")]
+        assert exported["recorders"] == len(own) > 0, (exported, own)
+        told = world.run("export", "trial.mcap", "--csv", "-o", "own", "--topic", "/recorder/*", code=OK)
+        assert "note" not in told.stderr and (world.dir / "own/recorder_graph.csv").exists(), told.stderr
+        arrays = world.json("export", "trial.mcap", "--npz", "--topic", "/recorder/*")
+        assert arrays["texts"] == len(own), arrays
+
+
+def test_a_recording_that_is_being_written_says_so():
+    with World(["sine"]) as world:
+        world.recorder({"a": f"{world.source()}/value"})
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["messages"] > 500)
+        told = world.json("info", "rec/a.mcap", code=PARTIAL)
+        assert not told["whole"] and "it is being written" in told["wrong"] and told["messages"] > 100, told
+        world.end()
+        assert world.json("info", "rec/a.mcap")["whole"]
 
 
 def test_hostile_recordings_end_in_a_sentence():

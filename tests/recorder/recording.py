@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import signal
 import subprocess
 import time
@@ -81,6 +82,84 @@ def test_what_finds_its_queue_full_is_lost_and_the_file_says_so():
         told = topics["/recorder/loss"][-1][1]
         assert gaps == last["lost"] == told["lost"] == told["topics"]["/host/sine/value"], (gaps, last, told)
         assert int(metadata["trocar.end"]["lost"]) == gaps, metadata["trocar.end"]
+
+
+def test_a_source_that_went_away_meanwhile_is_told_as_a_gap_that_no_counter_knows():
+    with World(["sine"]) as world:
+        names = ("cut", "gone", "kept")
+        world.recorder({name: f"{world.source(name)}/value" for name in names})
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 300)
+        world.run("disconnect", "host/rec/cut", "host/cut/value", code=OK)
+        world.wait("the cut is told", lambda s: s["interrupted"] == 1)
+        world.run("connect", "host/rec/cut", "host/cut/value", "--fifo", "4096", code=OK)
+        kept = world.topic(0)["kept"]
+        eventually("it is recorded again", lambda: world.topic(0)["kept"] > kept + 100 or None)
+        world.run("rm", "host/gone", "--force", code=OK)
+        last = world.end()
+        assert last["interrupted"] == 2 and last["lost"] == 0 and last["whole"], last
+        assert [world.topic(n)["interrupted"] for n in range(3)] == [1, 1, 0]
+        topics, metadata, _ = messages(world.dir / "rec/a.mcap")
+        end = metadata["trocar.end"]
+        told = {key: end[key] for key in end if key.startswith("interrupted")}
+        assert told == {"interrupted": "2", "interrupted:/host/cut/value": "1", "interrupted:/host/gone/value": "1"}, end
+        when = [message.log_time for message, told in topics["/recorder/loss"] if told["interrupted"]]
+        assert topics["/recorder/loss"][-1][1]["interrupted"] == {"/host/cut/value": 1, "/host/gone/value": 1}, topics["/recorder/loss"]
+        # The file has it at the time of the gap.
+        times = [message.publish_time for message, _ in topics["/host/cut/value"]]
+        gap = max(zip(times, times[1:]), key=lambda pair: pair[1] - pair[0])
+        assert gap[0] < when[0] and contiguous(topics["/host/kept/value"]), (gap, when)
+        info = world.run("info", "rec/a.mcap", code=OK)
+        assert "/host/cut/value: its connection or the process of its source went away" in info.stderr, info.stderr
+        world.begin("b.mcap")
+        world.wait("the next one records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 100)
+        # Taken away while it records: that is an end, and no gap.
+        world.run("rm", "host/rec", "--force", code=OK)
+        end = messages(world.dir / "rec/b.mcap")[1]["trocar.end"]
+        assert (end["interrupted"], end["lost"]) == ("0", "0"), end
+
+
+def test_a_manager_that_was_killed_is_no_gap():
+    with World(["sine"], managed=True) as world:
+        world.recorder({"a": f"{world.source()}/value"})
+        world.begin("a.mcap")
+        world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 100)
+        world.manager.kill()
+        world.manager.wait()
+        world.manage(world.env["TROCAR_GCM"])
+        eventually("the new one knows it", lambda: world.run("call", "host/rec/ctl/status").returncode == OK or None)
+        world.source("other")
+        eventually("what changed then is told", lambda: b'"host/other"' in (world.dir / "rec/a.mcap").read_bytes() or None)
+        last = world.end()
+        assert (last["interrupted"], last["lost"], last["whole"]) == (0, 0, True), last
+        assert contiguous(messages(world.dir / "rec/a.mcap")[0]["/host/sine/value"])
+
+
+def test_a_source_that_was_killed_is_told_by_record():
+    system = {"version": 1,
+              "processes": {name: {"plugins": ["plugins"]} for name in ("a", "b")},
+              "components": {"a/sine": {"class": "sine/sine"}, "b/sine": {"class": "sine/sine"}},
+              "connections": []}
+    with World(["sine"], system) as world:
+        def pid(name):
+            return next(p["pid"] for p in world.json("ls")["processes"] if p["name"] == name)
+
+        command = ["record", "a/**", "b/sine/value", "-o", "a.mcap", "--in", "a", "--json"]
+        recording = subprocess.Popen([BIN / "trocar", *command], cwd=world.dir, env=world.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+            status = lambda: next((world.read(f"{c['path']}/ctl/status") for c in world.json("ls")["components"] if c["class"] == "recorder/recorder"), {})
+            eventually("it records", lambda: status().get("messages", 0) > 100)
+            os.kill(pid("b"), signal.SIGKILL)
+            eventually("the gap is told", lambda: status()["interrupted"] == 1)
+            eventually("its source is back", lambda: world.json("ls")["components"] and pid("b") or None)
+            recording.send_signal(signal.SIGINT)
+            out, errors = recording.communicate(timeout=PATIENCE_S)
+        finally:
+            recording.kill()
+            recording.wait()
+        assert recording.returncode == 5, (recording.returncode, out, errors)
+        done = json.loads(out)
+        assert done["interrupted"] == 1 and done["interruptions"] == [["/b/sine/value", 1]], done
 
 
 def test_a_pause_is_no_part_of_the_next_recording():

@@ -60,8 +60,8 @@ def eventually(what, probe):
 class World:
     """A host in a directory of its own, ended with the test."""
 
-    def __init__(self, plugins, system=None, ready=None):
-        """`ready` makes what the system finds in its directory: `made`."""
+    def __init__(self, plugins, system=None, ready=None, managed=False):
+        """`ready` makes what the system finds in its directory: `made`; `managed`: the GCM is a process of its own, `manager`."""
         self.dir = pathlib.Path(tempfile.mkdtemp(prefix="trocar-recorder-"))
         (self.dir / "plugins").mkdir()
         (self.dir / "rec").mkdir()
@@ -76,27 +76,39 @@ class World:
         if system:
             (self.dir / "system.json").write_text(json.dumps(system))
             command = [BIN / "trocar", "up", "system.json", "--listen", "127.0.0.1:0"]
-        self.host = subprocess.Popen(command, cwd=self.dir, env=self.env, stdout=self.log, stderr=subprocess.STDOUT)
+        self.manager = None
+        if managed:
+            self.manage("127.0.0.1:0")
+            command += ["--gcm", eventually("the GCM says its address", lambda: self.address("gcm.log"))]
+        self.host = self.begun(command, self.log)
         address = eventually("the host says its address", self.address)
-        self.env["TROCAR_GCM"] = address
+        self.env["TROCAR_GCM"] = self.address("gcm.log") if managed else address
         eventually("the classes are there", lambda: "recorder/recorder" in self.run("ls", "--json").stdout or None)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        if self.host.poll() is None:
-            self.host.terminate()
+        for process in filter(None, (self.host, self.manager)):
+            process.terminate()
             try:
-                self.host.wait(20)
+                process.wait(20)
             except subprocess.TimeoutExpired:
-                self.host.kill()
-                self.host.wait()
+                process.kill()
+                process.wait()
         self.log.close()
         shutil.rmtree(self.dir, ignore_errors=True)
 
-    def address(self):
-        found = re.search(r"127\.0\.0\.1:\d+", (self.dir / "host.log").read_text())
+    def begun(self, command, log):
+        return subprocess.Popen(command, cwd=self.dir, env=self.env, stdout=log, stderr=subprocess.STDOUT)
+
+    def manage(self, address):
+        """A GCM that goes on with what an earlier one left."""
+        with open(self.dir / "gcm.log", "a") as log:
+            self.manager = self.begun([BIN / "trocar", "gcm", "--listen", address, "--state", "gcm-state"], log)
+
+    def address(self, log="host.log"):
+        found = re.search(r"127\.0\.0\.1:\d+", (self.dir / log).read_text())
         return found and found.group(0)
 
     def run(self, *words, code=None):

@@ -38,6 +38,11 @@ pub(super) fn rate_of_period(period_ns: u64) -> String {
     if period_ns == 0 { "-".to_owned() } else { rate(1e9 / period_ns as f64) }
 }
 
+/// So many of something that is called by a regular word: "1 output", "2 outputs".
+pub(super) fn count(n: u64, one: &str) -> String {
+    format!("{n} {one}{}", if n == 1 { "" } else { "s" })
+}
+
 /// A part of one.
 pub(super) fn percent(part: f64) -> String {
     format!("{:.1} %", part * 100.0)

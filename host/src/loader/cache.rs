@@ -135,14 +135,8 @@ fn is_whole(path: &Path, bytes: &[u8]) -> bool {
 }
 
 fn is_noexec(path: &Path) -> io::Result<bool> {
-    let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes())?;
-    // SAFETY: `statvfs` is a plain struct of integers for which all zeros is valid.
-    let mut stat: libc::statvfs = unsafe { std::mem::zeroed() };
-    // SAFETY: the path is zero-terminated and `stat` is ours to write.
-    match unsafe { libc::statvfs(path.as_ptr(), &raw mut stat) } {
-        0 => Ok(stat.f_flag & libc::ST_NOEXEC != 0),
-        _ => Err(io::Error::last_os_error()),
-    }
+    let file_system = rustix::fs::statvfs(path)?;
+    Ok(file_system.f_flag.contains(rustix::fs::StatVfsMountFlags::NOEXEC))
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use trocar_sdk::serde_json::{Value as Json, json};
 
 use crate::block::{Kind, Way};
 use crate::orders::Order;
+use crate::topic::Link;
 
 /// How long the first answer is waited for, ns: without a GCM a recording begins all the same.
 const PATIENCE_NS: u64 = 5_000_000_000;
@@ -30,6 +31,24 @@ pub(crate) struct Explaining {
     configs: BTreeMap<String, Json>,
 }
 
+/// An input, and what it is connected to.
+pub(crate) struct Connected {
+    pub(crate) input: String,
+    pub(crate) server: String,
+    /// None where its process is away.
+    pub(crate) link: Option<Link>,
+}
+
+fn number(value: &Json, key: &str) -> u64 {
+    let value = &value[key];
+    value.as_u64().or_else(|| value.as_str().and_then(|text| text.parse().ok())).unwrap_or(0)
+}
+
+/// Incarnation of the GCM that answered, and its revision of the graph.
+pub(crate) fn revision(graph: &Json) -> (u64, u64) {
+    (number(graph, "term"), number(graph, "revision"))
+}
+
 fn text<'a>(value: &'a Json, key: &str) -> &'a str {
     value[key].as_str().unwrap_or_default()
 }
@@ -43,14 +62,26 @@ impl Explaining {
         self.revision.is_some() || now_ns.saturating_sub(self.since_ns) > PATIENCE_NS
     }
 
+    /// Answers may overtake each other: an older one is no news.
+    pub(crate) fn is_news(&self, graph: &Json) -> bool {
+        self.revision.is_none_or(|known| known <= revision(graph))
+    }
+
     /// Inputs of `who`, and what is connected to each.
-    pub(crate) fn connected(&self, graph: &Json, who: &str) -> Vec<(String, String)> {
-        let all = graph["connections"].as_array().into_iter().flatten();
-        all.filter_map(|connection| {
-            let input = text(connection, "client").strip_prefix(who)?.strip_prefix('/')?;
-            Some((input.to_owned(), text(connection, "server").to_owned()))
-        })
-        .collect()
+    pub(crate) fn connected(&self, graph: &Json, who: &str) -> Vec<Connected> {
+        let all = |key: &str| graph[key].as_array().into_iter().flatten();
+        let attached = all("processes").filter(|p| text(p, "state") == "PROCESS_STATE_ATTACHED");
+        let epochs: BTreeMap<&str, u64> = attached.map(|p| (text(p, "name"), number(p, "epoch"))).collect();
+        let (term, _) = revision(graph);
+        all("connections")
+            .filter_map(|connection| {
+                let input = text(connection, "client").strip_prefix(who)?.strip_prefix('/')?;
+                let server = text(connection, "server");
+                let epoch = server.split('/').next().and_then(|process| epochs.get(process));
+                let link = epoch.map(|epoch| Link { id: number(connection, "id"), epoch: *epoch, term });
+                Some(Connected { input: input.to_owned(), server: server.to_owned(), link })
+            })
+            .collect()
     }
 
     /// Whether an answer told of all the classes its processes have.
@@ -65,18 +96,9 @@ impl Explaining {
         names.iter().all(|name| self.classes.contains(*name))
     }
 
-    /// An answer of the GCM: told when it is another one than the last.
+    /// News of the GCM: told when it is another graph than the last.
     pub(crate) fn graph_is(&mut self, mut graph: Json, now_ns: u64, way: &mut Way) {
-        let number = |key: &str| {
-            let value = &graph[key];
-            value.as_u64().or_else(|| value.as_str().and_then(|text| text.parse().ok())).unwrap_or(0)
-        };
-        let revision = (number("term"), number("revision"));
-        // Answers may overtake each other: an older one is no news.
-        if self.revision.is_some_and(|known| known > revision) {
-            return;
-        }
-        self.revision = Some(revision);
+        self.revision = Some(revision(&graph));
         let classes = graph["classes"].as_array().into_iter().flatten();
         let of = |class| format!("{} sha256:{}", text(class, "version"), text(class, "hash"));
         let plugins = classes.map(|class| (text(class, "plugin").to_owned(), of(class)));

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use crate::block::Block;
+use crate::topic::Topic;
 
 /// What is asked.
 pub(crate) enum Order {
@@ -19,9 +20,28 @@ pub(crate) enum Order {
     Open(Box<Opening>),
     /// A metadata record, in the file that is open and in each that is opened later.
     Metadata(String, BTreeMap<String, String>),
-    /// What was lost so far, for the end of the file.
-    Lost(Vec<(String, u64)>),
+    /// What is missing so far, for the end of the file.
+    Missing(Missing),
     Close(String),
+}
+
+/// Topics of which something is missing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Missing {
+    /// How many samples were lost.
+    pub(crate) lost: Vec<(String, u64)>,
+    /// How often what they are connected to went away.
+    pub(crate) interrupted: Vec<(String, u64)>,
+}
+
+impl Missing {
+    pub(crate) fn of(each: &[Topic]) -> Missing {
+        let those = |count: fn(&Topic) -> u64| {
+            let all = each.iter().map(|topic| (topic.name.clone(), count(topic)));
+            all.filter(|(_, n)| *n > 0).collect()
+        };
+        Missing { lost: those(|topic| topic.lost), interrupted: those(|topic| topic.interrupted) }
+    }
 }
 
 /// A channel as MCAP has it.
@@ -64,10 +84,17 @@ pub(crate) enum Codec {
     Jpeg(u8),
 }
 
-/// What the writer tells.
+/// A file was closed, as the writer tells it.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum News {
-    /// The file is closed.
-    /// `lost`: what should be in it and is not, those among them that could not be compressed.
-    Ended { why: String, path: PathBuf, messages: u64, bytes: u64, lost: u64, whole: bool },
+pub(crate) struct Ended {
+    pub(crate) why: String,
+    pub(crate) path: PathBuf,
+    pub(crate) messages: u64,
+    pub(crate) bytes: u64,
+    /// What should be in it and is not, those among them that could not be compressed.
+    pub(crate) lost: u64,
+    /// How often what was recorded went away.
+    pub(crate) interrupted: u64,
+    /// It has its index and its end.
+    pub(crate) whole: bool,
 }

@@ -20,6 +20,9 @@ pub(crate) fn make(directory: &str, name: &str) -> Result<(File, PathBuf), Strin
     if name.is_empty() {
         return Err("path: is empty: say how the recording is to be called, such as trial.mcap".into());
     }
+    if name.contains(char::is_control) {
+        return Err(format!("path: {name:?} has characters that cannot be seen: leave them out"));
+    }
     if asked.extension().is_none_or(|end| !end.eq_ignore_ascii_case("mcap")) {
         return Err(format!(
             "path: {name:?} does not end with .mcap, and MCAP is what is written: add the ending"
@@ -44,7 +47,11 @@ pub(crate) fn make(directory: &str, name: &str) -> Result<(File, PathBuf), Strin
     }
     let path = parent.join(file_name);
     match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
-        Ok(file) => Ok((file, path)),
+        Ok(file) => {
+            // Whoever looks at it sees that it is being written; not every place knows locks, and none needs one.
+            let _ = file.try_lock();
+            Ok((file, path))
+        }
         Err(why) if why.kind() == ErrorKind::AlreadyExists => Err(format!(
             "path: {path:?} exists, and nothing is written over: choose another name, or remove it"
         )),
@@ -73,6 +80,7 @@ mod tests {
             ("out/a.mcap", "lies outside"),
             ("a.txt", "does not end with .mcap"),
             ("", "is empty"),
+            ("a\nb.mcap", "cannot be seen"),
             ("nowhere/a.mcap", "is not there"),
             ("there.mcap", "exists, and nothing is written over"),
         ] {

@@ -11,9 +11,10 @@ use std::sync::atomic::Ordering;
 use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::Value as Json;
 
-use crate::orders::{News, Opening, Order};
+use crate::explain::{self, Connected};
+use crate::orders::{Ended, Missing, Opening, Order};
 use crate::place;
-use crate::running::{Plan, Running, lost_of};
+use crate::running::{Plan, Running};
 use crate::settings::{LONGEST_S, RecorderConfig, gap, seconds};
 use crate::topic::{Seen, Topic};
 use crate::words::{Note, Phase, Progress, RecordAt, StartRequest, Stopped, Thinning, TopicStatus};
@@ -202,6 +203,7 @@ impl Recorder {
             left_out: topic.left_out,
             lost: topic.lost,
             bytes: topic.bytes,
+            interrupted: topic.interrupted,
         })
     }
 
@@ -278,7 +280,15 @@ impl Recorder {
             self.path = Text::default();
         }
         if run.began_ns != 0 {
-            run.tell_loss(&self.each, self.host.now().ns());
+            let now_ns = self.host.now().ns();
+            let fixed = [
+                &self.in_1, &self.in_2, &self.in_3, &self.in_4, &self.in_5, &self.in_6, &self.in_7,
+                &self.in_8,
+            ];
+            let cut = self.topics.ports().chain(fixed).map(|input| input.type_json().is_none());
+            let cut = self.each.iter_mut().zip(cut).filter(|(_, cut)| *cut);
+            cut.for_each(|(topic, _)| topic.is_cut(now_ns));
+            run.tell_loss(&self.each, now_ns);
             run.way.order(Order::Close(why.to_owned()));
         }
         (run.began_ns, run.ends_ns, run.pause_ns, run.paused) = (0, 0, 0, false);
@@ -362,9 +372,9 @@ impl Recorder {
     /// What the writer has told.
     fn hear(&mut self) {
         let Some(run) = &mut self.run else { return };
-        let ended: Vec<News> = run.news.try_iter().collect();
-        for news in ended {
-            self.tell_end(&news);
+        let all: Vec<Ended> = run.news.try_iter().collect();
+        for ended in all {
+            self.tell_end(&ended);
             let Some(run) = &mut self.run else { return };
             if run.plan.is_none() && self.path == self.last.path {
                 // It ended by itself, or was ended: nothing is recorded until it is asked for.
@@ -377,7 +387,7 @@ impl Recorder {
 }
 
 impl Recorder {
-    fn tell_end(&mut self, News::Ended { why, path, messages, bytes, lost, whole }: &News) {
+    fn tell_end(&mut self, Ended { why, path, messages, bytes, lost, interrupted, whole }: &Ended) {
         if !whole || why == crate::writer::FULL {
             log::warn!("the recording {} has ended: {why}", path.display());
         }
@@ -389,6 +399,7 @@ impl Recorder {
             lost: *lost,
             whole: (*whole).into(),
             reserved: [0; 7],
+            interrupted: *interrupted,
         };
         self.stopped.emit(self.last);
     }
@@ -444,10 +455,16 @@ impl Component for Recorder {
             run.asking.want_classes();
         }
         run.asking.answered(reply.response["etag"].as_str().unwrap_or_default());
-        if !told {
+        if !told || !run.explaining.is_news(&reply.response) {
             return Ok(());
         }
-        for (input, server) in run.explaining.connected(&reply.response, &who) {
+        let connected = run.explaining.connected(&reply.response, &who);
+        let term = explain::revision(&reply.response).0;
+        for (topic, input) in self.each.iter_mut().zip(&self.fitted) {
+            let found = connected.iter().find(|connected| connected.input == *input);
+            topic.link_is(found.and_then(|connected| connected.link), term, now_ns);
+        }
+        for Connected { input, server, .. } in connected {
             let configured = self.cfg.topics.iter().position(|name| *name == input);
             let said = configured.and_then(|at| self.cfg.sources.get(at)).is_some_and(|s| !s.is_empty());
             let at = self.fitted.iter().position(|name| *name == input);
@@ -502,11 +519,19 @@ impl Component for Recorder {
             bytes: run.written.bytes.load(Ordering::Relaxed),
             lost: self.each.iter().map(|topic| topic.lost).sum(),
             elapsed: if recording { now_ns.saturating_sub(run.began_ns) as f64 * 1e-9 } else { 0.0 },
+            interrupted: self.each.iter().map(|topic| topic.interrupted).sum(),
         };
-        if recording && self.status.lost != run.lost_told {
+        let told = (self.status.lost, self.status.interrupted);
+        if recording && told != run.told {
             // The writer may have to close the file at any moment.
-            run.lost_told = self.status.lost;
-            run.way.order(Order::Lost(lost_of(&self.each)));
+            let cut = told.1 != run.told.1;
+            run.told = told;
+            // The file has it at the time when it was noticed.
+            if cut {
+                run.tell_loss(&self.each, now_ns);
+            } else {
+                run.way.order(Order::Missing(Missing::of(&self.each)));
+            }
         }
         if recording && now_ns.saturating_sub(run.told_ns) >= 1_000_000_000 {
             run.told_ns = now_ns;
@@ -525,8 +550,8 @@ impl Recorder {
         self.catch_up();
         self.end("the recorder was stopped");
         let Some(run) = self.run.take() else { return };
-        for news in run.finish() {
-            self.tell_end(&news);
+        for ended in run.finish() {
+            self.tell_end(&ended);
         }
         self.path = Text::default();
     }

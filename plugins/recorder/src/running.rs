@@ -15,7 +15,7 @@ use crate::asking::Asking;
 use crate::block::{Kind, Way, way};
 use crate::explain::Explaining;
 use crate::foxglove;
-use crate::orders::{Channel, Codec, News, Opening, Order, Written};
+use crate::orders::{Channel, Codec, Ended, Missing, Opening, Order, Written};
 use crate::settings::{RecorderConfig, seconds};
 use crate::topic::Topic;
 use crate::writer::Writer;
@@ -25,7 +25,7 @@ const KINDS: usize = 32;
 
 pub(crate) struct Running {
     pub(crate) way: Way,
-    pub(crate) news: Receiver<News>,
+    pub(crate) news: Receiver<Ended>,
     /// Of the last recording that was planned.
     pub(crate) written: Arc<Written>,
     thread: Option<JoinHandle<()>>,
@@ -45,8 +45,8 @@ pub(crate) struct Running {
     pub(crate) told_ns: u64,
     /// When the step before was; before the first one, when it was started.
     pub(crate) stepped_ns: u64,
-    /// What was lost when the writer was told last.
-    pub(crate) lost_told: u64,
+    /// What was missing when the writer was told last: lost, interrupted.
+    pub(crate) told: (u64, u64),
     markers: u64,
 }
 
@@ -102,7 +102,7 @@ impl Running {
             paused: false,
             told_ns: 0,
             stepped_ns: host.now().ns(),
-            lost_told: 0,
+            told: (0, 0),
             markers: 0,
         };
         run.introduce(host, cfg);
@@ -179,7 +179,7 @@ impl Running {
         // Where its time was since the step before, it counts from then.
         let from_ns = plan.at_ns.max(self.stepped_ns);
         self.ends_ns = if plan.duration_ns == 0 { 0 } else { from_ns + plan.duration_ns };
-        (self.pause_ns, self.paused, self.lost_told) = (0, false, 0);
+        (self.pause_ns, self.paused, self.told) = (0, false, (0, 0));
         (self.told_ns, self.markers) = (now_ns, 0);
         self.explaining.begin(now_ns, &mut self.way);
         self.way.order(Order::Metadata("trocar.clock".into(), clock(host)));
@@ -231,19 +231,22 @@ impl Running {
         Ok(())
     }
 
-    /// What was lost so far, into the recording and for its end.
+    /// What is missing so far, into the recording and for its end.
     pub(crate) fn tell_loss(&mut self, each: &[Topic], now_ns: u64) {
-        let lost = lost_of(each);
-        let by_topic: Json = lost.iter().map(|(name, n)| (name.clone(), json!(n))).collect();
-        let total: u64 = lost.iter().map(|(_, n)| n).sum();
-        let text = json!({ "lost": total, "topics": by_topic }).to_string();
+        let missing = Missing::of(each);
+        let by_topic = |all: &[(String, u64)]| -> Json {
+            all.iter().map(|(name, n)| (name.clone(), json!(n))).collect()
+        };
+        let (lost, interrupted) = (by_topic(&missing.lost), by_topic(&missing.interrupted));
+        let total: u64 = missing.lost.iter().map(|(_, n)| n).sum();
+        let text = json!({ "lost": total, "topics": lost, "interrupted": interrupted }).to_string();
         let head = (self.own.loss, 0, now_ns, now_ns);
         self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
-        self.way.order(Order::Lost(lost));
+        self.way.order(Order::Missing(missing));
     }
 
     /// Ends the writer, which closes what is open first: what it told and nobody heard yet.
-    pub(crate) fn finish(mut self) -> Vec<News> {
+    pub(crate) fn finish(mut self) -> Vec<Ended> {
         self.way.send();
         let Running { way, news, thread, .. } = self;
         // Without its orders the writer closes what is open and ends.
@@ -253,11 +256,6 @@ impl Running {
         }
         news.try_iter().collect()
     }
-}
-
-/// Topics that have lost samples, with how many.
-pub(crate) fn lost_of(each: &[Topic]) -> Vec<(String, u64)> {
-    each.iter().filter(|t| t.lost > 0).map(|t| (t.name.clone(), t.lost)).collect()
 }
 
 fn json_channel(topic: &str) -> Channel {

@@ -36,6 +36,12 @@ pub(crate) struct Topic {
     pub(crate) left_out: u64,
     pub(crate) lost: u64,
     pub(crate) bytes: u64,
+    /// How often what it is connected to went away.
+    pub(crate) interrupted: u64,
+    /// When it did last, ns.
+    interrupted_ns: u64,
+    /// What it is connected to, as far as was told.
+    link: Option<Link>,
     /// The connection the last sample came by; 0 = none.
     source: u64,
     seq: u64,
@@ -46,6 +52,17 @@ pub(crate) struct Topic {
     encoder: Option<Encoder>,
     /// One more for each frame that is held.
     held: Arc<()>,
+}
+
+/// What an input is connected to, as the GCM tells it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Link {
+    /// Number of the connection.
+    pub(crate) id: u64,
+    /// Incarnation of the process at its other end.
+    pub(crate) epoch: u64,
+    /// Of the GCM that said so.
+    pub(crate) term: u64,
 }
 
 struct Encoder {
@@ -121,6 +138,7 @@ impl Topic {
     /// Counts from here; what was lost counts from that time on.
     pub(crate) fn begin(&mut self, since_ns: u64) {
         (self.kept, self.left_out, self.bytes) = (0, 0, 0);
+        self.interrupted = u64::from(self.interrupted_ns != 0 && self.interrupted_ns >= since_ns);
         (self.last_kept_ns, self.since_kept) = (0, 0);
         self.recent.retain(|(when_ns, _)| *when_ns >= since_ns);
         self.lost = self.recent.iter().map(|(_, n)| n).sum();
@@ -137,6 +155,28 @@ impl Topic {
         {
             oldest.1 += older;
         }
+    }
+
+    /// What it is connected to, as the GCM of this term says; none where that went away.
+    pub(crate) fn link_is(&mut self, link: Option<Link>, term: u64, now_ns: u64) {
+        let same = match (self.link, link) {
+            (None, _) => true,
+            (Some(old), Some(new)) => (old.id, old.epoch) == (new.id, new.epoch),
+            // One that has just begun does not know yet who is there; samples come all the same.
+            (Some(old), None) if old.term != term => return,
+            (Some(_), None) => false,
+        };
+        self.link = link;
+        if !same {
+            self.interrupted += 1;
+            self.interrupted_ns = now_ns;
+        }
+    }
+
+    /// It is found to be connected to nothing: a GCM may not have told yet.
+    pub(crate) fn is_cut(&mut self, now_ns: u64) {
+        let term = self.link.map_or(0, |link| link.term);
+        self.link_is(None, term, now_ns);
     }
 
     /// Another name, so other channels.
@@ -395,6 +435,31 @@ mod tests {
         (0..10 * RECENT as u64).for_each(|n| topic.lose(1, n));
         topic.begin(0);
         assert_eq!((topic.lost, topic.recent.len()), (10 * RECENT as u64, RECENT), "none is forgotten");
+    }
+
+    #[test]
+    fn what_it_was_connected_to_and_is_not_any_more_interrupts_it() {
+        let mut topic = whole();
+        let told = |topic: &mut Topic, link: Option<(u64, u64)>, term, now_ns| {
+            topic.link_is(link.map(|(id, epoch)| Link { id, epoch, term }), term, now_ns);
+            topic.interrupted
+        };
+        assert_eq!(told(&mut topic, None, 1, 10), 0, "it was never connected");
+        assert_eq!(told(&mut topic, Some((1, 1)), 1, 20), 0);
+        assert_eq!(told(&mut topic, Some((1, 1)), 1, 30), 0, "it stays connected");
+        assert_eq!(told(&mut topic, None, 1, 40), 1, "it was cut");
+        assert_eq!(told(&mut topic, None, 1, 50), 1, "once");
+        assert_eq!(told(&mut topic, Some((2, 1)), 1, 60), 1, "it is connected again");
+        assert_eq!(told(&mut topic, Some((2, 2)), 1, 70), 2, "its source is another process");
+        assert_eq!(told(&mut topic, None, 2, 80), 2, "another GCM does not know it yet");
+        assert_eq!(told(&mut topic, Some((2, 2)), 2, 90), 2, "and then does");
+        topic.is_cut(100);
+        topic.is_cut(100);
+        assert_eq!(told(&mut topic, None, 2, 110), 3, "it was found cut before that was told");
+        topic.begin(95);
+        assert_eq!(topic.interrupted, 1, "this recording reaches back behind that");
+        topic.begin(120);
+        assert_eq!(topic.interrupted, 0, "this one does not");
     }
 
     #[test]

@@ -83,6 +83,8 @@ pub struct Progress {
     /// Since it began.
     #[unit("s")]
     pub elapsed: f64,
+    /// How often a connection, or the process of a source, went away while it recorded: what would have come then is not in it.
+    pub interrupted: u64,
 }
 
 /// The end of a recording.
@@ -99,6 +101,8 @@ pub struct Stopped {
     /// It has its index and its end.
     pub whole: Flag,
     pub reserved: [u8; 7],
+    /// As in `Progress`.
+    pub interrupted: u64,
 }
 
 /// One topic in numbers.
@@ -115,4 +119,6 @@ pub struct TopicStatus {
     pub lost: u64,
     #[unit("B")]
     pub bytes: u64,
+    /// As in `Progress`, of this one.
+    pub interrupted: u64,
 }

@@ -16,7 +16,7 @@ use mcap::records::{MessageHeader, Metadata};
 use crate::block::{Block, Head, Kind, Returns};
 use crate::compress;
 use crate::mcap_file::{McapFile, is_alone};
-use crate::orders::{Channel, Codec, News, Opening, Order, Written};
+use crate::orders::{Channel, Codec, Ended, Missing, Opening, Order, Written};
 use crate::room::Room;
 use crate::sink::{MOST_FILLER, Sink};
 
@@ -38,10 +38,10 @@ pub(crate) const FULL: &str = "the disk is full: there is room for the end of th
 /// The writer's thread, from begin to end.
 pub(crate) struct Writer {
     returns: Returns,
-    news: Sender<News>,
+    news: Sender<Ended>,
     channels: Vec<Channel>,
     metadata: Vec<(String, BTreeMap<String, String>)>,
-    lost: Vec<(String, u64)>,
+    missing: Missing,
     /// From before a recording, oldest first.
     past: VecDeque<Block>,
     past_bytes: u64,
@@ -79,13 +79,13 @@ impl From<io::Error> for Broken {
 }
 
 impl Writer {
-    pub(crate) fn new(returns: Returns, news: Sender<News>, most_past: (u64, u64)) -> Writer {
+    pub(crate) fn new(returns: Returns, news: Sender<Ended>, most_past: (u64, u64)) -> Writer {
         Writer {
             returns,
             news,
             channels: Vec::new(),
             metadata: Vec::new(),
-            lost: Vec::new(),
+            missing: Missing::default(),
             past: VecDeque::new(),
             past_bytes: 0,
             most_past,
@@ -152,7 +152,7 @@ impl Writer {
                 self.metadata.push((name, values));
             }
             Order::Open(opening) => self.open(*opening),
-            Order::Lost(lost) => self.lost = lost,
+            Order::Missing(missing) => self.missing = missing,
             Order::Close(why) => self.close(&why),
         }
     }
@@ -191,7 +191,7 @@ impl Writer {
 
     fn open(&mut self, opening: Opening) {
         self.close("another recording was begun");
-        self.lost.clear();
+        self.missing = Missing::default();
         let (path, since_ns) = (opening.path.clone(), opening.since_ns);
         match OpenFile::new(opening, &self.channels, &self.metadata) {
             Ok(file) => self.file = Some(file),
@@ -200,7 +200,7 @@ impl Writer {
                     Broken::Full => "there is no room on the disk".to_owned(),
                     Broken::Other(why) => why,
                 };
-                self.tell(News::Ended { why, path, messages: 0, bytes: 0, lost: 0, whole: false });
+                self.tell(Ended { why, path, messages: 0, bytes: 0, lost: 0, interrupted: 0, whole: false });
                 return;
             }
         }
@@ -221,9 +221,9 @@ impl Writer {
                 // Nothing more can be written: the file is what it is, and readers that read from the begin read it.
                 if let Some(file) = self.file.take() {
                     let (path, messages) = (file.path.clone(), file.messages);
-                    let lost = self.lost_of(&file);
+                    let (lost, interrupted) = self.missing_of(&file);
                     let bytes = file.give_up();
-                    self.tell(News::Ended { why, path, messages, bytes, lost, whole: false });
+                    self.tell(Ended { why, path, messages, bytes, lost, interrupted, whole: false });
                 }
             }
         }
@@ -232,21 +232,22 @@ impl Writer {
     fn close(&mut self, why: &str) {
         let Some(file) = self.file.take() else { return };
         let (path, messages) = (file.path.clone(), file.messages);
-        let lost = self.lost_of(&file);
+        let (lost, interrupted) = self.missing_of(&file);
         let written = file.written.clone();
-        let (bytes, whole, told) = file.finish(why, &self.lost, &self.channels);
+        let (bytes, whole, told) = file.finish(why, &self.missing, &self.channels);
         let why = told.unwrap_or_else(|| why.to_owned());
         written.bytes.store(bytes, Ordering::Relaxed);
-        self.tell(News::Ended { why, path, messages, bytes, lost, whole });
+        self.tell(Ended { why, path, messages, bytes, lost, interrupted, whole });
     }
 
-    /// Of the recording in this file, as far as it was told.
-    fn lost_of(&self, file: &OpenFile) -> u64 {
-        file.all_spoiled() + self.lost.iter().map(|(_, n)| n).sum::<u64>()
+    /// Lost and interrupted, of the recording in this file, as far as it was told.
+    fn missing_of(&self, file: &OpenFile) -> (u64, u64) {
+        let sum = |all: &[(String, u64)]| all.iter().map(|(_, n)| n).sum::<u64>();
+        (file.all_spoiled() + sum(&self.missing.lost), sum(&self.missing.interrupted))
     }
 
-    fn tell(&self, news: News) {
-        let _ = self.news.send(news);
+    fn tell(&self, ended: Ended) {
+        let _ = self.news.send(ended);
     }
 }
 
@@ -363,13 +364,8 @@ impl OpenFile {
     }
 
     /// Closes the file: its length, whether it is whole, and what went wrong instead of the reason.
-    fn finish(
-        mut self,
-        why: &str,
-        lost: &[(String, u64)],
-        channels: &[Channel],
-    ) -> (u64, bool, Option<String>) {
-        let mut all: BTreeMap<String, u64> = lost.iter().cloned().collect();
+    fn finish(mut self, why: &str, missing: &Missing, channels: &[Channel]) -> (u64, bool, Option<String>) {
+        let mut all: BTreeMap<String, u64> = missing.lost.iter().cloned().collect();
         for (channel, n) in &self.spoiled {
             if let Some(channel) = channels.get(*channel as usize) {
                 *all.entry(channel.topic.clone()).or_default() += n;
@@ -383,12 +379,16 @@ impl OpenFile {
             ("lost".to_owned(), total.to_string()),
             ("closed_unix_ns".to_owned(), wall_ns.to_string()),
         ]);
-        // As many as there is room for at the end; the sum has them all.
+        let interrupted: u64 = missing.interrupted.iter().map(|(_, n)| n).sum();
+        end.insert("interrupted".to_owned(), interrupted.to_string());
+        // As many as there is room for at the end; the sums have them all.
         let mut room = (TAIL / 2) as usize;
-        for (topic, n) in all.iter().filter(|(_, n)| **n > 0) {
+        let lost = all.iter().filter(|(_, n)| **n > 0).map(|(topic, n)| ("lost", topic, *n));
+        let cut = missing.interrupted.iter().map(|(topic, n)| ("interrupted", topic, *n));
+        for (what, topic, n) in cut.chain(lost) {
             let Some(left) = room.checked_sub(topic.len() + 64) else { break };
             room = left;
-            end.insert(format!("lost:{topic}"), n.to_string());
+            end.insert(format!("{what}:{topic}"), n.to_string());
         }
         let record = Metadata { name: "trocar.end".to_owned(), metadata: end };
         let done = self.mcap.metadata(&record).and_then(|()| self.mcap.finish());

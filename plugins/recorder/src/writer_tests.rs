@@ -28,7 +28,7 @@ fn opening(path: &std::path::Path, since_ns: u64) -> Order {
 }
 
 /// Runs a writer over orders, and tells what it told.
-fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::block::Way)) -> Vec<News> {
+fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::block::Way)) -> Vec<Ended> {
     let (mut way, orders, returns) = way(64 << 20);
     let (tell, news) = std::sync::mpsc::channel();
     let writer = Writer::new(returns, tell, hold);
@@ -69,10 +69,13 @@ fn a_closed_file_holds_everything_and_says_what_was_lost() {
         push(way, 99, 10); // Before the recording: no part of it.
         way.order(opening(&path, 0));
         (1..=500).for_each(|n| push(way, n, 1000));
-        way.order(Order::Lost(vec![("/a".into(), 3)]));
+        way.order(Order::Missing(Missing {
+            lost: vec![("/a".into(), 3)],
+            interrupted: vec![("/a".into(), 2)],
+        }));
         way.order(Order::Close("enough".into()));
     });
-    let [News::Ended { why, messages: 500, whole: true, bytes, .. }] = &news[..] else { panic!("{news:?}") };
+    let [Ended { why, messages: 500, whole: true, bytes, .. }] = &news[..] else { panic!("{news:?}") };
     assert_eq!(why, "enough");
     assert_eq!(*bytes, path.metadata().expect("the file").len());
     assert_eq!(sequences(&path), (1..=500).collect::<Vec<u32>>());
@@ -82,7 +85,7 @@ fn a_closed_file_holds_everything_and_says_what_was_lost() {
     let end = summary.metadata_indexes.iter().find(|m| m.name == "trocar.end").expect("the end is told");
     let text =
         String::from_utf8_lossy(&all[end.offset as usize..(end.offset + end.length) as usize]).into_owned();
-    assert!(text.contains("lost:/a") && text.contains("enough"), "{text}");
+    assert!(text.contains("lost:/a") && text.contains("interrupted:/a") && text.contains("enough"), "{text}");
 }
 
 #[test]
@@ -137,7 +140,7 @@ fn filled(room: u64, direct: bool, mut push: impl FnMut(&mut crate::block::Way, 
         })
     });
     assert!(full && taken > 10, "{taken} messages");
-    let (bytes, whole, told) = open.finish(FULL, &[], &[]);
+    let (bytes, whole, told) = open.finish(FULL, &Missing::default(), &[]);
     assert!(whole && told.is_none() && bytes <= room, "{bytes} B {told:?}");
     assert_eq!(sequences(&path), (1..=taken).collect::<Vec<u32>>());
     assert_eq!(File::open(&path).expect("the file").metadata().expect("its length").len(), bytes);

@@ -170,6 +170,16 @@ def test_a_full_queue_drops_the_oldest_and_the_next_item_tells_how_many(fake, r)
     assert all(b[0] == a[0] + 1 + b[1] for a, b in zip(got, got[1:])), "each gap is told where it is"
 
 
+def test_a_handler_that_raises_each_time_shows_why_once_and_counts(fake, r, capfd):
+    items(fake, range(200))
+    f = r.on.SetPointReached(lambda v: 1 / 0)
+    eventually("each was handled", lambda: f.errors == 200)
+    shown = capfd.readouterr().err
+    assert shown.count("ZeroDivisionError") == 1 and "SetPointReached raised:" in shown, shown
+    with pytest.raises(TypeError, match="a handler is a function; 5 is not"):
+        r._session.follow(str(r.on.SetPointReached), 5)
+
+
 def test_what_the_host_left_out_is_counted_too(fake, r):
     items(fake, range(5), skipped=3)
     with r.on.SetPointReached.follow() as f:

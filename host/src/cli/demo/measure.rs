@@ -60,8 +60,10 @@ struct Video {
     /// Stereo pairs that reached the end of the chain.
     pairs: u64,
     rate_hz: f64,
-    /// Lost on any connection of the chain, and frames the source left out.
+    /// Lost on any connection of the chain.
     drops: u64,
+    /// Frames the source left out: their time was over before it ran.
+    left_out: u64,
     latency_p50_ns: u64,
     latency_p99_ns: u64,
 }
@@ -193,7 +195,8 @@ impl Report {
             video: Video {
                 pairs,
                 rate_hz: if seconds > 0.0 { pairs as f64 / seconds } else { 0.0 },
-                drops: since(a.lost(parts), b.lost(parts)) + left_out,
+                drops: since(a.lost(parts), b.lost(parts)),
+                left_out,
                 latency_p50_ns: end.latency_p50_ns,
                 latency_p99_ns: end.latency_p99_ns,
             },
@@ -209,7 +212,7 @@ impl Report {
         let (robot, video) = (&self.robot, &self.video);
         let scan = self.scan.as_ref().map(Scanned::summary).unwrap_or_default();
         format!(
-            "in {:.1} s: robot {} steps, {} skipped, {} overruns, late p99 {}; video {} pairs ({}), {} dropped, latency p99 {}\n{scan}",
+            "in {:.1} s: robot {} steps, {} skipped, {} overruns, late p99 {}; video {} pairs ({}), {} dropped, {} left out, latency p99 {}\n{scan}",
             self.seconds,
             robot.executed,
             robot.skipped,
@@ -218,6 +221,7 @@ impl Report {
             video.pairs,
             units::rate(video.rate_hz),
             video.drops,
+            video.left_out,
             units::time(video.latency_p99_ns)
         )
     }

@@ -117,7 +117,7 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
     let done = match run::bring_up(&host, file, &mut stop).await {
         Ok(true) => {
             let addr = hosting::address(&host);
-            show.begin(&format!("listening on {addr}"), &addr).await;
+            show.begin(&format!(", listening on {addr}"), &addr).await;
             let done = tokio::select! {
                 done = show.run(&addr) => done,
                 () = stop.asked() => Ok(Exit::Ok),
@@ -147,7 +147,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
             for warning in &up.warnings {
                 out::complain("warning", warning);
             }
-            show.begin(&format!("in {} processes, GCM {}", file.processes.len(), up.addr), &up.addr).await;
+            show.begin(&format!(" in {} processes, GCM {}", file.processes.len(), up.addr), &up.addr).await;
             // On a terminal the table says it.
             let voice = (!style::interactive()).then(|| up::voice("demo"));
             let done = tokio::select! {
@@ -185,7 +185,7 @@ impl Show<'_> {
             }
             return;
         }
-        out::line(&format!("trocar demo {} is running {how}", self.behavior.name()));
+        out::line(&format!("trocar demo {} is running{how}", self.behavior.name()));
         let asking = Session::new(Some(addr.to_owned()), false);
         let (display, port) = DISPLAY;
         if let Ok(row) = asking.read(display, None).await

@@ -129,6 +129,10 @@ impl Cell {
     /// As a spreadsheet reads it.
     pub(super) fn text(&self) -> String {
         match self {
+            // Far from 1, its digits are too many to be read.
+            Cell::Float(n) if n.is_finite() && *n != 0.0 && !(1e-5..1e16).contains(&n.abs()) => {
+                format!("{n:e}")
+            }
             Cell::Float(n) => n.to_string(),
             Cell::Whole(n) => n.to_string(),
             Cell::Large(n) => n.to_string(),

@@ -11,12 +11,13 @@ use clap::Args;
 use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
 use serde::Serialize;
+use trocar_model::nearest;
 
 use super::columns::{Cell, Reader};
 use super::npz::{Item, Npz};
 use super::planes::{Plane, Row};
 use super::read::{self, Channel, Takes};
-use super::{pictures, select};
+use super::{SHOWN, pictures, select};
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::session::Session;
 use crate::cli::{out, units};
@@ -65,6 +66,10 @@ struct ExportView {
     unplaced: u64,
     /// Pictures: `--png` writes them, arrays do not hold them.
     pictures: u64,
+    /// Words: `--csv` writes them, arrays do not hold them.
+    texts: u64,
+    /// Messages that the recorder told of itself: written where `--topic` names them.
+    recorders: u64,
     /// Why the recording was not read to its end.
     wrong: String,
 }
@@ -98,6 +103,9 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
         to_ns: args.to.unwrap_or(u64::MAX),
         patterns: args.topic,
         begin_ns: None,
+        end_ns: 0,
+        meant: 0,
+        within: 0,
         readers: BTreeMap::new(),
         sink,
         view: ExportView { output: output.display().to_string(), ..ExportView::default() },
@@ -106,30 +114,33 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     let whole = read::read(&args.file, &mut exporting);
     bar.finish_and_clear();
     let whole = whole?;
-    let Exporting { sink, mut view, patterns, .. } = exporting;
-    if view.messages == 0 {
-        let there: Vec<&str> = whole.channels.values().map(|c| c.topic.as_str()).take(30).collect();
-        let wanted = if patterns.is_empty() { "what is asked for".to_owned() } else { patterns.join(" ") };
-        return Err(Failure::refused(
-            "NOTHING_THERE",
-            format!("{}: no message in it is of {wanted} in that time", args.file.display()),
-            format!("topics in it: {}; `trocar info` shows them", there.join(", ")),
-        ));
+    if exporting.view.messages == 0 {
+        return Err(exporting.nothing(&args.file, args.png, &whole));
     }
+    let Exporting { sink, mut view, .. } = exporting;
     view.files = sink.finish(&output, &mut view)?;
     view.wrong = whole.wrong;
     if session.json() {
         session.print_json(&view)?;
     } else {
-        out::say(&format!("{}: {} files of {} messages", view.output, view.files, view.messages));
+        let (files, messages) = (units::count(view.files, "file"), units::count(view.messages, "message"));
+        out::say(&format!("{}: {files} of {messages}", view.output));
         for (n, what) in [
             (view.unreadable, "messages could not be read and were left out"),
             (view.unplaced, "values do not fit to the first message of their topic and were left out"),
             (view.pictures, "pictures are not among the arrays: `--png` writes them"),
+            (view.texts, "words are not among the arrays: `--csv` writes them"),
         ] {
             if n > 0 {
                 out::complain("warning", &format!("{n} {what}"));
             }
+        }
+        if view.recorders > 0 && !args.png {
+            let n = units::count(view.recorders, "message");
+            out::complain(
+                "note",
+                &format!("{n} of the recorder itself left out: --topic '/recorder/*' names them"),
+            );
         }
         if !view.wrong.is_empty() {
             out::complain("warning", &format!("{}; everything before that was written", view.wrong));
@@ -144,10 +155,49 @@ struct Exporting {
     to_ns: u64,
     patterns: Vec<String>,
     begin_ns: Option<u64>,
+    /// Of its last message.
+    end_ns: u64,
+    /// Messages that the patterns name, and of them those in that time.
+    meant: u64,
+    within: u64,
     readers: BTreeMap<u16, Reader>,
     sink: Box<dyn Sink>,
     view: ExportView,
     bar: ProgressBar,
+}
+
+impl Exporting {
+    /// Why nothing was written, and what there is.
+    fn nothing(&self, file: &Path, png: bool, whole: &read::Whole) -> Failure {
+        let wanted = if self.patterns.is_empty() { "outputs".to_owned() } else { self.patterns.join(" ") };
+        let lasts = units::time(self.end_ns.saturating_sub(self.begin_ns.unwrap_or(self.end_ns)));
+        let within = units::count(self.within, "message");
+        let refused = |why: String, help: String| {
+            Failure::refused("NOTHING_THERE", format!("{}: {why}", file.display()), help)
+        };
+        if self.meant > 0 {
+            let info = "`trocar info` shows what is in it".to_owned();
+            return match (self.within, png) {
+                (0, _) => refused(
+                    format!("no message of {wanted} in that time: it lasts {lasts}"),
+                    "--from and --to count from its first message".to_owned(),
+                ),
+                (_, true) => refused(format!("no picture among {within} of {wanted}"), info),
+                _ => refused(format!("none of {within} of {wanted} can be read"), info),
+            };
+        }
+        let topics = || whole.channels.values().map(|c| c.topic.as_str());
+        let close = self.patterns.iter().find_map(|pattern| nearest(pattern, topics()));
+        let close = close.map(|t| format!("did you mean {t}? ")).unwrap_or_default();
+        let names: std::collections::BTreeSet<&str> = topics().collect();
+        let more = names.len().saturating_sub(SHOWN);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        let names: Vec<&str> = names.into_iter().take(SHOWN).collect();
+        refused(
+            format!("no message in it is of {wanted}"),
+            format!("{close}topics in it: {}{more}; `trocar info` shows them", names.join(", ")),
+        )
+    }
 }
 
 /// One message, and what it takes to read it.
@@ -179,18 +229,20 @@ trait Sink {
 impl Takes for Exporting {
     fn message(&mut self, channel: &Channel, header: &MessageHeader, data: &[u8]) -> Result<(), Failure> {
         let begin_ns = *self.begin_ns.get_or_insert(header.log_time);
+        self.end_ns = self.end_ns.max(header.log_time);
         let after = header.log_time.saturating_sub(begin_ns);
-        if after < self.from_ns || after > self.to_ns {
-            return Ok(());
-        }
+        let within = (self.from_ns..=self.to_ns).contains(&after);
         // Without a pattern: what was recorded, not what the recorder says of itself.
         let wanted = match &self.patterns[..] {
             [] => !select::is_recorders(&channel.topic),
             all => all.iter().any(|pattern| select::matches(pattern, &channel.topic)),
         };
-        if !wanted {
+        self.view.recorders += u64::from(within && self.patterns.is_empty() && !wanted);
+        self.meant += u64::from(wanted);
+        if !wanted || !within {
             return Ok(());
         }
+        self.within += 1;
         let reader = self.readers.entry(header.channel_id).or_insert_with(|| Reader::of(channel));
         self.sink.take(&Message { channel, reader, header, data }, &mut self.view)
     }
@@ -355,8 +407,12 @@ impl Sink for Arrays {
                 Cell::Float(n) => (Item::F64, n.to_le_bytes()),
                 Cell::Whole(n) | Cell::Named(n, _) => (Item::I64, n.to_le_bytes()),
                 Cell::Large(n) => (Item::U64, n.to_le_bytes()),
-                // Words are no numbers: `--csv` has them. Bytes are placed.
-                Cell::Text(_) | Cell::Bytes(_) => continue,
+                Cell::Text(_) => {
+                    view.texts += 1;
+                    continue;
+                }
+                // They were placed.
+                Cell::Bytes(_) => continue,
             };
             let taken = columns.add(name, item, bits, row);
             view.unplaced += u64::from(taken == 0);

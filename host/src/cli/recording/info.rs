@@ -10,11 +10,14 @@ use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
 use serde::Serialize;
 
-use super::read::{self, Channel, Takes};
+use super::read::{self, Channel, Takes, Whole};
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::session::Session;
 use crate::cli::table::Table;
 use crate::cli::{out, style, units};
+
+/// s: two messages that come together have no rate.
+const RATE_S: f64 = 0.01;
 
 /// Shows what is in a recording: topics, rates, types, what was lost: `trocar info trial.mcap`.
 #[derive(Args, Debug)]
@@ -32,10 +35,12 @@ struct TopicView {
     /// ns of the recorder's clock.
     first_ns: u64,
     last_ns: u64,
-    /// Hz, over the time it came.
+    /// Hz, over the time it came; 0 = too short a time to say.
     rate_hz: f64,
     /// Samples that are missing, as far as the recorder could write it down.
     lost: u64,
+    /// How often what it came from went away: its connection, or the process.
+    interrupted: u64,
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
@@ -49,6 +54,8 @@ struct InfoView {
     wrong: String,
     messages: u64,
     lost: u64,
+    /// Of all topics.
+    interrupted: u64,
     duration_s: f64,
     /// Of the first message, ns since the Unix epoch; 0 = not known.
     begin_unix_ns: i128,
@@ -100,15 +107,16 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
         });
     }
     // What is lost of a tap or a pair of images is counted for the output, whose topics lie below it.
-    for name in whole.all("trocar.end").filter_map(|(key, _)| key.strip_prefix("lost:")) {
+    for (key, _) in whole.all("trocar.end") {
+        let Some((_, name)) = key.split_once(':') else { continue };
         let topic = || TopicView { topic: name.to_owned(), ..TopicView::default() };
         topics.entry(name.to_owned()).or_insert_with(topic);
     }
     for topic in topics.values_mut() {
-        let lost = whole.told("trocar.end", &format!("lost:{}", topic.topic));
-        topic.lost = lost.and_then(|n| n.parse().ok()).unwrap_or(0);
+        topic.lost = told(&whole, &format!("lost:{}", topic.topic));
+        topic.interrupted = told(&whole, &format!("interrupted:{}", topic.topic));
         let span = topic.last_ns.saturating_sub(topic.first_ns) as f64 * 1e-9;
-        topic.rate_hz = if span > 0.0 { topic.messages.saturating_sub(1) as f64 / span } else { 0.0 };
+        topic.rate_hz = if span > RATE_S { topic.messages.saturating_sub(1) as f64 / span } else { 0.0 };
     }
     let came = || topics.values().filter(|t| t.messages > 0);
     let first = came().map(|t| t.first_ns).min().unwrap_or(0);
@@ -122,7 +130,8 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
         whole: whole.closed && whole.wrong.is_empty(),
         wrong: whole.wrong.clone(),
         messages: topics.values().map(|t| t.messages).sum(),
-        lost: whole.told("trocar.end", "lost").and_then(|n| n.parse().ok()).unwrap_or(0),
+        lost: told(&whole, "lost"),
+        interrupted: told(&whole, "interrupted"),
         duration_s: last.saturating_sub(first) as f64 * 1e-9,
         begin_unix_ns: offset.map_or(0, |offset| offset.saturating_add(first.into())),
         reason: whole.told("trocar.end", "reason").unwrap_or_default().to_owned(),
@@ -135,6 +144,11 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
         show(&view);
     }
     Ok(if view.whole { Exit::Ok } else { Exit::Partial })
+}
+
+/// A number that the recorder wrote at the end.
+fn told(whole: &Whole, key: &str) -> u64 {
+    whole.told("trocar.end", key).and_then(|n| n.parse().ok()).unwrap_or(0)
 }
 
 /// "1.03 MB".
@@ -171,6 +185,9 @@ fn show(view: &InfoView) {
     }
     if !table.is_empty() {
         out::text(&table.render(2, style::stdout()));
+    }
+    for topic in view.topics.iter().filter(|t| t.interrupted > 0) {
+        out::complain("warning", &super::interrupted(&topic.topic, topic.interrupted));
     }
     if !view.wrong.is_empty() {
         out::complain("warning", &format!("{}; everything before that is read", view.wrong));

@@ -19,6 +19,15 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::style;
 
+/// Names that are shown of more.
+const SHOWN: usize = 40;
+
+/// That a topic has gaps that no counter of losses knows.
+fn interrupted(topic: &str, times: u64) -> String {
+    let times = if times > 1 { format!(", {times} times") } else { String::new() };
+    format!("{topic}: its connection or the process of its source went away{times}")
+}
+
 /// How far a recording has been read, in bytes, where somebody looks.
 fn reading_bar(file: &Path, json: bool) -> ProgressBar {
     if json || !style::interactive() {

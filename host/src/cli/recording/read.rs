@@ -4,7 +4,7 @@
 //! that place is given, and the place is told.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::BufReader;
 use std::path::Path;
 
@@ -67,6 +67,8 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
     if !there.is_file() {
         return Err(refused(&"it is no file"));
     }
+    // A recorder keeps its file locked as long as it writes; where nothing can be locked, nobody knows.
+    let written = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
     let mut reading =
         Reading { whole: Whole { bytes: there.len(), ..Whole::default() }, schemas: BTreeMap::new(), takes };
     let mut records = Records::new(BufReader::with_capacity(AT_ONCE, file));
@@ -110,7 +112,9 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
             "name a recording (.mcap)",
         ));
     }
-    if !whole.closed && whole.wrong.is_empty() {
+    if !whole.closed && written {
+        whole.wrong = format!("it is being written: this is what is there of it, {} B", records.came());
+    } else if !whole.closed && whole.wrong.is_empty() {
         whole.wrong = format!(
             "the file ends after {} B without its end: its recorder was ended before it could close it",
             records.came()

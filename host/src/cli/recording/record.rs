@@ -10,9 +10,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::signal::unix::{SignalKind, signal};
+use trocar_model::nearest;
 
 use super::info::size;
-use super::select;
+use super::{SHOWN, select};
 use crate::cli::connect::ConnectArgs;
 use crate::cli::create::CreateArgs;
 use crate::cli::execution::ExecutionArgs;
@@ -21,7 +22,7 @@ use crate::cli::mutation::MutationArgs;
 use crate::cli::session::Session;
 use crate::cli::session::recording::{Source, Sources};
 use crate::cli::states::Verb;
-use crate::cli::{out, style};
+use crate::cli::{out, style, units};
 
 const CLASS: &str = "recorder/recorder";
 /// Of its thread, above everything without one: what the disk does for it in the kernel may hold such threads up for 100 ms.
@@ -35,6 +36,9 @@ const CLOSING: Duration = Duration::from_secs(60);
 /// Samples that may wait, at most, and bytes of them.
 const DEEPEST: u32 = 4096;
 const QUEUE_BYTES: u32 = 16 << 20;
+/// Bytes per second that fill any disk, and s in which that is worth saying.
+const MUCH: f64 = 100e6;
+const LONG_S: f64 = 12.0 * 3600.0;
 /// Frames that may wait: a queue leaves their pool enough for its owner, however deep it is.
 const FRAMES: u32 = 64;
 
@@ -74,12 +78,16 @@ struct RecordedView {
     messages: u64,
     bytes: u64,
     lost: u64,
+    /// How often a connection, or the process of a source, went away meanwhile.
+    interrupted: u64,
     whole: bool,
     reason: String,
     /// What could not be connected, and why.
     left_out: Vec<String>,
     /// Topics with losses.
     losses: Vec<(String, u64)>,
+    /// Topics whose source went away, and how often.
+    interruptions: Vec<(String, u64)>,
 }
 
 pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
@@ -106,21 +114,43 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         mutation: MutationArgs::default(),
     };
     session.create(&create).await?;
-    let recorded = tokio::select! {
-        recorded = recording(&args, session, &path, &place, &wanted) => recorded,
-        () = interrupted() => Ok(None),
-    };
+    let mut left_out = Vec::new();
     // Interrupted before or while it records: what is there is closed, and then shown as usual.
-    let recorded = match recorded {
-        Ok(None) => closed(session, &path, true).await,
-        Ok(Some(view)) => Ok(view),
+    let ended = tokio::select! {
+        ended = recording(&args, session, &path, &place, &wanted, &mut left_out) => ended.map(|()| false),
+        () = interrupted() => Ok(true),
+    };
+    let recorded = match ended {
+        Ok(asked) => closed(session, &path, asked, wanted.len()).await,
         Err(failure) => Err(failure),
     };
     let removed = session.remove(std::slice::from_ref(&path), true, &MutationArgs::default()).await;
-    let mut view = recorded?;
+    let view = match recorded {
+        Ok(view) => view,
+        Err(failure) => return Err(cut_short(failure, &place, &path, removed.is_err())),
+    };
     removed?;
-    view.topics = wanted.len() - view.left_out.len().min(wanted.len());
-    shown(view, session)
+    let topics = wanted.len() - left_out.len().min(wanted.len());
+    shown(RecordedView { topics, left_out, ..view }, session)
+}
+
+/// Nobody answers for the recording any more: what is there of it, and what of its recorder.
+fn cut_short(mut failure: Failure, place: &Place, path: &str, stays: bool) -> Failure {
+    let file = Path::new(&place.directory).join(&place.file);
+    let Ok(there) = file.metadata() else { return failure };
+    let file = file.display();
+    failure.exit = Exit::Partial;
+    failure.message =
+        format!("the recording was cut short: {}", failure.message.trim_end_matches(['.', '\n']));
+    failure.help =
+        format!("{file} has what came before ({}): `trocar info {file}` shows it", size(there.len()));
+    if stays {
+        failure.help.push_str(&format!(
+            "; {path} is left behind: `trocar rm --force {path}` once its process is back"
+        ));
+    }
+    failure.metadata.insert("file".to_owned(), file.to_string());
+    failure
 }
 
 /// Ctrl-C, a closed terminal, or an end that was asked for: a recording without its program would go on for ever.
@@ -186,22 +216,28 @@ fn place(args: &RecordArgs) -> Result<Place, Failure> {
     Ok(Place { directory: directory.to_owned(), file: file.to_owned() })
 }
 
+/// What could have been meant: what is alike, and what there is, beginning with what is nearest.
+fn instead(pattern: &str, there: &Sources) -> String {
+    let paths = || there.all.iter().map(|source| source.path.as_str());
+    if there.all.is_empty() {
+        return "there is no output yet: create a component".to_owned();
+    }
+    let close = nearest(pattern, paths()).map(|path| format!("did you mean {path}? ")).unwrap_or_default();
+    let common = |path: &str| path.split('/').zip(pattern.split('/')).take_while(|(a, b)| a == b).count();
+    let mut all: Vec<&str> = paths().collect();
+    all.sort_by_key(|path| std::cmp::Reverse(common(path)));
+    let more = all.len().saturating_sub(SHOWN);
+    all.truncate(SHOWN);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{close}there are: {}{more}", all.join(", "))
+}
+
 /// What the patterns mean; each has to mean something.
 fn chosen(patterns: &[String], there: &Sources) -> Result<Vec<Source>, Failure> {
-    let names = || {
-        let all: Vec<&str> = there.all.iter().map(|s| s.path.as_str()).take(40).collect();
-        let more = there.all.len().saturating_sub(all.len());
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        format!("there are: {}{more}", all.join(", "))
-    };
     for pattern in patterns {
         if !there.all.iter().any(|source| select::matches(pattern, &source.path)) {
-            let help = if there.all.is_empty() {
-                "there is no output yet: create a component".to_owned()
-            } else {
-                names()
-            };
-            return Err(Failure::refused("NO_MATCH", format!("no output is meant by {pattern:?}"), help));
+            let why = format!("no output is meant by {pattern:?}");
+            return Err(Failure::refused("NO_MATCH", why, instead(pattern, there)));
         }
     }
     let meant = |source: &&Source| patterns.iter().any(|pattern| select::matches(pattern, &source.path));
@@ -235,15 +271,15 @@ fn process(args: &RecordArgs, there: &Sources, wanted: &[Source]) -> Result<Stri
         .ok_or_else(|| Failure::refused("CLASS_NOT_FOUND", format!("no process has the class {CLASS}"), help))
 }
 
-/// From the first connection to the end of the file; none where it is still to be closed.
+/// From the first connection until it ends by itself.
 async fn recording(
     args: &RecordArgs,
     session: &Session,
     path: &str,
     place: &Place,
     wanted: &[Source],
-) -> Result<Option<RecordedView>, Failure> {
-    let mut left_out = Vec::new();
+    left_out: &mut Vec<String>,
+) -> Result<(), Failure> {
     for (n, source) in wanted.iter().enumerate() {
         let fifo = if source.frames { FRAMES } else { (QUEUE_BYTES / source.size.max(1)).clamp(16, DEEPEST) };
         let connect = ConnectArgs {
@@ -273,36 +309,52 @@ async fn recording(
     let request = json!({ "path": place.file, "delay": 0.0, "duration": args.seconds.unwrap_or(0.0) });
     ask(session, path, "start", Some(&request)).await?;
     let bar = bar(args, session.json());
-    let begun = Instant::now();
+    let (begun, mut warned) = (Instant::now(), false);
     loop {
         tokio::time::sleep(LOOK).await;
         let status = ask(session, path, "status", None).await?;
         let number = |key: &str| whole(&status[key]);
-        bar.set_position(begun.elapsed().as_millis() as u64);
-        bar.set_message(format!(
-            "{} messages, {}, {} lost",
-            number("messages"),
-            size(number("bytes")),
-            number("lost")
-        ));
+        let (bytes, elapsed) = (number("bytes"), status["elapsed"].as_f64().unwrap_or(0.0));
+        let lasted = begun.elapsed().as_millis() as u64;
+        bar.set_position(bar.length().map_or(lasted, |all| lasted.min(all)));
+        bar.set_message(progress(&status, bytes, elapsed));
         if status["phase"] == "IDLE" {
             break;
         }
+        if !warned && elapsed >= 1.0 {
+            warned = true;
+            let warning = too_much(bytes as f64 / elapsed, Path::new(&place.directory));
+            warning.iter().for_each(|text| bar.suspend(|| out::complain("warning", text)));
+        }
     }
     bar.finish_and_clear();
-    let mut view = closed(session, path, false).await?;
-    view.left_out = left_out;
-    for n in 0..wanted.len() {
-        if view.lost == 0 {
-            break;
-        }
-        let topic = ask(session, path, "topic", Some(&json!(n))).await?;
-        let lost = whole(&topic["lost"]);
-        if lost > 0 {
-            view.losses.push((topic["topic"].as_str().unwrap_or_default().to_owned(), lost));
-        }
+    Ok(())
+}
+
+fn progress(status: &Value, bytes: u64, elapsed: f64) -> String {
+    let number = |key: &str| whole(&status[key]);
+    let rate = units::bytes_per_s(if elapsed > 0.0 { bytes as f64 / elapsed } else { 0.0 });
+    let interrupted = match number("interrupted") {
+        0 => String::new(),
+        n => format!(", {n} interrupted"),
+    };
+    let (messages, lost) = (number("messages"), number("lost"));
+    format!("{messages} messages, {} ({rate}), {lost} lost{interrupted}", size(bytes))
+}
+
+/// What to say of so many bytes per second: that they are many, and when the disk is full.
+fn too_much(rate: f64, directory: &Path) -> Option<String> {
+    if rate < MUCH {
+        return None;
     }
-    Ok(Some(view))
+    let free = rustix::fs::statvfs(directory).map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize));
+    let full = free.ok().map(|free| free as f64 / rate).filter(|s| *s < LONG_S);
+    let full = full.map(|s| format!(": its disk is full in {:.0} min {:.0} s", (s / 60.0).floor(), s % 60.0));
+    Some(format!(
+        "{} are written{}; fewer outputs, --max-rate-hz, --video qoi or --video jpeg make it less",
+        units::bytes_per_s(rate),
+        full.unwrap_or_default()
+    ))
 }
 
 /// Large numbers travel as text.
@@ -315,8 +367,8 @@ async fn ask(session: &Session, path: &str, what: &str, arg: Option<&Value>) -> 
     Ok(reply.value.unwrap_or(Value::Null))
 }
 
-/// Waits until the file is closed, after asking for it where it has to be asked for.
-async fn closed(session: &Session, path: &str, asked: bool) -> Result<RecordedView, Failure> {
+/// Waits until the file is closed, after asking for it where it has to be asked for; `inputs`: how many it recorded.
+async fn closed(session: &Session, path: &str, asked: bool, inputs: usize) -> Result<RecordedView, Failure> {
     // It may just have ended by itself: then there is nothing to stop.
     let stopped = !asked || ask(session, path, "stop", None).await.is_ok();
     let begun = Instant::now();
@@ -324,15 +376,18 @@ async fn closed(session: &Session, path: &str, asked: bool) -> Result<RecordedVi
         let last = ask(session, path, "last", None).await?;
         let text = |key: &str| last[key].as_str().unwrap_or_default().to_owned();
         if !text("reason").is_empty() {
-            return Ok(RecordedView {
+            let mut view = RecordedView {
                 file: text("path"),
                 messages: whole(&last["messages"]),
                 bytes: whole(&last["bytes"]),
                 lost: whole(&last["lost"]),
+                interrupted: whole(&last["interrupted"]),
                 whole: last["whole"] == true,
                 reason: text("reason"),
                 ..RecordedView::default()
-            });
+            };
+            missing(session, path, inputs, &mut view).await?;
+            return Ok(view);
         }
         if !stopped {
             return Err(Failure::local("INTERRUPTED", "it was ended before anything was recorded", ""));
@@ -346,6 +401,29 @@ async fn closed(session: &Session, path: &str, asked: bool) -> Result<RecordedVi
         }
         tokio::time::sleep(LOOK / 4).await;
     }
+}
+
+/// Of which topics something is missing.
+async fn missing(
+    session: &Session,
+    path: &str,
+    inputs: usize,
+    view: &mut RecordedView,
+) -> Result<(), Failure> {
+    if view.lost + view.interrupted == 0 {
+        return Ok(());
+    }
+    for n in 0..inputs {
+        let topic = ask(session, path, "topic", Some(&json!(n))).await?;
+        let name = topic["topic"].as_str().unwrap_or_default();
+        for (key, to) in [("lost", &mut view.losses), ("interrupted", &mut view.interruptions)] {
+            let n = whole(&topic[key]);
+            if n > 0 {
+                to.push((name.to_owned(), n));
+            }
+        }
+    }
+    Ok(())
 }
 
 fn bar(args: &RecordArgs, json: bool) -> ProgressBar {
@@ -364,15 +442,15 @@ fn bar(args: &RecordArgs, json: bool) -> ProgressBar {
 
 fn shown(view: RecordedView, session: &Session) -> Done {
     let asked = matches!(view.reason.as_str(), "stopped as asked" | "its time was over");
-    let good = view.whole && asked && view.lost == 0 && view.left_out.is_empty();
+    let good = view.whole && asked && view.lost + view.interrupted == 0 && view.left_out.is_empty();
     if session.json() {
         session.print_json(&view)?;
     } else {
         out::say(&format!(
-            "{}: {} messages of {} outputs, {}, {} lost",
+            "{}: {} messages of {}, {}, {} lost",
             view.file,
             view.messages,
-            view.topics,
+            units::count(view.topics as u64, "output"),
             size(view.bytes),
             view.lost
         ));
@@ -381,6 +459,9 @@ fn shown(view: RecordedView, session: &Session) -> Done {
         }
         for (topic, lost) in &view.losses {
             out::complain("warning", &format!("{topic}: {lost} lost"));
+        }
+        for (topic, n) in &view.interruptions {
+            out::complain("warning", &super::interrupted(topic, *n));
         }
         if !asked || !view.whole {
             out::complain("warning", &format!("it ended by itself: {}", view.reason));

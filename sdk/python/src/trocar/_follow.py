@@ -9,6 +9,7 @@ import collections
 import inspect
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from . import _proto, _values
 from ._errors import TrocarError
 
 _STATE = 1
+_QUIET_S = 10.0
 DEPTH = 1024
 """Items that may wait for a handler."""
 
@@ -39,8 +41,9 @@ class Item(NamedTuple):
 class Follower:
     """One path that is followed. As a decorator's result it can still be called like the function it decorates.
 
-    ``received`` counts items, ``skipped`` those lost on the way or to a full queue, ``errors`` handlers that raised, ``breaks`` how
-    often the stream broke and was taken up again (what was sent meanwhile is not known). ``close()`` ends it.
+    ``received`` counts items, ``skipped`` those lost on the way or to a full queue, ``errors`` handlers that raised (shown on stderr,
+    once in ten seconds at most), ``breaks`` how often the stream broke and was taken up again (what was sent meanwhile is not known).
+    ``close()`` ends it.
     """
 
     def __init__(
@@ -61,6 +64,8 @@ class Follower:
         self.ended: TrocarError | None = None
         self._session = session
         self._type, self._unit = kind
+        if handler is not None and not callable(handler):
+            raise TypeError(f"{path}: a handler is a function; {handler!r} is not")
         self._handler = handler
         self._takes = _arguments(handler) if handler is not None else 0
         self._items: collections.deque[Item] = collections.deque()
@@ -161,6 +166,7 @@ class Follower:
             return self._items.popleft() if self._items else None
 
     def _handle(self) -> None:
+        told_at, told = -_QUIET_S, 0
         while True:
             item = self._take(None)
             if item is None:
@@ -170,8 +176,13 @@ class Follower:
                 self(*arguments)
             except Exception:
                 self.errors += 1
+                # One that raises at each of a thousand events a second is told of now and then.
+                if time.monotonic() - told_at < _QUIET_S:
+                    continue
+                before = f", {self.errors - told - 1} times since the last one shown" if self.errors > told + 1 else ""
+                told_at, told = time.monotonic(), self.errors
                 try:
-                    sys.stderr.write(f"trocar: the handler of {self.path} raised:\n{traceback.format_exc()}")
+                    sys.stderr.write(f"trocar: the handler of {self.path} raised{before}:\n{traceback.format_exc()}")
                 except (OSError, ValueError):  # Nobody reads stderr any more; the count tells it all the same.
                     pass
 

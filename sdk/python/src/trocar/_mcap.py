@@ -14,6 +14,8 @@ import numpy as np
 from ._errors import TrocarError, invalid
 from ._paths import globbed, nearest
 
+_CUT = "it has no end: its recorder still writes it, or was ended before it could close it"
+
 
 class Topic:
     """The messages of one topic. Fields are numpy arrays with one entry per message, by attribute or key.
@@ -142,7 +144,7 @@ def read(file: str, topics: Any = None, start: float | None = None, end: float |
     first message.
     """
     try:
-        from mcap.exceptions import McapError
+        from mcap.exceptions import EndOfFile
         from mcap.stream_reader import StreamReader
     except ImportError:
         raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", "reading recordings needs mcap: pip install 'trocar[ire]'") from None
@@ -163,22 +165,15 @@ def read(file: str, topics: Any = None, start: float | None = None, end: float |
             # Record after record: a file whose summary was never written reads as well as any other.
             for record in StreamReader(stream).records:
                 ended = took.take(record) or ended
-        except (
-            McapError,
-            EOFError,
-            ValueError,
-            IndexError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            OverflowError,
-            MemoryError,
-        ) as e:
-            out.complete, out.why = False, f"{type(e).__name__}: {e}"
+        except TrocarError:
+            raise
+        except EndOfFile:
+            out.complete, out.why = False, _CUT
         except Exception as e:  # Damaged bytes end in whatever the decoders make of them (struct.error, zstd, lz4).
-            out.complete, out.why = False, f"{type(e).__name__}: {e}"
+            shown = f"{type(e).__name__}: {e}".rstrip(": ")
+            out.complete, out.why = False, f"it is damaged near byte {stream.tell()} ({shown}); what came before is here"
         if out.complete and not ended:
-            out.complete, out.why = False, "it has no end: whoever wrote it was broken off"
+            out.complete, out.why = False, _CUT
     out._topics = {t.name: t for t in sorted(took.by_channel.values(), key=lambda t: t.name) if len(t) or not wanted}
     return out
 

@@ -82,6 +82,8 @@ def _split(session: Any, text: str) -> tuple[str, list[tuple[str, str]]]:
     if not isinstance(text, str):
         return path_of(text, (2, 3, 4)), []
     head, _, last = text.rpartition("/")
+    if not head:
+        return path_of(text, (2, 3, 4)), []
     ends = [i for i, c in enumerate(last) if c in ".["] if head.count("/") != 0 or "[" in last or "." in last else []
     if head.count("/") == 0 and f"{head}/{last}" in session._graph.components:
         ends = []

@@ -92,6 +92,8 @@ class Command:
                 known = ", ".join(self._fields)
                 raise TypeError(f"{self._shown()} has no field {unknown[0]!r}; it has {known}{nearest(unknown[0], self._fields)}")
             value = {**self._fields_left_out(fields), **(dict(args[0]) if args else {}), **fields}
+        elif fields and not args:
+            raise TypeError(f"{self._shown()} has no argument {next(iter(fields))!r}; its only one is {name!r}")
         else:
             raise TypeError(f"{self._shown()} takes one argument; {len(args) + len(fields)} were given")
         if isinstance(value, _values.Record):
@@ -183,8 +185,6 @@ class Event:
         __tracebackhide__ = True
         if handler is None:
             return lambda function: self(function, depth=depth)
-        if not callable(handler):
-            raise TypeError(f"{self._path}: a handler is a function; {handler!r} is not")
         return self._session._followed(Follower(self._session, self._path, (self._type, self._unit), handler, depth))
 
     def follow(self, depth: int = DEPTH) -> Follower:

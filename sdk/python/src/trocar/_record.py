@@ -44,6 +44,8 @@ class Recording:
     ) -> None:
         if not isinstance(name, str) or not name:
             raise invalid(f'record: the name of the recording is a text such as "trial7"; {name!r} is none', field="name")
+        if ".." in name.split("/") or not name.isprintable():
+            raise invalid(f'record: {name!r} is no name of a file in the recorder\'s directory; give one such as "trial7"', field="name")
         if isinstance(pre_trigger, bool) or not isinstance(pre_trigger, (int, float)) or not 0 <= pre_trigger <= 3600:
             raise invalid(f"pre_trigger is {pre_trigger!r}; give seconds from 0 to 3600", field="pre_trigger")
         self._session = session
@@ -90,13 +92,13 @@ class Recording:
             raise
 
     def _ctl(self, command: str, *args: Any, **fields: Any) -> Any:
+        if not self.component:
+            raise TrocarError("FAILED_PRECONDITION", "WRONG_STATE", f"the recording {self.file} is over; make another")
         return self._session.call(f"{self.component}/ctl/{command}", *args, deadline=5.0, **fields)
 
     def start(self, *, delay: float = 0.0, duration: float = 0.0) -> Recording:
         """Begins the file, ``delay`` seconds from now, and records for ``duration`` seconds (0: until ``stop``)."""
         __tracebackhide__ = True
-        if not self.component:
-            raise TrocarError("FAILED_PRECONDITION", "WRONG_STATE", f"the recording {self.file} is over; make another")
         self._ctl("start", path=self.file, delay=float(delay), duration=float(duration))
         self._running = True
         # The recorder begins in its next step; what the caller does then is in the file.
@@ -118,6 +120,9 @@ class Recording:
                 self.path = str(self.result["path"])
                 if self.result["lost"]:
                     self._session._say(f"{self.path}: {int(self.result['lost'])} samples were lost; the file tells which")
+                if self.result["interrupted"]:
+                    times = int(self.result["interrupted"])
+                    self._session._say(f"{self.path}: connections or processes of sources went away {times} times; the file tells which")
         finally:
             self._running = False
             self.close()

@@ -477,3 +477,8 @@ def test_a_recording_is_made_read_back_and_its_recorder_is_gone(system, ire, tmp
     with pytest.raises(trocar.TrocarError) as e:
         ire.record("trial8", ["nobody/**"])
     assert e.value.reason == "NOTHING_MATCHES" and "robot/EyeRobot/position" in e.value.sentence
+    for name in ("../trial8", "a\nb"):
+        with pytest.raises(trocar.TrocarError, match="is no name of a file"):
+            ire.record(name, ["robot/**"])
+    with pytest.raises(trocar.TrocarError, match="the recording trial7.mcap is over"):
+        rec.marker("too late")
