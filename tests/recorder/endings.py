@@ -1,9 +1,11 @@
 """Recordings that end by themselves: a process that is killed, a disk that is full."""
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
+import tempfile
 import threading
 import time
 
@@ -106,6 +108,72 @@ def test_who_records_is_told_when_it_ended_by_itself():
             assert ended and contiguous(topics["/host/camera/image/left"]) and "disk is full" in metadata["trocar.end"]["reason"]
         finally:
             subprocess.run(["umount", "-l", world.dir / "rec"], capture_output=True)
+
+
+@contextlib.contextmanager
+def disk_that_can_stand_still():
+    """A directory on a disk of its own; `fsfreeze` stops whoever writes to it."""
+    with tempfile.TemporaryDirectory(prefix="trocar-disk-") as there:
+        disk, at = f"{there}/disk", f"{there}/at"
+        os.mkdir(at)
+        with open(disk, "wb") as file:
+            file.truncate(600 << 20)
+        try:
+            for command in (["mkfs.ext4", "-q", "-F", disk], ["mount", "-o", "loop", disk, at], ["fsfreeze", "--freeze", at],
+                            ["fsfreeze", "--unfreeze", at]):
+                try:
+                    done = subprocess.run(command, capture_output=True, text=True)
+                except FileNotFoundError:
+                    raise Skip(f"{command[0]} is not there") from None
+                if done.returncode:
+                    raise Skip(f"no disk can be made that stands still: {command[0]}: {done.stderr.strip()}")
+            yield at
+        finally:
+            subprocess.run(["fsfreeze", "--unfreeze", at], capture_output=True)
+            subprocess.run(["umount", "-l", at], capture_output=True)
+
+
+def test_a_disk_that_stands_still_holds_nobody_up_and_what_it_cost_is_counted():
+    with disk_that_can_stand_still() as disk:
+        topics = (("in_1", "host/sine/value", 4096), ("in_2", "far/camera/image", 64))
+        system = {"version": 1,
+                  "processes": {name: {"plugins": ["plugins"]} for name in ("host", "far")},
+                  "components": {"host/sine": {"class": "sine/sine"},
+                                 "far/camera": {"class": "stereo/phantom_source", "config": {"width": 320, "height": 240}},
+                                 "host/rec": {"class": "recorder/recorder", "config": {"directory": disk, "buffer_mb": 16}},
+                                 "host/other": {"class": "recorder/recorder", "config": {"path": "other.mcap"}}},
+                  "connections": [{"client": f"host/{who}/{port}", "server": server, "queue": {"fifo": fifo}}
+                                  for who in ("rec", "other") for port, server, fifo in topics]}
+        with World(["sine", "stereo"], system) as world:
+            world.begin("a.mcap")
+            world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 500)
+            subprocess.run(["fsfreeze", "--freeze", disk], check=True)
+            # What it does meanwhile is told: its memory is full, then it loses and counts, and answers all the time.
+            lost = world.wait("it loses some", lambda s: s["lost"] > 20)
+            assert lost["phase"] == "RECORDING", lost
+            states = {c["path"]: (c["state"], c["health"]) for c in world.json("ls")["components"]}
+            assert {state for state, _ in states.values()} == {"ACTIVE"} and len(states) == 4, states
+            subprocess.run(["fsfreeze", "--unfreeze", disk], check=True)
+            written = world.read("host/rec/ctl/status")["messages"]
+            world.wait("it goes on", lambda s: s["messages"] > written + 500)
+            last = world.end()
+            assert last["whole"] and last["reason"] == "stopped as asked" and last["lost"] >= lost["lost"], last
+            world.run("stop", "host/other", code=OK)
+            recorded, metadata, ended = messages(f"{disk}/a.mcap")
+            assert ended
+            # The counts are the gaps: of each topic as many as its numbers leave out.
+            gaps = {name: sum(b.sequence - a.sequence - 1 for (a, _), (b, _) in zip(of, of[1:]))
+                    for name, of in recorded.items() if not name.startswith("/recorder/")}
+            end = metadata["trocar.end"]
+            told = {name: int(end.get(f"lost:{name}", 0)) for name in ("/host/sine/value", "/far/camera/image")}
+            assert told == {"/host/sine/value": gaps["/host/sine/value"], "/far/camera/image": gaps["/far/camera/image/left"]}, (told, gaps)
+            assert sum(told.values()) == last["lost"] == int(end["lost"]), (told, last)
+            assert gaps["/far/camera/image/left"] == gaps["/far/camera/image/right"], gaps
+            # Who records the same on another disk, has all of it.
+            other, _, _ = messages(world.dir / "other.mcap")
+            for name in gaps:
+                if "/tap_" not in name:
+                    assert contiguous(other[name]) and other[name][-1][0].sequence > recorded[name][0][0].sequence, name
 
 
 class Witness(threading.Thread):

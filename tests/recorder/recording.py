@@ -119,6 +119,38 @@ def test_a_source_that_went_away_meanwhile_is_told_as_a_gap_that_no_counter_know
         assert (end["interrupted"], end["lost"]) == ("0", "0"), end
 
 
+def pid(world, process):
+    return next(p["pid"] for p in world.json("ls")["processes"] if p["name"] == process)
+
+
+def test_a_process_that_comes_back_with_another_plugin_file_is_told_with_both_hashes():
+    system = {"version": 1,
+              "processes": {"host": {"plugins": ["plugins"]}, "far": {"plugins": ["others"]}},
+              "components": {"host/rec": {"class": "recorder/recorder", "config": {"directory": "rec", "path": "a.mcap"}},
+                             "far/sine": {"class": "sine/sine"}},
+              "connections": [{"client": "host/rec/in_1", "server": "far/sine/value", "queue": {"fifo": 4096}}]}
+
+    def plugins(world):
+        (world.dir / "others").mkdir()
+        (world.dir / "plugins/libtrocar_sine.so").rename(world.dir / "others/libtrocar_sine.so")
+
+    with World(["sine"], system, ready=plugins) as world:
+        world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 100)
+        plugin = world.dir / "others/libtrocar_sine.so"
+        hashes = [hashlib.sha256(plugin.read_bytes()).hexdigest()]
+        # Another file of the same classes, put there as a newer build would be.
+        other = world.dir / "newer"
+        other.write_bytes(plugin.read_bytes() + b"newer")
+        hashes.append(hashlib.sha256(other.read_bytes()).hexdigest())
+        other.rename(plugin)
+        os.kill(pid(world, "far"), signal.SIGKILL)
+        eventually("the file knows it", lambda: hashes[1].encode() in (world.dir / "rec/a.mcap").read_bytes() or None)
+        last = world.end()
+        assert last["whole"] and last["interrupted"] >= 1, last
+        assert hashes[0].encode() in (world.dir / "rec/a.mcap").read_bytes()
+        assert hashes[1] in messages(world.dir / "rec/a.mcap")[1]["trocar.plugins"]["sine"]
+
+
 def test_a_manager_that_was_killed_is_no_gap():
     with World(["sine"], managed=True) as world:
         world.recorder({"a": f"{world.source()}/value"})
@@ -141,17 +173,14 @@ def test_a_source_that_was_killed_is_told_by_record():
               "components": {"a/sine": {"class": "sine/sine"}, "b/sine": {"class": "sine/sine"}},
               "connections": []}
     with World(["sine"], system) as world:
-        def pid(name):
-            return next(p["pid"] for p in world.json("ls")["processes"] if p["name"] == name)
-
         command = ["record", "a/**", "b/sine/value", "-o", "a.mcap", "--in", "a", "--json"]
         recording = subprocess.Popen([BIN / "trocar", *command], cwd=world.dir, env=world.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             status = lambda: next((world.read(f"{c['path']}/ctl/status") for c in world.json("ls")["components"] if c["class"] == "recorder/recorder"), {})
             eventually("it records", lambda: status().get("messages", 0) > 100)
-            os.kill(pid("b"), signal.SIGKILL)
+            os.kill(pid(world, "b"), signal.SIGKILL)
             eventually("the gap is told", lambda: status()["interrupted"] == 1)
-            eventually("its source is back", lambda: world.json("ls")["components"] and pid("b") or None)
+            eventually("its source is back", lambda: pid(world, "b") or None)
             recording.send_signal(signal.SIGINT)
             out, errors = recording.communicate(timeout=PATIENCE_S)
         finally:

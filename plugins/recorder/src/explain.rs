@@ -25,6 +25,9 @@ pub(crate) struct Explaining {
     revision: Option<(u64, u64)>,
     /// Names of classes, and what their plugins are.
     classes: BTreeSet<String>,
+    /// Path, class and incarnation of the process of what was there when classes were told last: what is made later may be of
+    /// another plugin file.
+    made: BTreeSet<(String, String, u64)>,
     plugins: BTreeMap<String, String>,
     /// The whole answer, for recordings that begin later.
     last: Json,
@@ -84,16 +87,30 @@ impl Explaining {
             .collect()
     }
 
-    /// Whether an answer told of all the classes its processes have.
+    /// Whether an answer told of all the classes its processes have, and of the files that its components were made from.
     pub(crate) fn knows_classes(&mut self, graph: &Json) -> bool {
         let all = |key: &str| graph[key].as_array().into_iter().flatten();
         let names = all("processes").flat_map(|process| process["classes"].as_array().into_iter().flatten());
         let names: BTreeSet<&str> = names.filter_map(Json::as_str).collect();
         // Those of a process that is gone are still what made the samples it sent.
+        let epochs: BTreeMap<&str, u64> =
+            all("processes").map(|p| (text(p, "name"), number(p, "epoch"))).collect();
+        let made: BTreeSet<(String, String, u64)> = all("components")
+            .map(|component| {
+                let path = text(component, "path");
+                let process = path.split('/').next().unwrap_or_default();
+                let epoch = epochs.get(process).copied().unwrap_or(0);
+                (path.to_owned(), text(component, "class").to_owned(), epoch)
+            })
+            .collect();
         if all("classes").next().is_some() {
             self.classes.extend(names.iter().map(|name| (*name).to_owned()));
+            self.made = made;
+            return true;
         }
-        names.iter().all(|name| self.classes.contains(*name))
+        self.made.retain(|known| made.contains(known));
+        names.is_empty()
+            || names.iter().all(|name| self.classes.contains(*name)) && self.made.len() == made.len()
     }
 
     /// News of the GCM: told when it is another graph than the last.
