@@ -29,6 +29,10 @@ pub(super) struct Writing {
     free: Vec<u32>,
     tail: u64,
     returned_head: u64,
+    /// How far the reader was when last looked: it is there or further. Where that is room enough the writer looks no more, for a
+    /// line that the other processor has just written costs more than all the rest of a push.
+    seen_head: u64,
+    seen_returned_tail: u64,
 }
 
 /// What only the reader knows: its position in the ring of returned places.
@@ -77,7 +81,13 @@ impl Fifo {
 
     /// The writer's side at the beginning, with all places free.
     pub(super) fn writing(&self) -> Writing {
-        Writing { free: (0..self.slots() as u32).collect(), tail: 0, returned_head: 0 }
+        Writing {
+            free: (0..self.slots() as u32).collect(),
+            tail: 0,
+            returned_head: 0,
+            seen_head: 0,
+            seen_returned_tail: 0,
+        }
     }
 
     /// Writer: how many are queued. Until the writer pushes they only become fewer.
@@ -86,8 +96,14 @@ impl Fifo {
     }
 
     /// Writer: whether a push must drop something. Once false, it stays false until the writer pushes.
-    pub(super) fn is_full(&self, writing: &Writing) -> bool {
-        self.queued(writing) >= self.depth as u64
+    #[inline]
+    pub(super) fn is_full(&self, writing: &mut Writing) -> bool {
+        let too_many = |head: u64| writing.tail.wrapping_sub(head) >= self.depth as u64;
+        if !too_many(writing.seen_head) {
+            return false;
+        }
+        writing.seen_head = self.head.0.load(Ordering::Acquire);
+        too_many(writing.seen_head)
     }
 
     /// Writer: while one more would be too many, gives up the oldest place, which `emptied` gets; how many those were. With
@@ -115,7 +131,10 @@ impl Fifo {
     /// queue that is much deeper than it is full stay in the cache.
     pub(super) fn free_place(&self, writing: &mut Writing) -> Option<usize> {
         let head = writing.returned_head;
-        if self.returned_tail.0.load(Ordering::Acquire) == head {
+        if writing.seen_returned_tail == head {
+            writing.seen_returned_tail = self.returned_tail.0.load(Ordering::Acquire);
+        }
+        if writing.seen_returned_tail == head {
             return writing.free.pop().map(|place| place as usize);
         }
         writing.returned_head = head + 1;
@@ -125,9 +144,7 @@ impl Fifo {
     /// Writer: queues a filled place; where the queue is full, `emptied` gets the oldest place, which is free
     /// afterwards. Whether that was so.
     pub(super) fn push(&self, writing: &mut Writing, place: usize, emptied: impl FnOnce(usize)) -> bool {
-        let head = self.head.0.load(Ordering::Acquire);
-        let full = writing.tail.wrapping_sub(head) >= self.depth as u64;
-        let dropped = full && self.give_up(writing, head, emptied);
+        let dropped = self.is_full(writing) && self.give_up(writing, writing.seen_head, emptied);
         at(&self.ring, writing.tail).store(place as u32, Ordering::Relaxed);
         writing.tail += 1;
         self.tail.0.store(writing.tail, Ordering::Release);
