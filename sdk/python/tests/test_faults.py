@@ -204,6 +204,15 @@ def test_a_stream_that_breaks_is_taken_up_again(fake, r):
         assert f.breaks == 2
 
 
+def test_a_stream_of_another_type_ends_with_a_sentence(fake, r):
+    items(fake, [1, "one", 2])
+    with r.on.SetPointReached.follow() as f:
+        assert int(f.next(30).value) == 1
+        with pytest.raises(trocar.TrocarError, match="sends something else than when it was followed") as e:
+            f.next(30)
+        assert e.value.reason == "TYPE_MISMATCH" and f.ended is e.value
+
+
 def test_following_what_is_refused_raises_at_once(fake, r):
     def refused(request, context):
         raise packed(grpc.StatusCode.NOT_FOUND, "no such event", "MEMBER_NOT_FOUND")

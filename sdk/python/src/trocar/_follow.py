@@ -105,6 +105,9 @@ class Follower:
             try:
                 for item in self._call:
                     self._put(item)
+                    if self.ended:
+                        self._call.cancel()
+                        return
             except grpc.RpcError as e:
                 error = self._session._wire.error(e, "InteractService/Subscribe")
             else:
@@ -135,15 +138,23 @@ class Follower:
             if told:
                 self._session._say(f"{self.path} is back and followed again")
             return True
+        self._end(error)
+        return False
+
+    def _end(self, error: TrocarError) -> None:
         self.ended = error
         with self._ready:
             self._ready.notify_all()
-        return False
 
     def _put(self, item: Any) -> None:
         if item.kind == _STATE and not self._wanted:
             return
-        value = _values.from_json(self._type, _values.plain(item.json), self._unit)
+        try:
+            value = _values.from_json(self._type, _values.plain(item.json), self._unit)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as e:
+            why = f"{self.path} sends something else than when it was followed ({type(e).__name__}: {e}): follow it again"
+            self._end(TrocarError("FAILED_PRECONDITION", "TYPE_MISMATCH", why))
+            return
         with self._ready:
             lost = int(item.skipped)
             if len(self._items) >= self._depth:

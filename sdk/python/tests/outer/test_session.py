@@ -11,6 +11,8 @@ import pexpect
 import pyte
 import pytest
 
+import trocar
+
 from ..conftest import eventually
 from .conftest import ROOT, Program
 
@@ -151,6 +153,8 @@ def test_the_session_of_the_documentation_runs_as_it_is_written(system, ire, ser
     else:
         recorded = t.run(12, 'with ire.record("trial7", ["robot/**", "oct/**"], pre_trigger=5): ...')
         assert "Error" not in recorded, recorded
+        file = trocar.read(system.directory / "trial7.mcap")
+        assert file.complete and {name.split("/")[1] for name in file} >= {"robot", "oct"}, list(file)
     assert "ire" in t.run(13, "ire.process")
     planned = t.run(14, 'ire.apply("bscan.json", dry_run=True)')
     assert "Apply, would be done:" in planned and "+ create robot/robot" in planned and "+ connect" in planned, planned
