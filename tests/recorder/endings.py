@@ -148,12 +148,15 @@ def test_a_disk_that_stands_still_holds_nobody_up_and_what_it_cost_is_counted():
             world.begin("a.mcap")
             world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 500)
             subprocess.run(["fsfreeze", "--freeze", disk], check=True)
-            # What it does meanwhile is told: its memory is full, then it loses and counts, and answers all the time.
-            lost = world.wait("it loses some", lambda s: s["lost"] > 20)
-            assert lost["phase"] == "RECORDING", lost
-            states = {c["path"]: (c["state"], c["health"]) for c in world.json("ls")["components"]}
-            assert {state for state, _ in states.values()} == {"ACTIVE"} and len(states) == 4, states
-            subprocess.run(["fsfreeze", "--unfreeze", disk], check=True)
+            try:
+                # What it does meanwhile is told: its memory is full, then it loses and counts, and answers all the time.
+                lost = world.wait("it loses some", lambda s: s["lost"] > 20)
+                assert lost["phase"] == "RECORDING", lost
+                states = {c["path"]: c["state"] for c in world.json("ls")["components"]}
+                assert set(states.values()) == {"ACTIVE"} and len(states) == 4, states
+            finally:
+                # Nobody can be ended who waits for it.
+                subprocess.run(["fsfreeze", "--unfreeze", disk], check=True)
             written = world.read("host/rec/ctl/status")["messages"]
             world.wait("it goes on", lambda s: s["messages"] > written + 500)
             last = world.end()

@@ -184,7 +184,9 @@ class Terminal:
         return bool(more)
 
     def shows(self, text):
-        while text not in self.shown:
+        """Text, or a pattern."""
+        pattern = text if isinstance(text, re.Pattern) else re.compile(re.escape(text))
+        while not pattern.search(self.shown):
             assert self.read(), f"never {text!r}: {self.shown!r}"
 
     def ends(self):

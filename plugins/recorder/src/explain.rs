@@ -28,7 +28,8 @@ pub(crate) struct Explaining {
     /// Path, class and incarnation of the process of what was there when classes were told last: what is made later may be of
     /// another plugin file.
     made: BTreeSet<(String, String, u64)>,
-    plugins: BTreeMap<String, String>,
+    /// The files that each plugin was of, in whichever process.
+    plugins: BTreeMap<String, BTreeSet<String>>,
     /// The whole answer, for recordings that begin later.
     last: Json,
     configs: BTreeMap<String, Json>,
@@ -38,7 +39,7 @@ pub(crate) struct Explaining {
 pub(crate) struct Connected {
     pub(crate) input: String,
     pub(crate) server: String,
-    /// None where its process is away.
+    /// None where no data can come by it.
     pub(crate) link: Option<Link>,
 }
 
@@ -56,6 +57,10 @@ fn text<'a>(value: &'a Json, key: &str) -> &'a str {
     value[key].as_str().unwrap_or_default()
 }
 
+fn elements<'a>(value: &'a Json, key: &str) -> impl Iterator<Item = &'a Json> + use<'a> {
+    value[key].as_array().into_iter().flatten()
+}
+
 impl Explaining {
     /// Whether the graph is known, or was waited for long enough.
     pub(crate) fn is_told(&mut self, now_ns: u64) -> bool {
@@ -71,26 +76,39 @@ impl Explaining {
     }
 
     /// Inputs of `who`, and what is connected to each.
-    pub(crate) fn connected(&self, graph: &Json, who: &str) -> Vec<Connected> {
-        let all = |key: &str| graph[key].as_array().into_iter().flatten();
-        let attached = all("processes").filter(|p| text(p, "state") == "PROCESS_STATE_ATTACHED");
-        let epochs: BTreeMap<&str, u64> = attached.map(|p| (text(p, "name"), number(p, "epoch"))).collect();
+    pub(crate) fn connected(graph: &Json, who: &str) -> Vec<Connected> {
         let (term, _) = revision(graph);
-        all("connections")
+        elements(graph, "connections")
             .filter_map(|connection| {
                 let input = text(connection, "client").strip_prefix(who)?.strip_prefix('/')?;
-                let server = text(connection, "server");
-                let epoch = server.split('/').next().and_then(|process| epochs.get(process));
-                let link = epoch.map(|epoch| Link { id: number(connection, "id"), epoch: *epoch, term });
-                Some(Connected { input: input.to_owned(), server: server.to_owned(), link })
+                // Without halves it stays in the process, and goes with it. A process that is not heard for a while may send all the
+                // same: whether data come, its own end here knows.
+                let own = |half: &&Json| text(half, "end") == "CONNECTION_END_CLIENT";
+                let link = match elements(connection, "proxies").find(own) {
+                    None => Some(0),
+                    Some(half) => Some(number(half, "epoch")).filter(|epoch| *epoch != 0),
+                };
+                Some(Connected {
+                    input: input.to_owned(),
+                    server: text(connection, "server").to_owned(),
+                    link: link.map(|epoch| Link { id: number(connection, "id"), epoch, term }),
+                })
             })
             .collect()
     }
 
+    /// Whether the GCM hears the process of `who`: what it says of the ends in there is of no worth else.
+    pub(crate) fn is_heard(graph: &Json, who: &str) -> bool {
+        let own = who.split('/').next();
+        elements(graph, "processes").any(|process| {
+            process["name"].as_str() == own && text(process, "state") == "PROCESS_STATE_ATTACHED"
+        })
+    }
+
     /// Whether an answer told of all the classes its processes have, and of the files that its components were made from.
     pub(crate) fn knows_classes(&mut self, graph: &Json) -> bool {
-        let all = |key: &str| graph[key].as_array().into_iter().flatten();
-        let names = all("processes").flat_map(|process| process["classes"].as_array().into_iter().flatten());
+        let all = |key: &str| elements(graph, key);
+        let names = all("processes").flat_map(|process| elements(process, "classes"));
         let names: BTreeSet<&str> = names.filter_map(Json::as_str).collect();
         // Those of a process that is gone are still what made the samples it sent.
         let epochs: BTreeMap<&str, u64> =
@@ -116,13 +134,17 @@ impl Explaining {
     /// News of the GCM: told when it is another graph than the last.
     pub(crate) fn graph_is(&mut self, mut graph: Json, now_ns: u64, way: &mut Way) {
         self.revision = Some(revision(&graph));
-        let classes = graph["classes"].as_array().into_iter().flatten();
-        let of = |class| format!("{} sha256:{}", text(class, "version"), text(class, "hash"));
-        let plugins = classes.map(|class| (text(class, "plugin").to_owned(), of(class)));
-        let before = self.plugins.clone();
-        self.plugins.extend(plugins);
-        if self.plugins != before {
-            way.order(Order::Metadata("trocar.plugins".into(), self.plugins.clone()));
+        let mut more = false;
+        for class in elements(&graph, "classes") {
+            let file = format!("{} sha256:{}", text(class, "version"), text(class, "hash"));
+            more |= self.plugins.entry(text(class, "plugin").to_owned()).or_default().insert(file);
+        }
+        if more {
+            let files = |(plugin, files): (&String, &BTreeSet<String>)| {
+                (plugin.clone(), files.iter().cloned().collect::<Vec<_>>().join(", "))
+            };
+            let all = self.plugins.iter().map(files).collect();
+            way.order(Order::Metadata("trocar.plugins".into(), all));
         }
         // What classes could be is no part of what is: a recording is told their plugins. Nor is by what the answer is known.
         if let Some(told) = graph.as_object_mut() {
@@ -136,10 +158,10 @@ impl Explaining {
         self.last = graph;
         tell(self.graph, &self.last, now_ns, way);
         // Of components that are gone there is nothing to tell in recordings to come.
-        let there = self.last["components"].as_array().into_iter().flatten().map(|c| text(c, "path"));
+        let there = elements(&self.last, "components").map(|c| text(c, "path"));
         let there: BTreeSet<&str> = there.collect();
         self.configs.retain(|path, _| there.contains(path.as_str()));
-        for component in self.last["components"].as_array().into_iter().flatten() {
+        for component in elements(&self.last, "components") {
             let (path, config) = (text(component, "path").to_owned(), component["config"].clone());
             if self.configs.get(&path) != Some(&config) {
                 tell(self.config, &json!({ "path": path, "config": config }), now_ns, way);
@@ -172,4 +194,46 @@ impl Explaining {
 fn tell(channel: u32, what: &Json, now_ns: u64, way: &mut Way) {
     let told = what.to_string();
     way.block().push((channel, 0, now_ns, now_ns), Kind::Ready, |to| to.extend_from_slice(told.as_bytes()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A graph in which `host/rec/a` is connected to `there/sine/value` by a link of this number, none where it is near.
+    fn graph(host: &str, there: &str, link: Option<u64>) -> Json {
+        let half = |end: &str, process: &str| json!({ "end": end, "process": process, "epoch": link.map(|n| n.to_string()) });
+        let halves = [half("CONNECTION_END_CLIENT", "host"), half("CONNECTION_END_SERVER", "there")];
+        json!({
+            "term": 3,
+            "processes": [{ "name": "host", "state": host, "epoch": "1" }, { "name": "there", "state": there, "epoch": "2" }],
+            "connections": [
+                { "id": "7", "client": "host/rec/a", "server": "there/sine/value",
+                  "proxies": link.map_or(json!([]), |_| json!(halves)) },
+                { "id": "8", "client": "host/recorder/a", "server": "there/sine/value" },
+            ],
+        })
+    }
+
+    fn link(graph: &Json) -> Option<u64> {
+        let [Connected { input, server, link }] = &Explaining::connected(graph, "host/rec")[..] else {
+            panic!("it has one connection: {graph}");
+        };
+        assert_eq!((input.as_str(), server.as_str()), ("a", "there/sine/value"));
+        link.map(|link| link.epoch)
+    }
+
+    #[test]
+    fn a_process_that_is_not_heard_is_no_gap_while_its_data_come() {
+        let (here, lost) = ("PROCESS_STATE_ATTACHED", "PROCESS_STATE_LOST");
+        assert_eq!(link(&graph(here, lost, Some(4))), Some(4));
+        assert_eq!(link(&graph(here, lost, Some(0))), None, "no data come");
+        assert_eq!(link(&graph(here, here, Some(0))), None, "it is there, and not linked yet");
+        assert_eq!(link(&graph(lost, here, None)), Some(0), "it does not leave the process");
+        assert!(Explaining::is_heard(&graph(here, lost, None), "host/rec"));
+        assert!(
+            !Explaining::is_heard(&graph(lost, here, Some(0)), "host/rec"),
+            "what is said of its end is old"
+        );
+    }
 }

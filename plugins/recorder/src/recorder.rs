@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering;
 use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::Value as Json;
 
-use crate::explain::{self, Connected};
+use crate::explain::{self, Connected, Explaining};
 use crate::orders::{Ended, Missing, Opening, Order};
 use crate::place;
 use crate::running::{Plan, Running};
@@ -226,6 +226,8 @@ impl Recorder {
     }
 }
 
+/// Why a recording ended whose time had not come; `trocar record` knows these words.
+const NOT_BEGUN: &str = "stopped before it began: there is no file";
 const NOT_RUNNING: &str = "the recorder is not started: start the component first";
 
 impl Recorder {
@@ -276,9 +278,17 @@ impl Recorder {
         let Some(run) = &mut self.run else { return };
         if let Some(plan) = run.plan.take() {
             // Nothing is in it: it does not stay.
-            let _ = std::fs::remove_file(&plan.opening.path);
+            let path = plan.opening.path;
+            let _ = std::fs::remove_file(&path);
             self.path = Text::default();
+            self.last = Stopped {
+                path: Text::new(&path.display().to_string()),
+                reason: Text::new(NOT_BEGUN),
+                ..Stopped::default()
+            };
+            self.stopped.emit(self.last);
         }
+        let Some(run) = &mut self.run else { return };
         if run.began_ns != 0 {
             let now_ns = self.host.now().ns();
             let fixed = [
@@ -325,8 +335,9 @@ impl Recorder {
 
     /// What has come so far, before a command changes what becomes of what comes.
     fn catch_up(&mut self) {
-        let recording = self.run.as_ref().is_some_and(|run| run.began_ns != 0);
-        self.drain(recording, &[]);
+        let Some(run) = &self.run else { return };
+        let (recording, before) = (run.began_ns != 0, run.before());
+        self.drain(recording, &[before]);
     }
 
     /// What came by the inputs since the last step, but for what was acquired at times `beside` the recording, ns.
@@ -458,11 +469,13 @@ impl Component for Recorder {
         if !told || !run.explaining.is_news(&reply.response) {
             return Ok(());
         }
-        let connected = run.explaining.connected(&reply.response, &who);
-        let term = explain::revision(&reply.response).0;
-        for (topic, input) in self.each.iter_mut().zip(&self.fitted) {
-            let found = connected.iter().find(|connected| connected.input == *input);
-            topic.link_is(found.and_then(|connected| connected.link), term, now_ns);
+        let connected = Explaining::connected(&reply.response, &who);
+        if Explaining::is_heard(&reply.response, &who) {
+            let term = explain::revision(&reply.response).0;
+            for (topic, input) in self.each.iter_mut().zip(&self.fitted) {
+                let found = connected.iter().find(|connected| connected.input == *input);
+                topic.link_is(found.and_then(|connected| connected.link), term, now_ns);
+            }
         }
         for Connected { input, server, .. } in connected {
             let configured = self.cfg.topics.iter().position(|name| *name == input);
@@ -487,19 +500,19 @@ impl Component for Recorder {
         self.hear();
         let Some(run) = &mut self.run else { return Ok(()) };
         // A step takes what came since the one before, and times that were asked for lie in between.
-        let mut before = 0..0;
         if run.is_due(now_ns) {
             let since_ns = run.reaches_back_to(now_ns);
             self.each.iter_mut().for_each(|topic| topic.begin(since_ns));
             run.begin(&self.host, now_ns);
-            before = run.stepped_ns..since_ns;
         }
         run.stepped_ns = now_ns;
         let recording = run.began_ns != 0;
         let is_due = |at_ns: u64| recording && at_ns != 0 && at_ns <= now_ns;
         let (pauses, is_over) = (is_due(run.pause_ns), is_due(run.ends_ns));
         let until_ns = [run.pause_ns, run.ends_ns].into_iter().filter(|at_ns| is_due(*at_ns)).min();
-        let behind = until_ns.map_or(0..0, |at_ns| at_ns..now_ns + 1);
+        // What comes late was acquired before, and what comes while this step is held up, behind. Stamps of another clock tell neither.
+        let before = run.before();
+        let behind = until_ns.map_or(0..0, |at_ns| at_ns..u64::MAX);
         self.drain(recording, &[before, behind]);
         let Some(run) = &mut self.run else { return Ok(()) };
         if pauses {

@@ -3,6 +3,7 @@
 //! Invariant: the writer counts channels as they are counted here, so each is added by [`Running::add`] and nowhere else, and none goes.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
@@ -22,6 +23,8 @@ use crate::writer::Writer;
 
 /// Kinds of notes, at most: each is a channel of every file to come.
 const KINDS: usize = 32;
+/// How late what was acquired may come and be known as such, ns.
+const LATEST_NS: u64 = 5_000_000_000;
 
 pub(crate) struct Running {
     pub(crate) way: Way,
@@ -37,6 +40,8 @@ pub(crate) struct Running {
     pub(crate) codec: Codec,
     pub(crate) pre_trigger_ns: u64,
     pub(crate) plan: Option<Plan>,
+    /// From when on what is acquired is in the recording that was begun last, ns.
+    since_ns: u64,
     /// When the recording began; 0 = there is none.
     pub(crate) began_ns: u64,
     pub(crate) ends_ns: u64,
@@ -96,6 +101,7 @@ impl Running {
             codec: cfg.codec(),
             pre_trigger_ns,
             plan: None,
+            since_ns: 0,
             began_ns: 0,
             ends_ns: 0,
             pause_ns: 0,
@@ -162,7 +168,7 @@ impl Running {
 
     /// Whether the time of what was planned has come, and it is known what is to be recorded.
     pub(crate) fn is_due(&mut self, now_ns: u64) -> bool {
-        // What is recorded is known by name once the graph was told; a second is enough to tell it.
+        // What is recorded is known by name once the graph was told.
         let explained = self.explaining.is_told(now_ns);
         explained && self.plan.as_ref().is_some_and(|plan| plan.at_ns <= now_ns)
     }
@@ -172,10 +178,15 @@ impl Running {
         self.plan.as_ref().map_or(now_ns, |plan| plan.opening.since_ns)
     }
 
+    /// When what came too late for the last recording to be in it was acquired, ns.
+    pub(crate) fn before(&self) -> Range<u64> {
+        self.since_ns.saturating_sub(LATEST_NS)..self.since_ns
+    }
+
     /// Begins what was planned.
     pub(crate) fn begin(&mut self, host: &Host, now_ns: u64) {
         let Some(plan) = self.plan.take() else { return };
-        self.began_ns = now_ns;
+        (self.began_ns, self.since_ns) = (now_ns, plan.opening.since_ns);
         // Where its time was since the step before, it counts from then.
         let from_ns = plan.at_ns.max(self.stepped_ns);
         self.ends_ns = if plan.duration_ns == 0 { 0 } else { from_ns + plan.duration_ns };
@@ -239,7 +250,10 @@ impl Running {
         };
         let (lost, interrupted) = (by_topic(&missing.lost), by_topic(&missing.interrupted));
         let total: u64 = missing.lost.iter().map(|(_, n)| n).sum();
-        let text = json!({ "lost": total, "topics": lost, "interrupted": interrupted }).to_string();
+        // With the clock on the wall, which may drift from that of the stamps while it records.
+        let told =
+            json!({ "lost": total, "topics": lost, "interrupted": interrupted, "unix_ns": unix_ns() as u64 });
+        let text = told.to_string();
         let head = (self.own.loss, 0, now_ns, now_ns);
         self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
         self.way.order(Order::Missing(missing));
@@ -269,12 +283,17 @@ fn json_channel(topic: &str) -> Channel {
     }
 }
 
+/// What the clock on the wall shows, ns since 1970.
+fn unix_ns() -> i128 {
+    let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    wall.map_or(0, |t| t.as_nanos() as i128)
+}
+
 /// What the clock of all stamps is on the wall: the offset between the two, read between two readings.
 fn clock(host: &Host) -> BTreeMap<String, String> {
     let before = host.now().ns();
-    let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    let wall_ns = unix_ns();
     let after = host.now().ns();
-    let wall_ns = wall.map_or(0, |t| t.as_nanos() as i128);
     let monotonic_ns = before / 2 + after / 2;
     BTreeMap::from([
         ("clock".to_owned(), "CLOCK_MONOTONIC of the machine, ns; one for all of its processes".to_owned()),

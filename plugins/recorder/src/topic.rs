@@ -59,7 +59,7 @@ pub(crate) struct Topic {
 pub(crate) struct Link {
     /// Number of the connection.
     pub(crate) id: u64,
-    /// Incarnation of the process at its other end.
+    /// Of the link to the process at its other end: another one each time they are linked; 0 where it is in this process.
     pub(crate) epoch: u64,
     /// Of the GCM that said so.
     pub(crate) term: u64,
@@ -450,7 +450,7 @@ mod tests {
         assert_eq!(told(&mut topic, None, 1, 40), 1, "it was cut");
         assert_eq!(told(&mut topic, None, 1, 50), 1, "once");
         assert_eq!(told(&mut topic, Some((2, 1)), 1, 60), 1, "it is connected again");
-        assert_eq!(told(&mut topic, Some((2, 2)), 1, 70), 2, "its source is another process");
+        assert_eq!(told(&mut topic, Some((2, 2)), 1, 70), 2, "it is linked anew");
         assert_eq!(told(&mut topic, None, 2, 80), 2, "another GCM does not know it yet");
         assert_eq!(told(&mut topic, Some((2, 2)), 2, 90), 2, "and then does");
         topic.is_cut(100);

@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing that exists is written over; what does not fit into a table is counted and told.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -11,13 +11,12 @@ use clap::Args;
 use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
 use serde::Serialize;
-use trocar_model::nearest;
 
 use super::columns::{Cell, Reader};
 use super::npz::{Item, Npz};
 use super::planes::{Plane, Row};
 use super::read::{self, Channel, Takes};
-use super::{SHOWN, pictures, select};
+use super::{listed, meant, pictures, select};
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::session::Session;
 use crate::cli::{out, units};
@@ -186,16 +185,12 @@ impl Exporting {
                 _ => refused(format!("none of {within} of {wanted} can be read"), info),
             };
         }
-        let topics = || whole.channels.values().map(|c| c.topic.as_str());
-        let close = self.patterns.iter().find_map(|pattern| nearest(pattern, topics()));
-        let close = close.map(|t| format!("did you mean {t}? ")).unwrap_or_default();
-        let names: std::collections::BTreeSet<&str> = topics().collect();
-        let more = names.len().saturating_sub(SHOWN);
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        let names: Vec<&str> = names.into_iter().take(SHOWN).collect();
+        let names: BTreeSet<&str> = whole.channels.values().map(|c| c.topic.as_str()).collect();
+        let names: Vec<&str> = names.into_iter().collect();
+        let close = meant(self.patterns.iter().map(String::as_str), &names);
         refused(
             format!("no message in it is of {wanted}"),
-            format!("{close}topics in it: {}{more}; `trocar info` shows them", names.join(", ")),
+            format!("{close}topics in it: {}; `trocar info` shows them", listed(&names)),
         )
     }
 }

@@ -9,11 +9,10 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::{Value, json};
-use tokio::signal::unix::{SignalKind, signal};
-use trocar_model::nearest;
 
+use super::ends::Ends;
 use super::info::size;
-use super::{SHOWN, select};
+use super::{listed, meant, select};
 use crate::cli::connect::ConnectArgs;
 use crate::cli::create::CreateArgs;
 use crate::cli::execution::ExecutionArgs;
@@ -33,6 +32,8 @@ const LOOK: Duration = Duration::from_millis(200);
 const ANSWER_NS: u64 = 5_000_000_000;
 /// How long the end of a file may take, on a disk that is slow.
 const CLOSING: Duration = Duration::from_secs(60);
+/// What the recorder says of a recording whose time had not come.
+const NOT_BEGUN: &str = "stopped before it began: there is no file";
 /// Samples that may wait, at most, and bytes of them.
 const DEEPEST: u32 = 4096;
 const QUEUE_BYTES: u32 = 16 << 20;
@@ -113,12 +114,14 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         execution: ExecutionArgs { priority: Some(PRIORITY), ..ExecutionArgs::default() },
         mutation: MutationArgs::default(),
     };
+    // Before there is anything to be left behind.
+    let ends = Ends::listen();
     session.create(&create).await?;
     let mut left_out = Vec::new();
     // Interrupted before or while it records: what is there is closed, and then shown as usual.
     let ended = tokio::select! {
         ended = recording(&args, session, &path, &place, &wanted, &mut left_out) => ended.map(|()| false),
-        () = interrupted() => Ok(true),
+        () = ends.come() => Ok(true),
     };
     let recorded = match ended {
         Ok(asked) => closed(session, &path, asked, wanted.len()).await,
@@ -151,20 +154,6 @@ fn cut_short(mut failure: Failure, place: &Place, path: &str, stays: bool) -> Fa
     }
     failure.metadata.insert("file".to_owned(), file.to_string());
     failure
-}
-
-/// Ctrl-C, a closed terminal, or an end that was asked for: a recording without its program would go on for ever.
-async fn interrupted() {
-    let signals = [SignalKind::interrupt(), SignalKind::hangup(), SignalKind::terminate()].map(signal);
-    let [Ok(mut interrupt), Ok(mut hangup), Ok(mut terminate)] = signals else {
-        let _ = tokio::signal::ctrl_c().await;
-        return;
-    };
-    tokio::select! {
-        _ = interrupt.recv() => {}
-        _ = hangup.recv() => {}
-        _ = terminate.recv() => {}
-    }
 }
 
 struct Place {
@@ -218,18 +207,13 @@ fn place(args: &RecordArgs) -> Result<Place, Failure> {
 
 /// What could have been meant: what is alike, and what there is, beginning with what is nearest.
 fn instead(pattern: &str, there: &Sources) -> String {
-    let paths = || there.all.iter().map(|source| source.path.as_str());
     if there.all.is_empty() {
         return "there is no output yet: create a component".to_owned();
     }
-    let close = nearest(pattern, paths()).map(|path| format!("did you mean {path}? ")).unwrap_or_default();
     let common = |path: &str| path.split('/').zip(pattern.split('/')).take_while(|(a, b)| a == b).count();
-    let mut all: Vec<&str> = paths().collect();
+    let mut all: Vec<&str> = there.all.iter().map(|source| source.path.as_str()).collect();
     all.sort_by_key(|path| std::cmp::Reverse(common(path)));
-    let more = all.len().saturating_sub(SHOWN);
-    all.truncate(SHOWN);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!("{close}there are: {}{more}", all.join(", "))
+    format!("{}there are: {}", meant([pattern], &all), listed(&all))
 }
 
 /// What the patterns mean; each has to mean something.
@@ -375,6 +359,9 @@ async fn closed(session: &Session, path: &str, asked: bool, inputs: usize) -> Re
     loop {
         let last = ask(session, path, "last", None).await?;
         let text = |key: &str| last[key].as_str().unwrap_or_default().to_owned();
+        if text("reason") == NOT_BEGUN {
+            return Err(not_begun());
+        }
         if !text("reason").is_empty() {
             let mut view = RecordedView {
                 file: text("path"),
@@ -386,11 +373,17 @@ async fn closed(session: &Session, path: &str, asked: bool, inputs: usize) -> Re
                 reason: text("reason"),
                 ..RecordedView::default()
             };
-            missing(session, path, inputs, &mut view).await?;
+            // The file is whole all the same.
+            if let Err(failure) = missing(session, path, inputs, &mut view).await {
+                out::complain(
+                    "warning",
+                    &format!("which topics miss something is not known: {}", failure.message),
+                );
+            }
             return Ok(view);
         }
         if !stopped {
-            return Err(Failure::local("INTERRUPTED", "it was ended before anything was recorded", ""));
+            return Err(not_begun());
         }
         if begun.elapsed() > CLOSING {
             return Err(Failure::local(
@@ -401,6 +394,10 @@ async fn closed(session: &Session, path: &str, asked: bool, inputs: usize) -> Re
         }
         tokio::time::sleep(LOOK / 4).await;
     }
+}
+
+fn not_begun() -> Failure {
+    Failure::local("INTERRUPTED", "it was ended before anything was recorded", "")
 }
 
 /// Of which topics something is missing.
