@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 
-from world import HERE, OK, PARTIAL, PATIENCE_S, REFUSED, Skip, USAGE, VENV, World, messages
+from world import FILLER, HERE, OK, PARTIAL, PATIENCE_S, REFUSED, USAGE, VENV, Skip, World, messages, opcodes, passes_the_page_cache_by
 
 
 def test_video_is_recorded_raw_and_without_loss_in_less_room():
@@ -293,7 +293,12 @@ def test_rerun_shows_images_poses_and_plots():
         world.source()
         world.source("robot", "eyerobot")
         world.source("camera", "phantom_source", {"width": 160, "height": 120})
+        world.source("large", "phantom_source", {"width": 1024, "height": 768})
         world.json("record", "host/sine/value", "host/robot/measured_cp", "host/camera/image", "-o", "trial.mcap", "--seconds", "1")
+        world.json("record", "host/camera/image", "-o", "jpeg.mcap", "--seconds", "1", "--video", "jpeg")
+        # So much that it goes past the page cache, with records of our own in between.
+        world.json("record", "host/large/image", "-o", "large.mcap", "--seconds", "2")
+        assert FILLER in opcodes(world.dir / "large.mcap") or not passes_the_page_cache_by(world.dir)
 
         def asked(*words):
             # Neither a viewer nor a word home.
@@ -302,13 +307,20 @@ def test_rerun_shows_images_poses_and_plots():
             assert done.returncode == 0, (words, done.stderr[-2000:])
             return done.stdout
 
-        asked("mcap", "convert", "trial.mcap", "-o", "trial.rrd")
-        rows = {}
-        for n, entity, columns in re.findall(r"with (\d+) rows .*? - (/\S+) - data columns: \[(.*?)\]", asked("rrd", "print", "trial.rrd")):
-            for column in columns.split():
-                rows[entity, column] = rows.get((entity, column), 0) + int(n)
+        def converted(name):
+            """(entity, column) -> how many rows it has."""
+            asked("mcap", "convert", f"{name}.mcap", "-o", f"{name}.rrd")
+            rows = {}
+            for n, entity, columns in re.findall(r"with (\d+) rows .*? - (/\S+) - data columns: \[(.*?)\]", asked("rrd", "print", f"{name}.rrd")):
+                for column in columns.split():
+                    rows[entity, column] = rows.get((entity, column), 0) + int(n)
+            return rows
+
+        rows, jpeg, large = converted("trial"), converted("jpeg"), converted("large")
         for eye in ("left", "right"):
             assert rows[f"/host/camera/image/{eye}", "Image:buffer"] > 10, rows
+            assert jpeg[f"/host/camera/image/{eye}", "EncodedImage:blob"] > 10, jpeg
+            assert large[f"/host/large/image/{eye}", "Image:buffer"] > 10, large
         assert rows["/host/robot/measured_cp", "InstancePoses3D:translations"] > 500, rows
         assert rows["/host/robot/measured_cp", "InstancePoses3D:quaternions"] > 500, rows
         plots = [column for entity, column in rows if entity == "/host/sine/value" and column.endswith(".Scalar:message")]

@@ -196,6 +196,29 @@ class Terminal:
         return self.process.wait(PATIENCE_S)
 
 
+# The record that fills a page up where a recording passes the page cache by.
+FILLER = 0x80
+
+
+def opcodes(path):
+    """Of the records of a file, those inside of chunks left out."""
+    seen = set()
+    with open(path, "rb") as file:
+        file.seek(8)
+        while len(head := file.read(9)) == 9 and head[:8] != b"\x89MCAP0\r\n":
+            seen.add(head[0])
+            file.seek(int.from_bytes(head[1:], "little"), 1)
+    return seen
+
+
+def passes_the_page_cache_by(directory):
+    try:
+        os.close(os.open(directory / "direct", os.O_CREAT | os.O_WRONLY | os.O_DIRECT))
+    except OSError:
+        return False
+    return True
+
+
 def messages(path, whole=True):
     """Topic -> [(record, decoded)], metadata, and whether the reader came to the file's end."""
     from mcap.exceptions import EndOfFile
