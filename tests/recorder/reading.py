@@ -1,11 +1,12 @@
 """What becomes of a recording: pictures, arrays and tables of what was sent, Rerun; and what is refused on the way."""
 
+import csv
 import json
 import re
 import subprocess
 import sys
 
-from world import FILLER, HERE, OK, PARTIAL, PATIENCE_S, REFUSED, USAGE, VENV, Skip, World, messages, opcodes, passes_the_page_cache_by
+from world import BIN, FILLER, HERE, OK, PARTIAL, PATIENCE_S, REFUSED, USAGE, VENV, Skip, World, messages, opcodes, passes_the_page_cache_by
 
 
 def test_video_is_recorded_raw_and_without_loss_in_less_room():
@@ -140,6 +141,34 @@ def test_numbers_go_to_numpy_and_tables():
         begin = min(message.log_time for topic in messages(world.dir / "a.mcap")[0].values() for message, _ in topic)
         wanted = whole[(whole >= begin + 300_000_000) & (whole <= begin + 600_000_000)]
         assert 0 < len(some) < n and (some == wanted).all(), (len(some), len(wanted), n)
+
+
+def test_tables_of_more_topics_than_files_may_be_open_are_written_all():
+    from mcap.writer import CompressionType, Writer
+    with World([]) as world:
+        with open(world.dir / "small.mcap", "wb") as file:
+            writer = Writer(file, compression=CompressionType.ZSTD)
+            writer.start()
+            writer.add_message(writer.register_channel("/a", "json", 0), 1, b'{"n": 1}', 1)
+            writer.finish()
+        refused = world.run("export", "small.mcap", "--csv", code=REFUSED).stderr
+        assert "zstd" in refused and "--compression none" in refused, refused
+        with open(world.dir / "many.mcap", "wb") as file:
+            writer = Writer(file, compression=CompressionType.NONE)
+            writer.start()
+            schema = writer.register_schema("numbers", "jsonschema", b'{"type": "object"}')
+            channels = [writer.register_channel(f"/host/c{n}/value", "json", schema) for n in range(300)]
+            for k in range(3):
+                for n, channel in enumerate(channels):
+                    writer.add_message(channel, k, json.dumps({"n": n * 10 + k}).encode(), k)
+            writer.finish()
+        done = subprocess.run(["prlimit", "--nofile=64", BIN / "trocar", "export", "many.mcap", "--csv", "--json"], cwd=world.dir, env=world.env,
+                              capture_output=True, text=True)
+        assert done.returncode == OK and json.loads(done.stdout)["files"] == 300, (done.returncode, done.stdout, done.stderr)
+        for n in (0, 299):
+            with open(world.dir / f"many/host_c{n}_value.csv", newline="") as file:
+                told = [json.loads(row["json"])["n"] for row in csv.DictReader(file)]
+            assert told == [n * 10, n * 10 + 1, n * 10 + 2], told
 
 
 def test_what_has_names_goes_to_tables_by_name_and_to_numpy_by_number():

@@ -3,19 +3,19 @@
 //! Invariant: nothing that exists is written over; what does not fit into a table is counted and told.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{File, OpenOptions};
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
-use serde::Serialize;
 
 use super::columns::{Cell, Reader};
 use super::npz::{Item, Npz};
 use super::planes::{Plane, Row};
 use super::read::{self, Channel, Takes};
+use super::sink::{ExportView, Message, Sink, file_name, new_file, wrote};
+use super::tables::Tables;
 use super::{listed, meant, pictures, select};
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::session::Session;
@@ -53,26 +53,6 @@ pub(in crate::cli) struct ExportArgs {
     output: Option<PathBuf>,
 }
 
-/// What was written.
-#[derive(Debug, Default, Serialize)]
-struct ExportView {
-    output: String,
-    files: u64,
-    messages: u64,
-    /// Messages that are not what their channel says.
-    unreadable: u64,
-    /// Values that the first message of a topic has no column for, and frames that are of another shape than the first.
-    unplaced: u64,
-    /// Pictures: `--png` writes them, arrays do not hold them.
-    pictures: u64,
-    /// Words: `--csv` writes them, arrays do not hold them.
-    texts: u64,
-    /// Messages that the recorder told of itself: written where `--topic` names them.
-    recorders: u64,
-    /// Why the recording was not read to its end.
-    wrong: String,
-}
-
 pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     if let (Some(from), Some(to)) = (args.from, args.to)
         && from >= to
@@ -93,7 +73,7 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     let sink: Box<dyn Sink> = if args.npz {
         Box::new(Arrays::default())
     } else if args.csv {
-        Box::new(Tables { directory: output.clone(), open: BTreeMap::new() })
+        Box::new(Tables::new(output.clone()))
     } else {
         Box::new(Pictures { directory: output.clone(), counts: BTreeMap::new(), skipped: None })
     };
@@ -188,37 +168,15 @@ impl Exporting {
         let names: BTreeSet<&str> = whole.channels.values().map(|c| c.topic.as_str()).collect();
         let names: Vec<&str> = names.into_iter().collect();
         let close = meant(self.patterns.iter().map(String::as_str), &names);
+        // What could not be read may have had it.
+        if !whole.wrong.is_empty() {
+            return refused(format!("no message of {wanted} can be read: {}", whole.wrong), String::new());
+        }
         refused(
             format!("no message in it is of {wanted}"),
             format!("{close}topics in it: {}; `trocar info` shows them", listed(&names)),
         )
     }
-}
-
-/// One message, and what it takes to read it.
-struct Message<'a> {
-    channel: &'a Channel,
-    reader: &'a Reader,
-    header: &'a MessageHeader,
-    data: &'a [u8],
-}
-
-impl Message<'_> {
-    /// Its values; one that has none, and values that are too many, are counted.
-    fn row(&self, view: &mut ExportView) -> Option<Vec<(String, Cell)>> {
-        let values = self.reader.values(self.channel, self.data);
-        view.unreadable += u64::from(values.is_none());
-        let values = values?;
-        view.unplaced += values.left_out;
-        Some(values.row)
-    }
-}
-
-/// Where messages go.
-trait Sink {
-    fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure>;
-    /// How many files there are.
-    fn finish(self: Box<Self>, output: &Path, view: &mut ExportView) -> Result<u64, Failure>;
 }
 
 impl Takes for Exporting {
@@ -244,78 +202,6 @@ impl Takes for Exporting {
 
     fn progress(&mut self, bytes: u64) {
         self.bar.set_position(bytes);
-    }
-}
-
-/// A topic as the name of a file: no way out of its directory.
-fn file_name(topic: &str) -> String {
-    let good = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '_' | '-') { c } else { '_' };
-    let name: String = topic.trim_matches('/').chars().map(good).take(200).collect();
-    if name.is_empty() { "topic".to_owned() } else { name }
-}
-
-fn wrote(path: &Path, why: &dyn std::fmt::Display) -> Failure {
-    Failure::local(
-        "IO",
-        format!("{} cannot be written: {why}", path.display()),
-        "choose another place: -o PATH",
-    )
-}
-
-fn new_file(path: &Path) -> Result<File, Failure> {
-    if let Some(parent) = path.parent() {
-        std::fs::create_dir_all(parent).map_err(|e| wrote(parent, &e))?;
-    }
-    OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| wrote(path, &e))
-}
-
-// ---- CSV
-
-struct Tables {
-    directory: PathBuf,
-    open: BTreeMap<u16, (PathBuf, Vec<String>, BufWriter<File>)>,
-}
-
-impl Sink for Tables {
-    fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure> {
-        let Some(row) = message.row(view) else { return Ok(()) };
-        let Message { channel, header, .. } = *message;
-        if !self.open.contains_key(&header.channel_id) {
-            let mut name = file_name(&channel.topic);
-            if self.open.values().any(|(path, ..)| path.file_stem().is_some_and(|stem| *stem == *name)) {
-                name = format!("{name}_{}", header.channel_id);
-            }
-            let path = self.directory.join(format!("{name}.csv"));
-            let mut file = BufWriter::new(new_file(&path)?);
-            let names: Vec<String> = row.iter().map(|(name, _)| name.clone()).collect();
-            let heads: Vec<String> = names.iter().map(|name| Cell::Text(name.clone()).text()).collect();
-            let head = format!("log_time_ns,publish_time_ns,sequence,{}\n", heads.join(","));
-            file.write_all(head.as_bytes()).map_err(|e| wrote(&path, &e))?;
-            self.open.insert(header.channel_id, (path, names, file));
-        }
-        let Some((path, names, file)) = self.open.get_mut(&header.channel_id) else { return Ok(()) };
-        let mut line = format!("{},{},{}", header.log_time, header.publish_time, header.sequence);
-        let mut placed = 0;
-        for (n, name) in names.iter().enumerate() {
-            let same = row.get(n).filter(|(other, _)| other == name);
-            let cell = same.or_else(|| row.iter().find(|(other, _)| other == name));
-            line.push(',');
-            if let Some((_, cell)) = cell {
-                line.push_str(&cell.text());
-                placed += 1;
-            }
-        }
-        line.push('\n');
-        view.unplaced += (row.len() - placed.min(row.len())) as u64;
-        view.messages += 1;
-        file.write_all(line.as_bytes()).map_err(|e| wrote(path, &e))
-    }
-
-    fn finish(mut self: Box<Self>, _: &Path, _: &mut ExportView) -> Result<u64, Failure> {
-        for (path, _, file) in self.open.values_mut() {
-            file.flush().map_err(|e| wrote(path, &e))?;
-        }
-        Ok(self.open.len() as u64)
     }
 }
 

@@ -13,6 +13,8 @@ mod read;
 pub(super) mod record;
 mod records;
 mod select;
+mod sink;
+mod tables;
 
 use std::path::Path;
 
