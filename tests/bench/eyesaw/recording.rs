@@ -1,8 +1,8 @@
 //! The canonical load while it is recorded: video, 4000 A-scans a second, a robot of 1 kHz that scans, all events and commands.
 //!
 //! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without, in one running system,
-//! turn and turn about: without is nothing connected and the recorder standing still. What the stretches without differ among
-//! themselves is the machine's doing. Whose steps take microseconds runs on a processor that the disk does not interrupt. Told beside
+//! turn and turn about: without is nothing connected and the recorder standing still. Each stretch is compared with the one beside it, and
+//! the median of all pairs is judged: a second in which the machine did something else is one pair. Whose steps take microseconds runs on a processor that the disk does not interrupt. Told beside
 //! it is what the same bytes cost them when a program does nothing but write them, through the page cache: last, for that has held
 //! the robot up for so long that a scan was given up.
 
@@ -19,6 +19,7 @@ use super::plan::{Plan, RECORDER};
 use super::rig::{OFFSET_M, Rig, is_phase, world};
 use super::verdicts::{Unit, Verdicts};
 use crate::lab::as_number;
+use crate::table::median;
 
 /// Those whose steps are timed, beside the stream of A-scans.
 const TIMED: [&str; 3] = ["host/camera", "robot/robot", "host/bscan"];
@@ -51,17 +52,40 @@ const LINE_M: f64 = 0.003;
 /// After a change, until times are taken.
 const SETTLE: Duration = Duration::from_millis(500);
 
-/// Whose times are kept apart: those of stretches without in even and in odd rounds, of stretches with it, of stretches beside a
-/// [`BareWriter`], of anything else.
-const WITHOUT: [u32; 2] = [0, 1];
-const WITH: u32 = 2;
-const BESIDE: u32 = 3;
-const ASIDE: u32 = 4;
+/// What a stretch is: whose times are kept apart.
+#[derive(Clone, Copy)]
+enum Stretch {
+    /// Whatever is not judged.
+    Aside,
+    /// Without a recorder, and with one, in this round.
+    Without(u64),
+    With(u64),
+    /// Beside a [`BareWriter`].
+    Beside,
+}
 
-/// Times of steps, ns, in the order of [`TIMED`] and then that of one A-scan: percentile 99 and median.
+impl Stretch {
+    /// Its account at the ledgers.
+    fn account(self) -> u64 {
+        match self {
+            Stretch::Aside => 0,
+            Stretch::Beside => 1,
+            Stretch::Without(round) => 2 + 2 * round,
+            Stretch::With(round) => 3 + 2 * round,
+        }
+    }
+}
+
+/// Times of steps in a stretch, ns, in the order of [`TIMED`] and then that of one A-scan: percentile 99 and median.
 struct Times {
     p99: Vec<f64>,
     p50: Vec<f64>,
+}
+
+impl Times {
+    fn of(&self, what: &str, at: usize) -> f64 {
+        if what == "p99" { self.p99[at] } else { self.p50[at] }
+    }
 }
 
 pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
@@ -79,7 +103,7 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
     rig.call("oct/ledger", "ledger/clear", json!(OFFSET_M));
 
     verdicts.title(&format!("Canonical load recorded for {seconds} s, three processes"));
-    turn_to(&rig, ASIDE);
+    turn_to(&rig, Stretch::Aside);
     let bytes_per_s = recorded(verdicts, &rig, seconds);
     let scans = goes_on(&rig, scan_m_s);
     verdicts.at_least("scans that went on all the while", f64::from(u8::from(scans)), 1.0, Unit::Count);
@@ -90,7 +114,7 @@ pub(super) fn measure(verdicts: &mut Verdicts, seconds: u64) {
     let bare = directory.join("bare");
     for _ in 0..BARE_ROUNDS {
         let _writes = BareWriter::begin(&bare, bytes_per_s);
-        turns.stretch(&rig, BESIDE, each_s(seconds));
+        turns.stretch(&rig, Stretch::Beside, each_s(seconds));
     }
     compare(verdicts, &rig);
     verdicts.at_most("samples lost in these recordings", turns.lost, 0.0, 0.0, Unit::Count);
@@ -133,16 +157,16 @@ struct Turns {
 
 impl Turns {
     /// The times of so many seconds go to that account. Where the scan was given up meanwhile another one is begun.
-    fn stretch(&mut self, rig: &Rig, account: u32, seconds: u64) {
+    fn stretch(&mut self, rig: &Rig, stretch: Stretch, seconds: u64) {
         thread::sleep(SETTLE);
-        turn_to(rig, account);
+        turn_to(rig, stretch);
         let stolen = stolen_s();
         thread::sleep(Duration::from_secs(seconds));
         let stolen = stolen_s() - stolen;
-        turn_to(rig, ASIDE);
-        let of = &mut self.of[match account {
-            WITH => 1,
-            BESIDE => 2,
+        turn_to(rig, Stretch::Aside);
+        let of = &mut self.of[match stretch {
+            Stretch::With(_) => 1,
+            Stretch::Beside => 2,
             _ => 0,
         }];
         of.stolen_s += stolen;
@@ -151,18 +175,17 @@ impl Turns {
 
     /// A stretch without and one with it, or the other way round.
     fn take(&mut self, rig: &Rig, round: u64, seconds: u64) {
-        let without = WITHOUT[(round % 2) as usize];
         // Each comes first as often as last.
-        let forth = (round / 2).is_multiple_of(2);
+        let forth = round.is_multiple_of(2);
         if forth {
-            self.stretch(rig, without, seconds);
+            self.stretch(rig, Stretch::Without(round), seconds);
         }
         let recording = Recording::begin(rig, &format!("round{round}.mcap"));
-        self.stretch(rig, WITH, seconds);
+        self.stretch(rig, Stretch::With(round), seconds);
         let (lost, dropped, _) = recording.end();
         self.lost += lost + dropped;
         if !forth {
-            self.stretch(rig, without, seconds);
+            self.stretch(rig, Stretch::Without(round), seconds);
         }
     }
 }
@@ -181,36 +204,51 @@ fn ledgers() -> impl Iterator<Item = String> {
     TIMED.iter().map(|path| format!("{path}-ends")).chain(["oct/ledger".to_owned()])
 }
 
-fn turn_to(rig: &Rig, account: u32) {
-    ledgers().for_each(|path| drop(rig.call(&path, "ledger/account", json!(account))));
+fn turn_to(rig: &Rig, stretch: Stretch) {
+    ledgers().for_each(|path| drop(rig.call(&path, "ledger/account", json!(stretch.account()))));
 }
 
-fn times(rig: &Rig, account: u32) -> Times {
-    turn_to(rig, account);
+fn times(rig: &Rig, stretch: Stretch) -> Times {
+    turn_to(rig, stretch);
     let figures: Vec<Value> = ledgers().map(|path| rig.call(&path, "ledger/figures", Value::Null)).collect();
     let all = |key: &str| figures.iter().map(|figures| as_number(&figures[key])).collect();
     Times { p99: all("p99"), p50: all("p50") }
 }
 
 fn compare(verdicts: &mut Verdicts, rig: &Rig) {
-    let [even, odd] = WITHOUT.map(|account| times(rig, account));
-    let (with, beside) = (times(rig, WITH), times(rig, BESIDE));
+    let pairs: Vec<[Times; 2]> = (0..ROUNDS)
+        .map(|round| [Stretch::Without(round), Stretch::With(round)].map(|stretch| times(rig, stretch)))
+        .collect();
+    let beside = times(rig, Stretch::Beside);
     let names = TIMED.iter().map(|path| format!("step of {path}")).chain(["time of one A-scan".into()]);
     for (at, name) in names.enumerate() {
-        let pick = |what: &str, of: &Times| if what == "p99" { of.p99[at] } else { of.p50[at] };
         for what in ["p99", "p50"] {
-            let [with, beside, even, odd] = [&with, &beside, &even, &odd].map(|times| pick(what, times));
-            let base = 0.5 * (even + odd);
-            let control = (even - odd).abs() / base;
-            let longer = format!("{name}, {what}, longer by");
+            let all = |side: usize| pairs.iter().map(move |pair| pair[side].of(what, at));
+            let longer = median(all(1).zip(all(0)).map(|(with, without)| with / without - 1.0).collect());
+            // What stretches without one differ by, each from that of the round before.
+            let control = all(0).skip(1).zip(all(0)).map(|(now, before)| (now / before - 1.0).abs());
+            let control = median(control.collect());
+            let (with, without) = (median(all(1).collect()), median(all(0).collect()));
+            let by = format!("{name}, {what}, longer by");
             match what {
-                "p99" => verdicts.at_most(&longer, with / base - 1.0, SLOWER, control, Unit::Share),
-                _ => verdicts.tell(&longer, with / base - 1.0, Some(control), Unit::Share),
+                "p99" => verdicts.at_most(&by, longer, SLOWER, 0.0, Unit::Share),
+                _ => verdicts.tell(&by, longer, Some(control), Unit::Share),
             }
-            let both = format!("{name}, {what}, recorded; beside it not recorded");
-            verdicts.tell(&both, with, Some(base), Unit::Ns);
+            verdicts.tell(
+                &format!("{name}, {what}, recorded; beside it not recorded"),
+                with,
+                Some(without),
+                Unit::Ns,
+            );
+            if what == "p99" {
+                let means = all(1).sum::<f64>() / all(0).sum::<f64>() - 1.0;
+                let by = format!(
+                    "{name}, {what}, longer by, of the means; beside it what neighbours without differ by"
+                );
+                verdicts.tell(&by, means, Some(control), Unit::Share);
+            }
             let bare = format!("{name}, {what}, longer by, beside a program that only writes the bytes");
-            verdicts.tell(&bare, beside / base - 1.0, None, Unit::Share);
+            verdicts.tell(&bare, beside.of(what, at) / without - 1.0, None, Unit::Share);
         }
     }
 }
