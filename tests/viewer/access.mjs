@@ -36,6 +36,19 @@ async function every_view(world, scheme) {
     await page.getByRole('tab', { name: tab }).click();
     await look(tab);
   }
+  // A structure with every kind of field, as fields and as JSON.
+  await create(host.addr, 'fixture-conform/Server', 'host/server');
+  await page.keyboard.press('Control+k');
+  await page.getByRole('combobox', { name: 'search' }).fill('host/server');
+  await page.keyboard.press('Enter');
+  await page.getByRole('tab', { name: 'Invoke' }).click();
+  await page.getByLabel('Command').selectOption('ctl/mirror');
+  await page.getByRole('button', { name: 'add to list' }).click();
+  await page.locator('#argument\\/list\\/0').fill('far');
+  await look('Invoke of a structure');
+  await page.getByRole('button', { name: 'all as JSON' }).click();
+  await look('Invoke as JSON');
+  await box(page, 'host/sine').locator('header').click();
   await page.getByRole('tab', { name: 'Interfaces' }).click();
   await page.locator('[data-plot="host/sine/value#value"]').evaluate((e) => { e.closest('details').open = true; });
   await page.locator('[data-plot="host/sine/value#value"]').click();
@@ -53,6 +66,11 @@ async function every_view(world, scheme) {
   await page.getByRole('menuitem', { name: /^Remove/ }).click();
   await page.getByText('This would be done:').waitFor();
   await look('remove');
+  await page.keyboard.press('Escape');
+  await box(page, 'host/echo').locator('header').click({ button: 'right' });
+  await page.getByRole('menuitem', { name: /^Connect to/ }).click();
+  await page.locator('[data-connect]').waitFor();
+  await look('connect');
   await page.keyboard.press('Escape');
   await page.keyboard.press('Control+k');
   await page.getByRole('combobox', { name: 'search' }).fill('s');

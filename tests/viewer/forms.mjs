@@ -1,7 +1,5 @@
 /// What people do to components: menus, forms, the palette.
-import fs from 'node:fs';
-import path from 'node:path';
-import { box, connect, create, eventually, grpcurl, holds, is, menu, settled, shot, start, state } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, holds, is, menu, settled, shot, start, state, still } from './world.mjs';
 
 export async function every_verb_of_the_menu_does_what_it_says(world) {
   const host = await world.host();
@@ -11,7 +9,7 @@ export async function every_verb_of_the_menu_does_what_it_says(world) {
   await box(page, 'host/sine').locator('header').click({ button: 'right' });
   await page.getByRole('menuitem', { name: /^Start/ }).waitFor();
   await shot(page, 'context-menu');
-  is(await page.getByRole('menuitem').evaluateAll((all) => all.map((e) => e.querySelector('span').innerText)), ['Start', 'Stop', 'Resume', 'Reset', 'Configure…', 'Show interfaces', 'Invoke…', 'Remove…'], 'the menu of a component without images and events');
+  is(await page.getByRole('menuitem').evaluateAll((all) => all.map((e) => e.querySelector('span').innerText)), ['Start', 'Stop', 'Resume', 'Reset', 'Configure…', 'Show interfaces', 'Invoke…', 'Connect to…', 'Remove…'], 'the menu of a component without images and events');
   holds((await page.getByRole('menuitem', { name: /^Resume/ }).getAttribute('aria-disabled')) === 'true', 'what its state does not allow is greyed');
   await page.keyboard.press('Escape');
   for (const [verb, becomes] of [['Start', 'ACTIVE'], ['Stop', 'STOPPED'], ['Resume', 'ACTIVE'], ['Stop', 'STOPPED'], ['Reset', 'READY']]) {
@@ -41,8 +39,9 @@ export async function a_configuration_is_a_form_and_what_is_refused_says_why(wor
   is(await field.inputValue(), '1', 'what is configured now');
   holds((await page.locator('[data-configure]').innerText()).includes('Hz'), 'units are shown');
   const send = page.getByRole('button', { name: 'Configure', exact: true });
-  for (const [typed, why] of [['501', /500/], ['fast', /number|fast/i]]) {
+  for (const [typed, at, why] of [['501', '501 is above 500 Hz', /500/], ['fast', 'fast is no number', /number|fast/i]]) {
     await field.fill(typed);
+    is(await page.locator('[data-wrong="field/frequency_hz"]').innerText(), at, 'at the field');
     await send.click();
     const said = await page.locator('[data-configure] .refusal').innerText();
     holds(why.test(said), `${typed}: ${said}`);
@@ -66,7 +65,14 @@ export async function of_a_large_form_only_what_was_changed_is_sent(world) {
   const send = page.getByRole('button', { name: 'Configure', exact: true });
   const video = field('video');
   is(await video.locator('option').allInnerTexts(), ['raw', 'qoi', 'jpeg'], 'what may be chosen');
-  is(await field('topics').inputValue(), '["a","b"]', 'an array is JSON');
+  const rows = (list) => form.locator(`[id^="field/${list}/"]:is(input)`).evaluateAll((all) => all.map((e) => e.value));
+  const add = async (list, ...typed) => {
+    for (const value of typed) {
+      await form.getByRole('button', { name: `add to ${list}`, exact: true }).click();
+      await field(`${list}[${(await rows(list)).length - 1}]`).fill(value);
+    }
+  };
+  is([await rows('topics'), await rows('every')], [['a', 'b'], ['2', '3']], 'an array is a field for each');
   holds(/1 … 100/.test(await form.locator('.field', { has: page.locator('label', { hasText: 'jpeg_quality' }) }).innerText()), 'a range is shown');
   holds(await send.isDisabled(), 'where nothing was changed there is nothing to send');
   let before = await configOf(host.addr, 'host/log');
@@ -85,16 +91,17 @@ export async function of_a_large_form_only_what_was_changed_is_sent(world) {
 
   // What somebody else sets meanwhile is neither shown as it was, nor sent back.
   await grpcurl(host.addr, 'GcmService/Configure', { path: 'host/log', config: { pre_trigger_mb: 64 } });
-  await field('every').fill('[4]');
+  await form.getByRole('button', { name: 'remove every[0]' }).click();
+  await field('every[0]').fill('4');
   await eventually('what somebody else has set is shown', async () => (await field('pre_trigger_mb').inputValue()) === '64');
-  is(await field('every').inputValue(), '[4]', 'what was typed stays');
+  is(await rows('every'), ['4'], 'what was typed stays');
   await send.click();
   before = { ...before, pre_trigger_mb: 64, every: [4] };
   await eventually('it is configured', async () => (await configOf(host.addr, 'host/log')).every.length === 1);
   await same('only what was changed, beside somebody else');
 
   // Refused in the server's words.
-  for (const [name, typed, why] of [['jpeg_quality', '101', /jpeg_quality.*100/], ['every', '[0]', /every\[0\].*keeps nothing/], ['topics', '{"a": 1}', /topics/], ['max_rate_hz', '[1, 2, 3]', /max_rate_hz: 3 items for 2 topics/]]) {
+  for (const [name, typed, why] of [['jpeg_quality', '101', /jpeg_quality.*100/], ['every[0]', '0', /every\[0\].*keeps nothing/]]) {
     const had = await field(name).inputValue();
     await field(name).fill(typed);
     await send.click();
@@ -102,104 +109,62 @@ export async function of_a_large_form_only_what_was_changed_is_sent(world) {
     await same(`${name} ${typed}`);
     await field(name).fill(had);
   }
+  await add('max_rate_hz', '1', '2', '3');
+  await send.click();
+  await form.locator('.refusal', { hasText: /max_rate_hz: 3 items for 2 topics/ }).waitFor();
+  await same('too many rates');
+  for (let n = 0; n < 3; n += 1) await form.getByRole('button', { name: 'remove max_rate_hz[0]' }).click();
 
   // Refused here: nobody could say what was meant, so nothing else of the form goes, either.
   await video.selectOption({ label: 'jpeg' });
+  await form.getByRole('button', { name: 'topics as JSON' }).click();
+  is(await field('topics').inputValue(), '["a","b"]', 'an array as JSON');
   await field('topics').fill('["a", "b"');
-  const said = form.locator('.field', { has: page.locator('label', { hasText: 'topics' }) }).locator('.bad');
+  const said = form.locator('[data-wrong="field/topics"]');
   holds(/^this is no JSON: /.test(await said.innerText()), `a sentence: ${await said.innerText()}`);
   await send.click();
   await page.getByRole('button', { name: 'Check only' }).click();
   await form.locator('.refusal', { hasText: 'topics' }).waitFor();
   await shot(page, 'configure-no-json');
   await same('no JSON');
+  await field('topics').fill('{"a": 1}');
+  await send.click();
+  await form.locator('.refusal', { hasText: 'topics' }).waitFor();
+  await same('no list');
   await page.getByRole('button', { name: 'Revert' }).click();
-  is([await field('topics').inputValue(), await video.inputValue(), await said.count()], ['["a","b"]', '"qoi"', 0], 'everything is as it was');
+  is([await rows('topics'), await video.inputValue(), await said.count()], [['a', 'b'], '"qoi"', 0], 'everything is as it was');
 
-  await field('topics').fill('["left", "right", "third"]');
+  await field('topics[0]').fill('left');
+  await field('topics[1]').fill('right');
+  await add('topics', 'third');
+  await shot(page, 'configure-rows');
   await send.click();
   await page.locator('[data-port="host/log/third"]').waitFor();
   before = { ...before, topics: ['left', 'right', 'third'] };
   await same('an array');
 }
 
-export async function a_command_with_a_structure_is_invoked_and_names_the_field_that_is_wrong(world) {
+export async function many_numbers_share_a_field_with_commas_between_them(world) {
   const host = await world.host();
-  await create(host.addr, 'recorder/recorder', 'host/log', { directory: world.dir });
-  await start(host.addr, 'host/log');
+  const numbers = Array.from({ length: 20 }, (_, n) => n + 1);
+  await create(host.addr, 'recorder/recorder', 'host/log', { directory: world.dir, topics: numbers.map((n) => `t${n}`), every: numbers });
   const page = await world.viewer(host.addr);
   await settled(page);
-  await menu(page, 'host/log', 'Invoke…');
-  await page.getByLabel('Command').selectOption('ctl/start');
-  const argument = page.locator('#argument');
-  await eventually('all fields are there to be filled in', async () => JSON.stringify(JSON.parse(await argument.inputValue())) === '{"path":"","delay":0,"duration":0}');
-  const invoke = async (value) => {
-    await argument.fill(JSON.stringify(value));
-    await page.getByRole('button', { name: 'Invoke' }).click();
-  };
-  const file = path.join(world.dir, 'trial.mcap');
-  for (const [wrong, why] of [
-    [{ path: 'trial.mcap', dely: 0, duration: 0 }, /has no field `dely`; did you mean `delay`\?/],
-    [{ path: 'trial.mcap', delay: 0 }, /field `duration` of .* is missing/],
-    [{ path: 'trial.mcap', delay: 'soon', duration: 0 }, /delay.*soon/],
-    [{ path: 'trial.mcap', delay: 0, duration: -1 }, /duration: -1 s is not between 0 s and 86400 s/],
-    [{ path: '../trial.mcap', delay: 0, duration: 0 }, /leads out of the directory/],
-  ]) {
-    await invoke(wrong);
-    await page.locator('[data-outcome].refusal', { hasText: why }).waitFor();
-    holds(!fs.existsSync(file), `${JSON.stringify(wrong)} recorded`);
+  await menu(page, 'host/log', 'Configure…');
+  const form = page.locator('[data-configure="host/log"]');
+  const field = form.getByLabel('every', { exact: true });
+  is(await field.inputValue(), numbers.join(', '), 'what is configured');
+  is(await form.locator('[id^="field/topics/"]:is(input)').count(), 20, 'texts have a field each');
+  const wrong = form.locator('[data-wrong="field/every"]');
+  for (const [typed, why] of [['far', 'number 19: far is no number'], ['-1', 'number 19: -1 is below 0'], ['0.5', 'number 19: 0.5 is no whole number']]) {
+    await field.fill(`${numbers.slice(1).join(',')}, ${typed}`);
+    is(await wrong.innerText(), why, 'at the field');
   }
-  await shot(page, 'invoke-structure-refused');
-  await invoke({ path: 'trial.mcap', delay: 0, duration: 0 });
-  await page.locator('[data-outcome]:not(.refusal)').waitFor();
-  holds(fs.existsSync(file), 'the file is made');
-  const phase = async () => (await grpcurl(host.addr, 'InteractService/Read', { path: 'host/log' })).json.status.phase;
-  await eventually('it records', async () => (await phase()) === 'RECORDING');
-  await shot(page, 'invoke-structure');
-  await page.getByLabel('Command').selectOption('ctl/stop');
-  await page.getByRole('button', { name: 'Invoke' }).click();
-  await page.locator('[data-outcome]:not(.refusal)').waitFor();
-  await eventually('it has ended', async () => (await phase()) === 'IDLE');
-}
-
-export async function any_command_is_invoked_and_wrong_arguments_are_refused_in_the_servers_words(world) {
-  const host = await world.host();
-  await create(host.addr, 'echo', 'host/echo');
-  await start(host.addr, 'host/echo');
-  const page = await world.viewer(host.addr);
-  await settled(page);
-  await menu(page, 'host/echo', 'Invoke…');
-  await page.getByLabel('Command').selectOption('ctl/write');
-  const argument = page.locator('#argument');
-  const outcome = page.locator('[data-outcome]');
-  for (const wrong of ['"text"', '{"a": 1}', '[1', 'many']) {
-    await argument.fill(wrong);
-    await page.getByRole('button', { name: 'Invoke' }).click();
-    await page.locator('[data-outcome].refusal').waitFor();
-    holds((await outcome.innerText()).length > 12, `${wrong} is refused in a sentence: ${await outcome.innerText()}`);
-  }
-  await shot(page, 'invoke-refused');
-  await argument.fill('12.5');
-  await page.getByRole('button', { name: 'Invoke' }).click();
-  await page.locator('[data-outcome]:not(.refusal)').waitFor();
-  await eventually('it was written', async () => (await grpcurl(host.addr, 'InteractService/Read', { path: 'host/echo' })).json.value === 12.5);
-  await shot(page, 'invoke');
-}
-
-export async function what_is_out_of_a_commands_range_is_refused_with_the_range(world) {
-  const host = await world.host();
-  await create(host.addr, 'example/Server', 'host/Server');
-  await start(host.addr, 'host/Server');
-  const page = await world.viewer(host.addr);
-  await settled(page);
-  await menu(page, 'host/Server', 'Invoke…');
-  await page.getByLabel('Command').selectOption('Provided/Write');
-  for (const [wrong, why] of [['300', /300 is above maximum 100 mm/], ['-1', /-1 is below minimum 0 mm/]]) {
-    await page.locator('#argument').fill(wrong);
-    await page.getByRole('button', { name: 'Invoke' }).click();
-    await page.locator('[data-outcome].refusal', { hasText: why }).waitFor();
-  }
-  await shot(page, 'invoke-out-of-range');
+  const wanted = [...numbers.slice(1), 1000];
+  await field.fill(wanted.join(' , '));
+  await shot(page, 'configure-many-numbers');
+  await page.getByRole('button', { name: 'Configure', exact: true }).click();
+  await eventually('it is configured', async () => JSON.stringify((await configOf(host.addr, 'host/log')).every) === JSON.stringify(wanted));
 }
 
 export async function a_class_is_dragged_from_the_palette_into_a_process(world) {
@@ -208,8 +173,9 @@ export async function a_class_is_dragged_from_the_palette_into_a_process(world) 
   await page.locator('[data-process=host]').waitFor();
   await page.getByRole('button', { name: 'Palette' }).click();
   await page.getByLabel('filter classes').fill('sine');
-  const from = await page.locator('[data-class="sine/sine"]').boundingBox();
-  const to = await page.locator('[data-process=host]').boundingBox();
+  await eventually('it is there alone', async () => (await page.locator('[data-class]').count()) === 1);
+  const from = await still(page.locator('[data-class="sine/sine"]'));
+  const to = await still(page.locator('[data-process=host]'));
   await page.mouse.move(from.x + 30, from.y + 12);
   await page.mouse.down();
   await page.mouse.move(to.x + to.width / 2, to.y + to.height / 2, { steps: 8 });
@@ -234,7 +200,7 @@ const small = (page) =>
 
 export async function what_is_touched_is_as_large_as_a_finger_in_every_view(world) {
   const host = await world.host();
-  for (const [cls, p] of [['sine', 'host/sine'], ['echo', 'host/echo'], ['example/Client', 'host/client'], ['example/Server', 'host/Server']]) await create(host.addr, cls, p);
+  for (const [cls, p] of [['sine', 'host/sine'], ['echo', 'host/echo'], ['example/Client', 'host/client'], ['example/Server', 'host/Server'], ['eyerobot/eyerobot', 'host/robot']]) await create(host.addr, cls, p);
   await connect(host.addr, 'host/echo/sample', 'host/sine/value');
   await start(host.addr, 'host/sine', 'host/echo');
   const page = await world.viewer(host.addr, '', { hasTouch: true, isMobile: true, viewport: { width: 1024, height: 768 } });
@@ -276,6 +242,14 @@ export async function what_is_touched_is_as_large_as_a_finger_in_every_view(worl
   await page.getByLabel('Command').selectOption('Provided/Write');
   await page.locator('#argument').waitFor();
   await look('Invoke', 15);
+  await reveal('host/robot');
+  await tab('Invoke');
+  await page.getByLabel('Command').selectOption('arm/move_jp');
+  await page.getByRole('button', { name: 'add to position' }).tap();
+  await page.getByRole('button', { name: 'effort as JSON' }).tap();
+  await look('Invoke of a structure', 20);
+  await shot(page, 'touch-invoke');
+  await reveal('host/Server');
   await tab('Interfaces');
   await page.locator('[data-plot="host/Server#set_point"]').waitFor({ state: 'attached' });
   await page.locator('.inspector details').evaluateAll((all) => all.forEach((e) => { e.open = true; }));
@@ -307,6 +281,14 @@ export async function fingers_open_the_menu_by_a_long_press_and_find_what_they_t
   await fingers.send('Input.dispatchTouchEvent', { type: 'touchEnd', touchPoints: [] });
   await shot(page, 'touch');
   is(await small(page), [], 'what is smaller than a finger');
+  await page.getByRole('menuitem', { name: /^Connect to/ }).tap();
+  await page.locator('[data-connect="host/sine"]').waitFor();
+  is(await small(page), [], 'what is smaller than a finger, of what may be connected');
+  await shot(page, 'touch-connect');
+  await page.getByRole('button', { name: 'Cancel' }).tap();
+  await fingers.send('Input.dispatchTouchEvent', { type: 'touchStart', touchPoints: [point] });
+  await page.getByRole('menuitem', { name: /^Start/ }).waitFor();
+  await fingers.send('Input.dispatchTouchEvent', { type: 'touchEnd', touchPoints: [] });
   await page.getByRole('menuitem', { name: /^Start/ }).tap();
   await eventually('it runs', async () => (await state(host.addr, 'host/sine')) === 'ACTIVE');
 }
@@ -319,7 +301,7 @@ export async function a_page_that_only_reads_offers_no_way_to_change_anything(wo
   await page.getByText('read-only').waitFor();
   is(await page.getByRole('button', { name: 'Palette' }).count(), 0, 'palettes');
   await box(page, 'host/sine').locator('header').click({ button: 'right' });
-  for (const verb of ['Start', 'Invoke…', 'Remove…']) is(await page.getByRole('menuitem', { name: verb }).getAttribute('aria-disabled'), 'true', verb);
+  for (const verb of ['Start', 'Invoke…', 'Connect to…', 'Remove…']) is(await page.getByRole('menuitem', { name: verb }).getAttribute('aria-disabled'), 'true', verb);
   await shot(page, 'read-only');
   await page.getByRole('menuitem', { name: 'Show configuration' }).click();
   await page.locator('[data-configure]').waitFor();

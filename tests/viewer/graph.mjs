@@ -172,6 +172,59 @@ export async function a_refusal_is_shown_before_the_drop_and_what_fits_is_connec
   await eventually('it is cut', async () => !(await grpcurl(host.addr, 'GcmService/List', {})).connections);
 }
 
+export async function a_connection_is_made_by_keys_alone_and_what_does_not_fit_says_why(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  await create(host.addr, 'sine', 'host/other');
+  await create(host.addr, 'echo', 'host/echo');
+  const page = await world.viewer(host.addr);
+  await box(page, 'host/echo').waitFor();
+  await settled(page);
+  const focused = () => page.evaluate(() => document.activeElement.dataset.to ?? document.activeElement.innerText);
+  const until = async (key, there) => eventually(`${key} leads there`, async () => there(await focused()) || (await page.keyboard.press(key), false));
+  const open = async () => {
+    await page.locator('.svelte-flow__node-component[data-id="host/echo"]').focus();
+    await page.keyboard.press('Shift+F10');
+    await page.getByRole('menuitem', { name: /^Start/ }).waitFor();
+    await until('ArrowDown', (text) => text.startsWith('Connect to…'));
+    await page.keyboard.press('Enter');
+    await page.locator('[data-connect="host/echo"]').waitFor();
+  };
+  const to = (path) => page.locator(`[data-to="${path}"]`);
+  await open();
+  // The choice of the port has the keyboard.
+  const port = page.getByLabel('Port');
+  for (const wanted of ['sample', 'frame']) {
+    await eventually(`${wanted} is chosen`, async () => (await port.inputValue()) === wanted || (await page.keyboard.press('ArrowDown'), false));
+  }
+  // It takes frames: numbers are refused, and say why.
+  await to('host/sine/value').filter({ hasText: 'it takes' }).waitFor();
+  is(await to('host/sine/value').getAttribute('aria-disabled'), 'true', 'what does not fit');
+  await shot(page, 'connect-refused');
+  await eventually('sample is chosen again', async () => (await port.inputValue()) === 'sample' || (await page.keyboard.press('ArrowUp'), false));
+  await to('host/sine/value').filter({ hasNotText: 'asking' }).waitFor();
+  is(await to('host/sine/value').getAttribute('aria-disabled'), 'false', 'what fits');
+  await shot(page, 'connect');
+  await until('Tab', (path) => path === 'host/sine/value');
+  await page.keyboard.press('Enter');
+  await page.locator('[data-connect]').waitFor({ state: 'detached' });
+  await page.locator('[data-connection="host/sine/value → host/echo/sample"]').waitFor({ state: 'attached' });
+  is((await grpcurl(host.addr, 'GcmService/List', {})).connections.map((c) => [c.client, c.server]), [['host/echo/sample', 'host/sine/value']], 'connections');
+  // It is taken now: the server says so, and Enter does nothing.
+  await open();
+  await to('host/other/value').filter({ hasText: /already|host\/sine\/value/ }).waitFor();
+  await until('Tab', (path) => path === 'host/other/value');
+  await page.keyboard.press('Enter');
+  await shot(page, 'connect-taken');
+  await page.getByLabel('Find').fill('nobody');
+  await page.getByText('of that name').waitFor();
+  // The first takes away what was typed.
+  await page.keyboard.press('Escape');
+  await page.keyboard.press('Escape');
+  await page.locator('[data-connect]').waitFor({ state: 'detached' });
+  is((await grpcurl(host.addr, 'GcmService/List', {})).connections.length, 1, 'connections');
+}
+
 export async function a_wire_shows_what_is_dropped_and_that_nothing_flows_any_more(world) {
   const host = await world.host();
   await create(host.addr, 'sine', 'host/sine');

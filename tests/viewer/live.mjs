@@ -1,10 +1,7 @@
 /// What streams: plots, pictures, events, the log, and how many windows may look at once.
+import { eventRows, go_on, interfacesOf, latest, plot, points } from './following.mjs';
 import { box, create, eventually, grpcurl, holds, is, settled, shot, start, state } from './world.mjs';
 
-async function interfacesOf(page, path) {
-  await box(page, path).locator('header').click();
-  await page.getByRole('tab', { name: 'Interfaces' }).click();
-}
 /// A host whose `host/Server` runs, and a page that shows its interfaces.
 async function serverShown(world) {
   const host = await world.host();
@@ -14,20 +11,6 @@ async function serverShown(world) {
   await settled(page);
   await interfacesOf(page, 'host/Server');
   return { host, page };
-}
-async function plot(page, path, number) {
-  await page.locator(`[data-plot="${path}#${number}"]`).evaluate((e) => { e.closest('details').open = true; });
-  await page.locator(`[data-plot="${path}#${number}"]`).click();
-}
-const points = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => Number(e.dataset.points)));
-/// The newest number of each curve, as the page has it.
-const latest = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => e.dataset.latest));
-/// All curves change, and change again: one that stands still does not, however many points it has.
-async function go_on(page, what) {
-  for (let round = 0; round < 3; round += 1) {
-    const before = await latest(page);
-    await eventually(what, async () => (await latest(page)).every((v, i) => v !== before[i] && Number.isFinite(Number(v))));
-  }
 }
 
 export async function six_plots_and_a_second_window_stay_live(world) {
@@ -145,9 +128,6 @@ export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video
   await shot(page, 'video');
 }
 
-/// What the list of events shows: path and text of each row, oldest first.
-const eventRows = (page) => page.locator('[data-list=events] .list > div').evaluateAll((all) => all.map((e) => [e.querySelector('b').innerText, e.querySelector('span').innerText]));
-
 export async function an_event_that_is_followed_is_listed_with_path_and_value_in_order(world) {
   const { host, page } = await serverShown(world);
   const event = 'host/Server/Provided/SetPointReached';
@@ -179,12 +159,12 @@ export async function who_follows_another_event_misses_none_of_the_first(world) 
   const host = await world.host();
   const makers = [1, 2, 3].map((n) => `host/e${n}`);
   const events = makers.map((path) => `${path}/ctl/ticked`);
-  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 40 });
+  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 8 });
   await start(host.addr, 'host/**');
   const page = await world.viewer(host.addr);
   await settled(page);
   const list = page.locator('[data-list=events]');
-  /// All that was listed, from a list that keeps the newest only: read between two of its drawings.
+  /// All that was listed, from a list that keeps the newest 200 only: at this rate it has them for longer than all below takes.
   const numbers = {};
   const read = async () => {
     for (const [path, shown] of Object.entries(numbered(await eventRows(page)))) {
@@ -206,12 +186,12 @@ export async function who_follows_another_event_misses_none_of_the_first(world) 
   await page.getByRole('button', { name: `follow ${events[0]} no more` }).click();
   await more(events[1], 'the second goes on without the first');
   await plot(page, events[2], 'number');
-  await eventually('a curve beside the list', async () => (await points(page))[0] > 20);
+  await eventually('a curve beside the list', async () => (await points(page))[0] > 10);
   // An item that came twice or too late would begin it anew.
   const drawn = (await points(page))[0];
   await interfacesOf(page, makers[1]);
   await plot(page, events[1], 'number');
-  await eventually('a second curve', async () => (await points(page))[1] > 20);
+  await eventually('a second curve', async () => (await points(page))[1] > 10);
   holds((await points(page))[0] > drawn, `the first goes on: ${drawn} points, then ${(await points(page))[0]}`);
   await page.getByRole('button', { name: 'Events' }).click();
   await more(events[2], 'the third goes on');
@@ -278,6 +258,35 @@ function numbered(rows) {
   const out = {};
   for (const [path, text] of rows) (out[path] ??= []).push(JSON.parse(text.replace(/ \(\d+ skipped before\)$/, '')).number);
   return out;
+}
+
+export async function a_number_that_is_dropped_into_the_plots_is_drawn(world) {
+  const { host, page } = await serverShown(world);
+  await page.getByRole('button', { name: 'Plots' }).click();
+  const plots = page.locator('.plots');
+  await plots.getByText('Nothing is plotted').waitFor();
+  const number = page.locator('[data-plot="host/Server#set_point"]');
+  await number.evaluate((e) => { e.closest('details').open = true; });
+  const drop = async (onto) => {
+    await number.scrollIntoViewIfNeeded();
+    const [from, to] = [await number.boundingBox(), await onto.boundingBox()];
+    await page.mouse.move(from.x + from.width / 2, from.y + from.height / 2);
+    await page.mouse.down();
+    await page.mouse.move(to.x + to.width / 2, to.y + to.height / 2, { steps: 8 });
+    await page.mouse.up();
+  };
+  // Beside them it is nothing.
+  await drop(page.locator('.tally'));
+  is((await points(page)).length, 0, 'plots of what was dropped elsewhere');
+  const stands = page.waitForResponse((r) => r.url().endsWith('InteractService/Subscribe'));
+  await drop(plots);
+  await page.locator('[data-curve="host/Server · set_point"]').waitFor();
+  await stands;
+  await grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/Server/Provided/Write', json: 30 });
+  await eventually('it is drawn', async () => (await latest(page)).join() === '30');
+  await shot(page, 'plot-dropped');
+  await drop(plots);
+  is((await points(page)).length, 1, 'plots of what was dropped twice');
 }
 
 export async function a_plot_goes_on_when_its_component_is_made_anew(world) {

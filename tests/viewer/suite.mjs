@@ -1,15 +1,17 @@
 /// Runs the tests one after another and tells of them as libtest does; names in the arguments choose some.
 import { World } from './world.mjs';
 import * as access from './access.mjs';
+import * as away from './away.mjs';
 import * as forms from './forms.mjs';
 import * as graph from './graph.mjs';
 import * as guard from './guard.mjs';
+import * as invoke from './invoke.mjs';
 import * as live from './live.mjs';
 import * as page from './page.mjs';
 
 const wanted = process.argv.slice(2);
 let [passed, failed] = [0, 0];
-for (const [file, tests] of Object.entries({ graph, forms, live, page, guard, access })) {
+for (const [file, tests] of Object.entries({ graph, forms, invoke, live, away, page, guard, access })) {
   for (const [name, test] of Object.entries(tests)) {
     const full = `viewer::${file}::${name}`;
     if (wanted.length && !wanted.some((w) => full.includes(w))) continue;

@@ -163,6 +163,16 @@ export async function handle(page, port) {
   const found = await page.locator(`[data-path="${at}"] [data-handleid="${name}"]`).boundingBox();
   return { x: found.x + found.width / 2, y: found.y + found.height / 2 };
 }
+/// Where something is, once it stands still.
+export async function still(of) {
+  let before = '';
+  return eventually('it stands still', async () => {
+    const now = await of.boundingBox();
+    const same = JSON.stringify(now) === before;
+    before = JSON.stringify(now);
+    return same && now;
+  });
+}
 /// Waits until the layout has put everything where it stays and the view fits it.
 export async function settled(page) {
   let before = '';

@@ -1,7 +1,7 @@
 /// Everything this page follows, in one Subscribe: events, outputs, thumbnails.
 ///
 /// Invariant: a changed wish opens the new call before it leaves the old one, and of samples and events what both bring is given once,
-/// in its order: no view stands still or misses an item for it. One path that is refused never takes the others along.
+/// in its order: no view stands still for it, nor misses an item, unless the old call is a second behind. One path that is refused never takes the others along.
 import { SvelteMap } from 'svelte/reactivity';
 import type { SubscribeResponse } from '../gen/trocar/v1/interact_pb';
 import { interact, isGone, said, wasAborted } from './api';
@@ -72,14 +72,14 @@ class Live {
     };
   }
 
-  /// A component began anew: what was followed of it has ended.
+  /// A component began anew: what was followed of it has ended, and its stamps may be of another clock.
   renewed(path: string) {
-    for (const followed of this.#wishes.keys()) {
-      if (componentOf(followed) === path) {
-        this.#changed(GATHER * 4);
-        return;
-      }
+    const followed = [...this.#wishes.keys()].filter((wished) => componentOf(wished) === path);
+    for (const wished of followed) {
+      this.#newest.delete(wished);
+      this.#now?.known.delete(wished);
     }
+    if (followed.length > 0) this.#changed(GATHER * 4);
   }
 
   pause() {

@@ -209,26 +209,4 @@ export function pick(value: unknown, path: string): number {
   return typeof at === 'number' ? at : Number.NaN;
 }
 
-/// A value of the type to begin from in a form.
-export function blank(t: TypeInfo | undefined): unknown {
-  switch (t?.shape.case) {
-    case 'primitive':
-      return t.name === 'bool' ? false : 0;
-    case 'array': {
-      const { item, n } = t.shape.value;
-      return Array.from({ length: n }, () => blank(item));
-    }
-    case 'list':
-      return [];
-    case 'text':
-      return '';
-    case 'enumeration':
-      return t.shape.value.values[0]?.name ?? 0;
-    case 'structure':
-      return Object.fromEntries(t.shape.value.fields.filter((f) => f.type?.name !== 'stamp' && !f.name.startsWith('reserved')).map((f) => [f.name, blank(f.type)]));
-    default:
-      return null;
-  }
-}
-
 export type { Command, Event };
