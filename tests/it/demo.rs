@@ -40,7 +40,7 @@ fn ten_seconds_of_demo_account_for_every_period_and_drop_no_frame_in_one_process
         // A processor that stands still for 33 ms costs a picture that nobody can take; what is taken is not lost on its way.
         let (pairs, left_out) = (number(&video["pairs"]), number(&video["left_out"]));
         assert!((pairs + left_out).abs_diff(300) <= 3, "30 pairs/s for 10 s: {figures}");
-        assert!(pairs >= 150, "most pictures are taken: {figures}");
+        assert!(left_out <= 3, "pictures that were never taken: {figures}");
         assert_eq!(number(&video["drops"]), 0, "{figures}");
         assert_eq!(figures["behavior"], "bscan");
     }

@@ -159,12 +159,12 @@ export async function who_follows_another_event_misses_none_of_the_first(world) 
   const host = await world.host();
   const makers = [1, 2, 3].map((n) => `host/e${n}`);
   const events = makers.map((path) => `${path}/ctl/ticked`);
-  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 8 });
+  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 40 });
   await start(host.addr, 'host/**');
   const page = await world.viewer(host.addr);
   await settled(page);
   const list = page.locator('[data-list=events]');
-  /// All that was listed, from a list that keeps the newest 200 only: at this rate it has them for longer than all below takes.
+  /// All that was listed, from a list that keeps the newest 200 only: it has to be looked at before they are through.
   const numbers = {};
   const read = async () => {
     for (const [path, shown] of Object.entries(numbered(await eventRows(page)))) {
@@ -186,12 +186,14 @@ export async function who_follows_another_event_misses_none_of_the_first(world) 
   await page.getByRole('button', { name: `follow ${events[0]} no more` }).click();
   await more(events[1], 'the second goes on without the first');
   await plot(page, events[2], 'number');
-  await eventually('a curve beside the list', async () => (await points(page))[0] > 10);
+  await eventually('a curve beside the list', async () => (await points(page))[0] > 20);
   // An item that came twice or too late would begin it anew.
   const drawn = (await points(page))[0];
+  await page.getByRole('button', { name: 'Events' }).click();
+  await more(events[2], 'the third goes on beside its curve');
   await interfacesOf(page, makers[1]);
   await plot(page, events[1], 'number');
-  await eventually('a second curve', async () => (await points(page))[1] > 10);
+  await eventually('a second curve', async () => (await points(page))[1] > 20);
   holds((await points(page))[0] > drawn, `the first goes on: ${drawn} points, then ${(await points(page))[0]}`);
   await page.getByRole('button', { name: 'Events' }).click();
   await more(events[2], 'the third goes on');

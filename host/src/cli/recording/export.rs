@@ -169,12 +169,17 @@ impl Exporting {
         let names: Vec<&str> = names.into_iter().collect();
         let close = meant(self.patterns.iter().map(String::as_str), &names);
         // What could not be read may have had it.
-        if !whole.wrong.is_empty() {
-            return refused(format!("no message of {wanted} can be read: {}", whole.wrong), String::new());
-        }
+        let unread = match whole.wrong.as_str() {
+            "" => String::new(),
+            wrong => format!(", as far as it can be read: {wrong}"),
+        };
+        let topics = match names[..] {
+            [] => "none is known".to_owned(),
+            _ => listed(&names),
+        };
         refused(
-            format!("no message in it is of {wanted}"),
-            format!("{close}topics in it: {}; `trocar info` shows them", listed(&names)),
+            format!("no message in it is of {wanted}{unread}"),
+            format!("{close}topics in it: {topics}; `trocar info` shows them"),
         )
     }
 }

@@ -1,7 +1,8 @@
 /// Everything this page follows, in one Subscribe: events, outputs, thumbnails.
 ///
 /// Invariant: a changed wish opens the new call before it leaves the old one, and of samples and events what both bring is given once,
-/// in its order: no view stands still for it, nor misses an item, unless the old call is a second behind. One path that is refused never takes the others along.
+/// in its order: no view stands still for it, nor misses an item, unless the old call is a second behind. One path that is refused
+/// never takes the others along.
 import { SvelteMap } from 'svelte/reactivity';
 import type { SubscribeResponse } from '../gen/trocar/v1/interact_pb';
 import { interact, isGone, said, wasAborted } from './api';
