@@ -316,19 +316,21 @@ impl LinkDetail {
     pub fn merged(mut self, other: LinkDetail) -> LinkDetail {
         self.halves.extend(other.halves);
         self.halves.sort_by_key(|(end, _)| *end);
+        // Each half has read both at one time: of the later one, so that they belong together.
+        let (bytes, passed) = (self.bytes, self.passed).max((other.bytes, other.passed));
         LinkDetail {
             connection: self.connection,
             carrier: if self.carrier.is_empty() { other.carrier } else { self.carrier },
             client_wake: if self.client_wake.is_empty() { other.client_wake } else { self.client_wake },
             server_wake: if self.server_wake.is_empty() { other.server_wake } else { self.server_wake },
-            passed: self.passed.max(other.passed),
+            passed,
             dropped: self.dropped.max(other.dropped),
             rejected: self.rejected.max(other.rejected),
             depth: self.depth.max(other.depth),
             high_water: self.high_water.max(other.high_water),
             failed: self.failed.max(other.failed),
             unexecuted: self.unexecuted + other.unexecuted,
-            bytes: self.bytes.max(other.bytes),
+            bytes,
             latency_p50_ns: self.latency_p50_ns.max(other.latency_p50_ns),
             latency_p99_ns: self.latency_p99_ns.max(other.latency_p99_ns),
             halves: self.halves,
@@ -353,4 +355,21 @@ pub struct PluginInfo {
     /// Reason code and sentence when refused; empty otherwise.
     pub refused_reason: String,
     pub refused: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::LinkDetail;
+
+    #[test]
+    fn bytes_and_samples_of_a_connection_are_of_the_half_that_was_read_later() {
+        let half = |passed: u64, each: u64| LinkDetail { passed, bytes: passed * each, ..Default::default() };
+        for (client, server) in [(half(397, 16), half(396, 16)), (half(396, 16), half(397, 16))] {
+            let both = client.merged(server);
+            assert_eq!((both.passed, both.bytes), (397, 397 * 16));
+        }
+        // The client knows the headers of frames only.
+        let both = half(61, 8).merged(half(60, 4096));
+        assert_eq!((both.passed, both.bytes), (60, 60 * 4096));
+    }
 }

@@ -60,7 +60,7 @@ impl OutLink {
 }
 
 /// How the samples of an output lie in memory.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::lcm) struct Shape {
     /// Bytes of a plain sample or of a frame's header.
     pub(in crate::lcm) bytes: usize,
@@ -293,6 +293,16 @@ impl OutCell {
     /// Frames a loan was refused for, by whichever pool.
     pub(in crate::lcm) fn exhausted(&self) -> u64 {
         self.exhausted.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of so many of its samples: frames, which have any length, by the mean of all that were written.
+    pub(in crate::lcm) fn bytes_of(&self, samples: u64, shape: Shape) -> u64 {
+        if !shape.frame {
+            return samples.saturating_mul(shape.bytes as u64);
+        }
+        let written = self.seq.load(Ordering::Relaxed).max(1);
+        let total = self.total_bytes.load(Ordering::Relaxed);
+        (total as f64 / written as f64 * samples as f64) as u64
     }
 
     fn next_meta(&self, stamp_ns: u64, bytes: usize) -> Meta {

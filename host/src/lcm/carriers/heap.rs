@@ -3,7 +3,6 @@
 //! Invariant: every wire can be cut at any moment: callers inside finish on the old binding, later ones see UNBOUND.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use trocar_model::{Binding, Command, Link, Refusal, Type};
 use trocar_plugin_api::abi::PEER_LOST;
@@ -57,10 +56,9 @@ enum Ends {
         output: Arc<OutCell>,
         link: Arc<InLink>,
         stats: StreamCounters,
-        bytes: usize,
+        shape: Shape,
         /// Samples that may wait.
         depth: usize,
-        frames: bool,
     },
     Interface {
         functions: Vec<Arc<FnCell>>,
@@ -143,17 +141,12 @@ impl Joined for OnHeap {
         let carrier = self.name().into();
         let mut detail = LinkDetail { connection: self.connection, carrier, ..Default::default() };
         match &self.ends {
-            Ends::Stream { link, stats, bytes, depth, output: cell, frames, .. } => {
+            Ends::Stream { link, stats, shape, depth, output: cell, .. } => {
                 let s = stats.stats();
                 detail.passed = s.taken;
                 detail.dropped = s.dropped + cell.exhausted();
                 detail.depth = *depth as u64;
-                detail.bytes = s.taken * *bytes as u64;
-                if *frames {
-                    let written = cell.seq.load(Ordering::Relaxed).max(1);
-                    let total = cell.total_bytes.load(Ordering::Relaxed);
-                    detail.bytes = (total as f64 / written as f64 * s.taken as f64) as u64;
-                }
+                detail.bytes = cell.bytes_of(s.taken, *shape);
                 detail.latency_p50_ns = link.latency.percentile(0.50);
                 detail.latency_p99_ns = link.latency.percentile(0.99);
             }
@@ -190,15 +183,7 @@ fn streams(both: &Both<'_>, input: usize, output: usize, adapt: bool) -> Result<
     let consumer = Consumer::Here(client.clone(), (max_age_ns > 0).then_some(stamp));
     let out = Arc::new(OutLink::new(connection.id.0, writer, consumer, to_set.ports.looks_on(input)));
     out_cell.add(out, &ty, &described);
-    Ok(Ends::Stream {
-        input: in_cell.clone(),
-        output: out_cell.clone(),
-        link,
-        stats,
-        bytes: shape.bytes,
-        depth,
-        frames: shape.frame,
-    })
+    Ok(Ends::Stream { input: in_cell.clone(), output: out_cell.clone(), link, stats, shape, depth })
 }
 
 fn interfaces(both: &Both<'_>, binding: &Binding) -> Ends {

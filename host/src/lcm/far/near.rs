@@ -197,7 +197,7 @@ impl Pair {
             look_directly(connection, binding, server, (to, from));
         }
         let mut frames = match (&at_server, &at_client) {
-            (ServerWires::Output { pools, frames: true, .. }, ClientWires::Input { bell, .. }) => {
+            (ServerWires::Output { pools, .. }, ClientWires::Input { bell, .. }) if at_server.lends() => {
                 Some(Frames { pools: pools.clone(), views, reader: bell.clone(), known: 0 })
             }
             _ => None,

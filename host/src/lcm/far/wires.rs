@@ -18,7 +18,7 @@ use trocar_rt::wake::Waker;
 
 use super::super::api::LinkDetail;
 use super::super::boundary::{
-    Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Reader,
+    Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Reader, Shape,
 };
 use super::super::convert::back;
 use super::super::dynamic::PortSet;
@@ -71,7 +71,7 @@ pub(super) enum ServerWires {
         pools: Arc<FarPools>,
         /// Of how many the client was told.
         told: usize,
-        frames: bool,
+        shape: Shape,
     },
     Calls {
         events: Vec<Arc<EventCell>>,
@@ -166,14 +166,7 @@ impl ServerWires {
                 let link = Arc::new(OutLink::new(connection.id.0, stream.end, consumer, *observes));
                 cell.add(link, ty, &back::port(ty).into());
                 here.instance.reclaim();
-                Ok(ServerWires::Output {
-                    output: cell,
-                    stats,
-                    first,
-                    pools,
-                    told: 0,
-                    frames: matches!(ty, PortType::Frame { .. }),
-                })
+                Ok(ServerWires::Output { output: cell, stats, first, pools, told: 0, shape: Shape::of(ty) })
             }
             (Offer::Calls(calls), Way::Calls { binding, .. }) => {
                 Self::serve(*calls, binding, connection, (here, set), rows, desk)
@@ -296,7 +289,7 @@ impl ServerWires {
 
     /// Frames may wait for their pools to be told of.
     pub(super) fn lends(&self) -> bool {
-        matches!(self, ServerWires::Output { frames: true, .. })
+        matches!(self, ServerWires::Output { shape: Shape { frame: true, .. }, .. })
     }
 
     /// Takes back what the reader has done with, where nobody writes any more.
@@ -324,7 +317,7 @@ impl ServerWires {
 
     /// Cuts them; what is known of them then. Of an output also what it has offered to them: what waits will not be seen any more.
     pub(super) fn end(&self, connection: &Connection, here: &Here) -> (LinkDetail, Option<Offered>) {
-        let ServerWires::Output { output, stats, first, .. } = self else {
+        let ServerWires::Output { output, stats, first, shape, .. } = self else {
             self.disconnect(connection, here);
             return (self.detail(), None);
         };
@@ -332,7 +325,8 @@ impl ServerWires {
         self.disconnect(connection, here);
         let stats = stats.stats();
         let dropped = stats.pushed.saturating_sub(stats.taken);
-        let detail = LinkDetail { dropped, bytes: self.passed_bytes(), ..LinkDetail::default() };
+        let bytes = output.bytes_of(stats.taken, *shape);
+        let detail = LinkDetail { passed: stats.taken, dropped, bytes, ..LinkDetail::default() };
         (detail, Some(Self::counted(written, stats.pushed, first)))
     }
 
@@ -355,11 +349,15 @@ impl ServerWires {
 
     pub(super) fn detail(&self) -> LinkDetail {
         match self {
-            ServerWires::Output { output, stats, .. } => LinkDetail {
-                dropped: stats.stats().dropped + output.exhausted(),
-                bytes: self.passed_bytes(),
-                ..LinkDetail::default()
-            },
+            ServerWires::Output { output, stats, shape, .. } => {
+                let s = stats.stats();
+                LinkDetail {
+                    passed: s.taken,
+                    dropped: s.dropped + output.exhausted(),
+                    bytes: output.bytes_of(s.taken, *shape),
+                    ..LinkDetail::default()
+                }
+            }
             // What passed through the queues is told by the client.
             ServerWires::Calls { commands_in, .. } => LinkDetail {
                 failed: commands_in.failed(),
@@ -367,13 +365,6 @@ impl ServerWires {
                 ..LinkDetail::default()
             },
         }
-    }
-
-    /// Bytes of what the client took, by the mean of all that was written.
-    fn passed_bytes(&self) -> u64 {
-        let ServerWires::Output { output, stats, .. } = self else { return 0 };
-        let total = output.total_bytes.load(Ordering::Relaxed);
-        (total as f64 / output.seq.load(Ordering::Relaxed).max(1) as f64 * stats.stats().taken as f64) as u64
     }
 }
 
