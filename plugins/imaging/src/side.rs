@@ -1,7 +1,8 @@
 //! Threads beside the step: ordinary ones, however real-time the thread is that makes them.
 //!
-//! Invariant: a new thread has the scheduling class and the processors that programs have by default in this process, not those
-//! of the component's thread that made it; else encoding a picture would hold up control loops.
+//! Invariant: a new thread has the scheduling class that programs have by default in this process, not that of the component's
+//! thread that made it; else encoding a picture would hold up control loops. Nor has it that thread's processors, which are often those
+//! of the control loops, unless it says so: what is kept away from them by its own `execution.cpus` keeps its threads away, too.
 
 use std::io;
 use std::thread::{Builder, JoinHandle};
@@ -23,14 +24,33 @@ pub fn spawn<T: Send + 'static>(
     name: &str,
     run: impl FnOnce() -> T + Send + 'static,
 ) -> io::Result<JoinHandle<T>> {
-    // A name with a zero in it would be a panic.
-    Builder::new().name(name.replace('\0', "")).spawn(move || {
+    builder(name).spawn(move || {
+        be_ordinary();
+        run_anywhere();
+        run()
+    })
+}
+
+/// As [`spawn`], on the processors of the thread that makes it.
+///
+/// # Errors
+/// As of [`spawn`].
+pub fn spawn_on_same<T: Send + 'static>(
+    name: &str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<JoinHandle<T>> {
+    builder(name).spawn(move || {
         be_ordinary();
         run()
     })
 }
 
-/// Takes the calling thread out of what it inherited. Less is always allowed; where it is not, the thread works as it is.
+fn builder(name: &str) -> Builder {
+    // A name with a zero in it would be a panic.
+    Builder::new().name(name.replace('\0', ""))
+}
+
+/// Takes the calling thread out of the class it inherited. Less is always allowed; where it is not, the thread works as it is.
 fn be_ordinary() {
     // One that is ordinary already keeps how nice whoever started the process wants it.
     if let (Ok(ThreadSchedulePolicy::Realtime(_)), Ok(not_nice)) =
@@ -43,6 +63,10 @@ fn be_ordinary() {
             ordinary,
         );
     }
+}
+
+/// On whatever processors the process has; where that is refused, the thread works as it is.
+fn run_anywhere() {
     // The process's first thread has what whoever started it gave: no component runs on it.
     if let Ok(all) = sched_getaffinity(Some(rustix::process::getpid())) {
         let _ = sched_setaffinity(None, &all);
@@ -64,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_made_by_a_real_time_thread_on_one_processor_is_ordinary_and_may_run_anywhere() {
+    fn a_thread_made_by_a_real_time_thread_on_one_processor_is_ordinary_and_there_only_if_asked() {
         let all = sched_getaffinity(Some(rustix::process::getpid())).expect("Linux");
         let first = (0..CpuSet::MAX_CPU).find(|cpu| all.is_set(*cpu)).expect("there is one");
         let seen = std::thread::spawn(move || {
@@ -82,12 +106,15 @@ mod tests {
                     std::thread::current().name().map(str::to_owned),
                 )
             };
-            spawn("camera draw\0", seen).expect("a thread").join().expect("no panic")
+            let threads = [spawn("camera draw\0", seen), spawn_on_same("camera draw\0", seen)];
+            (one, threads.map(|thread| thread.expect("a thread").join().expect("no panic")))
         });
         let nice = class()[2];
-        let (class, cpus, name) = seen.join().expect("no panic");
-        assert_eq!(class, [0, 0, nice]);
-        assert!(cpus == all);
-        assert_eq!(name.as_deref(), Some("camera draw"));
+        let (one, threads) = seen.join().expect("no panic");
+        for ((class, cpus, name), processors) in threads.into_iter().zip([all, one]) {
+            assert_eq!(class, [0, 0, nice]);
+            assert!(cpus == processors);
+            assert_eq!(name.as_deref(), Some("camera draw"));
+        }
     }
 }

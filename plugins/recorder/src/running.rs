@@ -85,7 +85,7 @@ impl Running {
         let name = host.instance_name().rsplit('/').next().unwrap_or_default().to_owned();
         let (asking, mut asked) = (Arc::new(Asking::default()), None);
         let asks = asking.clone();
-        let thread = side::spawn(&format!("{name} mcap"), move || {
+        let thread = side::spawn_on_same(&format!("{name} mcap"), move || {
             writer.run(&orders, move || asks.look(&host_of_writer, &mut asked));
         })
         .map_err(|why| format!("no thread to write: {why}"))?;
