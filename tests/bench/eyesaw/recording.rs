@@ -2,8 +2,9 @@
 //!
 //! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without, in one running system,
 //! turn and turn about: without is nothing connected and the recorder standing still. Each stretch is compared with the one beside it, and
-//! the median of all pairs is judged: a second in which the machine did something else is one pair. Whose steps take microseconds runs on a processor that the disk does not interrupt. Told beside
-//! it is what the same bytes cost them when a program does nothing but write them, through the page cache: last, for that has held
+//! the median of all pairs is judged: a second in which the machine did something else is one pair. All stretches of a kind taken together
+//! are told beside it: there such a second is all that is seen. Whose steps take microseconds runs on a processor that the disk does
+//! not interrupt. Told, too, is what the same bytes cost them when a program does nothing but write them, through the page cache: last, for that has held
 //! the robot up for so long that a scan was given up.
 
 use std::thread;
@@ -62,6 +63,9 @@ enum Stretch {
     With(u64),
     /// Beside a [`BareWriter`].
     Beside,
+    /// All without, and all with one.
+    AllWithout,
+    AllWith,
 }
 
 impl Stretch {
@@ -72,6 +76,8 @@ impl Stretch {
             Stretch::Beside => 1,
             Stretch::Without(round) => 2 + 2 * round,
             Stretch::With(round) => 3 + 2 * round,
+            Stretch::AllWithout => 2 + 2 * ROUNDS,
+            Stretch::AllWith => 3 + 2 * ROUNDS,
         }
     }
 }
@@ -215,11 +221,24 @@ fn times(rig: &Rig, stretch: Stretch) -> Times {
     Times { p99: all("p99"), p50: all("p50") }
 }
 
+/// Of all these stretches together, which hold nothing afterwards.
+fn together(rig: &Rig, stretch: Stretch, of: impl Fn(u64) -> Stretch) -> Times {
+    turn_to(rig, stretch);
+    for path in ledgers() {
+        for round in 0..ROUNDS {
+            rig.call(&path, "ledger/gather", json!(of(round).account()));
+        }
+    }
+    times(rig, stretch)
+}
+
 fn compare(verdicts: &mut Verdicts, rig: &Rig) {
     let pairs: Vec<[Times; 2]> = (0..ROUNDS)
         .map(|round| [Stretch::Without(round), Stretch::With(round)].map(|stretch| times(rig, stretch)))
         .collect();
     let beside = times(rig, Stretch::Beside);
+    let all_without = together(rig, Stretch::AllWithout, Stretch::Without);
+    let all_with = together(rig, Stretch::AllWith, Stretch::With);
     let names = TIMED.iter().map(|path| format!("step of {path}")).chain(["time of one A-scan".into()]);
     for (at, name) in names.enumerate() {
         for what in ["p99", "p50"] {
@@ -247,6 +266,8 @@ fn compare(verdicts: &mut Verdicts, rig: &Rig) {
                 );
                 verdicts.tell(&by, means, Some(control), Unit::Share);
             }
+            let by = format!("{name}, {what}, longer by, of all stretches together");
+            verdicts.tell(&by, all_with.of(what, at) / all_without.of(what, at) - 1.0, None, Unit::Share);
             let bare = format!("{name}, {what}, longer by, beside a program that only writes the bytes");
             verdicts.tell(&bare, beside.of(what, at) / without - 1.0, None, Unit::Share);
         }

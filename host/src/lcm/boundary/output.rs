@@ -148,7 +148,7 @@ impl OutCell {
 
     /// The type it has now, if any.
     pub(in crate::lcm) fn shape(&self) -> Shape {
-        self.outs.enter().shape.clone()
+        self.outs.enter().shape
     }
 
     /// The type of what passes now; an untyped output has one as long as it is connected.
@@ -192,7 +192,7 @@ impl OutCell {
         let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
         let now = self.outs.enter();
         let mut outs = Outs {
-            shape: now.shape.clone(),
+            shape: now.shape,
             ty: now.ty.clone(),
             described: now.described.clone(),
             links: now.links.clone(),
