@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import pathlib
 import re
 import signal
 import subprocess
@@ -411,6 +412,28 @@ def test_a_recording_of_several_processes_is_made_where_it_is_asked_for_and_at_m
         world.json("record", "a/**", "b/sine/value", "-o", "all.mcap", "--seconds", "0.5")
         graph = messages(world.dir / "all.mcap")[0]["/recorder/graph"][0][1]
         assert {c["path"].split("/")[0] for c in graph["components"] if c["class"] == "recorder/recorder"} == {"a"}, graph
+
+
+def test_a_recorder_keeps_to_the_processors_it_is_given_with_all_its_threads():
+    with World(["sine"]) as world:
+        world.source()
+        cpu = min(os.sched_getaffinity(0))
+        recording = subprocess.Popen([BIN / "trocar", "record", "host/sine/value", "-o", "c.mcap", "--cpus", str(cpu), "--json"], cwd=world.dir,
+                                     env=world.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+            of = lambda: next((c["path"] for c in world.json("ls")["components"] if c["class"] == "recorder/recorder"), None)
+            rec = eventually("it has a recorder", of)
+            eventually("it records", lambda: world.read(f"{rec}/ctl/status")["messages"] > 0)
+            names = {int(task.name): (task / "comm").read_text().strip() for task in pathlib.Path(f"/proc/{world.host.pid}/task").iterdir()}
+            own = {tid: name for tid, name in names.items() if name.startswith("rec-")}
+            allowed = {name: os.sched_getaffinity(tid) for tid, name in own.items()}
+            recording.send_signal(signal.SIGTERM)
+            out, errors = recording.communicate(timeout=PATIENCE_S)
+        finally:
+            recording.kill()
+            recording.wait()
+        assert recording.returncode == OK and json.loads(out)["whole"], (recording.returncode, out, errors)
+        assert len(allowed) == 2 and all(cpus == {cpu} for cpus in allowed.values()), (allowed, names)
 
 
 def test_a_recording_begins_pauses_and_ends_at_the_times_that_were_asked_for():

@@ -70,6 +70,9 @@ pub(in crate::cli) struct RecordArgs {
     /// The process that records [default: the one with most of it].
     #[arg(long = "in", value_name = "PROCESS")]
     within: Option<String>,
+    /// CPUs its threads may run on, e.g. 1,2 [default: all]: away from those of short steps.
+    #[arg(long, value_delimiter = ',', value_name = "N")]
+    cpus: Vec<u32>,
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -111,7 +114,11 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         class: CLASS.to_owned(),
         config: Some(config),
         isolation: None,
-        execution: ExecutionArgs { priority: Some(PRIORITY), ..ExecutionArgs::default() },
+        execution: ExecutionArgs {
+            priority: Some(PRIORITY),
+            cpus: args.cpus.clone(),
+            ..ExecutionArgs::default()
+        },
         mutation: MutationArgs::default(),
     };
     // Before there is anything to be left behind.
