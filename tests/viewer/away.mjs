@@ -56,6 +56,8 @@ export async function plots_events_and_pictures_go_on_by_themselves_when_the_gcm
   await more('events go on', listed);
   await dock('Plots');
   await go_on(page, 'plots go on');
+  const gaps = await page.locator('[data-curve]').evaluateAll((all) => all.map((curve) => Number(curve.dataset.gaps)));
+  holds(gaps.length === 3 && gaps.every((n) => n >= 1), `a line leads over the time the GCM was away: ${gaps}`);
   await eventually('nothing is complained of any more', async () => (await page.locator('[data-curve] .refusal').count()) === 0);
   await shot(page, 'gcm-back');
   await video.bringToFront();

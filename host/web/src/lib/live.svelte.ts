@@ -24,6 +24,8 @@ export interface Wish {
   /// Pixels; 0 = no picture.
   width: number;
   take: (item: SubscribeResponse) => void;
+  /// What comes next does not follow what came last: the call ended, or the component began anew.
+  lost?: () => void;
 }
 
 /// One Subscribe of this page.
@@ -79,6 +81,7 @@ class Live {
     for (const wished of followed) {
       this.#newest.delete(wished);
       this.#now?.known.delete(wished);
+      this.#lose(wished);
     }
     if (followed.length > 0) this.#changed(GATHER * 4);
   }
@@ -98,6 +101,11 @@ class Live {
     this.#now?.leave();
     this.#now = null;
     this.#newest.clear();
+    for (const path of this.#wishes.keys()) this.#lose(path);
+  }
+
+  #lose(path: string) {
+    for (const wish of this.#wishes.get(path) ?? []) wish.lost?.();
   }
 
   #changed(after = GATHER) {

@@ -39,6 +39,8 @@ export class Curve {
   n = 0;
   first = 0;
   skipped = 0;
+  /// Times nothing came for a while.
+  gaps = 0;
   why = $state('');
   latest = $state(Number.NaN);
   #leave: () => void;
@@ -55,6 +57,7 @@ export class Curve {
               this.skipped += Number(item.skipped);
               this.add(Number(item.stampNs) / 1e9, pick(plain(item.json), signal.field));
             },
+            lost: () => this.gap(),
           });
   }
 
@@ -73,10 +76,12 @@ export class Curve {
     else this.first = (this.first + 1) % KEPT;
   }
 
-  /// Nothing could be read: no line leads over it.
+  /// Nothing came or could be read: no line leads over it.
   gap() {
     const last = (this.first + this.n - 1) % KEPT;
-    if (this.n > 0 && Number.isFinite(this.y[last]!)) this.add(this.x[last]! + 1e-6, Number.NaN);
+    if (this.n === 0 || !Number.isFinite(this.y[last]!)) return;
+    this.add(this.x[last]! + 1e-6, Number.NaN);
+    this.gaps += 1;
   }
 
   /// The last `seconds`, oldest first.
