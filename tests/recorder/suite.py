@@ -11,6 +11,7 @@ Invariant: the program is driven from outside only, and nothing here knows how a
 
 import argparse
 import os
+import signal
 import sys
 import traceback
 
@@ -20,11 +21,18 @@ import recording
 from world import Skip, enter_venv
 
 
+def hear_signals():
+    """What is begun here hears them, also where this suite was begun in the background: the program honours what its caller ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*")
     args = parser.parse_args()
     enter_venv()
+    hear_signals()
     tests = [(name, test) for of in (recording, reading, endings) for name, test in vars(of).items() if name.startswith("test_")
              and (not args.names or any(word in name for word in args.names))]
     passed, failed = 0, 0
