@@ -1,11 +1,11 @@
 //! The canonical load while it is recorded: video, 4000 A-scans a second, a robot of 1 kHz that scans, all events and commands.
 //!
 //! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without, in one running system,
-//! turn and turn about: without is nothing connected and the recorder standing still. Each stretch is compared with the one beside it, and
-//! the median of all pairs is judged: a second in which the machine did something else is one pair. All stretches of a kind taken together
-//! are told beside it: there such a second is all that is seen. Whose steps take microseconds runs on a processor that the disk does
-//! not interrupt. Told, too, is what the same bytes cost them when a program does nothing but write them, through the page cache: last, for that has held
-//! the robot up for so long that a scan was given up.
+//! turn and turn about: without is nothing connected and the recorder standing still. Each stretch is compared with the one beside it,
+//! and the median of all pairs is judged: a second in which the machine did something else is one pair. All stretches of a kind taken
+//! together are told beside it: there such a second is all that is seen. Whose steps take microseconds runs on a processor that the
+//! disk does not interrupt. Told, too, is what the same bytes cost them when a program does nothing but write them, through the page
+//! cache: last, for that has held the robot up for so long that a scan was given up.
 
 use std::thread;
 use std::time::{Duration, Instant};
