@@ -434,6 +434,11 @@ def test_a_recorder_keeps_to_the_processors_it_is_given_with_all_its_threads():
             recording.wait()
         assert recording.returncode == OK and json.loads(out)["whole"], (recording.returncode, out, errors)
         assert len(allowed) == 2 and all(cpus == {cpu} for cpus in allowed.values()), (allowed, names)
+        # Where there is no such one it records all the same, and says so.
+        done = world.run("record", "host/sine/value", "-o", "d.mcap", "--seconds", "0.5", "--cpus", "4095", code=OK)
+        assert "[4095] were refused" in done.stderr and "nproc" in done.stderr, done
+        refused = world.run("record", "host/sine/value", "-o", "e.mcap", "--cpus", "5000", code=REFUSED)
+        assert "5000 is no number of a processor" in refused.stderr and not (world.dir / "e.mcap").exists(), refused
 
 
 def test_a_recording_begins_pauses_and_ends_at_the_times_that_were_asked_for():

@@ -123,7 +123,9 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     };
     // Before there is anything to be left behind.
     let ends = Ends::listen();
-    session.create(&create).await?;
+    let created = session.create(&create).await?;
+    // Its thread may not have been given what was asked for.
+    created.warnings.iter().for_each(|text| out::complain("warning", text));
     let mut left_out = Vec::new();
     // Interrupted before or while it records: what is there is closed, and then shown as usual.
     let ended = tokio::select! {
