@@ -1,8 +1,12 @@
 """Promise: whatever a GCM answers or does not, the caller gets one sentence in time, and nothing hangs."""
 
+import asyncio
+import base64
+import itertools
 import pathlib
 import shutil
 import subprocess
+import threading
 import time
 
 import grpc
@@ -85,6 +89,68 @@ def test_a_call_that_is_never_answered_ends_at_its_deadline(fake, r):
     assert (e.value.code, e.value.reason) == ("DEADLINE_EXCEEDED", "DEADLINE") and "may still" in e.value.sentence
 
 
+def hanging(fake):
+    """Calls are never answered; which have come, and which the caller gave up."""
+    came, given_up = [], []
+
+    def hang(request, context):
+        context.add_callback(lambda: given_up.append(request.path))
+        came.append(request.path)
+        fake.stay(context)
+        return message("InvokeResponse")
+
+    invoke(fake, hang)
+    return came, given_up
+
+
+def test_an_awaited_call_that_is_cancelled_ends_at_once_and_the_session_goes_on(fake, r):
+    came, given_up = hanging(fake)
+
+    async def cancelled(count):
+        tasks = [asyncio.create_task(r.Read.aio(deadline=60)) for _ in range(count)]
+        while len(came) < count:
+            await asyncio.sleep(0)
+        for task in tasks:
+            task.cancel()
+        ended = await asyncio.gather(*tasks, return_exceptions=True)
+        assert [type(e) for e in ended] == [asyncio.CancelledError] * count and all(task.cancelled() for task in tasks)
+        # The loop, and with it the rest of the program, waits for none of them.
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+        # A call of the same loop is answered afterwards, beside others that are still asked.
+        invoke(fake, lambda request, context: message("InvokeResponse", encoded=(30).to_bytes(4, "little"), unit="mm"))
+        assert await asyncio.gather(*(r.Read.aio() for _ in range(3))) == [30] * 3
+
+    asyncio.run(cancelled(5))
+    eventually("the host hears of each that it is not waited for", lambda: len(given_up) == 5)
+    assert r.Read() == 30, "and so is one without a loop"
+
+
+def test_an_answer_that_comes_when_the_loop_is_closed_disturbs_nobody(fake, r, caplog):
+    came, release, answered = threading.Event(), threading.Event(), threading.Event()
+
+    def late(request, context):
+        context.add_callback(answered.set)
+        came.set()
+        release.wait(60)
+        return message("InvokeResponse", encoded=(30).to_bytes(4, "little"), unit="mm")
+
+    invoke(fake, late)
+    loop = asyncio.new_event_loop()
+    call = r.Read.aio(deadline=60)
+    waits = loop.create_task(call)
+    while not came.is_set():
+        loop.run_until_complete(asyncio.sleep(0))
+    # As a program ends that forgets what it asked; the answer comes afterwards.
+    loop.close()
+    release.set()
+    assert answered.wait(60)
+    assert r.Read() == 30
+    # grpc tells of callbacks that raise in the log.
+    assert not [record for record in caplog.records if "callback" in record.getMessage()], caplog.text
+    waits._log_destroy_pending = False
+    call.close()
+
+
 def test_what_a_call_says_of_its_deadline_reaches_the_host(fake, r):
     seen = []
 
@@ -150,8 +216,6 @@ def items(fake, values, skipped=0):
 
 
 def test_a_full_queue_drops_the_oldest_and_the_next_item_tells_how_many(fake, r):
-    import threading
-
     items(fake, range(1000))
     entered, release, got = threading.Event(), threading.Event(), []
 
@@ -235,8 +299,6 @@ def test_a_place_that_ends_is_taken_again_with_what_was_required(fake, said):
             return
         fake.stay(context)
 
-    import threading
-
     release, required = threading.Event(), []
     fake.answers["GuestService/Join"] = join
     require = fake.answers["GuestService/Require"]
@@ -254,8 +316,6 @@ def test_a_place_that_ends_is_taken_again_with_what_was_required(fake, said):
 
 
 def test_closing_ends_calls_streams_and_threads(fake, r, ire):
-    import threading
-
     items(fake, range(3))
     f = r.on.SetPointReached(lambda v: None)
     ire.close()
@@ -332,3 +392,79 @@ def test_a_plot_with_a_window_draws_itself_and_shows_a_gap_where_nothing_was_rea
     plot._figure.canvas.callbacks.process("close_event", None)
     assert plot._ended.is_set(), "closing the window ends it"
     plt.close(plot._figure)
+
+
+async def run_cell(shell, cell):
+    done = await shell.run_cell_async(cell, transformed_cell=shell.transform_cell(cell))
+    done.raise_error()
+    return done.result
+
+
+@pytest.fixture
+def notebook():
+    """IPython's shell as a kernel has it, with what it shows in a list."""
+    from IPython.core.displaypub import CapturingDisplayPublisher
+    from IPython.core.interactiveshell import InteractiveShell
+
+    shell = InteractiveShell.instance()
+    shell.display_pub = CapturingDisplayPublisher(parent=shell)
+    # The one thing a kernel's shell has that this one has not.
+    shell.kernel = object()
+    yield shell
+    shell.restore_sys_module_state()
+    InteractiveShell.clear_instance()
+
+
+def test_a_plot_in_a_notebook_is_a_picture_that_is_renewed_until_it_is_stopped(fake, ire, notebook):
+    refused, count = threading.Event(), itertools.count(1)
+
+    def answer(request, context):
+        if refused.is_set():
+            raise packed(grpc.StatusCode.FAILED_PRECONDITION, "it is not ACTIVE", "NOT_ACTIVE")
+        n = next(count)
+        return message("InvokeResponse", encoded=(n % 7).to_bytes(4, "little"), unit="mm", stamp_ns=n * 10_000_000)
+
+    invoke(fake, answer)
+    shown = notebook.display_pub.outputs
+    notebook.user_ns["ire"] = ire
+
+    async def renewed():
+        # The kernel's loop goes round between cells, and what is to be drawn is drawn by it.
+        asked = len(shown)
+        while len(shown) == asked:
+            await asyncio.sleep(0)
+
+    async def cells():
+        plot = await run_cell(notebook, "p = ire.plot('ProcessServer/Server/Provided/Read', seconds=60, rate_hz=200); p")
+        assert len(shown) == 1 and not shown[0]["update"]
+        await renewed()
+        refused.set()
+        while plot.signals[0].missed == 0:
+            await asyncio.sleep(0)
+        await renewed()
+        # Shown a second time it is the same picture: both are renewed.
+        assert await run_cell(notebook, "p") is plot
+        assert not shown[-1]["update"] and shown[-1]["transient"] == shown[0]["transient"]
+        plot.stop()
+        await renewed()
+        # Nothing is left for the loop to do: the last one was the last.
+        assert not [h for h in asyncio.get_running_loop()._scheduled if not h.cancelled()]
+
+    asyncio.run(cells())
+    assert [s["update"] for s in shown] == [False, True, True, False, True] and len({s["transient"]["display_id"] for s in shown}) == 1
+    pictures = [base64.b64decode(s["data"]["image/png"]) for s in shown]
+    assert all(p.startswith(b"\x89PNG") for p in pictures) and pictures[0] != pictures[1], "it shows what has come"
+    told = [s["data"]["text/plain"] for s in shown]
+    assert "missed" not in told[0] and "it is not ACTIVE" in told[-1], told
+
+
+def test_a_plot_in_a_terminal_is_told_in_words(fake, ire, notebook, capsys):
+    del notebook.kernel
+    measured(fake, range(5, 15))
+    notebook.user_ns["ire"] = ire
+
+    async def cells():
+        await run_cell(notebook, "ire.plot('ProcessServer/Server/Provided/Read')")
+
+    asyncio.run(cells())
+    assert not notebook.display_pub.outputs and "<plot of ProcessServer/Server/Provided/Read" in capsys.readouterr().out

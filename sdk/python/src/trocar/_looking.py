@@ -248,7 +248,10 @@ class Looking:
     def record(self, name: str, patterns: Iterable[str], *, pre_trigger: float = 0.0, **settings: Any) -> Any:
         """Records what the patterns name while the ``with`` block lasts: ``with ire.record("trial7", ["robot/**"]): …``.
 
-        ``pre_trigger`` keeps so many seconds from before the beginning, s.
+        ``pre_trigger`` keeps so many seconds from before the beginning, s. Of the ``settings``, ``process`` says which one records (the
+        one with most of it) and ``directory`` where; ``video`` is ``"raw"``, ``"qoi"`` or ``"jpeg"``; ``max_rate_hz`` is the most
+        samples of each output, Hz, or a mapping of patterns to that; ``cpus`` are the processors the recorder's threads may run on;
+        ``config`` is what else the recorder is to be configured with.
         """
         __tracebackhide__ = True
         from ._record import Recording

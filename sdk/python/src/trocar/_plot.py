@@ -1,12 +1,15 @@
-"""Plots of signals: sampled in a thread, drawn by matplotlib live, in a notebook, or into a file without a screen.
+"""Plots of signals: sampled in a thread, drawn by matplotlib live in a window or a notebook, or into a file without a screen.
 
 Invariant: sampling needs no matplotlib and no screen; what could not be read is a gap in the line and counted, never an old value.
 """
 
 from __future__ import annotations
 
+import asyncio
+import base64
 import collections
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +23,8 @@ from ._paths import path_of
 
 _STEP = re.compile(r"\.([A-Za-z_][A-Za-z0-9_]*)|\[(-?\d+)\]")
 _MOST = 200_000
+# Least time between two pictures in a notebook, s; and how many times longer than drawing one takes.
+_RENEWED_S, _RENEWED_TIMES = 0.5, 4
 
 
 class Signal:
@@ -150,7 +155,7 @@ def _applies(session: Any, path: str, steps: list[tuple[str, str]], unit: str) -
 
 class Plot:
     """Signals over the last ``seconds``. ``data()`` are the samples, ``save(file)`` draws them, ``wait()`` waits until the window is full,
-    ``stop()`` ends the sampling.
+    ``stop()`` ends the sampling. In a notebook it is a picture that is renewed between cells, twice a second at most, until then.
     """
 
     def __init__(self, session: Any, signals: tuple[Any, ...], seconds: float, rate_hz: float, title: str) -> None:
@@ -171,6 +176,7 @@ class Plot:
         self._session = session
         self._figure: Any = None
         self._timer: Any = None
+        self._picture: Any = None
         threading.Thread(target=self._sample, name="trocar-plot", daemon=True).start()
         self._show()
 
@@ -258,6 +264,33 @@ class Plot:
         self._draw(self._figure)
         self._figure.canvas.draw_idle()
 
+    def _ipython_display_(self) -> None:
+        # Where this says NotImplementedError, IPython goes on to `_repr_png_` and `repr`.
+        loop = _kernel_loop()
+        if loop is None or self._figure is not None:
+            raise NotImplementedError
+        bundle = self._bundle()
+        if self._picture is not None:
+            self._picture.display(bundle, raw=True)
+            return
+        from IPython.display import display
+
+        self._picture = display(bundle, raw=True, display_id=True)
+        loop.call_later(_RENEWED_S, self._renew, loop)
+
+    def _renew(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Draws the picture anew. The kernel's loop does it, in the thread that cells run in: matplotlib knows no other."""
+        began, last = loop.time(), self._ended.is_set() or self._session.closed
+        self._picture.update(self._bundle(), raw=True)
+        if not last:
+            loop.call_later(max(_RENEWED_S, _RENEWED_TIMES * (loop.time() - began)), self._renew, loop)
+
+    def _bundle(self) -> dict[str, str]:
+        png = self._repr_png_()
+        if png is None:
+            raise NotImplementedError
+        return {"image/png": base64.b64encode(png).decode(), "text/plain": repr(self)}
+
     def _repr_png_(self) -> bytes | None:
         import io
 
@@ -275,6 +308,17 @@ class Plot:
         missed = sum(s.missed for s in self.signals)
         lost = f", {missed} missed: {self.signals[0].why}" if missed else ""
         return f"<plot of {shown} over {self.seconds:g} s at {self.rate_hz:g} Hz: {count} samples{lost}>"
+
+
+def _kernel_loop() -> asyncio.AbstractEventLoop | None:
+    """The loop of the notebook's kernel, where this is one; IPython in a terminal has none that would show pictures."""
+    getter = getattr(sys.modules.get("IPython"), "get_ipython", None)
+    if getattr(getter() if getter is not None else None, "kernel", None) is None:
+        return None
+    try:
+        return asyncio.get_running_loop()
+    except RuntimeError:
+        return None
 
 
 def _matplotlib() -> Any:

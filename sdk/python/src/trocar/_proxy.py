@@ -138,7 +138,7 @@ class Command:
         return Sent(self._path, response.executed)
 
     def aio(self, *args: Any, deadline: float | None = None, **fields: Any) -> Coroutine[Any, Any, Any]:
-        """The call as a coroutine: ``await r.Read.aio()``. Ready to be awaited, gathered and cancelled."""
+        """The call as a coroutine: ``await r.Read.aio()``, on asyncio's loop. Ready to be awaited, gathered and cancelled."""
         request, seconds = self._request(args, fields, deadline, False)
         return self._await(request, seconds)
 

@@ -1,6 +1,7 @@
 """Recordings from Python: a recorder beside the data, made for the time of a ``with`` block, driven and taken away again.
 
-Invariant: samples never pass through Python; whatever happens in the block, the file is closed and the recorder is removed.
+Invariant: samples never pass through Python; whatever happens in the block, the file is closed and the recorder is removed, or the
+error names the one that is left behind, and it is known until it is gone.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ class Recording:
     It is armed at once: a recorder is made, connected and started, and keeps the last ``pre_trigger`` seconds. ``with`` (or
     ``start()``) begins the file, the end of the block (or ``stop()``) closes it and takes the recorder away. ``path`` is the file as the
     recorder's process sees it, ``topics`` what is recorded, ``result`` the figures of the finished file, ``read()`` the file itself.
+    ``component`` is the recorder; empty = it is gone. While the GCM is gone it goes on recording, and ``stop()`` works once that is back.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Recording:
         directory: str = "",
         video: str = "raw",
         max_rate_hz: Mapping[str, float] | float = 0.0,
+        cpus: Iterable[int] | int = (),
         config: Mapping[str, Any] | None = None,
     ) -> None:
         if not isinstance(name, str) or not name:
@@ -57,28 +60,32 @@ class Recording:
         wanted = [patterns] if isinstance(patterns, str) else list(patterns)
         self._depths = _matching(session, wanted)
         self.topics = list(self._depths)
-        self._arm(name, process, directory, video, max_rate_hz, float(pre_trigger), dict(config or {}))
-        session._recordings.add(self)
-
-    def _arm(self, name: str, process: str, directory: str, video: str, rate: Any, pre_trigger: float, config: dict[str, Any]) -> None:
-        session = self._session
-        process = process or _best_process(session, self.topics)
-        inputs = [f"t{i}" for i in range(len(self.topics))]
-        config.update(topics=inputs, sources=self.topics, video=video, pre_trigger_s=pre_trigger)
+        # Above all without a priority, as `trocar record`: what the disk does in the kernel may hold those up for 100 ms.
+        execution = _proto.message("Execution")(priority=1, cpus=_numbers(cpus))
+        config = {**(config or {}), "video": video, "pre_trigger_s": float(pre_trigger)}
         if directory:
             config["directory"] = directory
+        self._arm(name, process or _best_process(session, self.topics), config, max_rate_hz, execution)
+
+    def _arm(self, name: str, process: str, config: dict[str, Any], rate: Any, execution: Any) -> None:
+        session = self._session
+        inputs = [f"t{i}" for i in range(len(self.topics))]
+        config.update(topics=inputs, sources=self.topics)
         if rate:
-            rates = [_rate(rate, t) for t in self.topics]
-            config["max_rate_hz"] = rates
+            config["max_rate_hz"] = [_rate(rate, t) for t in self.topics]
         component = _free(session, process, name)
         Step = _proto.message("Step")
         create = _proto.message("CreateRequest")(**{"class": _CLASS}, path=component)
-        # Above all without one, as `trocar record`: what the disk does in the kernel may hold those up for 100 ms.
-        create.execution.priority = 1
+        create.execution.CopyFrom(execution)
         create.config.CopyFrom(_values.to_wire_struct(config, "config"))
         # Its inputs are there once it is configured, so it is made first; whatever fails then takes it away again.
-        session._seen(session._wire.call("GcmService/Create", create, 10.0).revision)
+        created = session._wire.call("GcmService/Create", create, 10.0)
         self.component = component
+        session._recordings.add(self)
+        session._seen(created.revision)
+        # Its thread may not have been given what was asked for.
+        for text in created.warnings:
+            session._say(f"{component}: {text}")
         steps = []
         for name, topic in zip(inputs, self.topics):
             connect = _proto.message("ConnectRequest")(client=f"{component}/{name}", server=topic)
@@ -87,7 +94,7 @@ class Recording:
         steps.append(Step(start=_proto.message("StartRequest")(paths=[component])))
         try:
             session._wire.call("GcmService/Apply", _proto.message("ApplyRequest")(steps=steps), 30.0)
-        except TrocarError:
+        except BaseException:
             self.close()
             raise
 
@@ -110,13 +117,14 @@ class Recording:
         return self
 
     def stop(self) -> Any:
-        """Closes the file and takes the recorder away; answers the figures of the file."""
+        """Closes the file and takes the recorder away; answers the figures of the file. After a failure it may be called again."""
         __tracebackhide__ = True
         if not self.component:
             return self.result
         try:
             if self._running:
                 self.result = self._end()
+                self._running = False
                 self.path = str(self.result["path"])
                 if self.result["lost"]:
                     self._session._say(f"{self.path}: {int(self.result['lost'])} samples were lost; the file tells which")
@@ -124,7 +132,6 @@ class Recording:
                     times = int(self.result["interrupted"])
                     self._session._say(f"{self.path}: connections or processes of sources went away {times} times; the file tells which")
         finally:
-            self._running = False
             self.close()
         return self.result
 
@@ -168,11 +175,24 @@ class Recording:
         return read(self.path, **settings)
 
     def close(self) -> None:
-        """Takes the recorder away, whatever it does; its file is closed by that, too."""
-        component, self.component = self.component, ""
+        """Takes the recorder away, whatever it does; its file is closed by that, too. After a failure it may be called again."""
+        __tracebackhide__ = True
+        if self.component:
+            try:
+                self._session.remove(self.component, force=True)
+            except TrocarError as e:
+                # That it is not there any more is what is wanted; of a process that is not there nobody knows what it has.
+                if e.reason != "COMPONENT_NOT_FOUND":
+                    raise self._left_behind(e) from None
+        self.component, self._running = "", False
         self._session._recordings.discard(self)
-        if component:
-            self._session.remove(component, force=True)
+
+    def _left_behind(self, e: TrocarError) -> TrocarError:
+        sentence = (
+            f"the recorder {self.component} is left behind, with what it records: {e.sentence}; once the GCM and its process answer "
+            f"again, stop() or close() this recording again, or `trocar rm --force {self.component}`"
+        )
+        return TrocarError(e.code, e.reason, sentence, {**e.metadata, "component": self.component}, e.violations, e.help)
 
     def __enter__(self) -> Recording:
         __tracebackhide__ = True
@@ -189,6 +209,13 @@ class Recording:
     def __repr__(self) -> str:
         how = "recording" if self._running else "armed" if self.component else "over"
         return f"<{self.file}, {how}: {len(self.topics)} topics{f', {self.path}' if self.path else ''}>"
+
+
+def _numbers(cpus: Any) -> list[int]:
+    numbers = list(cpus) if isinstance(cpus, Iterable) and not isinstance(cpus, (str, bytes)) else [cpus]
+    if not all(type(n) is int and 0 <= n < 4096 for n in numbers):
+        raise invalid(f"record: cpus is {cpus!r}; give numbers of processors, e.g. [1, 2]", field="cpus")
+    return numbers
 
 
 def _rate(rate: Any, topic: str) -> float:

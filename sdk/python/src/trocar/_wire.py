@@ -6,6 +6,7 @@ Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import grpc
@@ -70,7 +71,7 @@ class Wire:
             raise self.error(e, name) from None
 
     async def acall(self, name: str, request: Any, timeout: float) -> Any:
-        """Asks and awaits the answer, on whatever loop runs."""
+        """Asks and awaits the answer, on the loop of asyncio that runs; cancelled, it cancels the call."""
         loop = asyncio.get_running_loop()
         done: asyncio.Future[Any] = loop.create_future()
         asked = self.begin(name, request, timeout)
@@ -80,7 +81,8 @@ class Wire:
                 done.set_result(None)
 
         def tell(_: Any) -> None:
-            if not loop.is_closed():
+            # An answer that comes when the loop is closed is waited for by nobody.
+            with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(wake)
 
         asked.add_done_callback(tell)

@@ -1,6 +1,7 @@
 """Promise: a GCM that goes and comes back is told of, found again, and the session is in the graph with all it had."""
 
 import signal
+import time
 
 import pytest
 
@@ -13,7 +14,7 @@ from .conftest import Program, linked
 @pytest.fixture
 def site(tmp_path):
     """A GCM by itself and a host: the one may go while the other runs."""
-    plugins, _ = linked(tmp_path, "example")
+    plugins, missing = linked(tmp_path, "example", "eyerobot", "recorder")
     state = tmp_path / "gcm-state"
     running = []
 
@@ -28,7 +29,7 @@ def site(tmp_path):
             return program
 
     made = Site()
-    made.first = made.gcm()
+    made.missing, made.first = missing, made.gcm()
     running.append(Program(tmp_path, "host", "host", "--name", "ProcessServer", "--gcm", made.address, "--plugins", plugins,
                            "--listen", "127.0.0.1:0", "--state", tmp_path / "host-state"))  # fmt: skip
     yield made
@@ -76,6 +77,114 @@ def _read(r):
         return r.Read()
     except trocar.TrocarError as e:
         return e
+
+
+@pytest.fixture
+def robot(site):
+    """A session with something to record, and what it said."""
+    if {"eyerobot", "recorder"} & set(site.missing):
+        pytest.skip("the plugins eyerobot and recorder were not built")
+    said = []
+    ire = trocar.connect(site.address, say=said.append)
+    eventually("the host has attached", lambda: {"eyerobot/eyerobot", "recorder/recorder"} <= set(ire.classes()))
+    ire.create("ProcessServer/robot", "eyerobot/eyerobot", {}, {"rate_hz": 200})
+    ire.start("ProcessServer/robot")
+    yield ire, said
+    ire.close()
+
+
+def gone(site, ire):
+    site.first.end(signal.SIGKILL)
+    eventually("its loss is seen", lambda: not ire.connected)
+
+
+def back(site, ire):
+    """The GCM is there again and knows the host and all it has."""
+    site.gcm()
+    eventually("the session is connected", lambda: ire.connected)
+    eventually("the robot is there", lambda: _state(ire, "ProcessServer/robot") == "ACTIVE")
+
+
+def _state(ire, path):
+    try:
+        return ire.state(path)
+    except trocar.TrocarError as e:
+        return str(e)
+
+
+def _tried(what):
+    """Whether it works by now; the manager is back before all it manages is."""
+    try:
+        what()
+    except trocar.TrocarError as e:
+        assert "is left behind" in e.sentence, e
+        return False
+    return True
+
+
+def recorders(ire):
+    return [c.path for c in ire._call("GcmService/List").components if getattr(c, "class") == "recorder/recorder"]
+
+
+def left_behind(error, rec):
+    """The refusal names the recorder and the way to get rid of it, and nothing of it is forgotten."""
+    assert error.reason == "GCM_UNREACHABLE" and "is left behind" in error.sentence, error
+    assert f"trocar rm --force {rec.component}" in error.sentence and error.metadata["component"] == rec.component, error
+    assert rec.component == "ProcessServer/rec_trial" and rec in rec._session._recordings
+
+
+def test_a_recorder_that_could_not_be_removed_is_removed_when_the_gcm_is_back(site, robot):
+    ire, _ = robot
+    rec = ire.record("trial", ["ProcessServer/robot"])
+    gone(site, ire)
+    for _ in range(2):
+        with pytest.raises(trocar.TrocarError) as e:
+            rec.close()
+        left_behind(e.value, rec)
+    assert "armed" in repr(rec)
+    back(site, ire)
+    assert recorders(ire) == [rec.component], "it was left behind"
+    eventually("it can be closed again", lambda: _tried(rec.close))
+    assert recorders(ire) == [] and rec.component == "" and not ire._recordings and "over" in repr(rec)
+    rec.close()
+
+
+def test_a_recording_goes_on_without_a_gcm_and_is_ended_whole_when_that_is_back(site, robot, tmp_path):
+    ire, _ = robot
+    with pytest.raises(trocar.TrocarError) as e, ire.record("trial", ["ProcessServer/robot"], directory=str(tmp_path)) as rec:
+        eventually("messages are written", lambda: rec.status()["messages"] > 50)
+        gone(site, ire)
+        lost_ns = time.monotonic_ns()
+    left_behind(e.value, rec)
+    assert "recording" in repr(rec) and rec.result is None
+    written = (tmp_path / "trial.mcap").stat().st_size
+    eventually("it goes on recording", lambda: (tmp_path / "trial.mcap").stat().st_size > written)
+    back(site, ire)
+    eventually("it can be stopped again", lambda: _tried(rec.stop))
+    assert rec.result["whole"] and rec.result["reason"] == "stopped as asked" and rec.path == str(tmp_path / "trial.mcap")
+    file = rec.read()
+    assert file.complete and (file["/ProcessServer/robot/tip"].publish_time > lost_ns).any(), file
+    assert recorders(ire) == [] and not ire._recordings
+
+
+def test_a_recorder_that_somebody_else_removed_is_over_and_its_file_is_whole(site, robot, tmp_path):
+    ire, _ = robot
+    rec = ire.record("trial", ["ProcessServer/robot"], directory=str(tmp_path)).start()
+    eventually("messages are written", lambda: rec.status()["messages"] > 50)
+    # What `trocar rm --force` asks.
+    ire.remove(rec.component, force=True)
+    rec.close()
+    assert rec.component == "" and not ire._recordings
+    file = trocar.read(tmp_path / "trial.mcap")
+    assert file.complete and len(file["/ProcessServer/robot/tip"]) > 5, file
+
+
+def test_a_session_that_ends_without_its_gcm_says_which_recorder_it_leaves_behind(site, robot):
+    ire, said = robot
+    rec = ire.record("trial", ["ProcessServer/robot"])
+    gone(site, ire)
+    ire.close()
+    assert any(f"trocar rm --force {rec.component}" in s and "trial.mcap could not be ended" in s for s in said), said
 
 
 def test_no_gcm_at_all_is_one_sentence_with_what_to_do():

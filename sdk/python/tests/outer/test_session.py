@@ -115,67 +115,70 @@ def terminal(tmp_path):
         t.end()
 
 
+def written_session(text):
+    """What is typed at prompts in a block of a document: number, lines, what ``->`` says beside them, and what is written below."""
+    session = []
+    for line in text.splitlines():
+        typed = re.match(r"In \[(\d+)\]: (.*?)(?:\s{2,}->\s+(.*))?$", line)
+        if typed:
+            session.append((int(typed[1]), [typed[2]], typed[3] or "", []))
+        elif session and line.startswith("   ...: "):
+            session[-1][1].append(line[len("   ...: ") :])
+        elif session:
+            session[-1][3].append(line)
+    return session
+
+
+def one_line(text):
+    return " ".join(text.split())
+
+
 def test_the_session_of_the_documentation_runs_as_it_is_written(system, ire, server, terminal, tmp_path):
+    block = next(b for b in (ROOT / "docs/PYTHON.md").read_text().split("```\n") if b.startswith("In [1]: "))
+    session = {n: told for n, *told in written_session(block)}
+    # The numbers that it leaves out are looks at what there is.
+    between = {2: "ire.tree", 4: "r", 11: "p = _10", 13: "ire.process"}
+    assert sorted([*session, *between]) == list(range(1, 16)) and sum(len(typed) for typed, _, _ in session.values()) == 12, session
+    assert session[5][0] == ["r.<TAB>"] and "ire.record" in session[12][0][0], session
+    recorded = "recorder" not in system.missing
+    if not recorded:
+        session[12] = ["'no recorder was built'"], "", []
     server.Write(0)
     t = terminal(system.address, "-m", "IPython", "--no-banner", "--no-confirm-exit", files=[system.directory / "bscan.json"])
-    t.run(1, "import trocar; ire = trocar.connect()")
-    assert "EyeRobot" in t.run(2, "ire.tree")
-    t.run(3, "r = ire.AddInterfaceRequiredAndConnect(('ProcessServer', 'Server', 'Provided'))")
-    assert re.search(r"ProcessServer/Server/Provided, connected as ire\d*/shell/Provided", t.run(4, "r"))
+    shown = {}
+    for number in range(1, 16):
+        typed, beside, below = session.get(number, ([between.get(number)], "", []))
+        if number == 5:
+            t.prompt(5)
+            t.child.send("r." + TAB)
 
-    t.prompt(5)
-    t.child.send("r." + TAB)
+            def offered():
+                return set(t.text().rpartition("In [5]:")[2].split("\n", 1)[-1].split())
 
-    def offered():
-        return set(t.text().rpartition("In [5]:")[2].split("\n", 1)[-1].split())
-
-    eventually("exactly Read, Void, Write, on are offered", lambda: offered() == {"Read", "Void", "Write", "on"})
-    t.child.send(CLEAR)
-    assert "0 mm" in t.run(5, "r.Read()")
-
-    asked = t.run(6, "r.Write?")
-    assert re.search(r"r\.Write\(value: i32\) -> None", asked) and "Sets the set point (mm), 0..100" in asked, asked
-    assert re.search(r"Out\[7\]: 30( mm)?$", t.run(7, "r.Write(30); r.Read()"), re.M)
-    refused = t.run(8, "r.Write(300)")
-    assert re.search(
-        r"^TrocarError: INVALID_ARGUMENT \[ARGUMENT_INVALID\] value 300 is above maximum 100 mm \(ProcessServer/Server/Provided/Write\)",
-        refused,
-        re.M,
-    ), refused
-    t.run(9, "@r.on.SetPointReached", 'def _(v): print("reached", v)')
-    server.Write(55)
-    t.see("the handler printed", r"reached 55 mm")
-    plotted = t.run(10, 'ire.plot("robot/EyeRobot/Arm/measured_js.position[0]", seconds=10)')
-    assert re.search(r"plot of robot/EyeRobot/Arm/measured_js\.position\[0\] \(m\|rad\) over 10 s", plotted), plotted
-    t.run(11, "p = _10")
-    if "recorder" in system.missing:
-        t.run(12, "'no recorder was built'")
-    else:
-        recorded = t.run(12, 'with ire.record("trial7", ["robot/**", "oct/**"], pre_trigger=5): ...')
-        assert "Error" not in recorded, recorded
+            eventually(f"exactly {beside} are offered", lambda beside=beside: offered() == set(beside.split()))
+            t.child.send(CLEAR)
+            typed, beside = ["r.Read()"], ""
+        shown[number] = t.run(number, *typed)
+        assert ("Error" in shown[number]) == any("Error" in line for line in below), shown[number]
+        for told in (*below, *re.split(r"\s{3,}", beside)):
+            assert one_line(told) in one_line(shown[number]), (told, shown[number])
+        if number == 9:
+            server.Write(55)
+            t.see("the handler printed", r"reached 55 mm")
+    # What is written of no line is asked of it all the same.
+    assert "EyeRobot" in shown[2] and "0 mm" in shown[5] and "ire" in shown[13]
+    assert re.search(r"ProcessServer/Server/Provided, connected as ire\d*/shell/Provided", shown[4])
+    assert re.search(r"plot of robot/EyeRobot/Arm/measured_js\.position\[0\] \(m\|rad\) over 10 s", shown[10]), shown[10]
+    assert "Apply, would be done:" in shown[14] and "+ create robot/robot" in shown[14] and "+ connect" in shown[14], shown[14]
+    assert re.search(r"Out\[15\]: 55 mm$", shown[15], re.M), shown[15]
+    if recorded:
         file = trocar.read(system.directory / "trial7.mcap")
         assert file.complete and {name.split("/")[1] for name in file} >= {"robot", "oct"}, list(file)
-    assert "ire" in t.run(13, "ire.process")
-    planned = t.run(14, 'ire.apply("bscan.json", dry_run=True)')
-    assert "Apply, would be done:" in planned and "+ create robot/robot" in planned and "+ connect" in planned, planned
-    assert re.search(r"Out\[15\]: 55( mm)?$", t.run(15, "await r.Read.aio()"), re.M)
     t.child.send("exit()" + ENTER)
     eventually("IPython has ended", lambda: not t.child.isalive())
     eventually("the shell is gone from the graph", lambda: [p for p in ire._graph.processes if p.startswith("ire")] == [ire.process])
-    if "recorder" in system.missing:
+    if not recorded:
         pytest.skip("In [12], the recording: the recorder plugin was not built; the rest of the session ran")
-
-
-def written_session(text):
-    """The lines that are typed at prompts in a block of a document, each with what is written below it."""
-    session = []
-    for line in text.splitlines():
-        typed = re.match(r"In \[(\d+)\]: (.*)$", line)
-        if typed:
-            session.append((int(typed[1]), typed[2], []))
-        elif session:
-            session[-1][2].append(line)
-    return session
 
 
 def without_figures(text):
@@ -188,12 +191,12 @@ def test_the_session_of_the_readme_runs_against_the_demo_it_starts(system, termi
     told = (ROOT / "README.md").read_text().partition("## From Python")[2].partition("```console\n")[2].partition("```")[0]
     assert told.startswith("$ ./target/release/trocar demo "), "it begins with the system that it needs"
     session = written_session(told)
-    assert [n for n, _, _ in session] == [1, 2, 3, 4], session
+    assert [n for n, *_ in session] == [1, 2, 3, 4], session
     demo = Program(tmp_path, "demo", "demo", "--listen", "127.0.0.1:0", "--plugins", system.plugins)
     try:
         t = terminal(demo.address(r"listening on (127\.0\.0\.1:\d+)"), "-m", "trocar.ire")
-        for number, typed, below in session:
-            shown = t.run(number, typed)
+        for number, typed, _, below in session:
+            shown = t.run(number, *typed)
             assert ("TrocarError" in shown) == any("TrocarError" in line for line in below), shown
             assert without_figures("\n".join(below)) in without_figures(shown), (below, shown)
         assert (tmp_path / "python-plot.png").read_bytes().startswith(b"\x89PNG")
