@@ -48,6 +48,7 @@ def test_commands_begin_pause_mark_thin_and_end_a_recording():
         sine = world.source()
         world.recorder({"all": f"{sine}/value", "some": f"{sine}/tap_rows"}, {"every": [1, 10]})
         world.call("host/rec/ctl/marker", "too early", code=REFUSED)
+        world.call("host/rec/ctl/annotate", {"kind": "operator", "json": "{}"}, code=REFUSED)
         world.begin("a.mcap")
         world.wait("it records", lambda s: s["phase"] == "RECORDING" and s["messages"] > 200)
         world.call("host/rec/ctl/marker", "incision")

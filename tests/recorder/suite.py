@@ -15,6 +15,7 @@ import signal
 import sys
 import traceback
 
+import away
 import endings
 import reading
 import recording
@@ -33,7 +34,7 @@ def main():
     args = parser.parse_args()
     enter_venv()
     hear_signals()
-    tests = [(name, test) for of in (recording, reading, endings) for name, test in vars(of).items() if name.startswith("test_")
+    tests = [(name, test) for of in (recording, reading, endings, away) for name, test in vars(of).items() if name.startswith("test_")
              and (not args.names or any(word in name for word in args.names))]
     passed, failed = 0, 0
     for name, test in tests:

@@ -204,6 +204,11 @@ impl Way {
         waiting.saturating_add(bytes as u64) <= self.limit
     }
 
+    /// Whether nothing is on its way.
+    pub(crate) fn is_clear(&self) -> bool {
+        self.under_way.load(Ordering::Relaxed) == 0 && self.block.is_empty()
+    }
+
     /// The block that is being filled.
     pub(crate) fn block(&mut self) -> &mut Block {
         if self.block.len() >= FULL {

@@ -32,7 +32,10 @@ pub(crate) struct Explaining {
     plugins: BTreeMap<String, BTreeSet<String>>,
     /// The whole answer, for recordings that begin later.
     last: Json,
+    /// Of components, as they were last told.
     configs: BTreeMap<String, Json>,
+    /// Bytes of `last` while it waits for room to be told.
+    waits: usize,
 }
 
 /// An input, and what it is connected to.
@@ -156,6 +159,16 @@ impl Explaining {
             return;
         }
         self.last = graph;
+        self.waits = self.last.to_string().len();
+        self.tell_what_waits(now_ns, way);
+    }
+
+    /// Tells the graph and the configurations that changed as soon as there is room for them; of several that waited the last one.
+    pub(crate) fn tell_what_waits(&mut self, now_ns: u64, way: &mut Way) {
+        if self.waits == 0 || !way.has_room(self.waits) && !way.is_clear() {
+            return;
+        }
+        self.waits = 0;
         tell(self.graph, &self.last, now_ns, way);
         // Of components that are gone there is nothing to tell in recordings to come.
         let there = elements(&self.last, "components").map(|c| text(c, "path"));
@@ -184,7 +197,11 @@ impl Explaining {
         if self.last.is_null() {
             return;
         }
+        self.waits = 0;
         tell(self.graph, &self.last, now_ns, way);
+        self.configs = elements(&self.last, "components")
+            .map(|component| (text(component, "path").to_owned(), component["config"].clone()))
+            .collect();
         for (path, config) in &self.configs {
             tell(self.config, &json!({ "path": path, "config": config }), now_ns, way);
         }
@@ -221,6 +238,46 @@ mod tests {
         };
         assert_eq!((input.as_str(), server.as_str()), ("a", "there/sine/value"));
         link.map(|link| link.epoch)
+    }
+
+    #[test]
+    fn graphs_wait_bounded_while_the_disk_stands_still_and_the_last_one_is_told() {
+        let (mut way, received, returns) = crate::block::way(2_000);
+        let mut explaining = Explaining { graph: 1, config: 2, ..Explaining::default() };
+        for n in 0..1000u64 {
+            let path = format!("host/sine{n}");
+            let made = json!({ "revision": n + 1, "processes": [], "connections": [],
+                "components": [{ "path": path, "config": { "rate": n } }] });
+            explaining.graph_is(made, n, &mut way);
+        }
+        way.send();
+        let mut told = Vec::new();
+        let mut arrive = || {
+            for order in received.try_iter() {
+                let Order::Block(block) = order else { continue };
+                returns.arrived(&block);
+                told.extend(block.messages().map(|(head, [text, _])| {
+                    let value: Json = trocar_sdk::serde_json::from_slice(text).expect("it is JSON");
+                    (head.channel, value)
+                }));
+            }
+        };
+        arrive();
+        explaining.tell_what_waits(2000, &mut way);
+        explaining.tell_what_waits(2001, &mut way);
+        way.send();
+        arrive();
+        assert!(told.len() < 40, "{} were on their way", told.len());
+        let revisions: Vec<u64> = told
+            .iter()
+            .filter(|(channel, _)| *channel == 1)
+            .map(|(_, graph)| number(graph, "revision"))
+            .collect();
+        assert!(revisions.is_sorted() && revisions.last() == Some(&1000), "{revisions:?}");
+        assert_eq!(revisions.iter().filter(|revision| **revision == 1000).count(), 1, "{revisions:?}");
+        let configs: Vec<&Json> =
+            told.iter().filter(|(channel, _)| *channel == 2).map(|(_, told)| told).collect();
+        assert_eq!(configs.last(), Some(&&json!({ "path": "host/sine999", "config": { "rate": 999 } })));
     }
 
     #[test]

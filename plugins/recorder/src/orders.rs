@@ -21,8 +21,18 @@ pub(crate) enum Order {
     /// A metadata record, in the file that is open and in each that is opened later.
     Metadata(String, BTreeMap<String, String>),
     /// What is missing so far, for the end of the file.
-    Missing(Missing),
+    Missing(Missing, OnItsWay),
     Close(String),
+}
+
+/// Counted by whoever holds it: as long as there are two, one is on its way.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct OnItsWay(Arc<()>);
+
+impl OnItsWay {
+    pub(crate) fn has_arrived(&self) -> bool {
+        Arc::strong_count(&self.0) == 1
+    }
 }
 
 /// Topics of which something is missing.

@@ -12,9 +12,9 @@ use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::Value as Json;
 
 use crate::explain::{self, Connected, Explaining};
-use crate::orders::{Ended, Missing, Opening, Order};
+use crate::orders::{Ended, Opening, Order};
 use crate::place;
-use crate::running::{Plan, Running};
+use crate::running::{Plan, Running, SECOND_NS};
 use crate::settings::{LONGEST_S, RecorderConfig, gap, seconds};
 use crate::topic::{Seen, Topic};
 use crate::words::{Note, Phase, Progress, RecordAt, StartRequest, Stopped, Thinning, TopicStatus};
@@ -149,7 +149,7 @@ impl Recorder {
         run.mark(now_ns, text, &who)
     }
 
-    /// Puts a note of any kind into this recording and those that follow.
+    /// Puts a note of any kind into the recording, at this time.
     #[command]
     fn annotate(&mut self, note: &Note) -> Result {
         let json: Json = trocar_sdk::serde_json::from_str(&note.json)
@@ -162,8 +162,7 @@ impl Recorder {
             return Err(format!("kind: {kind:?} is no name: letters, digits and _ are").into());
         }
         let now_ns = self.host.now().ns();
-        let run = self.run.as_mut().ok_or(NOT_RUNNING)?;
-        run.note(now_ns, &kind, &json)
+        self.recording()?.note(now_ns, &kind, &json)
     }
 
     /// Keeps less, or again all, of one input.
@@ -298,7 +297,9 @@ impl Recorder {
             let cut = self.topics.ports().chain(fixed).map(|input| input.type_json().is_none());
             let cut = self.each.iter_mut().zip(cut).filter(|(_, cut)| *cut);
             cut.for_each(|(topic, _)| topic.is_cut(now_ns));
-            run.tell_loss(&self.each, now_ns);
+            let sum = |count: fn(&Topic) -> u64| self.each.iter().map(count).sum();
+            let missing = (sum(|topic| topic.lost), sum(|topic| topic.interrupted));
+            run.end_loss(&self.each, missing, now_ns);
             run.way.order(Order::Close(why.to_owned()));
         }
         (run.began_ns, run.ends_ns, run.pause_ns, run.paused) = (0, 0, 0, false);
@@ -534,21 +535,13 @@ impl Component for Recorder {
             elapsed: if recording { now_ns.saturating_sub(run.began_ns) as f64 * 1e-9 } else { 0.0 },
             interrupted: self.each.iter().map(|topic| topic.interrupted).sum(),
         };
-        let told = (self.status.lost, self.status.interrupted);
-        if recording && told != run.told {
-            // The writer may have to close the file at any moment.
-            let cut = told.1 != run.told.1;
-            run.told = told;
-            // The file has it at the time when it was noticed.
-            if cut {
-                run.tell_loss(&self.each, now_ns);
-            } else {
-                run.way.order(Order::Missing(Missing::of(&self.each)));
-            }
+        run.explaining.tell_what_waits(now_ns, &mut run.way);
+        let missing = (self.status.lost, self.status.interrupted);
+        if recording {
+            run.watch_loss(&self.each, missing, now_ns);
         }
-        if recording && now_ns.saturating_sub(run.told_ns) >= 1_000_000_000 {
-            run.told_ns = now_ns;
-            run.tell_loss(&self.each, now_ns);
+        if recording && now_ns.saturating_sub(run.shown_ns) >= SECOND_NS {
+            run.shown_ns = now_ns;
             self.progress.emit(self.status);
         }
         if is_over {

@@ -16,13 +16,17 @@ use crate::asking::Asking;
 use crate::block::{Kind, Way, way};
 use crate::explain::Explaining;
 use crate::foxglove;
-use crate::orders::{Channel, Codec, Ended, Missing, Opening, Order, Written};
+use crate::orders::{Channel, Codec, Ended, Missing, OnItsWay, Opening, Order, Written};
 use crate::settings::{RecorderConfig, seconds};
 use crate::topic::Topic;
 use crate::writer::Writer;
 
 /// Kinds of notes, at most: each is a channel of every file to come.
 const KINDS: usize = 32;
+/// How often what is missing is told, ns.
+pub(crate) const SECOND_NS: u64 = 1_000_000_000;
+/// The same while it grows: no more is untold when the process is killed than samples are.
+const GROWING_NS: u64 = 20_000_000;
 /// How late what was acquired may come and be known as such, ns.
 const LATEST_NS: u64 = 5_000_000_000;
 
@@ -47,11 +51,17 @@ pub(crate) struct Running {
     pub(crate) ends_ns: u64,
     pub(crate) pause_ns: u64,
     pub(crate) paused: bool,
-    pub(crate) told_ns: u64,
+    told_ns: u64,
+    /// When progress was shown last, ns.
+    pub(crate) shown_ns: u64,
     /// When the step before was; before the first one, when it was started.
     pub(crate) stepped_ns: u64,
-    /// What was missing when the writer was told last: lost, interrupted.
-    pub(crate) told: (u64, u64),
+    /// What was missing when the file was told last: lost, interrupted.
+    told: (u64, u64),
+    /// The same, when the writer was told last for the end of the file.
+    told_for_end: (u64, u64),
+    /// Held by what tells the writer of what is missing, until it has arrived.
+    telling: OnItsWay,
     markers: u64,
 }
 
@@ -107,8 +117,11 @@ impl Running {
             pause_ns: 0,
             paused: false,
             told_ns: 0,
+            shown_ns: 0,
             stepped_ns: host.now().ns(),
             told: (0, 0),
+            told_for_end: (0, 0),
+            telling: OnItsWay::default(),
             markers: 0,
         };
         run.introduce(host, cfg);
@@ -190,8 +203,9 @@ impl Running {
         // Where its time was since the step before, it counts from then.
         let from_ns = plan.at_ns.max(self.stepped_ns);
         self.ends_ns = if plan.duration_ns == 0 { 0 } else { from_ns + plan.duration_ns };
-        (self.pause_ns, self.paused, self.told) = (0, false, (0, 0));
-        (self.told_ns, self.markers) = (now_ns, 0);
+        (self.pause_ns, self.paused) = (0, false);
+        (self.told, self.told_for_end) = ((0, 0), (0, 0));
+        (self.told_ns, self.shown_ns, self.markers) = (now_ns, now_ns, 0);
         self.explaining.begin(now_ns, &mut self.way);
         self.way.order(Order::Metadata("trocar.clock".into(), clock(host)));
         self.way.order(Order::Open(plan.opening));
@@ -242,8 +256,30 @@ impl Running {
         Ok(())
     }
 
-    /// What is missing so far, into the recording and for its end.
-    pub(crate) fn tell_loss(&mut self, each: &[Topic], now_ns: u64) {
+    /// Tells the recording what is missing: each second, at once when a source went away, and more often while more is lost. Where there
+    /// is no room, it is told as soon as there is.
+    pub(crate) fn watch_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) {
+        let since_ns = now_ns.saturating_sub(self.told_ns);
+        let (grew, cut) = (now != self.told, now.1 != self.told.1);
+        let due = cut || since_ns >= if grew { GROWING_NS } else { SECOND_NS };
+        if due && self.tell_loss(each, now, now_ns) {
+            return;
+        }
+        // The writer may have to close the file at any moment. Told no faster than it hears, for its disk may stand still.
+        if now != self.told_for_end && self.telling.has_arrived() {
+            self.tell_for_end(Missing::of(each), now);
+        }
+    }
+
+    /// What is missing at the end of the recording, into the file where there is room, and for its end.
+    pub(crate) fn end_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) {
+        if !self.tell_loss(each, now, now_ns) {
+            self.tell_for_end(Missing::of(each), now);
+        }
+    }
+
+    /// What is missing so far, into the recording and for its end. Whether there was room.
+    fn tell_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) -> bool {
         let missing = Missing::of(each);
         let by_topic = |all: &[(String, u64)]| -> Json {
             all.iter().map(|(name, n)| (name.clone(), json!(n))).collect()
@@ -254,9 +290,19 @@ impl Running {
         let told =
             json!({ "lost": total, "topics": lost, "interrupted": interrupted, "unix_ns": unix_ns() as u64 });
         let text = told.to_string();
+        if !self.way.has_room(text.len()) {
+            return false;
+        }
+        (self.told, self.told_ns) = (now, now_ns);
         let head = (self.own.loss, 0, now_ns, now_ns);
         self.way.block().push(head, Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
-        self.way.order(Order::Missing(missing));
+        self.tell_for_end(missing, now);
+        true
+    }
+
+    fn tell_for_end(&mut self, missing: Missing, now: (u64, u64)) {
+        self.told_for_end = now;
+        self.way.order(Order::Missing(missing, self.telling.clone()));
     }
 
     /// Ends the writer, which closes what is open first: what it told and nobody heard yet.

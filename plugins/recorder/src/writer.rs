@@ -152,7 +152,10 @@ impl Writer {
                 self.metadata.push((name, values));
             }
             Order::Open(opening) => self.open(*opening),
-            Order::Missing(missing) => self.missing = missing,
+            Order::Missing(missing, on_its_way) => {
+                self.missing = missing;
+                drop(on_its_way);
+            }
             Order::Close(why) => self.close(&why),
         }
     }

@@ -4,6 +4,7 @@ use std::fs::{File, OpenOptions};
 
 use super::*;
 use crate::block::{HeldPart, LARGE, Piece, way};
+use crate::orders::OnItsWay;
 
 fn channel(topic: &str) -> Order {
     Order::Channel(Box::new(Channel {
@@ -69,10 +70,8 @@ fn a_closed_file_holds_everything_and_says_what_was_lost() {
         push(way, 99, 10); // Before the recording: no part of it.
         way.order(opening(&path, 0));
         (1..=500).for_each(|n| push(way, n, 1000));
-        way.order(Order::Missing(Missing {
-            lost: vec![("/a".into(), 3)],
-            interrupted: vec![("/a".into(), 2)],
-        }));
+        let missing = Missing { lost: vec![("/a".into(), 3)], interrupted: vec![("/a".into(), 2)] };
+        way.order(Order::Missing(missing, OnItsWay::default()));
         way.order(Order::Close("enough".into()));
     });
     let [Ended { why, messages: 500, whole: true, bytes, .. }] = &news[..] else { panic!("{news:?}") };

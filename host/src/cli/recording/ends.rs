@@ -21,7 +21,7 @@ impl Ends {
     }
 
     /// Returns when one of them has come.
-    pub(super) async fn come(mut self) {
+    pub(super) async fn come(&mut self) {
         poll_fn(|context| {
             let came = self.0.iter_mut().any(|signal| signal.poll_recv(context).is_ready());
             if came { Poll::Ready(()) } else { Poll::Pending }

@@ -14,7 +14,7 @@ use super::columns::{Cell, Reader};
 use super::npz::{Item, Npz};
 use super::planes::{Plane, Row};
 use super::read::{self, Channel, Takes};
-use super::sink::{ExportView, Message, Sink, file_name, new_file, wrote};
+use super::sink::{ExportView, Message, Sink, free_name, new_file, wrote};
 use super::tables::Tables;
 use super::{listed, meant, pictures, select};
 use crate::cli::failure::{Done, Exit, Failure};
@@ -75,7 +75,7 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     } else if args.csv {
         Box::new(Tables::new(output.clone()))
     } else {
-        Box::new(Pictures { directory: output.clone(), counts: BTreeMap::new(), skipped: None })
+        Box::new(Pictures { directory: output.clone(), topics: BTreeMap::new(), skipped: None })
     };
     let mut exporting = Exporting {
         from_ns: args.from.unwrap_or(0),
@@ -371,7 +371,8 @@ fn indexed(name: &str) -> (String, Option<usize>) {
 
 struct Pictures {
     directory: PathBuf,
-    counts: BTreeMap<String, u64>,
+    /// The directory of each topic, and how many are in it.
+    topics: BTreeMap<String, (String, u64)>,
     skipped: Option<&'static str>,
 }
 
@@ -385,8 +386,11 @@ impl Sink for Pictures {
             view.unreadable += 1;
             return Ok(());
         };
-        let name = file_name(&channel.topic);
-        let count = self.counts.entry(name.clone()).or_default();
+        if !self.topics.contains_key(&channel.topic) {
+            let name = free_name(&channel.topic, |name| self.topics.values().any(|(taken, _)| taken == name));
+            self.topics.insert(channel.topic.clone(), (name, 0));
+        }
+        let Some((name, count)) = self.topics.get_mut(&channel.topic) else { return Ok(()) };
         let directory = self.directory.join(name);
         std::fs::create_dir_all(&directory).map_err(|e| wrote(&directory, &e))?;
         let path = |end: &str| directory.join(format!("{count:06}.{end}"));
@@ -413,12 +417,13 @@ impl Sink for Pictures {
         if let Some(why) = self.skipped {
             out::complain("warning", &format!("an image was left out: {why}"));
         }
-        Ok(self.counts.values().sum())
+        Ok(self.topics.values().map(|(_, count)| count).sum())
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::sink::file_name;
     use super::*;
 
     #[test]
@@ -427,6 +432,9 @@ mod tests {
         assert_eq!(file_name("/../../etc/passwd"), "______etc_passwd");
         assert_eq!(file_name("//"), "topic");
         assert!(file_name(&"x".repeat(10_000)).len() <= 200);
+        let taken = ["a_b_c".to_owned(), "a_b_c_2".to_owned()];
+        assert_eq!(free_name("/a/b/c", |name| taken[..1].iter().any(|t| t == name)), "a_b_c_2");
+        assert_eq!(free_name("/a_b/c", |name| taken.iter().any(|t| t == name)), "a_b_c_3");
     }
 
     #[test]

@@ -9,6 +9,7 @@ use clap::Args;
 use indicatif::ProgressBar;
 use mcap::records::MessageHeader;
 use serde::Serialize;
+use serde_json::Value;
 
 use super::read::{self, Channel, Takes, Whole};
 use crate::cli::failure::{Done, Exit, Failure};
@@ -64,9 +65,23 @@ struct InfoView {
     metadata: BTreeMap<String, BTreeMap<String, String>>,
 }
 
+/// The topic on which the recorder tells what is missing so far.
+const LOSS: &str = "/recorder/loss";
+
 struct Counting {
     topics: BTreeMap<String, TopicView>,
+    /// The last message of [`LOSS`].
+    loss: Vec<u8>,
     bar: ProgressBar,
+}
+
+/// What is missing, as the recorder wrote it down: at the end, or last before the file was cut off.
+#[derive(Debug, Default, PartialEq)]
+struct Missing {
+    lost: u64,
+    interrupted: u64,
+    lost_of: BTreeMap<String, u64>,
+    interrupted_of: BTreeMap<String, u64>,
 }
 
 impl Takes for Counting {
@@ -80,6 +95,9 @@ impl Takes for Counting {
                 ..TopicView::default()
             }),
         };
+        if channel.topic == LOSS {
+            self.loss = data.to_vec();
+        }
         topic.messages += 1;
         topic.bytes += data.len() as u64;
         topic.first_ns = topic.first_ns.min(header.log_time);
@@ -94,10 +112,15 @@ impl Takes for Counting {
 
 pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
     let bar = super::reading_bar(&args.file, session.json());
-    let mut counting = Counting { topics: BTreeMap::new(), bar: bar.clone() };
+    let mut counting = Counting { topics: BTreeMap::new(), loss: Vec::new(), bar: bar.clone() };
     let whole = read::read(&args.file, &mut counting);
     bar.finish_and_clear();
     let whole = whole?;
+    let missing = if whole.told("trocar.end", "lost").is_some() {
+        Missing::at_the_end(&whole)
+    } else {
+        Missing::so_far(&counting.loss)
+    };
     let mut topics = counting.topics;
     for channel in whole.channels.values() {
         topics.entry(channel.topic.clone()).or_insert_with(|| TopicView {
@@ -107,14 +130,13 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
         });
     }
     // What is lost of a tap or a pair of images is counted for the output, whose topics lie below it.
-    for (key, _) in whole.all("trocar.end") {
-        let Some((_, name)) = key.split_once(':') else { continue };
-        let topic = || TopicView { topic: name.to_owned(), ..TopicView::default() };
-        topics.entry(name.to_owned()).or_insert_with(topic);
+    for name in missing.lost_of.keys().chain(missing.interrupted_of.keys()) {
+        let topic = || TopicView { topic: name.clone(), ..TopicView::default() };
+        topics.entry(name.clone()).or_insert_with(topic);
     }
     for topic in topics.values_mut() {
-        topic.lost = told(&whole, &format!("lost:{}", topic.topic));
-        topic.interrupted = told(&whole, &format!("interrupted:{}", topic.topic));
+        topic.lost = missing.lost_of.get(&topic.topic).copied().unwrap_or(0);
+        topic.interrupted = missing.interrupted_of.get(&topic.topic).copied().unwrap_or(0);
         let span = topic.last_ns.saturating_sub(topic.first_ns) as f64 * 1e-9;
         topic.rate_hz = if span > RATE_S { topic.messages.saturating_sub(1) as f64 / span } else { 0.0 };
     }
@@ -130,8 +152,8 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
         whole: whole.closed && whole.wrong.is_empty(),
         wrong: whole.wrong.clone(),
         messages: topics.values().map(|t| t.messages).sum(),
-        lost: told(&whole, "lost"),
-        interrupted: told(&whole, "interrupted"),
+        lost: missing.lost,
+        interrupted: missing.interrupted,
         duration_s: last.saturating_sub(first) as f64 * 1e-9,
         begin_unix_ns: offset.map_or(0, |offset| offset.saturating_add(first.into())),
         reason: whole.told("trocar.end", "reason").unwrap_or_default().to_owned(),
@@ -146,9 +168,36 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
     Ok(if view.whole { Exit::Ok } else { Exit::Partial })
 }
 
-/// A number that the recorder wrote at the end.
-fn told(whole: &Whole, key: &str) -> u64 {
-    whole.told("trocar.end", key).and_then(|n| n.parse().ok()).unwrap_or(0)
+impl Missing {
+    /// The recorder closed the file.
+    fn at_the_end(whole: &Whole) -> Missing {
+        let number = |value: &str| value.parse().unwrap_or(0);
+        let sum = |key: &str| whole.told("trocar.end", key).map_or(0, number);
+        let mut missing =
+            Missing { lost: sum("lost"), interrupted: sum("interrupted"), ..Missing::default() };
+        for (key, value) in whole.all("trocar.end") {
+            let Some((what, topic)) = key.split_once(':') else { continue };
+            let of = match what {
+                "lost" => &mut missing.lost_of,
+                "interrupted" => &mut missing.interrupted_of,
+                _ => continue,
+            };
+            of.insert(topic.to_owned(), number(value));
+        }
+        missing
+    }
+
+    /// It did not, or has not yet: what its last message of [`LOSS`] says.
+    fn so_far(message: &[u8]) -> Missing {
+        let told: Value = serde_json::from_slice(message).unwrap_or_default();
+        let of = |key: &str| -> BTreeMap<String, u64> {
+            let all = told[key].as_object().into_iter().flatten();
+            all.filter_map(|(topic, n)| Some((topic.clone(), n.as_u64()?))).collect()
+        };
+        let (lost_of, interrupted_of) = (of("topics"), of("interrupted"));
+        let sum = |of: &BTreeMap<String, u64>| of.values().fold(0, |sum: u64, n| sum.saturating_add(*n));
+        Missing { lost: sum(&lost_of), interrupted: sum(&interrupted_of), lost_of, interrupted_of }
+    }
 }
 
 /// "1.03 MB".
@@ -191,5 +240,27 @@ fn show(view: &InfoView) {
     }
     if !view.wrong.is_empty() {
         out::complain("warning", &format!("{}; everything before that is read", view.wrong));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_missing_in_a_file_that_was_cut_off_is_what_was_told_last() {
+        let told = br#"{"lost": 7, "topics": {"/a": 3, "/b": 4, "/c": "x"}, "interrupted": {"/a": 2}}"#;
+        let missing = Missing::so_far(told);
+        let of = |all: &[(&str, u64)]| all.iter().map(|(topic, n)| ((*topic).to_owned(), *n)).collect();
+        let wanted = Missing {
+            lost: 7,
+            interrupted: 2,
+            lost_of: of(&[("/a", 3), ("/b", 4)]),
+            interrupted_of: of(&[("/a", 2)]),
+        };
+        assert_eq!(missing, wanted);
+        for hostile in [&b""[..], b"[]", b"{\"topics\": 1}", b"\xff"] {
+            assert_eq!(Missing::so_far(hostile), Missing::default());
+        }
     }
 }

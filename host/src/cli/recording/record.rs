@@ -32,6 +32,8 @@ const LOOK: Duration = Duration::from_millis(200);
 const ANSWER_NS: u64 = 5_000_000_000;
 /// How long the end of a file may take, on a disk that is slow.
 const CLOSING: Duration = Duration::from_secs(60);
+/// How long a manager that is away is waited for: one that was ended by mistake is back in seconds, and the recorder goes on without.
+const AWAY: Duration = Duration::from_secs(10);
 /// What the recorder says of a recording whose time had not come.
 const NOT_BEGUN: &str = "stopped before it began: there is no file";
 /// Samples that may wait, at most, and bytes of them.
@@ -122,21 +124,27 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         mutation: MutationArgs::default(),
     };
     // Before there is anything to be left behind.
-    let ends = Ends::listen();
+    let mut ends = Ends::listen();
     let created = session.create(&create).await?;
     // Its thread may not have been given what was asked for.
     created.warnings.iter().for_each(|text| out::complain("warning", text));
     let mut left_out = Vec::new();
+    let bar = bar(&args, session.json());
     // Interrupted before or while it records: what is there is closed, and then shown as usual.
     let ended = tokio::select! {
-        ended = recording(&args, session, &path, &place, &wanted, &mut left_out) => ended.map(|()| false),
+        ended = recording(&args, session, &path, &place, &wanted, &mut left_out, &bar) => ended.map(|()| false),
         () = ends.come() => Ok(true),
     };
+    bar.finish_and_clear();
+    let mut patience = Patience::new(None, Some(&mut ends));
+    // A manager that was waited for already is not waited for again.
+    patience.is_over = ended.as_ref().is_err_and(Patience::is_away);
     let recorded = match ended {
-        Ok(asked) => closed(session, &path, asked, wanted.len()).await,
+        Ok(asked) => closed(session, &path, asked, wanted.len(), &mut patience).await,
         Err(failure) => Err(failure),
     };
-    let removed = session.remove(std::slice::from_ref(&path), true, &MutationArgs::default()).await;
+    let remove = async || session.remove(std::slice::from_ref(&path), true, &MutationArgs::default()).await;
+    let removed = patience.wait(remove).await;
     let view = match recorded {
         Ok(view) => view,
         Err(failure) => return Err(cut_short(failure, &place, &path, removed.is_err())),
@@ -144,6 +152,67 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     removed?;
     let topics = wanted.len() - left_out.len().min(wanted.len());
     shown(RecordedView { topics, left_out, ..view }, session)
+}
+
+/// Asks again while the manager is away, and says so; recorders do not need one to go on.
+struct Patience<'a> {
+    bar: Option<&'a ProgressBar>,
+    /// What ends the waiting before its time.
+    ends: Option<&'a mut Ends>,
+    since: Option<Instant>,
+    is_over: bool,
+}
+
+impl<'a> Patience<'a> {
+    fn new(bar: Option<&'a ProgressBar>, ends: Option<&'a mut Ends>) -> Self {
+        Self { bar, ends, since: None, is_over: false }
+    }
+
+    fn is_away(failure: &Failure) -> bool {
+        failure.reason == "NO_GCM"
+    }
+
+    /// What it answers in the end. One that is back may have to hear its processes first.
+    async fn wait<T>(&mut self, asked: impl AsyncFn() -> Result<T, Failure>) -> Result<T, Failure> {
+        loop {
+            match asked().await {
+                Ok(answer) => {
+                    if self.since.take().is_some() {
+                        self.say("it answers again");
+                    }
+                    return Ok(answer);
+                }
+                Err(failure) if self.is_over || self.since.is_none() && !Self::is_away(&failure) => {
+                    return Err(failure);
+                }
+                Err(failure) => {
+                    if self.since.is_none() {
+                        let wait = AWAY.as_secs();
+                        self.say(&format!(
+                            "{}; recording goes on without it, and it is waited for, {wait} s",
+                            failure.message
+                        ));
+                    }
+                    self.is_over = self.since.get_or_insert_with(Instant::now).elapsed() > AWAY;
+                    let sleep = tokio::time::sleep(LOOK);
+                    match &mut self.ends {
+                        None => sleep.await,
+                        Some(ends) => tokio::select! {
+                            () = sleep => {}
+                            () = ends.come() => self.is_over = true,
+                        },
+                    }
+                }
+            }
+        }
+    }
+
+    fn say(&self, text: &str) {
+        match self.bar {
+            Some(bar) => bar.suspend(|| out::complain("warning", text)),
+            None => out::complain("warning", text),
+        }
+    }
 }
 
 /// Nobody answers for the recording any more: what is there of it, and what of its recorder.
@@ -272,6 +341,7 @@ async fn recording(
     place: &Place,
     wanted: &[Source],
     left_out: &mut Vec<String>,
+    bar: &ProgressBar,
 ) -> Result<(), Failure> {
     for (n, source) in wanted.iter().enumerate() {
         let fifo = if source.frames { FRAMES } else { (QUEUE_BYTES / source.size.max(1)).clamp(16, DEEPEST) };
@@ -301,18 +371,18 @@ async fn recording(
     session.verb(Verb::Start, &paths, &MutationArgs::default()).await?;
     let request = json!({ "path": place.file, "delay": 0.0, "duration": args.seconds.unwrap_or(0.0) });
     ask(session, path, "start", Some(&request)).await?;
-    let bar = bar(args, session.json());
     let (begun, mut warned) = (Instant::now(), false);
+    let mut patience = Patience::new(Some(bar), None);
     loop {
         tokio::time::sleep(LOOK).await;
-        let status = ask(session, path, "status", None).await?;
+        let status = patience.wait(async || ask(session, path, "status", None).await).await?;
         let number = |key: &str| whole(&status[key]);
         let (bytes, elapsed) = (number("bytes"), status["elapsed"].as_f64().unwrap_or(0.0));
         let lasted = begun.elapsed().as_millis() as u64;
         bar.set_position(bar.length().map_or(lasted, |all| lasted.min(all)));
         bar.set_message(progress(&status, bytes, elapsed));
         if status["phase"] == "IDLE" {
-            break;
+            return Ok(());
         }
         if !warned && elapsed >= 1.0 {
             warned = true;
@@ -320,8 +390,6 @@ async fn recording(
             warning.iter().for_each(|text| bar.suspend(|| out::complain("warning", text)));
         }
     }
-    bar.finish_and_clear();
-    Ok(())
 }
 
 fn progress(status: &Value, bytes: u64, elapsed: f64) -> String {
@@ -361,12 +429,18 @@ async fn ask(session: &Session, path: &str, what: &str, arg: Option<&Value>) -> 
 }
 
 /// Waits until the file is closed, after asking for it where it has to be asked for; `inputs`: how many it recorded.
-async fn closed(session: &Session, path: &str, asked: bool, inputs: usize) -> Result<RecordedView, Failure> {
+async fn closed(
+    session: &Session,
+    path: &str,
+    asked: bool,
+    inputs: usize,
+    patience: &mut Patience<'_>,
+) -> Result<RecordedView, Failure> {
     // It may just have ended by itself: then there is nothing to stop.
-    let stopped = !asked || ask(session, path, "stop", None).await.is_ok();
+    let stopped = !asked || patience.wait(async || ask(session, path, "stop", None).await).await.is_ok();
     let begun = Instant::now();
     loop {
-        let last = ask(session, path, "last", None).await?;
+        let last = patience.wait(async || ask(session, path, "last", None).await).await?;
         let text = |key: &str| last[key].as_str().unwrap_or_default().to_owned();
         if text("reason") == NOT_BEGUN {
             return Err(not_begun());

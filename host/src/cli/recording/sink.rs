@@ -65,6 +65,13 @@ pub(super) fn file_name(topic: &str) -> String {
     if name.is_empty() { "topic".to_owned() } else { name }
 }
 
+/// The name of a topic's file or directory, where two topics may come to the same one: the first that is not taken.
+pub(super) fn free_name(topic: &str, taken: impl Fn(&str) -> bool) -> String {
+    let name = file_name(topic);
+    let others = (2u64..).map(|n| format!("{name}_{n}"));
+    std::iter::once(name.clone()).chain(others).find(|name| !taken(name)).unwrap_or(name)
+}
+
 pub(super) fn wrote(path: &Path, why: &dyn std::fmt::Display) -> Failure {
     Failure::local(
         "IO",

@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::columns::Cell;
-use super::sink::{ExportView, Message, Sink, file_name, new_file, wrote};
+use super::sink::{ExportView, Message, Sink, free_name, new_file, wrote};
 use crate::cli::failure::Failure;
 
 /// Bytes of a table that are written at once.
@@ -33,10 +33,8 @@ impl Tables {
 
     /// Makes the file of a channel with these columns.
     fn begin(&mut self, channel: u16, topic: &str, names: Vec<String>) -> Result<(), Failure> {
-        let mut name = file_name(topic);
-        if self.all.values().any(|table| table.path.file_stem().is_some_and(|stem| *stem == *name)) {
-            name = format!("{name}_{channel}");
-        }
+        let is_of = |table: &Table, name: &str| table.path.file_stem().is_some_and(|stem| *stem == *name);
+        let name = free_name(topic, |name| self.all.values().any(|table| is_of(table, name)));
         let path = self.directory.join(format!("{name}.csv"));
         new_file(&path)?;
         let heads: Vec<String> = names.iter().map(|name| Cell::Text(name.clone()).text()).collect();

@@ -1,0 +1,123 @@
+"""What a recording does where its manager, or its whole process, goes away while it is made."""
+
+import json
+import signal
+import subprocess
+from contextlib import contextmanager
+
+from world import BIN, OK, PARTIAL, PATIENCE_S, World, contiguous, eventually, messages
+
+RECORDERS = "recorder/recorder"
+
+
+@contextmanager
+def recording(world):
+    """`trocar record` of a sine, once it has recorded something: the process, and what it said so far on its standard error."""
+    path = world.dir / "record.log"
+    with open(path, "w") as log:
+        command = [BIN / "trocar", "record", "host/sine/value", "-o", "a.mcap", "--json"]
+        process = subprocess.Popen(command, cwd=world.dir, env=world.env, stdout=subprocess.PIPE, stderr=log, text=True)
+    try:
+        yield process, path.read_text
+    finally:
+        process.kill()
+        process.wait()
+
+
+def recorders(world):
+    return [component["path"] for component in world.json("ls")["components"] if component["class"] == RECORDERS]
+
+
+def records(world):
+    eventually("it records", lambda: any(world.read(f"{path}/ctl/status").get("messages", 0) > 100 for path in recorders(world)))
+
+
+def test_record_waits_for_a_manager_that_is_away_and_says_so():
+    with World(["sine"], managed=True) as world:
+        world.source()
+        with recording(world) as (process, said):
+            records(world)
+            world.manager.kill()
+            world.manager.wait()
+            eventually("it says that nobody answers", lambda: "recording goes on without it" in said() or process.poll() is not None)
+            assert process.poll() is None, (process.communicate(), said())
+            world.manage(world.env["TROCAR_GCM"])
+            eventually("it says that it is back", lambda: "it answers again" in said() or process.poll() is not None)
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate(timeout=PATIENCE_S)
+        done = json.loads(out)
+        assert process.returncode == OK and done["whole"] and done["reason"] == "stopped as asked", (done, said())
+        assert contiguous(messages(world.dir / "a.mcap")[0]["/host/sine/value"])
+        assert recorders(world) == [], "nothing of it stays behind"
+
+
+def test_who_does_not_wait_for_a_manager_is_told_what_stays_behind():
+    with World(["sine"], managed=True) as world:
+        world.source()
+        with recording(world) as (process, said):
+            records(world)
+            world.manager.kill()
+            world.manager.wait()
+            eventually("it says that nobody answers", lambda: said().count("recording goes on without it") == 1)
+            # The first one ends the recording, for which the manager is waited for again; the second one that.
+            process.send_signal(signal.SIGINT)
+            eventually("it wants to end it", lambda: said().count("recording goes on without it") == 2)
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate(timeout=PATIENCE_S)
+        told = json.loads(out)
+        assert process.returncode == PARTIAL and "cut short" in told["message"], (process.returncode, told)
+        world.manage(world.env["TROCAR_GCM"])
+        (left,) = eventually("the new one knows its components", lambda: recorders(world) if world.run("ls").returncode == OK else None)
+        assert f"trocar rm --force {left}" in told["help"], told
+        eventually("it can be removed", lambda: world.run("rm", "--force", left).returncode == OK)
+        # The recorder went on all the time, and has closed its file.
+        assert contiguous(messages(world.dir / "a.mcap")[0]["/host/sine/value"])
+
+
+def test_where_the_process_is_gone_the_file_is_named_and_read():
+    with World(["sine"]) as world:
+        world.source()
+        with recording(world) as (process, said):
+            records(world)
+            world.host.kill()
+            world.host.wait()
+            eventually("it says that nobody answers", lambda: "recording goes on without it" in said())
+            process.send_signal(signal.SIGINT)
+            eventually("it wants to end it", lambda: said().count("recording goes on without it") == 2)
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate(timeout=PATIENCE_S)
+        told = json.loads(out)
+        assert process.returncode == PARTIAL and "cut short" in told["message"], (process.returncode, told)
+        assert "a.mcap has what came before" in told["help"], told
+        info = world.json("info", "a.mcap", code=PARTIAL)
+        assert not info["whole"] and info["messages"] > 100, info
+
+
+def test_what_was_lost_is_known_of_a_recording_that_was_killed():
+    with World(["sine"]) as world:
+        sine = world.source()
+        config = {"directory": "rec", "topics": ["few"]}
+        world.run("create", "host/rec", "recorder", "--config", json.dumps(config), code=OK)
+        # Of the ten samples between two looks of the recorder most find no room.
+        world.run("connect", "host/rec/few", f"{sine}/value", "--fifo", "2", code=OK)
+        world.run("start", "host/rec", code=OK)
+        world.begin("a.mcap")
+        world.wait("it loses some", lambda s: s["lost"] > 500)
+        world.host.kill()
+        world.host.wait()
+        topics, _, _ = messages(world.dir / "rec/a.mcap", whole=False)
+        values = [message for message, _ in topics["/host/sine/value"]]
+        last, told = topics["/recorder/loss"][-1]
+        assert told["topics"] == {"/host/sine/value": told["lost"]} and told["lost"] > 400, told
+        # As old as at most three looks: each takes what is there at once.
+        taken = [last.log_time, *(message.log_time for message in values if message.log_time > last.log_time)]
+        looks = sum(b - a > 1_000_000 for a, b in zip(taken, taken[1:]))
+        assert looks <= 3, (looks, taken)
+        # What was lost of the last look shows in the file with the next sample behind it.
+        gaps = [(b.sequence - a.sequence - 1, b.log_time > last.log_time) for a, b in zip(values, values[1:])]
+        seen = sum(gap for gap, later in gaps if not later)
+        behind = next((gap for gap, later in gaps if later), 20)
+        assert seen <= told["lost"] <= seen + behind, (seen, behind, told)
+        info = world.json("info", "rec/a.mcap", code=PARTIAL)
+        assert info["lost"] == told["lost"] and not info["whole"], (info["lost"], told)
+        assert next(t["lost"] for t in info["topics"] if t["topic"] == "/host/sine/value") == told["lost"], info
