@@ -9,6 +9,7 @@ use prost_types::{
     DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto,
     FileDescriptorProto, FileDescriptorSet, OneofDescriptorProto,
 };
+use trocar_sdk::serde_json::Value as Json;
 use trocar_sdk::{AnyType, Place};
 
 use crate::wire;
@@ -22,7 +23,9 @@ pub(crate) struct Schema {
 /// What is made of a sample.
 pub(crate) enum Shown {
     Image(ImagePlaces),
-    Pose(PosePlaces),
+    /// And the frame it is in, empty where its output names none.
+    Pose(PosePlaces, String),
+    Transform(TransformPlaces),
     Joints(JointPlaces),
 }
 
@@ -38,6 +41,13 @@ pub(crate) struct ImagePlaces {
 pub(crate) struct PosePlaces {
     position: [Place; 3],
     orientation: [Place; 4],
+}
+
+/// A pose, and the bytes at which the names of two frames begin: of the one it is told in, and of the one it places.
+pub(crate) struct TransformPlaces {
+    pose: PosePlaces,
+    names: [usize; 2],
+    room: usize,
 }
 
 /// Bytes at which the three lists begin, and how many each has room for.
@@ -61,8 +71,8 @@ pub(crate) struct Image<'a> {
 }
 
 impl Shown {
-    /// How samples of this type are shown; none where no schema fits.
-    pub(crate) fn of(ty: &AnyType, struct_name: &str) -> Option<Shown> {
+    /// How samples of this type, with coordinates in this frame, are shown; none where no schema fits.
+    pub(crate) fn of(ty: &AnyType, struct_name: &str, frame_id: &str) -> Option<Shown> {
         let place = |path: &str| ty.place(path);
         match (ty.format(), struct_name) {
             (Some("image" | "stereo"), _) => Some(Shown::Image(ImagePlaces {
@@ -72,12 +82,8 @@ impl Shown {
                 format: place("format")?,
                 right: place("right_offset"),
             })),
-            (None, "Pose") => {
-                let [x, y, z] = ["position/0", "position/1", "position/2"].map(place);
-                let [a, b, c, d] =
-                    ["orientation/0", "orientation/1", "orientation/2", "orientation/3"].map(place);
-                Some(Shown::Pose(PosePlaces { position: [x?, y?, z?], orientation: [a?, b?, c?, d?] }))
-            }
+            (None, "Pose") => Some(Shown::Pose(PosePlaces::of(ty, "")?, frame_id.to_owned())),
+            (None, "Transform") => Some(Shown::Transform(TransformPlaces::of(ty)?)),
             (None, "JointState") => Some(Shown::Joints(joint_places(ty)?)),
             _ => None,
         }
@@ -86,7 +92,8 @@ impl Shown {
     pub(crate) fn schema(&self) -> Schema {
         match self {
             Shown::Image(_) => raw_image(),
-            Shown::Pose(_) => pose_in_frame(),
+            Shown::Pose(..) => pose_in_frame(),
+            Shown::Transform(_) => frame_transform(),
             Shown::Joints(_) => joint_states(),
         }
     }
@@ -95,6 +102,15 @@ impl Shown {
     pub(crate) fn images(&self) -> usize {
         if matches!(self, Shown::Image(ImagePlaces { right: Some(_), .. })) { 2 } else { 1 }
     }
+}
+
+/// The frame in which a described struct has its coordinates: the first that one of its fields names, empty without.
+pub(crate) fn frame_id(description: &str, struct_name: &str) -> String {
+    let described: Json = trocar_sdk::serde_json::from_str(description).unwrap_or_default();
+    let types = described["types"].as_array().into_iter().flatten();
+    let fields = types.filter(|ty| ty["name"] == struct_name).flat_map(|ty| ty["fields"].as_array());
+    let frame = fields.flatten().find_map(|field| field["frame"].as_str());
+    frame.unwrap_or_default().to_owned()
 }
 
 fn joint_places(ty: &AnyType) -> Option<JointPlaces> {
@@ -182,28 +198,73 @@ pub(crate) fn compressed(stamp_ns: u64, format: &str, data: &[u8], to: &mut Vec<
 }
 
 impl PosePlaces {
+    /// Of the pose below this path.
+    fn of(ty: &AnyType, path: &str) -> Option<PosePlaces> {
+        let place = |name: &str, n: usize| ty.place(&format!("{path}{name}/{n}"));
+        let position = [0, 1, 2].map(|n| place("position", n));
+        let orientation = [0, 1, 2, 3].map(|n| place("orientation", n));
+        let ([Some(x), Some(y), Some(z)], [Some(i), Some(j), Some(k), Some(w)]) = (position, orientation)
+        else {
+            return None;
+        };
+        Some(PosePlaces { position: [x, y, z], orientation: [i, j, k, w] })
+    }
+
     /// A `foxglove.PoseInFrame`.
-    pub(crate) fn encode(&self, value: &[u8], stamp_ns: u64, to: &mut Vec<u8>) {
+    pub(crate) fn encode(&self, value: &[u8], frame_id: &str, stamp_ns: u64, to: &mut Vec<u8>) {
+        wire::timestamp(to, 1, stamp_ns);
+        wire::bytes(to, 2, frame_id.as_bytes());
+        wire::message(to, 3, |to| self.encode_parts(value, 1, to));
+    }
+
+    /// Position and orientation as fields of these numbers, the second the one behind the first.
+    fn encode_parts(&self, value: &[u8], number: u32, to: &mut Vec<u8>) {
         let all = |places: &[Place], to: &mut Vec<u8>| {
             for (n, place) in places.iter().enumerate() {
                 wire::double(to, n as u32 + 1, place.number(value).unwrap_or(f64::NAN));
             }
         };
-        wire::timestamp(to, 1, stamp_ns);
-        wire::message(to, 3, |to| {
-            wire::message(to, 1, |to| all(&self.position, to));
-            wire::message(to, 2, |to| all(&self.orientation, to));
-        });
+        wire::message(to, number, |to| all(&self.position, to));
+        wire::message(to, number + 1, |to| all(&self.orientation, to));
     }
+}
+
+impl TransformPlaces {
+    fn of(ty: &AnyType) -> Option<TransformPlaces> {
+        use trocar_sdk::AnyShape::{Struct, Text};
+        let Struct { fields, .. } = ty.part().shape() else { return None };
+        let text = |name: &str| {
+            let field = fields.iter().find(|field| field.name == name)?;
+            let Text { n } = field.part.shape() else { return None };
+            Some((field.at, n))
+        };
+        let (parent, child) = (text("parent")?, text("child")?);
+        let room = parent.1.min(child.1);
+        Some(TransformPlaces { pose: PosePlaces::of(ty, "pose/")?, names: [parent.0, child.0], room })
+    }
+
+    /// A `foxglove.FrameTransform`.
+    pub(crate) fn encode(&self, value: &[u8], stamp_ns: u64, to: &mut Vec<u8>) {
+        wire::timestamp(to, 1, stamp_ns);
+        for (at, number) in self.names.iter().zip([2, 3]) {
+            let text = value.get(at + 8..at + 8 + length(value, *at, self.room)).unwrap_or_default();
+            // A name that is no text is none: the message would be none, too.
+            wire::bytes(to, number, str::from_utf8(text).unwrap_or_default().as_bytes());
+        }
+        self.pose.encode_parts(value, 4, to);
+    }
+}
+
+/// The length that begins here of a list or a text, at most `room`.
+fn length(value: &[u8], at: usize, room: usize) -> usize {
+    let bytes = value.get(at..at + 8).and_then(|b| b.first_chunk::<8>());
+    bytes.map_or(0, |b| u64::from_le_bytes(*b).min(room as u64) as usize)
 }
 
 impl JointPlaces {
     /// A `foxglove.JointStates`.
     pub(crate) fn encode(&self, value: &[u8], stamp_ns: u64, to: &mut Vec<u8>) {
-        let len = |at: usize| {
-            let bytes = value.get(at..at + 8).and_then(|b| b.first_chunk::<8>());
-            bytes.map_or(0, |b| u64::from_le_bytes(*b).min(self.room as u64) as usize)
-        };
+        let len = |at: usize| length(value, at, self.room);
         let item = |at: usize, n: usize| {
             let at = at + 8 + 8 * n;
             (value.get(at..at + 8)?).first_chunk::<8>().map(|b| f64::from_le_bytes(*b))
@@ -313,22 +374,34 @@ pub(crate) fn compressed_image() -> Schema {
     schema("foxglove.CompressedImage", vec![message("CompressedImage", fields)])
 }
 
-fn pose_in_frame() -> Schema {
+/// What poses are made of.
+fn vector_and_quaternion() -> [DescriptorProto; 2] {
     let numbers = |names: &[&str]| {
         names.iter().enumerate().map(|(n, name)| field(name, n as i32 + 1, Type::Double, "")).collect()
     };
+    [message("Vector3", numbers(&["x", "y", "z"])), message("Quaternion", numbers(&["x", "y", "z", "w"]))]
+}
+
+fn pose_in_frame() -> Schema {
+    let [vector, quaternion] = vector_and_quaternion();
     let pose = vec![
         field("position", 1, Type::Message, "foxglove.Vector3"),
         field("orientation", 2, Type::Message, "foxglove.Quaternion"),
     ];
     let fields = stamped(&[("frame_id", 2, Type::String, ""), ("pose", 3, Type::Message, "foxglove.Pose")]);
-    let messages = vec![
-        message("Vector3", numbers(&["x", "y", "z"])),
-        message("Quaternion", numbers(&["x", "y", "z", "w"])),
-        message("Pose", pose),
-        message("PoseInFrame", fields),
-    ];
+    let messages = vec![vector, quaternion, message("Pose", pose), message("PoseInFrame", fields)];
     schema("foxglove.PoseInFrame", messages)
+}
+
+fn frame_transform() -> Schema {
+    let [vector, quaternion] = vector_and_quaternion();
+    let fields = stamped(&[
+        ("parent_frame_id", 2, Type::String, ""),
+        ("child_frame_id", 3, Type::String, ""),
+        ("translation", 4, Type::Message, "foxglove.Vector3"),
+        ("rotation", 5, Type::Message, "foxglove.Quaternion"),
+    ]);
+    schema("foxglove.FrameTransform", vec![vector, quaternion, message("FrameTransform", fields)])
 }
 
 fn joint_states() -> Schema {

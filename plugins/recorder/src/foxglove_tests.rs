@@ -24,7 +24,7 @@ const IMAGE: &str = r#"{"frame": {"ref": "ImageHeader"}, "format": "image", "typ
 #[test]
 fn an_image_is_a_raw_image_and_one_that_promises_too_much_is_none() {
     let ty = AnyType::of_port(IMAGE).expect("a description");
-    let Some(Shown::Image(places)) = Shown::of(&ty, "ImageHeader") else { panic!("an image") };
+    let Some(Shown::Image(places)) = Shown::of(&ty, "ImageHeader", "") else { panic!("an image") };
     let header = |height: u32, stride: u32| {
         ty.to_bytes(&json!({"stamp": 1, "index": 2, "width": 2, "height": height, "stride": stride, "format": "RGB8"}))
             .expect("a header")
@@ -49,16 +49,17 @@ fn an_image_is_a_raw_image_and_one_that_promises_too_much_is_none() {
 #[test]
 fn poses_and_joints_are_what_viewers_draw() {
     let text = r#"{"plain": {"ref": "Pose"}, "types": [{"name": "Pose", "size": 64, "fields": [{"name": "stamp", "at": 0, "type": "stamp"},
-        {"name": "position", "at": 8, "type": {"array": "f64", "n": 3}}, {"name": "orientation", "at": 32, "type": {"array": "f64", "n": 4}}]}]}"#;
+        {"name": "position", "at": 8, "type": {"array": "f64", "n": 3}, "frame": "retina"}, {"name": "orientation", "at": 32, "type": {"array": "f64", "n": 4}}]}]}"#;
     let ty = AnyType::of_port(text).expect("a description");
-    let shown = Shown::of(&ty, "Pose").expect("a pose");
-    let Shown::Pose(places) = &shown else { panic!("a pose") };
+    let shown = Shown::of(&ty, "Pose", &frame_id(text, "Pose")).expect("a pose");
+    let Shown::Pose(places, frame_id) = &shown else { panic!("a pose") };
     let value = ty
         .to_bytes(&json!({"position": [1.0, 2.0, 3.0], "orientation": [0.0, 0.0, 0.0, 1.0]}))
         .expect("a pose");
     let mut to = Vec::new();
-    places.encode(&value, 9, &mut to);
+    places.encode(&value, frame_id, 9, &mut to);
     let message = read(&shown.schema(), &to);
+    assert_eq!(got(&message, "frame_id"), Value::String("retina".into()));
     let pose = got(&message, "pose");
     let position = got(pose.as_message().expect("a pose"), "position");
     assert_eq!(got(position.as_message().expect("a vector"), "z"), Value::F64(3.0));
@@ -67,7 +68,7 @@ fn poses_and_joints_are_what_viewers_draw() {
         {"name": "position", "at": 8, "type": {"list": "f64", "n": 2}}, {"name": "velocity", "at": 32, "type": {"list": "f64", "n": 2}},
         {"name": "effort", "at": 56, "type": {"list": "f64", "n": 2}}]}]}"#;
     let ty = AnyType::of_port(text).expect("a description");
-    let shown = Shown::of(&ty, "JointState").expect("joints");
+    let shown = Shown::of(&ty, "JointState", "").expect("joints");
     let Shown::Joints(places) = &shown else { panic!("joints") };
     let value =
         ty.to_bytes(&json!({"position": [1.0, 2.0], "velocity": [3.0], "effort": []})).expect("joints");
@@ -80,6 +81,36 @@ fn poses_and_joints_are_what_viewers_draw() {
     assert_eq!((joints.len(), got(second, "name")), (2, Value::String("joint_1".into())));
     assert_eq!(got(second, "position"), Value::F64(2.0));
     assert!(!second.has_field_by_name("velocity") && !second.has_field_by_name("effort"));
+}
+
+#[test]
+fn a_transform_is_one_of_frames_with_their_names() {
+    let text = r#"{"plain": {"ref": "Transform"}, "types": [{"name": "Transform", "size": 144, "fields": [
+        {"name": "pose", "at": 0, "type": {"ref": "Pose"}}, {"name": "parent", "at": 64, "type": {"text": 32}},
+        {"name": "child", "at": 104, "type": {"text": 32}}]},
+        {"name": "Pose", "size": 64, "fields": [{"name": "stamp", "at": 0, "type": "stamp"},
+        {"name": "position", "at": 8, "type": {"array": "f64", "n": 3}}, {"name": "orientation", "at": 32, "type": {"array": "f64", "n": 4}}]}]}"#;
+    let ty = AnyType::of_port(text).expect("a description");
+    let shown = Shown::of(&ty, "Transform", "").expect("a transform");
+    let Shown::Transform(places) = &shown else { panic!("a transform") };
+    let mut value = ty
+        .to_bytes(&json!({"pose": {"position": [1.0, 2.0, 3.0], "orientation": [0.0, 0.0, 0.0, 1.0]},
+            "parent": "base", "child": "tip"}))
+        .expect("a transform");
+    let of = |value: &[u8]| {
+        let mut to = Vec::new();
+        places.encode(value, 9, &mut to);
+        read(&shown.schema(), &to)
+    };
+    let message = of(&value);
+    assert_eq!(got(&message, "parent_frame_id"), Value::String("base".into()));
+    assert_eq!(got(&message, "child_frame_id"), Value::String("tip".into()));
+    let part = |name: &str, field: &str| got(got(&message, name).as_message().expect(name), field);
+    assert_eq!((part("translation", "y"), part("rotation", "w")), (Value::F64(2.0), Value::F64(1.0)));
+    // A length beyond the room, and bytes that are no text, are no way out of the sample.
+    value[64..72].copy_from_slice(&u64::MAX.to_le_bytes());
+    value[72] = 0xff;
+    assert_eq!(got(&of(&value), "parent_frame_id"), Value::String(String::new()));
 }
 
 #[test]

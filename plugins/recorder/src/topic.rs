@@ -231,11 +231,12 @@ impl Topic {
                 metadata: metadata.clone(),
             })
         };
-        let shown = Shown::of(&ty, name).filter(|shown| match shown {
-            // A format no viewer has a word for is kept as what it is.
-            Shown::Image(places) => places.images(sample.value, sample.bytes).is_some(),
-            _ => true,
-        });
+        let shown =
+            Shown::of(&ty, name, &foxglove::frame_id(description, name)).filter(|shown| match shown {
+                // A format no viewer has a word for is kept as what it is.
+                Shown::Image(places) => places.images(sample.value, sample.bytes).is_some(),
+                _ => true,
+            });
         let (how, channels) = match shown {
             None => {
                 let id = channel(self.name.clone(), &typed.name, &typed.descriptors);
@@ -336,7 +337,10 @@ impl Encoder {
                 way.block().push_with(head(first), Kind::Ready, write, frame.piece(0..len))
             }
             How::Tap(tap) => return tap.write(seen, (now_ns, stamp_ns), way),
-            How::Shown(Shown::Pose(places)) => {
+            How::Shown(Shown::Pose(places, frame_id)) => {
+                way.block().push(head(first), Kind::Ready, |to| places.encode(value, frame_id, stamp_ns, to))
+            }
+            How::Shown(Shown::Transform(places)) => {
                 way.block().push(head(first), Kind::Ready, |to| places.encode(value, stamp_ns, to))
             }
             How::Shown(Shown::Joints(places)) => {
