@@ -19,5 +19,22 @@ export async function go_on(page, what) {
     await eventually(what, async () => (await latest(page)).every((v, i) => v !== before[i] && Number.isFinite(Number(v))));
   }
 }
+/// Begins to note how long each frame of the page takes, ms, in place of what was noted before.
+export const noteFrames = (page) =>
+  page.evaluate(() => {
+    const frames = (window.frames = []);
+    let last = performance.now();
+    requestAnimationFrame(function f(now) {
+      if (window.frames !== frames) return;
+      frames.push(now - last);
+      last = now;
+      requestAnimationFrame(f);
+    });
+  });
+/// What was noted: how many frames, the time that 95 % of them kept, and the longest, ms.
+export async function framesNoted(page) {
+  const frames = (await page.evaluate(() => window.frames)).sort((a, b) => a - b);
+  return { count: frames.length, p95: frames[Math.floor(frames.length * 0.95)], most: frames.at(-1) };
+}
 /// What the list of events shows: path and text of each row, oldest first.
 export const eventRows = (page) => page.locator('[data-list=events] .list > div').evaluateAll((all) => all.map((e) => [e.querySelector('b').innerText, e.querySelector('span').innerText]));

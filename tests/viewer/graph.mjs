@@ -1,9 +1,12 @@
 /// The graph in the browser: what there is, live, and what is drawn into it.
 import fs from 'node:fs';
+import { framesNoted, noteFrames } from './following.mjs';
 import { box, connect, create, eventually, grpcurl, handle, holds, is, menu, settled, shot, start, state } from './world.mjs';
 
 /// A connection may take this long to be on the screen, beyond what the browser takes for nothing, ms.
 const BOUND = 200;
+/// 95 % of the frames while 300 components are moved may take this long beyond twice those of two components, ms.
+const FRAME = 200;
 
 export async function two_processes_are_drawn_with_ports_states_and_health(world) {
   const gcm = await world.gcm();
@@ -302,26 +305,52 @@ export async function three_hundred_components_are_drawn_and_can_be_worked_with(
     steps.push({ create: { path: `host/s${n}`, class: 'sine', execution: { model: 'none' } } }, { create: { path: `host/e${n}`, class: 'echo', execution: { model: 'none' } } });
     steps.push({ connect: { client: `host/e${n}/sample`, server: `host/s${n}/value` } });
   }
-  for (let n = 0; n < steps.length; n += 60) await grpcurl(host.addr, 'GcmService/Apply', { steps: steps.slice(n, n + 60) });
+  const apply = async (steps) => {
+    for (let n = 0; n < steps.length; n += 60) await grpcurl(host.addr, 'GcmService/Apply', { steps: steps.slice(n, n + 60) });
+  };
+  /// Frames of the page while all of it is moved about.
+  const moved = async (page) => {
+    await page.mouse.move(750, 860);
+    await noteFrames(page);
+    await page.mouse.down();
+    for (let n = 0; n < 40; n += 1) await page.mouse.move(750 + 8 * n, 860 - 4 * n);
+    await page.mouse.up();
+    return framesNoted(page);
+  };
+  // What this browser on this machine takes for two.
+  await apply(steps.slice(0, 3));
   const page = await world.viewer(host.addr);
+  await page.locator('.tally', { hasText: '2 components' }).waitFor();
+  await settled(page);
+  const control = await moved(page);
+  await apply(steps.slice(3));
+  // The hand that moved the view has kept it: all is shown again.
+  await page.locator('.tally', { hasText: '300 components' }).waitFor();
+  await page.locator('.laid-out').waitFor();
+  await page.keyboard.press('a');
   await page.locator('.tally', { hasText: '300 components' }).waitFor();
   await page.locator('.laid-out').waitFor();
   await settled(page);
   await shot(page, 'three-hundred');
-  // While it is moved about, frames come.
-  await page.evaluate(() => {
-    window.frames = [];
-    let last = performance.now();
-    requestAnimationFrame(function f(now) { window.frames.push(now - last); last = now; requestAnimationFrame(f); });
-  });
-  await page.mouse.move(750, 860);
-  await page.mouse.down();
-  for (let n = 0; n < 40; n += 1) await page.mouse.move(750 + 8 * n, 860 - 4 * n);
-  await page.mouse.up();
-  const frames = await page.evaluate(() => window.frames.sort((a, b) => a - b));
-  const p95 = frames[Math.floor(frames.length * 0.95)];
-  console.log(`300 components: ${frames.length} frames while moved, p95 ${p95.toFixed(0)} ms`);
-  holds(frames.length > 5 && p95 < 1000, `it stands still: ${frames.length} frames, p95 ${p95} ms`);
+  const onScreen = () => eventually('all of it is on the screen', () => page.evaluate(() => {
+    const b = document.querySelector('[data-process=host]').getBoundingClientRect();
+    return b.width > 300 && b.left >= 0 && b.right <= innerWidth && b.top >= 0 && b.bottom <= innerHeight;
+  }));
+  // Other work of the machine only makes frames longer: the best of three counts.
+  const allowed = FRAME + 2 * control.p95;
+  let frames;
+  for (let n = 0; n < 3 && !(frames?.p95 <= allowed); n += 1) {
+    if (n) {
+      await page.keyboard.press('a');
+      await settled(page);
+    }
+    await onScreen();
+    is(await page.locator('[data-path]').count(), 300, 'components on the screen before it is moved');
+    const one = await moved(page);
+    if (!(frames?.p95 < one.p95)) frames = one;
+  }
+  console.log(`300 components: ${frames.count} frames while moved, p95 ${frames.p95.toFixed(0)} ms; control (2 components) ${control.count} frames, p95 ${control.p95.toFixed(0)} ms`);
+  holds(control.count > 5 && frames.count > 5 && frames.p95 <= allowed, `frames take too long: p95 ${frames.p95} ms of ${frames.count}; ${FRAME} ms and twice the control of ${control.p95} ms (${control.count} frames) are allowed`);
   await page.keyboard.press('Control+k');
   await page.getByRole('combobox', { name: 'search' }).fill('host/e77');
   await page.keyboard.press('Enter');

@@ -1,7 +1,7 @@
 /// The page itself: where it is, search, light and dark, the keyboard.
 import fs from 'node:fs';
 import path from 'node:path';
-import { box, create, eventually, holds, is, PLUGINS, settled, shot, start, state } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, holds, is, PLUGINS, settled, shot, start, state } from './world.mjs';
 
 export async function search_finds_components_ports_and_states(world) {
   const host = await world.host();
@@ -66,6 +66,78 @@ export async function everything_is_reached_by_keys_alone(world) {
   await shot(page, 'keys');
   await page.keyboard.press('d');
   is(await page.evaluate(() => document.documentElement.dataset.theme), 'dark', 'theme');
+}
+
+export async function processes_and_connections_open_their_menus_by_keys(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  await create(host.addr, 'echo', 'host/echo');
+  await connect(host.addr, 'host/echo/sample', 'host/sine/value');
+  const page = await world.viewer(host.addr);
+  await box(page, 'host/echo').waitFor();
+  await settled(page);
+  const focused = () => page.evaluate(() => document.activeElement?.getAttribute('aria-label') ?? '');
+  // Nothing but Tab leads there, from wherever the keyboard is.
+  const tabTo = (label) => eventually(`Tab leads to ${label}`, async () => (await focused()) === label || (await page.keyboard.press('Tab'), false));
+  const item = () => page.evaluate(() => document.activeElement?.closest('[role=menuitem]')?.querySelector('span').innerText ?? '');
+  const goTo = (text) => eventually(`${text} has the keyboard`, async () => (await item()) === text || (await page.keyboard.press('ArrowDown'), false));
+  for (const key of ['Enter', 'Shift+F10', 'ContextMenu']) {
+    await tabTo('process host');
+    await page.keyboard.press(key);
+    await goTo('Stop all of host');
+    is(await page.locator('.menu .title').innerText(), 'host', `what ${key} opens the menu of`);
+    await page.keyboard.press('Escape');
+    await page.locator('.menu').waitFor({ state: 'detached' });
+    is(await focused(), 'process host', 'what has the keyboard after the menu');
+  }
+  is(await page.locator('[data-create], [data-note]').count(), 0, 'what Enter did beyond the menu');
+  await shot(page, 'keys-process');
+  await page.keyboard.press('Enter');
+  await goTo('Start all of host');
+  await page.keyboard.press('Enter');
+  for (const path of ['host/sine', 'host/echo']) await eventually(`${path} runs`, async () => (await state(host.addr, path)) === 'ACTIVE');
+
+  const line = 'host/sine/value to host/echo/sample';
+  await tabTo(line);
+  // Who sees the page sees where the keyboard is.
+  await eventually('the line stands out', () => page.locator('.svelte-flow__edge:focus-visible .wire').evaluate((e) => getComputedStyle(e).strokeWidth === '4px'));
+  await shot(page, 'keys-connection');
+  await page.keyboard.press('Enter');
+  await page.locator('.inspector strong', { hasText: /^connection / }).waitFor();
+  await page.keyboard.press('Escape');
+  await page.locator('.inspector').waitFor({ state: 'detached' });
+  for (const key of ['Shift+F10', 'ContextMenu']) {
+    await tabTo(line);
+    await page.keyboard.press(key);
+    await goTo('Disconnect');
+    if (key === 'Shift+F10') await page.keyboard.press('Escape');
+  }
+  is((await grpcurl(host.addr, 'GcmService/List', {})).connections.length, 1, 'connections');
+  await page.keyboard.press('Enter');
+  await page.locator('[data-connection]').waitFor({ state: 'detached' });
+  is((await grpcurl(host.addr, 'GcmService/List', {})).connections ?? [], [], 'connections after Disconnect');
+}
+
+export async function a_box_that_is_moved_by_arrow_keys_stays_where_it_was_put(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/a');
+  const page = await world.viewer(host.addr);
+  await box(page, 'host/a').waitFor();
+  await settled(page);
+  const node = page.locator('.svelte-flow__node[data-id="host/a"]');
+  const place = () => node.evaluate((e) => e.style.transform);
+  const laid = await place();
+  await node.focus();
+  await page.keyboard.press('Enter');
+  await page.locator('.svelte-flow__node.selected[data-id="host/a"]').waitFor();
+  for (let n = 0; n < 3; n += 1) await page.keyboard.press('Shift+ArrowDown');
+  await eventually('it moves', async () => (await place()) !== laid);
+  const moved = await place();
+  // Another layout leaves it there.
+  await create(host.addr, 'sine', 'host/b');
+  await box(page, 'host/b').waitFor();
+  await settled(page);
+  is(await place(), moved, 'where it is');
 }
 
 export async function whatever_serves_the_page_names_its_address_for_scripts(world) {

@@ -2,16 +2,20 @@
 import { World } from './world.mjs';
 import * as access from './access.mjs';
 import * as away from './away.mjs';
+import * as classes from './classes.mjs';
 import * as forms from './forms.mjs';
 import * as graph from './graph.mjs';
 import * as guard from './guard.mjs';
+import * as hidden from './hidden.mjs';
 import * as invoke from './invoke.mjs';
 import * as live from './live.mjs';
+import * as menus from './menus.mjs';
 import * as page from './page.mjs';
+import * as video from './video.mjs';
 
 const wanted = process.argv.slice(2);
 let [passed, failed] = [0, 0];
-for (const [file, tests] of Object.entries({ graph, forms, invoke, live, away, page, guard, access })) {
+for (const [file, tests] of Object.entries({ graph, menus, forms, classes, invoke, live, video, away, hidden, page, guard, access })) {
   for (const [name, test] of Object.entries(tests)) {
     const full = `viewer::${file}::${name}`;
     if (wanted.length && !wanted.some((w) => full.includes(w))) continue;

@@ -79,7 +79,8 @@ class Page {
   plot(signal: Signal) {
     this.docked = true;
     this.dock = 'plots';
-    if (this.curves.some((c) => c.signal.path === signal.path && c.signal.field === signal.field)) return;
+    // A command and an event may have one name.
+    if (this.curves.some(({ signal: s }) => s.path === signal.path && s.field === signal.field && s.source === signal.source)) return;
     this.curves = [...this.curves, new Curve(signal)];
   }
 

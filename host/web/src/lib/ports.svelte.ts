@@ -174,30 +174,47 @@ export function plainlyWrong(client: Port, server: Port): string {
   return '';
 }
 
-/// Paths of all numbers in a value of the type, as they are in JSON: "position[0]".
-export function numbersIn(t: TypeInfo | undefined, prefix = '', unit = ''): { path: string; unit: string }[] {
+/// Items of an array or a list whose numbers are offered: of an image's row nobody wants a button each.
+export const OFFERED = 16;
+
+/// A value by its name, of an enum.
+export type Names = Record<string, number>;
+
+export interface InType {
+  /// As it is in JSON: "position[0]"; empty = the value itself.
+  path: string;
+  unit: string;
+  /// Where it is one of several names.
+  names?: Names;
+  /// Why it is not offered; empty = it is a number.
+  why: string;
+}
+
+/// All that a value of the type holds: numbers, and what is not offered as one.
+export function partsOf(t: TypeInfo | undefined, path = '', unit = ''): InType[] {
   if (!t) return [];
   switch (t.shape.case) {
     case 'primitive':
-      return [{ path: prefix, unit }];
+      return [{ path, unit, why: '' }];
+    case 'enumeration':
+      return [{ path, unit, why: '', names: Object.fromEntries(t.shape.value.values.map((v) => [v.name, Number(v.number)])) }];
     case 'array':
     case 'list': {
       const { item, n } = t.shape.value;
-      return Array.from({ length: Math.min(n, 16) }, (_, i) => numbersIn(item, `${prefix}[${i}]`, unit)).flat();
+      const parts = Array.from({ length: Math.min(n, OFFERED) }, (_, i) => partsOf(item, `${path}[${i}]`, unit)).flat();
+      return n > OFFERED && parts.some((p) => p.why === '') ? [...parts, { path: `${path}[${OFFERED}…${n - 1}]`, unit, why: `more than ${OFFERED} items` }] : parts;
     }
-    case 'enumeration':
-      return [];
     case 'structure':
-      return t.shape.value.fields.flatMap((f) =>
-        numbersIn(f.type, prefix ? `${prefix}.${f.name}` : f.name, f.unit || unit),
-      );
+      return t.shape.value.fields.flatMap((f) => partsOf(f.type, path ? `${path}.${f.name}` : f.name, f.unit || unit));
+    case 'text':
+      return [{ path, unit, why: 'text' }];
     default:
       return [];
   }
 }
 
-/// The value at such a path; NaN where there is none.
-export function pick(value: unknown, path: string): number {
+/// The number at such a path, of an enum the one its name stands for; NaN where there is none.
+export function pick(value: unknown, path: string, names?: Names): number {
   let at: unknown = value;
   for (const part of path.split(/[.[\]]+/)) {
     if (part === '') continue;
@@ -205,7 +222,7 @@ export function pick(value: unknown, path: string): number {
     at = (at as Record<string, unknown>)[part];
   }
   if (typeof at === 'boolean') return at ? 1 : 0;
-  if (typeof at === 'string') return at === 'NaN' ? Number.NaN : Number(at);
+  if (typeof at === 'string') return names?.[at] ?? (at === 'NaN' ? Number.NaN : Number(at));
   return typeof at === 'number' ? at : Number.NaN;
 }
 

@@ -1,10 +1,10 @@
 /// Curves: numbers over time out of outputs, events, state rows and read commands, in rings of fixed size.
 ///
 /// Invariant: memory does not grow with time; all but reads come by the page's one Subscribe, state rows as what their tap gives.
-/// Reads are asked for one after the other, so a slow server slows their curves and nothing else.
+/// Reads are asked for one after the other, so a slow server slows their curves and nothing else, and not while nobody sees the page.
 import { interact, plain, said } from './api';
 import { live } from './live.svelte';
-import { pick } from './ports.svelte';
+import { pick, type Names } from './ports.svelte';
 
 /// Points of a curve.
 const KEPT = 3000;
@@ -22,6 +22,8 @@ export interface Signal {
   field: string;
   source: Source;
   unit: string;
+  /// Of an enum, which is drawn as its numbers.
+  names?: Names;
 }
 
 /// What is asked for to have it.
@@ -31,6 +33,11 @@ export function followed(s: Signal): string {
 
 export function nameOf(s: Signal): string {
   return s.field ? `${s.path} · ${s.field}` : s.path;
+}
+
+/// The name an enum's number has; empty = none, or no enum.
+export function named(s: Signal, n: number): string {
+  return Object.entries(s.names ?? {}).find(([, number]) => number === n)?.[0] ?? '';
 }
 
 export class Curve {
@@ -55,7 +62,7 @@ export class Curve {
             width: 0,
             take: (item) => {
               this.skipped += Number(item.skipped);
-              this.add(Number(item.stampNs) / 1e9, pick(plain(item.json), signal.field));
+              this.add(Number(item.stampNs) / 1e9, pick(plain(item.json), signal.field, signal.names));
             },
             lost: () => this.gap(),
           });
@@ -125,13 +132,16 @@ class Reader {
       const paths = new Map<string, Curve[]>();
       for (const c of this.#curves) paths.set(c.signal.path, [...(paths.get(c.signal.path) ?? []), c]);
       for (const [path, curves] of paths) {
-        if (document.hidden) break;
+        if (document.hidden) {
+          for (const c of curves) c.gap();
+          continue;
+        }
         try {
           const answer = await interact.invoke({ path }, { timeoutMs: 2000 });
           const value = plain(answer.json);
           for (const c of curves) {
             c.why = '';
-            c.add(Number(answer.stampNs) / 1e9, pick(value, c.signal.field));
+            c.add(Number(answer.stampNs) / 1e9, pick(value, c.signal.field, c.signal.names));
           }
         } catch (error) {
           for (const c of curves) {
