@@ -32,6 +32,18 @@ def records(world):
     eventually("it records", lambda: any(world.read(f"{path}/ctl/status").get("messages", 0) > 100 for path in recorders(world)))
 
 
+def ended_twice(process, said):
+    """What it tells whoever does not wait for a manager that is gone: the first Ctrl-C ends the recording, the second one the waiting."""
+    eventually("it says that nobody answers", lambda: said().count("recording goes on without it") == 1)
+    process.send_signal(signal.SIGINT)
+    eventually("it waits to end it", lambda: said().count("recording goes on without it") == 2)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=PATIENCE_S)
+    told = json.loads(out)
+    assert process.returncode == PARTIAL and "cut short" in told["message"], (process.returncode, told, said())
+    return told
+
+
 def test_record_waits_for_a_manager_that_is_away_and_says_so():
     with World(["sine"], managed=True) as world:
         world.source()
@@ -58,14 +70,7 @@ def test_who_does_not_wait_for_a_manager_is_told_what_stays_behind():
             records(world)
             world.manager.kill()
             world.manager.wait()
-            eventually("it says that nobody answers", lambda: said().count("recording goes on without it") == 1)
-            # The first one ends the recording, for which the manager is waited for again; the second one that.
-            process.send_signal(signal.SIGINT)
-            eventually("it wants to end it", lambda: said().count("recording goes on without it") == 2)
-            process.send_signal(signal.SIGINT)
-            out, _ = process.communicate(timeout=PATIENCE_S)
-        told = json.loads(out)
-        assert process.returncode == PARTIAL and "cut short" in told["message"], (process.returncode, told)
+            told = ended_twice(process, said)
         world.manage(world.env["TROCAR_GCM"])
         (left,) = eventually("the new one knows its components", lambda: recorders(world) if world.run("ls").returncode == OK else None)
         assert f"trocar rm --force {left}" in told["help"], told
@@ -81,13 +86,7 @@ def test_where_the_process_is_gone_the_file_is_named_and_read():
             records(world)
             world.host.kill()
             world.host.wait()
-            eventually("it says that nobody answers", lambda: "recording goes on without it" in said())
-            process.send_signal(signal.SIGINT)
-            eventually("it wants to end it", lambda: said().count("recording goes on without it") == 2)
-            process.send_signal(signal.SIGINT)
-            out, _ = process.communicate(timeout=PATIENCE_S)
-        told = json.loads(out)
-        assert process.returncode == PARTIAL and "cut short" in told["message"], (process.returncode, told)
+            told = ended_twice(process, said)
         assert "a.mcap has what came before" in told["help"], told
         info = world.json("info", "a.mcap", code=PARTIAL)
         assert not info["whole"] and info["messages"] > 100, info
