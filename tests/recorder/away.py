@@ -13,23 +13,25 @@ RECORDERS = "recorder/recorder"
 @contextmanager
 def recording(world):
     """`trocar record` of a sine, once it has recorded something: the process, and what it said so far on its standard error."""
+    world.source()
     path = world.dir / "record.log"
     with open(path, "w") as log:
         command = [BIN / "trocar", "record", "host/sine/value", "-o", "a.mcap", "--json"]
         process = subprocess.Popen(command, cwd=world.dir, env=world.env, stdout=subprocess.PIPE, stderr=log, text=True)
     try:
+        eventually("it records", lambda: any(world.read(f"{path}/ctl/status").get("messages", 0) > 100 for path in recorders(world)))
         yield process, path.read_text
     finally:
-        process.kill()
-        process.wait()
+        killed(process)
 
 
 def recorders(world):
     return [component["path"] for component in world.json("ls")["components"] if component["class"] == RECORDERS]
 
 
-def records(world):
-    eventually("it records", lambda: any(world.read(f"{path}/ctl/status").get("messages", 0) > 100 for path in recorders(world)))
+def killed(process):
+    process.kill()
+    process.wait()
 
 
 def ended_twice(process, said):
@@ -46,11 +48,8 @@ def ended_twice(process, said):
 
 def test_record_waits_for_a_manager_that_is_away_and_says_so():
     with World(["sine"], managed=True) as world:
-        world.source()
         with recording(world) as (process, said):
-            records(world)
-            world.manager.kill()
-            world.manager.wait()
+            killed(world.manager)
             eventually("it says that nobody answers", lambda: "recording goes on without it" in said() or process.poll() is not None)
             assert process.poll() is None, (process.communicate(), said())
             world.manage(world.env["TROCAR_GCM"])
@@ -65,11 +64,8 @@ def test_record_waits_for_a_manager_that_is_away_and_says_so():
 
 def test_who_does_not_wait_for_a_manager_is_told_what_stays_behind():
     with World(["sine"], managed=True) as world:
-        world.source()
         with recording(world) as (process, said):
-            records(world)
-            world.manager.kill()
-            world.manager.wait()
+            killed(world.manager)
             told = ended_twice(process, said)
         world.manage(world.env["TROCAR_GCM"])
         (left,) = eventually("the new one knows its components", lambda: recorders(world) if world.run("ls").returncode == OK else None)
@@ -81,11 +77,8 @@ def test_who_does_not_wait_for_a_manager_is_told_what_stays_behind():
 
 def test_where_the_process_is_gone_the_file_is_named_and_read():
     with World(["sine"]) as world:
-        world.source()
         with recording(world) as (process, said):
-            records(world)
-            world.host.kill()
-            world.host.wait()
+            killed(world.host)
             told = ended_twice(process, said)
         assert "a.mcap has what came before" in told["help"], told
         info = world.json("info", "a.mcap", code=PARTIAL)
@@ -102,8 +95,7 @@ def test_what_was_lost_is_known_of_a_recording_that_was_killed():
         world.run("start", "host/rec", code=OK)
         world.begin("a.mcap")
         world.wait("it loses some", lambda s: s["lost"] > 500)
-        world.host.kill()
-        world.host.wait()
+        killed(world.host)
         topics, _, _ = messages(world.dir / "rec/a.mcap", whole=False)
         values = [message for message, _ in topics["/host/sine/value"]]
         last, told = topics["/recorder/loss"][-1]

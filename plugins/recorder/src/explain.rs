@@ -34,8 +34,8 @@ pub(crate) struct Explaining {
     last: Json,
     /// Of components, as they were last told.
     configs: BTreeMap<String, Json>,
-    /// Bytes of `last` while it waits for room to be told.
-    waits: usize,
+    /// `last` as text, while it waits for room to be told; empty = it was told.
+    waits: String,
 }
 
 /// An input, and what it is connected to.
@@ -159,17 +159,19 @@ impl Explaining {
             return;
         }
         self.last = graph;
-        self.waits = self.last.to_string().len();
+        self.waits = self.last.to_string();
         self.tell_what_waits(now_ns, way);
     }
 
     /// Tells the graph and the configurations that changed as soon as there is room for them; of several that waited the last one.
     pub(crate) fn tell_what_waits(&mut self, now_ns: u64, way: &mut Way) {
-        if self.waits == 0 || !way.has_room(self.waits) && !way.is_clear() {
-            return;
+        if !self.waits.is_empty() && (way.has_room(self.waits.len()) || way.is_clear()) {
+            self.tell_now(now_ns, way);
         }
-        self.waits = 0;
-        tell(self.graph, &self.last, now_ns, way);
+    }
+
+    fn tell_now(&mut self, now_ns: u64, way: &mut Way) {
+        tell(self.graph, &std::mem::take(&mut self.waits), now_ns, way);
         // Of components that are gone there is nothing to tell in recordings to come.
         let there = elements(&self.last, "components").map(|c| text(c, "path"));
         let there: BTreeSet<&str> = there.collect();
@@ -177,7 +179,7 @@ impl Explaining {
         for component in elements(&self.last, "components") {
             let (path, config) = (text(component, "path").to_owned(), component["config"].clone());
             if self.configs.get(&path) != Some(&config) {
-                tell(self.config, &json!({ "path": path, "config": config }), now_ns, way);
+                tell(self.config, &json!({ "path": path, "config": config }).to_string(), now_ns, way);
                 self.configs.insert(path, config);
             }
         }
@@ -197,20 +199,14 @@ impl Explaining {
         if self.last.is_null() {
             return;
         }
-        self.waits = 0;
-        tell(self.graph, &self.last, now_ns, way);
-        self.configs = elements(&self.last, "components")
-            .map(|component| (text(component, "path").to_owned(), component["config"].clone()))
-            .collect();
-        for (path, config) in &self.configs {
-            tell(self.config, &json!({ "path": path, "config": config }), now_ns, way);
-        }
+        self.waits = self.last.to_string();
+        self.configs.clear();
+        self.tell_now(now_ns, way);
     }
 }
 
-fn tell(channel: u32, what: &Json, now_ns: u64, way: &mut Way) {
-    let told = what.to_string();
-    way.block().push((channel, 0, now_ns, now_ns), Kind::Ready, |to| to.extend_from_slice(told.as_bytes()));
+fn tell(channel: u32, text: &str, now_ns: u64, way: &mut Way) {
+    way.block().push((channel, 0, now_ns, now_ns), Kind::Ready, |to| to.extend_from_slice(text.as_bytes()));
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ mod ends;
 pub(super) mod export;
 pub(super) mod info;
 mod npz;
+mod patience;
 mod pictures;
 mod planes;
 mod read;

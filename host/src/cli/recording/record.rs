@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use super::ends::Ends;
 use super::info::size;
+use super::patience::Patience;
 use super::{listed, meant, select};
 use crate::cli::connect::ConnectArgs;
 use crate::cli::create::CreateArgs;
@@ -32,8 +33,6 @@ const LOOK: Duration = Duration::from_millis(200);
 const ANSWER_NS: u64 = 5_000_000_000;
 /// How long the end of a file may take, on a disk that is slow.
 const CLOSING: Duration = Duration::from_secs(60);
-/// How long a manager that is away is waited for: one that was ended by mistake is back in seconds, and the recorder goes on without.
-const AWAY: Duration = Duration::from_secs(10);
 /// What the recorder says of a recording whose time had not come.
 const NOT_BEGUN: &str = "stopped before it began: there is no file";
 /// Samples that may wait, at most, and bytes of them.
@@ -152,67 +151,6 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     removed?;
     let topics = wanted.len() - left_out.len().min(wanted.len());
     shown(RecordedView { topics, left_out, ..view }, session)
-}
-
-/// Asks again while the manager is away, and says so; recorders do not need one to go on.
-struct Patience<'a> {
-    bar: Option<&'a ProgressBar>,
-    /// What ends the waiting before its time.
-    ends: Option<&'a mut Ends>,
-    since: Option<Instant>,
-    is_over: bool,
-}
-
-impl<'a> Patience<'a> {
-    fn new(bar: Option<&'a ProgressBar>, ends: Option<&'a mut Ends>) -> Self {
-        Self { bar, ends, since: None, is_over: false }
-    }
-
-    fn is_away(failure: &Failure) -> bool {
-        failure.reason == "NO_GCM"
-    }
-
-    /// What it answers in the end. One that is back may have to hear its processes first.
-    async fn wait<T>(&mut self, asked: impl AsyncFn() -> Result<T, Failure>) -> Result<T, Failure> {
-        loop {
-            match asked().await {
-                Ok(answer) => {
-                    if self.since.take().is_some() {
-                        self.say("it answers again");
-                    }
-                    return Ok(answer);
-                }
-                Err(failure) if self.is_over || self.since.is_none() && !Self::is_away(&failure) => {
-                    return Err(failure);
-                }
-                Err(failure) => {
-                    if self.since.is_none() {
-                        let wait = AWAY.as_secs();
-                        self.say(&format!(
-                            "{}; recording goes on without it, and it is waited for, {wait} s",
-                            failure.message
-                        ));
-                    }
-                    self.is_over = self.since.get_or_insert_with(Instant::now).elapsed() > AWAY;
-                    let sleep = tokio::time::sleep(LOOK);
-                    match &mut self.ends {
-                        None => sleep.await,
-                        Some(ends) => tokio::select! {
-                            () = sleep => {}
-                            () = ends.come() => self.is_over = true,
-                        },
-                    }
-                }
-            }
-        }
-    }
-
-    fn say(&self, text: &str) {
-        match self.bar {
-            Some(bar) => bar.suspend(|| out::complain("warning", text)),
-            None => out::complain("warning", text),
-        }
-    }
 }
 
 /// Nobody answers for the recording any more: what is there of it, and what of its recorder.
