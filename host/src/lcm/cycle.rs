@@ -13,7 +13,7 @@ use trocar_rt::turn;
 use super::boundary;
 use super::boundary::late;
 use super::context;
-use super::instance::Instance;
+use super::instance::{Instance, Stepped};
 use super::pending;
 
 /// When a member of a thread steps.
@@ -222,6 +222,14 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
         instance.stats.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
         return begin_ns;
     };
+    if !instance.is_active() {
+        // It was stopped, or failed, after this cycle had asked who steps in it: the cycle is not its own.
+        drop(entered);
+        if !bypass(instance) {
+            instance.serve();
+        }
+        return begin_ns;
+    }
     let inner = entered.inner();
     let fresh = inner.last_begin_ns == 0;
     // What was left out before its start is not its own.
@@ -239,8 +247,12 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
         period_ns,
         elapsed_ns,
     };
-    let end_ns = instance.step(&mut entered, &tick);
+    let Stepped { end_ns, ran } = instance.step(&mut entered, &tick);
     drop(entered);
+    if !ran {
+        instance.stats.record_skipped(1 + skipped);
+        return end_ns;
+    }
     // How late its thread was; what others in the cycle took before it is not its own lateness.
     let lateness_ns = if on_grid { cycle.begin_ns.saturating_sub(cycle.deadline_ns) } else { 0 };
     instance.stats.record(begin_ns, end_ns, lateness_ns);

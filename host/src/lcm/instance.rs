@@ -20,6 +20,7 @@ use trocar_rt::state::{StateReader, StateWriter, state_table};
 use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
 
+pub(super) use self::running::Stepped;
 use self::running::Terms;
 pub(super) use self::status::Loss;
 use super::boundary::LoadedClass;

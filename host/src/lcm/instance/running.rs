@@ -100,6 +100,14 @@ impl Outer {
     }
 }
 
+/// What became of a step.
+pub(in crate::lcm) struct Stepped {
+    /// When it ended, ns.
+    pub(in crate::lcm) end_ns: u64,
+    /// Whether the component's own code ran: not where it left ACTIVE while its queues were.
+    pub(in crate::lcm) ran: bool,
+}
+
 impl Instance {
     /// Of the grid it steps on, ns; 0 without one.
     pub(in crate::lcm) fn period_ns(&self) -> u64 {
@@ -227,17 +235,15 @@ impl Instance {
         result
     }
 
-    /// One step: first what is queued, then the component's own. Answers when it ended, ns. Real-time.
-    pub(in crate::lcm) fn step(&self, entered: &mut Entered<'_>, tick: &Tick) -> u64 {
+    /// One step: first what is queued, then the component's own. Real-time.
+    pub(in crate::lcm) fn step(&self, entered: &mut Entered<'_>, tick: &Tick) -> Stepped {
         let watched = self.watch.begin(Entry::Step, tick.now_ns);
         let before = context::swap_component(Arc::as_ptr(&self.host));
         context::set_step_began(tick.now_ns);
         let suspicion = Suspicion::before(self);
         self.drain(entered);
-        let mut failed = None;
-        if self.is_active() {
-            failed = entered.step(tick).err();
-        }
+        let ran = self.is_active();
+        let failed = if ran { entered.step(tick).err() } else { None };
         context::set_step_began(0);
         let end_ns = os::now_ns();
         if !context::keep_rounding() {
@@ -253,7 +259,7 @@ impl Instance {
         context::swap_component(before);
         self.watch.leave(watched);
         self.pay_safe(entered);
-        end_ns
+        Stepped { end_ns, ran }
     }
 
     /// Publishes a row of the state table. Real-time.
