@@ -204,6 +204,12 @@ impl Way {
         waiting.saturating_add(bytes as u64) <= self.limit
     }
 
+    /// Whether `bytes` of a frame fit. The last quarter is for what is small: no frame that waits for a slow disk costs a row, an event
+    /// or a marker.
+    pub(crate) fn has_room_for_frame(&self, bytes: usize) -> bool {
+        self.has_room(bytes.saturating_add((self.limit / 4) as usize))
+    }
+
     /// Whether nothing is on its way.
     pub(crate) fn is_clear(&self) -> bool {
         self.under_way.load(Ordering::Relaxed) == 0 && self.block.is_empty()
@@ -272,6 +278,7 @@ mod tests {
         }
         way.send();
         assert!(!way.has_room(500), "it is on its way");
+        assert!(way.has_room(10) && !way.has_room_for_frame(10), "the last quarter is not for frames");
         let Ok(Order::Block(block)) = received.try_recv() else { panic!("a block") };
         let seen: Vec<(u64, u8, usize)> =
             block.messages().map(|(h, [b, _])| (h.seq, b[0], b.len())).collect();

@@ -43,7 +43,7 @@ pub(crate) struct RecorderConfig {
     /// Memory for what is kept before `start`; where it is not enough, the oldest gives way
     #[config(min = 1, max = 65536, unit = "MB", default = 512)]
     pub(crate) pre_trigger_mb: u64,
-    /// Memory for what waits to be written; what finds none is lost, and counted
+    /// Memory for what waits to be written, the last quarter of it not for frames; what finds none is lost, and counted
     #[config(min = 8, max = 65536, unit = "MB", default = 256)]
     pub(crate) buffer_mb: u64,
 }

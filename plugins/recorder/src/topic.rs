@@ -299,7 +299,7 @@ impl Topic {
         let mut fits = seen.value.len() == encoder.size && way.has_room(around);
         let held = seen.view.filter(|_| fits && self.may_hold(seen.bytes.len())).and_then(AnyView::hold);
         let held = held.map(|frame| Arc::new(HeldPart::new(frame, self.held.clone())));
-        fits &= held.is_some() || way.has_room(around + seen.bytes.len());
+        fits &= held.is_some() || seen.bytes.is_empty() || way.has_room_for_frame(around + seen.bytes.len());
         let frame = Frame { bytes: seen.bytes, held };
         match fits.then(|| encoder.write(seen, &frame, (now_ns, stamp_ns), way)).flatten() {
             Some(bytes) => {
