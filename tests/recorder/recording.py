@@ -9,7 +9,7 @@ import signal
 import subprocess
 import time
 
-from world import BIN, OK, PATIENCE_S, REFUSED, Terminal, World, contiguous, eventually, messages
+from world import BIN, OK, PATIENCE_S, REFUSED, USAGE, Terminal, World, contiguous, eventually, messages
 
 # The bar, once something was recorded.
 SOME_MESSAGES = re.compile(r"\b[1-9]\d* messages")
@@ -415,16 +415,17 @@ def test_a_recording_of_several_processes_is_made_where_it_is_asked_for_and_at_m
         assert {c["path"].split("/")[0] for c in graph["components"] if c["class"] == "recorder/recorder"} == {"a"}, graph
 
 
-def test_a_recorder_keeps_to_the_processors_it_is_given_with_all_its_threads():
+def test_a_recorder_keeps_to_the_processors_and_the_memory_it_is_given_with_all_its_threads():
     with World(["sine"]) as world:
         world.source()
         cpu = min(os.sched_getaffinity(0))
-        recording = subprocess.Popen([BIN / "trocar", "record", "host/sine/value", "-o", "c.mcap", "--cpus", str(cpu), "--json"], cwd=world.dir,
-                                     env=world.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        recording = subprocess.Popen([BIN / "trocar", "record", "host/sine/value", "-o", "c.mcap", "--cpus", str(cpu), "--buffer-mb", "64", "--json"],
+                                     cwd=world.dir, env=world.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             of = lambda: next((c["path"] for c in world.json("ls")["components"] if c["class"] == "recorder/recorder"), None)
             rec = eventually("it has a recorder", of)
             eventually("it records", lambda: world.read(f"{rec}/ctl/status")["messages"] > 0)
+            config = next(c["config"] for c in world.json("ls")["components"] if c["path"] == rec)
             names = {int(task.name): (task / "comm").read_text().strip() for task in pathlib.Path(f"/proc/{world.host.pid}/task").iterdir()}
             own = {tid: name for tid, name in names.items() if name.startswith("rec-")}
             allowed = {name: os.sched_getaffinity(tid) for tid, name in own.items()}
@@ -434,12 +435,16 @@ def test_a_recorder_keeps_to_the_processors_it_is_given_with_all_its_threads():
             recording.kill()
             recording.wait()
         assert recording.returncode == OK and json.loads(out)["whole"], (recording.returncode, out, errors)
+        assert config["buffer_mb"] == 64, config
         assert len(allowed) == 2 and all(cpus == {cpu} for cpus in allowed.values()), (allowed, names)
         # Where there is no such one it records all the same, and says so.
         done = world.run("record", "host/sine/value", "-o", "d.mcap", "--seconds", "0.5", "--cpus", "4095", code=OK)
         assert "[4095] were refused" in done.stderr and "nproc" in done.stderr, done
         refused = world.run("record", "host/sine/value", "-o", "e.mcap", "--cpus", "5000", code=REFUSED)
         assert "5000 is no number of a processor" in refused.stderr and not (world.dir / "e.mcap").exists(), refused
+        for wrong in ("7", "65537", "much", "-1"):
+            refused = world.run("record", "host/sine/value", "-o", "e.mcap", f"--buffer-mb={wrong}", code=USAGE)
+            assert "--buffer-mb" in refused.stderr and not (world.dir / "e.mcap").exists(), refused
 
 
 def test_a_recording_begins_pauses_and_ends_at_the_times_that_were_asked_for():

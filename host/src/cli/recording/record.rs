@@ -41,6 +41,9 @@ const QUEUE_BYTES: u32 = 16 << 20;
 /// Bytes per second that fill any disk, and s in which that is worth saying.
 const MUCH: f64 = 100e6;
 const LONG_S: f64 = 12.0 * 3600.0;
+/// What to do where something was lost.
+const LESS: &str = "fewer outputs, --max-rate-hz, --video qoi or --video jpeg make it less; for a disk that stands still now and then \
+    there is --buffer-mb";
 /// Frames that may wait: a queue leaves their pool enough for its owner, however deep it is.
 const FRAMES: u32 = 64;
 
@@ -74,6 +77,9 @@ pub(in crate::cli) struct RecordArgs {
     /// CPUs its threads may run on, e.g. 1,2 [default: all]: away from those of short steps.
     #[arg(long, value_delimiter = ',', value_name = "N")]
     cpus: Vec<u32>,
+    /// Memory for what waits for the disk, MB: what finds none is lost, frames before rows and events.
+    #[arg(long, default_value_t = 256, value_name = "MB", value_parser = clap::value_parser!(u32).range(8..=65_536))]
+    buffer_mb: u32,
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -109,6 +115,7 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         "sources": wanted.iter().map(|s| s.path.clone()).collect::<Vec<_>>(),
         "max_rate_hz": vec![rate; wanted.len()],
         "video": args.video,
+        "buffer_mb": args.buffer_mb,
     });
     let create = CreateArgs {
         path: path.clone(),
@@ -477,6 +484,9 @@ fn shown(view: RecordedView, session: &Session) -> Done {
         }
         for (topic, lost) in &view.losses {
             out::complain("warning", &format!("{topic}: {lost} lost"));
+        }
+        if view.lost > 0 {
+            out::complain("help", LESS);
         }
         for (topic, n) in &view.interruptions {
             out::complain("warning", &super::interrupted(topic, *n));
