@@ -56,7 +56,7 @@ struct Inside {
     busy: Busy,
     /// When it began or, where that is unknown, was first seen, ns.
     since_ns: u64,
-    /// When it has taken what it may, ns.
+    /// When it has taken what it may, should nothing keep it from running until then, ns.
     ends_ns: u64,
     /// Of the watchdog, when it began.
     late_ns: u64,
@@ -229,13 +229,13 @@ impl Charge {
         let own = self.ward.instance.patience_ns();
         let patience_ns = if busy.entry.runs() { own } else { own.max(LIFECYCLE_NS) };
         let allowed_ns = patience_ns - AHEAD_NS.min(patience_ns / 50);
-        inside.ends_ns = inside.since_ns.saturating_add(allowed_ns);
         let lasted_ns = now_ns.saturating_sub(inside.since_ns);
         // Where the watchdog could not run, neither could it, perhaps.
         let mut counted_ns = lasted_ns.saturating_sub(late.now_ns - inside.late_ns);
         if counted_ns > patience_ns / 2 {
             counted_ns = counted_ns.saturating_sub(inside.kept_ns(tid, now_ns));
         }
+        inside.ends_ns = now_ns.saturating_add(allowed_ns.saturating_sub(counted_ns));
         (counted_ns >= allowed_ns).then(|| {
             let (inside, allowed) = (inside_of(&self.ward, busy), short(patience_ns));
             format!("it has not come back out of its {inside}, which may take {allowed}")
