@@ -54,6 +54,9 @@ export async function plots_events_and_pictures_go_on_by_themselves_when_the_gcm
   await more('pictures go on', () => shown(page), had);
   await dock('Events');
   await more('events go on', listed);
+  is(await page.locator('[data-list=events]').getAttribute('data-interrupted'), '1', 'times nobody listened to events');
+  const missing = await page.locator('[data-list=events] [role=log] div', { hasText: 'may be missing: nobody listened' }).count();
+  is(missing, 1, 'rows that say that some before them may be missing');
   await dock('Plots');
   await go_on(page, 'plots go on');
   const gaps = await page.locator('[data-curve]').evaluateAll((all) => all.map((curve) => Number(curve.dataset.gaps)));
