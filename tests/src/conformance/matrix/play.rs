@@ -182,6 +182,15 @@ impl<'a> Stage<'a> {
         for _ in 0..2 {
             lab.invoke("server/ctl/poke", None, false).expect("the server is there");
         }
+        if self.reach().queues() {
+            // What runs the queue may not have come to it yet, as that of another process: a call behind all of it is answered when it has.
+            eventually("the queue is empty", || {
+                match lab.perform(call(Kind::Void, Mode::Call, FITS).from_threads(1)) {
+                    answer if Fate::Executed.is(&answer, 1) => Ok(()),
+                    answer => Err(format!("{answer:?}")),
+                }
+            });
+        }
         let mut all = self.busy(|| lab.perform(asked.times(DEPTH + 1).from_threads(from)));
         let first = match (kind.reads(), mode) {
             (true, _) => fate(self.reach(), self.situation, kind, mode),
