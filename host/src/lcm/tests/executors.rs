@@ -300,6 +300,9 @@ async fn frames_pass_a_filter_that_failed_when_it_says_so_and_stop_there_otherwi
     for name in ["passes", "stops"] {
         world.eventually("FAULT", name, |r| r.state == State::Fault).await;
     }
+    // The cycle in which it failed is over: what it wrote before that was taken.
+    let then = sinks[0].steps();
+    eventually("two more cycles", || sinks[0].steps() > then + 1).await;
     let stopped = sinks[1].steps();
     eventually("frames pass the filter that failed", || sinks[0].steps() > 30).await;
     assert_eq!(sinks[1].steps(), stopped, "the other branch gets nothing more");
