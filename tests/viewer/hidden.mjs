@@ -35,7 +35,8 @@ const gaps = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map
 export async function a_page_nobody_sees_lets_go_of_its_calls_and_takes_them_up_when_it_is_seen(world) {
   const host = await world.host();
   await create(host.addr, 'sine', 'host/sine');
-  await start(host.addr, 'host/sine');
+  await create(host.addr, 'fixture-torture/server', 'host/events', undefined, { rate_hz: 10 });
+  await start(host.addr, 'host/**');
   const context = await world.browser();
   await context.clock.install();
   const page = await context.newPage();
@@ -47,6 +48,10 @@ export async function a_page_nobody_sees_lets_go_of_its_calls_and_takes_them_up_
   await plot(page, 'host/sine/value', 'value');
   await plot(page, 'host/sine', 'latest.value');
   await plot(page, 'host/sine/signal/value', '');
+  await interfacesOf(page, 'host/events');
+  await page.locator('[data-follow="host/events/ctl/ticked"]').click();
+  await page.getByRole('button', { name: 'Plots', exact: true }).click();
+  await interfacesOf(page, 'host/sine');
   await eventually('points come', async () => (await points(page)).length === 3 && (await points(page)).every((n) => n > 10));
   await eventually('what streams are two calls', () => open().filter((m) => m === 'Watch' || m === 'Subscribe').join() === 'Subscribe,Watch');
 
@@ -86,6 +91,11 @@ export async function a_page_nobody_sees_lets_go_of_its_calls_and_takes_them_up_
   await page.getByRole('tab', { name: 'Overview' }).click();
   await eventually('figures are of now', async () => Number(/(\d+) executed/.exec(await page.locator('.inspector').innerText())?.[1]) >= Number(executed));
   await shot(page, 'seen-again');
+  // Of events it is said where some may be missing.
+  await page.getByRole('button', { name: 'Events', exact: true }).click();
+  const list = page.locator('[data-list=events]');
+  await list.locator('[role=log] div', { hasText: 'may be missing: nobody listened' }).waitFor();
+  is(await list.getAttribute('data-interrupted'), '1', 'times nobody listened to events');
 }
 
 export async function the_video_page_lets_go_while_nobody_sees_it(world) {

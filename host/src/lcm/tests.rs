@@ -7,6 +7,7 @@ mod apart;
 mod bells;
 mod branches;
 mod callbacks;
+mod cycles;
 mod executors;
 mod filters;
 mod going;

@@ -42,8 +42,8 @@ const QUEUE_BYTES: u32 = 16 << 20;
 const MUCH: f64 = 100e6;
 const LONG_S: f64 = 12.0 * 3600.0;
 /// What to do where something was lost.
-const LESS: &str = "fewer outputs, --max-rate-hz, --video qoi or --video jpeg make it less; for a disk that stands still now and then \
-    there is --buffer-mb";
+const LESS: &str = "fewer outputs and --max-rate-hz ask less of the machine, --video qoi and --video jpeg less of its disk and more of its \
+    processors; --buffer-mb lasts while a disk stands still";
 /// Frames that may wait: a queue leaves their pool enough for its owner, however deep it is.
 const FRAMES: u32 = 64;
 

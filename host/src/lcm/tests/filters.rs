@@ -1,7 +1,6 @@
 //! Filters of a stream: what passes one that failed, and what is counted as theirs.
 
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
 use trocar_model::{OnFailure, Queue};
@@ -133,7 +132,7 @@ async fn a_head_that_failed_lets_pass_what_comes_for_it_on_any_grid() {
 }
 
 /// Cycles executed and left out, in an instance's own figures.
-fn counted(instance: &Instance) -> (u64, u64) {
+pub(super) fn counted(instance: &Instance) -> (u64, u64) {
     let stats = instance.stats.snapshot();
     (stats.executed, stats.skipped)
 }
@@ -182,98 +181,5 @@ async fn periods_that_its_thread_left_out_are_not_charged_to_a_filter_nor_to_wha
     assert_eq!(of_head, (3, 14), "it steps with the head and is left out with it");
     assert_eq!(filter, (2, 1), "the sample it could not be entered for, and no period of the thread");
     assert_eq!(of_filter, (3, 0), "it steps with the filter");
-    world.end().await;
-}
-
-/// Does this to the component it is pointed at, in its step or its command.
-#[derive(Default)]
-struct Does(Mutex<Option<Box<dyn FnMut() + Send>>>, AtomicU64);
-
-impl Does {
-    fn act(&self) {
-        if let Some(act) = &mut *self.0.lock().unwrap() {
-            act();
-        }
-    }
-}
-
-impl Behaviour for Does {
-    fn step(&self, _: &Tick, _: &Own) -> Result<(), String> {
-        self.1.fetch_add(1, Ordering::SeqCst);
-        self.act();
-        Ok(())
-    }
-}
-
-/// One whose command, and not its step, does it.
-struct Served(Arc<Does>);
-
-impl Behaviour for Served {
-    fn step(&self, _: &Tick, _: &Own) -> Result<(), String> {
-        self.0.1.fetch_add(1, Ordering::SeqCst);
-        Ok(())
-    }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
-        self.0.act();
-        Ok(())
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_cycle_in_which_it_was_stopped_before_its_step_is_not_counted_as_executed() {
-    let world = World::new("f_stopped");
-    // Its own cycles are an hour apart: those below are the test's.
-    let hour = Execution { period_ns: Some(3_600_000_000_000), ..model(ExecutionModel::Stream) };
-    let (before, served) = (Arc::new(Does::default()), Arc::new(Does::default()));
-    world.create_as("head", class(ctl(), Safety::None), hour, Arc::new(Served(served.clone()))).await;
-    world.create("before", inside(ExecutionModel::ExecIn, &world.id("head")), before.clone()).await;
-    for name in ["before", "head"] {
-        world.start(name).await;
-    }
-    let of = |name: &str| world.lcm.instance(&world.id(name)).unwrap();
-    let (head, member) = (of("head"), of("before"));
-    let stops = |instance: &Arc<Instance>, state: State| {
-        let instance = instance.clone();
-        Some(Box::new(move || instance.set_state(state, "")) as Box<dyn FnMut() + Send>)
-    };
-    // On a thread that counts as its own, so that what is sent to it wakes nobody else.
-    let runtime = tokio::runtime::Handle::current();
-    let run = |sent: bool| {
-        let one = || {
-            context::set_executor(head.executor_id());
-            if sent {
-                // Somebody is inside: it waits in the queue.
-                let somebody = head.object.try_enter().unwrap();
-                runtime.block_on(world.send("head"));
-                drop(somebody);
-            }
-            let mut members = [
-                Member::new(member.clone(), Follow::Member(head.number)),
-                Member::new(head.clone(), Follow::Thread),
-            ];
-            let now_ns = trocar_rt::os::now_ns();
-            let cycle = Cycle { begin_ns: now_ns, deadline_ns: now_ns, period_ns: 1_000_000_000, skipped: 3 };
-            cycle::all(&mut members, &cycle);
-        };
-        thread::scope(|scope| scope.spawn(one).join().unwrap());
-    };
-
-    run(false);
-    assert_eq!((counted(&head), counted(&member)), ((1, 0), (1, 0)), "a cycle as any");
-
-    // What runs inside it steps first, and it is stopped meanwhile: nothing of this cycle is its own.
-    *before.0.lock().unwrap() = stops(&head, State::Ready);
-    run(false);
-    assert_eq!(served.1.load(Ordering::SeqCst), 1, "it does not step when it was stopped");
-    assert_eq!(counted(&head), (1, 0), "neither executed nor left out");
-    assert_eq!(counted(&member), (2, 3), "who stepped is counted");
-
-    // It fails in what was queued for it, right before its step.
-    *before.0.lock().unwrap() = None;
-    *served.0.lock().unwrap() = stops(&head, State::Fault);
-    head.set_state(State::Active, "");
-    run(true);
-    assert_eq!(served.1.load(Ordering::SeqCst), 1, "it does not step when it has failed");
-    assert_eq!(counted(&head), (1, 4), "its cycle had begun: left out");
     world.end().await;
 }
