@@ -139,6 +139,8 @@ struct Moments {
     phase: Stamp,
     /// Near to begin and offset.
     near: Stamp,
+    /// At the end of the line.
+    end: Stamp,
     surface: Stamp,
     robot: Stamp,
     delay_known: bool,

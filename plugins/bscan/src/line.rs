@@ -28,6 +28,10 @@ const ACROSS_PER_S: f64 = 10.0;
 const CORRECTION_M_S: f64 = 1e-3;
 /// Highest speed on the way to the begin, m/s.
 const COMING_M_S: f64 = 2e-3;
+/// A scan sets off this near to where it is to, m.
+const NEAR_M: f64 = 15e-6;
+/// A scan is to set off so far before its begin, m: a tip that is merely near to there has not passed the first column.
+const RUN_UP_M: f64 = NEAR_M;
 
 /// A line across the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -99,12 +103,14 @@ impl Line {
         along(&[0, 1, 2].map(|i| tip_m[i] - self.start_m[i]), &self.direction)
     }
 
-    /// Velocity across the tool that brings a tip to the begin, m/s, and how far it is from there, m.
-    pub fn to_start(&self, tip_m: &[f64; 3]) -> ([f64; 3], f64) {
-        let left = across(&[0, 1, 2].map(|i| self.start_m[i] - tip_m[i]), &self.axis);
+    /// Velocity across the tool that brings a tip to where the scan sets off, m/s, and whether it is near enough to do so.
+    pub fn to_start(&self, tip_m: &[f64; 3]) -> ([f64; 3], bool) {
+        let start_m = [0, 1, 2].map(|i| self.start_m[i] - RUN_UP_M * self.direction[i]);
+        let left = across(&[0, 1, 2].map(|i| start_m[i] - tip_m[i]), &self.axis);
         let distance_m = along(&left, &left).sqrt();
         let speed = (ACROSS_PER_S * distance_m).min(COMING_M_S);
-        (left.map(|l| if distance_m > 0.0 { l / distance_m * speed } else { 0.0 }), distance_m)
+        let velocity = left.map(|l| if distance_m > 0.0 { l / distance_m * speed } else { 0.0 });
+        (velocity, distance_m < NEAR_M)
     }
 
     /// Speed along the line, `since_s` after the tip set off, m/s.
@@ -112,13 +118,12 @@ impl Line {
         self.speed_m_s.min(ACCELERATION_M_S2 * since_s)
     }
 
-    /// Velocity across the tool that keeps a tip on the line, `since_s` after it set off, m/s.
-    pub fn follow(&self, tip_m: &[f64; 3], since_s: f64) -> [f64; 3] {
-        let speed = self.pace_m_s(since_s);
+    /// Velocity across the tool that keeps a tip on the line that goes along it at `speed_m_s`, m/s.
+    pub fn follow(&self, tip_m: &[f64; 3], speed_m_s: f64) -> [f64; 3] {
         let beside = self.beside(tip_m);
         let off_m = along(&beside, &beside).sqrt();
         let back_per_s = if off_m > 0.0 { ACROSS_PER_S.min(CORRECTION_M_S / off_m) } else { 0.0 };
-        [0, 1, 2].map(|i| self.direction[i] * speed - back_per_s * beside[i])
+        [0, 1, 2].map(|i| self.direction[i] * speed_m_s - back_per_s * beside[i])
     }
 
     /// How far a tip is from where the line has it, `planned_m` after its begin, m.
@@ -186,9 +191,9 @@ mod tests {
         assert_eq!(line.columns, 500);
         assert!((line.length_m - 3e-3).abs() < 1e-12);
         assert!((line.along_m(&[1e-3, 2e-3, 0.1]) - 1.5e-3).abs() < 1e-12);
-        let (velocity, left_m) = line.to_start(&[1e-3, 2e-3, 0.05]);
-        assert!((left_m - 1.5e-3).abs() < 1e-12 && (velocity[0] + 2e-3).abs() < 1e-12 && velocity[2] == 0.0);
-        let follow = line.follow(&[0.0, 2.1e-3, 0.0], 1.0);
+        let (velocity, at_start) = line.to_start(&[1e-3, 2e-3, 0.05]);
+        assert!(!at_start && (velocity[0] + 2e-3).abs() < 1e-12 && velocity[2] == 0.0);
+        let follow = line.follow(&[0.0, 2.1e-3, 0.0], 0.5e-3);
         assert!((follow[0] - 0.5e-3).abs() < 1e-12 && (follow[1] + 1e-3).abs() < 1e-9, "{follow:?}");
     }
 
@@ -196,12 +201,25 @@ mod tests {
     fn a_tip_beside_the_line_is_brought_back_at_a_millimetre_per_second_at_most() {
         let line = Line::of(&request(), [0.0; 3], DOWN, 150e-6, 4096).expect("a line");
         for off_m in [1e-6, 1e-4, 1e-3, 0.5, 1e6] {
-            let [x, y, z] = line.follow(&[0.0, off_m, 0.0], 1.0);
+            let [x, y, z] = line.follow(&[0.0, off_m, 0.0], 0.5e-3);
             assert!((x - 0.5e-3).abs() < 1e-12 && z == 0.0);
             let wanted = (10.0 * off_m).min(1e-3);
             assert!((y + wanted).abs() < 1e-12, "{y} m/s at {off_m} m");
         }
-        assert_eq!(line.follow(&[0.0; 3], 1.0)[1], 0.0);
+        assert_eq!(line.follow(&[0.0; 3], 0.5e-3)[1], 0.0);
+    }
+
+    #[test]
+    fn a_scan_sets_off_before_its_first_column_and_no_further_before_it_than_the_run_up_and_as_much_again() {
+        let line = Line::of(&request(), [0.0; 3], DOWN, 150e-6, 4096).expect("a line");
+        let at = |gone_m: f64| [-1.5e-3 + gone_m, 0.0, 0.05];
+        for gone_m in [0.1e-6, 1e-3, -30.1e-6] {
+            assert!(!line.to_start(&at(gone_m)).1, "{gone_m} m along the line");
+        }
+        for gone_m in [-0.1e-6, -15e-6, -29.9e-6] {
+            assert!(line.to_start(&at(gone_m)).1, "{gone_m} m along the line");
+        }
+        assert!(!line.to_start(&[-1.515e-3, 15.1e-6, 0.0]).1, "beside it");
     }
 
     #[test]

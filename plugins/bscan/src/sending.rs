@@ -25,6 +25,11 @@ impl Sending {
         self.newest = self.newest.max(taken);
     }
 
+    /// Time of the newest A-scan in the image, 0 without any.
+    pub(crate) fn newest(&self) -> Stamp {
+        self.newest
+    }
+
     /// Is there an A-scan in the image at all?
     pub(crate) fn has_any(&self) -> bool {
         self.newest.is_valid()

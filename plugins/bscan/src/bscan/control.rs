@@ -18,9 +18,11 @@ const LATEST_S: f64 = 2.0;
 const LAG_M: f64 = 0.2e-3;
 /// Across the tool the tip goes to the begin only when it is this near to the offset, m.
 const CLOSE_M: f64 = 50e-6;
-/// The scan sets off this near to its begin and to the offset, m, after so long, s.
+/// The scan sets off this near to the offset, m, where it has been near to that and to its begin for so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
+/// A tip at the end of the line waits for A-scans at most so long, s.
+const LAST_ASCAN_S: f64 = 0.05;
 /// The robot's own guard lets the tip near at most at this times the distance that is left, 1/s: the most that it takes. `depth` brakes
 /// at a rate of its own, which counts from the surface's velocity.
 const GUARD_STIFFNESS_PER_S: f64 = 30.0;
@@ -113,17 +115,17 @@ impl BScan {
         let (now, tip_m) = (tick.now(), &self.pose.position);
         match self.progress.phase {
             Phase::SCAN => {
-                let since_s = now.seconds_since(self.since.phase);
-                self.planned_m += line.pace_m_s(since_s) * tick.period_s();
-                return line.follow(tip_m, since_s);
+                let arrived = self.since.end.is_valid();
+                let pace_m_s = if arrived { 0.0 } else { line.pace_m_s(now.seconds_since(self.since.phase)) };
+                self.planned_m += pace_m_s * tick.period_s();
+                return line.follow(tip_m, pace_m_s);
             }
             Phase::RETRACT => return [0.0; 3],
             _ => {}
         }
-        let (velocity, left_m) = line.to_start(tip_m);
+        let (velocity, at_start) = line.to_start(tip_m);
         let off_m = (advice.distance_m - line.offset_m).abs();
-        let near = left_m < NEAR_M && off_m < NEAR_M;
-        if !near {
+        if !at_start || off_m >= NEAR_M {
             self.since.near = Stamp::INVALID;
         } else if !self.since.near.is_valid() {
             self.since.near = now;
@@ -135,12 +137,10 @@ impl BScan {
         if off_m < CLOSE_M { velocity } else { [0.0; 3] }
     }
 
-    /// Has the last A-scan of the line been seen? Without A-scans: is the tip at its end?
+    /// Have all A-scans of the line been seen? They come in their order, so one that was taken at its end is behind all of them.
     pub(super) fn is_over(&self, now: Stamp) -> bool {
-        let Some(line) = &self.line else { return false };
-        let late_ns = (LONGEST_DELAY_S * 1e9) as u64;
-        let gone_m = self.gone.at(now.ns().saturating_sub(late_ns));
-        gone_m.is_some_and(|gone_m| gone_m >= line.length_m)
+        let end = self.since.end;
+        end.is_valid() && (self.sending.newest() >= end || now.seconds_since(end) > LAST_ASCAN_S)
     }
 
     /// Has the tip been given the time to go away, and to come to rest?

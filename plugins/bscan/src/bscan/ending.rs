@@ -39,7 +39,7 @@ impl BScan {
     pub(super) fn enter(&mut self, phase: Phase, now: Stamp) {
         self.progress.phase = phase;
         self.since.phase = now;
-        self.since.near = Stamp::INVALID;
+        (self.since.near, self.since.end) = (Stamp::INVALID, Stamp::INVALID);
     }
 
     /// Ends a scan before its end.

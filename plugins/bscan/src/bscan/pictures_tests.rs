@@ -6,7 +6,7 @@ use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
 use crate::rig::{Rig, SEEDS, Setup};
-use crate::{BScan, Phase, ScanColumn, ScanDone};
+use crate::{BScan, Phase, ScanColumn, ScanDone, ScanRequest};
 
 /// Where the phantom has layers below its surface, and where it has none, m of optical path.
 const LAYERS_M: [f64; 3] = [35e-6, 90e-6, 240e-6];
@@ -95,6 +95,64 @@ fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_non
         let setup = Setup { end_m: -1.2e-3, ..Setup::new("no_membrane", seed) };
         Seen::of(setup).judge(&format!("seed {seed}"));
     }
+}
+
+/// A scan that has set off, begun from within the line, of columns that are a tenth as wide as a tip is near that is near.
+fn fine_scan() -> Rig {
+    let place_m = [-1.45e-3, 0.0, 500e-6];
+    let mut rig = Rig::new(Setup { images: true, place_m, ..Setup::new("static_no_membrane", 2) });
+    rig.steps(60);
+    let request = ScanRequest { to: [FINE_END_M, 0.0, 0.0], pitch: 1.5e-6, ..Rig::request() };
+    rig.bench.command::<ScanRequest, ()>("scan/start", request).unwrap();
+    rig.until_scanning();
+    rig
+}
+
+/// Where it ends along x, m, and of how many columns it is.
+const FINE_END_M: f64 = -1.4e-3;
+const FINE: usize = 67;
+
+/// Goes on until the tip is so far before the end of a fine scan, m.
+fn until_left(rig: &mut Rig, left_m: f64) {
+    while rig.truth.last().unwrap().x_m < FINE_END_M - left_m {
+        rig.step();
+    }
+    assert_eq!(rig.progress().phase, Phase::SCAN);
+}
+
+#[test]
+fn a_tip_that_comes_from_within_the_line_leaves_no_column_out() {
+    let mut rig = fine_scan();
+    rig.until_idle();
+    let columns: Vec<u32> = rig.bench.outputs::<ScanColumn>("column").iter().map(|c| c.column).collect();
+    assert!(columns.iter().copied().eq(0..FINE as u32), "{columns:?}");
+}
+
+#[test]
+fn a_scan_waits_at_its_end_for_a_scans_that_are_late() {
+    let mut rig = fine_scan();
+    // What is taken in its last 5 ms comes 20 ms later.
+    until_left(&mut rig, 2.5e-6);
+    rig.setup.latency_ns = 20_000_000;
+    rig.until_idle();
+    let columns = rig.bench.outputs::<ScanColumn>("column");
+    assert!(columns.iter().map(|c| c.column as usize).eq(0..FINE), "{columns:?}");
+    // 3 ms of 4 kHz each, but for what the tip's speed makes of them.
+    assert!(columns[FINE - 2..].iter().all(|c| c.lines >= 10), "{:?}", &columns[FINE - 2..]);
+    let beyond_m = rig.truth.iter().map(|t| t.x_m - FINE_END_M).fold(0.0, f64::max);
+    assert!(beyond_m < 10e-6, "the tip waits at the end, not {beyond_m} m beyond it");
+}
+
+#[test]
+fn a_scan_whose_a_scans_stay_away_waits_at_its_end_no_longer_than_they_may_be_late() {
+    let mut rig = fine_scan();
+    until_left(&mut rig, 2.5e-6);
+    rig.bench.connect_input("ascan", false);
+    until_left(&mut rig, 0.0);
+    rig.steps(45);
+    assert_eq!(rig.progress().phase, Phase::SCAN);
+    rig.steps(10);
+    assert_eq!(rig.progress().phase, Phase::RETRACT);
 }
 
 #[test]

@@ -51,8 +51,12 @@ impl BScan {
         self.hop_s += DELAY_SHARE * (now.seconds_since(pose.stamp).max(0.0) - self.hop_s);
         self.since.robot = now;
         self.depth.tip_at(pose.stamp.ns(), pose.position, &pose.orientation);
-        if let Some(line) = &self.line {
-            self.gone.push(pose.stamp.ns(), line.along_m(&pose.position));
+        let Some(line) = &self.line else { return };
+        let gone_m = line.along_m(&pose.position);
+        self.gone.push(pose.stamp.ns(), gone_m);
+        let arrived = self.progress.phase == Phase::SCAN && gone_m >= line.length_m;
+        if arrived && !self.since.end.is_valid() {
+            self.since.end = pose.stamp;
         }
     }
 
