@@ -99,11 +99,12 @@ impl LocalLcm {
     /// Drops what removed components still hold of wires that were cut, where nobody looks at it any more; in how many
     /// somebody does.
     fn reclaim_leaving(&self) -> usize {
-        let mut leaving = std::mem::take(&mut self.held().leaving);
-        leaving.retain(|instance| instance.reclaim() > 0);
-        let in_use = leaving.len();
-        self.held().leaving.append(&mut leaving);
-        in_use
+        let leaving = self.held().leaving.clone();
+        let left: Vec<_> = leaving.into_iter().filter(|instance| instance.reclaim() == 0).collect();
+        let mut held = self.held();
+        // They stay in the list while they are looked at: whoever looks beside this one finds them as well.
+        held.leaving.retain(|instance| !left.iter().any(|l| Arc::ptr_eq(l, instance)));
+        held.leaving.len()
     }
 
     /// Waits for the cycles that may still look at what was cut. Nobody comes by later: two components that were connected to

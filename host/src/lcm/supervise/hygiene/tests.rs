@@ -4,15 +4,16 @@
 
 use std::env;
 use std::process::Command;
-use std::sync::Arc;
 use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Ports, Safety, State};
 use trocar_rt::os;
 
 use super::super::Ward;
-use super::{Found, blocked, look_at_directory, mask};
+use super::{Found, blocked, look_at_directory, mask, threads};
 use crate::lcm::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm};
 
@@ -70,6 +71,38 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         }
     }
     lcm.shutdown(PATIENCE).await;
+}
+
+/// Else a thread that was there before an entry counts as made by it, and who "made" it is kept for ever when it is removed.
+#[test]
+fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
+    for round in 0..400 {
+        let (go, wait) = channel::<()>();
+        let wait = Mutex::new(wait);
+        thread::scope(|scope| {
+            // It comes after those that end: they are what the reader has passed when it comes to it.
+            let ends: Vec<_> = (0..64)
+                .map(|_| {
+                    let (end, ended) = channel::<()>();
+                    scope.spawn(move || ended.recv());
+                    end
+                })
+                .collect();
+            let (tell, told) = channel();
+            let wait = &wait;
+            scope.spawn(move || {
+                let own = std::fs::read_link("/proc/thread-self").unwrap();
+                tell.send(own.file_name().unwrap().to_str().unwrap().parse::<i32>().unwrap()).unwrap();
+                wait.lock().unwrap().recv()
+            });
+            let tid = told.recv().unwrap();
+            scope.spawn(move || drop(ends));
+            for look in 0..40 {
+                assert!(threads().contains(&tid), "round {round}, look {look}: it is missing");
+            }
+            drop(go);
+        });
+    }
 }
 
 /// Says that this is the process made for it: the directory is everybody's.
