@@ -40,7 +40,10 @@ const MORE: f64 = 1.1;
 /// taken is taken back. Two to four µs here, of a period of 16 667.
 const COLD_US: f64 = 5.0;
 /// Frames of which a 99th percentile says nothing.
-const FEW: u64 = 400;
+const FEW: usize = 400;
+/// How long one stretch of frames takes, ms, and how long it is waited after the camera has begun anew.
+const STRETCH: u64 = 1_000;
+const SETTLED: u64 = 300;
 /// What memory in use may grow by, KiB.
 const MOST_KIB: u64 = 1024;
 
@@ -49,43 +52,59 @@ fn connection(rig: &Rig, client: &str) -> Result<Connection, String> {
     all.into_iter().find(|c| c.client == client).ok_or_else(|| format!("{client} is not connected"))
 }
 
-/// What a stretch of frames cost their producer, by its own clock.
-#[derive(Clone, Copy)]
-struct Stretch {
-    frames: u64,
-    p50_us: f64,
-    /// The 99th percentile; of so few frames that it would be their largest, the 90th.
-    high_us: f64,
-    slowest: Timed,
+/// What stretches of one kind cost the producer, by its own clock.
+#[derive(Default)]
+struct Stretches {
+    /// Of each frame, ns, stretch by stretch.
+    costs: Vec<Vec<u64>>,
+    /// The slowest frame of each stretch.
+    slowest: Vec<Timed>,
     exhausted: u64,
 }
 
-/// A percentile by its name.
-type Figure = (&'static str, fn(&Stretch) -> f64);
+impl Stretches {
+    /// One more stretch, `during` which frames are made.
+    fn add(&mut self, rig: &Rig, during: impl FnOnce() -> Result<(), String>) -> Result<(), String> {
+        let costs = || rig.rpc.invoke("a/camera/ctl/costs", &Value::Null, Duration::from_secs(2));
+        let exhausted = || Ok::<_, String>(number(&rig.rpc.row("a/camera")?["exhausted"]));
+        let (witness, before) = (Witness::start(), exhausted()?);
+        // Forgets what was before.
+        costs()?;
+        during()?;
+        let ns: Vec<u64> = costs()?.as_array().into_iter().flatten().map(number).collect();
+        let slowest_ns = ns.iter().copied().max().ok_or("no frame was made")?;
+        self.slowest.push(Timed { ms: slowest_ns as f64 / 1e6, late_ms: witness.late_ms() });
+        self.costs.push(ns);
+        self.exhausted += exhausted()? - before;
+        Ok(())
+    }
 
-fn stretch(rig: &Rig, during: impl FnOnce() -> Result<(), String>) -> Result<Stretch, String> {
-    let costs = || rig.rpc.invoke("a/camera/ctl/costs", &Value::Null, Duration::from_secs(2));
-    let exhausted = || Ok::<_, String>(number(&rig.rpc.row("a/camera")?["exhausted"]));
-    let (witness, before) = (Witness::start(), exhausted()?);
-    // Forgets what was before.
-    costs()?;
-    during()?;
-    let seen = costs()?;
-    let ns = |key: &str| number(&seen[key]) as f64;
-    let frames = number(&seen["count"]);
-    Ok(Stretch {
-        frames,
-        p50_us: ns("p50") / 1e3,
-        high_us: ns(if frames < FEW { "p90" } else { "p99" }) / 1e3,
-        slowest: Timed { ms: ns("max") / 1e6, late_ms: witness.late_ms() },
-        exhausted: exhausted()? - before,
-    })
+    fn frames(&self) -> usize {
+        self.costs.iter().map(Vec::len).sum()
+    }
+
+    /// What so many of a hundred frames of these stretches cost at most, µs.
+    fn percentile_us<'a>(stretches: impl Iterator<Item = &'a Vec<u64>>, hundredths: usize) -> f64 {
+        let mut all: Vec<u64> = stretches.flatten().copied().collect();
+        all.sort_unstable();
+        all.get(all.len() * hundredths / 100).map_or(0.0, |ns| *ns as f64 / 1e3)
+    }
+
+    fn us(&self, hundredths: usize) -> f64 {
+        Self::percentile_us(self.costs.iter(), hundredths)
+    }
+
+    /// By how much this figure differs between every other stretch and those in between: what the machine alone makes of it, µs.
+    fn differs_by_us(&self, hundredths: usize) -> f64 {
+        let half = |skip| Self::percentile_us(self.costs.iter().skip(skip).step_by(2), hundredths);
+        (half(0) - half(1)).abs()
+    }
 }
 
 fn takers(run: &Run, book: &mut Book) -> Result<(), String> {
     let sizes = if run.full { &SIZES[..] } else { &SIZES[1..] };
     for &bytes in sizes {
-        let seconds = run.times(1, 20);
+        let rounds = run.times(4, 20);
         let name = format!("{:.2} Gbit/s", bytes as f64 * 8.0 * FRAMES_HZ / 1e9);
         let process = json!({
             "plugins": ["plugins"], "restart": { "max": 1000, "backoff_ms": 50, "most_backoff_ms": 50, "unheard_s": "never" },
@@ -110,7 +129,7 @@ fn takers(run: &Run, book: &mut Book) -> Result<(), String> {
         let mut rig = Rig::of(World::new(&["fixture_torture"])?, &system)?;
         let desired = Desired::now(&rig.rpc)?;
         pause_ms(500);
-        one_size(&rig, book, &name, seconds)?;
+        one_size(&rig, book, &name, rounds)?;
         book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
         rig.up.terminate()?;
         nothing_is_left(book, &rig.world);
@@ -118,91 +137,84 @@ fn takers(run: &Run, book: &mut Book) -> Result<(), String> {
     Ok(())
 }
 
-fn one_size(rig: &Rig, book: &mut Book, name: &str, seconds: u64) -> Result<(), String> {
+/// Harms take turns with stretches without any, so that what the machine does meanwhile falls on all of them.
+fn one_size(rig: &Rig, book: &mut Book, name: &str, rounds: u64) -> Result<(), String> {
     let a = rig.process("a")?.pid;
-    let quiet = || {
-        stretch(rig, || {
-            pause_ms(seconds * 1000);
-            Ok(())
-        })
-    };
-    let mut control = vec![quiet()?, quiet()?];
     let (rss, gaps, witness) = (procfs::rss_kib(a), rig.book("a/near", "gaps")?, Witness::start());
-    // Slow: six periods with each frame in hand.
-    let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
-    rig.rpc.configure("b/screen", json!({ "slow_step_ms": 100 }))?;
-    let slow = stretch(rig, || {
-        pause_ms(seconds * 1000);
-        Ok(())
-    })?;
-    rig.rpc.configure("b/screen", json!({ "slow_step_ms": 0 }))?;
-    exact(rig, book, &format!("{name}, a slow taker"), before)?;
-    control.push(quiet()?);
-    // Stopped.
-    let b = rig.process("b")?.pid;
-    let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
-    let stopped = stretch(rig, || {
-        signal_to(b, Signal::STOP)?;
-        pause_ms(seconds * 1000);
-        signal_to(b, Signal::CONT)
-    })?;
-    flows(rig)?;
-    exact(rig, book, &format!("{name}, a stopped taker"), before)?;
-    control.push(quiet()?);
-    // Dead, and there again. Its taker begins anew and cannot miss what its former self would have: the connection must.
-    let before = at_rest(rig)?;
-    let dead = stretch(rig, || {
-        signal_to(b, Signal::KILL)?;
-        pause_ms(seconds * 1000);
-        rig.await_back("b", b, PATIENCE).map(drop)
-    })?;
-    flows(rig)?;
-    let after = at_rest(rig)?;
-    for (how, seen) in [("a slow taker", &slow), ("a stopped taker", &stopped), ("a dead taker", &dead)] {
-        costs_no_more(book, &format!("{name}, {how}"), seen, &control);
+    let [mut quiet, mut slow, mut stopped, mut dead] = [(); 4].map(|()| Stretches::default());
+    for _ in 0..rounds {
+        pause_ms(SETTLED);
+        quiet.add(rig, || Ok(pause_ms(STRETCH)))?;
+        // Slow: six periods with each frame in hand.
+        let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
+        rig.rpc.configure("b/screen", json!({ "slow_step_ms": 100 }))?;
+        slow.add(rig, || Ok(pause_ms(STRETCH)))?;
+        rig.rpc.configure("b/screen", json!({ "slow_step_ms": 0 }))?;
+        exact(rig, book, &format!("{name}, a slow taker"), before)?;
+        let b = rig.process("b")?.pid;
+        let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
+        stopped.add(rig, || {
+            signal_to(b, Signal::STOP)?;
+            pause_ms(STRETCH);
+            signal_to(b, Signal::CONT)
+        })?;
+        flows(rig)?;
+        exact(rig, book, &format!("{name}, a stopped taker"), before)?;
+        // Dead, and there again. Its taker begins anew and cannot miss what its former self would have: the connection must.
+        let before = at_rest(rig)?;
+        dead.add(rig, || {
+            signal_to(b, Signal::KILL)?;
+            pause_ms(STRETCH);
+            rig.await_back("b", b, PATIENCE).map(drop)
+        })?;
+        flows(rig)?;
+        all_accounted(book, name, before, at_rest(rig)?);
     }
-    // What was passed to the dead one went with it.
+    for (how, seen) in [("a slow taker", &slow), ("a stopped taker", &stopped), ("a dead taker", &dead)] {
+        costs_no_more(book, &format!("{name}, {how}"), seen, &quiet);
+    }
+    let grown = procfs::rss_kib(a).saturating_sub(rss);
+    let harms = 3 * rounds as usize;
+    book.at_most(&format!("{name}: KiB more in use at the producer"), harms, grown, MOST_KIB);
+    let books = rig.books("a/near")?;
+    let missed = (number(&books["gaps"]) - gaps) as f64;
+    // What the machine was late itself, each time something was done, in frames.
+    let late = (3.0 * witness.late_ms() / 1000.0 * FRAMES_HZ).floor();
+    book.beside(&format!("{name}: frames a taker beside it missed (G4)"), harms, missed, late, 0.0, "frames");
+    for taker in ["a/near", "b/screen"] {
+        let books = rig.books(taker)?;
+        let wrong = ["torn", "disorder", "old", "seq_wrong"].iter().map(|key| number(&books[*key])).sum();
+        let what = format!("{name}, {taker}: frames torn, twice, old, with a wrong number");
+        book.at_most(&what, harms, wrong, 0);
+    }
+    Ok(())
+}
+
+/// What was passed to the dead one went with it; it had taken one perhaps, and as many waited as may.
+fn all_accounted(book: &mut Book, name: &str, before: (u64, u64, u64), after: (u64, u64, u64)) {
     let passed = if after.1 < before.1 { after.1 } else { after.1 - before.1 };
     let (sent, dropped) = (after.0 - before.0, after.2.saturating_sub(before.2));
-    // It had taken one perhaps, and as many waited as may.
     let all = match sent.checked_sub(passed + dropped) {
         Some(0..=3) => Ok(()),
         _ => Err(format!("{sent} sent, {passed} passed, {dropped} dropped: {before:?}, {after:?}")),
     };
     let what = format!("{name}, a dead taker: each frame was passed or dropped, but for those it took along");
     book.check(&what, sent as usize, all);
-    let grown = procfs::rss_kib(a).saturating_sub(rss);
-    book.at_most(&format!("{name}: KiB more in use at the producer"), 3, grown, MOST_KIB);
-    let books = rig.books("a/near")?;
-    let missed = (number(&books["gaps"]) - gaps) as f64;
-    // What the machine was late itself, each time something was done, in frames.
-    let late = (3.0 * witness.late_ms() / 1000.0 * FRAMES_HZ).floor();
-    book.beside(&format!("{name}: frames a taker beside it missed (G4)"), 3, missed, late, 0.0, "frames");
-    for taker in ["a/near", "b/screen"] {
-        let books = rig.books(taker)?;
-        let wrong = ["torn", "disorder", "old", "seq_wrong"].iter().map(|key| number(&books[*key])).sum();
-        book.at_most(&format!("{name}, {taker}: frames torn, twice, old, with a wrong number"), 3, wrong, 0);
-    }
-    Ok(())
 }
 
 /// A frame costs its producer what it costs in the stretches without harm, which differ among themselves.
-fn costs_no_more(book: &mut Book, name: &str, seen: &Stretch, control: &[Stretch]) {
-    let tried = seen.frames as usize;
-    let high = if seen.frames < FEW { "p90" } else { "p99" };
-    let figures: [Figure; 2] = [("p50", |s| s.p50_us), (high, |s| s.high_us)];
-    for (which, of) in figures {
-        let mut all: Vec<f64> = control.iter().map(of).collect();
-        all.sort_by(f64::total_cmp);
-        let (typical, spread) = (all[all.len() / 2], all[all.len() - 1] - all[0]);
+fn costs_no_more(book: &mut Book, name: &str, seen: &Stretches, control: &Stretches) {
+    // Of few frames the 99th percentile would be nearly their largest.
+    let high = if seen.frames() < FEW { 90 } else { 99 };
+    for which in [50, high] {
         let what = format!(
-            "{name}: {which} of what a frame costs its producer, beside 1.1 × control and {COLD_US} µs"
+            "{name}: p{which} of what a frame costs its producer, beside 1.1 × control and {COLD_US} µs"
         );
-        let allowed = (spread * 10.0).ceil() / 10.0 + COLD_US;
-        book.beside(&what, tried, of(seen), MORE * typical, allowed, "µs");
+        let allowed = (control.differs_by_us(which) * 10.0).ceil() / 10.0 + COLD_US;
+        book.beside(&what, seen.frames(), seen.us(which), MORE * control.us(which), allowed, "µs");
     }
-    book.times(&format!("{name}: slowest frame"), &[seen.slowest], 5.0);
-    book.at_most(&format!("{name}: frames there was no memory for"), tried, seen.exhausted, 0);
+    book.times(&format!("{name}: slowest frame"), &seen.slowest, 5.0);
+    book.at_most(&format!("{name}: frames there was no memory for"), seen.frames(), seen.exhausted, 0);
 }
 
 /// Frames sent, passed to `b` and dropped, when nothing is under way; then the camera goes on.
