@@ -2,19 +2,38 @@
 //!
 //! Invariant: a wrong name or type fails the test with what there is, never with garbage bytes.
 
+use std::sync::{Mutex, OnceLock, PoisonError};
+
 use super::manifest;
 use crate::component::Class;
 use trocar_plugin_api::contracts::{leaves_of, size_of_type};
 use trocar_plugin_api::desc::TypeDesc;
 use trocar_plugin_api::manifest::{self as m, Description, PortType, Type};
 
-pub(crate) struct Shape(Description);
+pub(crate) struct Shape {
+    description: Description,
+    /// Of each kind, as `Of` numbers them: made of it once, since a test asks for them at every call.
+    members: [OnceLock<Vec<Member>>; 4],
+    /// Types that were compared and found to be the same.
+    same: Mutex<Vec<Compared>>,
+}
+
+/// What was compared: the port's kind and name, and the test's type, by its address.
+#[derive(PartialEq)]
+struct Compared {
+    what: String,
+    name: String,
+    asked: usize,
+}
 
 /// A member of an interface: its position over all interfaces, and its types.
 #[derive(Clone)]
 pub(crate) struct Member {
     pub(crate) id: usize,
+    /// `interface/member`.
     pub(crate) path: String,
+    /// Where the member's own name begins in it.
+    short_at: usize,
     pub(crate) arg: Option<Type>,
     pub(crate) ret: Option<Type>,
     pub(crate) is_read: bool,
@@ -45,7 +64,11 @@ impl Of {
 
 impl Shape {
     pub(crate) fn of<C: Class>() -> Shape {
-        Shape(manifest::description(C::DESC))
+        Shape::new(manifest::description(C::DESC))
+    }
+
+    fn new(description: Description) -> Shape {
+        Shape { description, members: Default::default(), same: Mutex::default() }
     }
 
     /// From the JSON that `describe` wrote.
@@ -53,30 +76,35 @@ impl Shape {
     /// # Errors
     /// It is no description.
     pub(crate) fn read(json: &[u8]) -> Result<Shape, String> {
-        let read = serde_json::from_slice(json).map(Shape);
+        let read = serde_json::from_slice(json).map(Shape::new);
         read.map_err(|e| format!("what `describe` wrote is no description: {e}"))
     }
 
     pub(crate) fn description(&self) -> &Description {
-        &self.0
+        &self.description
     }
 
     pub(crate) fn class(&self) -> &m::Class {
-        &self.0.class
+        &self.description.class
     }
 
     pub(crate) fn types(&self) -> &[m::NamedType] {
-        &self.0.types
+        &self.description.types
     }
 
-    pub(crate) fn members(&self, of: Of) -> Vec<Member> {
+    pub(crate) fn members(&self, of: Of) -> &[Member] {
+        self.members[of as usize].get_or_init(|| self.members_of(of))
+    }
+
+    fn members_of(&self, of: Of) -> Vec<Member> {
         let mut out = Vec::new();
         let mut add = |interface: &str, name: &str, arg: &Option<Type>, ret: &Option<Type>, is_read| {
             let path = format!("{interface}/{name}");
             let (arg, ret) = (arg.clone(), ret.clone());
-            out.push(Member { id: out.len(), path, arg, ret, is_read, any: false, limited: None });
+            let short_at = interface.len() + 1;
+            out.push(Member { id: out.len(), path, short_at, arg, ret, is_read, any: false, limited: None });
         };
-        let class = &self.0.class;
+        let class = &self.description.class;
         match of {
             Of::Commands => class.provided.iter().for_each(|p| {
                 p.commands.iter().for_each(|c| {
@@ -112,30 +140,28 @@ impl Shape {
     #[track_caller]
     pub(crate) fn member(&self, of: Of, name: &str) -> Member {
         let (what, members) = (of.word(), self.members(of));
-        let there: Vec<String> = members.iter().map(|m| m.path.clone()).collect();
-        let fits =
-            |m: &Member| m.path == name || m.path.split_once('/').is_some_and(|(_, short)| short == name);
-        let mut found: Vec<Member> = members.into_iter().filter(fits).collect();
-        match found.pop() {
-            Some(member) if found.is_empty() => member,
-            Some(_) => {
+        let there = || -> Vec<String> { members.iter().map(|m| m.path.clone()).collect() };
+        let mut found = members.iter().filter(|m| m.path == name || m.path[m.short_at..] == *name);
+        match (found.next(), found.next()) {
+            (Some(member), None) => member.clone(),
+            (Some(_), Some(_)) => {
                 panic!(
                     "several {what}s are called `{name}`, say interface/name; there are {}",
-                    there.join(", ")
+                    there().join(", ")
                 )
             }
-            None => panic!("{}", unknown(what, name, &there)),
+            (None, _) => panic!("{}", unknown(what, name, &there())),
         }
     }
 
     #[track_caller]
     pub(crate) fn input(&self, name: &str) -> usize {
-        place("input", name, self.0.class.inputs.iter().map(|i| i.name.as_str()))
+        place("input", name, self.description.class.inputs.iter().map(|i| i.name.as_str()))
     }
 
     #[track_caller]
     pub(crate) fn output(&self, name: &str) -> usize {
-        place("output", name, self.0.class.outputs.iter().map(|o| o.name.as_str()))
+        place("output", name, self.description.class.outputs.iter().map(|o| o.name.as_str()))
     }
 
     /// Fails the test unless the test's type is the class's.
@@ -147,9 +173,15 @@ impl Shape {
         have: Option<&Type>,
         asked: Option<&'static TypeDesc>,
     ) {
+        let address = asked.map_or(0, |desc| std::ptr::from_ref(desc).addr());
+        let mut same = self.same.lock().unwrap_or_else(PoisonError::into_inner);
+        if same.iter().any(|s| s.asked == address && s.name == name && s.what == what) {
+            return;
+        }
         let had = have.map(|ty| leaves_of(self.types(), ty, "").unwrap_or_else(|why| vec![why]));
         let used = asked.map(manifest::leaves);
         if had == used {
+            same.push(Compared { what: what.to_owned(), name: name.to_owned(), asked: address });
             return;
         }
         let text = |ty: Option<&Type>| ty.map_or("()".to_string(), type_text);

@@ -73,11 +73,11 @@ impl<C: Class> Bench<C> {
             (key(&o.name, &o.ty), OutCell::new(size, max_bytes(&o.ty), matches!(o.ty, PortType::Any(_))))
         });
         let sizes = |m: &Member| (self.shape.size(m.arg.as_ref()), self.shape.size(m.ret.as_ref()));
-        let functions = self.shape.members(Of::Functions).into_iter().map(|m| {
-            let (arg, ret) = sizes(&m);
+        let functions = self.shape.members(Of::Functions).iter().map(|m| {
+            let (arg, ret) = sizes(m);
             (key(&m.path, &(&m.arg, &m.ret)), FnCell::new(arg, ret, m.any))
         });
-        let events = self.shape.members(Of::Events).into_iter().map(|m| {
+        let events = self.shape.members(Of::Events).iter().map(|m| {
             let size = self.shape.size(m.arg.as_ref());
             (key(&m.path, &m.arg), EventCell::new(size))
         });
