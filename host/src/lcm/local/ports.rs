@@ -24,8 +24,6 @@ const LOOK_NS: u64 = 1_000_000_000;
 const SOON_NS: u64 = 10_000_000;
 /// How long a job waits for whoever is inside a component that runs in others' threads, ns.
 const PATIENCE_NS: u64 = 1_000_000_000;
-/// How long a process that shuts down waits for cycles that may look at what was cut.
-const CYCLES: Duration = Duration::from_millis(200);
 
 /// The thread that follows changing ports.
 pub(in crate::lcm) struct Follower {
@@ -107,10 +105,9 @@ impl LocalLcm {
         held.leaving.len()
     }
 
-    /// Waits for the cycles that may still look at what was cut. Nobody comes by later: two components that were connected to
+    /// Waits until then for the cycles that may still look at what was cut. Nobody comes by later: two components that were connected to
     /// each other would keep each other for ever.
-    pub(super) async fn drop_left(&self, deadline: Instant) {
-        let until = deadline.min(Instant::now() + CYCLES);
+    pub(super) async fn drop_left(&self, until: Instant) {
         loop {
             match self.reclaim_leaving() {
                 0 => return,
