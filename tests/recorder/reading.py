@@ -171,6 +171,19 @@ def test_tables_of_more_topics_than_files_may_be_open_are_written_all():
             assert told == [n * 10, n * 10 + 1, n * 10 + 2], told
 
 
+def test_an_export_that_finds_no_room_says_what_there_is_of_it():
+    with World(["sine"]) as world:
+        world.source()
+        world.json("record", "host/sine/value", "-o", "a.mcap", "--seconds", "1")
+        for kind, output in (("--csv", "a"), ("--npz", "a.npz")):
+            # Python ignores the signal that comes with it, and so does who inherits that.
+            done = subprocess.run(["prlimit", "--fsize=8192", BIN / "trocar", "export", "a.mcap", kind], cwd=world.dir, env=world.env,
+                                  capture_output=True, text=True, restore_signals=False)
+            assert done.returncode == REFUSED and (world.dir / output).exists(), (kind, done.returncode, done.stderr)
+            for says in ("cannot be written: File too large", f"; {output} has what was written before that", f"remove {output} before"):
+                assert says in " ".join(done.stderr.split()), (kind, says, done.stderr)
+
+
 def test_what_has_names_goes_to_tables_by_name_and_to_numpy_by_number():
     import numpy as np
     with World(["eyerobot"]) as world:

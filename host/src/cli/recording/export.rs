@@ -92,12 +92,12 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     };
     let whole = read::read(&args.file, &mut exporting);
     bar.finish_and_clear();
-    let whole = whole?;
+    let whole = whole.map_err(|failure| incomplete(failure, &output))?;
     if exporting.view.messages == 0 {
         return Err(exporting.nothing(&args.file, args.png, &whole));
     }
     let Exporting { sink, mut view, .. } = exporting;
-    view.files = sink.finish(&output, &mut view)?;
+    view.files = sink.finish(&output, &mut view).map_err(|failure| incomplete(failure, &output))?;
     view.wrong = whole.wrong;
     if session.json() {
         session.print_json(&view)?;
@@ -127,6 +127,16 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     }
     let partial = view.unreadable + view.unplaced > 0 || !view.wrong.is_empty();
     Ok(if partial { Exit::Partial } else { Exit::Ok })
+}
+
+/// The failure, and what there is of the export all the same. It stays: somebody may have come to that place meanwhile.
+fn incomplete(failure: Failure, output: &Path) -> Failure {
+    if !output.exists() {
+        return failure;
+    }
+    let message = format!("{}; {} has what was written before that", failure.message, output.display());
+    let help = format!("{}; remove {} before you export to it again", failure.help, output.display());
+    Failure { message, help, ..failure }
 }
 
 struct Exporting {

@@ -2,15 +2,56 @@
 //!
 //! Invariant: an array's header says exactly the bytes that follow it.
 
+use std::cell::RefCell;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::rc::Rc;
 
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 /// Writes one file of arrays.
 pub(super) struct Npz {
-    zip: ZipWriter<File>,
+    zip: ZipWriter<Target>,
+    failed: Rc<RefCell<Option<io::Error>>>,
+}
+
+/// The file, until it takes no more: what comes then goes nowhere. The zip's writer ends its file whenever it is dropped, and would
+/// print that it cannot.
+struct Target {
+    file: File,
+    failed: Rc<RefCell<Option<io::Error>>>,
+}
+
+impl Target {
+    /// What is done with the file, unless it has failed before.
+    fn done<T>(&mut self, instead: T, what: impl FnOnce(&mut File) -> io::Result<T>) -> T {
+        let mut failed = self.failed.borrow_mut();
+        if failed.is_some() {
+            return instead;
+        }
+        what(&mut self.file).unwrap_or_else(|e| {
+            *failed = Some(e);
+            instead
+        })
+    }
+}
+
+impl Write for Target {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        Ok(self.done(bytes.len(), |file| file.write(bytes)))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.done((), File::flush);
+        Ok(())
+    }
+}
+
+impl Seek for Target {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        Ok(self.done(0, |file| file.seek(to)))
+    }
 }
 
 /// What an array's items are.
@@ -52,7 +93,14 @@ impl Item {
 
 impl Npz {
     pub(super) fn new(file: File) -> Npz {
-        Npz { zip: ZipWriter::new(file) }
+        let failed = Rc::default();
+        Npz { zip: ZipWriter::new(Target { file, failed: Rc::clone(&failed) }), failed }
+    }
+
+    /// What went wrong so far.
+    fn check(failed: &RefCell<Option<io::Error>>) -> io::Result<()> {
+        let said = |e: &io::Error| Err(io::Error::new(e.kind(), e.to_string()));
+        failed.borrow().as_ref().map_or(Ok(()), said)
     }
 
     /// Adds an array of this shape.
@@ -64,13 +112,16 @@ impl Npz {
             SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
         self.zip.start_file(format!("{name}.npy"), options).map_err(io::Error::other)?;
         self.zip.write_all(&header(item, shape))?;
-        self.zip.write_all(bytes)
+        self.zip.write_all(bytes)?;
+        Self::check(&self.failed)
     }
 
     /// # Errors
     /// What the file system says.
     pub(super) fn finish(self) -> io::Result<()> {
-        self.zip.finish().map_err(io::Error::other)?.sync_all()
+        let Target { file, .. } = self.zip.finish().map_err(io::Error::other)?;
+        Self::check(&self.failed)?;
+        file.sync_all()
     }
 }
 
