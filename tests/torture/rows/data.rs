@@ -142,13 +142,17 @@ fn one_size(rig: &Rig, book: &mut Book, name: &str, rounds: u64) -> Result<(), S
     let a = rig.process("a")?.pid;
     let (rss, gaps, witness) = (procfs::rss_kib(a), rig.book("a/near", "gaps")?, Witness::start());
     let [mut quiet, mut slow, mut stopped, mut dead] = [(); 4].map(|()| Stretches::default());
+    let goes_on = || {
+        pause_ms(STRETCH);
+        Ok(())
+    };
     for _ in 0..rounds {
         pause_ms(SETTLED);
-        quiet.add(rig, || Ok(pause_ms(STRETCH)))?;
+        quiet.add(rig, goes_on)?;
         // Slow: six periods with each frame in hand.
         let before = (connection(rig, "b/screen/frame")?.dropped, rig.book("b/screen", "gaps")?);
         rig.rpc.configure("b/screen", json!({ "slow_step_ms": 100 }))?;
-        slow.add(rig, || Ok(pause_ms(STRETCH)))?;
+        slow.add(rig, goes_on)?;
         rig.rpc.configure("b/screen", json!({ "slow_step_ms": 0 }))?;
         exact(rig, book, &format!("{name}, a slow taker"), before)?;
         let b = rig.process("b")?.pid;
