@@ -28,10 +28,13 @@ const ACROSS_PER_S: f64 = 10.0;
 const CORRECTION_M_S: f64 = 1e-3;
 /// Highest speed on the way to the begin, m/s.
 const COMING_M_S: f64 = 2e-3;
-/// A scan sets off this near to where it is to, m.
-const NEAR_M: f64 = 15e-6;
-/// A scan is to set off so far before its begin, m: a tip that is merely near to there has not passed the first column.
-const RUN_UP_M: f64 = NEAR_M;
+/// A tip so near to the place where the scan sets off is there, m.
+const AT_START_M: f64 = 15e-6;
+/// That place is so far before the line's begin, m: a tip that counts as there has not passed the first column.
+const RUN_UP_M: f64 = AT_START_M;
+/// A scan takes at most so many times its way over its speed, and so much more, s.
+const SLOWEST: f64 = 1.5;
+const LATEST_S: f64 = 2.0;
 
 /// A line across the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,12 +113,17 @@ impl Line {
         let distance_m = along(&left, &left).sqrt();
         let speed = (ACROSS_PER_S * distance_m).min(COMING_M_S);
         let velocity = left.map(|l| if distance_m > 0.0 { l / distance_m * speed } else { 0.0 });
-        (velocity, distance_m < NEAR_M)
+        (velocity, distance_m < AT_START_M)
     }
 
     /// Speed along the line, `since_s` after the tip set off, m/s.
     pub fn pace_m_s(&self, since_s: f64) -> f64 {
         self.speed_m_s.min(ACCELERATION_M_S2 * since_s)
+    }
+
+    /// How long after it set off a tip is at the end at the latest, s.
+    pub fn latest_s(&self) -> f64 {
+        SLOWEST * (AT_START_M + RUN_UP_M + self.length_m) / self.speed_m_s + LATEST_S
     }
 
     /// Velocity across the tool that keeps a tip on the line that goes along it at `speed_m_s`, m/s.
@@ -220,6 +228,9 @@ mod tests {
             assert!(line.to_start(&at(gone_m)).1, "{gone_m} m along the line");
         }
         assert!(!line.to_start(&[-1.515e-3, 15.1e-6, 0.0]).1, "beside it");
+        // The shortest and slowest line there is has the time for that, too.
+        let line = Line { length_m: SHORTEST_M, speed_m_s: 1e-6, ..line };
+        assert!(line.latest_s() > (30e-6 + SHORTEST_M) / 1e-6);
     }
 
     #[test]

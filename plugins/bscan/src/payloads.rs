@@ -33,7 +33,7 @@ named_values! {
     pub struct Phase: u32 {
         /// Nothing: the robot is not commanded.
         IDLE = 0,
-        /// Goes to the begin of the line and to the offset.
+        /// Goes to just before the begin of the line and to the offset.
         APPROACH = 1,
         /// Goes along the line.
         SCAN = 2,

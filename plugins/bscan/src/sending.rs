@@ -20,12 +20,12 @@ pub(crate) struct Sending {
 }
 
 impl Sending {
-    /// An A-scan of this time is in the image.
+    /// An A-scan of this time was taken along the line or beyond its end.
     pub(crate) fn saw(&mut self, taken: Stamp) {
         self.newest = self.newest.max(taken);
     }
 
-    /// Time of the newest A-scan in the image, 0 without any.
+    /// Time of the newest A-scan of the scan, also beyond the image's last column; 0 without any.
     pub(crate) fn newest(&self) -> Stamp {
         self.newest
     }

@@ -12,7 +12,7 @@ use crate::payloads::{Phase, Progress, ScanRequest};
 /// The scan.
 #[provides("scan")]
 impl BScan {
-    /// Begins a scan: goes to the offset and to the begin of the line, and then along it.
+    /// Begins a scan: goes to the offset and to just before the begin of the line, and then along it.
     #[command(name = "start")]
     fn begin(&mut self, request: &ScanRequest) -> Result<(), String> {
         if self.progress.phase != Phase::IDLE {

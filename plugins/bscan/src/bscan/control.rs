@@ -11,18 +11,16 @@ use crate::depth::Advice;
 use crate::line::Line;
 use crate::payloads::Phase;
 
-/// A scan ends when the line takes longer than so many times its length over its speed, and so much more, s.
-const SLOWEST: f64 = 1.5;
-const LATEST_S: f64 = 2.0;
 /// A robot that is further from where the line has it ends the scan, m.
 const LAG_M: f64 = 0.2e-3;
 /// Across the tool the tip goes to the begin only when it is this near to the offset, m.
 const CLOSE_M: f64 = 50e-6;
-/// The scan sets off this near to the offset, m, where it has been near to that and to its begin for so long, s.
+/// A tip this near to the offset, m, and near to where the scan sets off, does so after so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
-/// A tip at the end of the line waits for A-scans at most so long, s.
-const LAST_ASCAN_S: f64 = 0.05;
+/// A tip at the end of the line waits for A-scans at most so long, s. Where distances end with them the tip stands 15 ms later, so one
+/// that came to the end all the same is done before the surface counts as lost.
+const LAST_ASCAN_S: f64 = 0.03;
 /// The robot's own guard lets the tip near at most at this times the distance that is left, 1/s: the most that it takes. `depth` brakes
 /// at a rate of its own, which counts from the surface's velocity.
 const GUARD_STIFFNESS_PER_S: f64 = 30.0;
@@ -85,8 +83,7 @@ impl BScan {
         {
             return Err("the begin of the line was not reached in time");
         }
-        let latest_s = SLOWEST * line.length_m / line.speed_m_s + LATEST_S;
-        if self.progress.phase == Phase::SCAN && now.seconds_since(self.since.phase) > latest_s {
+        if self.progress.phase == Phase::SCAN && now.seconds_since(self.since.phase) > line.latest_s() {
             return Err("the end of the line was not reached in time");
         }
         Ok(())

@@ -89,7 +89,7 @@ impl BScan {
         self.line = None;
     }
 
-    /// The end of the line has been reached, and its A-scans have arrived.
+    /// The end of the line has been reached, and its A-scans have arrived or were waited for.
     pub(super) fn finish(&mut self, now: Stamp) {
         self.end_column();
         self.progress.columns = self.scan.filled() as u32;

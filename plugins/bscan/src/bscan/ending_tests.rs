@@ -311,14 +311,14 @@ fn a_begin_that_is_not_reached_in_time_ends_the_scan() {
 
 #[test]
 fn an_end_that_is_not_reached_in_time_ends_the_scan() {
-    // So slow and short that a tip which stands is never 0.2 mm behind: 0.4 s, half as long again, and 2 s.
+    // So slow and short that a tip which stands is never 0.2 mm behind: 1 s for it and 30 µm, half as long again, and 2 s.
     let mut rig = Rig::new(Setup::new("static", 1));
     rig.steps(60);
     let slow = ScanRequest { speed: 5e-5, to: [-1.48e-3, 0.0, 0.0], ..Rig::request() };
     rig.bench.command::<ScanRequest, ()>("scan/start", slow).unwrap();
     rig.until_scanning();
     rig.stuck = true;
-    rig.steps(2500);
+    rig.steps(3400);
     assert_eq!(rig.progress().phase, Phase::SCAN);
     rig.steps(110);
     let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");

@@ -97,7 +97,7 @@ fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_non
     }
 }
 
-/// A scan that has set off, begun from within the line, of columns that are a tenth as wide as a tip is near that is near.
+/// A scan that has set off, begun from within the line. Its columns are a tenth as wide as where a tip counts as at the begin.
 fn fine_scan() -> Rig {
     let place_m = [-1.45e-3, 0.0, 500e-6];
     let mut rig = Rig::new(Setup { images: true, place_m, ..Setup::new("static_no_membrane", 2) });
@@ -149,10 +149,21 @@ fn a_scan_whose_a_scans_stay_away_waits_at_its_end_no_longer_than_they_may_be_la
     until_left(&mut rig, 2.5e-6);
     rig.bench.connect_input("ascan", false);
     until_left(&mut rig, 0.0);
-    rig.steps(45);
+    rig.steps(25);
     assert_eq!(rig.progress().phase, Phase::SCAN);
     rig.steps(10);
     assert_eq!(rig.progress().phase, Phase::RETRACT);
+}
+
+#[test]
+fn an_oct_that_falls_silent_right_before_the_end_does_not_end_the_scan_before_its_end() {
+    let mut rig = fine_scan();
+    until_left(&mut rig, 5e-6);
+    ["ascan", "distance"].iter().for_each(|input| rig.bench.connect_input(input, false));
+    rig.until_idle();
+    assert!(rig.bench.events::<Text<128>>("scan/bscan_aborted").is_empty());
+    let done = rig.bench.events::<ScanDone>("scan/bscan_done");
+    assert_eq!((done.len(), done[0].columns as usize), (1, FINE), "{done:?}");
 }
 
 #[test]
@@ -212,6 +223,9 @@ fn a_scans_with_times_that_cannot_be_belong_nowhere_and_break_nothing() {
     let mut rig = Rig::new(Setup::new("default", 1));
     rig.begin();
     rig.until_scanning();
+    while rig.truth.last().unwrap().x_m < -1.499e-3 {
+        rig.step();
+    }
     let header = AScanHeader {
         stamp: rig.bench.now(),
         lines: 2,
