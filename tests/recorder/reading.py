@@ -182,6 +182,7 @@ def test_an_export_that_finds_no_room_says_what_there_is_of_it():
             assert done.returncode == REFUSED and (world.dir / output).exists(), (kind, done.returncode, done.stderr)
             for says in ("cannot be written: File too large", f"; {output} has what was written before that", f"remove {output} before"):
                 assert says in " ".join(done.stderr.split()), (kind, says, done.stderr)
+            assert done.stderr.startswith("error:") and "panicked" not in done.stderr, (kind, done.stderr)
 
 
 def test_what_has_names_goes_to_tables_by_name_and_to_numpy_by_number():

@@ -97,7 +97,7 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
         return Err(exporting.nothing(&args.file, args.png, &whole));
     }
     let Exporting { sink, mut view, .. } = exporting;
-    view.files = sink.finish(&output, &mut view).map_err(|failure| incomplete(failure, &output))?;
+    view.files = sink.finish(&output, &mut view)?;
     view.wrong = whole.wrong;
     if session.json() {
         session.print_json(&view)?;
@@ -129,7 +129,7 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     Ok(if partial { Exit::Partial } else { Exit::Ok })
 }
 
-/// The failure, and what there is of the export all the same. It stays: somebody may have come to that place meanwhile.
+/// The failure, and what there is of the export all the same.
 fn incomplete(failure: Failure, output: &Path) -> Failure {
     if !output.exists() {
         return failure;
@@ -327,7 +327,7 @@ impl Sink for Arrays {
 
     fn finish(mut self: Box<Self>, output: &Path, _: &mut ExportView) -> Result<u64, Failure> {
         let mut npz = Npz::new(new_file(output)?);
-        let failed = |e: std::io::Error| wrote(output, &e);
+        let failed = |e: std::io::Error| incomplete(wrote(output, &e), output);
         for (topic, columns) in &mut self.topics {
             let rows = columns.rows;
             let heads = ["log_time_ns", "publish_time_ns", "sequence"].into_iter().zip(&columns.times);
@@ -402,10 +402,10 @@ impl Sink for Pictures {
         }
         let Some((name, count)) = self.topics.get_mut(&channel.topic) else { return Ok(()) };
         let directory = self.directory.join(name);
-        std::fs::create_dir_all(&directory).map_err(|e| wrote(&directory, &e))?;
         let path = |end: &str| directory.join(format!("{count:06}.{end}"));
         match found {
             pictures::Found::Picture(picture) => {
+                std::fs::create_dir_all(&directory).map_err(|e| wrote(&directory, &e))?;
                 pictures::write(&path("png"), &picture).map_err(|e| wrote(&path("png"), &e))?;
             }
             pictures::Found::File(end, bytes) => {

@@ -16,41 +16,56 @@ pub(super) struct Npz {
     failed: Rc<RefCell<Option<io::Error>>>,
 }
 
-/// The file, until it takes no more: what comes then goes nowhere. The zip's writer ends its file whenever it is dropped, and would
-/// print that it cannot.
+/// The file, until it takes no more: what comes then goes nowhere, and counts as written. The zip's writer ends its file whenever it
+/// is dropped, and would print that it cannot.
 struct Target {
     file: File,
+    /// Where the next byte would be.
+    at: u64,
     failed: Rc<RefCell<Option<io::Error>>>,
 }
 
 impl Target {
     /// What is done with the file, unless it has failed before.
-    fn done<T>(&mut self, instead: T, what: impl FnOnce(&mut File) -> io::Result<T>) -> T {
+    ///
+    /// # Errors
+    /// It was interrupted, and can be done again.
+    fn done<T>(&mut self, instead: T, what: impl FnOnce(&mut File) -> io::Result<T>) -> io::Result<T> {
         let mut failed = self.failed.borrow_mut();
         if failed.is_some() {
-            return instead;
+            return Ok(instead);
         }
-        what(&mut self.file).unwrap_or_else(|e| {
-            *failed = Some(e);
-            instead
-        })
+        match what(&mut self.file) {
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => Err(e),
+            Err(e) => {
+                *failed = Some(e);
+                Ok(instead)
+            }
+            done => done,
+        }
     }
 }
 
 impl Write for Target {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        Ok(self.done(bytes.len(), |file| file.write(bytes)))
+        let written = self.done(bytes.len(), |file| file.write(bytes))?;
+        self.at += written as u64;
+        Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.done((), File::flush);
-        Ok(())
+        self.done((), File::flush)
     }
 }
 
 impl Seek for Target {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        Ok(self.done(0, |file| file.seek(to)))
+        let instead = match to {
+            SeekFrom::Start(at) => at,
+            SeekFrom::Current(by) | SeekFrom::End(by) => self.at.saturating_add_signed(by),
+        };
+        self.at = self.done(instead, |file| file.seek(to))?;
+        Ok(self.at)
     }
 }
 
@@ -94,7 +109,7 @@ impl Item {
 impl Npz {
     pub(super) fn new(file: File) -> Npz {
         let failed = Rc::default();
-        Npz { zip: ZipWriter::new(Target { file, failed: Rc::clone(&failed) }), failed }
+        Npz { zip: ZipWriter::new(Target { file, at: 0, failed: Rc::clone(&failed) }), failed }
     }
 
     /// What went wrong so far.
@@ -144,6 +159,18 @@ fn header(item: Item, shape: &[usize]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_device_without_room_is_told_once_and_nothing_else_comes_of_it() {
+        let full = || File::options().write(true).open("/dev/full").expect("a device of Linux");
+        let mut npz = Npz::new(full());
+        let refused = npz.array("a", Item::U8, &[100_000], &[7; 100_000]).expect_err("it is full");
+        assert_eq!(refused.kind(), io::ErrorKind::StorageFull);
+        drop(npz);
+        let mut npz = Npz::new(full());
+        npz.array("a", Item::U8, &[3], &[7; 3]).expect_err("it is full");
+        assert_eq!(npz.finish().expect_err("it is full").kind(), io::ErrorKind::StorageFull);
+    }
 
     #[test]
     fn a_header_ends_where_its_data_begin() {
