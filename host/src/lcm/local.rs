@@ -44,7 +44,7 @@ use super::system;
 /// Longest wait to get into a component again whose late work has to be taken back, ns.
 const UNDO_NS: u64 = 1_000_000_000;
 /// Part of the time there is for a shutdown, for cycles that may look at what was cut.
-const CYCLES: u32 = 25;
+const CYCLES_PART: u32 = 25;
 
 /// What an LCM is made from.
 pub struct LcmConfig {
@@ -222,7 +222,7 @@ impl LocalLcm {
         }
         self.carriers.stop();
         self.follower.stop();
-        self.drop_left(deadline.min(Instant::now() + within / CYCLES)).await;
+        self.drop_left(deadline.min(Instant::now() + within / CYCLES_PART)).await;
         self.watchdog.stop();
         self.hub.logs.close();
         let thread = self.log_thread.lock().unwrap_or_else(PoisonError::into_inner).take();

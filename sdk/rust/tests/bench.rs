@@ -487,8 +487,12 @@ fn an_expectation_that_fails_says_what_came_and_what_happened_last() {
 #[test]
 fn a_wrong_type_is_said_with_both_sides() {
     let mut bench = bench();
-    let told = failure(|| bench.push("x", 1.0f64));
-    assert_eq!(told, "input `x` has type Scalar, the test uses f64");
+    for _ in 0..2 {
+        let told = failure(|| bench.push("x", 1.0f64));
+        assert_eq!(told, "input `x` has type Scalar, the test uses f64");
+        // A right one in between makes no wrong one right.
+        bench.push("x", x(1.0));
+    }
     let told = failure(|| drop(bench.outputs::<f64>("z")));
     assert_eq!(told, "no output `z`; there is y");
 }

@@ -19,7 +19,6 @@ pub(crate) struct Shape {
 }
 
 /// What was compared: the port's kind and name, and the test's type, by its address.
-#[derive(PartialEq)]
 struct Compared {
     what: String,
     name: String,

@@ -4,8 +4,8 @@
 
 use std::env;
 use std::process::Command;
+use std::sync::Arc;
 use std::sync::mpsc::channel;
-use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -78,7 +78,6 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
 fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
     for round in 0..400 {
         let (go, wait) = channel::<()>();
-        let wait = Mutex::new(wait);
         thread::scope(|scope| {
             // It comes after those that end: they are what the reader has passed when it comes to it.
             let ends: Vec<_> = (0..64)
@@ -89,11 +88,10 @@ fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
                 })
                 .collect();
             let (tell, told) = channel();
-            let wait = &wait;
             scope.spawn(move || {
                 let own = std::fs::read_link("/proc/thread-self").unwrap();
                 tell.send(own.file_name().unwrap().to_str().unwrap().parse::<i32>().unwrap()).unwrap();
-                wait.lock().unwrap().recv()
+                wait.recv()
             });
             let tid = told.recv().unwrap();
             scope.spawn(move || drop(ends));
