@@ -262,7 +262,7 @@ impl Stream {
         let mut stage = locked(&self.stage);
         if let Some(frames) = &mut stage.frames {
             frames.know();
-            frames.pools.collect();
+            frames.pools.collect_if_idle();
         }
         let worn = stage.wires.as_ref().is_none_or(|wires| wires.server.has_overflowed());
         if worn && !stage.cut {

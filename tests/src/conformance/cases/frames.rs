@@ -184,7 +184,8 @@ pub fn a_branch_that_takes_no_frames_costs_the_others_none(way: &Way) {
         lab.stop("second");
         for number in 2..=50 {
             publish(&lab, 1);
-            assert_eq!(rest(&lab, "client"), [number]);
+            let (came, exhausted) = (rest(&lab, "client"), lab.count("server", "exhausted"));
+            assert_eq!(came, [number], "{exhausted} without memory; {:?}", lab.link("client/frame"));
         }
         assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (50, 0));
         assert_eq!(lab.link("client/frame").dropped, 0);
