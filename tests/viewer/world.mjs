@@ -173,12 +173,22 @@ export async function still(of) {
     return same && now;
   });
 }
-/// Waits until the layout has put everything where it stays and the view fits it.
+
+/// Waits until the layout has put everything where it stays and the view fits it: seen twice, with two frames in between. A box grows
+/// by its ports, which come after it.
 export async function settled(page) {
+  const places = () => {
+    if (!document.querySelector('.laid-out')) return '';
+    const places = [...document.querySelectorAll('[data-path]')].map((box) => {
+      const { x, y } = box.getBoundingClientRect();
+      return box.querySelector('[data-port]') && `${Math.round(x)},${Math.round(y)}`;
+    });
+    return places.every(Boolean) ? places.join(' ') : '';
+  };
   let before = '';
   await eventually('the graph stands still', async () => {
-    const now = await page.evaluate(() => [...document.querySelectorAll('[data-path]')].map((e) => { const b = e.getBoundingClientRect(); return `${Math.round(b.x)},${Math.round(b.y)}`; }).join(' '));
-    const same = now !== '' && now === before && (await page.locator('.laid-out').count()) > 0;
+    const now = await page.evaluate(places);
+    const same = now !== '' && now === before;
     before = now;
     if (!same) await page.evaluate(() => new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r))));
     return same;
