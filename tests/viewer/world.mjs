@@ -179,11 +179,11 @@ export async function still(of) {
 export async function settled(page) {
   const places = () => {
     if (!document.querySelector('.laid-out')) return '';
-    const places = [...document.querySelectorAll('[data-path]')].map((box) => {
+    const all = [...document.querySelectorAll('[data-path]')].map((box) => {
       const { x, y } = box.getBoundingClientRect();
       return box.querySelector('[data-port]') && `${Math.round(x)},${Math.round(y)}`;
     });
-    return places.every(Boolean) ? places.join(' ') : '';
+    return all.every(Boolean) ? all.join(' ') : '';
   };
   let before = '';
   await eventually('the graph stands still', async () => {

@@ -43,7 +43,7 @@ use super::system;
 
 /// Longest wait to get into a component again whose late work has to be taken back, ns.
 const UNDO_NS: u64 = 1_000_000_000;
-/// Part of the time there is for a shutdown, for cycles that may look at what was cut.
+/// One part in so many of the time there is for a shutdown is for cycles that may look at what was cut.
 const CYCLES_PART: u32 = 25;
 
 /// What an LCM is made from.

@@ -105,8 +105,8 @@ impl LocalLcm {
         held.leaving.len()
     }
 
-    /// Waits until then for the cycles that may still look at what was cut. Nobody comes by later: two components that were connected to
-    /// each other would keep each other for ever.
+    /// Waits until then for the cycles that may still look at what was cut. Nobody comes by later: two components that were
+    /// connected to each other would keep each other for ever.
     pub(super) async fn drop_left(&self, until: Instant) {
         loop {
             match self.reclaim_leaving() {
