@@ -25,7 +25,8 @@ bench-vision:
 
 # Writes golden files anew: CLI surface, errors.md, INTERFACES.md, generated protocol code.
 bless:
-    TROCAR_BLESS=1 cargo test -p trocar-proto -p trocar-model
+    cargo run --manifest-path proto/generate/Cargo.toml
+    TROCAR_BLESS=1 cargo test -p trocar-model
     TROCAR_BLESS=1 cargo test -p trocar-plugin-api --features manifest
     TROCAR_BLESS=1 cargo test -p trocar
 

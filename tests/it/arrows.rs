@@ -4,7 +4,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
+use std::process::Command;
+
+use serde_json::Value;
 use trocar_tests::repository;
 
 /// What each crate may depend on, apart from plugins and fixtures, which may use the sdk (and plain libraries of ours) only.
@@ -34,29 +36,29 @@ const BANNED_IN_SDK: &[&str] = &["tokio", "tonic", "trocar"];
 
 #[test]
 fn every_arrow_between_our_crates_is_drawn_in_the_architecture() {
-    let metadata = workspace();
-    let ours: BTreeSet<&str> = metadata.workspace_packages().iter().map(|p| p.name.as_str()).collect();
+    let metadata = Metadata::read();
+    let ours: BTreeSet<&str> = metadata.members().map(name).collect();
     let mut wrong = Vec::new();
-    for package in metadata.workspace_packages() {
-        let folder = package.manifest_path.as_str();
-        let plugin = folder.contains("/plugins/");
-        let allowed = ALLOWED.iter().find(|(name, _)| *name == package.name.as_str()).map(|(_, list)| *list);
+    for package in metadata.members() {
+        let plugin = text(&package["manifest_path"]).contains("/plugins/");
+        let own = name(package);
+        let allowed = ALLOWED.iter().find(|(name, _)| *name == own).map(|(_, list)| *list);
         let allowed = match allowed {
             Some(list) => list,
             None if plugin => PLUGINS_MAY,
             None => {
-                wrong.push(format!("{}: a new crate without a row in tests/it/arrows.rs", package.name));
+                wrong.push(format!("{own}: a new crate without a row in tests/it/arrows.rs"));
                 continue;
             }
         };
-        for dependency in &package.dependencies {
+        for dependency in list(&package["dependencies"]) {
             // Tests of a crate may parse what it made, e.g. the sdk its own manifests.
-            let name = dependency.name.as_str();
-            if dependency.kind == DependencyKind::Development || !ours.contains(name) {
+            let name = name(dependency);
+            if dependency["kind"] == "dev" || !ours.contains(name) {
                 continue;
             }
             if !allowed.contains(&name) {
-                wrong.push(format!("{} → {name}: allowed are {allowed:?}", package.name));
+                wrong.push(format!("{own} → {name}: allowed are {allowed:?}"));
             }
         }
     }
@@ -65,20 +67,17 @@ fn every_arrow_between_our_crates_is_drawn_in_the_architecture() {
 
 #[test]
 fn the_sdk_never_reaches_the_host_or_its_network_stack() {
-    let metadata = workspace();
-    let reached = reached_from(&metadata, "trocar-sdk");
+    let reached = Metadata::read().reached_from("trocar-sdk");
     let banned: Vec<_> = BANNED_IN_SDK.iter().filter(|name| reached.contains(**name)).collect();
     assert!(banned.is_empty(), "trocar-sdk reaches {banned:?}; it reaches in all: {reached:?}");
 }
 
 #[test]
 fn no_plugin_is_linked_into_the_host() {
-    let metadata = workspace();
-    let reached = reached_from(&metadata, "trocar");
-    let plugins =
-        metadata.workspace_packages().into_iter().filter(|p| p.manifest_path.as_str().contains("/plugins/"));
-    let linked: Vec<_> =
-        plugins.map(|p| p.name.to_string()).filter(|name| reached.contains(name.as_str())).collect();
+    let metadata = Metadata::read();
+    let reached = metadata.reached_from("trocar");
+    let plugins = metadata.members().filter(|p| text(&p["manifest_path"]).contains("/plugins/"));
+    let linked: Vec<_> = plugins.map(name).filter(|name| reached.contains(*name)).collect();
     assert!(
         linked.is_empty(),
         "the host links {linked:?}: an executable with only an LCM loads them from files"
@@ -87,8 +86,7 @@ fn no_plugin_is_linked_into_the_host() {
 
 #[test]
 fn the_model_reaches_no_runtime_and_no_system_interface() {
-    let metadata = workspace();
-    let reached = reached_from(&metadata, "trocar-model");
+    let reached = Metadata::read().reached_from("trocar-model");
     let banned: Vec<_> = ["tokio", "tonic", "libloading", "mio", "socket2"]
         .into_iter()
         .filter(|n| reached.contains(*n))
@@ -96,26 +94,89 @@ fn the_model_reaches_no_runtime_and_no_system_interface() {
     assert!(banned.is_empty(), "trocar-model is pure but reaches {banned:?}");
 }
 
-fn workspace() -> Metadata {
-    let mut command = MetadataCommand::new();
-    command.manifest_path(repository().join("Cargo.toml"));
-    command.exec().unwrap_or_else(|e| panic!("cargo metadata: {e}"))
+/// Otherwise `./tests/run` after `cargo build --release` compiles that dependency, and all that depends on it, once more.
+#[test]
+fn program_and_tests_use_one_set_of_features_of_every_dependency() {
+    let program = features(&["--edges", "normal,build"]);
+    let everything = features(&["--edges", "normal,build,dev", "--workspace"]);
+    let differ = |(package, sets): (&String, &BTreeSet<String>)| {
+        let with_tests = &everything[package];
+        (with_tests != sets).then(|| format!("{package}: program {sets:?}, with all tests {with_tests:?}"))
+    };
+    let differing: Vec<String> = program.iter().filter_map(differ).collect();
+    assert!(
+        differing.is_empty(),
+        "give these one set of features in [workspace.dependencies]:\n{}",
+        differing.join("\n")
+    );
 }
 
-/// Everything a crate is built with, development dependencies apart.
-fn reached_from(metadata: &Metadata, root: &str) -> BTreeSet<String> {
-    let resolve = metadata.resolve.as_ref().unwrap_or_else(|| panic!("cargo metadata resolved nothing"));
-    let nodes: BTreeMap<_, _> = resolve.nodes.iter().map(|node| (&node.id, node)).collect();
-    let start = metadata.workspace_packages().into_iter().find(|p| p.name.as_str() == root);
-    let start = start.unwrap_or_else(|| panic!("there is no crate {root} in the workspace"));
-    let (mut open, mut seen) = (vec![&start.id], BTreeSet::new());
-    while let Some(id) = open.pop() {
-        for dependency in &nodes[id].deps {
-            let built = dependency.dep_kinds.iter().any(|kind| kind.kind == DependencyKind::Normal);
-            if built && seen.insert(&dependency.pkg) {
-                open.push(&dependency.pkg);
+/// The sets of features with which each package from a registry is built.
+fn features(args: &[&str]) -> BTreeMap<String, BTreeSet<String>> {
+    let tree = cargo(&[&["tree", "--prefix", "none", "--format", "{p}|{f}"], args].concat());
+    let mut found: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for line in tree.lines().filter(|line| !line.contains(" (/") && line.contains('|')) {
+        let (package, features) = line.trim_end_matches(" (*)").split_once('|').unwrap_or_default();
+        found.entry(package.to_owned()).or_default().insert(features.to_owned());
+    }
+    assert!(found.len() > 100, "cargo tree was not understood:\n{tree}");
+    found
+}
+
+/// What `cargo metadata` says.
+struct Metadata(Value);
+
+impl Metadata {
+    fn read() -> Self {
+        let said = cargo(&["metadata", "--format-version", "1"]);
+        Self(serde_json::from_str(&said).unwrap_or_else(|e| panic!("cargo metadata: {e}")))
+    }
+
+    fn packages(&self) -> BTreeMap<&str, &Value> {
+        list(&self.0["packages"]).map(|package| (text(&package["id"]), package)).collect()
+    }
+
+    fn members(&self) -> impl Iterator<Item = &Value> {
+        let packages = self.packages();
+        list(&self.0["workspace_members"]).map(move |id| packages[text(id)])
+    }
+
+    /// Everything a crate is built with, development dependencies apart.
+    fn reached_from(&self, root: &str) -> BTreeSet<String> {
+        let packages = self.packages();
+        let nodes: BTreeMap<_, _> =
+            list(&self.0["resolve"]["nodes"]).map(|node| (text(&node["id"]), node)).collect();
+        let start = self.members().find(|p| name(p) == root);
+        let start = start.unwrap_or_else(|| panic!("there is no crate {root} in the workspace"));
+        let (mut open, mut seen) = (vec![text(&start["id"])], BTreeSet::new());
+        while let Some(id) = open.pop() {
+            for dependency in list(&nodes[id]["deps"]) {
+                let built = list(&dependency["dep_kinds"]).any(|kind| kind["kind"].is_null());
+                if built && seen.insert(text(&dependency["pkg"])) {
+                    open.push(text(&dependency["pkg"]));
+                }
             }
         }
+        seen.into_iter().map(|id| name(packages[id]).to_owned()).collect()
     }
-    seen.into_iter().map(|id| metadata[id].name.to_string()).collect()
+}
+
+fn list(value: &Value) -> impl Iterator<Item = &Value> {
+    value.as_array().unwrap_or_else(|| panic!("no list: {value}")).iter()
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or_else(|| panic!("no text: {value}"))
+}
+
+fn name(package: &Value) -> &str {
+    text(&package["name"])
+}
+
+fn cargo(args: &[&str]) -> String {
+    let mut command = Command::new("cargo");
+    let output = command.args(args).current_dir(repository()).output();
+    let output = output.unwrap_or_else(|e| panic!("cargo cannot be started: {e}"));
+    assert!(output.status.success(), "cargo {args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
 }

@@ -1,0 +1,235 @@
+"""The table of suites: what each one is, when it runs, how its processes are started and started again.
+
+Invariant: what is not in this table does not run; a file of tests/it without a row ends every run with its name.
+"""
+
+import dataclasses
+import os
+import pathlib
+import re
+import sys
+from typing import Callable
+
+from parts import ALL, GATE, TIMES, Part
+
+
+@dataclasses.dataclass(frozen=True)
+class Suite:
+    """A row of the table."""
+
+    name: str
+    about: str
+    build: str  # what makes its executables: "programs", "tests", "loom", "tsan", "bench"
+    parts: Callable  # Stage -> parts, asked when that is built
+    drives: bool = True  # it runs the built program or its plugins
+
+
+@dataclasses.dataclass
+class Stage:
+    """What there is to run, for those who start processes."""
+
+    root: pathlib.Path
+    workshop: object
+    everything: bool = False  # --all
+    torture_args: list = dataclasses.field(default_factory=list)
+    no_grpcurl: str = ""
+    no_cpp: str = ""
+
+    @property
+    def harness(self):
+        """The executable of tests/it."""
+        return self.workshop.built("it")
+
+
+# -- one process in Rust -----------------------------------------------------------------------------------------------
+
+COUNTED, TIMED = "::counted::", "::timed::"
+
+
+def outer(name, about, threads=2, counted=False, timed=False, grpcurl=True, cpp=False):
+    """A file of tests/it. Its module `counted` counts cycles and runs alone; its module `timed` judges durations."""
+
+    def parts(stage):
+        missing = (grpcurl and stage.no_grpcurl) or (cpp and stage.no_cpp) or ""
+
+        def part(label, *words, one_by_one=False, **more):
+            command = [stage.harness, *words, f"--test-threads={1 if one_by_one else threads}"]
+            return in_harness(stage, name, command, label, cannot_run=missing, **more)
+
+        made = [part("", f"{name}::", "--skip", COUNTED, "--skip", TIMED)]
+        if counted:
+            made.append(part("counted", f"{name}{COUNTED}", one_by_one=True, alone=True))
+        if timed:
+            made.append(part("timed", f"{name}{TIMED}", one_by_one=True, alone=True, when=TIMES))
+        return made
+
+    return Suite(name, about, "tests", parts)
+
+
+def in_harness(stage, suite, command, label, **more):
+    return Part(suite, command, exactly(command[0]), label, cwd=str(stage.root / "tests"), **more)
+
+
+def exactly(executable):
+    """libtest runs these tests, one after another."""
+    return lambda names: [executable, "--exact", *names, "--test-threads=1"]
+
+
+def workspace(stage):
+    """One process for each test executable, and one for the examples in the documentation."""
+    env = {"LD_LIBRARY_PATH": stage.workshop.libraries()}
+    made = [Part("workspace", [one.path], exactly(one.path), one.title, cwd=one.cwd, env=env) for one in stage.workshop.executables]
+    command, env = stage.workshop.doc_tests()
+    made.append(Part("workspace", command, lambda names: [*command, "--", "--exact", *names], "doc", cwd=str(stage.root), env=env))
+    return made
+
+
+def shares(name, when):
+    """Each case maps new copies of its plugins, and a process has room for some thousands only: threads keep 1024 keys."""
+    apart = f"{name}::other_process_"
+    groups = {
+        "one_process": [f"{name}::", "--skip", apart, "--skip", "::built_", "--skip", "::shared_"],
+        "built": [f"{name}::built_", f"{name}::shared_"],
+        "two_hosts": [apart, "--skip", f"{apart}o"],
+        "two_hosts_executed": [f"{apart}o"],
+    }
+    return lambda stage: [
+        in_harness(stage, name, [stage.harness, *words, "--test-threads=4"], label, when=when) for label, words in groups.items()
+    ]
+
+
+def loom(stage):
+    executable = stage.workshop.built("loom")
+    return [Part("loom", [executable, "loom_"], exactly(executable), cwd=str(stage.root / "host/rt"))]
+
+
+def tsan(stage):
+    """The sanitizer is judged first: it has to find the races of races.rs, and nothing in its orderly cases.
+
+    Plugins are linked in, so that they are instrumented too; C++ classes, and Rust ones from a file, are not, and are left out.
+    """
+    env = {"TSAN_OPTIONS": f"history_size=4 {os.environ.get('TSAN_OPTIONS', '')} exitcode=66 suppressions={stage.root}/tests/tsan/suppressions"}
+    judge = [sys.executable, "tests/tsan/judge.py", stage.workshop.built("races")]
+    harness = stage.workshop.built("it under tsan")
+    lines = (stage.root / "tests/tsan/gate.txt").read_text().splitlines()
+    chosen = [line for line in lines if line and not line.startswith("#")]
+    words = ["_linked::", "of_linked_classes"] if stage.everything else ["--exact", *chosen]
+    command = [harness, *words, "--test-threads=2"]
+    return [
+        Part("tsan", judge, lambda names: [*judge, "--exact", *names], "judged", cwd=str(stage.root), env=env),
+        in_harness(stage, "tsan", command, "races", env=env),
+    ]
+
+
+def torture(stage):
+    command = [str(stage.workshop.programs / "torture")]
+    if stage.torture_args:
+        return [Part("torture", [*command, *stage.torture_args], lambda names: [*command, "--exact", *names], cwd=str(stage.root), alone=True, show=TABLE)]
+    return [
+        Part("torture", [*command, *args], lambda names: [*command, "--exact", *names], label, when, cwd=str(stage.root), alone=True, show=TABLE)
+        for args, label, when in ((["--gate"], "", GATE), (["--times"], "times", TIMES))
+    ]
+
+
+def eyesaw(stage):
+    command = [str(stage.workshop.programs / "bench"), "eyesaw"]
+    return [Part("eyesaw", command, None, when=TIMES, alone=True, cwd=str(stage.root), show="^")]
+
+
+TABLE = "^[|] "
+
+# -- processes in other languages --------------------------------------------------------------------------------------
+
+
+def script(name, about, *modes, build="programs", grpcurl=False, drives=True):
+    """A suite that prints libtest's lines and takes `--exact NAME...`, but for a mode that is `whole`.
+
+    A mode is (command, part's label, when, more of the part).
+    """
+
+    def parts(stage):
+        missing = stage.no_grpcurl if grpcurl else ""
+        made = []
+        for command, label, when, more in modes:
+            again = None if "whole" in more else lambda names, command=command: [*command, "--exact", *names]
+            more = {key: value for key, value in more.items() if key != "whole"}
+            made.append(Part(name, command, again, label, when=when, cwd=str(stage.root), cannot_run=missing, **more))
+        return made
+
+    return Suite(name, about, build, parts, drives)
+
+
+def mode(*command, label="", when=GATE, **more):
+    words = [sys.executable if word == "python3" else word for word in command]
+    return words, label, when, more
+
+
+def times(*command, **more):
+    return mode(*command, label="times", when=TIMES, alone=True, **more)
+
+
+PYTHON = ("python3", "sdk/python/tests/run.py")
+RECORDER = ("python3", "tests/recorder/suite.py")
+VIEWER = ("bash", "tests/viewer/run.sh")
+FIGURES = "^(bench|events:|300 components:)"
+
+# -- the table ---------------------------------------------------------------------------------------------------------
+
+# Long ones first: they decide when a run ends.
+SUITES = [
+    Suite("conformance", "client and server over a pairwise choice of deployments and languages", "tests", shares("conformance", GATE)),
+    script("viewer", "the page, driven in Debian's chromium", mode(*VIEWER, show=FIGURES), times(*VIEWER, "--times", show=FIGURES), grpcurl=True),
+    script("recorder", "recordings of the built program, read by the stock Python reader", mode(*RECORDER), times(*RECORDER, "--times")),
+    script("python", "the package sdk/python, installed as users do", mode(*PYTHON), times(*PYTHON, "--times")),
+    Suite("workspace", "unit tests, integration tests and documented examples of every crate", "tests", workspace, drives=False),
+    outer("conformance_random", "random interleavings of changes and calls, by seed", grpcurl=False),
+    outer("processes", "supervised processes that are killed at any moment", counted=True),
+    outer("demo", "the newcomer's first command", counted=True),
+    outer("devices", "robot, OCT, video and filters from outside", counted=True),
+    outer("realtime", "threads, priorities, streams and queues", counted=True),
+    outer("faults", "components that panic, hang and misbehave", counted=True),
+    outer("hostile", "strangers, impostors and limits", counted=True),
+    outer("links", "connections between processes", counted=True),
+    outer("places", "components in processes of their own, by one word", counted=True),
+    outer("plugin_loading", "plugin files that are dropped in", counted=True),
+    script("accuracy", "vision and OCT beside OpenCV's results", mode("python3", "tests/bench/peers/vision.py", "--no-build", "--accuracy", whole=True)),
+    outer("adapting", "connections between payloads that differ", grpcurl=False),
+    outer("arrows", "who may depend on whom; one set of features", grpcurl=False),
+    outer("changing_ports", "components whose ports change", grpcurl=False),
+    outer("cli", "the command line"),
+    outer("control_plane", "requests through grpcurl, and every refusal"),
+    outer("cpp_plugin", "plugins in C++", cpp=True),
+    outer("deployment", "several hosts, one manager"),
+    outer("embedding", "hosts inside other programs"),
+    outer("embedding_client", "clients inside other programs", grpcurl=False),
+    outer("fig4", "the figure of the paper"),
+    outer("guests", "processes without a manager"),
+    outer("odd_plugins", "plugins that are not what they say"),
+    outer("plugin_guide", "the plugin guide, typed in"),
+    outer("purity", "no allocation, lock or system call in a step", grpcurl=False),
+    outer("sdk_devices", "the sdk's device contracts", grpcurl=False),
+    outer("sdk_helpers", "the sdk's helpers", grpcurl=False),
+    outer("services", "what components ask of the manager"),
+    script("gate", "the runner of these suites itself", mode("python3", "tests/gate/tests.py"), drives=False),
+    script("viewer_dist", "the committed page is what its sources make", mode("bash", "tests/viewer/dist.sh"), drives=False),
+    Suite("loom", "the real-time core under every interleaving of its models", "loom", loom, drives=False),
+    Suite("tsan", "the thread sanitizer: a choice of the conformance suite, all of it with --all", "tsan", tsan, drives=False),
+    Suite("torture", "faults at random moments against built programs", "programs", torture),
+    Suite("conformance_cross", "every deployment with every language", "tests", shares("conformance_cross", ALL)),
+    script("python_oldest", "the package with the oldest Python it promises", mode(*PYTHON, "--oldest", when=ALL)),
+    script("generated", "the code of trocar.v1 is what its .proto files give", mode("bash", "proto/generate/check.sh", when=ALL), drives=False),
+    Suite("eyesaw", "a surgical system under its full load, against its gates", "bench", eyesaw),
+    script("peers", "vision and OCT beside OpenCV, numpy and scipy", times("python3", "tests/bench/peers/vision.py", "--no-build", whole=True)),
+    script("python_times", "what a call from Python costs", times(*PYTHON, "--bench", whole=True, show=r"^(call|r\.|bare)")),
+    script("recorder_times", "what a recorder writes beside the crate mcap alone", times("cargo", "run", "--release", "--quiet", "-p", "trocar-recorder", "--example", "throughput", "--", "target", whole=True, show="^{")),
+]
+
+
+def named(name):
+    return next((suite for suite in SUITES if suite.name == name), None)
+
+
+def forgotten(root):
+    """Files of tests/it that no row names."""
+    modules = re.findall(r"^mod (\w+);$", (root / "tests/it/main.rs").read_text(), re.M)
+    return [module for module in modules if not named(module)]
