@@ -1,5 +1,5 @@
-"""Runs the tests of trocar on a machine that has a Rust toolchain, a C and C++ compiler and python3, and sets up the rest
-under the target directory by itself.
+"""Runs the tests of trocar on a machine that has a Rust toolchain, a C and C++ compiler and python3, and sets
+up the rest under the target directory by itself.
 
   ./tests/run                 the gate: everything deterministic, closed by one summary
   ./tests/run NAME...         only these suites, whole
@@ -10,8 +10,9 @@ under the target directory by itself.
   ./tests/run --strict ...    an unsteady test is a failure
   ./tests/run --until-failure ...  ends with the first test that fails twice
 
-A test that fails is run once more, alone, at once. Passed then it is *unsteady*: named at the end and in target/outer/unsteady.log. Failed
-twice, or more than five unsteady ones: the run has failed. Ends with "N unsteady" and "N passed, N failed, N skipped".
+A test that fails is run once more, alone, at once. Passed then it is *unsteady*: named at the end and in
+target/outer/unsteady.log. Failed twice, or more than five unsteady ones: the run has failed. Ends with "N
+unsteady" and "N passed, N failed, N skipped".
 
 Logs are in target/outer/logs. tests/README.md says which kinds of tests there are and how to run one of them.
 """
@@ -36,7 +37,12 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog="tests/run", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, usage=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(
+        prog="tests/run",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage=argparse.SUPPRESS,
+    )
     parser.add_argument("names", nargs="*", help=argparse.SUPPRESS)
     for word in ("all", "times", "torture", "list", "strict", "until-failure"):
         parser.add_argument(f"--{word}", action="store_true", help=argparse.SUPPRESS)
@@ -79,7 +85,10 @@ class Run:
 
     def play(self):
         """Builds and runs what was asked for; answers whether all is well."""
-        os.environ |= {"TROCAR_BIN_DIR": str(self.workshop.programs), "TROCAR_CPP_DIR": str(self.workshop.cpp)}
+        os.environ |= {
+            "TROCAR_BIN_DIR": str(self.workshop.programs),
+            "TROCAR_CPP_DIR": str(self.workshop.cpp),
+        }
         os.environ.setdefault("CARGO_TARGET_DIR", str(self.workshop.target))
         lanes = self.lanes = Lanes(max(2, os.cpu_count() or 2), self._play, self._ended, self._began)
         ticking = threading.Thread(target=self._tick, daemon=True)
@@ -88,10 +97,12 @@ class Run:
         self.times.keep(self.results.rows)
         return self._close()
 
-    # -- builds --------------------------------------------------------------------------------------------------------
+    # -- builds ----------------------------------------------------------------------------------------------
 
     def _builds(self):
-        """(name, function that answers the parts that can run when it is done), in the order in which they are built."""
+        """(name, function that answers the parts that can run when it is done), in the order in which they
+        are built.
+        """
         kinds = {suite.build for suite in self.suites}
         if any(suite.drives for suite in self.suites):
             yield from [("programs", self._programs)]
@@ -128,13 +139,14 @@ class Run:
         for suite in self.suites:
             if suite.build == kind:
                 made = suite.parts(self.stage)
-                # A suite that was asked for by name and only judges durations, or is only for --all, runs all the same.
+                # A suite that was asked for by name and only judges durations, or is only for --all, runs
+                # all the same.
                 asked = [part for part in made if part.when in kinds] or (made if self.said.names else [])
                 self.results.expect(suite.name, asked)
                 parts += asked
         return parts
 
-    # -- parts ---------------------------------------------------------------------------------------------------------
+    # -- parts -----------------------------------------------------------------------------------------------
 
     def _began(self, part):
         self.results.begins(part)
@@ -161,7 +173,7 @@ class Run:
             time.sleep(1)
             self.screen.tick()
 
-    # -- the end -------------------------------------------------------------------------------------------------------
+    # -- the end ---------------------------------------------------------------------------------------------
 
     def _close(self):
         results, unsteady = self.results, self.judge.unsteady
@@ -176,9 +188,13 @@ class Run:
         for one in unsteady:
             self.screen.line(f"unsteady: {one.test} ({one.suite}), log: {one.log}")
         if many:
-            self.screen.line(f"more than {MOST_UNSTEADY} unsteady tests are a fault of the change or of the tests: the run has failed")
+            self.screen.line(
+                f"more than {MOST_UNSTEADY} unsteady tests are a fault of the change or of the tests: the run has failed"
+            )
         self.screen.line(f"{len(unsteady)} unsteady")
-        self.screen.line(f"{results.total('passed')} passed, {failed} failed, {results.total('skipped')} skipped")
+        self.screen.line(
+            f"{results.total('passed')} passed, {failed} failed, {results.total('skipped')} skipped"
+        )
         return not failed and not many and not (self.said.strict and unsteady) and results.total("passed") > 0
 
 
@@ -194,7 +210,10 @@ def main():
         return 2
     forgotten = suites.forgotten(ROOT)
     if forgotten:
-        print(f"tests/run: tests/it/main.rs has {count(len(forgotten), 'suite')} that tests/gate/suites.py does not name, so it would never run: {', '.join(forgotten)}", file=sys.stderr)
+        print(
+            f"tests/run: tests/it/main.rs has {count(len(forgotten), 'suite')} that tests/gate/suites.py does not name, so it would never run: {', '.join(forgotten)}",
+            file=sys.stderr,
+        )
         return 2
     os.chdir(ROOT)
     run = Run(said)

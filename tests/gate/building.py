@@ -1,8 +1,9 @@
-"""Builds what the suites run: programs and plugins as the README builds them, the test executables, C++ fixtures, tsan, loom.
+"""Builds what the suites run: programs and plugins as the README builds them, the test executables, C++
+fixtures, tsan, loom.
 
-All share one target directory and one set of features, so that no dependency is compiled twice. Our own crates are compiled twice: as
-they are used (`cargo build --release`, which the outer tests drive), and *checked* for unit tests, with overflow checks and debug
-assertions and without optimisation.
+All share one target directory and one set of features, so that no dependency is compiled twice. Our own
+crates are compiled twice: as they are used (`cargo build --release`, which the outer tests drive), and
+*checked* for unit tests, with overflow checks and debug assertions and without optimisation.
 
 Invariant: a build that fails is one failure of the run, and is told with the end of its log.
 """
@@ -14,8 +15,15 @@ import pathlib
 import shutil
 import subprocess
 
-# Signal processing and the simulated world are tested over minutes of virtual time; the rest is tested as quickly as it is built.
-FULLY_OPTIMISED = ("trocar-oct-core", "trocar-bscan", "trocar-eyerobot", "trocar-stereo-depth", "trocar-phantom")
+# Signal processing and the simulated world are tested over minutes of virtual time; the rest is tested as
+# quickly as it is built.
+FULLY_OPTIMISED = (
+    "trocar-oct-core",
+    "trocar-bscan",
+    "trocar-eyerobot",
+    "trocar-stereo-depth",
+    "trocar-phantom",
+)
 
 
 @dataclasses.dataclass
@@ -29,7 +37,9 @@ class Executable:
 
     @property
     def title(self):
-        return self.package if self.target.replace("_", "-") == self.package else f"{self.package}.{self.target}"
+        return (
+            self.package if self.target.replace("_", "-") == self.package else f"{self.package}.{self.target}"
+        )
 
 
 class Workshop:
@@ -61,28 +71,38 @@ class Workshop:
         with open(self.logs / f"{name}.log", "ab") as log:
             lower = ["nice", "-n", "10"] if nice and shutil.which("nice") else []
             where = {"cwd": self.root, "env": {**os.environ, **(env or {})}}
-            done = subprocess.run([*lower, *command], stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, **where)
+            done = subprocess.run(
+                [*lower, *command], stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, **where
+            )
         self.running = []
         return done.returncode == 0
 
     def fresh_log(self, name):
         (self.logs / f"{name}.log").unlink(missing_ok=True)
 
-    # -- programs and plugins ------------------------------------------------------------------------------------------
+    # -- programs and plugins --------------------------------------------------------------------------------
 
     def build_programs(self):
-        """What the outer tests drive, as `cargo build --release` makes it, and the fixture plugins. cargo test leaves no plugin behind."""
+        """What the outer tests drive, as `cargo build --release` makes it, and the fixture plugins. cargo
+        test leaves no plugin behind.
+        """
         # The derive alone would lie among the plugins, as a library that is none.
         packages = ["--workspace", "--exclude", "trocar-tests", "--exclude", "trocar-sdk-derive"]
         examples = ["--example", "depth_bench", "--example", "filters_bench"]
         self.fresh_log("build-programs")
-        return self.run("build-programs", ["cargo", "build", "--release", *packages, "--lib", "--bins", *examples], nice=False)
+        return self.run(
+            "build-programs",
+            ["cargo", "build", "--release", *packages, "--lib", "--bins", *examples],
+            nice=False,
+        )
 
     def build_bench(self):
         return self.run("build-bench", ["cargo", "build", "--release", "-p", "trocar-tests"], nice=False)
 
     def build_cpp(self):
-        """Fixture plugins in C++. Answers why there are none where the machine has no compiler; the suites then skip them by name."""
+        """Fixture plugins in C++. Answers why there are none where the machine has no compiler; the suites
+        then skip them by name.
+        """
         self.fresh_log("build-cpp")
         compiler = os.environ.get("CXX", "g++")
         if not shutil.which(compiler):
@@ -90,16 +110,23 @@ class Workshop:
             return True
         self.cpp.mkdir(parents=True, exist_ok=True)
         fixtures = ("cpp_filter", "cpp_arms", "conform_cpp", "places_cpp")
-        return all([self.run("build-cpp", ["bash", f"tests/fixtures/plugins/{name}/build.sh", str(self.cpp)]) for name in fixtures])
+        return all(
+            [
+                self.run("build-cpp", ["bash", f"tests/fixtures/plugins/{name}/build.sh", str(self.cpp)])
+                for name in fixtures
+            ]
+        )
 
-    # -- tests ---------------------------------------------------------------------------------------------------------
+    # -- tests -----------------------------------------------------------------------------------------------
 
     def build_tests(self):
         """The test executables of the workspace and of the outer tests, with checks."""
         command = ["cargo", "test", "--release", "--no-run", "--config", str(self._checks())]
         everything = self.executables_of("build-tests", [*command, "--workspace"], self._beside)
         # The outer tests are no default target: a bare `cargo test` has nothing to run them against.
-        harness = everything is not None and self.executables_of("build-harness", [*command, "-p", "trocar-tests", "--test", "it"], self._beside)
+        harness = everything is not None and self.executables_of(
+            "build-harness", [*command, "-p", "trocar-tests", "--test", "it"], self._beside
+        )
         if not harness:
             return False
         self.executables = everything
@@ -108,11 +135,22 @@ class Workshop:
 
     def doc_tests(self):
         """The command that compiles and runs the examples of the documentation, and its environment."""
-        return ["cargo", "test", "--release", "--doc", "--workspace", "--no-fail-fast", "--config", str(self._checks())], self._beside
+        return [
+            "cargo",
+            "test",
+            "--release",
+            "--doc",
+            "--workspace",
+            "--no-fail-fast",
+            "--config",
+            str(self._checks()),
+        ], self._beside
 
     def build_loom(self):
         env = {"RUSTFLAGS": "--cfg loom", "CARGO_TARGET_DIR": str(self.target / "loom")}
-        found = self.executables_of("build-loom", ["cargo", "test", "-p", "trocar-rt", "--release", "--lib", "--no-run"], env)
+        found = self.executables_of(
+            "build-loom", ["cargo", "test", "-p", "trocar-rt", "--release", "--lib", "--no-run"], env
+        )
         if not found:
             return False
         self.paths["loom"] = found[0].path
@@ -128,7 +166,19 @@ class Workshop:
             return False
         flags = f"-Zsanitizer=thread -Cunsafe-allow-abi-mismatch=sanitizer -Clink-arg={_last_line(self.logs / 'build-tsan.log')}"
         env = {"RUSTC_BOOTSTRAP": "1", "CARGO_TARGET_DIR": str(self.target / "tsan"), "RUSTFLAGS": flags}
-        command = ["cargo", "test", "-p", "trocar-tests", "--features", "tsan", "--target", self.machine, "--test", "it", "--no-run"]
+        command = [
+            "cargo",
+            "test",
+            "-p",
+            "trocar-tests",
+            "--features",
+            "tsan",
+            "--target",
+            self.machine,
+            "--test",
+            "it",
+            "--no-run",
+        ]
         found = self.executables_of("build-tsan", command, env)
         if not found:
             return False
@@ -148,22 +198,33 @@ class Workshop:
 
     @property
     def _beside(self):
-        """A target directory of its own: programs stay as `cargo build --release` made them. What is compiled lies in the shared one."""
+        """A target directory of its own: programs stay as `cargo build --release` made them. What is compiled
+        lies in the shared one.
+        """
         return {"CARGO_TARGET_DIR": str(self.target / "checked"), "CARGO_BUILD_BUILD_DIR": str(self.target)}
 
     def _checks(self):
-        """A cargo configuration that turns checks on for our own crates, and for nothing else: dependencies stay as they were built."""
+        """A cargo configuration that turns checks on for our own crates, and for nothing else: dependencies
+        stay as they were built.
+        """
         said = json.loads(_said(["cargo", "metadata", "--no-deps", "--format-version", "1"], cwd=self.root))
         lines = ["# Written by tests/gate/building.py."]
         for name in sorted(package["name"] for package in said["packages"]):
             level = 3 if name in FULLY_OPTIMISED else 0
-            lines += [f"[profile.release.package.{name}]", f"opt-level = {level}", "debug-assertions = true", "overflow-checks = true"]
+            lines += [
+                f"[profile.release.package.{name}]",
+                f"opt-level = {level}",
+                "debug-assertions = true",
+                "overflow-checks = true",
+            ]
         path = self.work / "checked.toml"
         path.write_text("\n".join(lines) + "\n")
         return path
 
     def libraries(self):
-        """Where test executables find the libraries they were linked with (those of procedural macros need some)."""
+        """Where test executables find the libraries they were linked with (those of procedural macros need
+        some).
+        """
         return f"{self.target / 'release' / 'deps'}:{self.sysroot}/lib"
 
 
@@ -175,7 +236,11 @@ def _executables(log):
         said = json.loads(line)
         if said["profile"]["test"] and said["executable"]:
             folder = pathlib.Path(said["manifest_path"]).parent
-            found.append(Executable(_package(said["package_id"]), said["target"]["name"], said["executable"], str(folder)))
+            found.append(
+                Executable(
+                    _package(said["package_id"]), said["target"]["name"], said["executable"], str(folder)
+                )
+            )
     return found
 
 
@@ -184,7 +249,9 @@ def _last_line(log):
 
 
 def _package(package_id):
-    """The name in a package id: "path+file:///x/host/model#trocar-model@0.1.0", or "path+file:///x/trocar#0.1.0"."""
+    """The name in a package id: "path+file:///x/host/model#trocar-model@0.1.0", or
+    "path+file:///x/trocar#0.1.0".
+    """
     folder, _, rest = package_id.partition("#")
     return rest.split("@")[0] if "@" in rest else folder.rsplit("/", 1)[-1]
 

@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
-"""Keeps compiled dependencies between runs of `.ci/run` on one machine, under `${XDG_CACHE_HOME:-~/.cache}/trocar-ci`.
+"""Keeps compiled dependencies between runs of `.ci/run` on one machine, under
+`${XDG_CACHE_HOME:-~/.cache}/trocar-ci`.
 
     python3 tests/gate/cache.py restore     puts them into an empty target directory
     python3 tests/gate/cache.py keep        copies those of the target directory
 
-An entry is named after the lock file, the manifests' profiles and the compiler. cargo judges each file by its own fingerprints all the
-same, and a file whose sum is not the one that was written down makes the whole entry void.
+An entry is named after the lock file, the manifests' profiles and the compiler. cargo judges each file by its
+own fingerprints all the same, and a file whose sum is not the one that was written down makes the whole entry
+void.
 
-Invariant: nothing of our own crates is kept, and nothing here can fail a run: without a cache everything is compiled.
+Invariant: nothing of our own crates is kept, and nothing here can fail a run: without a cache everything is
+compiled.
 """
 
 import hashlib
@@ -53,7 +56,10 @@ def restore(entry, target):
     if any((folder / FOLDERS[0]).exists() for folder in profiles(target)):
         return "the target directory is in use already"
     sums = json.loads((entry / SUMS).read_text())
-    wrong = next((name for name, one in sums.items() if not (entry / name).is_file() or sum_of(entry / name) != one), None)
+    wrong = next(
+        (name for name, one in sums.items() if not (entry / name).is_file() or sum_of(entry / name) != one),
+        None,
+    )
     if wrong:
         shutil.rmtree(entry)
         return f"{wrong} is not what was kept, so all of it was thrown away"
@@ -100,29 +106,49 @@ def profiles(target):
 
 
 def files(folder):
-    return [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()] if folder.is_dir() else []
+    return (
+        [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+        if folder.is_dir()
+        else []
+    )
 
 
 def crate_of(entry):
-    """"libserde_json-0123abcd.rlib" and "serde_json-0123abcd" are of serde_json."""
+    """ "libserde_json-0123abcd.rlib" and "serde_json-0123abcd" are of serde_json."""
     return entry.rsplit("-", 1)[0].removeprefix("lib").replace("-", "_")
 
 
 def own_names():
-    said = subprocess.run(["cargo", "metadata", "--no-deps", "--format-version", "1"], cwd=ROOT, capture_output=True, text=True, check=True)
+    said = subprocess.run(
+        ["cargo", "metadata", "--no-deps", "--format-version", "1"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     packages = json.loads(said.stdout)["packages"]
-    names = {package["name"] for package in packages} | {target["name"] for package in packages for target in package["targets"]}
+    names = {package["name"] for package in packages} | {
+        target["name"] for package in packages for target in package["targets"]
+    }
     return {name.replace("-", "_") for name in names}
 
 
 def sum_of(path):
     with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else hashlib.sha256(file.read()).hexdigest()
+        return (
+            hashlib.file_digest(file, "sha256").hexdigest()
+            if hasattr(hashlib, "file_digest")
+            else hashlib.sha256(file.read()).hexdigest()
+        )
 
 
 def bound(home):
     """Removes what was not used for longest until the rest is within the bound."""
-    entries = sorted((entry for entry in home.iterdir() if entry.is_dir()), key=lambda entry: entry.stat().st_mtime, reverse=True)
+    entries = sorted(
+        (entry for entry in home.iterdir() if entry.is_dir()),
+        key=lambda entry: entry.stat().st_mtime,
+        reverse=True,
+    )
     total = 0
     for number, entry in enumerate(entries):
         total += sum(file.stat().st_size for file in files(entry))

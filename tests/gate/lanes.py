@@ -1,6 +1,7 @@
 """Lanes: parts side by side, builds beside them, then the parts that want the machine for themselves.
 
-Tests mostly wait, so there are more lanes than processors; builds run one after another with a lower priority, in what tests leave free.
+Tests mostly wait, so there are more lanes than processors; builds run one after another with a lower
+priority, in what tests leave free.
 
 Invariant: nothing begins while a test is played again, and nothing runs beside a part that is alone.
 """
@@ -13,7 +14,9 @@ class Lanes:
 
     def __init__(self, count, play, ended, began=lambda part: None):
         self.count = count
-        self.play = play  # (part, quiet) -> what it came to; `quiet` is a context in which nothing else begins
+        self.play = (
+            play  # (part, quiet) -> what it came to; `quiet` is a context in which nothing else begins
+        )
         self.ended = ended
         self.began = began
         self.state = threading.Condition()
@@ -24,8 +27,12 @@ class Lanes:
         self.over = False
 
     def run(self, builds):
-        """Builds one after another, and runs to its end whatever each made. A build is (name, function that answers parts, or `None`)."""
-        workers = [threading.Thread(target=self._work, name=f"lane-{n}", daemon=True) for n in range(self.count)]
+        """Builds one after another, and runs to its end whatever each made. A build is (name, function that
+        answers parts, or `None`).
+        """
+        workers = [
+            threading.Thread(target=self._work, name=f"lane-{n}", daemon=True) for n in range(self.count)
+        ]
         for worker in workers:
             worker.start()
         for _, build in builds:

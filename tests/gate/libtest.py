@@ -1,6 +1,8 @@
-"""Reads the lines that libtest prints, and every suite of ours with it: which tests passed, which failed, how many were ignored.
+"""Reads the lines that libtest prints, and every suite of ours with it: which tests passed, which failed, how
+many were ignored.
 
-Invariant: a process that ended badly without naming a test has failed as a whole; a run in which no test ran has failed.
+Invariant: a process that ended badly without naming a test has failed as a whole; a run in which no test ran
+has failed.
 """
 
 import dataclasses
@@ -17,7 +19,9 @@ class Outcome:
     """The result of one process of tests."""
 
     passed: int = 0
-    failed: list = dataclasses.field(default_factory=list)  # names; empty although `broken` says that something is wrong
+    failed: list = dataclasses.field(
+        default_factory=list
+    )  # names; empty although `broken` says that something is wrong
     ignored: int = 0
     broken: str = ""  # why the process as a whole failed
     cannot_run: str = ""
@@ -33,7 +37,9 @@ def read(text, status):
         lines = text.strip().splitlines()
         return Outcome(cannot_run=lines[-1] if lines else "no reason given")
     results = [tuple(map(int, found.groups())) for found in map(RESULT.match, text.splitlines()) if found]
-    names = [found.group(1) for found in map(LINE.match, text.splitlines()) if found and found.group(2) == "FAILED"]
+    names = [
+        found.group(1) for found in map(LINE.match, text.splitlines()) if found and found.group(2) == "FAILED"
+    ]
     # A doc test's name is followed by its mode: "path - item (line 3) - compile".
     failed = list(dict.fromkeys(names))
     outcome = Outcome(sum(r[0] for r in results), failed, sum(r[2] for r in results))
@@ -41,7 +47,11 @@ def read(text, status):
     if told > len(failed):
         outcome.broken = f"{told} tests failed, and only {len(failed)} are named"
     elif status and not failed:
-        outcome.broken = "ended by signal %d" % -status if status < 0 else f"ended with status {status}, and no failed test is named"
+        outcome.broken = (
+            f"ended by signal {-status}"
+            if status < 0
+            else f"ended with status {status}, and no failed test is named"
+        )
     elif not results:
         outcome.broken = "no test ran"
     return outcome

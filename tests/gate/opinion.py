@@ -1,7 +1,7 @@
 """A second opinion: a test that failed is run once more, alone, at once.
 
-Passed then, it is *unsteady*: named, written down with date and load, and no reason to refuse a change, unless there are many of them.
-Failed again, it is wrong. Both logs are kept.
+Passed then, it is *unsteady*: named, written down with date and load, and no reason to refuse a change,
+unless there are many of them. Failed again, it is wrong. Both logs are kept.
 
 Invariant: nothing that failed is forgotten; each failed test ends as failed or as unsteady.
 """
@@ -61,17 +61,24 @@ class Judge:
         """The process said nothing of single tests (it died, or did not begin): all of it is played again."""
         again = self.runner.run(part, part.command, f"{part.title}.again")
         if again.outcome.good:
-            self._note(part, f"{part.title} as a whole ({ran.outcome.broken or ', '.join(ran.outcome.failed)})", ran.log)
+            self._note(
+                part,
+                f"{part.title} as a whole ({ran.outcome.broken or ', '.join(ran.outcome.failed)})",
+                ran.log,
+            )
             ran.outcome, ran.skips = again.outcome, again.skips
 
     def _note(self, part, test, log):
         with self.lock:
             now = datetime.datetime.now().astimezone()
-            # The next run writes a new log under the old name; a part that failed in several tests has one log.
+            # The next run writes a new log under the old name; a part that failed in several tests has one
+            # log.
             kept = self.book.parent / "unsteady" / f"{now:%Y%m%dT%H%M%S}-{part.title}.log"
             kept.parent.mkdir(exist_ok=True)
             shutil.copyfile(log, kept)
             self.unsteady.append(Unsteady(part.suite, part.title, test, str(kept)))
             one, five, _ = self.load()
             with open(self.book, "a") as book:
-                book.write(f"{now.isoformat(timespec='seconds')}  load {one:.1f} (1 min) {five:.1f} (5 min)  {part.suite}  {test}  {kept}\n")
+                book.write(
+                    f"{now.isoformat(timespec='seconds')}  load {one:.1f} (1 min) {five:.1f} (5 min)  {part.suite}  {test}  {kept}\n"
+                )

@@ -19,7 +19,9 @@ class Part:
 
     suite: str
     command: list
-    again: Optional[Callable]  # names of tests -> the command that runs exactly these; `None`: it is played again as a whole
+    again: Optional[
+        Callable
+    ]  # names of tests -> the command that runs exactly these; `None`: it is played again as a whole
     name: str = ""  # tells the parts of a suite apart
     when: str = GATE
     alone: bool = False  # it counts cycles: nothing else runs beside it
@@ -60,10 +62,18 @@ class Runner:
         with open(log, "wb") as out:
             try:
                 child = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env=env, cwd=part.cwd, start_new_session=True
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=subprocess.STDOUT,
+                    env=env,
+                    cwd=part.cwd,
+                    start_new_session=True,
                 )
             except OSError as error:
-                return Ran(libtest.Outcome(broken=f"{command[0]} cannot be started: {error}"), 0, 0, str(log), {})
+                return Ran(
+                    libtest.Outcome(broken=f"{command[0]} cannot be started: {error}"), 0, 0, str(log), {}
+                )
             self.running[child.pid] = part.title
             try:
                 _, status, usage = os.wait4(child.pid, 0)
@@ -71,7 +81,11 @@ class Runner:
             finally:
                 self.running.pop(child.pid, None)
         outcome = libtest.read(log.read_text(errors="replace"), child.returncode)
-        told = [line.split(": ", 1) for line in skips.read_text(errors="replace").splitlines()] if skips.exists() else []
+        told = (
+            [line.split(": ", 1) for line in skips.read_text(errors="replace").splitlines()]
+            if skips.exists()
+            else []
+        )
         skipped = {one[0]: one[-1] for one in told}
         outcome.passed -= len(skipped)
         return Ran(outcome, time.monotonic() - began, usage.ru_utime + usage.ru_stime, str(log), skipped)

@@ -1,6 +1,7 @@
 """The table of suites: what each one is, when it runs, how its processes are started and started again.
 
-Invariant: what is not in this table does not run; a file of tests/it without a row ends every run with its name.
+Invariant: what is not in this table does not run; a file of tests/it without a row ends every run with its
+name.
 """
 
 import dataclasses
@@ -41,13 +42,15 @@ class Stage:
         return self.workshop.built("it")
 
 
-# -- one process in Rust -----------------------------------------------------------------------------------------------
+# -- one process in Rust -------------------------------------------------------------------------------------
 
 COUNTED, TIMED = "::counted::", "::timed::"
 
 
 def outer(name, about, threads=2, counted=False, timed=False, grpcurl=True, cpp=False):
-    """A file of tests/it. Its module `counted` counts cycles and runs alone; its module `timed` judges durations."""
+    """A file of tests/it. Its module `counted` counts cycles and runs alone; its module `timed` judges
+    durations.
+    """
 
     def parts(stage):
         missing = (grpcurl and stage.no_grpcurl) or (cpp and stage.no_cpp) or ""
@@ -78,14 +81,28 @@ def exactly(executable):
 def workspace(stage):
     """One process for each test executable, and one for the examples in the documentation."""
     env = {"LD_LIBRARY_PATH": stage.workshop.libraries()}
-    made = [Part("workspace", [one.path], exactly(one.path), one.title, cwd=one.cwd, env=env) for one in stage.workshop.executables]
+    made = [
+        Part("workspace", [one.path], exactly(one.path), one.title, cwd=one.cwd, env=env)
+        for one in stage.workshop.executables
+    ]
     command, env = stage.workshop.doc_tests()
-    made.append(Part("workspace", command, lambda names: [*command, "--", "--exact", *names], "doc", cwd=str(stage.root), env=env))
+    made.append(
+        Part(
+            "workspace",
+            command,
+            lambda names: [*command, "--", "--exact", *names],
+            "doc",
+            cwd=str(stage.root),
+            env=env,
+        )
+    )
     return made
 
 
 def shares(name, when):
-    """Each case maps new copies of its plugins, and a process has room for some thousands only: threads keep 1024 keys."""
+    """Each case maps new copies of its plugins, and a process has room for some thousands only: threads keep
+    1024 keys.
+    """
     apart = f"{name}::other_process_"
     groups = {
         "one_process": [f"{name}::", "--skip", apart, "--skip", "::built_", "--skip", "::shared_"],
@@ -94,7 +111,8 @@ def shares(name, when):
         "two_hosts_executed": [f"{apart}o"],
     }
     return lambda stage: [
-        in_harness(stage, name, [stage.harness, *words, "--test-threads=4"], label, when=when) for label, words in groups.items()
+        in_harness(stage, name, [stage.harness, *words, "--test-threads=4"], label, when=when)
+        for label, words in groups.items()
     ]
 
 
@@ -106,9 +124,12 @@ def loom(stage):
 def tsan(stage):
     """The sanitizer is judged first: it has to find the races of races.rs, and nothing in its orderly cases.
 
-    Plugins are linked in, so that they are instrumented too; C++ classes, and Rust ones from a file, are not, and are left out.
+    Plugins are linked in, so that they are instrumented too; C++ classes, and Rust ones from a file, are not,
+    and are left out.
     """
-    env = {"TSAN_OPTIONS": f"history_size=4 {os.environ.get('TSAN_OPTIONS', '')} exitcode=66 suppressions={stage.root}/tests/tsan/suppressions"}
+    env = {
+        "TSAN_OPTIONS": f"history_size=4 {os.environ.get('TSAN_OPTIONS', '')} exitcode=66 suppressions={stage.root}/tests/tsan/suppressions"
+    }
     judge = [sys.executable, "tests/tsan/judge.py", stage.workshop.built("races")]
     harness = stage.workshop.built("it under tsan")
     lines = (stage.root / "tests/tsan/gate.txt").read_text().splitlines()
@@ -116,19 +137,36 @@ def tsan(stage):
     words = ["_linked::", "of_linked_classes"] if stage.everything else ["--exact", *chosen]
     command = [harness, *words, "--test-threads=2"]
     return [
-        Part("tsan", judge, lambda names: [*judge, "--exact", *names], "judged", cwd=str(stage.root), env=env),
+        Part(
+            "tsan", judge, lambda names: [*judge, "--exact", *names], "judged", cwd=str(stage.root), env=env
+        ),
         in_harness(stage, "tsan", command, "races", env=env),
     ]
 
 
 def torture(stage):
+    """Without --times no row judges a duration, so that it may run beside others."""
     command = [str(stage.workshop.programs / "torture")]
+
+    def part(label, when, *options, alone=True):
+        again = lambda names: [*command, *options, "--exact", *names]
+        return Part(
+            "torture",
+            [*command, *options],
+            again,
+            label,
+            when=when,
+            cwd=str(stage.root),
+            alone=alone,
+            show="^[|] ",
+        )
+
     if stage.torture_args:
-        return [Part("torture", [*command, *stage.torture_args], lambda names: [*command, "--exact", *names], cwd=str(stage.root), alone=True, show=TABLE)]
-    return [
-        Part("torture", [*command, *args], lambda names: [*command, "--exact", *names], label, when, cwd=str(stage.root), alone=True, show=TABLE)
-        for args, label, when in ((["--gate"], "", GATE), (["--times"], "times", TIMES))
-    ]
+        rows = [word for word in stage.torture_args if not word.startswith("--")]
+        full = part("full", GATE, "--full")
+        full.command += rows
+        return [full]
+    return [part("", GATE, "--gate", alone=False), part("times", TIMES, "--times")]
 
 
 def eyesaw(stage):
@@ -136,9 +174,7 @@ def eyesaw(stage):
     return [Part("eyesaw", command, None, when=TIMES, alone=True, cwd=str(stage.root), show="^")]
 
 
-TABLE = "^[|] "
-
-# -- processes in other languages --------------------------------------------------------------------------------------
+# -- processes in other languages ----------------------------------------------------------------------------
 
 
 def script(name, about, *modes, build="programs", grpcurl=False, drives=True):
@@ -151,9 +187,12 @@ def script(name, about, *modes, build="programs", grpcurl=False, drives=True):
         missing = stage.no_grpcurl if grpcurl else ""
         made = []
         for command, label, when, more in modes:
-            again = None if "whole" in more else lambda names, command=command: [*command, "--exact", *names]
+            plain = [word for word in command if word != "--times"]
+            again = None if "whole" in more else lambda names, plain=plain: [*plain, "--exact", *names]
             more = {key: value for key, value in more.items() if key != "whole"}
-            made.append(Part(name, command, again, label, when=when, cwd=str(stage.root), cannot_run=missing, **more))
+            made.append(
+                Part(name, command, again, label, when=when, cwd=str(stage.root), cannot_run=missing, **more)
+            )
         return made
 
     return Suite(name, about, build, parts, drives)
@@ -173,26 +212,54 @@ RECORDER = ("python3", "tests/recorder/suite.py")
 VIEWER = ("bash", "tests/viewer/run.sh")
 FIGURES = "^(bench|events:|300 components:)"
 
-# -- the table ---------------------------------------------------------------------------------------------------------
+# -- the table -----------------------------------------------------------------------------------------------
 
 # Long ones first: they decide when a run ends.
 SUITES = [
-    Suite("conformance", "client and server over a pairwise choice of deployments and languages", "tests", shares("conformance", GATE)),
-    script("viewer", "the page, driven in Debian's chromium", mode(*VIEWER, show=FIGURES), times(*VIEWER, "--times", show=FIGURES), grpcurl=True),
-    script("recorder", "recordings of the built program, read by the stock Python reader", mode(*RECORDER), times(*RECORDER, "--times")),
-    script("python", "the package sdk/python, installed as users do", mode(*PYTHON), times(*PYTHON, "--times")),
-    Suite("workspace", "unit tests, integration tests and documented examples of every crate", "tests", workspace, drives=False),
+    Suite(
+        "conformance",
+        "client and server over a pairwise choice of deployments and languages",
+        "tests",
+        shares("conformance", GATE),
+    ),
+    script(
+        "viewer",
+        "the page, driven in Debian's chromium",
+        mode(*VIEWER, show=FIGURES),
+        times(*VIEWER, "--times", show=FIGURES),
+        grpcurl=True,
+    ),
+    script(
+        "recorder",
+        "recordings of the built program, read by the stock Python reader",
+        mode(*RECORDER),
+        times(*RECORDER, "--times"),
+    ),
+    script(
+        "python", "the package sdk/python, installed as users do", mode(*PYTHON), times(*PYTHON, "--times")
+    ),
+    Suite(
+        "workspace",
+        "unit tests, integration tests and documented examples of every crate",
+        "tests",
+        workspace,
+        drives=False,
+    ),
     outer("conformance_random", "random interleavings of changes and calls, by seed", grpcurl=False),
-    outer("processes", "supervised processes that are killed at any moment", counted=True),
+    outer("processes", "supervised processes that are killed at any moment", timed=True),
     outer("demo", "the newcomer's first command", counted=True),
-    outer("devices", "robot, OCT, video and filters from outside", counted=True),
+    outer("devices", "robot, OCT, video and filters from outside"),
     outer("realtime", "threads, priorities, streams and queues", counted=True),
     outer("faults", "components that panic, hang and misbehave", counted=True),
     outer("hostile", "strangers, impostors and limits", counted=True),
-    outer("links", "connections between processes", counted=True),
-    outer("places", "components in processes of their own, by one word", counted=True),
+    outer("links", "connections between processes"),
+    outer("places", "components in processes of their own, by one word"),
     outer("plugin_loading", "plugin files that are dropped in", counted=True),
-    script("accuracy", "vision and OCT beside OpenCV's results", mode("python3", "tests/bench/peers/vision.py", "--no-build", "--accuracy", whole=True)),
+    script(
+        "accuracy",
+        "vision and OCT beside OpenCV's results",
+        mode("python3", "tests/bench/peers/vision.py", "--no-build", "--accuracy", whole=True),
+    ),
     outer("adapting", "connections between payloads that differ", grpcurl=False),
     outer("arrows", "who may depend on whom; one set of features", grpcurl=False),
     outer("changing_ports", "components whose ports change", grpcurl=False),
@@ -211,17 +278,62 @@ SUITES = [
     outer("sdk_helpers", "the sdk's helpers", grpcurl=False),
     outer("services", "what components ask of the manager"),
     script("gate", "the runner of these suites itself", mode("python3", "tests/gate/tests.py"), drives=False),
-    script("viewer_dist", "the committed page is what its sources make", mode("bash", "tests/viewer/dist.sh"), drives=False),
+    script(
+        "viewer_dist",
+        "the committed page is what its sources make",
+        mode("bash", "tests/viewer/dist.sh"),
+        drives=False,
+    ),
     Suite("loom", "the real-time core under every interleaving of its models", "loom", loom, drives=False),
-    Suite("tsan", "the thread sanitizer: a choice of the conformance suite, all of it with --all", "tsan", tsan, drives=False),
+    Suite(
+        "tsan",
+        "the thread sanitizer: a choice of the conformance suite, all of it with --all",
+        "tsan",
+        tsan,
+        drives=False,
+    ),
     Suite("torture", "faults at random moments against built programs", "programs", torture),
-    Suite("conformance_cross", "every deployment with every language", "tests", shares("conformance_cross", ALL)),
-    script("python_oldest", "the package with the oldest Python it promises", mode(*PYTHON, "--oldest", when=ALL)),
-    script("generated", "the code of trocar.v1 is what its .proto files give", mode("bash", "proto/generate/check.sh", when=ALL), drives=False),
+    Suite(
+        "conformance_cross", "every deployment with every language", "tests", shares("conformance_cross", ALL)
+    ),
+    script(
+        "python_oldest", "the package with the oldest Python it promises", mode(*PYTHON, "--oldest", when=ALL)
+    ),
+    script(
+        "generated",
+        "the code of trocar.v1 is what its .proto files give",
+        mode("bash", "proto/generate/check.sh", when=ALL),
+        drives=False,
+    ),
     Suite("eyesaw", "a surgical system under its full load, against its gates", "bench", eyesaw),
-    script("peers", "vision and OCT beside OpenCV, numpy and scipy", times("python3", "tests/bench/peers/vision.py", "--no-build", whole=True)),
-    script("python_times", "what a call from Python costs", times(*PYTHON, "--bench", whole=True, show=r"^(call|r\.|bare)")),
-    script("recorder_times", "what a recorder writes beside the crate mcap alone", times("cargo", "run", "--release", "--quiet", "-p", "trocar-recorder", "--example", "throughput", "--", "target", whole=True, show="^{")),
+    script(
+        "peers",
+        "vision and OCT beside OpenCV, numpy and scipy",
+        times("python3", "tests/bench/peers/vision.py", "--no-build", whole=True),
+    ),
+    script(
+        "python_times",
+        "what a call from Python costs",
+        times(*PYTHON, "--bench", whole=True, show=r"^(call|r\.|bare)"),
+    ),
+    script(
+        "recorder_times",
+        "what a recorder writes beside the crate mcap alone",
+        times(
+            "cargo",
+            "run",
+            "--release",
+            "--quiet",
+            "-p",
+            "trocar-recorder",
+            "--example",
+            "throughput",
+            "--",
+            "target",
+            whole=True,
+            show="^{",
+        ),
+    ),
 ]
 
 

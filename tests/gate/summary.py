@@ -1,7 +1,7 @@
 """What people see: a line for each suite as it ends, at a terminal what runs now, and the closing counts.
 
-Invariant: the last line is "N passed, N failed, N skipped", and the line before it "N unsteady"; the end of a log is shown for failures
-only.
+Invariant: the last line is "N passed, N failed, N skipped", and the line before it "N unsteady"; the end of a
+log is shown for failures only.
 """
 
 import json
@@ -15,7 +15,7 @@ WIDTH = 21
 
 
 def count(number, noun):
-    """"1 test", "2 tests"."""
+    """ "1 test", "2 tests"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
@@ -43,7 +43,9 @@ class Suites:
     def ends(self, part, ran, unsteady):
         """Adds a part to its suite, and tells the suite when all its parts are done."""
         with self.lock:
-            row = self.rows.setdefault(part.suite, {"passed": 0, "failed": 0, "skipped": 0, "cpu": 0.0, "unsteady": 0, "why": []})
+            row = self.rows.setdefault(
+                part.suite, {"passed": 0, "failed": 0, "skipped": 0, "cpu": 0.0, "unsteady": 0, "why": []}
+            )
             outcome = ran.outcome
             if not outcome.good and not outcome.cannot_run:
                 self._failure(part, ran)
@@ -65,7 +67,11 @@ class Suites:
 
     def _line(self, suite, row):
         word = "FAILED" if row["failed"] else "skipped" if not row["passed"] and row["skipped"] else "ok"
-        said = [count(row["passed"], "test") if not row["failed"] else f"{row['passed']} passed, {row['failed']} failed"]
+        said = [
+            count(row["passed"], "test")
+            if not row["failed"]
+            else f"{row['passed']} passed, {row['failed']} failed"
+        ]
         said += [f"{row['skipped']} skipped"] if row["skipped"] else []
         said += [f"{row['unsteady']} unsteady"] if row["unsteady"] else []
         last = f" (last run {self.times[suite]:.0f} s)" if suite in self.times else ""
@@ -79,7 +85,9 @@ class Suites:
 
     def table(self):
         """Rows for people who compare runs."""
-        lines = [f"{'suite':<{WIDTH}} {'passed':>7} {'failed':>7} {'skipped':>8} {'unsteady':>9} {'time':>8} {'processor':>10}"]
+        lines = [
+            f"{'suite':<{WIDTH}} {'passed':>7} {'failed':>7} {'skipped':>8} {'unsteady':>9} {'time':>8} {'processor':>10}"
+        ]
         for suite, row in self.rows.items():
             seconds = row.get("seconds", 0)
             lines.append(

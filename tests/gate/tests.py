@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Tests of the runner itself: how output is read, what a second opinion does, what runs beside what, what people see.
+"""Tests of the runner itself: how output is read, what a second opinion does, what runs beside what, what
+people see.
 
-    python3 tests/gate/tests.py [--exact NAME...]      prints libtest's lines
+python3 tests/gate/tests.py [--exact NAME...]      prints libtest's lines
 """
 
 import io
@@ -45,7 +46,9 @@ class WhatLibtestPrints(unittest.TestCase):
         self.assertFalse(seen.good)
 
     def test_a_failure_without_a_name_is_a_failure(self):
-        self.assertIn("only 0 are named", libtest.read("test result: FAILED. 1 passed; 1 failed; 0 ignored\n", 1).broken)
+        self.assertIn(
+            "only 0 are named", libtest.read("test result: FAILED. 1 passed; 1 failed; 0 ignored\n", 1).broken
+        )
 
     def test_a_run_in_which_no_test_ran_has_failed(self):
         self.assertIn("no test ran", libtest.read("", 0).broken)
@@ -54,7 +57,9 @@ class WhatLibtestPrints(unittest.TestCase):
         self.assertIn("status 3", libtest.read(OK, 3).broken)
 
     def test_a_suite_that_cannot_run_says_why_in_its_last_line(self):
-        self.assertEqual(libtest.read("looking\nnpm is missing\n", libtest.CANNOT_RUN).cannot_run, "npm is missing")
+        self.assertEqual(
+            libtest.read("looking\nnpm is missing\n", libtest.CANNOT_RUN).cannot_run, "npm is missing"
+        )
 
 
 class Stage(unittest.TestCase):
@@ -69,7 +74,12 @@ class Stage(unittest.TestCase):
 
     def part(self, first, again="exit 9"):
         """A part whose command is a script; `again` gets the names of tests as its arguments."""
-        return Part("some", ["sh", "-c", first], lambda names: ["sh", "-c", again, "again", *names], cwd=str(self.work))
+        return Part(
+            "some",
+            ["sh", "-c", first],
+            lambda names: ["sh", "-c", again, "again", *names],
+            cwd=str(self.work),
+        )
 
     def play(self, part):
         ran = self.runner.run(part, part.command, part.title)
@@ -81,16 +91,27 @@ class Stage(unittest.TestCase):
 
 class ASecondOpinion(Stage):
     def test_what_failed_once_is_unsteady_and_written_down(self):
-        ran = self.play(self.part(self.FAILS, "printf 'test %s ... ok\\ntest result: ok. 1 passed; 0 failed; 0 ignored\\n' $1"))
+        ran = self.play(
+            self.part(
+                self.FAILS, "printf 'test %s ... ok\\ntest result: ok. 1 passed; 0 failed; 0 ignored\\n' $1"
+            )
+        )
         self.assertTrue(ran.outcome.good)
         self.assertEqual(ran.outcome.passed, 2)
         [one] = self.judge.unsteady
         self.assertEqual((one.suite, one.test), ("some", "b"))
         self.assertIn("test b ... FAILED", pathlib.Path(one.log).read_text())
-        self.assertRegex((self.work / "unsteady.log").read_text(), r"^20..-.*load 1.0 \(1 min\) 2.0 \(5 min\)  some  b  ")
+        self.assertRegex(
+            (self.work / "unsteady.log").read_text(), r"^20..-.*load 1.0 \(1 min\) 2.0 \(5 min\)  some  b  "
+        )
 
     def test_what_failed_twice_has_failed(self):
-        ran = self.play(self.part(self.FAILS, "printf 'test %s ... FAILED\\ntest result: FAILED. 0 passed; 1 failed; 0 ignored\\n' $1; exit 1"))
+        ran = self.play(
+            self.part(
+                self.FAILS,
+                "printf 'test %s ... FAILED\\ntest result: FAILED. 0 passed; 1 failed; 0 ignored\\n' $1; exit 1",
+            )
+        )
         self.assertEqual(ran.outcome.failed, ["b"])
         self.assertEqual(self.judge.unsteady, [])
 
@@ -99,7 +120,10 @@ class ASecondOpinion(Stage):
         self.assertEqual(ran.outcome.failed, ["b"])
 
     def test_many_failures_are_not_played_again(self):
-        many = "".join(f"echo 'test t{n} ... FAILED';" for n in range(6)) + "echo 'test result: FAILED. 0 passed; 6 failed; 0 ignored'; exit 1"
+        many = (
+            "".join(f"echo 'test t{n} ... FAILED';" for n in range(6))
+            + "echo 'test result: FAILED. 0 passed; 6 failed; 0 ignored'; exit 1"
+        )
         ran = self.play(self.part(many, "touch played_again; exit 1"))
         self.assertEqual(len(ran.outcome.failed), 6)
         self.assertFalse((self.work / "played_again").exists())
@@ -137,7 +161,12 @@ class WhatRunsBesideWhat(unittest.TestCase):
 
     def test_a_part_that_is_alone_runs_when_all_others_are_over(self):
         lanes = self.lanes(lambda part, quiet: None)
-        lanes.run([("one", lambda: [self.part("counts", alone=True), self.part("a")]), ("two", lambda: [self.part("b")])])
+        lanes.run(
+            [
+                ("one", lambda: [self.part("counts", alone=True), self.part("a")]),
+                ("two", lambda: [self.part("b")]),
+            ]
+        )
         self.assertEqual(self.ended[-1], "counts")
         self.assertEqual(sorted(self.ended), ["a", "b", "counts"])
 
@@ -155,7 +184,12 @@ class WhatRunsBesideWhat(unittest.TestCase):
     def test_a_run_that_is_stopped_begins_nothing_more(self):
         lanes = self.lanes(lambda part, quiet: None, count=1)
         lanes.ended = lambda part, ran: (self.ended.append(part.title), lanes.stop())
-        lanes.run([("one", lambda: [self.part("a"), self.part("b"), self.part("c", alone=True)]), ("two", lambda: [self.part("d")])])
+        lanes.run(
+            [
+                ("one", lambda: [self.part("a"), self.part("b"), self.part("c", alone=True)]),
+                ("two", lambda: [self.part("d")]),
+            ]
+        )
         self.assertEqual(self.ended, ["a"])
 
     def test_nothing_begins_while_a_test_is_played_again(self):
@@ -215,7 +249,10 @@ class TheTable(unittest.TestCase):
         self.assertEqual(len(names), len(set(names)))
 
     def test_a_package_id_names_its_package(self):
-        for package_id, name in (("path+file:///x/host/model#trocar-model@0.1.0", "trocar-model"), ("path+file:///x/trocar#0.1.0", "trocar")):
+        for package_id, name in (
+            ("path+file:///x/host/model#trocar-model@0.1.0", "trocar-model"),
+            ("path+file:///x/trocar#0.1.0", "trocar"),
+        ):
             self.assertEqual(building._package(package_id), name)
 
 
@@ -236,7 +273,9 @@ def main():
     if unknown:
         print(f"there is no test {unknown[0]}")
         return 2
-    ran = unittest.TextTestRunner(stream=sys.stdout, resultclass=Lines, verbosity=0).run(unittest.TestSuite(tests[name] for name in names))
+    ran = unittest.TextTestRunner(stream=sys.stdout, resultclass=Lines, verbosity=0).run(
+        unittest.TestSuite(tests[name] for name in names)
+    )
     bad = len(ran.failures) + len(ran.errors)
     print(f"test result: {'FAILED' if bad else 'ok'}. {ran.testsRun - bad} passed; {bad} failed; 0 ignored")
     return 1 if bad else 0
