@@ -1,22 +1,28 @@
 #!/usr/bin/env python3
 """Runs the tests of the Python package in a venv of their own, as a suite of ``tests/run``.
 
-    python3 sdk/python/tests/run.py [PYTEST ARGUMENTS]
+    python3 sdk/python/tests/run.py [PYTEST ARGUMENTS]      all tests but those that judge durations
+    python3 sdk/python/tests/run.py --times [ARGUMENTS]     only tests that judge durations
+    python3 sdk/python/tests/run.py --exact NAME...         only these tests, named as their lines ``test NAME ... ok`` name them
     python3 sdk/python/tests/run.py --bench [ARGUMENTS]     tests/bench.py instead: what a call costs
-    python3 sdk/python/tests/run.py --oldest [ARGUMENTS]    the same tests with the oldest Python that pyproject.toml promises
+    python3 sdk/python/tests/run.py --oldest [ARGUMENTS]    any of these with the oldest Python that pyproject.toml promises
 
-Makes the venv under the target directory, installs the package itself into it (``pip install ./sdk/python[ire,test]``), and runs
-pytest: those of ``outer/`` against the program in TROCAR_BIN_DIR. Prints libtest's lines; names what was skipped in TROCAR_SKIPS.
+Makes the venv under the target directory, installs the package itself into it (as ``pip install ./sdk/python[ire,test]`` does), and
+runs pytest: those of ``outer/`` against the program in TROCAR_BIN_DIR. Prints libtest's lines; names what was skipped in TROCAR_SKIPS.
 
-Exit 77 when the packages cannot be had.
+Exit 2 when there is no test of a name, 77 when the packages cannot be had.
+
+Invariant: runs with two interpreters share no file that either writes; two with the same one take turns at its venv.
 """
 
+import fcntl
 import hashlib
 import os
 import pathlib
 import shutil
 import subprocess
 import sys
+import tempfile
 
 HERE = pathlib.Path(__file__).resolve().parent
 PACKAGE = HERE.parent
@@ -47,38 +53,74 @@ def main():
         # In a venv of its own beside the other one.
         os.environ["TROCAR_PYTHON_VENV"] = f"python-venv-{OLDEST}"
         os.execv(python, [python, __file__, *sys.argv[2:]])
+    VENV.parent.mkdir(parents=True, exist_ok=True)
+    with open(f"{VENV}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if code := prepared():
+            return code
+    directory = tempfile.mkdtemp(prefix="trocar-python-")
+    code = run(sys.argv[1:], pathlib.Path(directory))
+    if code == 1:
+        print(f"what the tests left is in {directory}")
+    else:
+        shutil.rmtree(directory, ignore_errors=True)
+    return code
+
+
+def prepared():
+    """Makes the venv and installs the package; answers why that cannot be, as an exit code."""
     python = VENV / "bin" / "python"
     if not python.exists():
-        VENV.parent.mkdir(parents=True, exist_ok=True)
         made = subprocess.run([sys.executable, "-m", "venv", str(VENV)], capture_output=True, text=True)
         if made.returncode:
             print(f"python: no venv can be made: {last(made.stdout + made.stderr)}")
             return SKIPPED
     # Installed as users do it, anew whenever it changed: what is tested is what is packed.
+    sources = [PACKAGE / "pyproject.toml", PACKAGE / "README.md", *sorted((PACKAGE / "src" / "trocar").iterdir())]
     state = hashlib.sha256()
-    for file in sorted([PACKAGE / "pyproject.toml", *(PACKAGE / "src" / "trocar").iterdir()]):
+    for file in sources:
         if file.is_file():
             state.update(file.name.encode() + file.read_bytes())
     stamp = VENV / "installed"
-    if not stamp.exists() or stamp.read_text() != state.hexdigest():
-        install = [str(python), "-m", "pip", "install", "-q", "--retries", "1", f"{PACKAGE}[ire,test]"]
+    if stamp.exists() and stamp.read_text() == state.hexdigest():
+        return 0
+    with tempfile.TemporaryDirectory(prefix="trocar-python-") as copy:
+        # A build writes into the folder that it builds.
+        for file in sources:
+            to = pathlib.Path(copy) / file.relative_to(PACKAGE)
+            to.parent.mkdir(parents=True, exist_ok=True)
+            if file.is_file():
+                shutil.copy(file, to)
+        install = [str(python), "-m", "pip", "install", "-q", "--retries", "1", f"{copy}[ire,test]"]
         done = subprocess.run(install, capture_output=True, text=True)
-        if done.returncode:
-            print(done.stdout + done.stderr)
-            # A package of ours that cannot be built is no excuse; packages that cannot be fetched are.
-            fetched = subprocess.run([*install[:-1], "numpy"], capture_output=True, text=True)
-            if fetched.returncode == 0:
-                print("test result: FAILED. 0 passed; 1 failed; 0 ignored")
-                return 1
-            print(f"the packages cannot be had: {last(done.stderr)}")
-            return SKIPPED
-        stamp.write_text(state.hexdigest())
-    env = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "Agg", "IPYTHONDIR": str(VENV / "ipython")}
-    if sys.argv[1:2] == ["--bench"]:
-        return subprocess.run([str(python), str(HERE / "bench.py"), *sys.argv[2:]], env=env, cwd=VENV).returncode
+    if done.returncode:
+        print(done.stdout + done.stderr)
+        # A package of ours that cannot be built is no excuse; packages that cannot be fetched are.
+        fetched = subprocess.run([*install[:-1], "numpy"], capture_output=True, text=True)
+        if fetched.returncode == 0:
+            print("test result: FAILED. 0 passed; 1 failed; 0 ignored")
+            return 1
+        print(f"the packages cannot be had: {last(done.stderr)}")
+        return SKIPPED
+    stamp.write_text(state.hexdigest())
+    return 0
+
+
+def run(arguments, directory):
+    """The tests or the benchmark, with a directory of their own for all that they write."""
+    python = str(VENV / "bin" / "python")
+    own = {"XDG_STATE_HOME": "state", "IPYTHONDIR": "ipython", "MPLCONFIGDIR": "matplotlib"}
+    env = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "Agg", **{name: str(directory / at) for name, at in own.items()}}
+    if arguments[:1] == ["--bench"]:
+        return subprocess.run([python, str(HERE / "bench.py"), *arguments[1:]], env=env, cwd=directory).returncode
+    if "--exact" in arguments:
+        at = arguments.index("--exact")
+        arguments = [*arguments[:at], *(f"--exact={name}" for name in arguments[at + 1 :])]
     # Not from the source folder: the installed package is meant.
-    command = [str(python), "-m", "pytest", "-q", "-p", "no:cacheprovider", str(HERE), *sys.argv[1:]]
-    return subprocess.run(command, env=env, cwd=VENV).returncode
+    options = ["-q", "-p", "no:cacheprovider", "-o", "console_output_style=classic", f"--basetemp={directory / 't'}"]
+    code = subprocess.run([python, "-m", "pytest", *options, str(HERE), *arguments], env=env, cwd=directory).returncode
+    # Pytest's 4 is a wrong use; whatever else is not 0 is a failure, also that there was no test to run.
+    return {0: 0, 4: 2}.get(code, 1)
 
 
 def last(text):
