@@ -11,8 +11,9 @@ import pytest
 
 import trocar
 
-from ..conftest import eventually
+from ..conftest import STANDSTILL_S, eventually
 
+DEADLINE_S = 30
 BIN = os.environ.get("TROCAR_BIN_DIR")
 ROOT = pathlib.Path(__file__).resolve().parents[4]
 
@@ -43,9 +44,9 @@ class Program:
     def address(self, pattern):
         def look():
             assert self.child.poll() is None, f"{self.name} ended with {self.child.returncode}:\n{self.printed()}"
-            return re.search(pattern, self.printed())
+            return re.search(pattern, self.printed()) or ""
 
-        return eventually(f"{self.name} prints its address", look).group(1)
+        return eventually(f"{self.name} prints its address", look, progress=lambda: len(self.printed())).group(1)
 
     def end(self, how=signal.SIGTERM):
         if self.child.poll() is None:
@@ -106,20 +107,44 @@ class System:
         self.address = self.program.address(r"GCM (127\.0\.0\.1:\d+)")
 
     def connect(self, **settings):
-        return trocar.connect(self.address, **settings)
+        # How long a call waits for its answer is judged where a test says a deadline itself.
+        return trocar.connect(self.address, **{"deadline": DEADLINE_S, "timeout": STANDSTILL_S, **settings})
+
+    def await_outputs(self):
+        """Waits for the first of all that streams, so that each test finds it also where it runs alone."""
+        with self.connect() as ire:
+            for path in ("robot/EyeRobot/position", "host/eye/image", "oct/spectrometer/spectra", "oct/lines/ascan"):
+                eventually(f"{path} has sent", lambda path=path: there(lambda: ire.latest(path)))
+
+
+def there(read):
+    """Whether it can be read by now; why not, as an observation."""
+    try:
+        read()
+    except trocar.TrocarError as e:
+        raise AssertionError(str(e)) from None
+    return True
 
 
 @pytest.fixture(scope="session")
 def system(tmp_path_factory):
     made = System(tmp_path_factory.mktemp("session"))
-    yield made
-    made.program.end()
+    try:
+        made.await_outputs()
+        yield made
+    finally:
+        made.program.end()
 
 
 @pytest.fixture
 def ire(system):
     with system.connect() as session:
         yield session
+
+
+def listed(ire):
+    """The paths of all components as the GCM has them; a session's own copy of the graph may come later."""
+    return {component.path for component in ire._call("GcmService/List").components}
 
 
 @pytest.fixture

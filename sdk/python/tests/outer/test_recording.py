@@ -8,7 +8,7 @@ import pytest
 
 import trocar
 
-from ..conftest import eventually
+from ..conftest import eventually, reaches
 
 EYEROBOT = "robot/EyeRobot"
 POSITION = f"/{EYEROBOT}/position"
@@ -27,22 +27,23 @@ def steps(ire):
 def goes_on(ire, count=300):
     """Waits for so many steps of the robot, each of which sends its position."""
     end = steps(ire) + count
-    eventually(f"{count} steps", lambda: steps(ire) >= end)
+    reaches(f"{count} steps", lambda: steps(ire), end)
 
 
 def written(rec, count=100):
     """Waits until so many messages more are in the file."""
     end = rec.status()["messages"] + count
-    eventually(f"{count} messages are written", lambda: rec.status()["messages"] >= end)
+    reaches(f"{count} messages are written", lambda: rec.status()["messages"], end)
 
 
 def test_a_recording_is_made_read_back_and_its_recorder_is_gone(system, ire, tmp_path):
     with ire.record("trial7", ["robot/**", "oct/**"], pre_trigger=5, directory=str(tmp_path)) as rec:
         rec.marker("half way")
-        first = rec.status()["messages"]
-        eventually("messages are written", lambda: rec.status()["messages"] > first + 100)
-        frames = rec.topics.index("oct/lines/ascan")
-        eventually("frames of another process are, too", lambda: rec._ctl("topic", frames)["kept"] > 5)
+        wanted = (f"{EYEROBOT}/position", "oct/spectrometer/spectra", "oct/lines/ascan")
+        positions, *frames = map(rec.topics.index, wanted)
+        reaches("positions are written", lambda: rec._ctl("topic", positions)["kept"], 100)
+        for topic in frames:
+            reaches("frames of another process are, too", lambda topic=topic: rec._ctl("topic", topic)["kept"], 6)
     assert rec.path == str(tmp_path / "trial7.mcap")
     told = rec.read()["/recorder/loss"].messages[-1:] if rec.result["lost"] else []
     assert rec.result["lost"] == 0, (rec.topics, told)
@@ -61,7 +62,7 @@ def test_a_recording_is_made_read_back_and_its_recorder_is_gone(system, ire, tmp
         assert np.isfinite(values).all() and values.any() and values.std() > 0, "something is in it"
     assert (np.diff(ascans["index"].astype(np.int64)) > 0).all(), "each frame once, in order"
     brief = ire.record("brief", ["robot/**"], directory=str(tmp_path)).start(duration=0.3)
-    eventually("it ended by itself", lambda: str(brief.status()["phase"]) == "IDLE" or "0" == str(brief.status()["phase"]))
+    eventually("it ended by itself", lambda: str(brief.status()["phase"]) in ("IDLE", "0"))
     assert brief.stop()["reason"] == "its time was over" and brief.path == str(tmp_path / "brief.mcap")
     assert brief.read().complete
     with pytest.raises(trocar.TrocarError, match="exists"):
@@ -125,7 +126,7 @@ def test_a_pause_leaves_a_hole_and_is_no_loss(ire, tmp_path):
 )
 def test_video_is_kept_as_was_asked_for(ire, tmp_path, video, schema, told, magic):
     with ire.record("video", ["host/eye/image"], video=video, directory=str(tmp_path)) as rec:
-        eventually("pictures come", lambda: rec._ctl("topic", 0)["kept"] > 2)
+        reaches("pictures come", lambda: rec._ctl("topic", 0)["kept"], 3)
     left = rec.read()["/host/eye/image/left"]
     assert left.schema == schema and set(left[told[0]].tolist()) == {told[1]}, left
     assert all(m.data.startswith(magic) for m in left.messages) and len(left) > 2
@@ -149,7 +150,8 @@ def test_a_rate_thins_all_or_those_that_a_mapping_names(ire, tmp_path):
     for name, rate in (("all", 20), ("some", {"*/*/tap_*": 20.0})):
         with ire.record(name, patterns, max_rate_hz=rate, directory=str(tmp_path)) as rec:
             goes_on(ire)
-            eventually("some are kept of each", lambda rec=rec: min(rec._ctl("topic", n)["kept"] for n in (0, 1)) > 5)
+            for topic in (0, 1):
+                reaches("some are kept of each", lambda rec=rec, topic=topic: rec._ctl("topic", topic)["kept"], 6)
         assert rec.result["lost"] == 0, rec.result
         file = rec.read()
         gaps[name] = [np.diff(file[f"/{p}"].publish_time.astype(np.int64)) for p in patterns]

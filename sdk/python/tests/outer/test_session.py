@@ -80,8 +80,11 @@ class Terminal:
         text = self.prompt(number + 1)
         return text.rpartition(f"In [{number}]:")[2].rpartition(f"In [{number + 1}]:")[0]
 
-    def complete(self, text, pattern):
-        """Types and presses TAB; as people do, once more where nothing came of it (the system did not answer in time)."""
+    def complete(self, text, seen):
+        """Types and presses TAB until the screen is as it should be: a pattern, or a function of what is
+        shown. As people do, it presses TAB once more where nothing came of it (the system did not answer in
+        time).
+        """
         looks = [0]
 
         def look():
@@ -89,7 +92,8 @@ class Terminal:
                 self.child.send(CLEAR + text + TAB)
             looks[0] += 1
             shown = self.text()
-            assert re.search(pattern, shown, re.M), f"the screen shows:\n{shown[-2000:]}"
+            found = seen(shown) if callable(seen) else re.search(seen, shown, re.M)
+            assert found, f"the screen shows:\n{shown[-2000:]}"
             return shown
 
         return eventually(f"{text} is completed", look)
@@ -150,12 +154,11 @@ def test_the_session_of_the_documentation_runs_as_it_is_written(system, ire, ser
         typed, beside, below = session.get(number, ([between.get(number)], "", []))
         if number == 5:
             t.prompt(5)
-            t.child.send("r." + TAB)
 
-            def offered():
-                return set(t.text().rpartition("In [5]:")[2].split("\n", 1)[-1].split())
+            def offered(text):
+                return set(text.rpartition("In [5]:")[2].split("\n", 1)[-1].split())
 
-            eventually(f"exactly {beside} are offered", lambda beside=beside: offered() == set(beside.split()))
+            t.complete("r.", lambda text, beside=beside: offered(text) == set(beside.split()))
             t.child.send(CLEAR)
             typed, beside = ["r.Read()"], ""
         shown[number] = t.run(number, *typed)
@@ -176,7 +179,11 @@ def test_the_session_of_the_documentation_runs_as_it_is_written(system, ire, ser
         assert file.complete and {name.split("/")[1] for name in file} >= {"robot", "oct"}, list(file)
     t.child.send("exit()" + ENTER)
     eventually("IPython has ended", lambda: not t.child.isalive())
-    eventually("the shell is gone from the graph", lambda: [p for p in ire._graph.processes if p.startswith("ire")] == [ire.process])
+
+    def shells():
+        return [p for p in ire._graph.processes if p.startswith("ire")]
+
+    eventually("the shell is gone from the graph", lambda: shells() == [ire.process], progress=shells)
     if not recorded:
         pytest.skip("In [12], the recording: the recorder plugin was not built; the rest of the session ran")
 
@@ -225,7 +232,8 @@ def test_trocar_ire_starts_connected_and_completes_live_names_and_paths(system, 
 
 def test_trocar_ire_runs_code_and_says_when_there_is_no_gcm(system, tmp_path):
     command = pathlib.Path(sys.executable).with_name("trocar-ire")
-    out = pexpect.run(f"{command} --gcm {system.address} -c 'print(ire.connected)'", timeout=60, encoding="utf-8", cwd=str(tmp_path))
+    options = {"timeout": None, "encoding": "utf-8", "cwd": str(tmp_path)}
+    out = pexpect.run(f"{command} --gcm {system.address} -c 'print(ire.connected)'", **options)
     assert "True" in out, out
-    out, status = pexpect.run(f"{command} --gcm 127.0.0.1:1", timeout=60, encoding="utf-8", withexitstatus=True)
+    out, status = pexpect.run(f"{command} --gcm 127.0.0.1:1", withexitstatus=True, **options)
     assert status == 3 and "GCM_UNREACHABLE" in out and "127.0.0.1:1" in out, (status, out)
