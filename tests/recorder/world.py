@@ -1,5 +1,7 @@
 """What the tests of recordings stand on: the packages, a host in a directory of its own, a file read by the stock reader."""
 
+import fcntl
+import itertools
 import json
 import os
 import pathlib
@@ -7,6 +9,7 @@ import pty
 import re
 import select
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,7 +20,10 @@ ROOT = HERE.parents[1]
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 BIN = pathlib.Path(os.environ.get("TROCAR_BIN_DIR", TARGET / "release"))
 VENV = TARGET / "recorder-venv"
-# Nothing here is judged by time; this only ends what would hang.
+# Nothing here is judged by time. A wait fails when what it observes has not changed for so long, whatever it
+# takes in all;
+STANDSTILL_S = 60
+# and a program that says nothing until it ends is taken for one that hangs after so long.
 PATIENCE_S = 120
 OK, REFUSED, USAGE, PARTIAL = 0, 1, 2, 5
 SKIPPED = 77
@@ -28,10 +34,18 @@ class Skip(Exception):
 
 
 def enter_venv():
-    """Makes the venv where it is missing, and goes on in it."""
+    """Makes the venv where it is missing, and goes on in it. Whoever else wants it meanwhile waits."""
     python = VENV / "bin" / "python"
     if pathlib.Path(sys.prefix) == VENV:
         return
+    VENV.parent.mkdir(parents=True, exist_ok=True)
+    with open(f"{VENV}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        prepare_venv(python)
+    os.execv(python, [str(python), *sys.argv])
+
+
+def prepare_venv(python):
     if not python.exists():
         made = subprocess.run([sys.executable, "-m", "venv", str(VENV)], capture_output=True, text=True)
         if made.returncode:
@@ -42,19 +56,28 @@ def enter_venv():
     if done.returncode:
         print(f"suite.py: the packages of packages.txt cannot be had: {done.stderr.strip().splitlines()[-1:]}")
         sys.exit(SKIPPED)
-    os.execv(python, [str(python), *sys.argv])
 
 
-def eventually(what, probe):
-    """Asks again until it is so."""
-    end = time.monotonic() + PATIENCE_S
+def eventually(what, probe, progress=None):
+    """Asks again until it is so. `progress` is observed beside the answer: a count or a state on the way
+    there.
+    """
+    last, since = None, time.monotonic()
     while True:
         answer = probe()
         if answer:
             return answer
-        if time.monotonic() > end:
-            raise AssertionError(f"never: {what}; last seen: {answer!r}")
+        now = (repr(answer), repr(progress()) if progress else "")
+        if now != last:
+            last, since = now, time.monotonic()
+        elif time.monotonic() - since > STANDSTILL_S:
+            raise AssertionError(f"{what}: nothing has changed for {STANDSTILL_S} s; last seen: {answer!r} {now[1]}")
         time.sleep(0.02)
+
+
+def reaches(what, count, least):
+    """Waits until the count is so large; each change of it is progress."""
+    eventually(what, lambda: count() >= least, progress=count)
 
 
 class World:
@@ -83,7 +106,8 @@ class World:
         self.host = self.begun(command, self.log)
         address = eventually("the host says its address", self.address)
         self.env["TROCAR_GCM"] = self.address("gcm.log") if managed else address
-        eventually("the classes are there", lambda: "recorder/recorder" in self.run("ls", "--json").stdout or None)
+        classes = lambda: self.run("ls", "--json").stdout
+        eventually("the classes are there", lambda: "recorder/recorder" in classes(), progress=classes)
 
     def __enter__(self):
         return self
@@ -121,6 +145,39 @@ class World:
     def json(self, *words, code=OK):
         return json.loads(self.run(*words, "--json", code=code).stdout)
 
+    def record(self, *words, least, code=OK):
+        """`trocar record`, ended as by Ctrl-C once so many messages of each topic are kept, named as in the
+        file.
+        """
+        with open(self.dir / "record.log", "w+") as log:
+            process = subprocess.Popen([BIN / "trocar", "record", *map(str, words), "--json"], cwd=self.dir, env=self.env,
+                                       stdout=subprocess.PIPE, stderr=log, text=True)
+            try:
+                for topic, count in least.items():
+                    reaches(f"{count} of {topic} are kept", lambda: self.kept_by(process, topic), count)
+                process.send_signal(signal.SIGINT)
+                out, _ = process.communicate(timeout=PATIENCE_S)
+            finally:
+                process.kill()
+                process.wait()
+            log.seek(0)
+            assert process.returncode == code, (words, process.returncode, out, log.read())
+        return json.loads(out)
+
+    def kept_by(self, process, topic):
+        """Messages of a topic that a running `trocar record` has kept so far."""
+        assert process.poll() is None, (process.returncode, (self.dir / "record.log").read_text())
+        path = next((c["path"] for c in self.json("ls")["components"] if c["path"].endswith(f"/rec-{process.pid}")), None)
+        # A topic has its name once the recorder was told where its input comes from; then it has a number.
+        for at in itertools.count() if path else ():
+            told = self.run("call", f"{path}/ctl/topic", str(at), "--deadline", "20s")
+            if told.returncode != OK:
+                break
+            told = json.loads(told.stdout)
+            if told["topic"] == topic:
+                return told["kept"]
+        return 0
+
     def call(self, path, arg=None, code=OK):
         words = ["call", path] + ([] if arg is None else [json.dumps(arg)])
         return self.run(*words, "--deadline", "20s", code=code)
@@ -153,15 +210,40 @@ class World:
     def begin(self, path, delay=0, duration=0, code=OK):
         return self.call("host/rec/ctl/start", {"path": path, "delay": delay, "duration": duration}, code=code)
 
-    def topic(self, at):
-        return json.loads(self.call("host/rec/ctl/topic", at).stdout)
+    def topic(self, at, path="host/rec"):
+        return json.loads(self.call(f"{path}/ctl/topic", at).stdout)
 
-    def wait(self, what, wanted):
-        return eventually(what, lambda: (lambda s: s if wanted(s) else None)(self.read("host/rec/ctl/status")))
+    def kept(self, at, least):
+        """Waits until so many messages of a topic are kept, of a recording that began, or of the time before
+        it.
+        """
+        reaches(f"{least} messages of topic {at} are kept", lambda: self.topic(at)["kept"], least)
+
+    def wait(self, what, phase=None, **least):
+        """Waits for a phase, and for figures of the status that are to be so large. Only what is still
+        missing is observed: messages that come by themselves are no progress of a phase that does not.
+        """
+        missing, status = {}, {}
+
+        def there():
+            status.update(self.read("host/rec/ctl/status"))
+            missing.clear()
+            if phase is not None and status["phase"] != phase:
+                missing["phase"] = status["phase"]
+            missing.update((key, status[key]) for key, count in least.items() if status[key] < count)
+            return not missing
+
+        eventually(what, there, progress=missing.copy)
+        return status
 
     def end(self):
         self.call("host/rec/ctl/stop")
-        return eventually("the file is closed", lambda: (lambda s: s if s["reason"] else None)(self.read("host/rec/ctl/last")))
+        return self.ended("the file is closed")
+
+    def ended(self, what, path=""):
+        """Waits until a recording has ended, that of the path if one is named."""
+        last = lambda: self.read("host/rec/ctl/last")
+        return eventually(what, lambda: (lambda s: s if s["reason"] and s["path"].endswith(path) else None)(last()))
 
 
 class Terminal:
@@ -175,7 +257,7 @@ class Terminal:
 
     def read(self):
         """More of it; false at its end."""
-        assert select.select([self.master], [], [], PATIENCE_S)[0], f"nothing more was shown: {self.shown!r}"
+        assert select.select([self.master], [], [], STANDSTILL_S)[0], f"nothing more was shown: {self.shown!r}"
         try:
             more = os.read(self.master, 4096)
         except OSError:  # The other end is closed.
@@ -242,6 +324,12 @@ def messages(path, whole=True):
             ended = False
         metadata = {m.name: m.metadata for m in reader.iter_metadata()} if whole else {}
     return topics, metadata, ended
+
+
+def missing(records):
+    """How many numbers are left out between the first and the last."""
+    numbers = [message.sequence for message, _ in records]
+    return sum(b - a - 1 for a, b in zip(numbers, numbers[1:]))
 
 
 def contiguous(records):
