@@ -1,5 +1,5 @@
 /// How tests follow what streams, and read what the page shows of it.
-import { box, eventually } from './world.mjs';
+import { box, create, eventually, settled, start } from './world.mjs';
 
 export async function interfacesOf(page, path) {
   await box(page, path).locator('header').click();
@@ -38,3 +38,29 @@ export async function framesNoted(page) {
 }
 /// What the list of events shows: path and text of each row, oldest first.
 export const eventRows = (page) => page.locator('[data-list=events] .list > div').evaluateAll((all) => all.map((e) => [e.querySelector('b').innerText, e.querySelector('span').innerText]));
+/// The numbers of listed events by path; what was skipped is said behind them.
+export function numbered(rows) {
+  const out = {};
+  for (const [path, text] of rows) (out[path] ??= []).push(JSON.parse(text.replace(/ \(\d+ skipped before\)$/, '')).number);
+  return out;
+}
+
+/// A host with sixteen makers of a thousand events a second each, and a page that follows none of them yet.
+export async function manyMakers(world) {
+  const host = await world.host();
+  const makers = Array.from({ length: 16 }, (_, n) => `host/e${n}`);
+  for (const path of makers) await create(host.addr, 'fixture-torture/server', path, undefined, { rate_hz: 1000 });
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  return { host, page, makers };
+}
+export async function followAll(page, makers) {
+  for (const path of makers) {
+    await page.keyboard.press('Control+k');
+    await page.getByRole('combobox', { name: 'search' }).fill(path);
+    await page.keyboard.press('Enter');
+    await page.getByRole('tab', { name: 'Interfaces' }).click();
+    await page.locator(`[data-follow="${path}/ctl/ticked"]`).click();
+  }
+}

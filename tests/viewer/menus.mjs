@@ -105,7 +105,7 @@ export async function the_menu_of_the_graph_creates_arranges_and_searches(world)
   await page.mouse.down();
   await page.mouse.move(at.x + 130, at.y + 90, { steps: 6 });
   await page.mouse.up();
-  holds((await place()) !== laid, `it was moved: ${laid}, then ${await place()}`);
+  await eventually('it was moved', async () => (await place()) !== laid, place);
   await open();
   await choose(page, 'Arrange');
   await eventually('it is back', async () => (await place()) === laid);

@@ -1,6 +1,11 @@
 #!/usr/bin/env bash
 # The viewer in a real browser: Debian's chromium, driven by playwright-core, on built programs. Prints libtest's lines.
 #
+#   run.sh                  all tests but those that judge durations
+#   run.sh --times          only tests that judge durations
+#   run.sh WORD...          those of all tests whose name holds one of the words
+#   run.sh --exact NAME...  only these tests, named as in their lines `test NAME ... ok`
+#
 # Invariant: what is missing is said in the last line and ends in 77: skipped by name, never passed.
 set -u -o pipefail
 here=$(cd "$(dirname "$0")" && pwd)

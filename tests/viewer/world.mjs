@@ -10,8 +10,8 @@ import { chromium } from 'playwright-core';
 const BIN = process.env.TROCAR_BIN_DIR ?? path.resolve('../../release');
 export const PLUGINS = process.env.TROCAR_PLUGIN_DIR ?? BIN;
 export const PICTURES = path.resolve('pictures');
-/// How long anything may take to be seen; only a test that fails waits so long, ms.
-export const PATIENCE = 60_000;
+/// A wait fails when what it observes has not changed for so long, whatever it takes in all, ms.
+export const STANDSTILL = 60_000;
 const ARGS = [
   '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking',
   '--disable-component-update', '--disable-sync', '--disable-dev-shm-usage',
@@ -48,7 +48,7 @@ export class World {
   async start(args, name) {
     const program = new Program(args, name, { XDG_STATE_HOME: path.join(this.dir, 'state'), HOME: this.dir });
     this.programs.push(program);
-    await program.ready;
+    await Promise.race([program.ready, eventually(`${name} listens`, () => program.addr, () => program.printed)]);
     return program;
   }
   host(name = 'host', more = []) {
@@ -66,7 +66,7 @@ export class World {
     const context = await chromium.launchPersistentContext(profile, {
       executablePath: process.env.CHROMIUM, headless: true, args: ARGS, viewport: { width: 1500, height: 900 }, ...options,
     });
-    context.setDefaultTimeout(PATIENCE);
+    context.setDefaultTimeout(STANDSTILL);
     // For work on the page: files of a build that no program embeds yet.
     if (process.env.VIEWER_DIST) {
       await context.route(/^http:[/][/]127\.0\.0\.1:\d+[/](video|icon\.svg|assets[/].*)?(\?.*)?$/, async (route) => {
@@ -118,19 +118,26 @@ export function grpcurl(addr, method, request = {}) {
   });
 }
 
-/// Asks until it is so.
-export async function eventually(what, ask) {
-  const until = Date.now() + PATIENCE;
-  for (let last; ; await new Promise((next) => setTimeout(next, 50))) {
+/// Asks until it is so. `progress` is observed beside the answer: a count or a state on the way there.
+export async function eventually(what, ask, progress = () => '') {
+  let [last, since] = [undefined, Date.now()];
+  for (;;) {
+    let answer;
     try {
-      last = await ask();
-      if (last) return last;
+      answer = await ask();
+      if (answer) return answer;
     } catch (e) {
-      last = e;
+      answer = e;
     }
-    if (Date.now() > until) throw new Error(`${what}: not so within ${PATIENCE / 1000} s; last: ${last}`);
+    const now = `${answer} ${JSON.stringify(await Promise.resolve().then(progress).catch(String))}`;
+    if (now !== last) [last, since] = [now, Date.now()];
+    else if (Date.now() - since > STANDSTILL) throw new Error(`${what}: nothing has changed for ${STANDSTILL / 1000} s; last: ${now}`);
+    await new Promise((next) => setTimeout(next, 50));
   }
 }
+
+/// Waits until all of the counts are so large; each change of them is progress.
+export const reaches = (what, counts, least) => eventually(what, async () => [await counts()].flat().every((n) => n >= least), counts);
 
 export function is(found, wanted, what) {
   if (JSON.stringify(found) !== JSON.stringify(wanted)) throw new Error(`${what}: ${JSON.stringify(found)}, wanted ${JSON.stringify(wanted)}`);
