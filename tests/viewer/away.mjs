@@ -1,6 +1,6 @@
 /// What streams while nobody answers, and after that.
 import { go_on, interfacesOf, plot, points } from './following.mjs';
-import { box, create, eventually, holds, is, settled, shot, start } from './world.mjs';
+import { box, create, eventually, holds, is, reaches, settled, shot, start } from './world.mjs';
 
 export async function plots_events_and_pictures_go_on_by_themselves_when_the_gcm_is_back(world) {
   const gcm = await world.gcm();
@@ -30,7 +30,7 @@ export async function plots_events_and_pictures_go_on_by_themselves_when_the_gcm
   const listed = async () => Number(await page.locator('[data-list=events]').getAttribute('data-total'));
   const more = async (what, count, than = undefined) => {
     const had = than ?? (await count());
-    await eventually(what, async () => (await count()) > had + 3);
+    await reaches(what, count, had + 4);
   };
   await more('the video runs', () => shown(video));
   await page.bringToFront();
@@ -38,7 +38,8 @@ export async function plots_events_and_pictures_go_on_by_themselves_when_the_gcm
   await dock('Events');
   await more('events come', listed);
   await dock('Plots');
-  await eventually('points come', async () => (await points(page)).length === 3 && (await points(page)).every((n) => n > 10));
+  await eventually('three curves are there', async () => (await points(page)).length === 3);
+  await reaches('points come', () => points(page), 11);
   await dock('Pictures');
 
   gcm.kill('SIGKILL');

@@ -1,7 +1,7 @@
 /// A page nobody sees: it lets go of its calls, and takes them up again. The driver's pages always count as seen, so what the browser
 /// would say is said in its place; the page's clock is the driver's, which turns it on.
 import { go_on, interfacesOf, plot, points } from './following.mjs';
-import { box, create, eventually, grpcurl, holds, is, settled, shot, start } from './world.mjs';
+import { box, create, eventually, grpcurl, holds, is, reaches, settled, shot, start } from './world.mjs';
 
 /// After so long unseen a page has let go, and after so long it has not yet, ms; see UNSEEN in App.svelte.
 const LONG = 6000;
@@ -52,14 +52,18 @@ export async function a_page_nobody_sees_lets_go_of_its_calls_and_takes_them_up_
   await page.locator('[data-follow="host/events/ctl/ticked"]').click();
   await page.getByRole('button', { name: 'Plots', exact: true }).click();
   await interfacesOf(page, 'host/sine');
-  await eventually('points come', async () => (await points(page)).length === 3 && (await points(page)).every((n) => n > 10));
+  await eventually('three curves are there', async () => (await points(page)).length === 3);
+  await reaches('points come', () => points(page), 11);
   await eventually('what streams are two calls', () => open().filter((m) => m === 'Watch' || m === 'Subscribe').join() === 'Subscribe,Watch');
 
-  // Looked away for a moment only: what streams goes on in the same calls.
+  // Looked away for a moment only: what streams goes on in the same calls. The page's clock stands still
+  // between the calls of the driver, however long those take.
+  await page.clock.pauseAt((await page.evaluate(() => Date.now())) + LONG);
   const before = { streams: began.streams, gaps: await gaps(page) };
   await seen(page, false);
   await page.clock.fastForward(SHORT);
   await seen(page, true);
+  await page.clock.resume();
   await page.clock.fastForward(LONG);
   await go_on(page, 'all three go on');
   is(began.streams, before.streams, 'calls begun anew after a moment');

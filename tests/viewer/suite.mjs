@@ -20,9 +20,8 @@ import * as video from './video.mjs';
 
 const FILES = { graph, menus, forms, classes, invoke, live, video, away, hidden, page, guard, access, times };
 const all = Object.entries(FILES).flatMap(([file, tests]) => Object.entries(tests).map(([name, test]) => ({ full: `viewer::${file}::${name}`, file, name, test })));
-const exact = process.argv[2] === '--exact';
-const onlyTimes = process.argv[2] === '--times';
-const words = process.argv.slice(exact || onlyTimes ? 3 : 2);
+const [exact, onlyTimes] = ['--exact', '--times'].map((option) => process.argv.includes(option));
+const words = process.argv.slice(2).filter((word) => !['--exact', '--times'].includes(word));
 const means = (word, { full }) => (exact ? full === word : full.includes(word));
 const unknown = words.filter((word) => !all.some((one) => means(word, one)));
 if (unknown.length || (exact && !words.length)) {
@@ -32,7 +31,7 @@ if (unknown.length || (exact && !words.length)) {
 /// Whether a test was asked for: by name, or as one of its kind.
 const chosen = (one) => {
   if (words.length && !words.some((word) => means(word, one))) return false;
-  return onlyTimes || !words.length ? (one.file === 'times') === onlyTimes : true;
+  return exact || (words.length && !onlyTimes) || (one.file === 'times') === onlyTimes;
 };
 
 let [passed, failed] = [0, 0];
