@@ -11,6 +11,8 @@ pub(crate) struct Book {
     pub(crate) not_run: Vec<String>,
     /// How long it took, s.
     pub(crate) took_s: f64,
+    /// False: claims about durations are told, and not judged.
+    pub(crate) judges_times: bool,
 }
 
 /// One claim.
@@ -25,6 +27,8 @@ pub(crate) struct Line {
     /// Of the control run, in words.
     pub(crate) control: String,
     pub(crate) holds: bool,
+    /// It depends on how long something took, and so on what else the machine did.
+    pub(crate) of_time: bool,
     /// Where something was counted here and in a control run of the same length.
     pub(crate) counts: Option<Counts>,
 }
@@ -68,11 +72,16 @@ impl Line {
 
 impl Book {
     pub(crate) fn new(row: &'static str, fault: &'static str) -> Book {
-        Book { row, fault, lines: Vec::new(), not_run: Vec::new(), took_s: 0.0 }
+        Book { row, fault, lines: Vec::new(), not_run: Vec::new(), took_s: 0.0, judges_times: true }
+    }
+
+    /// Whether a claim counts.
+    pub(crate) fn judges(&self, line: &Line) -> bool {
+        self.judges_times || !line.of_time
     }
 
     pub(crate) fn holds(&self) -> bool {
-        !self.lines.is_empty() && self.lines.iter().all(|line| line.holds)
+        self.lines.iter().any(|line| self.judges(line)) && self.failing().next().is_none()
     }
 
     /// It fails, and only in what was counted beside a control run.
@@ -103,7 +112,7 @@ impl Book {
     }
 
     pub(crate) fn failing(&self) -> impl Iterator<Item = &Line> {
-        self.lines.iter().filter(|line| !line.holds)
+        self.lines.iter().filter(|line| !line.holds && self.judges(line))
     }
 
     /// Each time in ms is within `bound_ms` and the lateness, in ms, that the machine itself showed at that moment.
@@ -117,12 +126,23 @@ impl Book {
             seen: spread(&ms),
             control: format!("+{:.1} ms", late.last().copied().unwrap_or(0.0)),
             holds: !seen.is_empty() && seen.iter().all(|t| t.ms <= bound_ms + t.late_ms),
+            of_time: true,
             counts: None,
         });
     }
 
     /// A number that is to be at most this.
     pub(crate) fn at_most(&mut self, what: &str, tried: usize, seen: u64, most: u64) {
+        self.bounded(what, tried, seen, most, false);
+    }
+
+    /// The same of what a machine that does something else, too, makes more of: a queue runs full, a deadline
+    /// goes by.
+    pub(crate) fn at_most_in_time(&mut self, what: &str, tried: usize, seen: u64, most: u64) {
+        self.bounded(what, tried, seen, most, true);
+    }
+
+    fn bounded(&mut self, what: &str, tried: usize, seen: u64, most: u64, of_time: bool) {
         self.line(Line {
             what: what.to_owned(),
             count: tried,
@@ -130,6 +150,7 @@ impl Book {
             seen: seen.to_string(),
             control: String::new(),
             holds: seen <= most,
+            of_time,
             counts: None,
         });
     }
@@ -143,6 +164,7 @@ impl Book {
             seen: seen.to_string(),
             control: String::new(),
             holds: seen >= least,
+            of_time: false,
             counts: None,
         });
     }
@@ -151,8 +173,16 @@ impl Book {
     pub(crate) fn counts(&mut self, what: &str, tried: usize, counts: Counts) {
         let (empty, holds) = (String::new(), counts.holds());
         let (bound, seen, control) = (empty.clone(), empty.clone(), empty);
-        let mut line =
-            Line { what: what.to_owned(), count: tried, bound, seen, control, holds, counts: None };
+        let mut line = Line {
+            what: what.to_owned(),
+            count: tried,
+            bound,
+            seen,
+            control,
+            holds,
+            of_time: true,
+            counts: None,
+        };
         line.set_counts(counts);
         self.line(line);
     }
@@ -174,6 +204,7 @@ impl Book {
             seen: format!("{seen:.1} {unit}"),
             control: format!("{control:.1} {unit}"),
             holds: seen <= control + allowed,
+            of_time: true,
             counts: None,
         });
     }
@@ -193,7 +224,16 @@ impl Book {
             Err(why) => (why, false),
         };
         let (bound, control) = ("holds".into(), String::new());
-        self.line(Line { what: what.to_owned(), count: tried, bound, seen, control, holds, counts: None });
+        self.line(Line {
+            what: what.to_owned(),
+            count: tried,
+            bound,
+            seen,
+            control,
+            holds,
+            of_time: false,
+            counts: None,
+        });
     }
 
     /// Something of this row that is not run, or not as it should be.
@@ -201,8 +241,17 @@ impl Book {
         self.not_run.push(why.to_owned());
     }
 
+    /// What became of a claim, in a word.
+    pub(crate) fn verdict(&self, line: &Line) -> &'static str {
+        match (line.holds, self.judges(line)) {
+            (true, _) => "holds",
+            (false, true) => "FAILS",
+            (false, false) => "not judged here",
+        }
+    }
+
     pub(crate) fn line(&mut self, line: Line) {
-        let verdict = if line.holds { "holds" } else { "FAILS" };
+        let verdict = self.verdict(&line);
         eprintln!(
             "  {verdict} {}: {} × {} (allowed {} {})",
             line.what, line.count, line.seen, line.bound, line.control
@@ -289,6 +338,23 @@ mod tests {
         let mut book = Book::new("x", "y");
         book.times("a", &[], 1.0);
         assert!(!book.holds());
+    }
+
+    #[test]
+    fn a_gate_judges_all_but_durations_and_shows_them() {
+        let mut book = Book::new("x", "y");
+        book.judges_times = false;
+        book.times("late", &[Timed { ms: 2.0, late_ms: 0.0 }], 1.0);
+        assert!(!book.holds(), "nothing was shown that is judged");
+        book.at_most("lost", 1, 0, 0);
+        book.at_most_in_time("missed", 1, 1, 0);
+        book.beside("cost", 1, 2.0, 1.0, 0.5, "ms");
+        book.counts("skipped", 1, Counts { seen: 3, control: 1, allowed: 1 });
+        assert!(book.holds());
+        assert_eq!(book.lines.iter().filter(|line| book.verdict(line) == "not judged here").count(), 4);
+        book.at_most("torn", 1, 1, 0);
+        assert!(!book.holds());
+        assert_eq!(book.failing().map(|line| line.what.as_str()).collect::<Vec<_>>(), ["torn"]);
     }
 
     #[test]

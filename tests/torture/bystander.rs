@@ -6,7 +6,7 @@ use serde_json::json;
 use trocar_proto::v1::Execution;
 
 use crate::book::{Book, Counts};
-use crate::clock::within;
+use crate::clock::eventually;
 use crate::program::Program;
 use crate::rpc::Rpc;
 use crate::world::World;
@@ -45,7 +45,7 @@ pub(crate) fn start_late(
     config: serde_json::Value,
     execution: Execution,
 ) -> Result<(), String> {
-    within(10_000, &format!("{path} is made"), || {
+    eventually(&format!("{path} is made"), || {
         Ok(rpc.create_with(path, CLASS, config.clone(), execution.clone())?)
     })?;
     Ok(rpc.start(path)?)

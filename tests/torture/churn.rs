@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use trocar_proto::v1::ConnectOptions;
 
-use crate::clock::within;
+use crate::clock::eventually;
 use crate::rpc::{Answer, Rpc};
 
 /// Between two requests.
@@ -60,12 +60,10 @@ impl Churn {
     pub(crate) fn end(mut self) -> Result<Churned, String> {
         let churned = self.join().ok_or("connecting panicked")?;
         for (client, server) in &self.pairs {
-            within(5_000, "the last connection is taken away", || {
-                match self.rpc.disconnect(client, server) {
-                    Ok(()) => Ok(()),
-                    Err(refused) if refused.reason == "CONNECTION_NOT_FOUND" => Ok(()),
-                    Err(refused) => Err(refused.to_string()),
-                }
+            eventually("the last connection is taken away", || match self.rpc.disconnect(client, server) {
+                Ok(()) => Ok(()),
+                Err(refused) if refused.reason == "CONNECTION_NOT_FOUND" => Ok(()),
+                Err(refused) => Err(refused.to_string()),
             })?;
         }
         Ok(churned)

@@ -22,22 +22,44 @@ pub(crate) fn pause_ms(ms: u64) {
     thread::sleep(Duration::from_millis(ms));
 }
 
-/// Asks until the answer is there, at most for so long; then the last reason why it is not.
-pub(crate) fn within<T>(
-    ms: u64,
-    what: &str,
-    mut probe: impl FnMut() -> Result<T, String>,
-) -> Result<T, String> {
-    let began = Instant::now();
+/// A wait fails when what it observes has not changed for so long, whatever it takes in all.
+const STANDSTILL: Duration = Duration::from_secs(60);
+
+/// Watches a wait for progress: each change of what is observed is some.
+pub(crate) struct Watchdog<'a> {
+    what: &'a str,
+    last: String,
+    since: Instant,
+}
+
+impl<'a> Watchdog<'a> {
+    pub(crate) fn of(what: &'a str) -> Watchdog<'a> {
+        Watchdog { what, last: String::new(), since: Instant::now() }
+    }
+
+    /// What was observed now, in words; an error when that has stood still for too long.
+    pub(crate) fn sees(&mut self, now: String) -> Result<(), String> {
+        if now != self.last {
+            (self.last, self.since) = (now, Instant::now());
+        } else if self.since.elapsed() > STANDSTILL {
+            let s = STANDSTILL.as_secs();
+            return Err(format!("{}: nothing has changed for {s} s: {}", self.what, self.last));
+        }
+        Ok(())
+    }
+}
+
+/// Asks until the answer is there. The reason why it is not is what is observed: it names what changes on the
+/// way there, and nothing else.
+pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Result<T, String>) -> Result<T, String> {
+    let mut watchdog = Watchdog::of(what);
     let mut pause = Duration::from_micros(200);
     loop {
         match probe() {
             Ok(value) => return Ok(value),
-            Err(last) if began.elapsed() > Duration::from_millis(ms) => {
-                return Err(format!("not within {ms} ms: {what}: {last}"));
-            }
-            Err(_) => thread::sleep(pause),
+            Err(now) => watchdog.sees(now)?,
         }
+        thread::sleep(pause);
         pause = (pause * 2).min(Duration::from_millis(5));
     }
 }

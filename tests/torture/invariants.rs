@@ -1,6 +1,7 @@
 //! What must be so after every row, whatever was done in it.
 //!
-//! Invariant: asked at rest: everybody is given a few seconds to get there, and what is still wrong then is a finding.
+//! Invariant: asked at rest: everybody is given the time to get there, and what is still wrong when nothing
+//! changes is a finding.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -8,14 +9,11 @@ use std::path::{Path, PathBuf};
 use trocar_proto::v1::{Health, ListResponse, ProcessState};
 
 use crate::book::Book;
-use crate::clock::within;
+use crate::clock::eventually;
 use crate::files;
 use crate::procfs::{self, Held};
 use crate::rpc::{Rpc, state_name};
 use crate::world::World;
-
-/// Time to come to rest, ms.
-const REST: u64 = 5_000;
 
 /// What is to be there: component and state, and the ends of each connection.
 pub(crate) struct Desired {
@@ -39,7 +37,7 @@ impl Desired {
 
 /// G3: what was asked for is what the GCM sees and what each process has; both ends of each connection carry it.
 pub(crate) fn agree(rpc: &Rpc, desired: &Desired) -> Result<(), String> {
-    within(REST, "desired, observed and actual agree", || {
+    eventually("desired, observed and actual agree", || {
         let list = rpc.list()?;
         for process in &list.processes {
             if process.state() != ProcessState::Attached {
@@ -81,7 +79,7 @@ impl Holdings {
 
     /// G5: none of them holds more than before.
     pub(crate) fn have_not_grown(&self) -> Result<(), String> {
-        within(REST, "nothing more is held", || {
+        eventually("nothing more is held", || {
             let grown = self.0.iter().find_map(|(name, pid, before)| {
                 let more = procfs::held(*pid).beyond(before)?;
                 Some(format!("{name} holds {more}"))
@@ -99,7 +97,7 @@ pub(crate) fn nothing_is_left(book: &mut Book, world: &World) {
 
 /// G5 alone, where something was told to panic.
 pub(crate) fn nothing_runs(book: &mut Book, world: &World) {
-    let processes = within(REST, "all processes have ended", || match procfs::naming(world.root()) {
+    let processes = eventually("all processes have ended", || match procfs::naming(world.root()) {
         left if left.is_empty() => Ok(()),
         left => Err(format!("{left:?} still run")),
     });

@@ -1,7 +1,7 @@
-//! Faults on real processes: `torture [--seed N] [--full] [--json] [--list] [ROW…]`.
+//! Faults on real processes: `torture [--seed N] [--gate | --times | --full] [--json] [--list] [ROW…]`.
 //!
 //! Invariant: a row passes only by what was seen; each bound in time is widened by the lateness of a control run on the same
-//! machine, and by nothing else. What was not run is said.
+//! machine, and by nothing else; with `--gate` none is judged. What was not run is said.
 #![forbid(unsafe_code)]
 
 mod asking;
@@ -25,18 +25,21 @@ mod world;
 
 use std::process::ExitCode;
 
-use run::Run;
+use run::{Run, When};
 
-const USAGE: &str = "torture [--seed N] [--full] [--json] [--list] [ROW…]
+const USAGE: &str = "torture [--seed N] [--gate | --times | --full] [--json] [--list] [ROW…]
   --seed N   the same moments as in that run
-  --full     the counts of the acceptance, instead of a short selection
+  --gate     judges no durations, and runs no row that claims nothing else: for a machine that does something else, too
+  --times    judges durations, too; so it is without any of the three
+  --full     the same with the counts of the acceptance, instead of a short selection
+  --exact    what follows are names as in the lines `test torture::ROW ... ok`
   --json     one object on standard output instead of the table
   --list     the rows there are
 TROCAR_BIN_DIR names the directory of the built program and plugins.";
 
 fn main() -> ExitCode {
     let mut run = Run::default();
-    let (mut wanted, mut json) = (Vec::new(), false);
+    let (mut wanted, mut json, mut exact) = (Vec::new(), false, false);
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
@@ -45,22 +48,40 @@ fn main() -> ExitCode {
                 None => return wrong("--seed wants a number"),
             },
             "--full" => run.full = true,
+            "--gate" => run.gate = true,
+            "--times" => run.gate = false,
+            "--exact" => exact = true,
             "--json" => json = true,
             "--list" => return list(),
             "--help" | "-h" => {
                 println!("{USAGE}");
                 return ExitCode::SUCCESS;
             }
-            name if rows::named(name) => wanted.push(arg),
-            other => return wrong(&format!("there is no row {other}; --list names them")),
+            name => match name.strip_prefix("torture::").filter(|_| exact).unwrap_or(name) {
+                name if rows::named(name) => wanted.push(name.to_owned()),
+                other => return wrong(&format!("there is no row {other}; --list names them")),
+            },
         }
+    }
+    if exact && wanted.is_empty() {
+        return wrong("--exact wants names");
     }
     eprintln!("torture: seed {}{}", run.seed, if run.full { ", full" } else { "" });
     let (chosen, left): (Vec<_>, Vec<_>) = rows::all().into_iter().partition(|row| match wanted.is_empty() {
-        true => run.full || row.short,
+        true => run.has(row),
         false => wanted.iter().any(|name| name == row.name),
     });
-    let books: Vec<_> = chosen.into_iter().map(|row| run.row(row)).collect();
+    let carried_out = |row: &_| {
+        let book = run.row(row);
+        // One object is all that programs are given.
+        if json {
+            eprintln!("{}", report::line(&book));
+        } else {
+            println!("{}", report::line(&book));
+        }
+        book
+    };
+    let books: Vec<_> = chosen.into_iter().map(carried_out).collect();
     if json {
         println!("{}", report::json(&run, &books, &left));
     } else {
@@ -75,7 +96,11 @@ fn list() -> ExitCode {
             "{:<12} {}{}",
             row.name,
             row.fault,
-            if row.short { "" } else { " (only with --full or by name)" }
+            match row.when {
+                When::Gate => "",
+                When::Times => " (not with --gate)",
+                When::Full => " (only with --full or by name)",
+            }
         );
     }
     ExitCode::SUCCESS

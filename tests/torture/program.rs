@@ -9,12 +9,9 @@ use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::clock::within;
+use crate::clock::eventually;
 use crate::files;
 use crate::world::World;
-
-/// Longest a process may take until it says where it listens, ms.
-const PRINTS: u64 = 20_000;
 
 pub(crate) struct Program {
     pub(crate) name: String,
@@ -87,7 +84,7 @@ impl Program {
     /// Waits until it says where it listens.
     pub(crate) fn await_address(&mut self) -> Result<(), String> {
         let what = format!("{} prints the address it listens on", self.name);
-        self.address = within(PRINTS, &what, || {
+        self.address = eventually(&what, || {
             if let Ok(Some(status)) = self.child.try_wait() {
                 return Ok(Err(format!("{} ended at once with {status}:\n{}", self.name, self.printed())));
             }
@@ -130,15 +127,15 @@ impl Program {
     }
 
     /// Waits for its end.
-    pub(crate) fn await_end(&mut self, ms: u64) -> Result<ExitStatus, String> {
+    pub(crate) fn await_end(&mut self) -> Result<ExitStatus, String> {
         let what = format!("{} ends", self.name);
-        within(ms, &what, || self.ended().ok_or_else(|| "it runs".to_owned()))
+        eventually(&what, || self.ended().ok_or_else(|| "it runs".to_owned()))
     }
 
     /// Ends it in order.
     pub(crate) fn terminate(&mut self) -> Result<(), String> {
         self.signal(Signal::TERM)?;
-        match self.await_end(30_000)? {
+        match self.await_end()? {
             status if status.success() || status.code() == Some(143) => Ok(()),
             status => Err(format!("{} ended with {status}:\n{}", self.name, self.printed())),
         }

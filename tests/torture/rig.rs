@@ -8,7 +8,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use trocar_proto::v1::{ListResponse, Process, ProcessState};
 
-use crate::clock::{now_ns, within};
+use crate::clock::{eventually, now_ns};
 use crate::json::number;
 use crate::procfs;
 use crate::program::Program;
@@ -180,7 +180,7 @@ impl Rig {
 
     pub(crate) fn gcm_pid(&self) -> Result<u32, String> {
         let is_gcm = |pid: &u32| procfs::command_line(*pid).iter().any(|arg| arg == "gcm");
-        within(5_000, "a GCM runs", || {
+        eventually("a GCM runs", || {
             procfs::children(self.up.pid()).into_iter().find(is_gcm).ok_or_else(|| "none".to_owned())
         })
     }
@@ -191,8 +191,8 @@ impl Rig {
     }
 
     /// Waits until another incarnation of a process has all the former one had.
-    pub(crate) fn await_back(&self, name: &str, before: u32, ms: u64) -> Result<Process, String> {
-        within(ms, &format!("{name} is back"), || {
+    pub(crate) fn await_back(&self, name: &str, before: u32) -> Result<Process, String> {
+        eventually(&format!("{name} is back"), || {
             let now = self.process(name)?;
             let back = now.state() == ProcessState::Attached && now.pid != before;
             if back { Ok(now) } else { Err(format!("{:?}, pid {}", now.state(), now.pid)) }
@@ -224,8 +224,8 @@ impl Rig {
     }
 
     /// The first time it was made safe after a moment, ns.
-    pub(crate) fn await_safed(&self, process: &str, after_ns: u64, ms: u64) -> Result<u64, String> {
-        within(ms, &format!("{process}/arm is made safe"), || {
+    pub(crate) fn await_safed(&self, process: &str, after_ns: u64) -> Result<u64, String> {
+        eventually(&format!("{process}/arm is made safe"), || {
             let first = self.safed(process).into_iter().find(|at| *at >= after_ns);
             first.ok_or_else(|| format!("{:?}", self.rpc.state(&format!("{process}/arm"))))
         })
@@ -234,7 +234,7 @@ impl Rig {
     /// Lets an arm go on that was made safe, and waits until it does.
     pub(crate) fn resume_arm(&self, process: &str) -> Result<(), String> {
         let path = format!("{process}/arm");
-        within(5_000, &format!("{path} goes on"), || {
+        eventually(&format!("{path} goes on"), || {
             if self.rpc.state(&path)? != "ACTIVE" {
                 self.rpc.resume(&path)?;
             }

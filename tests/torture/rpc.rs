@@ -25,6 +25,9 @@ use crate::json::{from_wire, to_struct, to_wire};
 /// For every call.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 
+/// How the message begins where nothing answered.
+pub(crate) const NO_ANSWER: &str = "no answer";
+
 /// Why a call did not do what it should: code, reason and sentence.
 #[derive(Clone, Debug)]
 pub(crate) struct Refused {
@@ -206,7 +209,7 @@ pub(crate) fn state_name(state: ComponentState) -> String {
 
 /// The answer to a call, or that there was none.
 pub(crate) fn done<T>(call: impl Future<Output = Result<Response<T>, Status>>) -> Answer<T> {
-    let late = |_| Status::deadline_exceeded(format!("no answer within {} s", PATIENCE.as_secs()));
+    let late = |_| Status::deadline_exceeded(format!("{NO_ANSWER} within {} s", PATIENCE.as_secs()));
     let answer =
         runtime().block_on(async { tokio::time::timeout(PATIENCE, call).await.map_err(late).flatten() });
     Ok(answer?.into_inner())

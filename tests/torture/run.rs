@@ -18,24 +18,46 @@ const UNQUIET: f64 = 80.0;
 pub(crate) struct Row {
     pub(crate) name: &'static str,
     pub(crate) fault: &'static str,
-    /// Part of the short selection.
-    pub(crate) short: bool,
+    pub(crate) when: When,
     /// An error is something the row could not even look at.
     pub(crate) run: fn(&Run, &mut Book) -> Result<(), String>,
+}
+
+/// In which selections a row is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum When {
+    /// In all of them: what it claims besides durations holds on any machine, and it leaves room for what
+    /// else runs.
+    Gate,
+    /// In the short selection and in full: all it claims are durations.
+    Times,
+    /// Only in full, or by name.
+    Full,
 }
 
 pub(crate) struct Run {
     pub(crate) seed: u64,
     pub(crate) full: bool,
+    /// Nothing is judged that a machine which does something else, too, may take longer for.
+    pub(crate) gate: bool,
 }
 
 impl Default for Run {
     fn default() -> Run {
-        Run { seed: fastrand::u64(..) >> 16, full: false }
+        Run { seed: fastrand::u64(..) >> 16, full: false, gate: false }
     }
 }
 
 impl Run {
+    /// Whether a row is part of it where none is named.
+    pub(crate) fn has(&self, row: &Row) -> bool {
+        match row.when {
+            When::Gate => true,
+            When::Times => !self.gate,
+            When::Full => self.full && !self.gate,
+        }
+    }
+
     /// How often something is done: in the short selection, and in full.
     pub(crate) fn times(&self, short: u64, full: u64) -> u64 {
         if self.full { full } else { short }
@@ -61,7 +83,8 @@ impl Run {
                     "attempt {attempt}: the machine itself was late by {late_ms:.0} ms"
                 ));
             }
-            let stood_still = late_ms > UNQUIET && attempt < ATTEMPTS;
+            // What the gate judges does not depend on how quiet the machine is.
+            let stood_still = late_ms > UNQUIET && attempt < ATTEMPTS && !self.gate;
             if let Some(earlier) = counted.as_ref().filter(|_| book.holds() || !stood_still) {
                 book.with_counts_of(earlier);
             }
@@ -92,6 +115,7 @@ impl Run {
         eprintln!("== {}: {}", row.name, row.fault);
         let began = Instant::now();
         let mut book = Book::new(row.name, row.fault);
+        book.judges_times = !self.gate;
         let ended = catch_unwind(AssertUnwindSafe(|| (row.run)(self, &mut book)));
         match ended {
             Ok(Ok(())) => {}

@@ -8,23 +8,21 @@ use serde_json::{Value, json};
 use trocar_proto::v1::{Process, ProcessState};
 
 use crate::book::{Book, Timed};
-use crate::clock::{Since, Witness, now_ns, pause_ms, within};
+use crate::clock::{Since, Witness, eventually, now_ns, pause_ms};
 use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
 use crate::program::{Program, signal_to};
 use crate::rig::{Rig, pair};
-use crate::run::{Row, Run};
+use crate::run::{Row, Run, When};
 use crate::world::World;
 
 pub(crate) const ROWS: &[Row] = &[
-    Row { name: "24", fault: "a component takes more and more memory", short: true, run: leaks },
-    Row { name: "25", fault: "SEGV, stack overflow, exit, abort in a plugin", short: true, run: fatal },
-    Row { name: "27", fault: "a process dies 10 ms after each start", short: false, run: storm },
+    Row { name: "24", fault: "a component takes more and more memory", when: When::Gate, run: leaks },
+    Row { name: "25", fault: "SEGV, stack overflow, exit, abort in a plugin", when: When::Gate, run: fatal },
+    Row { name: "27", fault: "a process dies 10 ms after each start", when: When::Full, run: storm },
 ];
 
-/// Longest wait for anything that must come, ms.
-const PATIENCE: u64 = 15_000;
 /// What `doom` does on `strike`, and how its process is said to have ended.
 const WAYS: [(u64, &str, &[&str]); 4] = [
     (1, "SIGSEGV", &["SIGSEGV"]),
@@ -78,7 +76,7 @@ impl Seen {
 }
 
 /// One end of `b` from the inside; all is well again when this answers.
-fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64) -> Result<String, String> {
+fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen) -> Result<String, String> {
     let (before, own) = (rig.process("b")?, rig.own_port("a")?);
     let instance = number(&own.row("a/sink")?["books"]["instance"]);
     witness.begins(Since::Moment);
@@ -90,7 +88,7 @@ fn end(rig: &Rig, witness: &Witness, way: u64, seen: &mut Seen, patience_ms: u64
     {
         return Err(refused.to_string());
     }
-    ended(rig, witness, seen, &Before { b: before, instance, killed_ns: None }, patience_ms)
+    ended(rig, witness, seen, &Before { b: before, instance, killed_ns: None })
 }
 
 /// An incarnation of `b` that ends.
@@ -103,33 +101,28 @@ struct Before {
 }
 
 /// What follows its end.
-fn ended(
-    rig: &Rig,
-    witness: &Witness,
-    seen: &mut Seen,
-    before: &Before,
-    patience_ms: u64,
-) -> Result<String, String> {
+fn ended(rig: &Rig, witness: &Witness, seen: &mut Seen, before: &Before) -> Result<String, String> {
     let own = rig.own_port("a")?;
     let Before { b: before, instance, killed_ns } = before;
     // Its step comes within a period of 10 ms, and what it does then takes a while.
-    let ended = within(patience_ms, "its process ends", || {
-        if procfs::gone(before.pid) { Ok(now_ns()) } else { Err("it runs".into()) }
+    let ended = eventually("its process ends", || {
+        let runs = || format!("it runs, with {} KiB", procfs::rss_kib(before.pid));
+        if procfs::gone(before.pid) { Ok(now_ns()) } else { Err(runs()) }
     })?;
     let ended = killed_ns.unwrap_or(ended);
-    let told = within(PATIENCE, "the GCM notices", || {
+    let told = eventually("the GCM notices", || {
         let now = rig.process("b")?;
         let noticed = now.state() != ProcessState::Attached || now.pid != before.pid;
         if noticed { Ok(now_ns()) } else { Err("it is attached".into()) }
     })?;
     seen.told.push(witness.timed(ended, told, 0.0));
-    let first = within(PATIENCE, "samples of the next incarnation", || {
+    let first = eventually("samples of the next incarnation", || {
         let books = own.row("a/sink")?["books"].take();
-        let is_new = number(&books["instance"]) > *instance;
-        if is_new { Ok(number(&books["first_ns"])) } else { Err(books.to_string()) }
+        let now = number(&books["instance"]);
+        if now > *instance { Ok(number(&books["first_ns"])) } else { Err(format!("of {now}")) }
     })?;
     seen.flows.push(witness.timed(ended, first, 0.0));
-    let after = rig.await_back("b", before.pid, PATIENCE)?;
+    let after = rig.await_back("b", before.pid)?;
     let silence_ms = rig.book("a/near", "silence")? as f64 / 1e6;
     let late_ms = witness.late_since(Since::Moment);
     seen.near.push(Timed { ms: silence_ms, late_ms });
@@ -148,7 +141,7 @@ fn fatal(run: &Run, book: &mut Book) -> Result<(), String> {
     for _ in 0..rounds {
         for (way, name, expected) in WAYS {
             pause_ms(random.u64(0..50));
-            let exit = end(&rig, &witness, way, &mut seen, 5_000).map_err(|why| format!("{name}: {why}"))?;
+            let exit = end(&rig, &witness, way, &mut seen).map_err(|why| format!("{name}: {why}"))?;
             let right = expected.iter().any(|word| exit.contains(word));
             book.check(
                 "how it ended is told",
@@ -180,8 +173,8 @@ pub(super) fn heavy(book: &mut Book, rounds: u64) -> Result<(), String> {
         let before = rig.process("b")?;
         let instance = number(&rig.own_port("a")?.row("a/sink")?["books"]["instance"]);
         rig.rpc.send("b/doom/ctl/strike", &json!(LEAK))?;
-        within(60_000, "it has 1 GiB", || match procfs::rss_kib(before.pid) >> 20 {
-            0 => Err("less".into()),
+        eventually("it has 1 GiB", || match procfs::rss_kib(before.pid) {
+            kib if kib >> 20 == 0 => Err(format!("{kib} KiB")),
             _ => Ok(()),
         })?;
         witness.begins(Since::Moment);
@@ -189,7 +182,7 @@ pub(super) fn heavy(book: &mut Book, rounds: u64) -> Result<(), String> {
         witness.forget();
         let (killed_ns, pid) = (Some(now_ns()), before.pid);
         signal_to(pid, Signal::KILL)?;
-        ended(&rig, &witness, &mut seen, &Before { b: before, instance, killed_ns }, PATIENCE)?;
+        ended(&rig, &witness, &mut seen, &Before { b: before, instance, killed_ns })?;
     }
     book.times("the GCM lists a process of 1 GiB as gone", &seen.told, 170.0);
     book.times("samples of it flow again", &seen.flows, 1000.0);
@@ -220,7 +213,7 @@ fn leaks(run: &Run, book: &mut Book) -> Result<(), String> {
         );
         thread::scope(|scope| {
             let watched = scope.spawn(|| first_warning(&rig, pid, leak.warn_mib, &witness));
-            let exit = end(&rig, &witness, LEAK, &mut seen, 240_000)?;
+            let exit = end(&rig, &witness, LEAK, &mut seen)?;
             let right = if exit.contains("SIGABRT") { Ok(()) } else { Err(exit) };
             book.check("it ends where its memory ends, and that is told", 1, right);
             warned.push(watched.join().map_err(|_| "the look at its warnings panicked")??);
@@ -237,9 +230,12 @@ fn leaks(run: &Run, book: &mut Book) -> Result<(), String> {
 
 /// How long after a process has so much in use it is listed with a warning of it.
 fn first_warning(rig: &Rig, pid: u32, warn_mib: u64, witness: &Witness) -> Result<Timed, String> {
-    let has = || if procfs::rss_kib(pid) > warn_mib * 1024 { Ok(now_ns()) } else { Err("not yet".into()) };
-    let beyond = within(240_000, "it has so much in use", has)?;
-    let told = within(PATIENCE, "it is listed with a warning", || {
+    let has = || match procfs::rss_kib(pid) {
+        kib if kib > warn_mib * 1024 => Ok(now_ns()),
+        kib => Err(format!("{kib} KiB")),
+    };
+    let beyond = eventually("it has so much in use", has)?;
+    let told = eventually("it is listed with a warning", || {
         let warnings = rig.process("b")?.warnings;
         let says = |w: &String| w.contains(&format!("to be warned of {warn_mib} MiB"));
         if warnings.iter().any(says) { Ok(now_ns()) } else { Err(format!("{warnings:?}")) }
@@ -256,7 +252,7 @@ fn storm(run: &Run, book: &mut Book) -> Result<(), String> {
     rig.rpc.create("b/doom", "fixture-chaos/doom", json!({ "how": "segv", "after_ms": 10 }))?;
     // It may be gone before it answers.
     let _ = rig.rpc.start("b/doom");
-    let failed = within(30_000, "it is given up", || match rig.process("b")? {
+    let failed = eventually("it is given up", || match rig.process("b")? {
         b if b.state() == ProcessState::Failed => Ok(b),
         b => Err(format!("{:?} after {} restarts", b.state(), b.restarts)),
     })?;

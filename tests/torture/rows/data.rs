@@ -9,27 +9,25 @@ use trocar_proto::v1::Connection;
 use rustix::process::Signal;
 
 use crate::book::{Book, Timed};
-use crate::clock::{Witness, now_ns, pause_ms, within};
+use crate::clock::{Witness, eventually, now_ns, pause_ms};
 use crate::invariants::{Desired, agree, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
 use crate::program::signal_to;
 use crate::rig::Rig;
-use crate::run::{Row, Run};
+use crate::run::{Row, Run, When};
 use crate::world::World;
 
 pub(crate) const ROWS: &[Row] = &[
     Row {
         name: "42",
         fault: "takers of 900 Mbit/s and 1.13 Gbit/s that are slow, stopped, dead",
-        short: true,
+        when: When::Gate,
         run: takers,
     },
-    Row { name: "43", fault: "a flood of samples and of commands", short: true, run: floods },
+    Row { name: "43", fault: "a flood of samples and of commands", when: When::Gate, run: floods },
 ];
 
-/// Longest wait for anything that must come, ms.
-const PATIENCE: u64 = 15_000;
 /// Frames of a camera, Hz.
 const FRAMES_HZ: f64 = 60.0;
 /// Sizes of a frame, B: 900 Mbit/s and 1.13 Gbit/s at 60 Hz.
@@ -174,7 +172,7 @@ fn one_size(rig: &Rig, book: &mut Book, name: &str, rounds: u64) -> Result<(), S
         dead.add(rig, || {
             signal_to(b, Signal::KILL)?;
             pause_ms(STRETCH);
-            rig.await_back("b", b, PATIENCE).map(drop)
+            rig.await_back("b", b).map(drop)
         })?;
         flows(rig)?;
         all_accounted(book, name, before, at_rest(rig)?);
@@ -230,7 +228,7 @@ fn costs_no_more(book: &mut Book, name: &str, seen: &Stretches, control: &Stretc
 fn at_rest(rig: &Rig) -> Result<(u64, u64, u64), String> {
     rig.rpc.stop("a/camera")?;
     let mut last = (0, 0, 0);
-    let rest = within(PATIENCE, "nothing is under way", || {
+    let rest = eventually("nothing is under way", || {
         let c = connection(rig, "b/screen/frame")?;
         let now = (number(&rig.rpc.row("a/camera")?["sent"]), c.passed, c.dropped);
         pause_ms(100);
@@ -242,12 +240,12 @@ fn at_rest(rig: &Rig) -> Result<(u64, u64, u64), String> {
 
 /// Waits for frames made from now on.
 fn flows(rig: &Rig) -> Result<(), String> {
-    within(PATIENCE, "frames flow", || {
+    eventually("frames flow", || {
         rig.mark("b/screen")?;
         pause_ms(100);
         match rig.books("b/screen")? {
             books if number(&books["after_mark_ns"]) > 0 => Ok(()),
-            books => Err(books.to_string()),
+            books => Err(format!("{} taken", number(&books["taken"]))),
         }
     })
 }
@@ -255,7 +253,7 @@ fn flows(rig: &Rig) -> Result<(), String> {
 /// What the connection counted as dropped is what its taker misses, since some moment; there was some, or nothing is shown.
 fn exact(rig: &Rig, book: &mut Book, name: &str, before: (u64, u64)) -> Result<(), String> {
     let mut gaps = 0;
-    let same = within(PATIENCE, "they are the same", || {
+    let same = eventually("they are the same", || {
         gaps = rig.book("b/screen", "gaps")?.saturating_sub(before.1);
         let dropped = connection(rig, "b/screen/frame")?.dropped.saturating_sub(before.0);
         let right = dropped == gaps && gaps > 0;
@@ -314,7 +312,7 @@ fn samples(rig: &Rig, book: &mut Book, ms: u64) -> Result<(), String> {
         pause_ms(ms);
         rig.rpc.configure(sink, json!({ "slow_step_ms": 0 }))?;
         let mut gaps = 0;
-        let same = within(3_000, "they are the same", || {
+        let same = eventually("they are the same", || {
             gaps = rig.book(sink, "gaps")? - before.1;
             let dropped = connection(rig, &client)?.dropped - before.0;
             if dropped == gaps && gaps > 0 {
@@ -353,7 +351,7 @@ fn commands(rig: &Rig, book: &mut Book, sender: &str, receiver: &str, ms: u64) -
     let sent = (of("steps")? - steps) * FLOOD;
     let turned_away = of("turned_away")? - turned_away;
     let mut carried = 0;
-    let all = within(3_000, "all are accounted for", || {
+    let all = eventually("all are accounted for", || {
         carried = done()? - carried_out;
         let told = || format!("{sent} sent, {turned_away} turned away, {carried} carried out");
         if carried + turned_away == sent && carried > 0 { Ok(()) } else { Err(told()) }

@@ -4,17 +4,17 @@ use serde_json::{Value, json};
 use trocar_proto::v1::ConnectOptions;
 
 use crate::book::Book;
-use crate::clock::{Witness, now_ns, within};
+use crate::clock::{Witness, eventually, now_ns};
 use crate::invariants::{Desired, Holdings, agree, nothing_is_left};
 use crate::procfs;
 use crate::rig::Rig;
-use crate::run::{Row, Run};
+use crate::run::{Row, Run, When};
 use crate::world::World;
 
 pub(crate) const ROWS: &[Row] = &[Row {
     name: "40",
     fault: "Connect and Disconnect, Create and Remove, again and again",
-    short: true,
+    when: When::Gate,
     run: again,
 }];
 
@@ -127,7 +127,7 @@ fn let_go(rig: &Rig) -> Result<(), String> {
     {
         let before = rig.book(sink, "taken")?;
         rig.rpc.connect(client, server, ConnectOptions::default())?;
-        within(5_000, "it is given something", || match rig.book(sink, "taken")? {
+        eventually("it is given something", || match rig.book(sink, "taken")? {
             taken if taken > before => Ok(()),
             taken => Err(format!("{sink} has taken {taken}")),
         })?;
@@ -167,7 +167,7 @@ fn grows(
     let_go(rig)?;
     let rest = held.have_not_grown();
     book.check(&format!("{what}: no file, thread, socket, segment more (G5)"), tried, rest);
-    let grown = within(5_000, "memory in use is what it was", || {
+    let grown = eventually("memory in use is what it was", || {
         let most = named
             .iter()
             .zip(&before)

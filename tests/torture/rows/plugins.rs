@@ -11,16 +11,20 @@ use serde_json::json;
 use tonic::Code;
 
 use crate::book::Book;
-use crate::clock::{Witness, now_ns, pause_ms, within};
+use crate::clock::{Witness, eventually, now_ns, pause_ms};
 use crate::files;
 use crate::invariants::{Holdings, nothing_is_left};
 use crate::program::Program;
 use crate::rpc::{Refused, Rpc};
-use crate::run::{Row, Run};
+use crate::run::{Row, Run, When};
 use crate::world::World;
 
-pub(crate) const ROWS: &[Row] =
-    &[Row { name: "33", fault: "plugin names that lead out of their directory", short: true, run: names }];
+pub(crate) const ROWS: &[Row] = &[Row {
+    name: "33",
+    fault: "plugin names that lead out of their directory",
+    when: When::Gate,
+    run: names,
+}];
 
 /// A request with a bad name.
 type Ask<'a> = dyn Fn() -> Result<(), Refused> + 'a;
@@ -61,7 +65,7 @@ fn names(run: &Run, book: &mut Book) -> Result<(), String> {
     let touched = Touches::of(&outside)?;
     let mut host = Program::host(&world, "a", None)?;
     let (rpc, witness) = (Rpc::at(&host.address), Witness::start());
-    within(10_000, "the class of the good plugin is offered", || {
+    eventually("the class of the good plugin is offered", || {
         Ok(rpc.create("a/sine", "sine", json!({})).map(drop)?)
     })?;
     let held = Holdings::of(&[("a", host.pid())]);

@@ -7,19 +7,24 @@ use std::collections::BTreeMap;
 use crate::book::{Book, Timed};
 use crate::bystander::Bystander;
 use crate::churn::{Churn, Churned};
-use crate::clock::within;
+use crate::clock::eventually;
 use crate::invariants::{Desired, agree, nothing_is_left};
 use crate::moments::{Fault, Trial};
 use crate::procfs::{self, Held};
 use crate::rig::{Load, Rig};
-use crate::run::{Row, Run};
+use crate::run::{Row, Run, When};
 
 use super::crashes::heavy;
 
 pub(crate) const ROWS: &[Row] = &[
-    Row { name: "1", fault: "a host is killed", short: false, run: killed },
-    Row { name: "3", fault: "a host stands still and goes on", short: false, run: stopped },
-    Row { name: "moments", fault: "either end killed, stopped, exited, aborted", short: true, run: moments },
+    Row { name: "1", fault: "a host is killed", when: When::Full, run: killed },
+    Row { name: "3", fault: "a host stands still and goes on", when: When::Full, run: stopped },
+    Row {
+        name: "moments",
+        fault: "either end killed, stopped, exited, aborted",
+        when: When::Gate,
+        run: moments,
+    },
 ];
 
 const LOAD: Load = Load { rate_hz: 1000, frames_hz: 60, holds_ms: 5, fast_hz: 0, bystanders: true };
@@ -81,7 +86,7 @@ fn faults(run: &Run, book: &mut Book, times: u64, faults: &[Fault], victims: &[&
     book.check("everything comes back", times as usize, went);
     book.check("desired, observed and actual agree (G3)", 1, agree(&rig.rpc, &desired));
     if let Some(held) = held {
-        let grown = within(5_000, "nothing more is held", || not_more(&held, &holdings(&rig)?));
+        let grown = eventually("nothing more is held", || not_more(&held, &holdings(&rig)?));
         book.check("no file, thread, socket, segment more (G5)", 1, grown);
     }
     rig.up.terminate()?;

@@ -14,19 +14,19 @@ use serde_json::json;
 use trocar_proto::v1::ConnectOptions;
 
 use crate::book::Book;
-use crate::clock::{Witness, now_ns, within};
+use crate::clock::{Witness, eventually, now_ns};
 use crate::invariants::{Holdings, nothing_is_left};
 use crate::json::number;
 use crate::procfs;
 use crate::program::Program;
 use crate::rpc::Rpc;
-use crate::run::{Row, Run};
+use crate::run::{Row, Run, When};
 use crate::world::World;
 
 pub(crate) const ROWS: &[Row] = &[Row {
     name: "44",
     fault: "messages that are too long, or say that they are",
-    short: true,
+    when: When::Gate,
     run: oversize,
 }];
 
@@ -34,8 +34,6 @@ pub(crate) const ROWS: &[Row] = &[Row {
 const WARM: u64 = 30;
 /// What memory in use may grow by, KiB.
 const MOST_KIB: u64 = 1024;
-/// Longest wait for anything that must come, ms.
-const PATIENCE: u64 = 10_000;
 /// Longest message between processes with the two bytes before it, B.
 const MOST: usize = (128 << 10) + 2;
 /// Longest message to the port, B.
@@ -49,7 +47,7 @@ fn oversize(run: &Run, book: &mut Book) -> Result<(), String> {
     let mut a = Program::host(&world, "a", Some(&gcm.address))?;
     let mut b = Program::host(&world, "b", Some(&gcm.address))?;
     let (rpc, own) = (Rpc::at(&gcm.address), Rpc::at(&b.address));
-    within(PATIENCE, "a source and a sink", || {
+    eventually("a source and a sink", || {
         for (path, class) in [("a/source", "source"), ("b/sink", "sink")] {
             match rpc.create(path, &format!("fixture-torture/{class}"), json!({})) {
                 Err(refused) if refused.reason != "COMPONENT_EXISTS" => return Err(refused.to_string()),
@@ -87,9 +85,9 @@ fn oversize(run: &Run, book: &mut Book) -> Result<(), String> {
     }
     book.check("no file, thread, socket, segment more (G5)", 1, held.have_not_grown());
     let books = own.row("b/sink")?["books"].take();
-    book.at_most("samples lost meanwhile (G4)", tried, number(&books["gaps"]) - gaps, 0);
+    book.at_most_in_time("samples lost meanwhile (G4)", tried, number(&books["gaps"]) - gaps, 0);
     let taken = number(&books["taken"]);
-    let goes_on = within(PATIENCE, "samples flow", || match number(&own.row("b/sink")?["books"]["taken"]) {
+    let goes_on = eventually("samples flow", || match number(&own.row("b/sink")?["books"]["taken"]) {
         now if now > taken => Ok(()),
         now => Err(format!("{now}")),
     });
@@ -141,7 +139,7 @@ struct Stranger(OwnedFd);
 
 impl Stranger {
     fn at(socket: &Path) -> Result<Stranger, String> {
-        within(PATIENCE, "there is room at the socket", || {
+        eventually("there is room at the socket", || {
             let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
             let own = rustix::net::socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None);
             let own = own.map_err(|e| e.to_string())?;
@@ -159,7 +157,7 @@ impl Stranger {
 
     /// What it is answered, and the file that comes along; empty when that is nothing and the end.
     fn hears(&self) -> Result<(String, Option<OwnedFd>), String> {
-        within(PATIENCE, "it is answered", || {
+        eventually("it is answered", || {
             let mut room = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(4))];
             let (mut files, mut bytes) = (RecvAncillaryBuffer::new(&mut room), [0; 4096]);
             let flags = RecvFlags::DONTWAIT | RecvFlags::CMSG_CLOEXEC;
@@ -201,7 +199,7 @@ impl Stranger {
 
     /// Waits until it is hung up on.
     fn ends(&self) -> Result<(), String> {
-        within(PATIENCE, "it is hung up on", || match self.hears()?.0 {
+        eventually("it is hung up on", || match self.hears()?.0 {
             nothing if nothing.is_empty() => Ok(()),
             more => Err(more.chars().take(60).collect()),
         })
