@@ -1,31 +1,33 @@
-//! Waiting for something to become true, under a watchdog.
+//! Waiting for something to become true, under a watchdog that measures progress.
 //!
-//! Invariant: the only place of the outer tests that sleeps; the limit is a watchdog for a hung test, never a claim about
-//! speed.
+//! Invariant: the only place of the outer tests that sleeps; the watchdog is for a hung test, never a claim
+//! about speed.
 
 use std::fmt::Display;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-const WATCHDOG: Duration = Duration::from_secs(60);
+use crate::watchdog::Watchdog;
+
 /// Pauses between two looks: the first, and the longest.
 const POLL: (Duration, Duration) = (Duration::from_micros(200), Duration::from_millis(10));
 
-/// Asks `probe` until it answers `Ok`.
+/// Asks `probe` until it answers `Ok`. Each reason that was never given before is progress, so a reason says
+/// how far it has come.
 ///
 /// # Panics
-/// After a minute, with what was awaited and the last reason `probe` gave.
+/// After a minute without progress, or after five in any case, with what was awaited and the last reason
+/// `probe` gave.
+#[track_caller]
 pub fn eventually<T, E: Display>(what: &str, mut probe: impl FnMut() -> Result<T, E>) -> T {
-    let began = Instant::now();
+    let mut watchdog = Watchdog::of(what);
     let mut pause = POLL.0;
     loop {
         match probe() {
             Ok(value) => return value,
-            Err(last) if began.elapsed() > WATCHDOG => {
-                panic!("waited {WATCHDOG:?} in vain for: {what}\nlast seen: {last}")
-            }
-            Err(_) => thread::sleep(pause),
+            Err(last) => watchdog.saw(last),
         }
+        thread::sleep(pause);
         pause = (pause * 2).min(POLL.1);
     }
 }

@@ -2,16 +2,16 @@
 //!
 //! Invariant: an error is read from what grpcurl prints and from its exit code (64 + the gRPC code), as a script would.
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::io::BufReader;
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
-use std::time::Duration;
 
 use serde_json::{Deserializer, Value};
 
-use crate::Built;
+use crate::{Built, eventually};
 
 /// Generous: a watchdog, not a measurement. The server caps unary calls at 60 s.
 const WATCHDOG_S: u32 = 90;
@@ -119,7 +119,7 @@ impl Grpcurl {
                 }
             }
         });
-        Stream { child, items, method: method.to_owned(), seen: Vec::new() }
+        Stream { child, items, method: method.to_owned(), passed_over: 0, last: VecDeque::new() }
     }
 
     fn run(&self, options: &[&str], body: Option<&Value>, verb: &[&str]) -> std::process::Output {
@@ -181,42 +181,61 @@ pub struct Stream {
     child: Child,
     items: Receiver<Value>,
     method: String,
-    seen: Vec<Value>,
+    passed_over: u64,
+    /// The last few of them.
+    last: VecDeque<Value>,
 }
+
+/// Items passed over that a failure shows.
+const SHOWN: usize = 5;
 
 impl Stream {
     /// Waits for an item `wanted` says yes to, and passes over the others.
     ///
     /// # Panics
-    /// After a minute without one, with the last items seen.
+    /// When the stream ends, or as [`eventually`] does; each item that comes is progress. The last items are
+    /// shown.
+    #[track_caller]
     pub fn until(&mut self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
-        loop {
-            match self.items.recv_timeout(Duration::from_secs(60)) {
-                Ok(item) if wanted(&item) => return item,
-                Ok(item) => self.seen.push(item),
-                Err(end) => {
-                    let why = if end == RecvTimeoutError::Timeout { "is silent" } else { "has ended" };
-                    let last = &self.seen[self.seen.len().saturating_sub(5)..];
-                    panic!("{} {why} while waiting for: {what}\nlast items: {last:#?}", self.method);
-                }
-            }
-        }
+        let found =
+            eventually(&format!("{}: {what}", self.method), || self.look(&wanted).ok_or_else(|| self.seen()));
+        found
+            .unwrap_or_else(|| panic!("{} has ended while waiting for: {what}\n{}", self.method, self.seen()))
     }
-}
 
-impl Stream {
     /// Waits until the server ends it, whatever it still says.
     ///
     /// # Panics
-    /// After a minute of silence without an end.
+    /// As [`eventually`] does; each item that comes is progress.
+    #[track_caller]
     pub fn ended(&mut self, why: &str) {
+        eventually(&format!("{} ends: {why}", self.method), || {
+            self.look(&|_| false).ok_or_else(|| self.seen())
+        });
+    }
+
+    /// Takes what is there up to a wanted item: that item, or `None` inside when the stream has ended.
+    fn look(&mut self, wanted: &impl Fn(&Value) -> bool) -> Option<Option<Value>> {
         loop {
-            match self.items.recv_timeout(Duration::from_secs(60)) {
-                Ok(item) => self.seen.push(item),
-                Err(RecvTimeoutError::Disconnected) => return,
-                Err(RecvTimeoutError::Timeout) => panic!("{} does not end: {why}", self.method),
+            match self.items.try_recv() {
+                Ok(item) if wanted(&item) => return Some(Some(item)),
+                Ok(item) => self.pass_over(item),
+                Err(TryRecvError::Disconnected) => return Some(None),
+                Err(TryRecvError::Empty) => return None,
             }
         }
+    }
+
+    fn pass_over(&mut self, item: Value) {
+        self.passed_over += 1;
+        self.last.push_back(item);
+        if self.last.len() > SHOWN {
+            self.last.pop_front();
+        }
+    }
+
+    fn seen(&self) -> String {
+        format!("{} items were passed over, the last ones: {:#?}", self.passed_over, self.last)
     }
 }
 

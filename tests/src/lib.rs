@@ -14,6 +14,7 @@ mod grpcurl;
 mod host;
 mod skip;
 mod system;
+mod watchdog;
 mod world;
 
 pub use built::{Built, repository};
@@ -25,4 +26,5 @@ pub use grpcurl::{Failure, Grpcurl, Stream};
 pub use host::HostProcess;
 pub use skip::skip;
 pub use system::number;
+pub use watchdog::Watchdog;
 pub use world::World;
