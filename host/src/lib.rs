@@ -17,6 +17,10 @@ pub mod loader;
 mod plain;
 pub mod processes;
 pub mod system_file;
+#[cfg(test)]
+#[path = "../../tests/src/watchdog.rs"]
+#[allow(unreachable_pub, reason = "it is public where it lies")]
+mod watchdog;
 
 /// Names, states, requests and refusals: what the methods of [`Host`] take and answer.
 pub use trocar_model as model;

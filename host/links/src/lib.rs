@@ -18,6 +18,10 @@ mod steps;
 #[cfg(test)]
 mod tests;
 mod watch;
+#[cfg(test)]
+#[path = "../../../tests/src/watchdog.rs"]
+#[allow(unreachable_pub, reason = "it is public where it lies")]
+mod watchdog;
 
 pub use card::{Card, LAYOUT, Unreachable};
 pub use door::Seldom;

@@ -16,10 +16,11 @@ use trocar_rt::pulse::Pulse;
 use crate::card::Card;
 use crate::greeting::{Greeting, Said, VERSION, parse};
 use crate::session::{Heard, receive, room, send};
+use crate::watchdog::Watchdog;
 use crate::{Handler, LAYOUT, Links, Lost, MOST_BYTES, MOST_FDS, Message, SendError, Session, address};
 
-/// So long that only a hang fails the test.
-const LONG: Duration = Duration::from_secs(60);
+/// Time between two looks of the watchdog.
+const LOOK: Duration = Duration::from_secs(1);
 
 enum News {
     Met(Arc<Session>),
@@ -59,8 +60,19 @@ impl Process {
         &self.links.card().socket
     }
 
+    /// The next news.
+    fn next(&self) -> News {
+        let mut watchdog = Watchdog::of("news");
+        loop {
+            match self.news.recv_timeout(LOOK) {
+                Ok(news) => return news,
+                Err(none) => watchdog.saw(none),
+            }
+        }
+    }
+
     fn met(&self) -> Arc<Session> {
-        match self.news.recv_timeout(LONG).unwrap() {
+        match self.next() {
             News::Met(session) => session,
             News::Said(message) => panic!("said {message:?} before it met anybody"),
             News::Lost(number, why) => panic!("lost {number}: {why}"),
@@ -68,7 +80,7 @@ impl Process {
     }
 
     fn said(&self) -> Message {
-        match self.news.recv_timeout(LONG).unwrap() {
+        match self.next() {
             News::Said(message) => message,
             News::Met(session) => panic!("met {session:?}"),
             News::Lost(number, why) => panic!("lost {number}: {why}"),
@@ -77,7 +89,7 @@ impl Process {
 
     fn lost(&self) -> (u64, Lost) {
         loop {
-            if let News::Lost(number, why) = self.news.recv_timeout(LONG).unwrap() {
+            if let News::Lost(number, why) = self.next() {
                 return (number, why);
             }
         }

@@ -2,24 +2,30 @@
 #![allow(clippy::unwrap_used)]
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::pin::pin;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
+use tokio::time::timeout;
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionModel,
     Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Provided, Proxy, Refusal, Required, Safety,
-    State, Tag, Type,
+    State, SystemGraph, Tag, Type,
 };
 
-use super::text;
+use super::{Gcm, text};
 use crate::lcm::{
     Detail, HalfReport, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply,
     Report, Sample, Selection, When,
 };
+use crate::watchdog::Watchdog;
+
+/// Time between two looks at what changes by itself.
+const LOOK: Duration = Duration::from_secs(1);
 
 pub(crate) struct FakeLcm {
     process: Name,
@@ -43,6 +49,32 @@ pub(crate) struct FakeLcm {
     /// How many subscriptions there were.
     followed: watch::Sender<usize>,
     pub(crate) news: broadcast::Sender<News>,
+}
+
+/// Waits until the graph is so. Each other graph is progress.
+pub(crate) async fn until(gcm: &Gcm, what: &str, good: impl Fn(&SystemGraph) -> bool) -> Arc<SystemGraph> {
+    let (mut graphs, mut watchdog) = (gcm.watch(), Watchdog::of(what));
+    loop {
+        let graph = graphs.borrow_and_update().clone();
+        if good(&graph) {
+            return graph;
+        }
+        watchdog.saw(format_args!("{graph:?}"));
+        if let Ok(changed) = timeout(LOOK, graphs.changed()).await {
+            changed.unwrap();
+        }
+    }
+}
+
+/// Waits for something that comes by itself, under the watchdog.
+pub(crate) async fn comes<F: Future>(what: &str, coming: F) -> F::Output {
+    let (mut coming, mut watchdog) = (pin!(coming), Watchdog::of(what));
+    loop {
+        match timeout(LOOK, &mut coming).await {
+            Ok(come) => return come,
+            Err(_) => watchdog.saw("nothing has come"),
+        }
+    }
 }
 
 pub(crate) fn name(text: &str) -> Name {

@@ -19,7 +19,7 @@ use trocar_model::{
     Component, Execution, Health, ProcessState, Refusal, Request, State, StopReason, SystemGraph, Target,
 };
 
-use super::fake::{FakeLcm, id, name};
+use super::fake::{FakeLcm, comes, id, name, until};
 use super::{ExecuteOptions, Gcm, GcmConfig, Registered, Registration, Slice, plan_lines};
 use crate::lcm::Lcm;
 
@@ -231,7 +231,7 @@ async fn a_start_that_took_too_long_is_stopped_behind_the_callers_back() {
     lcm.hold("Stop host/a");
     let late = gcm.execute(vec![start("host/a")], within(10)).await.unwrap_err();
     assert_eq!(late.reason(), "LCM_TIMEOUT");
-    tokio::time::timeout(Duration::from_secs(60), lcm.hangs("Stop host/a")).await.expect("nobody stops it");
+    comes("somebody stops it", lcm.hangs("Stop host/a")).await;
 }
 
 #[tokio::test]

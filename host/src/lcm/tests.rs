@@ -38,8 +38,9 @@ use trocar_model::{
 
 use super::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use super::{Classes, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
+use crate::watchdog::Watchdog;
 
-/// Longest wait for something that should happen soon; a failure, not a speed limit.
+/// Deadline of what is asked of the LCM and should be answered soon; a failure, not a speed limit.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 struct World {
@@ -133,13 +134,13 @@ impl World {
     }
 
     async fn eventually(&self, what: &str, name: &str, is: impl Fn(&Report) -> bool) -> Report {
-        let until = Instant::now() + PATIENCE;
+        let mut watchdog = Watchdog::of(format!("{name} comes to {what}"));
         loop {
             let report = self.report(name).await;
             if is(&report) {
                 return report;
             }
-            assert!(Instant::now() < until, "{name} never came to {what}: {report:?}");
+            watchdog.saw(format_args!("{report:?}"));
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
@@ -151,9 +152,9 @@ impl World {
 
 /// Waits until `is`, which says what it still lacks.
 async fn eventually(what: &str, is: impl Fn() -> bool) {
-    let until = Instant::now() + PATIENCE;
+    let mut watchdog = Watchdog::of(what);
     while !is() {
-        assert!(Instant::now() < until, "never: {what}");
+        watchdog.saw("it is not so");
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
 }

@@ -4,9 +4,11 @@
 use super::*;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use trocar_sdk::data::PixelFormat;
 use trocar_sdk::testing::Bench;
+
+use crate::watchdog::Watchdog;
 
 trocar_sdk::testing::count_allocations!();
 
@@ -39,7 +41,7 @@ fn show(bench: &mut Bench<Display>, index: u64) {
 fn ask(bench: &Bench<Display>, request: &str) -> TcpStream {
     let mut connection = TcpStream::connect(("127.0.0.1", bench.state().mjpeg_port as u16)).unwrap();
     connection.write_all(request.as_bytes()).unwrap();
-    connection.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    connection.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     connection
 }
 
@@ -55,17 +57,14 @@ fn answer(mut connection: TcpStream) -> String {
 
 /// Shows frames until somebody else's thread has the answer.
 fn shows_until<T>(bench: &mut Bench<Display>, mut done: impl FnMut(&mut Bench<Display>) -> Option<T>) -> T {
-    let begun = Instant::now();
+    let mut watchdog = Watchdog::of("another thread's answer");
     for index in 0.. {
         show(bench, index);
         if let Some(done) = done(bench) {
             return done;
         }
         let (viewers, pictures) = (bench.state().viewers, bench.state().pictures);
-        assert!(
-            begun.elapsed() < Duration::from_secs(30),
-            "nothing in 30 s: {viewers} viewers, {pictures} pictures"
-        );
+        watchdog.saw(format_args!("{viewers} viewers, {pictures} pictures"));
         std::thread::yield_now();
     }
     unreachable!()
@@ -200,13 +199,13 @@ fn who_comes_late_sees_the_last_frame_though_no_other_ever_comes() {
 
 /// Asks until the corner of the first picture is as it shall be.
 fn corner(bench: &mut Bench<Display>, path: &str, done: impl Fn([u8; 3]) -> bool) {
-    let begun = Instant::now();
+    let mut watchdog = Watchdog::of(format!("the corner of {path} is as it shall be"));
     loop {
         let seen = picture_of(get(bench, path)).4;
         if done(seen) {
             return;
         }
-        assert!(begun.elapsed() < Duration::from_secs(30), "{path}: {seen:?}");
+        watchdog.saw(format_args!("{seen:?}"));
     }
 }
 
@@ -272,11 +271,11 @@ fn single_images_are_shown_and_counted_as_pairs_are() {
             String::from_utf8_lossy(&bytes).into_owned()
         })
     };
-    let begun = Instant::now();
+    let mut watchdog = Watchdog::of("the reader has its picture");
     while !reader.is_finished() {
         bench.push_frame("picture", picture, &[90; 256]);
         bench.step(1);
-        assert!(begun.elapsed() < Duration::from_secs(30), "no picture within 30 s");
+        watchdog.saw(bench.state().pictures);
         std::thread::yield_now();
     }
     assert!(reader.join().unwrap().contains("Content-Type: image/jpeg"));
@@ -310,14 +309,14 @@ fn a_viewer_that_takes_nothing_holds_up_neither_the_step_nor_another_viewer_and_
     })
     .take(2 * 3 * 512 * 16)
     .collect();
-    let begun = Instant::now();
+    let mut watchdog = Watchdog::of("the stuck viewer is left");
     let mut shown = bench.state().frames;
     while bench.state().viewers > 0 {
         bench.push_frame("image", header(shown, 512), &noise);
         bench.step(1);
         shown += 1;
         assert_eq!((bench.state().frames, bench.state().gaps), (shown, 0));
-        assert!(begun.elapsed() < Duration::from_secs(60), "the stuck viewer is not left");
+        watchdog.saw(bench.state().pictures);
         std::thread::yield_now();
     }
     first_picture(&mut bench, "/stream/display/left");

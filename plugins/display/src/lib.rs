@@ -14,6 +14,10 @@ mod reply;
 mod request;
 mod server;
 mod viewing;
+#[cfg(test)]
+#[path = "../../../tests/src/watchdog.rs"]
+#[allow(unreachable_pub, reason = "it is public where it lies")]
+mod watchdog;
 mod window;
 
 pub use component::Display;

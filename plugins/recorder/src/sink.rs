@@ -129,13 +129,17 @@ impl Sink {
 
     /// How the next bytes go, from how many there were and how long the disk took.
     fn choose(&mut self) {
+        self.choose_at(Instant::now());
+    }
+
+    fn choose_at(&mut self, now: Instant) {
         let len = self.len();
         let (since, before) = self.looked;
-        let elapsed = since.elapsed();
+        let elapsed = now.saturating_duration_since(since);
         if elapsed < LOOK {
             return;
         }
-        self.looked = (Instant::now(), len);
+        self.looked = (now, len);
         let waited = std::mem::take(&mut self.waited).as_secs_f64() / elapsed.as_secs_f64();
         let rate = (len - before) as f64 / elapsed.as_secs_f64();
         match self.route {

@@ -17,6 +17,10 @@ mod phantom_source;
 mod pipe_source;
 mod scenery;
 mod v4l2;
+#[cfg(test)]
+#[path = "../../../tests/src/watchdog.rs"]
+#[allow(unreachable_pub, reason = "it is public where it lies")]
+mod watchdog;
 
 pub use camera::Camera;
 pub use image_source::ImageSource;

@@ -4,9 +4,10 @@
 use super::*;
 use std::io::Write;
 use std::path::Path;
-use std::time::Instant;
 use trocar_sdk::data::{OperatingMode, PixelFormat};
 use trocar_sdk::testing::{Bench, assert_behaves_as_camera_fed, assert_implements, contracts};
+
+use crate::watchdog::Watchdog;
 
 /// A source of 2×1 px of grey whose program is a line for the shell.
 fn config(line: &str, more: &str) -> String {
@@ -17,14 +18,9 @@ fn config(line: &str, more: &str) -> String {
 /// Steps until something is so.
 #[track_caller]
 fn until(bench: &mut Bench<PipeSource>, what: &str, mut so: impl FnMut(&mut Bench<PipeSource>) -> bool) {
-    let begun = Instant::now();
+    let mut watchdog = Watchdog::of(what);
     while !so(bench) {
-        assert!(
-            begun.elapsed() < Duration::from_secs(30),
-            "not within 30 s: {what}; {:?}, {:?}",
-            bench.state().sent,
-            state(bench)
-        );
+        watchdog.saw(format_args!("{:?}, {:?}", bench.state().sent, state(bench)));
         bench.step(1);
         std::thread::yield_now();
     }
@@ -165,15 +161,15 @@ fn stop_make_safe_and_drop_end_the_program() {
 /// Waits until the processes a file names are no more.
 #[track_caller]
 fn gone(pids: &Path) {
-    let begun = Instant::now();
     for pid in std::fs::read_to_string(pids).unwrap().split_whitespace() {
         // One that nobody has collected yet has ended, too.
         let lives = || {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
             stat.rsplit(") ").next().is_some_and(|rest| !rest.is_empty() && !rest.starts_with(['Z', 'X']))
         };
+        let mut watchdog = Watchdog::of(format!("process {pid} is no more"));
         while lives() {
-            assert!(begun.elapsed() < Duration::from_secs(30), "process {pid} lives on");
+            watchdog.saw("it lives on");
             std::thread::yield_now();
         }
     }

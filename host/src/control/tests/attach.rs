@@ -11,7 +11,7 @@ use trocar_proto::v1::{self, attach_request, attach_response};
 
 use super::super::{Begin, Uplink, UplinkError};
 use super::{System, connect, create, link, reason, serve, start, stop};
-use crate::gcm::fake::{FakeLcm, id, name};
+use crate::gcm::fake::{FakeLcm, comes, id, name, until};
 use crate::gcm::{Gcm, GcmConfig, Registration};
 use crate::lcm::{News, Report};
 
@@ -31,12 +31,6 @@ async fn attached() -> (System, Arc<FakeLcm>, Uplink) {
     let (s, lcm) = (System::start().await, FakeLcm::new("gui"));
     let uplink = attach(&s.server.addr().to_string(), "gui", &lcm).await.unwrap();
     (s, lcm, uplink)
-}
-
-async fn until(gcm: &Gcm, what: &str, good: impl Fn(&SystemGraph) -> bool) -> Arc<SystemGraph> {
-    let mut graphs = gcm.watch();
-    let seen = tokio::time::timeout(WATCHDOG, graphs.wait_for(|graph| good(graph))).await;
-    seen.unwrap_or_else(|_| panic!("never: {what}; the graph: {:?}", gcm.graph())).unwrap().clone()
 }
 
 fn process_is(process: &'static str, state: ProcessState) -> impl Fn(&SystemGraph) -> bool {
@@ -156,9 +150,7 @@ async fn a_subscription_reaches_an_attached_process_and_ends_with_its_reader() {
         assert_eq!((item.seq, item.kind(), item.skipped), (n, v1::ItemKind::Event, 0));
     }
     drop(items);
-    tokio::time::timeout(WATCHDOG, lcm.unfollowed())
-        .await
-        .expect("the process still feeds a reader that is gone");
+    comes("the process feeds the reader that is gone no more", lcm.unfollowed()).await;
 }
 
 #[tokio::test]
@@ -265,7 +257,7 @@ async fn a_process_whose_name_was_given_away_meanwhile_is_sent_away() {
     let addr = s.server.addr().to_string();
     s.server.shutdown().await;
     let _server = serve(&addr, Some(&gcm), None).await;
-    let refusal = tokio::time::timeout(WATCHDOG, uplink.refused()).await.expect("it dials for ever");
+    let refusal = comes("it dials no more", uplink.refused()).await;
     assert_eq!(refusal.reason(), "PROCESS_EXISTS");
 }
 

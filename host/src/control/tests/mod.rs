@@ -21,6 +21,7 @@ use super::{ServeConfig, Server, Viewer};
 use crate::gcm::fake::{FakeLcm, name};
 use crate::gcm::{Gcm, GcmConfig, Registration};
 use crate::lcm::Lcm;
+use crate::watchdog::Watchdog;
 
 /// A GCM with a port, and a process "host" of its own.
 struct System {
@@ -82,6 +83,17 @@ fn stop(path: &str) -> v1::StopRequest {
 
 fn link(client: &str, server: &str) -> v1::ConnectRequest {
     v1::ConnectRequest { client: client.into(), server: server.into(), ..Default::default() }
+}
+
+/// Asks until an answer of the server arrives: on a busy machine a caller may give up just before it.
+async fn in_time<T>(mut ask: impl AsyncFnMut() -> Result<T, Status>) -> Result<T, Status> {
+    let mut watchdog = Watchdog::of("an answer before the caller gives up");
+    loop {
+        match ask().await {
+            Err(given_up) if given_up.get_details_error_info().is_none() => watchdog.saw(given_up),
+            answer => return answer,
+        }
+    }
 }
 
 fn reason(status: &Status) -> String {

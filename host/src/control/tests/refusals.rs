@@ -7,7 +7,7 @@ use tonic::{Code, Request, Status};
 use tonic_types::StatusExt;
 use trocar_proto::v1;
 
-use super::{System, connect, create, link, reason, serve, start, stop};
+use super::{System, connect, create, in_time, link, reason, serve, start, stop};
 
 fn refused<T: std::fmt::Debug>(what: &str, answer: Result<T, Status>, code: Code, want: &str) -> Status {
     let status = answer.expect_err(what);
@@ -115,11 +115,16 @@ async fn calls_and_reads_that_cannot_be_made_are_refused() {
 #[tokio::test]
 async fn a_component_that_hangs_answers_before_the_caller_gives_up() {
     let s = System::start().await;
-    s.lcm.hold("Create host/a");
-    let mut request = Request::new(create("host/a"));
-    request.set_timeout(Duration::from_secs(1));
-    let answer = s.gcm().create(request).await;
-    refused("hanging", answer, Code::DeadlineExceeded, "LCM_TIMEOUT");
+    let mut tries = 0;
+    let answer = in_time(async || {
+        tries += 1;
+        let path = format!("host/hangs-{tries}");
+        s.lcm.hold(&format!("Create {path}"));
+        let mut request = Request::new(create(&path));
+        request.set_timeout(Duration::from_secs(1));
+        s.gcm().create(request).await
+    });
+    refused("hanging", answer.await, Code::DeadlineExceeded, "LCM_TIMEOUT");
     s.gcm().create(create("host/b")).await.expect("the next request must not hang behind it");
 }
 

@@ -6,9 +6,8 @@ use trocar_model::{
     ComponentId, ConnectOptions, Connection, ConnectionId, PortId, ProcessState, Request, SystemGraph, Which,
 };
 
-use super::super::fake::{FakeLcm, id, name};
+use super::super::fake::{FakeLcm, comes, id, name, until};
 use super::super::{Fate, Gcm, GcmConfig, Registered, Registration, Slice, Told};
-use super::restarted::{WATCHDOG, until};
 use super::{ask, create, register};
 
 fn port(text: &str) -> PortId {
@@ -52,7 +51,7 @@ async fn has_cut(lcm: &FakeLcm) {
             tokio::task::yield_now().await;
         }
     };
-    tokio::time::timeout(WATCHDOG, cut).await.expect("its half is never cut");
+    comes("its half is cut", cut).await;
 }
 
 #[tokio::test]

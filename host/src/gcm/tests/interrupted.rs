@@ -7,8 +7,8 @@ use trocar_model::{
     Change, ClassInfo, ConnectionId, Health, Plan, PortId, ProcessState, Safety, State, StopReason,
 };
 
-use super::super::fake::{FakeLcm, class, id, name};
-use super::restarted::{WATCHDOG, is, until};
+use super::super::fake::{FakeLcm, class, comes, id, name, until};
+use super::restarted::is;
 use super::{
     Arc, Duration, Execution, Gcm, GcmConfig, Registered, Registration, Request, Slice, ask, component,
     create, host, register, start, within,
@@ -130,9 +130,7 @@ async fn a_process_that_says_hello_again_and_again_gets_everything() {
         if let Some(before) = before.replace(at) {
             lcm.release(before);
         }
-        tokio::time::timeout(WATCHDOG, lcm.hangs(at))
-            .await
-            .unwrap_or_else(|_| panic!("{at}: {:?}", lcm.done()));
+        comes(at, lcm.hangs(at)).await;
     }
     let again = Registration { slice: slice(&gcm, &lcm), ..who.clone() };
     register_with_eye(&gcm, again, &lcm).await;

@@ -5,8 +5,8 @@
 use trocar_model::{ProcessState, State, StopReason};
 
 use super::super::ExecuteOptions;
-use super::super::fake::{FakeLcm, id, name};
-use super::restarted::{is, running, until};
+use super::super::fake::{FakeLcm, id, name, until};
+use super::restarted::{is, running};
 use super::{Arc, Gcm, Request, Target, ask, component, host, register, start, stop};
 
 const REQUESTED: State = State::Stopped(StopReason::Requested);

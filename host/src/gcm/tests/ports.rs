@@ -1,12 +1,9 @@
 //! Ports that change by themselves: the connections that go with them, and the thread a component is given later.
 
-use tokio::time::timeout;
 use trocar_model::{ConnectOptions, PortId, PortType, Ports, Prim, Type};
 
 use super::*;
 use crate::lcm::{News, Report};
-
-const WATCHDOG: Duration = Duration::from_secs(60);
 
 fn connect(client: &str, server: &str) -> Request {
     Request::Connect {
@@ -42,12 +39,6 @@ fn report(gcm: &Gcm, path: &str, lost: &[u64], change: impl FnOnce(&mut Ports)) 
     }
 }
 
-async fn until(gcm: &Gcm, what: &str, good: impl Fn(&SystemGraph) -> bool) -> Arc<SystemGraph> {
-    let mut graphs = gcm.watch();
-    let seen = timeout(WATCHDOG, graphs.wait_for(|graph| good(graph))).await;
-    seen.unwrap_or_else(|_| panic!("never: {what}; the graph: {:?}", gcm.graph())).unwrap().clone()
-}
-
 fn numbers(graph: &SystemGraph) -> Vec<u64> {
     graph.connections.keys().map(|id| id.0).collect()
 }
@@ -71,7 +62,7 @@ async fn a_connection_that_does_not_fit_any_more_is_cut_in_the_process_too() {
     let other = |p: &mut Ports| p.outputs[0].ty = PortType::Plain(Type::Prim(Prim::Bool));
     lcm.news.send(News::State(report(&gcm, "host/a", &[], other))).unwrap();
     until(&gcm, "the connection goes", |g| numbers(g) == [1]).await;
-    timeout(WATCHDOG, lcm.hangs(cut)).await.expect("the process was never told");
+    comes("the process is told", lcm.hangs(cut)).await;
     lcm.release(cut);
 }
 

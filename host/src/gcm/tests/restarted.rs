@@ -5,18 +5,9 @@ use std::time::Duration;
 
 use trocar_model::{Health, ProcessState, State, StopReason, SystemGraph};
 
-use super::super::fake::{FakeLcm, id, name};
+use super::super::fake::{FakeLcm, id, name, until};
 use super::super::{Fate, Gcm, GcmConfig, Told};
 use super::{ask, component, create, host, register, start, stop, system};
-
-/// Longer than any test should take; only a broken one waits for it.
-pub(super) const WATCHDOG: Duration = Duration::from_secs(60);
-
-pub(super) async fn until(gcm: &Gcm, what: &str, good: impl Fn(&SystemGraph) -> bool) -> Arc<SystemGraph> {
-    let mut graphs = gcm.watch();
-    let seen = tokio::time::timeout(WATCHDOG, graphs.wait_for(|graph| good(graph))).await;
-    seen.unwrap_or_else(|_| panic!("never: {what}; the graph: {:?}", gcm.graph())).unwrap().clone()
-}
 
 pub(super) fn is(state: ProcessState) -> impl Fn(&SystemGraph) -> bool {
     move |graph| graph.processes[&name("host")].state == state

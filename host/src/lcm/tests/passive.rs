@@ -67,12 +67,12 @@ async fn two_clients_that_meet_in_a_passive_server_forget_no_command() {
     let accepted = || clients.iter().map(|c| c.accepted.load(Ordering::SeqCst)).sum::<u64>();
     for round in 1..=ROUNDS {
         clients.iter().for_each(|c| c.round.store(round, Ordering::SeqCst));
-        let until = Instant::now() + PATIENCE;
+        let mut watchdog = Watchdog::of(format!("all commands of round {round} have run"));
         while clients.iter().any(|c| c.done.load(Ordering::SeqCst) < round)
             || server.ran.load(Ordering::SeqCst) < accepted()
         {
             let ran = server.ran.load(Ordering::SeqCst);
-            assert!(Instant::now() < until, "round {round}: accepted {}, ran {ran}", accepted());
+            watchdog.saw(format_args!("accepted {}, ran {ran}", accepted()));
             std::thread::yield_now();
         }
     }
@@ -102,10 +102,15 @@ async fn a_call_from_outside_into_a_passive_component_that_hangs_ends_with_its_d
     world.create_as("arm", class(ctl(), Safety::Actuator), model(ExecutionModel::None), held.clone()).await;
     world.start("arm").await;
     let member = MemberId::parse(&format!("{}/arm/ctl/do", world.process)).unwrap();
-    let call = Invoke { member, arg: Payload::None, send: false, deadline_ns: 20_000_000 };
-    match world.lcm.invoke(call).await {
-        Err(Refusal::Deadline { may_still_run: true, .. }) => {}
-        other => panic!("no deadline: {:?}", other.map(|r| r.executed)),
+    let mut watchdog = Watchdog::of("a call that has begun");
+    loop {
+        let (member, arg) = (member.clone(), Payload::None);
+        match world.lcm.invoke(Invoke { member, arg, send: false, deadline_ns: 20_000_000 }).await {
+            Err(Refusal::Deadline { may_still_run: true, .. }) => break,
+            // On a busy machine a call may not begin within that time: it is asked again.
+            Err(Refusal::Deadline { may_still_run: false, .. }) => watchdog.saw("one that has not begun"),
+            other => panic!("no deadline: {:?}", other.map(|r| r.executed)),
+        }
     }
     world.eventually("FAULT", "arm", |r| r.state == State::Fault).await;
     open.send(()).unwrap();

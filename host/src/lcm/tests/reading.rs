@@ -105,8 +105,16 @@ async fn a_read_that_hangs_is_its_caller_s_deadline_and_is_named_and_the_next_on
  {
     let world = readable("q_hangs").await;
     let gate = Gate::at(1);
-    let refused = read(&world, "one", 1, 20).await.unwrap_err();
-    assert_eq!(late(&refused), Some(true), "{refused}");
+    let mut watchdog = Watchdog::of("a read that has begun");
+    loop {
+        let refused = read(&world, "one", 1, 20).await.unwrap_err();
+        match late(&refused) {
+            Some(true) => break,
+            // On a busy machine a read may not begin within that time: it is asked again.
+            Some(false) => watchdog.saw(refused),
+            None => panic!("no deadline: {refused}"),
+        }
+    }
     let said = "its reads did not come back in time and their callers got DEADLINE (1 so far), the last one: ctl/one";
     let named = |r: &Report| r.warnings.iter().any(|w| w == said);
     let report = world.eventually("a word about it", "server", named).await;
@@ -117,9 +125,9 @@ async fn a_read_that_hangs_is_its_caller_s_deadline_and_is_named_and_the_next_on
     assert_eq!(read(&world, "two", FREE, 20_000).await.unwrap(), Some(serde_json::json!(8)));
     assert_eq!(gate.entered.load(Ordering::SeqCst), 1, "what was refused was not begun");
     gate.open();
-    let until = Instant::now() + PATIENCE;
+    let mut watchdog = Watchdog::of("it came back, and others are answered");
     while let Err(refused) = read(&world, "one", 1, 20_000).await {
-        assert!(Instant::now() < until, "it came back, and others are still refused: {refused}");
+        watchdog.saw(refused);
     }
     world.end().await;
 }

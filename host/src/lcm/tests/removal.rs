@@ -118,8 +118,12 @@ async fn what_an_instance_owes_ends_with_it() {
     world.create_as("arm", class(ctl(), Safety::Actuator), model(ExecutionModel::None), arm.clone()).await;
     world.start("arm").await;
     let member = MemberId::parse(&format!("{}/arm/ctl/do", world.process)).unwrap();
-    let call = Invoke { member, arg: Payload::None, send: false, deadline_ns: 1_000_000 };
-    assert!(world.lcm.invoke(call).await.is_err());
+    let mut watchdog = Watchdog::of("a call that has begun");
+    while !arm.was_entered() {
+        let (member, arg) = (member.clone(), Payload::None);
+        let late = world.lcm.invoke(Invoke { member, arg, send: false, deadline_ns: 1_000_000 }).await;
+        watchdog.saw(late.err().expect("nobody lets go"));
+    }
     world.eventually("FAULT", "arm", |r| r.state == State::Fault).await;
     open.send(()).unwrap();
     eventually("made safe", || arm.made_safe.load(Ordering::SeqCst) > 0).await;

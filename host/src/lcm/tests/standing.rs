@@ -47,7 +47,11 @@ impl Held {
     }
 
     pub(super) async fn is_inside(&self) {
-        eventually("somebody inside", || self.inside.load(Ordering::SeqCst)).await;
+        eventually("somebody inside", || self.was_entered()).await;
+    }
+
+    pub(super) fn was_entered(&self) -> bool {
+        self.inside.load(Ordering::SeqCst)
     }
 
     pub(super) fn device(&self) -> Device {

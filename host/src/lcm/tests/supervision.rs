@@ -10,6 +10,7 @@ use trocar_rt::os;
 
 use super::super::boundary::fake::Own;
 use super::*;
+use crate::gcm::fake::comes;
 
 /// Stays inside the entry it is told to until the test lets go; counts what is done to it.
 #[derive(Default)]
@@ -84,8 +85,7 @@ async fn a_step_that_does_not_come_back_is_named_while_everybody_else_goes_on_an
     // The inventory may be ahead of the news.
     let mut told = Vec::new();
     while !told.contains(&Health::Unresponsive) || told.last() != Some(&Health::Ok) {
-        let said = tokio::time::timeout(PATIENCE, news.recv()).await;
-        let said = said.unwrap_or_else(|_| panic!("news told only {told:?}"));
+        let said = comes(&format!("news beside {told:?}"), news.recv()).await;
         if let super::super::News::State(report) = said.unwrap()
             && report.id == world.id("stuck")
         {

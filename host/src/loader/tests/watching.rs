@@ -4,9 +4,10 @@ use std::io::Write;
 use std::sync::mpsc::{Receiver, channel};
 
 use super::*;
+use crate::watchdog::Watchdog;
 
-/// Far longer than any change takes; only a hang reaches it.
-const WATCHDOG: Duration = Duration::from_secs(60);
+/// Time between two looks of the watchdog.
+const LOOK: Duration = Duration::from_secs(1);
 
 struct Watched {
     store: Arc<PluginStore>,
@@ -23,7 +24,13 @@ fn watched(world: &World) -> Watched {
 
 impl Watched {
     fn next(&self) -> CatalogChange {
-        self.news.recv_timeout(WATCHDOG).expect("no change was told")
+        let mut watchdog = Watchdog::of("a change is told");
+        loop {
+            match self.news.recv_timeout(LOOK) {
+                Ok(change) => return change,
+                Err(none) => watchdog.saw(none),
+            }
+        }
     }
 }
 

@@ -134,15 +134,20 @@ fn what_is_not_urgent_waits_for_more_past_the_page_cache() {
 fn much_passes_the_page_cache_by_and_little_does_not() {
     let dir = tempfile::tempdir().expect("a directory");
     let (_file, mut sink) = new(&dir);
-    // As if so many bytes had come in a second.
-    let second = |sink: &mut Sink, bytes: u64| {
-        let second_ago = Instant::now().checked_sub(Duration::from_secs(1)).expect("a clock that has run");
-        sink.looked = (second_ago, sink.len());
+    // As if so many bytes had come in exactly a second, in which the disk took so long, however long the
+    // machine takes for it.
+    let taken = |sink: &mut Sink, bytes: u64, waited: Duration| {
+        let begun = Instant::now();
+        sink.looked = (begun + Duration::from_secs(3600), 0);
         sink.put(&[7]).expect("it is written");
+        sink.looked = (begun, sink.len());
         sink.at += bytes;
+        sink.waited = waited;
+        sink.choose_at(begun + Duration::from_secs(1));
         sink.flush(false).expect("it is flushed");
         sink.route
     };
+    let second = |sink: &mut Sink, bytes: u64| taken(sink, bytes, Duration::ZERO);
     let little = second(&mut sink, 1 << 20);
     assert_eq!(little, Route::Cached);
     assert_eq!(second(&mut sink, 700 << 20), Route::Cached, "a burst");
@@ -155,8 +160,7 @@ fn much_passes_the_page_cache_by_and_little_does_not() {
     assert_eq!(second(&mut sink, 1 << 20), Route::Cached);
     // A disk that takes too long gets it through the page cache for a while.
     assert_eq!(second(&mut sink, 40 << 20), Route::Direct);
-    sink.waited = Duration::from_secs(100);
-    assert_eq!(second(&mut sink, 40 << 20), Route::Cached);
+    assert_eq!(taken(&mut sink, 40 << 20, Duration::from_secs(100)), Route::Cached);
     assert_eq!(second(&mut sink, 40 << 20), Route::Cached, "not tried again at once");
     sink.not_before = Instant::now();
     assert_eq!(second(&mut sink, 40 << 20), Route::Direct);

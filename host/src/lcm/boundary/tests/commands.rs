@@ -130,8 +130,12 @@ fn a_deadline_says_whether_the_command_may_still_run() {
     let (script, heard, go) = held_up();
     world.active("server", &server(), on_signal(), script);
     world.connect("client/peer", "server/ctl");
-    let running = client.call(TWICE, 1, MODE_CALL, Duration::from_millis(20));
-    assert_eq!((running.outcome, running.may_still_run), (DEADLINE, true));
+    // On a busy machine a server may not come to a command within that time: the client asks again.
+    eventually("a command that has begun", || {
+        let asked = client.call(TWICE, 1, MODE_CALL, Duration::from_millis(20));
+        assert_eq!(asked.outcome, DEADLINE);
+        asked.may_still_run
+    });
     heard.recv().unwrap();
     let waiting = client.call(TWICE, 2, MODE_CALL, Duration::from_millis(20));
     assert_eq!((waiting.outcome, waiting.may_still_run), (DEADLINE, false));

@@ -15,6 +15,7 @@ use trocar_plugin_api::manifest::Manifest;
 
 use super::puppet::*;
 use crate::lcm::{Classes, Lcm, LcmConfig, LoadedClass, LocalLcm, PluginInfo, Report};
+use crate::watchdog::Watchdog;
 
 /// Every class of the tests is created by the same table.
 struct Puppets;
@@ -207,9 +208,9 @@ impl Drop for World {
 
 /// Waits until `f` holds; for what another thread does soon.
 pub(super) fn eventually(what: &str, mut f: impl FnMut() -> bool) {
-    let until = Instant::now() + PATIENCE;
+    let mut watchdog = Watchdog::of(what);
     while !f() {
-        assert!(Instant::now() < until, "{what} did not happen");
+        watchdog.saw("it is not so");
         std::thread::yield_now();
     }
 }

@@ -16,6 +16,7 @@ use super::super::Ward;
 use super::{Found, blocked, look_at_directory, mask, threads};
 use crate::lcm::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm};
+use crate::watchdog::Watchdog;
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -64,9 +65,10 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         (0..100).for_each(|_| _ = mask(&ward, &[&ward]));
         assert_eq!(executor.waiting(), 1, "every look has left a job");
         go.send(()).unwrap();
-        let until = Instant::now() + PATIENCE;
+        let mut watchdog = Watchdog::of("the mask is put back");
         while executor.waiting() > 0 || blocked(executor.tid()) != Some(own) {
-            assert!(Instant::now() < until, "{:?} instead of {own:#x}", blocked(executor.tid()));
+            let (jobs, mask) = (executor.waiting(), blocked(executor.tid()));
+            watchdog.saw(format_args!("{jobs} jobs wait, {mask:?} instead of {own:#x}"));
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }

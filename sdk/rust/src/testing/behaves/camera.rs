@@ -67,7 +67,8 @@ struct Camera<'b, C: Class> {
 
 /// How long an image, or that one is left out, is waited for: a number of steps, or a time where images come from outside.
 struct Patience {
-    begun: Instant,
+    looked: Instant,
+    waited: Duration,
     steps: u32,
     fed: bool,
 }
@@ -75,7 +76,10 @@ struct Patience {
 impl Patience {
     fn is_over(&mut self) -> bool {
         self.steps += 1;
-        if self.fed { self.begun.elapsed() > FED } else { self.steps > PATIENCE }
+        // A machine that stands still costs no more than a second of it.
+        self.waited += self.looked.elapsed().min(Duration::from_secs(1));
+        self.looked = Instant::now();
+        if self.fed { self.waited > FED } else { self.steps > PATIENCE }
     }
 
     fn text(&self) -> String {
@@ -185,7 +189,7 @@ impl<C: Class> Camera<'_, C> {
     }
 
     fn patience(&self) -> Patience {
-        Patience { begun: Instant::now(), steps: 0, fed: self.feed.is_some() }
+        Patience { looked: Instant::now(), waited: Duration::ZERO, steps: 0, fed: self.feed.is_some() }
     }
 
     fn step(&mut self) {
