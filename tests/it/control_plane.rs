@@ -9,7 +9,7 @@ mod errors;
 mod waiting;
 
 use serde_json::{Value, json};
-use trocar_tests::{Grpcurl, HostProcess, World, number};
+use trocar_tests::{Grpcurl, HostProcess, World, eventually, number};
 
 const SERVICES: [&str; 4] =
     ["trocar.v1.GcmService", "trocar.v1.InteractService", "trocar.v1.PluginService", "grpc.health.v1.Health"];
@@ -45,7 +45,10 @@ fn the_whole_life_of_a_component_goes_by_grpcurl_alone() {
 
     let list = grpc.ok("GcmService/List", json!({}));
     assert_eq!(list["components"][0]["path"], "host/robot", "{list}");
-    assert!(number(&list["components"][0]["stats"]["executed"]) > 0, "{list}");
+    eventually("it steps", || {
+        let list = grpc.ok("GcmService/List", json!({}));
+        if number(&list["components"][0]["stats"]["executed"]) > 0 { Ok(()) } else { Err(list) }
+    });
 
     grpc.stop("host/robot");
     assert_eq!(grpc.state("host/robot"), "STOPPED");

@@ -15,7 +15,7 @@ use trocar::model::{ComponentId, State, StopReason};
 use trocar::{Host, StaticPlugin};
 use trocar_sdk::data::Scalar;
 use trocar_sdk::{prelude::*, static_plugin};
-use trocar_tests::{Built, HostProcess, World, eventually};
+use trocar_tests::{Built, HostProcess, Watchdog, World, eventually};
 
 type Done = std::result::Result<(), HostError>;
 
@@ -69,11 +69,13 @@ async fn a_program_runs_its_own_classes_without_port_or_plugin_file() -> Done {
     host.start("lab/**").await?;
     host.wait_for("lab/b", State::Active, Duration::from_secs(10)).await?;
     host.invoke("lab/a/ctl/put", json!(10.5)).await?;
+    let mut watchdog = Watchdog::of("lab/b has what it was given");
     let row = loop {
         let row = host.read("lab/b").await?.value;
         if row["last"] != json!(0.0) {
             break row;
         }
+        watchdog.saw(&row);
         tokio::task::yield_now().await;
     };
     assert_eq!(row["last"], json!(42.0));

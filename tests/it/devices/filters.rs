@@ -81,6 +81,9 @@ fn all_filters_run_behind_each_other_and_behind_a_robot() {
 fn a_source_that_ceases_ends_the_control_and_lets_the_robot_hold_until_it_comes_again() {
     let site = all();
     site.configure("host/control", &json!({ "safe": 0.25 }));
+    // So long that data which only came late on a busy machine do not count as lost.
+    site.configure("host/dog", &json!({ "timeout_s": 1 }));
+    site.configure("host/robot", &json!({ "speed_m_s": 0.002 }));
     site.trocar().run(&["start", "host/*"]).ends_with(OK);
     site.until("host/control", "it controls", |row| row["controls"] == true);
     site.until("host/dog", "data come", |row| row["alive"] == true);
@@ -90,12 +93,12 @@ fn a_source_that_ceases_ends_the_control_and_lets_the_robot_hold_until_it_comes_
         { "path": "host/dog" }, { "path": "host/dog/ctl/lost" }, { "path": "host/dog/ctl/found" } ] }),
     );
     told.until("the state", |item| item["path"] == "host/dog");
-    // A way of five seconds for a robot of 10 mm/s.
+    // A way of 25 s for a robot of 2 mm/s.
     site.grpc.invoke("host/robot/arm/move_jp", json!({ "position": [0.05, 0, 0, 0, 0] }));
     site.until("host/robot", "it moves", |row| row["operating_state"]["is_busy"] == true);
     site.grpc.stop("host/is");
     let age_s = told.until("lost", |item| item["path"] == "host/dog/ctl/lost")["json"].as_f64().unwrap();
-    assert!(age_s > 0.05, "{age_s}");
+    assert!(age_s > 1.0, "{age_s}");
     let robot = site.until("host/robot", "it holds", |row| row["operating_state"]["is_busy"] == false);
     let x_m = robot["measured_js"]["position"][0].as_f64().unwrap();
     assert!(x_m < 0.045, "far from the goal: {x_m} m");

@@ -131,9 +131,10 @@ fn a_child_that_writes_dies_stalls_or_is_none_is_told_in_the_operating_state() {
     assert_eq!((&sent["emitted"], &sent["failures"]), (&json!(0), &json!(1)));
     let sent = run("printf 12345678123; exit 0", once(), "after 1 frames and 3 B of the next");
     assert_eq!(sent["emitted"], 1);
+    // Run again, since on a busy machine one may not come to write within that time.
     run(
         "printf 1234; exec sleep 1000",
-        json!({ "restart": false, "stall_s": 0.2 }),
+        json!({ "stall_s": 0.2 }),
         "stalled: it wrote 4 B of a frame in 0.2 s after 0 frames; it was ended",
     );
     run("printf 12345678; kill -9 $$", json!({}), "ended (signal: 9 (SIGKILL)) after 1 frames");

@@ -135,7 +135,9 @@ async fn running(name: &str) -> std::result::Result<Host, HostError> {
     host.create(&motor, "driven", json!({})).await?;
     host.start(&motor).await?;
     host.wait_for(&motor, State::Active, LONG).await?;
+    let mut watchdog = trocar_tests::Watchdog::of(format!("{motor} turns"));
     while host.read(&motor).await?.value["turns"] == json!(0) {
+        watchdog.saw("it has not turned yet");
         tokio::task::yield_now().await;
     }
     Ok(host)

@@ -67,9 +67,12 @@ fn a_watcher_sees_halves_come_and_go() {
 #[test]
 fn what_both_halves_count_is_counted_once() {
     let two = pair();
-    await_flow(&two.grpc, "right/client/Required");
-    two.grpc.stop("right/client");
     let row = |path: &str| two.grpc.ok("InteractService/Read", json!({ "path": path }))["json"].clone();
+    eventually("an event was handled", || match row("right/client") {
+        client if number(&client["events"]) > 0 => Ok(()),
+        client => Err(client),
+    });
+    two.grpc.stop("right/client");
     let (commands, passed, events) = eventually("all that was sent has run", || {
         let commands = number(&two.grpc.component("left/server")["stats"]["commands"]);
         let c = connection(&two.grpc, "right/client/Required");
@@ -100,10 +103,13 @@ fn what_both_halves_count_is_counted_once() {
 fn top_shows_carrier_bytes_latency_and_drops_between_processes() {
     let two = pair();
     await_flow(&two.grpc, "right/e/sample");
-    let top = two.trocar().run(&["top", "--json", "-n", "1", "--interval", "0.3s"]).ends_with(0);
-    let figures = &objects(&top.stdout)[0];
-    let rows = figures["connections"].as_array().unwrap();
-    let stream = rows.iter().find(|c| c["client"] == "right/e/sample").unwrap();
+    let stream = eventually("something passes within an interval", || {
+        let top = two.trocar().run(&["top", "--json", "-n", "1", "--interval", "0.3s"]).ends_with(0);
+        let figures = &objects(&top.stdout)[0];
+        let rows = figures["connections"].as_array().unwrap();
+        let stream = rows.iter().find(|c| c["client"] == "right/e/sample").unwrap();
+        if stream["rate_hz"].as_f64() > Some(0.0) { Ok(stream.clone()) } else { Err(stream.to_string()) }
+    });
     assert_eq!((&stream["carrier"], &stream["linked"]), (&json!("memfd"), &json!(true)), "{stream}");
     for figure in ["rate_hz", "bytes_per_s", "latency_p50_ns", "latency_p99_ns"] {
         assert!(stream[figure].as_f64().is_some_and(|n| n > 0.0), "{figure}: {stream}");

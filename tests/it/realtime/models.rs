@@ -106,6 +106,8 @@ fn on_signal_steps_once_for_each_thing_that_is_there_and_none_never_steps() {
         let turned = scene.grpc.invoke("host/none/ctl/release", Value::Null);
         assert_eq!(number(&turned), round, "run in its caller's thread");
     }
+    // A step is counted when its cycle is over, which is after its row is there.
+    scene.grpc.stop("host/on_signal");
     let stats = scene.listed("host/on_signal")["stats"].clone();
     assert_eq!((number(&stats["executed"]), number(&stats["commands"])), (10, 10), "{stats}");
     assert_eq!((number(&stats["skipped"]), number(&stats["overruns"])), (0, 0), "{stats}");
