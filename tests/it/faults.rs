@@ -2,33 +2,39 @@
 //!
 //! Promise: its fault stays its own: the host lives, the others miss no cycle, and Reset brings it back.
 
-mod entries;
+mod counted;
 mod hangs;
 mod manners;
-mod reads;
 mod refusals;
-mod told;
 mod ways;
 
 use serde_json::{Value, json};
-use trocar_tests::{Bystander, Grpcurl, HostProcess, World, eventually};
+use trocar_tests::{Grpcurl, HostProcess, World, eventually};
 
+/// A host with the plugins of those who misbehave.
 struct Scene {
     grpc: Grpcurl,
-    bystander: Bystander,
     host: HostProcess,
     _world: World,
 }
 
 impl Scene {
-    /// A host with a 1 kHz component beside which others may fail.
-    fn new() -> Self {
+    /// A host in which nothing runs.
+    fn empty() -> Self {
         let world = World::with_plugins(&["sine", "fixture_chaos", "fixture_echo"]);
         let host = HostProcess::start(&world);
         let grpc = host.grpcurl();
         grpc.await_class("host", "chaos");
-        let bystander = Bystander::start(&grpc, "s");
-        Self { grpc, bystander, host, _world: world }
+        Self { grpc, host, _world: world }
+    }
+
+    /// A host with a running component, `host/s`, beside which others may fail.
+    fn new() -> Self {
+        let scene = Self::empty();
+        scene.grpc.await_class("host", "sine");
+        scene.grpc.create("host/s", "sine", json!({}));
+        scene.grpc.start("host/s");
+        scene
     }
 
     fn remove(&self) -> Value {
@@ -40,18 +46,22 @@ impl Scene {
         self.grpc.create("host/c", "chaos", config);
         let _ = self.grpc.call("GcmService/Start", json!({ "path": "host/c" }));
     }
-}
 
-#[test]
-fn an_error_from_step_is_the_reason_of_the_fault() {
-    let scene = Scene::new();
-    scene.bystander.undisturbed_by("an error from step", || {
-        scene.provoke(json!({ "error_in": "step" }));
-        scene.grpc.await_state("host/c", "FAULT");
-        let fault = scene.grpc.component("host/c")["fault"].to_string();
-        assert!(fault.contains("chaos in step"), "the component's own words are kept: {fault}");
-        scene.remove();
-    });
+    /// Waits until a line of the log names the component and has these words.
+    fn await_logged(&self, path: &str, words: &str) {
+        eventually(&format!("the log names {path} with: {words}"), || {
+            let said = self.host.printed();
+            let named = said.lines().any(|line| line.contains(path) && line.contains(words));
+            if named { Ok(()) } else { Err(said) }
+        });
+    }
+
+    /// That there is none of this path.
+    #[track_caller]
+    fn is_gone(&self, path: &str, why: &str) {
+        let left = self.grpc.refused("GcmService/GetState", json!({ "path": path }));
+        assert_eq!(left.reason, "COMPONENT_NOT_FOUND", "{why}: {left}");
+    }
 }
 
 #[test]
@@ -66,18 +76,6 @@ fn reset_leads_from_fault_to_a_working_component() {
     scene.grpc.ok("GcmService/Configure", json!({ "path": "host/c", "config": { "panic_in": null } }));
     scene.grpc.start("host/c");
     assert_eq!(scene.grpc.state("host/c"), "ACTIVE");
-}
-
-#[test]
-fn a_component_that_hangs_in_step_blocks_neither_others_nor_the_control_plane() {
-    let scene = Scene::new();
-    let mut round = 0;
-    scene.bystander.undisturbed_by("a hanging step", || {
-        round += 1;
-        let path = format!("host/hanging-{round}");
-        scene.grpc.create(&path, "chaos", json!({ "hang_in": "step" }));
-        let _ = scene.grpc.call("GcmService/Start", json!({ "path": path }));
-    });
 }
 
 #[test]

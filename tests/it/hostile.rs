@@ -3,6 +3,8 @@
 //! Promise: whatever a stranger says at the socket, whatever a peer writes, says or hands over, the host lives, its other connections
 //! go on, nothing is left behind, and the log tells of it once, not per message. What cannot be made is refused with a sentence.
 
+#[path = "hostile/counted.rs"]
+mod counted;
 #[path = "hostile/elsewhere.rs"]
 mod elsewhere;
 #[path = "hostile/impostor.rs"]
@@ -17,7 +19,7 @@ mod stranger;
 use std::fs;
 
 use serde_json::{Value, json};
-use trocar_tests::{Grpcurl, HostProcess, World, eventually, number};
+use trocar_tests::{Failure, Grpcurl, HostProcess, World, eventually, number};
 
 /// What a process holds: files, threads, mappings of memory shared with others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -78,6 +80,15 @@ impl Lab {
             Err(refused) => panic!("{method} {body}: {refused}"),
             Ok(_) => Ok(()),
         });
+    }
+
+    /// The refusal of a Connect once both processes are heard: on a busy machine one may be thought lost for
+    /// a moment.
+    fn refused(&self, body: &Value) -> Failure {
+        eventually("both are heard", || match self.grpc.refused("GcmService/Connect", body.clone()) {
+            lost if lost.reason == "PROCESS_LOST" => Err(lost),
+            refused => Ok(refused),
+        })
     }
 
     /// A generator, a server, their counterparts.

@@ -1,6 +1,10 @@
 //! The outer tests: one module per promise, each against built binaries, real plugins and real grpcurl.
 //!
 //! Invariant: run by `./tests/run`, which builds and fetches what they need; without it they fail and say so.
+//! Tests of a module `counted` judge what processors were given, by counts beside those of a control run:
+//! they have the machine for themselves, one at a time. Tests of a module `timed` judge durations and rates:
+//! only `./tests/run --times` runs them. All others own what they touch, claim nothing about time, and run
+//! beside each other.
 #![allow(clippy::unwrap_used)]
 
 mod adapting;

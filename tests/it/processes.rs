@@ -15,6 +15,8 @@ mod isolated;
 mod refusals;
 #[path = "processes/system.rs"]
 pub(crate) mod system;
+#[path = "processes/timed.rs"]
+mod timed;
 #[path = "processes/watching.rs"]
 mod watching;
 

@@ -3,6 +3,7 @@
 //! Promise: the host's figures are those that the components wrote down themselves; nothing is judged by how long it took,
 //! but by what came before what.
 
+mod counted;
 mod models;
 mod priority;
 mod queues;
@@ -10,7 +11,6 @@ mod refusals;
 pub(crate) mod rights;
 mod rows;
 mod streams;
-mod watching;
 
 use serde_json::{Value, json};
 use trocar_tests::{Failure, Grpcurl, HostProcess, Stream, World, eventually, number};

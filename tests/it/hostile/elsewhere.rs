@@ -15,7 +15,7 @@ use trocar_proto::v1::attach_service_server::{AttachService, AttachServiceServer
 use trocar_proto::v1::{
     AttachRequest, AttachResponse, Card, SuperviseRequest, SuperviseResponse, TellRequest, TellResponse,
 };
-use trocar_tests::{Failure, HostProcess, eventually};
+use trocar_tests::HostProcess;
 
 use super::{Lab, await_nothing_left, holds, lines};
 
@@ -87,14 +87,6 @@ fn made(lab: &Lab) -> (Value, Value) {
     (list["revision"].clone(), list["connections"].clone())
 }
 
-/// What Connect is refused with, of processes that are heard: on a busy machine one may be thought lost for a moment.
-fn refused(lab: &Lab, body: &Value) -> Failure {
-    eventually("both are heard", || match lab.grpc.refused("GcmService/Connect", body.clone()) {
-        lost if lost.reason == "PROCESS_LOST" => Err(lost),
-        refused => Ok(refused),
-    })
-}
-
 #[test]
 fn a_process_of_another_machine_user_or_release_is_refused_each_with_its_sentence_and_nothing_is_made() {
     let lab = Lab::new();
@@ -132,7 +124,7 @@ fn a_process_of_another_machine_user_or_release_is_refused_each_with_its_sentenc
                     let (client, server) = (format!("{client}/{to}"), format!("{server}/{from}"));
                     let body =
                         json!({ "client": client, "server": server, "options": { "carrier": carrier } });
-                    let refused = refused(&lab, &body);
+                    let refused = lab.refused(&body);
                     assert_eq!(refused.reason, "UNREACHABLE", "{client} → {server}: {refused}");
                     assert!(refused.message.contains(&why), "{client} → {server}: {refused}");
                     assert!(refused.message.contains(&client), "which one: {refused}");

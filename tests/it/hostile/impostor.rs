@@ -3,9 +3,8 @@
 use std::fs::File;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use serde_json::{Value, json};
 use trocar_links::{Card, Handler, Links, Lost, Message, Session};
@@ -68,10 +67,10 @@ impl Impostor {
         Impostor { links, news }
     }
 
-    /// What its victim says next; `None` after a while without a word.
+    /// The next words of its victim; `None` when it has said nothing yet.
     pub(super) fn hears(&mut self) -> Option<Words> {
         loop {
-            match self.news.recv_timeout(Duration::from_millis(500)) {
+            match self.news.try_recv() {
                 Ok(News::Said(session, message)) => {
                     let bytes = &message.bytes;
                     let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
@@ -81,8 +80,8 @@ impl Impostor {
                     return Some(Words { session, verb, body, files: message.files });
                 }
                 Ok(News::Met | News::Lost) => {}
-                Err(RecvTimeoutError::Timeout) => return None,
-                Err(RecvTimeoutError::Disconnected) => panic!("its own thread ended"),
+                Err(TryRecvError::Empty) => return None,
+                Err(TryRecvError::Disconnected) => panic!("its own thread ended"),
             }
         }
     }

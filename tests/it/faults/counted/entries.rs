@@ -5,8 +5,8 @@
 use serde_json::json;
 use trocar_tests::eventually;
 
-use super::Scene;
-use super::ways::{clear, make, reach};
+use super::super::ways::{clear, make, reach};
+use super::Counted;
 
 const PATH: &str = "host/c";
 
@@ -35,29 +35,11 @@ const ERRORS: [(&str, &str); 7] = [
     ("on_event", "ACTIVE"),
 ];
 
-impl Scene {
-    /// Waits until a line of the log names the component and has these words.
-    pub(super) fn await_logged(&self, path: &str, words: &str) {
-        eventually(&format!("the log names {path} with: {words}"), || {
-            let said = self.host.printed();
-            let named = said.lines().any(|line| line.contains(path) && line.contains(words));
-            if named { Ok(()) } else { Err(said) }
-        });
-    }
-
-    /// That there is none of this path.
-    #[track_caller]
-    pub(super) fn is_gone(&self, path: &str, why: &str) {
-        let left = self.grpc.refused("GcmService/GetState", json!({ "path": path }));
-        assert_eq!(left.reason, "COMPONENT_NOT_FOUND", "{why}: {left}");
-    }
-}
-
 #[test]
 fn a_panic_in_any_entry_faults_its_component_alone() {
-    let scene = Scene::new();
-    for (entry, words) in PANICS {
-        scene.bystander.undisturbed_by(&format!("a panic in {entry}"), || {
+    let scene = Counted::new();
+    scene.bystander.undisturbed_by("a panic in each entry", || {
+        for (entry, words) in PANICS {
             let config = json!({ "panic_in": entry });
             make(&scene.grpc, PATH, entry, &config);
             // Its caller may be told of it, or of nothing where nobody waits; the state says it in any case.
@@ -72,13 +54,13 @@ fn a_panic_in_any_entry_faults_its_component_alone() {
                 assert!(fault.contains(&own), "its own words, panic in {entry}: {fault}");
             }
             clear(&scene.grpc, PATH).unwrap();
-        });
-    }
+        }
+    });
 }
 
 #[test]
 fn a_panic_in_a_read_is_its_caller_s_refusal_and_named_at_the_component() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     scene.bystander.undisturbed_by("a panic in a read", || {
         let config = json!({ "panic_in": "read" });
         make(&scene.grpc, PATH, "read", &config);
@@ -95,7 +77,7 @@ fn a_panic_in_a_read_is_its_caller_s_refusal_and_named_at_the_component() {
 
 #[test]
 fn an_error_in_a_read_is_its_caller_s_refusal_and_nothing_else() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     scene.bystander.undisturbed_by("an error in a read", || {
         let config = json!({ "error_in": "read" });
         make(&scene.grpc, PATH, "read", &config);
@@ -112,7 +94,7 @@ fn an_error_in_a_read_is_its_caller_s_refusal_and_nothing_else() {
 
 #[test]
 fn an_error_in_any_entry_is_told_in_the_component_s_own_words() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     scene.bystander.undisturbed_by("an error in each entry", || {
         for (entry, state) in ERRORS {
             let config = json!({ "error_in": entry });
@@ -133,7 +115,7 @@ fn an_error_in_any_entry_is_told_in_the_component_s_own_words() {
 
 #[test]
 fn a_panic_or_an_error_while_it_is_made_leaves_nothing_behind() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     let cases = [
         ("chaos", json!({ "panic_in": "configure" }), "panicked"),
         ("chaos", json!({ "panic_in": "configure" }), "chaos in configure"),
@@ -156,7 +138,7 @@ fn a_panic_or_an_error_while_it_is_made_leaves_nothing_behind() {
 
 #[test]
 fn a_panic_while_it_is_destroyed_is_named_in_the_log_and_keeps_nobody() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     let fresh = |verb: &str| scene.grpc.ok(&format!("GcmService/{verb}"), json!({ "path": PATH }));
     let mut panics = 0;
     let mut logged = || {
@@ -187,7 +169,7 @@ fn a_panic_while_it_is_destroyed_is_named_in_the_log_and_keeps_nobody() {
 
 #[test]
 fn a_panic_of_a_device_s_thread_inside_a_callback_is_named_in_the_log_and_leaves_the_component_open() {
-    let scene = Scene::new();
+    let scene = Counted::new();
     scene.bystander.undisturbed_by("a panic in a callback", || {
         scene.grpc.create(PATH, "panics_in_callback", json!({}));
         scene.grpc.start(PATH);

@@ -8,8 +8,8 @@ use std::thread;
 use serde_json::{Value, json};
 use trocar_tests::{Failure, Grpcurl};
 
-use super::Scene;
-use super::manners::is_warning;
+use super::super::manners::is_warning;
+use super::Counted;
 
 const WORDS: &str = "its reads did not come back in time and their callers got DEADLINE";
 
@@ -20,7 +20,7 @@ fn read(grpc: &Grpcurl, path: &str, name: &str) -> Result<Value, Failure> {
 
 #[test]
 fn more_reads_hang_than_there_are_processors_and_everything_else_goes_on() {
-    let mut scene = Scene::new();
+    let mut scene = Counted::new();
     let many = thread::available_parallelism().map_or(1, std::num::NonZero::get) + 2;
     let mut round = 0;
     scene.bystander.undisturbed_by("reads that hang", || {
