@@ -11,7 +11,9 @@ mod adapting;
 mod arrows;
 mod changing_ports;
 mod cli;
+#[macro_use]
 mod conformance;
+mod conformance_cross;
 mod conformance_random;
 mod control_plane;
 mod cpp_plugin;
