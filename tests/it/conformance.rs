@@ -24,6 +24,7 @@ use std::collections::BTreeSet;
 use std::process::Command;
 use std::{env, fs};
 
+use trocar_tests::conformance::choice;
 use trocar_tests::conformance::matrix::{self, Situation};
 use trocar_tests::conformance::{Lab, Language, Languages, OtherThread, Way};
 use trocar_tests::{repository, skip};
@@ -116,6 +117,20 @@ fn chosen(class: Class) -> Vec<Way> {
 }
 
 #[test]
+fn every_pair_of_deployment_languages_and_origin_that_can_be_is_played() {
+    let missing = choice::missing_pairs(&[chosen(Class::First), chosen(Class::Second)].concat());
+    assert!(missing.is_empty(), "no way that this suite plays has:\n{}", missing.join("\n"));
+}
+
+#[test]
+fn each_case_that_depends_on_the_way_meets_each_deployment_and_each_reach_with_each_language() {
+    for class in [Class::First, Class::Second] {
+        let missing = choice::missing_of_a_case(&chosen(class));
+        assert!(missing.is_empty(), "no case of the class {class:?} meets:\n{}", missing.join("\n"));
+    }
+}
+
+#[test]
 fn each_case_that_is_independent_of_the_way_is_played_once_a_language() {
     let ways = chosen(Class::Independent);
     for language in [Language::Rust, Language::Cpp, Language::Linked] {
@@ -123,6 +138,13 @@ fn each_case_that_is_independent_of_the_way_is_played_once_a_language() {
         assert_eq!(played, 1, "{language:?}");
     }
     assert_eq!(ways.len(), 3);
+}
+
+#[test]
+fn the_cross_has_every_deployment_that_there_is() {
+    let played: BTreeSet<_> = WAYS.iter().map(|row| row.way.deployment.name()).collect();
+    let there: BTreeSet<_> = choice::DEPLOYMENTS.iter().map(|deployment| deployment.name()).collect();
+    assert_eq!(played, there);
 }
 
 #[test]

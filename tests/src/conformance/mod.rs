@@ -5,6 +5,7 @@
 
 mod answer;
 pub mod cases;
+pub mod choice;
 mod language;
 mod looking;
 pub mod matrix;
