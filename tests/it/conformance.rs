@@ -148,6 +148,19 @@ fn the_cross_has_every_deployment_that_there_is() {
 }
 
 #[test]
+fn each_test_that_is_named_for_the_thread_sanitizer_exists_and_plays_linked_classes() {
+    let file = repository().join("tests/tsan/gate.txt");
+    let text = fs::read_to_string(&file).unwrap();
+    let names: Vec<&str> = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')).collect();
+    let there = tests_there_are();
+    let wrong = |name: &&&str| !there.contains(**name) || !name.contains("_linked::");
+    let wrong: Vec<_> = names.iter().filter(wrong).collect();
+    assert!(wrong.is_empty(), "{}: no tests of linked classes: {wrong:#?}", file.display());
+    let once: BTreeSet<_> = names.iter().collect();
+    assert!(!names.is_empty() && once.len() == names.len(), "a name stands there twice, or none does");
+}
+
+#[test]
 fn where_client_and_server_differ_in_language_each_is_of_its_own() {
     let (rust, cpp) = (Language::Rust, Language::Cpp);
     for (client, server) in [(rust, cpp), (cpp, rust)] {
