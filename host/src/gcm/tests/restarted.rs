@@ -1,7 +1,6 @@
 //! What a process gets back that was started again, and what its supervisor tells of it.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use trocar_model::{Health, ProcessState, State, StopReason, SystemGraph};
 
