@@ -85,10 +85,7 @@ impl Lab {
     /// The refusal of a Connect once both processes are heard: on a busy machine one may be thought lost for
     /// a moment.
     fn refused(&self, body: &Value) -> Failure {
-        eventually("both are heard", || match self.grpc.refused("GcmService/Connect", body.clone()) {
-            lost if lost.reason == "PROCESS_LOST" => Err(lost),
-            refused => Ok(refused),
-        })
+        self.grpc.refused_when_heard("GcmService/Connect", body)
     }
 
     /// A generator, a server, their counterparts.

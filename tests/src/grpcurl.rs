@@ -77,6 +77,18 @@ impl Grpcurl {
         }
     }
 
+    /// The refusal by processes that are heard: on a busy machine one may be thought lost for a moment.
+    ///
+    /// # Panics
+    /// With the answer otherwise, or when one stays lost.
+    #[track_caller]
+    pub fn refused_when_heard(&self, method: &str, body: &Value) -> Failure {
+        eventually("the processes are heard", || match self.refused(method, body.clone()) {
+            lost if lost.reason == "PROCESS_LOST" => Err(lost),
+            refused => Ok(refused),
+        })
+    }
+
     /// What a person sees on the terminal: standard output and error of the plain command.
     #[must_use]
     pub fn printed(&self, method: &str, body: &Value) -> String {

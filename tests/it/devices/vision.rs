@@ -178,13 +178,14 @@ fn what_a_filter_cannot_do_is_refused_by_name_or_told_in_its_state() {
             "larger than max_width × max_height",
         ),
     ] {
-        let refused =
-            grpc.refused("InteractService/Invoke", json!({ "path": format!("host/{member}"), "json": arg }));
+        let body = json!({ "path": format!("host/{member}"), "json": arg });
+        let refused = grpc.refused_when_heard("InteractService/Invoke", &body);
         assert!(refused.reason == reason && refused.message.contains(words), "{refused}");
     }
     // Settings while frames flow.
     let unfit = |component: &str, config: Value, reason: &str, words: &str| {
-        let refused = grpc.refused("GcmService/Configure", json!({ "path": component, "config": config }));
+        let body = json!({ "path": component, "config": config });
+        let refused = grpc.refused_when_heard("GcmService/Configure", &body);
         assert!(refused.reason == reason && refused.message.contains(words), "{config}: {refused}");
     };
     unfit(
