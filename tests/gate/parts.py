@@ -11,6 +11,9 @@ import libtest
 
 # When a part runs.
 GATE, ALL, TIMES = "gate", "all", "times"
+# The longest test takes some minutes; one that waits in vain ends by itself after five.
+MOST_SILENT_S = 15 * 60
+POLL_S = 0.02
 
 
 @dataclasses.dataclass
@@ -49,8 +52,9 @@ class Ran:
 class Runner:
     """Starts processes, each in a process group of its own, and ends those that are left."""
 
-    def __init__(self, logs):
+    def __init__(self, logs, most_silent_s=MOST_SILENT_S):
         self.logs = logs
+        self.most_silent_s = most_silent_s
         self.running = {}
 
     def run(self, part, command, log_name):
@@ -76,11 +80,13 @@ class Runner:
                 )
             self.running[child.pid] = part.title
             try:
-                _, status, usage = os.wait4(child.pid, 0)
+                stood_still, status, usage = self._wait(child.pid, log)
                 child.returncode = os.waitstatus_to_exitcode(status)
             finally:
                 self.running.pop(child.pid, None)
         outcome = libtest.read(log.read_text(errors="replace"), child.returncode)
+        if stood_still:
+            outcome.broken = f"printed nothing for {self.most_silent_s / 60:.0f} minutes, and was ended"
         told = (
             [line.split(": ", 1) for line in skips.read_text(errors="replace").splitlines()]
             if skips.exists()
@@ -89,6 +95,21 @@ class Runner:
         skipped = {one[0]: one[-1] for one in told}
         outcome.passed -= len(skipped)
         return Ran(outcome, time.monotonic() - began, usage.ru_utime + usage.ru_stime, str(log), skipped)
+
+    def _wait(self, pid, log):
+        """Waits for the end of a process. One that prints nothing for too long hangs, and is ended."""
+        size, since, stood_still = -1, time.monotonic(), False
+        while True:
+            ended, status, usage = os.wait4(pid, os.WNOHANG)
+            if ended:
+                return stood_still, status, usage
+            now, printed = time.monotonic(), log.stat().st_size
+            if printed != size:
+                size, since = printed, now
+            if now - since > self.most_silent_s and not stood_still:
+                stood_still = True
+                os.killpg(pid, signal.SIGKILL)
+            time.sleep(POLL_S)
 
     def skipped(self, part):
         """A part that cannot run on this machine."""

@@ -92,7 +92,9 @@ class Field:
         if found != 1:
             return f"the text before is there {found} times in {fault['file']}"
         path = self.tree / fault["file"]
-        path.write_text(path.read_text(encoding="utf-8").replace(fault["old"], fault["new"]), encoding="utf-8")
+        path.write_text(
+            path.read_text(encoding="utf-8").replace(fault["old"], fault["new"]), encoding="utf-8"
+        )
         return "" if not fault.get("page") or self._build_page(fault) else "the page does not build"
 
     def restore(self):
@@ -109,7 +111,13 @@ class Field:
         with open(log, "wb") as out:
             command = ["./tests/run", "--until-failure", *arguments]
             child = subprocess.Popen(
-                command, cwd=self.tree, env=env, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+                command,
+                cwd=self.tree,
+                env=env,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
             )
             try:
                 status = child.wait(seconds)
@@ -122,8 +130,16 @@ class Field:
     def _build_page(self, fault):
         """As tests/viewer/dist.sh does it."""
         with open(self.logs / f"{fault['id']}.page.log", "wb") as log:
-            where = {"cwd": self.tree / "host/web", "stdin": subprocess.DEVNULL, "stdout": log, "stderr": subprocess.STDOUT}
-            return all(subprocess.run(command, **where).returncode == 0 for command in (["npm", "ci"], ["npm", "run", "build"]))
+            where = {
+                "cwd": self.tree / "host/web",
+                "stdin": subprocess.DEVNULL,
+                "stdout": log,
+                "stderr": subprocess.STDOUT,
+            }
+            return all(
+                subprocess.run(command, **where).returncode == 0
+                for command in (["npm", "ci"], ["npm", "run", "build"])
+            )
 
     @staticmethod
     def _end(child):
@@ -143,8 +159,14 @@ class Field:
 
     def _git(self, *words, cwd=None):
         # A clone of a work tree is no part of it, whatever git says where this runs from a hook.
-        env = {name: value for name, value in os.environ.items() if name not in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")}
-        return subprocess.run(["git", *words], cwd=cwd or self.tree, env=env, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
+        env = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")
+        }
+        return subprocess.run(
+            ["git", *words], cwd=cwd or self.tree, env=env, check=True, stdout=subprocess.PIPE, text=True
+        ).stdout.strip()
 
 
 class Planting:
@@ -189,7 +211,9 @@ class Planting:
         rounds = [self.arguments] if self.arguments else [fault["suites"], []]
         longest = max(LONGEST, TIMES_THE_CONTROL * self.results["control"]["seconds"])
         for number, arguments in enumerate(rounds):
-            status, printed, seconds = self.field.run(f"{fault['id']}.{number}", arguments, longest, fault["id"])
+            status, printed, seconds = self.field.run(
+                f"{fault['id']}.{number}", arguments, longest, fault["id"]
+            )
             result["seconds"] += seconds
             if status == 0:
                 continue
@@ -201,7 +225,10 @@ class Planting:
             elif test:
                 result |= {"verdict": "found", "test": test, "part": part}
             else:
-                result |= {"verdict": "wrong list", "test": (printed.strip().splitlines() or ["the run said nothing"])[-1]}
+                result |= {
+                    "verdict": "wrong list",
+                    "test": (printed.strip().splitlines() or ["the run said nothing"])[-1],
+                }
             return
 
     def _kept(self):
@@ -223,9 +250,15 @@ def table(listed, results):
     lines = ["| fault | where | what a user would suffer | found by | time |", "|---|---|---|---|---|"]
     done = [(fault, results[fault["id"]]) for fault in listed if fault["id"] in results]
     for fault, result in done:
-        test = f"`{result['test']}`" if result["verdict"] == "found" else f"**{result['verdict']}** {result['test']}".strip()
+        test = (
+            f"`{result['test']}`"
+            if result["verdict"] == "found"
+            else f"**{result['verdict']}** {result['test']}".strip()
+        )
         by = f"{result['part']}: {test}" if result["part"] else test
-        lines.append(f"| {fault['id']} | `{fault['file']}` | {fault['harm']} | {by} | {result['seconds']} s |")
+        lines.append(
+            f"| {fault['id']} | `{fault['file']}` | {fault['harm']} | {by} | {result['seconds']} s |"
+        )
     found = sum(result["verdict"] == "found" for _, result in done)
     return "\n".join([*lines, "", f"{found} of {len(done)} found"])
 

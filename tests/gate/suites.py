@@ -145,28 +145,17 @@ def tsan(stage):
 
 
 def torture(stage):
-    """Without --times no row judges a duration, so that it may run beside others."""
+    """Rows load the machine on purpose (endless loops, real-time priorities), so that nothing runs beside them."""
     command = [str(stage.workshop.programs / "torture")]
 
-    def part(label, when, *options, alone=True):
+    def part(label, when, *options, rows=()):
         again = lambda names: [*command, *options, "--exact", *names]
-        return Part(
-            "torture",
-            [*command, *options],
-            again,
-            label,
-            when=when,
-            cwd=str(stage.root),
-            alone=alone,
-            show="^[|] ",
-        )
+        full = [*command, *options, *rows]
+        return Part("torture", full, again, label, when=when, cwd=str(stage.root), alone=True, show="^[|] ")
 
     if stage.torture_args:
-        rows = [word for word in stage.torture_args if not word.startswith("--")]
-        full = part("full", GATE, "--full")
-        full.command += rows
-        return [full]
-    return [part("", GATE, "--gate", alone=False), part("times", TIMES, "--times")]
+        return [part("full", GATE, "--full", rows=[word for word in stage.torture_args if word != "--full"])]
+    return [part("", GATE, "--gate"), part("times", TIMES, "--times")]
 
 
 def eyesaw(stage):

@@ -141,6 +141,11 @@ class ASecondOpinion(Stage):
         ran = self.play(self.part(script))
         self.assertEqual((ran.outcome.passed, ran.skips), (1, {"a": "no camera"}))
 
+    def test_a_process_that_hangs_is_ended_and_has_failed(self):
+        self.runner.most_silent_s = 0.1
+        part = self.part("echo begun; sleep 600")
+        self.assertIn("printed nothing", self.runner.run(part, part.command, "x").outcome.broken)
+
     def test_a_command_that_cannot_be_started_is_a_failure_that_names_it(self):
         part = Part("some", ["/no/such/program"], lambda names: ["/no/such/program"], cwd=str(self.work))
         self.assertIn("/no/such/program", self.runner.run(part, part.command, "x").outcome.broken)

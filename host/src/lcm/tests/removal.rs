@@ -122,7 +122,7 @@ async fn what_an_instance_owes_ends_with_it() {
     while !arm.was_entered() {
         let (member, arg) = (member.clone(), Payload::None);
         let late = world.lcm.invoke(Invoke { member, arg, send: false, deadline_ns: 1_000_000 }).await;
-        watchdog.saw(late.err().expect("nobody lets go"));
+        watchdog.saw(late.expect_err("nobody lets go"));
     }
     world.eventually("FAULT", "arm", |r| r.state == State::Fault).await;
     open.send(()).unwrap();
