@@ -1,9 +1,10 @@
 """Lanes: parts side by side, builds beside them, then the parts that want the machine for themselves.
 
-Tests mostly wait, so there are more lanes than processors; builds run one after another with a lower
-priority, in what tests leave free.
+There is a lane for each processor, and most parts play several tests at a time, since tests mostly wait.
+Builds run one after another with a lower priority, in what tests leave free.
 
-Invariant: nothing begins while a test is played again, and nothing runs beside a part that is alone.
+Invariant: nothing begins while a test is played again, nothing runs beside a part that is alone, and of two
+parts that keep a processor busy one runs at a time.
 """
 
 import threading
@@ -23,6 +24,7 @@ class Lanes:
         self.waiting = []
         self.alone = []
         self.building = True
+        self.heavy = False
         self.holding = 0
         self.over = False
 
@@ -62,17 +64,26 @@ class Lanes:
     def _work(self):
         while True:
             with self.state:
-                self.state.wait_for(self._something)
-                if not self.waiting:
+                self.state.wait_for(lambda: self.over or self._next() or self._nothing_comes())
+                part = self._next()
+                if self.over or not part:
                     return
-                part = self.waiting.pop(0)
+                self.waiting.remove(part)
+                self.heavy = self.heavy or part.heavy
             self._play(part)
+            if part.heavy:
+                with self.state:
+                    self.heavy = False
+                    self.state.notify_all()
 
-    def _something(self):
-        """A part may begin, or nothing will come any more."""
-        if self.over:
-            return True
-        return not self.holding if self.waiting else not self.building
+    def _next(self):
+        """The first part that may begin now."""
+        if self.holding:
+            return None
+        return next((part for part in self.waiting if not (part.heavy and self.heavy)), None)
+
+    def _nothing_comes(self):
+        return not self.waiting and not self.building
 
     def _play(self, part):
         self.began(part)

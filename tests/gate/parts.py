@@ -28,6 +28,7 @@ class Part:
     name: str = ""  # tells the parts of a suite apart
     when: str = GATE
     alone: bool = False  # it counts cycles: nothing else runs beside it
+    heavy: bool = False  # it keeps a processor busy: no other such part runs beside it
     env: dict = dataclasses.field(default_factory=dict)
     cwd: str = "."
     cannot_run: str = ""  # why it is skipped

@@ -47,7 +47,7 @@ class Stage:
 COUNTED, TIMED = "::counted::", "::timed::"
 
 
-def outer(name, about, threads=2, counted=False, timed=False, grpcurl=True, cpp=False):
+def outer(name, about, threads=2, counted=False, timed=False, grpcurl=True, cpp=False, heavy=False):
     """A file of tests/it. Its module `counted` counts cycles and runs alone; its module `timed` judges
     durations.
     """
@@ -59,7 +59,7 @@ def outer(name, about, threads=2, counted=False, timed=False, grpcurl=True, cpp=
             command = [stage.harness, *words, f"--test-threads={1 if one_by_one else threads}"]
             return in_harness(stage, name, command, label, cannot_run=missing, **more)
 
-        made = [part("", f"{name}::", "--skip", COUNTED, "--skip", TIMED)]
+        made = [part("", f"{name}::", "--skip", COUNTED, "--skip", TIMED, heavy=heavy)]
         if counted:
             made.append(part("counted", f"{name}{COUNTED}", one_by_one=True, alone=True))
         if timed:
@@ -214,18 +214,21 @@ SUITES = [
     script(
         "viewer",
         "the page, driven in Debian's chromium",
-        mode(*VIEWER, show=FIGURES),
+        mode(*VIEWER, heavy=True),
         times(*VIEWER, "--times", show=FIGURES),
         grpcurl=True,
     ),
     script(
         "recorder",
         "recordings of the built program, read by the stock Python reader",
-        mode(*RECORDER),
+        mode(*RECORDER, heavy=True),
         times(*RECORDER, "--times"),
     ),
     script(
-        "python", "the package sdk/python, installed as users do", mode(*PYTHON), times(*PYTHON, "--times")
+        "python",
+        "the package sdk/python, installed as users do",
+        mode(*PYTHON, heavy=True),
+        times(*PYTHON, "--times"),
     ),
     Suite(
         "workspace",
@@ -236,8 +239,8 @@ SUITES = [
     ),
     outer("conformance_random", "random interleavings of changes and calls, by seed", grpcurl=False),
     outer("processes", "supervised processes that are killed at any moment", timed=True),
-    outer("demo", "the newcomer's first command", counted=True),
-    outer("devices", "robot, OCT, video and filters from outside"),
+    outer("demo", "the newcomer's first command", counted=True, heavy=True),
+    outer("devices", "robot, OCT, video and filters from outside", heavy=True),
     outer("realtime", "threads, priorities, streams and queues", counted=True),
     outer("faults", "components that panic, hang and misbehave", counted=True),
     outer("hostile", "strangers, impostors and limits", counted=True),
@@ -286,7 +289,9 @@ SUITES = [
         "conformance_cross", "every deployment with every language", "tests", shares("conformance_cross", ALL)
     ),
     script(
-        "python_oldest", "the package with the oldest Python it promises", mode(*PYTHON, "--oldest", when=ALL)
+        "python_oldest",
+        "the package with the oldest Python it promises",
+        mode(*PYTHON, "--oldest", when=ALL, heavy=True),
     ),
     script(
         "generated",

@@ -177,6 +177,25 @@ class WhatRunsBesideWhat(unittest.TestCase):
         self.assertEqual(self.ended[-1], "counts")
         self.assertEqual(sorted(self.ended), ["a", "b", "counts"])
 
+    def test_of_two_heavy_parts_one_runs_at_a_time(self):
+        busy = threading.Lock()
+
+        def play(part, quiet):
+            if part.heavy:
+                self.assertTrue(busy.acquire(blocking=False), "two heavy parts at once")
+                meets.wait(60)
+                busy.release()
+            else:
+                meets.wait(60)
+
+        # Each heavy part ends only beside a light one.
+        meets = threading.Barrier(2)
+        lanes = self.lanes(play)
+        made = [self.part("a"), self.part("b"), self.part("c"), self.part("d")]
+        made[0].heavy = made[1].heavy = True
+        lanes.run([("one", lambda: made)])
+        self.assertEqual(sorted(self.ended), ["a", "b", "c", "d"])
+
     def test_parts_of_a_build_run_beside_the_next_build(self):
         ran = threading.Event()
         lanes = self.lanes(lambda part, quiet: ran.set())

@@ -332,6 +332,18 @@ def missing(records):
     return sum(b - a - 1 for a, b in zip(numbers, numbers[1:]))
 
 
+def explained(topics, topic):
+    """The samples of a topic are in order, and what is not there is what the file says was lost: a sample shows what was lost before it.
+    What was lost after that was told last may show as well, and what was lost after the last sample cannot.
+    """
+    numbers = [message.sequence for message, _ in topics[topic]]
+    gaps = [b - a - 1 for a, b in zip(numbers, numbers[1:])]
+    told = topics["/recorder/loss"][-1][1]["topics"] if "/recorder/loss" in topics else {}
+    lost = sum(n for name, n in told.items() if topic == name or topic.startswith(f"{name}/"))
+    shown = [0, *itertools.accumulate(gaps)]
+    return all(gap >= 0 for gap in gaps) and (lost in shown or lost > shown[-1])
+
+
 def contiguous(records):
     numbers = [message.sequence for message, _ in records]
     return all(b == a + 1 for a, b in zip(numbers, numbers[1:]))
