@@ -59,6 +59,7 @@ class Workshop:
         self.last = ""
         self.machine = self._machine()
         self.sysroot = _said(["rustc", "--print", "sysroot"])
+        self.libraries_of_std = _said(["rustc", "--print", "target-libdir"])
 
     @staticmethod
     def _machine():
@@ -225,7 +226,7 @@ class Workshop:
         """Where test executables find the libraries they were linked with (those of procedural macros need
         some).
         """
-        return f"{self.target / 'release' / 'deps'}:{self.sysroot}/lib"
+        return f"{self.target / 'release' / 'deps'}:{self.sysroot}/lib:{self.libraries_of_std}"
 
 
 def _executables(log):

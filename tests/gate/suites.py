@@ -111,7 +111,7 @@ def shares(name, when):
         "two_hosts_executed": [f"{apart}o"],
     }
     return lambda stage: [
-        in_harness(stage, name, [stage.harness, *words, "--test-threads=4"], label, when=when)
+        in_harness(stage, name, [stage.harness, *words, "--test-threads=2"], label, when=when)
         for label, words in groups.items()
     ]
 
