@@ -68,7 +68,12 @@ class Run:
         names = ["torture"] if said.torture else said.names
         if said.torture or said.all:
             self.stage.torture_args = ["--full", *rows]
-        self.suites = [suite for suite in suites.SUITES if not names or suite.name in names]
+        kinds = wanted_parts(said)
+        self.suites = [
+            suite
+            for suite in suites.SUITES
+            if suite.name in names or not names and (not suite.only or suite.only in kinds)
+        ]
         self.runner = Runner(self.workshop.logs)
         self.screen = Screen(sys.stdout, self.now)
         self.judge = Judge(self.runner, self.workshop.work / "unsteady.log")

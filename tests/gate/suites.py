@@ -23,6 +23,7 @@ class Suite:
     build: str  # what makes its executables: "programs", "tests", "loom", "tsan", "bench"
     parts: Callable  # Stage -> parts, asked when that is built
     drives: bool = True  # it runs the built program or its plugins
+    only: str = ""  # all its parts run in these runs alone, so that in others nothing is built for it
 
 
 @dataclasses.dataclass
@@ -305,7 +306,7 @@ SUITES = [
         mode("bash", "proto/generate/check.sh", when=ALL),
         drives=False,
     ),
-    Suite("eyesaw", "a surgical system under its full load, against its gates", "bench", eyesaw),
+    Suite("eyesaw", "a surgical system under its full load, against its gates", "bench", eyesaw, only=TIMES),
     script(
         "peers",
         "vision and OCT beside OpenCV, numpy and scipy",
