@@ -154,7 +154,6 @@ class Run:
     # -- parts -----------------------------------------------------------------------------------------------
 
     def _began(self, part):
-        self.results.begins(part)
         self.screen.tick()
 
     def _play(self, part, quiet):
@@ -188,7 +187,11 @@ class Run:
             self.screen.line(line)
         self.screen.line(f"{'all':<21} {time.monotonic() - self.began:.0f} s")
         self.screen.line()
-        failed = results.total("failed") + len(self.broken_builds)
+        # Whatever went wrong in the runner itself: a part without a result is a failure.
+        unheard = results.unfinished()
+        for title in unheard:
+            self.screen.line(f"FAILED  {title}: it did not end")
+        failed = results.total("failed") + len(self.broken_builds) + len(unheard)
         many = len(unsteady) > MOST_UNSTEADY
         for one in unsteady:
             self.screen.line(f"unsteady: {one.test} ({one.suite}), log: {one.log}")

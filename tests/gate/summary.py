@@ -8,27 +8,27 @@ import json
 import re
 import shutil
 import threading
-import time
 
 TAIL = 60
 WIDTH = 21
 
 
 def count(number, noun):
-    """ "1 test", "2 tests"."""
+    """Number and noun: 1 test, 2 tests."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 class Suites:
-    """Results by suite, in the order in which suites began."""
+    """Results by suite, in the order in which their first parts ended.
 
-    def __init__(self, times, out, clock=time.monotonic):
+    The time of a suite is that of its parts together: they may run at different times, or beside each other.
+    """
+
+    def __init__(self, times, out):
         self.times = times  # suite -> seconds of the last run
         self.rows = {}
         self.left = {}  # suite -> its parts that have not ended
         self.out = out
-        self.clock = clock
-        self.began = {}
         self.lock = threading.Lock()
 
     def expect(self, suite, parts):
@@ -36,21 +36,27 @@ class Suites:
         with self.lock:
             self.left[suite] = {part.title for part in parts}
 
-    def begins(self, part):
-        with self.lock:
-            self.began.setdefault(part.suite, self.clock())
-
     def ends(self, part, ran, unsteady):
         """Adds a part to its suite, and tells the suite when all its parts are done."""
         with self.lock:
             row = self.rows.setdefault(
-                part.suite, {"passed": 0, "failed": 0, "skipped": 0, "cpu": 0.0, "unsteady": 0, "why": []}
+                part.suite,
+                {
+                    "passed": 0,
+                    "failed": 0,
+                    "skipped": 0,
+                    "seconds": 0.0,
+                    "cpu": 0.0,
+                    "unsteady": 0,
+                    "why": [],
+                },
             )
             outcome = ran.outcome
             if not outcome.good and not outcome.cannot_run:
                 self._failure(part, ran)
-            elif part.show:
+            elif part.show and ran.log:
                 self.out.matching(ran.log, part.show)
+            row["seconds"] += ran.seconds
             row["passed"] += outcome.passed
             row["failed"] += len(outcome.failed) or bool(outcome.broken)
             row["skipped"] += outcome.ignored + len(ran.skips) + bool(outcome.cannot_run)
@@ -60,7 +66,6 @@ class Suites:
             row["why"] += [outcome.cannot_run] if outcome.cannot_run else []
             self.left[part.suite].discard(part.title)
             if not self.left[part.suite]:
-                row["seconds"] = self.clock() - self.began.get(part.suite, self.clock())
                 self.out.line(self._line(part.suite, row))
                 for why in row["why"]:
                     self.out.line(f"       skipped: {why}")
@@ -89,11 +94,15 @@ class Suites:
             f"{'suite':<{WIDTH}} {'passed':>7} {'failed':>7} {'skipped':>8} {'unsteady':>9} {'time':>8} {'processor':>10}"
         ]
         for suite, row in self.rows.items():
-            seconds = row.get("seconds", 0)
+            seconds = row["seconds"]
             lines.append(
                 f"{suite:<{WIDTH}} {row['passed']:>7} {row['failed']:>7} {row['skipped']:>8} {row['unsteady']:>9} {seconds:>6.0f} s {row['cpu']:>8.0f} s"
             )
         return lines
+
+    def unfinished(self):
+        """Parts that were to run and of which nothing was heard."""
+        return sorted(title for titles in self.left.values() for title in titles)
 
     def total(self, word):
         return sum(row[word] for row in self.rows.values())
@@ -159,5 +168,5 @@ class Times:
             self.of = {}
 
     def keep(self, rows):
-        self.of |= {suite: round(row["seconds"], 1) for suite, row in rows.items() if "seconds" in row}
+        self.of |= {suite: round(row["seconds"], 1) for suite, row in rows.items()}
         self.path.write_text(json.dumps(self.of, indent=1, sort_keys=True))

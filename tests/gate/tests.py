@@ -240,7 +240,7 @@ class WhatRunsBesideWhat(unittest.TestCase):
 class WhatPeopleSee(Stage):
     def results(self):
         self.out = io.StringIO()
-        return Suites({"some": 7.0}, Screen(self.out), clock=lambda: 0.0)
+        return Suites({"some": 7.0}, Screen(self.out))
 
     def test_a_suite_is_told_when_its_last_part_ends(self):
         results = self.results()
@@ -251,6 +251,22 @@ class WhatPeopleSee(Stage):
         self.assertEqual(self.out.getvalue(), "")
         results.ends(parts[1], self.play(parts[1]), 0)
         self.assertRegex(self.out.getvalue(), r"^ok      some +2 tests +0 s \(last run 7 s\)\n$")
+
+    def test_a_part_of_which_nothing_was_heard_is_unfinished(self):
+        results = self.results()
+        parts = [self.part(f"echo '{OK}'"), self.part(f"echo '{OK}'")]
+        parts[1].name = "more"
+        results.expect("some", parts)
+        results.ends(parts[0], self.play(parts[0]), 0)
+        self.assertEqual(results.unfinished(), ["some.more"])
+
+    def test_a_part_that_cannot_run_shows_no_figures(self):
+        results = self.results()
+        part = self.part("exit 1")
+        part.cannot_run, part.show = "no browser", "^bench"
+        results.expect("some", [part])
+        results.ends(part, self.runner.skipped(part), 0)
+        self.assertIn("skipped: no browser", self.out.getvalue())
 
     def test_the_end_of_a_log_is_shown_for_failures(self):
         results = self.results()
