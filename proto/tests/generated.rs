@@ -1,6 +1,7 @@
 //! The committed code is what the `.proto` files say.
 //!
-//! Invariant: a `.proto` file or generated file that changed alone fails here, without the generator's dependencies.
+//! Invariant: a `.proto` file or generated file that changed alone fails here, without the generator's
+//! dependencies.
 #![allow(clippy::unwrap_used)]
 
 use std::path::PathBuf;

@@ -94,7 +94,8 @@ fn the_model_reaches_no_runtime_and_no_system_interface() {
     assert!(banned.is_empty(), "trocar-model is pure but reaches {banned:?}");
 }
 
-/// Otherwise `./tests/run` after `cargo build --release` compiles that dependency, and all that depends on it, once more.
+/// A dependency with two sets of features is compiled twice, and so is all that depends on it: by
+/// `cargo build --release`, and again by `./tests/run`.
 #[test]
 fn program_and_tests_use_one_set_of_features_of_every_dependency() {
     let program = features(&["--edges", "normal,build"]);
@@ -123,7 +124,7 @@ fn features(args: &[&str]) -> BTreeMap<String, BTreeSet<String>> {
     found
 }
 
-/// What `cargo metadata` says.
+/// The answer of `cargo metadata`.
 struct Metadata(Value);
 
 impl Metadata {

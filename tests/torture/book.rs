@@ -241,7 +241,7 @@ impl Book {
         self.not_run.push(why.to_owned());
     }
 
-    /// What became of a claim, in a word.
+    /// The verdict on a claim, in a word.
     pub(crate) fn verdict(&self, line: &Line) -> &'static str {
         match (line.holds, self.judges(line)) {
             (true, _) => "holds",

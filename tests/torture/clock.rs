@@ -37,7 +37,7 @@ impl<'a> Watchdog<'a> {
         Watchdog { what, last: String::new(), since: Instant::now() }
     }
 
-    /// What was observed now, in words; an error when that has stood still for too long.
+    /// The present observation, in words; an error when it has stood still for too long.
     pub(crate) fn sees(&mut self, now: String) -> Result<(), String> {
         if now != self.last {
             (self.last, self.since) = (now, Instant::now());

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::book::{Book, Line};
 use crate::run::{Row, Run};
 
-/// What libtest prints of one test, and what `--exact` takes.
+/// The name of a test as libtest prints it, and as `--exact` takes it.
 pub(crate) fn line(book: &Book) -> String {
     format!("test torture::{} ... {}", book.row, if book.holds() { "ok" } else { "FAILED" })
 }

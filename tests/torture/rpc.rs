@@ -25,7 +25,7 @@ use crate::json::{from_wire, to_struct, to_wire};
 /// For every call.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 
-/// How the message begins where nothing answered.
+/// The beginning of the message where nothing answered.
 pub(crate) const NO_ANSWER: &str = "no answer";
 
 /// Why a call did not do what it should: code, reason and sentence.

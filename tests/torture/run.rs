@@ -83,7 +83,7 @@ impl Run {
                     "attempt {attempt}: the machine itself was late by {late_ms:.0} ms"
                 ));
             }
-            // What the gate judges does not depend on how quiet the machine is.
+            // The gate judges nothing that depends on how quiet the machine is.
             let stood_still = late_ms > UNQUIET && attempt < ATTEMPTS && !self.gate;
             if let Some(earlier) = counted.as_ref().filter(|_| book.holds() || !stood_still) {
                 book.with_counts_of(earlier);

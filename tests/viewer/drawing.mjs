@@ -1,4 +1,4 @@
-/// What is drawn for tests that judge what is seen, and for those that judge how long it takes: connections,
+/// Drawings for tests that judge what is seen, and for those that judge how long it takes: connections,
 /// and 300 components.
 import { box, connect, create, eventually, grpcurl, settled } from './world.mjs';
 

@@ -1,4 +1,4 @@
-/// What judges durations: how soon a connection is seen, how long frames take. Runs only with `--times`.
+/// Tests that judge durations: how soon a connection is seen, how long frames take. Runs only with `--times`.
 ///
 /// Invariant: each bound is beside a control of the same page, and what else these tests show is shown by
 /// those of other files, too.

@@ -1,8 +1,10 @@
-//! Writes `proto/src/gen` from the `.proto` files, and the sums by which a test sees that both belong together.
+//! Writes `proto/src/gen` from the `.proto` files, and the sums by which a test sees that both belong
+//! together.
 //!
 //! Invariant: needs no protoc, so that a machine with only a Rust toolchain can regenerate.
 //!
-//! `cargo run --manifest-path proto/generate/Cargo.toml` writes; with `-- --check` it compares and writes nothing.
+//! `cargo run --manifest-path proto/generate/Cargo.toml` writes; with `-- --check` it compares and writes
+//! nothing.
 #![forbid(unsafe_code)]
 
 use std::error::Error;

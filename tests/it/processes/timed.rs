@@ -7,19 +7,12 @@ use trocar_tests::eventually;
 
 use super::TWO;
 use super::system::System;
-use super::watching::{number, objects, row, three, top};
+use super::watching::{number, objects, row, stepped, three};
 
 #[test]
 fn top_tells_no_rate_above_that_of_its_component_and_how_busy_one_is_that_is_too_slow() {
     let three = three();
-    let [_, last] = eventually("all have stepped in an interval", || {
-        let figures = top(&three, "");
-        let rows = figures[1]["components"].as_array().unwrap();
-        let all = rows.len() == 6
-            && rows.iter().all(|c| c["path"] == "middle/server" || c["rate_hz"].as_f64() > Some(0.0));
-        let late = row(&figures[1], "components", "path", "middle/late");
-        if all && late["overruns_now"].as_u64() > Some(0) { Ok(figures) } else { Err(figures[1].to_string()) }
-    });
+    let last = stepped(&three);
     for c in last["components"].as_array().unwrap() {
         assert!(number(c, "rate_hz") < 1100.0, "{c}");
     }

@@ -56,17 +56,23 @@ pub(super) fn number(row: &Value, figure: &str) -> f64 {
     row[figure].as_f64().unwrap_or_else(|| panic!("no figure {figure}: {row}"))
 }
 
-#[test]
-fn top_tells_every_figure_of_every_component_of_every_process() {
-    let three = three();
+/// The figures of an interval in which all components of `three` have stepped.
+pub(super) fn stepped(three: &System) -> Value {
     let [_, last] = eventually("all have stepped in an interval", || {
-        let figures = top(&three, "");
+        let figures = top(three, "");
         let rows = figures[1]["components"].as_array().unwrap();
         let all = rows.len() == 6
             && rows.iter().all(|c| c["path"] == "middle/server" || c["rate_hz"].as_f64() > Some(0.0));
         let late = row(&figures[1], "components", "path", "middle/late");
         if all && late["overruns_now"].as_u64() > Some(0) { Ok(figures) } else { Err(figures[1].to_string()) }
     });
+    last
+}
+
+#[test]
+fn top_tells_every_figure_of_every_component_of_every_process() {
+    let three = three();
+    let last = stepped(&three);
     let listed = three.list();
     for name in ["left", "middle", "right"] {
         let (process, told) = (row(&last, "processes", "name", name), three.host(name));

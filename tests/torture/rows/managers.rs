@@ -37,7 +37,7 @@ struct Flow {
     taken: u64,
     /// What a queue had no room for, which a machine that is wanted by others does, too.
     missed: u64,
-    /// What nothing excuses: twice, torn, of somebody else.
+    /// Faults that nothing excuses: twice, torn, of somebody else.
     wrong: u64,
     /// For each sink the age of the oldest sample, or the longest time without one beyond its period, ms.
     late_ms: BTreeMap<&'static str, f64>,
@@ -52,7 +52,7 @@ struct Calls {
     failed: u64,
 }
 
-/// Where a caller counts what was answered, and what was not within its deadline.
+/// The counts of a caller: calls that were answered, and calls that were not within their deadline.
 const ANSWERED: usize = 0;
 const LATE: usize = 2;
 
