@@ -1,10 +1,11 @@
 //! The newcomer's first command.
 //!
 //! Promise: `trocar demo` runs robot or hand at 1 kHz, OCT at 4 kHz and video at 30 pairs/s, in one process or three with the same
-//! figures, loses no picture, keeps the tip at its distance, shows what was done in pictures, and stops cleanly; a process of it
+//! figures, accounts for every period and picture, keeps the tip at its distance, shows what was done in pictures, and stops cleanly; a process of it
 //! that is killed comes back.
 
 mod counted;
+mod timed;
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -14,6 +15,24 @@ use serde_json::{Value, json};
 use trocar_tests::{HostProcess, Trocar, World, eventually, number};
 
 use crate::processes::system::{children, gone, kill, pid};
+
+/// As many periods and pictures as belong to the time they were counted in, as exactly as that is known.
+fn accounts_for_periods_and_pictures(figures: &Value) {
+    let of = |part: &Value, key: &str| part[key].as_f64().unwrap_or_else(|| panic!("{key} of {figures}"));
+    let near = |what: &str, counted: u64, hz: f64, part: &Value, slack: f64| {
+        let (expected, unsure) = (of(part, "seconds") * hz, of(part, "unsure_s") * hz + slack);
+        assert!(
+            (counted as f64 - expected).abs() <= unsure,
+            "{counted} {what}, not {expected:.1} ± {unsure:.1}: {figures}"
+        );
+    };
+    let (robot, video) = (&figures["robot"], &figures["video"]);
+    // A step may be late by nearly a period, at either end.
+    near("periods", number(&robot["executed"]) + number(&robot["skipped"]), 1000.0, robot, 2.0);
+    let pictures = number(&video["pairs"]) + number(&video["left_out"]) + number(&video["drops"]);
+    // Some are on their way at either end.
+    near("pictures", pictures, 30.0, figures, 3.0);
+}
 
 #[test]
 fn a_running_demo_answers_grpcurl_and_ends_cleanly_on_ctrl_c() {

@@ -1,7 +1,8 @@
 //! What the demo did in a window of time, told by its GCM.
 //!
-//! Invariant: a window begins and ends right after a step of the robot, when its counters agree with its time grid; in
-//! between it may be late, and the machine may be busy, without a count being off.
+//! Invariant: a robot's window begins and ends right after one of its steps, when its counters agree with its time grid; in
+//! between it may be late, and the machine may be busy, without a count being off. What is not known exactly on a busy
+//! machine is when it was looked at: each window says for how long it lasted, and how far off that may be.
 
 use std::time::{Duration, Instant};
 
@@ -34,7 +35,9 @@ pub(super) struct Parts {
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Report {
     behavior: &'static str,
+    /// How long the video and the connections were counted, and how far off that may be, s.
     seconds: f64,
+    unsure_s: f64,
     processes: usize,
     robot: Steps,
     video: Video,
@@ -46,6 +49,9 @@ pub(super) struct Report {
 /// What a component did in a window.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 struct Steps {
+    /// How long they were counted, and how far off that may be, s; executed + skipped = periods of this time.
+    seconds: f64,
+    unsure_s: f64,
     executed: u64,
     skipped: u64,
     overruns: u64,
@@ -68,27 +74,47 @@ struct Video {
     latency_p99_ns: u64,
 }
 
-/// Measures for exactly `seconds`.
+/// Measures for `seconds`, or a little longer where the machine is late.
 pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> Result<Report, Failure> {
     let window = Duration::from_secs(seconds);
     tokio::time::sleep(SETTLE).await;
     let robot = async {
         let a = after_step(session, &parts.robot).await?;
-        tokio::time::sleep_until((a.at + window).into()).await;
+        tokio::time::sleep_until((a.moment.at + window).into()).await;
         Ok::<_, Failure>((a, after_step(session, &parts.robot).await?))
     };
     let system = async {
         let a = Reading::now(session).await?;
-        tokio::time::sleep_until((a.at + window).into()).await;
+        tokio::time::sleep_until((a.moment.at + window).into()).await;
         Ok::<_, Failure>((a, Reading::now(session).await?))
     };
     let (robot, system) = tokio::try_join!(robot, system)?;
-    Ok(Report::between(&robot, &system, parts, window))
+    Ok(Report::between(&robot, &system, parts))
+}
+
+/// When something was looked at: in the middle of two times, between which it was.
+#[derive(Clone, Copy)]
+struct Moment {
+    at: Instant,
+    /// Half of the time between them.
+    unsure: Duration,
+}
+
+impl Moment {
+    fn within(from: Instant, to: Instant) -> Self {
+        let unsure = (to - from) / 2;
+        Self { at: from + unsure, unsure }
+    }
+
+    /// Seconds from here to there, and how far off that may be.
+    fn until(&self, end: &Moment) -> (f64, f64) {
+        ((end.at - self.at).as_secs_f64(), (self.unsure + end.unsure).as_secs_f64())
+    }
 }
 
 /// The robot's counters right after one of its steps.
 struct Robot {
-    at: Instant,
+    moment: Moment,
     stats: StatsView,
 }
 
@@ -109,11 +135,13 @@ async fn after_step(session: &Session, robot: &str) -> Result<Robot, Failure> {
         let took = now.1 - last.0;
         let stepped = now.2.executed + now.2.skipped != last.2.executed + last.2.skipped;
         if stepped && best.as_ref().is_none_or(|(least, _)| took < *least) {
-            best = Some((took, Robot { at: last.0 + took / 2, stats: now.2.clone() }));
+            best = Some((took, Robot { moment: Moment::within(last.0, now.1), stats: now.2.clone() }));
         }
         match best.take() {
             Some((took, robot)) if took < SHARP || begin.elapsed() > PATIENCE => return Ok(robot),
-            None if begin.elapsed() > PATIENCE => return Ok(Robot { at: now.1, stats: now.2 }),
+            None if begin.elapsed() > PATIENCE => {
+                return Ok(Robot { moment: Moment::within(now.0, now.1), stats: now.2 });
+            }
             found => best = found,
         }
         last = now;
@@ -122,14 +150,15 @@ async fn after_step(session: &Session, robot: &str) -> Result<Robot, Failure> {
 
 /// All counters at one moment.
 struct Reading {
-    at: Instant,
+    moment: Moment,
     all: SystemView,
 }
 
 impl Reading {
     async fn now(session: &Session) -> Result<Reading, Failure> {
+        let begun = Instant::now();
         let all = session.list().await?;
-        Ok(Reading { at: Instant::now(), all })
+        Ok(Reading { moment: Moment::within(begun, Instant::now()), all })
     }
 
     fn stats(&self, path: &str) -> StatsView {
@@ -154,11 +183,14 @@ impl Reading {
 }
 
 impl Steps {
-    /// `beyond`: steps that are not of the window any more.
-    fn between(from: &StatsView, to: &StatsView, beyond: u64, seconds: f64) -> Self {
+    fn between(from: &Robot, to: &Robot) -> Self {
+        let (seconds, unsure_s) = from.moment.until(&to.moment);
+        let (from, to) = (&from.stats, &to.stats);
         let executed = since(from.executed, to.executed);
         Self {
-            executed: executed.saturating_sub(beyond),
+            seconds,
+            unsure_s,
+            executed,
             skipped: since(from.skipped, to.skipped),
             overruns: since(from.overruns, to.overruns),
             rate_hz: if seconds > 0.0 { executed as f64 / seconds } else { 0.0 },
@@ -170,28 +202,18 @@ impl Steps {
 }
 
 impl Report {
-    fn between(
-        robot: &(Robot, Robot),
-        system: &(Reading, Reading),
-        parts: &Parts,
-        window: Duration,
-    ) -> Report {
-        let ((from, to), (a, b)) = (robot, system);
-        // Periods that began after the window, in the time by which the robot was looked at too late.
-        let stepping = to.at - from.at;
-        let robot = b.all.components.iter().find(|c| c.path == parts.robot);
-        let period_ns = robot.map_or(0, |c| c.execution.period_ns).max(1);
-        let late_ns = stepping.saturating_sub(window).as_nanos();
-        let beyond = (late_ns as f64 / period_ns as f64).round() as u64;
-        let seconds = (b.at - a.at).as_secs_f64();
+    fn between(robot: &(Robot, Robot), system: &(Reading, Reading), parts: &Parts) -> Report {
+        let (a, b) = system;
+        let (seconds, unsure_s) = a.moment.until(&b.moment);
         let left_out = since(a.stats(&parts.source).skipped, b.stats(&parts.source).skipped);
         let end = b.end(parts);
         let pairs = since(a.end(parts).passed, end.passed);
         Report {
             behavior: parts.behavior,
             seconds,
+            unsure_s,
             processes: b.all.processes.len(),
-            robot: Steps::between(&from.stats, &to.stats, beyond, stepping.as_secs_f64()),
+            robot: Steps::between(&robot.0, &robot.1),
             video: Video {
                 pairs,
                 rate_hz: if seconds > 0.0 { pairs as f64 / seconds } else { 0.0 },
@@ -230,23 +252,19 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::view::{ComponentView, ExecutionView};
 
     #[test]
-    fn periods_that_began_after_the_window_are_not_counted() {
-        let at = Instant::now();
-        let robot = |at, executed, skipped| Robot {
-            at,
+    fn a_window_lasts_from_the_middle_of_a_look_to_the_middle_of_another_and_says_how_far_off_that_may_be() {
+        let start = Instant::now();
+        let after = |ms| start + Duration::from_millis(ms);
+        let robot = |from, to, executed, skipped| Robot {
+            moment: Moment::within(after(from), after(to)),
             stats: StatsView { executed, skipped, ..StatsView::default() },
         };
-        let execution = ExecutionView { period_ns: 1_000_000, ..ExecutionView::default() };
-        let component = ComponentView { path: "r".into(), execution, ..ComponentView::default() };
-        let all = SystemView { components: vec![component], ..SystemView::default() };
-        let system = || Reading { at, all: all.clone() };
-        let parts =
-            Parts { behavior: "bscan", robot: "r".into(), source: "s".into(), chain: vec!["d".into()] };
-        let stepped = (robot(at, 100, 1), robot(at + Duration::from_millis(1003), 1101, 3));
-        let report = Report::between(&stepped, &(system(), system()), &parts, Duration::from_secs(1));
-        assert_eq!((report.robot.executed, report.robot.skipped), (998, 2), "{report:?}");
+        let steps = Steps::between(&robot(0, 2, 100, 1), &robot(1000, 1006, 1100, 3));
+        let expected =
+            Steps { seconds: 1.002, unsure_s: 0.004, executed: 1000, skipped: 2, ..Steps::default() };
+        assert_eq!(Steps { rate_hz: 0.0, ..steps.clone() }, expected);
+        assert!((steps.rate_hz - 1000.0 / 1.002).abs() < 1e-9, "{steps:?}");
     }
 }
