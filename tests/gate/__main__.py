@@ -3,7 +3,8 @@ up the rest under the target directory by itself.
 
   ./tests/run                 the gate: everything deterministic, closed by one summary
   ./tests/run NAME...         only these suites, whole
-  ./tests/run --all           everything: also conformance_cross, tsan whole, python_oldest, generated and the long torture
+  ./tests/run --all           everything: also conformance_cross, tsan whole, python_oldest, generated, the long torture, five
+                              times as many seeds
   ./tests/run --times         only what judges durations; it wants the machine for itself
   ./tests/run --torture [ROW...]   torture with the counts of the acceptance, or these rows of it
   ./tests/run --list          the names of the suites, and what each is
@@ -34,6 +35,8 @@ from parts import ALL, GATE, TIMES, Runner
 from summary import Screen, Suites, Times, count
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+# So many times the seeds of the gate are played by --all.
+ALL_SEEDS = "5"
 
 
 def parse(arguments):
@@ -95,6 +98,8 @@ class Run:
             "TROCAR_CPP_DIR": str(self.workshop.cpp),
         }
         os.environ.setdefault("CARGO_TARGET_DIR", str(self.workshop.target))
+        if self.stage.everything:
+            os.environ.setdefault("TROCAR_SEEDS", ALL_SEEDS)
         lanes = self.lanes = Lanes(max(2, os.cpu_count() or 2), self._play, self._ended, self._began)
         ticking = threading.Thread(target=self._tick, daemon=True)
         ticking.start()

@@ -4,12 +4,12 @@
 use trocar_sdk::data::{OperatingMode, OperatingState, Pose};
 use trocar_sdk::prelude::*;
 
-use crate::rig::{NEAREST_M, OFFSET_M, Rig, SEEDS, Setup, ready};
+use crate::rig::{NEAREST_M, OFFSET_M, Rig, Setup, ready, seeds};
 use crate::{Phase, ScanRequest};
 
 #[test]
 fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_goes_away_and_rests() {
-    for seed in SEEDS {
+    for seed in seeds() {
         let mut rig = Rig::new(Setup::new("default", seed));
         rig.begin();
         rig.until_scanning();
@@ -35,7 +35,7 @@ fn a_surface_lost_for_fifty_milliseconds_ends_the_scan_with_a_hold_and_the_tip_g
 
 #[test]
 fn a_deeper_layer_that_is_taken_for_the_surface_is_not_followed() {
-    for seed in SEEDS {
+    for seed in seeds() {
         let mut rig = Rig::new(Setup::new("default", seed));
         rig.begin();
         rig.until_scanning();

@@ -7,7 +7,7 @@ use trocar_sdk::Text;
 use trocar_sdk::data::{FixtureKind, Pose, Retreat, Twist};
 
 use crate::Phase;
-use crate::rig::{NEAREST_M, OFFSET_M, Rig, SEEDS, Setup};
+use crate::rig::{NEAREST_M, OFFSET_M, Rig, Setup, seeds};
 
 /// A whole breath, s, is 4; and the way away from the retina, with some room.
 const BREATH: usize = 4_300;
@@ -15,7 +15,7 @@ const BREATH: usize = 4_300;
 #[test]
 fn after_an_abort_or_a_lost_surface_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
     // The nearest offset there is; the eye goes up and down by 320 µm. Aborts at all times of its motion.
-    for seed in SEEDS {
+    for seed in seeds() {
         for lost in [false, true] {
             let mut rig = Rig::new(Setup { offset_m: 200e-6, ..Setup::new("default", seed) });
             rig.begin();
@@ -37,7 +37,7 @@ fn after_an_abort_or_a_lost_surface_the_tip_stays_150_micrometres_away_for_a_who
 
 #[test]
 fn after_a_whole_scan_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
-    for seed in SEEDS {
+    for seed in seeds() {
         // A line of another length for each seed, so that it ends at all times of the eye's motion.
         let end_m = -1.4e-3 + 20e-6 * seed as f64;
         let mut rig = Rig::run(Setup { offset_m: 200e-6, end_m, ..Setup::new("default", seed) });
@@ -63,7 +63,7 @@ fn on_the_way_back(world: &str, seed: u64, late: usize) -> Rig {
 
 #[test]
 fn a_tip_that_is_blind_on_its_way_back_goes_the_rest_and_stays_150_micrometres_away_for_a_whole_breath() {
-    for seed in SEEDS {
+    for seed in seeds() {
         let mut rig = on_the_way_back("default", seed, if seed % 2 == 0 { 0 } else { 300 });
         rig.dark_until_ns = u64::MAX;
         rig.steps(60);
@@ -125,7 +125,7 @@ fn kill(mut rig: Rig, seed: u64) -> (f64, f64) {
 
 #[test]
 fn a_robot_whose_scan_is_killed_stands_within_twenty_milliseconds_and_then_goes_away_from_the_retina() {
-    for seed in SEEDS {
+    for seed in seeds() {
         // The nearest offset there is; the eye goes up and down by 320 µm.
         let (nearest, back) = kill(Rig::new(Setup { offset_m: 200e-6, ..Setup::new("default", seed) }), seed);
         assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
@@ -135,7 +135,7 @@ fn a_robot_whose_scan_is_killed_stands_within_twenty_milliseconds_and_then_goes_
 
 #[test]
 fn a_robot_that_cannot_go_back_by_itself_stands_where_a_whole_breath_leaves_it_150_micrometres() {
-    for seed in SEEDS {
+    for seed in seeds() {
         let mut rig = Rig::new(Setup::new("default", seed));
         rig.retreats(false);
         let (nearest, back) = kill(rig, seed);
@@ -190,7 +190,7 @@ fn while_a_scan_runs_the_robots_guard_lies_at_the_least_distance_above_the_surfa
 
 #[test]
 fn a_scan_that_begins_low_and_aside_rises_to_the_offset_before_it_slides() {
-    for seed in SEEDS {
+    for seed in seeds() {
         let setup = Setup::new("default", seed);
         let mut rig = Rig::new(Setup { place_m: [-1.1e-3, 0.0, 250e-6], ..setup });
         rig.begin();

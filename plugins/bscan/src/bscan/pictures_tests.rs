@@ -5,7 +5,7 @@ use trocar_sdk::data::{AScanHeader, ImageHeader, SampleFormat};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
-use crate::rig::{Rig, SEEDS, Setup};
+use crate::rig::{Rig, Setup, seeds};
 use crate::{BScan, Phase, ScanColumn, ScanDone, ScanRequest};
 
 /// Where the phantom has layers below its surface, and where it has none, m of optical path.
@@ -91,7 +91,7 @@ fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_non
     for world in ["no_membrane", "static_no_membrane"] {
         Seen::of(Setup::new(world, 7)).judge(world);
     }
-    for seed in SEEDS {
+    for seed in seeds() {
         let setup = Setup { end_m: -1.2e-3, ..Setup::new("no_membrane", seed) };
         Seen::of(setup).judge(&format!("seed {seed}"));
     }
