@@ -20,7 +20,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-links", &["trocar-rt"]),
     ("trocar", &["trocar-model", "trocar-links", "trocar-rt", "trocar-proto", "trocar-plugin-api"]),
     ("trocar-conform-classes", &["trocar-sdk"]),
-    ("trocar-oct-core", &[]),
+    ("trocar-fft", &[]),
+    ("trocar-oct-core", &["trocar-fft"]),
     (
         "trocar-tests",
         &["trocar", "trocar-links", "trocar-rt", "trocar-sdk", "trocar-proto", "trocar-conform-classes"],

@@ -7,8 +7,8 @@
 use std::fmt;
 use std::sync::Arc;
 
-use rustfft::num_complex::Complex;
-use rustfft::{Fft, FftPlanner};
+use trocar_fft::Fft;
+use trocar_fft::num_complex::Complex;
 
 use crate::background::Background;
 use crate::decibel::{SILENT_DB, decibel};
@@ -76,7 +76,7 @@ pub(crate) struct Transform {
 
 impl Transform {
     fn new(samples: usize) -> Transform {
-        let fft = FftPlanner::new().plan_fft_forward(samples);
+        let fft = trocar_fft::forward(samples);
         let scratch = vec![Complex::default(); fft.get_inplace_scratch_len()];
         Transform { fft, buffer: vec![Complex::default(); samples], scratch }
     }

@@ -5,7 +5,7 @@
 
 use std::f64::consts::TAU;
 
-use rustfft::num_complex::Complex;
+use trocar_fft::num_complex::Complex;
 
 use crate::grid::Grid;
 

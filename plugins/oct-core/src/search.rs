@@ -4,7 +4,7 @@
 //! after a bounded number of them, and a result at the end of the range ([`WIDEST_RAD`]) is none. Sharpness is
 //! `Σ|A|⁴ / (Σ|A|²)²` per line, over the bins beyond what is left of the reference arm.
 
-use rustfft::num_complex::Complex;
+use trocar_fft::num_complex::Complex;
 
 use crate::chain::Chain;
 use crate::dispersion::{Dispersion, fill_filter};
