@@ -3,7 +3,7 @@
 ///
 /// Invariant: the name in a line `test NAME ... ok` is what --exact takes. Tests of times.mjs judge durations
 /// and run only with --times or by name; what there is no test of ends in 2.
-import { World } from './world.mjs';
+import { World, endBrowser } from './world.mjs';
 import * as access from './access.mjs';
 import * as away from './away.mjs';
 import * as classes from './classes.mjs';
@@ -56,5 +56,6 @@ for (const { full, name, test } of all.filter(chosen)) {
     for (const p of world.programs) console.log(`-- ${p.name} printed:\n${p.printed.slice(-1500)}`);
   } else passed += 1;
 }
+await endBrowser();
 console.log(`test result: ${failed ? 'FAILED' : 'ok'}. ${passed} passed; ${failed} failed; 0 ignored`);
 process.exit(failed ? 1 : 0);

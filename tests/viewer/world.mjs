@@ -17,6 +17,15 @@ const ARGS = [
   '--disable-component-update', '--disable-sync', '--disable-dev-shm-usage',
 ];
 
+const launch = (args) => chromium.launch({ executablePath: process.env.CHROMIUM, headless: true, args });
+/// The browser of all tests, which takes long to start; one that has ended is replaced.
+let shared;
+async function sharedBrowser() {
+  if (!shared?.isConnected()) shared = await launch(ARGS);
+  return shared;
+}
+export const endBrowser = () => shared?.close();
+
 /// A program of ours, and what it printed.
 class Program {
   constructor(args, name, env = {}) {
@@ -42,6 +51,7 @@ class Program {
 export class World {
   programs = [];
   contexts = [];
+  browsers = [];
   constructor() {
     this.dir = fs.mkdtempSync(path.join(os.tmpdir(), 'trocar-viewer-'));
   }
@@ -60,12 +70,11 @@ export class World {
   demo(more = []) {
     return this.start(['demo', '--plugins', PLUGINS, '--listen', '127.0.0.1:0', ...more], 'demo');
   }
-  /// A profile of its own: windows of one browser share what it may have open to one address.
-  async browser(options = {}) {
-    const profile = fs.mkdtempSync(path.join(this.dir, 'profile-'));
-    const context = await chromium.launchPersistentContext(profile, {
-      executablePath: process.env.CHROMIUM, headless: true, args: ARGS, viewport: { width: 1500, height: 900 }, ...options,
-    });
+  /// A profile of its own: windows of one profile share what it may have open to one address. `args`: a browser of its own, too.
+  async browser({ args, ...options } = {}) {
+    const browser = await (args ? launch(args) : sharedBrowser());
+    if (args) this.browsers.push(browser);
+    const context = await browser.newContext({ viewport: { width: 1500, height: 900 }, ...options });
     context.setDefaultTimeout(STANDSTILL);
     // For work on the page: files of a build that no program embeds yet.
     if (process.env.VIEWER_DIST) {
@@ -98,7 +107,7 @@ export class World {
     return page;
   }
   async end() {
-    for (const c of this.contexts) await c.close().catch(() => {});
+    for (const one of [...this.contexts, ...this.browsers]) await one.close().catch(() => {});
     for (const p of this.programs) p.kill('SIGINT');
     for (const p of this.programs) {
       const late = setTimeout(() => p.kill('SIGKILL'), 10_000);
