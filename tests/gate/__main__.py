@@ -2,7 +2,7 @@
 up the rest under the target directory by itself.
 
   ./tests/run                 the gate: everything deterministic, closed by one summary
-  ./tests/run NAME...         only these suites, whole
+  ./tests/run NAME...         only these suites, whole; workspace.PACKAGE: the unit tests of one crate
   ./tests/run --all           everything: also conformance_cross, tsan whole, python_oldest, generated, the long torture, five
                               times as many seeds
   ./tests/run --times         only what judges durations; it wants the machine for itself
@@ -68,7 +68,7 @@ class Run:
         rows = said.names if said.torture else []
         self.said = said
         self.stage = suites.Stage(ROOT, self.workshop, everything=said.all)
-        names = ["torture"] if said.torture else said.names
+        names, self.workshop.packages = (["torture"], []) if said.torture else suites.apart(said.names)
         if said.torture or said.all:
             self.stage.torture_args = ["--full", *rows]
         kinds = wanted_parts(said)
@@ -77,6 +77,7 @@ class Run:
             for suite in suites.SUITES
             if suite.name in names or not names and (not suite.only or suite.only in kinds)
         ]
+        self.workshop.drives = any(suite.drives for suite in self.suites)
         self.runner = Runner(self.workshop.logs)
         self.screen = Screen(sys.stdout, self.now)
         self.judge = Judge(self.runner, self.workshop.work / "unsteady.log")
@@ -217,7 +218,7 @@ def main():
         for suite in suites.SUITES:
             print(f"{suite.name:<21} {suite.about}")
         return 0
-    unknown = [] if said.torture else [name for name in said.names if not suites.named(name)]
+    unknown = [] if said.torture else [name for name in said.names if not suites.known(name)]
     if unknown:
         print(f"tests/run: there is no suite '{unknown[0]}'; ./tests/run --list names them", file=sys.stderr)
         return 2

@@ -57,6 +57,8 @@ class Workshop:
         self.cpp = self.work / "cpp"
         self.paths = {}  # name of a built executable -> its path
         self.executables = []  # of unit and integration tests
+        self.packages = []  # whose unit tests were asked for; none: all
+        self.drives = True  # the outer tests run, too
         self.running = []  # the log of the build that runs now
         self.last = ""
         self.machine = self._machine()
@@ -125,16 +127,23 @@ class Workshop:
     def build_tests(self):
         """The test executables of the workspace and of the outer tests, with checks."""
         command = ["cargo", "test", "--release", "--no-run", "--config", str(self._checks())]
-        everything = self.executables_of("build-tests", [*command, "--workspace"], self._beside)
+        found = self.executables_of("build-tests", [*command, *self._asked()], self._beside)
+        if found is None:
+            return False
+        self.executables = found
+        if not self.drives:
+            return True
         # The outer tests are no default target: a bare `cargo test` has nothing to run them against.
-        harness = everything is not None and self.executables_of(
+        harness = self.executables_of(
             "build-harness", [*command, "-p", "trocar-tests", "--test", "it"], self._beside
         )
         if not harness:
             return False
-        self.executables = everything
         self.paths["it"] = harness[0].path
         return True
+
+    def _asked(self):
+        return [word for package in self.packages for word in ("-p", package)] or ["--workspace"]
 
     def doc_tests(self):
         """The command that compiles and runs the examples of the documentation, and its environment."""
@@ -143,7 +152,7 @@ class Workshop:
             "test",
             "--release",
             "--doc",
-            "--workspace",
+            *self._asked(),
             "--no-fail-fast",
             "--config",
             str(self._checks()),

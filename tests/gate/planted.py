@@ -5,7 +5,7 @@
   python3 tests/gate/planted.py ID...                 only these, again
   python3 tests/gate/planted.py [ID...] -- ARGUMENTS  each with `./tests/run --until-failure ARGUMENTS`, and nothing else
 
-Without ARGUMENTS a fault's own suites run first, and the whole gate where these do not find it. Everything happens in a clone of HEAD
+Without ARGUMENTS a fault's own suites run first, one after another, and the whole gate where these do not find it. Everything happens in a clone of HEAD
 under target/planted, with one target directory for all faults. A control without a fault runs first and has to pass.
 
 Results are kept in target/planted/results.json. A table is printed at the end. The status is 0 when every fault was found.
@@ -208,7 +208,7 @@ class Planting:
         say(f"{fault['id']}: {result['verdict']} {result['test']} ({result['seconds']} s)")
 
     def _seek(self, fault, result):
-        rounds = [self.arguments] if self.arguments else [fault["suites"], []]
+        rounds = [self.arguments] if self.arguments else [*([suite] for suite in fault["suites"]), []]
         longest = max(LONGEST, TIMES_THE_CONTROL * self.results["control"]["seconds"])
         for number, arguments in enumerate(rounds):
             status, printed, seconds = self.field.run(

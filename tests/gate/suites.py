@@ -343,6 +343,18 @@ def named(name):
     return next((suite for suite in SUITES if suite.name == name), None)
 
 
+def known(name):
+    """Whether it names a suite, or a crate of the workspace, whose name cargo judges."""
+    suite, dot, package = name.partition(".")
+    return bool(named(suite)) and (not dot or (suite == "workspace" and bool(package)))
+
+
+def apart(names):
+    """Suites that were asked for, and the crates of the suite workspace: workspace.trocar-rt."""
+    split = [name.partition(".") for name in names]
+    return [suite for suite, _, _ in split], [package for _, _, package in split if package]
+
+
 def forgotten(root):
     """Files of tests/it that no row names."""
     modules = re.findall(r"^mod (\w+);$", (root / "tests/it/main.rs").read_text(), re.M)

@@ -290,6 +290,14 @@ class TheTable(unittest.TestCase):
         names = [suite.name for suite in suites.SUITES]
         self.assertEqual(len(names), len(set(names)))
 
+    def test_a_crate_of_the_workspace_is_asked_for_by_name_and_no_other_suite_has_any(self):
+        asked = ["workspace.trocar-rt", "links", "workspace.trocar-model"]
+        self.assertTrue(all(suites.known(name) for name in asked))
+        self.assertEqual(
+            suites.apart(asked), (["workspace", "links", "workspace"], ["trocar-rt", "trocar-model"])
+        )
+        self.assertFalse(any(suites.known(name) for name in ("links.trocar-rt", "workspace.", "nothing")))
+
     def test_a_package_id_names_its_package(self):
         for package_id, name in (
             ("path+file:///x/host/model#trocar-model@0.1.0", "trocar-model"),
@@ -313,7 +321,7 @@ class PlantedFaults(unittest.TestCase):
     def test_each_has_a_name_of_its_own_and_suites_that_exist(self):
         ids = [fault["id"] for fault in self.faults]
         self.assertEqual(len(ids), len(set(ids)))
-        unknown = [suite for fault in self.faults for suite in fault["suites"] if not suites.named(suite)]
+        unknown = [suite for fault in self.faults for suite in fault["suites"] if not suites.known(suite)]
         self.assertEqual(unknown, [])
 
     def test_a_build_that_failed_is_no_test_that_found_it(self):
