@@ -1,7 +1,7 @@
 /// Whether people without a mouse, or who hear the page instead of seeing it, can use it: judged by axe-core, view by view.
 import fs from 'node:fs';
 import { createRequire } from 'node:module';
-import { box, connect, create, eventually, is, settled, start } from './world.mjs';
+import { box, connect, create, eventually, is, reveal, settled, start } from './world.mjs';
 
 const AXE = fs.readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 
@@ -38,9 +38,7 @@ async function every_view(world, scheme) {
   }
   // A structure with every kind of field, as fields and as JSON.
   await create(host.addr, 'fixture-conform/Server', 'host/server');
-  await page.keyboard.press('Control+k');
-  await page.getByRole('combobox', { name: 'search' }).fill('host/server');
-  await page.keyboard.press('Enter');
+  await reveal(page, 'host/server');
   await page.getByRole('tab', { name: 'Invoke' }).click();
   await page.getByLabel('Command').selectOption('ctl/mirror');
   await page.getByRole('button', { name: 'add to list' }).click();

@@ -1,5 +1,5 @@
 /// How tests follow what streams, and read what the page shows of it.
-import { box, create, eventually, settled, start } from './world.mjs';
+import { box, create, eventually, reveal, settled, start } from './world.mjs';
 
 export async function interfacesOf(page, path) {
   await box(page, path).locator('header').click();
@@ -57,9 +57,7 @@ export async function manyMakers(world) {
 }
 export async function followAll(page, makers) {
   for (const path of makers) {
-    await page.keyboard.press('Control+k');
-    await page.getByRole('combobox', { name: 'search' }).fill(path);
-    await page.keyboard.press('Enter');
+    await reveal(page, path);
     await page.getByRole('tab', { name: 'Interfaces' }).click();
     await page.locator(`[data-follow="${path}/ctl/ticked"]`).click();
   }

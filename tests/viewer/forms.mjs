@@ -1,5 +1,5 @@
 /// What people do to components: menus, forms, the palette.
-import { box, connect, create, eventually, grpcurl, holds, is, menu, settled, shot, start, state, still } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, holds, is, menu, reveal, settled, shot, start, state, still } from './world.mjs';
 
 export async function every_verb_of_the_menu_does_what_it_says(world) {
   const host = await world.host();
@@ -212,10 +212,8 @@ export async function what_is_touched_is_as_large_as_a_finger_in_every_view(worl
     for (const one of await small(page)) if (!found.some((f) => f.endsWith(one))) found.push(`${view}: ${one}`);
   };
   const tab = (name) => page.getByRole('tab', { name }).tap();
-  const reveal = async (p) => {
-    await page.keyboard.press('Control+k');
-    await page.getByRole('combobox', { name: 'search' }).fill(p);
-    await page.keyboard.press('Enter');
+  const select = async (p) => {
+    await reveal(page, p);
     await page.locator('.inspector strong', { hasText: p }).waitFor();
   };
   await look('graph', 10);
@@ -229,27 +227,27 @@ export async function what_is_touched_is_as_large_as_a_finger_in_every_view(worl
   await page.getByRole('button', { name: 'Cancel' }).tap();
   await page.getByRole('button', { name: 'Palette' }).tap();
   // A check box, an array and numbers; events and reads; a connection.
-  await reveal('host/client');
+  await select('host/client');
   await tab('Configure');
   await page.locator('[data-configure="host/client"] input[type=checkbox]').waitFor();
   await look('Configure', 15);
-  await reveal('host/sine');
+  await select('host/sine');
   await tab('Overview');
   await page.locator('.inspector button', { hasText: 'host/echo/sample' }).waitFor();
   await look('Overview', 15);
-  await reveal('host/Server');
+  await select('host/Server');
   await tab('Invoke');
   await page.getByLabel('Command').selectOption('Provided/Write');
   await page.locator('#argument').waitFor();
   await look('Invoke', 15);
-  await reveal('host/robot');
+  await select('host/robot');
   await tab('Invoke');
   await page.getByLabel('Command').selectOption('arm/move_jp');
   await page.getByRole('button', { name: 'add to position' }).tap();
   await page.getByRole('button', { name: 'effort as JSON' }).tap();
   await look('Invoke of a structure', 20);
   await shot(page, 'touch-invoke');
-  await reveal('host/Server');
+  await select('host/Server');
   await tab('Interfaces');
   await page.locator('[data-plot="host/Server#set_point"]').waitFor({ state: 'attached' });
   await page.locator('.inspector details').evaluateAll((all) => all.forEach((e) => { e.open = true; }));

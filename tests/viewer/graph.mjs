@@ -1,6 +1,6 @@
 /// The graph in the browser: what there is, live, and what is drawn into it.
 import { cut, moved, onScreen, twoThenThreeHundred, watched } from './drawing.mjs';
-import { box, connect, create, eventually, grpcurl, handle, holds, is, menu, settled, shot, start, state } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, handle, holds, is, menu, reveal, settled, shot, start, state } from './world.mjs';
 
 export async function two_processes_are_drawn_with_ports_states_and_health(world) {
   const gcm = await world.gcm();
@@ -265,9 +265,7 @@ export async function three_hundred_components_are_drawn_and_can_be_worked_with(
   const before = await view();
   await moved(page);
   await eventually('all of it is moved', async () => (await view()) !== before);
-  await page.keyboard.press('Control+k');
-  await page.getByRole('combobox', { name: 'search' }).fill('host/e77');
-  await page.keyboard.press('Enter');
+  await reveal(page, 'host/e77');
   await box(page, 'host/e77').waitFor();
   await page.locator('.inspector', { hasText: 'host/e77' }).waitFor();
   await eventually('it is in the middle and can be read', async () => {

@@ -1,6 +1,6 @@
 /// What streams: plots, pictures, events, the log, and how many windows may look at once.
 import { eventRows, followAll, go_on, interfacesOf, latest, manyMakers, numbered, plot, points } from './following.mjs';
-import { box, create, eventually, grpcurl, holds, is, reaches, settled, shot, start, state } from './world.mjs';
+import { box, create, eventually, grpcurl, holds, is, reaches, reveal, settled, shot, start, state } from './world.mjs';
 
 /// A host whose `host/Server` runs, and a page that shows its interfaces.
 async function serverShown(world) {
@@ -21,9 +21,7 @@ export async function six_plots_and_a_second_window_stay_live(world) {
     await page.locator('[data-standing=live]').waitFor();
     await box(page, 'host/s3').waitFor();
     for (const n of [1, 2, 3]) {
-      await page.keyboard.press('Control+k');
-      await page.getByRole('combobox', { name: 'search' }).fill(`host/s${n}`);
-      await page.keyboard.press('Enter');
+      await reveal(page, `host/s${n}`);
       await page.getByRole('tab', { name: 'Interfaces' }).click();
       await plot(page, `host/s${n}/value`, 'value');
       await (n === 1 ? plot(page, 'host/s1', 'latest.value') : n === 2 ? plot(page, 'host/s2/signal/value', '') : plot(page, 'host/s3', 'latest.value'));
@@ -140,9 +138,7 @@ export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video
   // Rates are taken over four answers: the first are those of a system that was just started.
   for (let n = 0; n < 4; n += 1) await page.waitForResponse((r) => r.url().endsWith('GcmService/List'));
   await shot(page, 'demo');
-  await page.keyboard.press('Control+k');
-  await page.getByRole('combobox', { name: 'search' }).fill('host/pip');
-  await page.keyboard.press('Enter');
+  await reveal(page, 'host/pip');
   await page.getByRole('tab', { name: 'Interfaces' }).click();
   await page.locator('[data-picture="host/pip/composed"]').click();
   const shown = page.locator('[data-picture-of="host/pip/composed"]');
@@ -263,9 +259,7 @@ export async function more_events_than_can_be_read_are_listed_in_order_and_the_p
   holds(Object.keys(older).some((path) => newer[path]?.at(-1) > older[path].at(-1)), `the newest are listed: ${JSON.stringify(older)}, then ${JSON.stringify(newer)}`);
   for (const [path, numbers] of Object.entries(newer)) holds(makers.includes(path.split('/').slice(0, 2).join('/')) && numbers.every((n, i) => n > (numbers[i - 1] ?? 0)), `in order, ${path}: ${numbers}`);
   // The page answers while they come: it goes back to the first of them, and stops it.
-  await page.keyboard.press('Control+k');
-  await page.getByRole('combobox', { name: 'search' }).fill('host/e0');
-  await page.keyboard.press('Enter');
+  await reveal(page, 'host/e0');
   await box(page, 'host/e0').locator('header').click({ button: 'right' });
   await page.getByRole('menuitem', { name: /^Stop/ }).click();
   await eventually('it stops', async () => (await state(host.addr, 'host/e0')) === 'STOPPED');

@@ -118,6 +118,14 @@ export class World {
   }
 }
 
+/// Goes by Ctrl-K to what has this name, as soon as the page knows it.
+export async function reveal(page, name) {
+  await page.keyboard.press('Control+k');
+  await page.getByRole('combobox', { name: 'search' }).fill(name);
+  await page.locator('#found [role=option][aria-selected=true]', { hasText: name }).waitFor();
+  await page.keyboard.press('Enter');
+}
+
 /// grpcurl's answer; a refusal is thrown in its own words.
 export function grpcurl(addr, method, request = {}) {
   return new Promise((yes, no) => {

@@ -11,6 +11,10 @@ pub(super) type Told = Result<Value, Failure>;
 /// Entries met by a Configure, after the component was made and configured once.
 const CONFIGURED: [&str; 3] = ["configure", "describe", "bind"];
 
+/// Entries it meets after it has run for a while. A step may take five of its periods: a machine that keeps one waiting for
+/// 50 ms would bring it into FAULT before it comes there, at its own 100 Hz.
+const RUN_UNTIL: [&str; 3] = ["stop", "make_safe", "resume"];
+
 /// Makes a component that will misbehave in `entry` once [`reach`] comes there, and what that needs.
 pub(super) fn make(grpc: &Grpcurl, path: &str, entry: &str, config: &Value) {
     let class = match entry {
@@ -19,7 +23,12 @@ pub(super) fn make(grpc: &Grpcurl, path: &str, entry: &str, config: &Value) {
         _ => "chaos",
     };
     let later = CONFIGURED.contains(&entry) || entry == "callback";
-    grpc.create(path, class, if later { json!({}) } else { config.clone() });
+    let config = if later { json!({}) } else { config.clone() };
+    if RUN_UNTIL.contains(&entry) {
+        grpc.create_with(path, class, config, json!({ "model": "periodic", "rate_hz": 2 }));
+    } else {
+        grpc.create(path, class, config);
+    }
     if entry == "on_event" {
         let peer = peer(path);
         grpc.create(&peer, "chaos", json!({}));

@@ -2,6 +2,9 @@
 //!
 //! Invariant: a message that is not what its channel says is counted and left out; it never ends the reading.
 
+use std::panic::{self, UnwindSafe};
+use std::sync::Once;
+
 use prost_reflect::bytes::Bytes;
 use prost_reflect::{
     DescriptorPool, DynamicMessage, FieldDescriptor, MessageDescriptor, ReflectMessage, Value,
@@ -52,10 +55,8 @@ impl Reader {
     pub(super) fn of(channel: &Channel) -> Reader {
         let proto = channel.encoding == "protobuf" && channel.schema_encoding == "protobuf";
         // Of some damaged descriptions the library panics while it words its error: they describe nothing either.
-        let pool = || {
-            let decode = || DescriptorPool::decode(channel.schema_data.as_slice()).ok();
-            std::panic::catch_unwind(decode).ok().flatten()
-        };
+        let pool =
+            || unless_it_panics(|| DescriptorPool::decode(channel.schema_data.as_slice()).ok()).flatten();
         Reader {
             message: if proto { pool().and_then(|p| p.get_message_by_name(&channel.schema)) } else { None },
         }
@@ -75,6 +76,26 @@ impl Reader {
         }
         Some(all)
     }
+}
+
+/// What `f` gives; nothing where it panics, and then nothing of that is printed.
+fn unless_it_panics<T>(f: impl FnOnce() -> T + UnwindSafe) -> Option<T> {
+    thread_local! {
+        static QUIET: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+    }
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let told = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            if !QUIET.get() {
+                told(info);
+            }
+        }));
+    });
+    QUIET.set(true);
+    let given = panic::catch_unwind(f);
+    QUIET.set(false);
+    given.ok()
 }
 
 fn flatten(message: &DynamicMessage, path: &str, all: &mut Values) {
