@@ -111,9 +111,8 @@ def shares(name, when):
         "two_hosts": [apart, "--skip", f"{apart}o"],
         "two_hosts_executed": [f"{apart}o"],
     }
-    # A case waits most of its time.
     return lambda stage: [
-        in_harness(stage, name, [stage.harness, *words, "--test-threads=4"], label, when=when)
+        in_harness(stage, name, [stage.harness, *words, "--test-threads=2"], label, when=when)
         for label, words in groups.items()
     ]
 
