@@ -246,7 +246,7 @@ SUITES = [
         heavy=True,
     ),
     outer("processes", "supervised processes that are killed at any moment", timed=True),
-    outer("demo", "the newcomer's first command", counted=True, heavy=True),
+    outer("demo", "the newcomer's first command", threads=1, counted=True, timed=True, heavy=True),
     outer("devices", "robot, OCT, video and filters from outside", heavy=True),
     outer("realtime", "threads, priorities, streams and queues", counted=True),
     outer("faults", "components that panic, hang and misbehave", counted=True),

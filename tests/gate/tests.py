@@ -11,6 +11,7 @@ import pathlib
 import sys
 import tempfile
 import threading
+import types
 import unittest
 
 import building
@@ -297,6 +298,13 @@ class TheTable(unittest.TestCase):
             suites.apart(asked), (["workspace", "links", "workspace"], ["trocar-rt", "trocar-model"])
         )
         self.assertFalse(any(suites.known(name) for name in ("links.trocar-rt", "workspace.", "nothing")))
+
+    def test_modules_that_count_or_judge_durations_have_a_part_of_their_own(self):
+        stage = suites.Stage(planted.ROOT, types.SimpleNamespace(built=lambda name: name))
+        for path in sorted((planted.ROOT / "tests/it").glob("*/*.rs")):
+            if path.stem in ("counted", "timed"):
+                parts = suites.named(path.parent.name).parts(stage)
+                self.assertIn(path.stem, [part.name for part in parts], f"{path} would never run")
 
     def test_a_package_id_names_its_package(self):
         for package_id, name in (
