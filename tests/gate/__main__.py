@@ -35,7 +35,7 @@ from parts import ALL, GATE, TIMES, Runner
 from summary import Screen, Suites, Times, count
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-# So many times the seeds of the gate are played by --all.
+# --all plays so many times the seeds of the gate.
 ALL_SEEDS = "5"
 
 

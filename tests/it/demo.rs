@@ -1,8 +1,8 @@
 //! The newcomer's first command.
 //!
-//! Promise: `trocar demo` runs robot or hand at 1 kHz, OCT at 4 kHz and video at 30 pairs/s, in one process or three with the same
-//! figures, accounts for every period and picture, keeps the tip at its distance, shows what was done in pictures, and stops cleanly; a process of it
-//! that is killed comes back.
+//! Promise: `trocar demo` runs robot or hand at 1 kHz, OCT at 4 kHz and video at 30 pairs/s, in one process or three
+//! with the same figures, accounts for every period and picture, keeps the tip at its distance, shows what was done
+//! in pictures, and stops cleanly; a process of it that is killed comes back.
 
 mod counted;
 mod timed;
@@ -16,7 +16,18 @@ use trocar_tests::{HostProcess, Trocar, World, eventually, number};
 
 use crate::processes::system::{children, gone, kill, pid};
 
-/// As many periods and pictures as belong to the time they were counted in, as exactly as that is known.
+/// The figures of a demo that was measured for so long; they account for its periods and pictures.
+fn measured(processes: &str, seconds: &str) -> Value {
+    let world = World::new();
+    let output = Trocar::new(&world)
+        .run(&["demo", "--processes", processes, "--listen", "127.0.0.1:0", "--seconds", seconds, "--json"])
+        .ends_with(0);
+    let figures = output.json();
+    accounts_for_periods_and_pictures(&figures);
+    figures
+}
+
+/// Asserts as many periods and pictures as belong to the time of the count, as exactly as that is known.
 fn accounts_for_periods_and_pictures(figures: &Value) {
     let of = |part: &Value, key: &str| part[key].as_f64().unwrap_or_else(|| panic!("{key} of {figures}"));
     let near = |what: &str, counted: u64, hz: f64, part: &Value, slack: f64| {

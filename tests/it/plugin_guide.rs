@@ -137,7 +137,7 @@ fn cargo(project: &Path, args: &[&str]) -> PathBuf {
         .args(args)
         .current_dir(project)
         .env("CARGO_TARGET_DIR", &target)
-        // Whether it compiles and runs is asked here, not how fast: this halves the time.
+        // The test asks whether it compiles and runs, not how fast: this halves the time.
         .env("CARGO_PROFILE_RELEASE_OPT_LEVEL", "0")
         .env("CARGO_PROFILE_DEV_DEBUG", "0")
         .stdin(Stdio::null())

@@ -1,7 +1,7 @@
 //! Plans of Fourier transforms.
 //!
-//! The crate rustfft is generic over its numbers, so that whoever plans a transform compiles all of its algorithms: 20 s of
-//! processor each time. This crate plans for all others, which only hold a plan.
+//! The crate rustfft is generic over its numbers, so that a crate that plans a transform compiles all of its
+//! algorithms: 20 s of processor each time. This crate plans for all others, which only hold a plan.
 
 use std::sync::Arc;
 
@@ -9,9 +9,9 @@ pub use rustfft::{Fft, num_complex};
 
 use rustfft::FftPlanner;
 
-/// A plan for transforms of so many values from time to frequency, unscaled; the fastest that this machine can do.
+/// Plans transforms of so many values from time to frequency, unscaled: the fastest that this machine can do.
 ///
-/// Planning allocates; running a plan with room of its own does not.
+/// Planning allocates; running a plan with room of its own does not. Any thread.
 #[must_use]
 pub fn forward(values: usize) -> Arc<dyn Fft<f32>> {
     FftPlanner::new().plan_fft_forward(values)

@@ -1,4 +1,4 @@
-//! What a demo tells of its cycles and pictures, and a scan, whose closed loop wants processors.
+//! Cycles and pictures that a demo tells of, and a scan, whose closed loop wants processors.
 //!
 //! Promise: it accounts for every period and for every picture, and its tip follows the retina. How closely a
 //! tip follows judges what processors were given, so these tests have the machine for themselves.
@@ -6,19 +6,14 @@
 use serde_json::Value;
 use trocar_tests::{Trocar, World, number};
 
-use super::{accounts_for_periods_and_pictures, pictured};
+use super::{measured, pictured};
 
 #[test]
 fn a_demo_accounts_for_every_period_and_picture_in_one_process_and_in_three() {
     for processes in ["1", "3"] {
-        let world = World::new();
-        let output = Trocar::new(&world)
-            .run(&["demo", "--processes", processes, "--listen", "127.0.0.1:0", "--seconds", "3", "--json"])
-            .ends_with(0);
-        let figures = output.json();
+        let figures = measured(processes, "3");
         assert_eq!(figures["processes"].to_string(), processes, "{figures}");
         assert_eq!(figures["behavior"], "bscan");
-        accounts_for_periods_and_pictures(&figures);
         let (executed, pairs) = (number(&figures["robot"]["executed"]), number(&figures["video"]["pairs"]));
         assert!(executed > 0 && pairs > 0, "robot and video ran: {figures}");
     }

@@ -1,11 +1,11 @@
-//! What a demo loses on a machine that has nothing else to do.
+//! Losses of a demo on a machine that has nothing else to do.
 //!
 //! Promise: it misses no more periods than a robot alone does, and no picture.
 
 use serde_json::{Value, json};
-use trocar_tests::{HostProcess, Trocar, World, eventually, number};
+use trocar_tests::{HostProcess, World, eventually, number};
 
-use super::accounts_for_periods_and_pictures;
+use super::measured;
 
 /// Periods of the robot in ten seconds, 1 kHz.
 const PERIODS: u64 = 10_000;
@@ -15,12 +15,7 @@ fn ten_seconds_of_demo_miss_no_period_and_drop_no_frame_in_one_process_and_in_th
     // The control run says how many periods this machine loses to others anyway.
     let control = skipped_by_a_lone_robot();
     for processes in ["1", "3"] {
-        let world = World::new();
-        let output = Trocar::new(&world)
-            .run(&["demo", "--processes", processes, "--listen", "127.0.0.1:0", "--seconds", "10", "--json"])
-            .ends_with(0);
-        let figures = output.json();
-        accounts_for_periods_and_pictures(&figures);
+        let figures = measured(processes, "10");
         let (skipped, allowed) = (number(&figures["robot"]["skipped"]), control + PERIODS / 1000);
         assert!(skipped <= allowed, "{skipped} periods skipped, {control} in the control run: {figures}");
         // A processor that stands still for 33 ms costs a picture that nobody can take; what is taken is not

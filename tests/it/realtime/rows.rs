@@ -94,7 +94,7 @@ fn a_reader_that_the_ring_has_lapped_is_told_so_while_it_turns() {
         let row = scene.newest("host/p");
         is_whole(&row);
         let tick = number(&row["seq"]);
-        // By the numbers of rows: periods that were skipped have one, too, and are no steps.
+        // Rows are numbered by periods: one that was skipped has a number and is no step.
         eventually("four rows more", || match number(&scene.newest("host/p")["seq"]) {
             newest if newest >= tick + 4 => Ok(()),
             newest => Err(newest),

@@ -1,8 +1,8 @@
 //! What the demo did in a window of time, told by its GCM.
 //!
-//! Invariant: a robot's window begins and ends right after one of its steps, when its counters agree with its time grid; in
-//! between it may be late, and the machine may be busy, without a count being off. What is not known exactly on a busy
-//! machine is when it was looked at: each window says for how long it lasted, and how far off that may be.
+//! Invariant: a robot's window begins and ends right after one of its steps, when its counters agree with its
+//! time grid; in between it may be late, and the machine may be busy, without a count being off. A busy machine
+//! hides when a look was taken: each window says how long it lasted, and how far off that may be.
 
 use std::time::{Duration, Instant};
 
@@ -35,7 +35,7 @@ pub(super) struct Parts {
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Report {
     behavior: &'static str,
-    /// How long the video and the connections were counted, and how far off that may be, s.
+    /// The time in which the video was counted, and how far off that may be, s.
     seconds: f64,
     unsure_s: f64,
     processes: usize,
@@ -49,7 +49,7 @@ pub(super) struct Report {
 /// What a component did in a window.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 struct Steps {
-    /// How long they were counted, and how far off that may be, s; executed + skipped = periods of this time.
+    /// The time in which they were counted, and how far off that may be, s; executed + skipped = periods of it.
     seconds: f64,
     unsure_s: f64,
     executed: u64,
@@ -74,7 +74,7 @@ struct Video {
     latency_p99_ns: u64,
 }
 
-/// Measures for `seconds`, or a little longer where the machine is late.
+/// Measures for `seconds`, or up to `PATIENCE` longer where no look is quick.
 pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> Result<Report, Failure> {
     let window = Duration::from_secs(seconds);
     tokio::time::sleep(SETTLE).await;
@@ -92,7 +92,7 @@ pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> R
     Ok(Report::between(&robot, &system, parts))
 }
 
-/// When something was looked at: in the middle of two times, between which it was.
+/// The time of a look: the middle of two times, between which it was taken.
 #[derive(Clone, Copy)]
 struct Moment {
     at: Instant,
@@ -234,13 +234,14 @@ impl Report {
         let (robot, video) = (&self.robot, &self.video);
         let scan = self.scan.as_ref().map(Scanned::summary).unwrap_or_default();
         format!(
-            "in {:.1} s: robot {} steps, {} skipped, {} overruns, late p99 {}; video {} pairs ({}), {} dropped, {} left out, latency p99 {}\n{scan}",
-            self.seconds,
+            "robot {} steps in {:.1} s, {} skipped, {} overruns, late p99 {}; video {} pairs in {:.1} s ({}), {} dropped, {} left out, latency p99 {}\n{scan}",
             robot.executed,
+            robot.seconds,
             robot.skipped,
             robot.overruns,
             units::time(robot.lateness_p99_ns),
             video.pairs,
+            self.seconds,
             units::rate(video.rate_hz),
             video.drops,
             video.left_out,

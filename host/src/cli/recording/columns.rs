@@ -78,7 +78,7 @@ impl Reader {
     }
 }
 
-/// What `f` gives; nothing where it panics, and then nothing of that is printed.
+/// Gives what `f` gives, or nothing where it panics, of which nothing is printed.
 fn unless_it_panics<T>(f: impl FnOnce() -> T + UnwindSafe) -> Option<T> {
     thread_local! {
         static QUIET: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
