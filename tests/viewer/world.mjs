@@ -70,8 +70,8 @@ export class World {
   demo(more = []) {
     return this.start(['demo', '--plugins', PLUGINS, '--listen', '127.0.0.1:0', ...more], 'demo');
   }
-  /// A profile of its own: windows of one profile share what it may have open to one address. With `args` in a
-  /// browser of its own, too.
+  /// A profile of its own: windows of one profile share what it may have open to one address. With `args` in
+  /// a browser of its own, too.
   async browser({ args, ...options } = {}) {
     const browser = await (args ? launch(args) : sharedBrowser());
     if (args) this.browsers.push(browser);

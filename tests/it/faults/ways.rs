@@ -11,8 +11,8 @@ pub(super) type Told = Result<Value, Failure>;
 /// Entries met by a Configure, after the component was made and configured once.
 const CONFIGURED: [&str; 3] = ["configure", "describe", "bind"];
 
-/// Entries it meets after it has run for a while. A step may take five of its periods: at 100 Hz a machine that
-/// keeps it waiting for 50 ms would bring it into FAULT before it comes there.
+/// Entries it meets after it has run for a while. A step may take five of its periods: at 100 Hz a machine
+/// that keeps it waiting for 50 ms would bring it into FAULT before it comes there.
 const RUN_UNTIL: [&str; 3] = ["stop", "make_safe", "resume"];
 
 /// Makes a component that will misbehave in `entry` once [`reach`] comes there, and what that needs.

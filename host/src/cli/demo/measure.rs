@@ -1,8 +1,8 @@
 //! What the demo did in a window of time, told by its GCM.
 //!
 //! Invariant: a robot's window begins and ends right after one of its steps, when its counters agree with its
-//! time grid; in between it may be late, and the machine may be busy, without a count being off. A busy machine
-//! hides when a look was taken: each window says how long it lasted, and how far off that may be.
+//! time grid; in between it may be late, and the machine may be busy, without a count being off. A busy
+//! machine hides when a look was taken: each window says how long it lasted, and how far off that may be.
 
 use std::time::{Duration, Instant};
 
@@ -49,7 +49,9 @@ pub(super) struct Report {
 /// What a component did in a window.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 struct Steps {
-    /// The time in which they were counted, and how far off that may be, s; executed + skipped = periods of it.
+    /// The time in which they were counted, and how far off that may be, s.
+    ///
+    /// executed + skipped = periods of it.
     seconds: f64,
     unsure_s: f64,
     executed: u64,
