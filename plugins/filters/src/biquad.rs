@@ -1,12 +1,17 @@
 //! Second-order sections: low-pass, high-pass, band-pass, notch.
 //!
-//! Invariant: the filter begins at rest on its first sample, so nothing swings in that was not in the signal.
+//! Invariant: nothing comes out that was not in the signal: the filter begins at rest on its first sample, and with other
+//! settings at rest on what came out last, or, where the old or the new settings let nothing constant through, on what came in
+//! last. What is then left of a step fades as fast as the new settings follow.
 use std::f64::consts::TAU;
 
 use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 
 use crate::lanes;
+
+/// Lowest frequency of a design, as part of the rate of samples: below it the rounding of a number moves what comes out.
+const NARROWEST: f64 = 1e-5;
 
 #[derive(Config)]
 struct BiquadConfig {
@@ -65,7 +70,20 @@ impl Component for Biquad {
                 format!("frequency_hz: {frequency_hz} Hz is not below half of sample_hz, {half} Hz").into()
             );
         }
-        self.design = Design::of(&self.cfg);
+        if frequency_hz < NARROWEST * sample_hz {
+            return Err(format!(
+                "frequency_hz: {frequency_hz} Hz is below 1/100000 of sample_hz, {sample_hz} Hz, which numbers do not resolve: filter slower samples"
+            )
+            .into());
+        }
+        let design = Design::of(&self.cfg);
+        if design != self.design {
+            let of_wrench = self.of_wrench.iter_mut().flatten();
+            for memory in self.of_value.iter_mut().flatten().chain(of_wrench) {
+                design.take_over(&self.design, memory);
+            }
+            self.design = design;
+        }
         Ok(())
     }
 
@@ -84,40 +102,67 @@ impl Component for Biquad {
 }
 
 /// `H(z) = (b0 + b1 z⁻¹ + b2 z⁻²) / (1 + a1 z⁻¹ + a2 z⁻²)`.
-#[derive(Default)]
+#[derive(Default, PartialEq)]
 struct Design {
     b: [f64; 3],
     a: [f64; 2],
+    /// `H(1)`: what becomes of a constant, 1 or 0.
+    constant: f64,
+    /// What a sample leaves of a step that fades.
+    fades: f64,
 }
 
-/// What a number's filter remembers (transposed direct form II).
-type Memory = [f64; 2];
+/// What a number's filter remembers.
+#[derive(Clone, Copy, Default)]
+struct Memory {
+    /// Transposed direct form II.
+    past: [f64; 2],
+    /// What came in last, and what came out.
+    last: [f64; 2],
+    /// What is left of the step that a change of settings would have made.
+    step: f64,
+}
 
 impl Design {
     fn of(cfg: &BiquadConfig) -> Design {
-        let (sine, cosine) = (TAU * cfg.frequency_hz / cfg.sample_hz).sin_cos();
+        let turn = TAU * cfg.frequency_hz / cfg.sample_hz;
+        let (sine, cosine) = turn.sin_cos();
+        // 1 − cos, without the digits that the difference loses.
+        let rise = 2.0 * (0.5 * turn).sin().powi(2);
         let alpha = sine / (2.0 * cfg.q);
-        let b = match cfg.kind.as_str() {
-            "high_pass" => [0.5 * (1.0 + cosine), -1.0 - cosine, 0.5 * (1.0 + cosine)],
-            "band_pass" => [alpha, 0.0, -alpha],
-            "notch" => [1.0, -2.0 * cosine, 1.0],
-            _ => [0.5 * (1.0 - cosine), 1.0 - cosine, 0.5 * (1.0 - cosine)],
+        let (b, constant) = match cfg.kind.as_str() {
+            "high_pass" => ([0.5 * (1.0 + cosine), -1.0 - cosine, 0.5 * (1.0 + cosine)], 0.0),
+            "band_pass" => ([alpha, 0.0, -alpha], 0.0),
+            "notch" => ([1.0, -2.0 * cosine, 1.0], 1.0),
+            _ => ([0.5 * rise, rise, 0.5 * rise], 1.0),
         };
         let a0 = 1.0 + alpha;
-        Design { b: b.map(|b| b / a0), a: [-2.0 * cosine / a0, (1.0 - alpha) / a0] }
+        let a = [-2.0 * cosine / a0, (1.0 - alpha) / a0];
+        Design { b: b.map(|b| b / a0), a, constant, fades: (-turn).exp() }
     }
 
     /// What a filter remembers that has seen `x` for ever.
     fn at_rest(&self, x: f64) -> Memory {
-        let y = x * self.b.iter().sum::<f64>() / (1.0 + self.a[0] + self.a[1]);
+        let y = self.constant * x;
         let second = self.b[2] * x - self.a[1] * y;
-        [self.b[1] * x - self.a[0] * y + second, second]
+        Memory { past: [self.b[1] * x - self.a[0] * y + second, second], last: [x, y], step: 0.0 }
+    }
+
+    /// Goes on from where another design was, without a jump and without what it was swinging in.
+    fn take_over(&self, from: &Design, memory: &mut Memory) {
+        let last @ [x, y] = memory.last;
+        // What comes out of a design that lets constants through is the better guess of the constant part.
+        let seat = if from.constant * self.constant == 1.0 { y } else { x };
+        *memory = Memory { last, step: y - self.constant * seat, ..self.at_rest(seat) };
     }
 
     fn step(&self, x: f64, memory: &mut Memory) -> f64 {
-        let y = self.b[0] * x + memory[0];
-        *memory = [self.b[1] * x - self.a[0] * y + memory[1], self.b[2] * x - self.a[1] * y];
-        y
+        let past = memory.past;
+        let y = self.b[0] * x + past[0];
+        memory.past = [self.b[1] * x - self.a[0] * y + past[1], self.b[2] * x - self.a[1] * y];
+        memory.step *= self.fades;
+        memory.last = [x, y + memory.step];
+        memory.last[1]
     }
 
     /// One sample of all numbers; the first one finds the filters at rest on it.

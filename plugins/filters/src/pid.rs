@@ -133,7 +133,9 @@ impl Component for Pid {
         let dt = t.period_s();
         self.error = wanted - is;
         let before = self.smoothed.unwrap_or(is);
-        let smoothed = before + (is - before) * dt / (dt + self.cfg.smooth_s);
+        // Without a time constant it follows at once, in a cycle that took no time, too.
+        let follows = if self.cfg.smooth_s > 0.0 { dt / (dt + self.cfg.smooth_s) } else { 1.0 };
+        let smoothed = before + (is - before) * follows;
         self.smoothed = Some(smoothed);
         // Of the measurement and not of the error: a setpoint that jumps gives no kick.
         let slope = if dt > 0.0 { (smoothed - before) / dt } else { 0.0 };

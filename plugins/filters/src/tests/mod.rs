@@ -9,6 +9,7 @@ mod kalman;
 mod moving_median;
 mod pid;
 mod resampler;
+mod settings;
 mod watchdog;
 
 pub(crate) use bad_samples::as_if_the_bad_ones_had_not_come;

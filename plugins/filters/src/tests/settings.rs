@@ -1,0 +1,160 @@
+//! Settings that change while samples flow: nothing comes out that was not in the signal.
+//!
+//! Invariant: laws for any two settings; `PROPTEST_CASES=1000000` asks more of them than the gate does.
+
+use proptest::prelude::*;
+
+use super::*;
+
+/// Settings of a biquad, and whether they let a constant through.
+fn biquads() -> impl Strategy<Value = (String, bool)> {
+    let kinds = prop::sample::select(vec![
+        ("low_pass", true),
+        ("notch", true),
+        ("high_pass", false),
+        ("band_pass", false),
+    ]);
+    // Up to nearly half of the rate, 1 kHz, evenly over the decades.
+    let (hz, q) = ((-2.0..2.698f64).prop_map(|e| 10f64.powf(e)), (-1.3..2.0f64).prop_map(|e| 10f64.powf(e)));
+    (kinds, hz, q).prop_map(|((kind, through), hz, q)| {
+        (format!(r#"{{"kind": "{kind}", "frequency_hz": {hz}, "q": {q}}}"#), through)
+    })
+}
+
+fn medians() -> impl Strategy<Value = String> {
+    (0..=50usize).prop_map(|half| format!(r#"{{"window": {}}}"#, 2 * half + 1))
+}
+
+fn kalmans() -> impl Strategy<Value = String> {
+    (-6.0..6.0f64, -6.0..6.0f64, 0.0..1.0f64).prop_map(|(sigma, acceleration, ahead)| {
+        let (sigma, acceleration) = (10f64.powf(sigma), 10f64.powf(acceleration));
+        format!(r#"{{"sigma": {sigma}, "acceleration": {acceleration}, "predict_s": {ahead}}}"#)
+    })
+}
+
+fn resamplers() -> impl Strategy<Value = String> {
+    (prop::sample::select(vec!["linear", "hold"]), 0.0..0.04f64, 0.0..0.1f64).prop_map(
+        |(method, delay, ahead)| {
+            format!(r#"{{"method": "{method}", "delay_s": {delay}, "ahead_s": {ahead}}}"#)
+        },
+    )
+}
+
+/// The outputs of a class for these samples at 1 kHz, with other settings from the middle on.
+fn changed<C: Class, T: Payload>(
+    settings: [&str; 2],
+    output: &str,
+    signal: &[f64],
+    number: impl Fn(&T) -> f64,
+) -> [Vec<f64>; 2] {
+    let mut bench = Bench::<C>::new(settings[0]);
+    let halves = signal.split_at(signal.len() / 2);
+    let mut half = |bench: &mut Bench<C>, values: &[f64]| -> Vec<f64> {
+        for value in values {
+            let stamp = bench.now();
+            bench.push("value", Scalar { stamp, value: *value });
+            bench.step(1);
+        }
+        bench.outputs::<T>(output).iter().map(&number).collect()
+    };
+    let before = half(&mut bench, halves.0);
+    bench.configure(settings[1]).unwrap();
+    [before, half(&mut bench, halves.1)]
+}
+
+/// A constant comes out as it went in, before the change and after it.
+fn passes<C: Class, T: Payload>(
+    settings: [&str; 2],
+    output: &str,
+    constant: f64,
+    number: impl Fn(&T) -> f64,
+) -> Result<(), TestCaseError> {
+    let [before, after] = changed::<C, T>(settings, output, &[constant; 80], number);
+    prop_assert!(!before.is_empty() && !after.is_empty(), "nothing came out: {settings:?}");
+    for (n, y) in before.iter().chain(&after).enumerate() {
+        prop_assert!(
+            (y - constant).abs() <= 1e-9 * constant.abs(),
+            "{constant} became {y} at {n}: {settings:?}"
+        );
+    }
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn a_biquad_lets_a_constant_through_whatever_it_is_set_to(
+        (from, _) in biquads().prop_filter("it stops what is constant", |b| b.1),
+        (to, _) in biquads().prop_filter("it stops what is constant", |b| b.1),
+        constant in -1e6..1e6f64,
+    ) {
+        passes::<Biquad, Scalar>([&from, &to], "filtered", constant, |s| s.value)?;
+    }
+
+    #[test]
+    fn a_biquad_between_any_settings_leads_a_constant_without_a_jump_to_what_becomes_of_it(
+        (from, through) in biquads(), (to, still) in biquads(), constant in -1e6..1e6f64,
+    ) {
+        let [before, after] = changed::<Biquad, Scalar>([&from, &to], "filtered", &[constant; 80], |s| s.value);
+        let [is, becomes] = [through, still].map(|through| if through { constant } else { 0.0 });
+        let mut last = before[before.len() - 1];
+        prop_assert!((last - is).abs() <= 1e-9 * constant.abs(), "{last} is not {is}: {from}");
+        for y in after {
+            // Nearer to it each time, and never beyond.
+            let way = (y - last) * (becomes - last).signum();
+            prop_assert!(way >= -1e-9 * constant.abs(), "{last} then {y} on the way to {becomes}: {from} {to}");
+            prop_assert!((y - becomes).abs() <= (last - becomes).abs() + 1e-9 * constant.abs(), "{y}: {from} {to}");
+            last = y;
+        }
+    }
+
+    #[test]
+    fn noise_comes_out_of_a_changed_biquad_no_larger_than_the_designs_can_make_it(
+        (from, _) in biquads(), (to, _) in biquads(), seed: u64,
+    ) {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let noise: Vec<f64> = (0..2000).map(|_| 2.0 * random.f64() - 1.0).collect();
+        let [before, after] = changed::<Biquad, Scalar>([&from, &to], "filtered", &noise, |s| s.value);
+        let [old, new] = [&from, &to].map(|settings| most(settings));
+        let most_before = before.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
+        prop_assert!(most_before <= 1.0 + 2.0 * old, "{most_before}: {from}");
+        // At rest on what came out, up to as much as the old one made of it; then what the new one makes of the difference; and
+        // what fades.
+        let seat = (1.0 + 2.0 * old).max(1.0);
+        let bound = seat + new * (1.0 + seat) + 2.0 * seat;
+        let most_after = after.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
+        prop_assert!(most_after <= bound, "{most_after} > {bound}: {from} {to}");
+    }
+
+    #[test]
+    fn a_median_lets_a_constant_through_whatever_it_is_set_to(
+        from in medians(), to in medians(), constant in -1e6..1e6f64,
+    ) {
+        passes::<MovingMedian, Scalar>([&from, &to], "filtered", constant, |s| s.value)?;
+    }
+
+    #[test]
+    fn a_kalman_filter_lets_a_constant_through_whatever_it_is_set_to(
+        from in kalmans(), to in kalmans(), constant in -1e6..1e6f64,
+    ) {
+        passes::<Kalman, Estimate>([&from, &to], "estimate", constant, |e| e.value)?;
+    }
+
+    #[test]
+    fn a_resampler_lets_a_constant_through_whatever_it_is_set_to(
+        from in resamplers(), to in resamplers(), constant in -1e6..1e6f64,
+    ) {
+        passes::<Resampler, Scalar>([&from, &to], "resampled", constant, |s| s.value)?;
+    }
+}
+
+/// The most that becomes of a signal within ±1: the sum of what a design makes of an impulse.
+fn most(settings: &str) -> f64 {
+    let mut bench = Bench::<Biquad>::new(settings);
+    // The first sample finds it at rest, the second one is the impulse.
+    let impulse: Vec<f64> = (0..4000).map(|n| f64::from(u8::from(n == 1))).collect();
+    for value in impulse {
+        bench.push("value", scalar(value));
+        bench.step(1);
+    }
+    bench.outputs::<Scalar>("filtered").iter().map(|s| s.value.abs()).sum()
+}
