@@ -257,8 +257,13 @@ impl InCell {
             flags |= SAMPLE_FRESH;
             link.latency.record_alone(context::about_now_ns().saturating_sub(sample.meta.stamp_ns));
         }
-        if link.max_age_ns > 0 && os::now_ns().saturating_sub(sample.meta.stamp_ns) > link.max_age_ns {
-            flags |= SAMPLE_STALE;
+        if link.max_age_ns > 0 {
+            let now_ns = os::now_ns();
+            // By its own time, and by when the newest one came: a stamp of another clock may be of any time.
+            let old = now_ns.saturating_sub(sample.meta.stamp_ns) > link.max_age_ns;
+            if old || link.is_stale(now_ns) {
+                flags |= SAMPLE_STALE;
+            }
         }
         let header = match &link.adapt {
             Some(adapt) => adapt.copy(sample.data),
