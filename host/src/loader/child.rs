@@ -10,7 +10,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use super::error::Stage;
-use super::vet::{PREFIX, VET_LIMIT, stage_word};
+use super::vet::{BEGIN_LIMIT, PREFIX, VET_LIMIT, stage_word};
 use super::{inspect_file, load};
 
 /// Entry point of the hidden subcommand. Exit code 0 when nothing is wrong with the file.
@@ -66,5 +66,5 @@ fn limit_self() {
     // SAFETY: lowers a limit of this process; the struct is read only.
     unsafe { libc::setrlimit(libc::RLIMIT_CORE, &raw const no_core) };
     // SAFETY: arms the alarm whose default action ends this process, should the parent be gone.
-    unsafe { libc::alarm(VET_LIMIT.as_secs() as u32 * 2) };
+    unsafe { libc::alarm((BEGIN_LIMIT + VET_LIMIT).as_secs() as u32) };
 }

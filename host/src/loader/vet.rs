@@ -19,6 +19,8 @@ pub const VET_ARG: &str = "__vet";
 /// How long constructors, layout, entry and init may take together: so short that a Create without a deadline of its own
 /// still answers what it came to.
 pub(crate) const VET_LIMIT: Duration = Duration::from_secs(3);
+/// How long the child may take until it touches the file: that is our own code, on a machine that may be busy with others.
+pub(crate) const BEGIN_LIMIT: Duration = Duration::from_secs(20);
 /// Begins every line of the child that is meant for us.
 pub(crate) const PREFIX: &str = "trocar-vet ";
 /// More than this the child never says, bytes.
@@ -50,7 +52,10 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
         .process_group(0)
         .spawn()
         .map_err(failed)?;
-    let in_time = ends_within(&child, limit);
+    let in_time = match begins_within(&child, BEGIN_LIMIT) {
+        Ok(true) => ends_within(&child, limit),
+        never => never,
+    };
     let status = end_group(&mut child).map_err(failed)?;
     let status = in_time.map_err(failed)?.then_some(status);
     let report = Report::parse(&read_report(&mut child));
@@ -123,24 +128,35 @@ fn signal_name(signal: i32) -> String {
     }
 }
 
-/// Waits for the end of the child without reaping it, so that its number still is its own; false when the limit passed.
-/// Does not wait for the pipe: a grandchild may hold it open.
+/// Waits for the first word of the child, or its end; false when the limit passed.
+fn begins_within(child: &Child, limit: Duration) -> io::Result<bool> {
+    let says = child.stdout.as_ref().map_or(-1, AsRawFd::as_raw_fd);
+    wait(child, says, limit)
+}
+
+/// Waits for the end of the child; false when the limit passed. Does not wait for the pipe: a grandchild may hold it open.
 fn ends_within(child: &Child, limit: Duration) -> io::Result<bool> {
+    wait(child, -1, limit)
+}
+
+/// Waits until there is something to read in `says` (-1: nothing ever is), or for the end of the child, without reaping it, so
+/// that its number still is its own.
+fn wait(child: &Child, says: i32, limit: Duration) -> io::Result<bool> {
     // Kernels before 5.3 have no pidfd; then poll only sleeps, in short steps.
     let pidfd = open_pidfd(child.id()).ok();
-    let (fd, longest) = pidfd.as_ref().map_or((-1, 5), |fd| (fd.as_raw_fd(), 1000));
+    let (ends, longest) = pidfd.as_ref().map_or((-1, 5), |fd| (fd.as_raw_fd(), 1000));
     let begin = Instant::now();
+    let mut events = [ends, says].map(|fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
     loop {
-        if has_ended(child.id())? {
+        if events[1].revents != 0 || has_ended(child.id())? {
             return Ok(true);
         }
         let left = limit.saturating_sub(begin.elapsed()).as_millis() as i32;
         if left == 0 {
             return Ok(false);
         }
-        let mut event = libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
-        // SAFETY: one entry, ours to write.
-        unsafe { libc::poll(&raw mut event, 1, left.min(longest)) };
+        // SAFETY: two entries, ours to write.
+        unsafe { libc::poll(events.as_mut_ptr(), 2, left.min(longest)) };
     }
 }
 
