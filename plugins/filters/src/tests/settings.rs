@@ -147,6 +147,52 @@ proptest! {
     }
 }
 
+/// Gains and limits of a controller.
+fn controllers() -> impl Strategy<Value = String> {
+    let gain = || prop_oneof![Just(0.0), -1e12..1e12f64, -10.0..10.0f64];
+    let smooth = prop_oneof![Just(0.0), 0.0..100.0f64, 0.0..1e-3f64];
+    (gain(), gain(), gain(), smooth, 0.001..1e12f64).prop_map(|(kp, ki, kd, smooth, limit)| {
+        format!(
+            r#"{{"kp": {kp}, "ki": {ki}, "kd": {kd}, "smooth_s": {smooth}, "lowest": {}, "highest": {limit}, "max_age_s": 3600}}"#,
+            -limit
+        )
+    })
+}
+
+/// Steps on the grid (none), or so long after the one before, ns; 0 in the same instant.
+fn paces() -> impl Strategy<Value = Option<u64>> {
+    prop_oneof![Just(None), Just(Some(0)), (0..10u32).prop_map(|e| Some(10u64.pow(e)))]
+}
+
+proptest! {
+    #[test]
+    fn a_controller_gives_numbers_within_its_limits_at_any_pace_and_settings(
+        settings in [controllers(), controllers()],
+        steps in prop::collection::vec((paces(), -1e100..1e100f64, -1e100..1e100f64), 1..20),
+    ) {
+        let mut bench = Bench::<Pid>::new(&settings[0]);
+        for (n, (pace, setpoint, measured)) in steps.iter().enumerate() {
+            if n == 10 {
+                bench.configure(&settings[1]).unwrap();
+            }
+            let stamp = bench.now();
+            bench.push("setpoint", Scalar { stamp, value: *setpoint });
+            bench.push("measured", Scalar { stamp, value: *measured });
+            match pace {
+                None => bench.step(1),
+                Some(ns) => bench.step_after(*ns).unwrap(),
+            }
+            let state = bench.state();
+            for (what, number) in [("output", state.output), ("integral", state.integral), ("error", state.error)] {
+                prop_assert!(number.is_finite(), "{what} is {number} at {n}: {settings:?} {steps:?}");
+            }
+        }
+        for command in bench.outputs::<Scalar>("command") {
+            prop_assert!(command.value.abs() <= 1e12, "{command:?}");
+        }
+    }
+}
+
 /// The most that becomes of a signal within ±1: the sum of what a design makes of an impulse.
 fn most(settings: &str) -> f64 {
     let mut bench = Bench::<Biquad>::new(settings);

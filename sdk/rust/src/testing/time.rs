@@ -41,6 +41,26 @@ impl<C: Class> Bench<C> {
         let period_ns = self.grid_ns();
         let deadline_ns = self.host.deadline_ns.fetch_add(period_ns, Ordering::Relaxed) + period_ns;
         let now_ns = self.host.now_ns.load(Ordering::Relaxed).max(deadline_ns) + late_ns;
+        let deadline_ns = if C::DESC.period_ns > 0 { deadline_ns } else { now_ns };
+        self.step_at(now_ns, deadline_ns, C::DESC.period_ns, period_ns)
+    }
+
+    /// One step without a grid, `ns` after the one before, as a signal, a callback or its own stream wakes a component:
+    /// there is no period, and in the first step no time has passed.
+    ///
+    /// # Errors
+    /// As `try_step`.
+    #[track_caller]
+    pub fn step_after(&mut self, ns: u64) -> Done {
+        self.allow_active("step")?;
+        self.advance(ns);
+        let now_ns = self.host.now_ns.load(Ordering::Relaxed);
+        self.step_at(now_ns, now_ns, 0, 0)
+    }
+
+    /// `first_ns`: what counts as elapsed in the first step.
+    #[track_caller]
+    fn step_at(&mut self, now_ns: u64, deadline_ns: u64, period_ns: u64, first_ns: u64) -> Done {
         self.host.now_ns.store(now_ns, Ordering::Relaxed);
         let before = self.host.stepped_ns.swap(now_ns, Ordering::Relaxed);
         let tick = abi::Tick {
@@ -48,9 +68,9 @@ impl<C: Class> Bench<C> {
             flags: 0,
             cycle: self.cycle,
             now_ns,
-            deadline_ns: if C::DESC.period_ns > 0 { deadline_ns } else { now_ns },
-            period_ns: C::DESC.period_ns,
-            elapsed_ns: if self.cycle == 0 { period_ns } else { now_ns - before.min(now_ns) },
+            deadline_ns,
+            period_ns,
+            elapsed_ns: if self.cycle == 0 { first_ns } else { now_ns - before.min(now_ns) },
         };
         self.cycle += 1;
         let f = self.table.step;
