@@ -14,6 +14,7 @@ pub mod limits;
 #[cfg(feature = "manifest")]
 pub mod manifest;
 pub mod note;
+pub mod rate;
 mod render;
 mod types;
 pub mod units;

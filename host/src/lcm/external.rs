@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tokio::sync::{Semaphore, broadcast, mpsc};
 use trocar_model::{ComponentId, MemberId, PortId, PortType, Ports, Refusal, Type, ValueError, decode};
+use trocar_plugin_api::rate::RateLimit;
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::os;
 use trocar_rt::stream::{Payload as StreamPayload, Queue, StreamReader, stream_link};
@@ -31,6 +32,8 @@ const MOST_FRAME_BYTES: usize = 24 << 20;
 const LOOK: Duration = Duration::from_millis(5);
 /// Items per second of an output when nothing else is asked.
 const DEFAULT_RATE_HZ: f64 = 30.0;
+/// Longest pause between looks at an output that has given nothing new, whatever the rate.
+const LONGEST_PAUSE: Duration = Duration::from_millis(33);
 /// Pictures per second of one output, Hz: nobody sees more.
 const MOST_PICTURES_HZ: f64 = 60.0;
 /// Pictures made at once: a page full of them takes no more of the machine than this.
@@ -327,8 +330,8 @@ enum Feed {
         news: broadcast::Receiver<News>,
     },
     Event(EventFeed),
-    /// With the pause between looks and the width of pictures, 0 = none.
-    Output(Box<Output>, Duration, u32),
+    /// With how often it is looked at and the width of pictures, 0 = none.
+    Output(Box<Output>, RateLimit, u32),
 }
 
 /// Opens every selection, or none, and follows them until the receiver is dropped.
@@ -356,8 +359,8 @@ fn open(lcm: &LocalLcm, selection: &Selection) -> Result<Feed, Refusal> {
             let rate = if selection.max_rate_hz > 0.0 { selection.max_rate_hz } else { DEFAULT_RATE_HZ };
             let width = selection.thumbnail_width;
             let most = if width > 0 { MOST_PICTURES_HZ } else { 1000.0 };
-            let pause = Duration::from_secs_f64(1.0 / rate.clamp(0.01, most));
-            Ok(Feed::Output(Box::new(Output::open(lcm.instance(&port.component)?, &port)?), pause, width))
+            let rate = RateLimit::new(rate.clamp(0.01, most));
+            Ok(Feed::Output(Box::new(Output::open(lcm.instance(&port.component)?, &port)?), rate, width))
         }
         _ => {
             let member = MemberId::parse(path)?;
@@ -411,13 +414,23 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
                 }
             }
         }
-        Feed::Output(mut output, pause, width) => {
+        Feed::Output(mut output, mut rate, width) => {
+            // What is given lies on a grid: a timer that comes late, and a look that takes long, slow nothing down.
+            let mut pause = Duration::ZERO;
             while !rest(&teller, pause).await {
                 if output.instance.is_closed() {
                     return;
                 }
+                let looked_ns = os::now_ns();
                 let Some((back, newest)) = look(output, width).await else { return };
                 output = back;
+                pause = match &newest {
+                    Ok(None) => LONGEST_PAUSE.min(Duration::from_nanos(rate.gap_ns())),
+                    _ => {
+                        rate.keep(looked_ns);
+                        Duration::from_nanos(rate.due_ns().saturating_sub(os::now_ns()))
+                    }
+                };
                 match newest {
                     Ok(Some((sample, skipped, jpeg))) => {
                         let mut value = sample.value;

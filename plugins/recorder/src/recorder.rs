@@ -15,7 +15,7 @@ use crate::explain::{self, Connected, Explaining};
 use crate::orders::{Ended, Opening, Order};
 use crate::place;
 use crate::running::{Plan, Running, SECOND_NS};
-use crate::settings::{LONGEST_S, RecorderConfig, gap, seconds};
+use crate::settings::{LONGEST_S, RecorderConfig, rate_limit, seconds};
 use crate::topic::{Seen, Topic};
 use crate::words::{Note, Phase, Progress, RecordAt, StartRequest, Stopped, Thinning, TopicStatus};
 
@@ -179,12 +179,12 @@ impl Recorder {
             )
             .into());
         };
-        let gap_ns = gap("max_rate", *max_rate)?;
+        let rate = rate_limit("max_rate", *max_rate)?;
         if *every == 0 {
             return Err("every: 0 keeps nothing; 1 keeps all".into());
         }
         if let Some(topic) = self.each.get_mut(at) {
-            (topic.every, topic.gap_ns) = (*every, gap_ns);
+            (topic.every, topic.rate) = (*every, rate);
         }
         Ok(())
     }
@@ -328,8 +328,8 @@ impl Recorder {
                 None => {}
             }
             topic.every = self.cfg.every.get(at).copied().unwrap_or(1).max(1);
-            topic.gap_ns =
-                self.cfg.max_rate_hz.get(at).and_then(|rate| gap("", *rate).ok()).unwrap_or_default();
+            let rate = self.cfg.max_rate_hz.get(at).and_then(|rate| rate_limit("", *rate).ok());
+            topic.rate = rate.unwrap_or_default();
             self.each.push(topic);
         }
     }

@@ -2,6 +2,7 @@
 //!
 //! Invariant: what is refused is refused before anything of it is used.
 
+use trocar_sdk::RateLimit;
 use trocar_sdk::prelude::*;
 
 use crate::orders::Codec;
@@ -73,7 +74,7 @@ impl RecorderConfig {
             return Err(format!("every[{at}]: 0 keeps nothing; 1 keeps all").into());
         }
         for (at, rate) in self.max_rate_hz.iter().enumerate() {
-            gap(&format!("max_rate_hz[{at}]"), *rate)?;
+            rate_limit(&format!("max_rate_hz[{at}]"), *rate)?;
         }
         Ok(())
     }
@@ -98,17 +99,13 @@ pub(crate) fn seconds(what: &str, s: f64) -> Result<u64> {
     Err(format!("{what}: {s} s is not between 0 s and {LONGEST_S} s").into())
 }
 
-/// The least time between two samples at a rate, ns.
+/// What keeps at most so many samples a second; 0 Hz keeps all.
 ///
 /// # Errors
 /// It is no rate.
-pub(crate) fn gap(what: &str, rate_hz: f64) -> Result<u64> {
-    if rate_hz == 0.0 {
-        return Ok(0);
-    }
-    if rate_hz.is_finite() && (1e-4..=1e6).contains(&rate_hz) {
-        // A grid that is as fast as asked for has a little jitter: half a per cent less is not too soon.
-        return Ok((0.995e9 / rate_hz) as u64);
+pub(crate) fn rate_limit(what: &str, rate_hz: f64) -> Result<RateLimit> {
+    if rate_hz == 0.0 || (1e-4..=1e6).contains(&rate_hz) {
+        return Ok(RateLimit::new(rate_hz));
     }
     Err(format!("{what}: {rate_hz} Hz is no rate: give 0.0001 Hz to 1000000 Hz, or 0 for all").into())
 }

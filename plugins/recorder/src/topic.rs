@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 use std::sync::Arc;
 
-use trocar_sdk::{AnyShape, AnyType, AnyView};
+use trocar_sdk::{AnyShape, AnyType, AnyView, RateLimit};
 
 use crate::block::{HeldPart, Kind, LARGE, Piece, Way};
 use crate::compress;
@@ -30,8 +30,7 @@ pub(crate) struct Topic {
     pub(crate) name: String,
     /// Which of them are kept: each n-th.
     pub(crate) every: u64,
-    /// Least time between two that are kept, ns.
-    pub(crate) gap_ns: u64,
+    pub(crate) rate: RateLimit,
     pub(crate) kept: u64,
     pub(crate) left_out: u64,
     pub(crate) lost: u64,
@@ -45,8 +44,8 @@ pub(crate) struct Topic {
     /// The connection the last sample came by; 0 = none.
     source: u64,
     seq: u64,
-    last_kept_ns: u64,
-    since_kept: u64,
+    /// So many are left out before the next one of each n-th.
+    to_skip: u64,
     /// When something was lost, ns, and how much.
     recent: VecDeque<(u64, u64)>,
     encoder: Option<Encoder>,
@@ -132,14 +131,15 @@ impl Topic {
     /// All but its name and what is kept of it.
     pub(crate) fn forget(&mut self) {
         let name = std::mem::take(&mut self.name);
-        *self = Topic { name, every: self.every, gap_ns: self.gap_ns, ..Topic::default() };
+        *self = Topic { name, every: self.every, rate: self.rate, ..Topic::default() };
     }
 
     /// Counts from here; what was lost counts from that time on.
     pub(crate) fn begin(&mut self, since_ns: u64) {
         (self.kept, self.left_out, self.bytes) = (0, 0, 0);
         self.interrupted = u64::from(self.interrupted_ns != 0 && self.interrupted_ns >= since_ns);
-        (self.last_kept_ns, self.since_kept) = (0, 0);
+        self.to_skip = 0;
+        self.rate.restart();
         self.recent.retain(|(when_ns, _)| *when_ns >= since_ns);
         self.lost = self.recent.iter().map(|(_, n)| n).sum();
     }
@@ -283,11 +283,10 @@ impl Topic {
             self.lose(seen.seq - self.seq - 1, now_ns);
         }
         self.seq = seen.seq;
-        self.since_kept += 1;
+        let skip = self.to_skip > 0;
+        self.to_skip = self.to_skip.saturating_sub(1);
         let stamp_ns = if seen.stamp_ns == 0 { now_ns } else { seen.stamp_ns };
-        // A stamp from before the last one is of another clock or another thread: the gap begins anew.
-        let soon = (self.last_kept_ns..self.last_kept_ns.saturating_add(self.gap_ns)).contains(&stamp_ns);
-        if self.last_kept_ns != 0 && (self.since_kept < self.every || soon) {
+        if skip || !self.rate.is_due(stamp_ns) {
             self.left_out += 1;
             return;
         }
@@ -305,7 +304,8 @@ impl Topic {
             Some(bytes) => {
                 self.kept += 1;
                 self.bytes += bytes as u64;
-                (self.last_kept_ns, self.since_kept) = (stamp_ns.max(1), 0);
+                self.to_skip = self.every.saturating_sub(1);
+                self.rate.keep(stamp_ns);
             }
             None => self.lose(1, now_ns),
         }
@@ -412,13 +412,13 @@ mod tests {
     fn of_many_each_nth_is_kept_and_the_others_are_left_out_and_not_lost() {
         let all: Vec<(u64, u64)> = (1..=100).map(|n| (n, n * 10)).collect();
         assert_eq!(taken(Topic { every: 10, ..whole() }, &all), (10, 90, 0));
-        assert_eq!(taken(Topic { gap_ns: 200, ..whole() }, &all), (5, 95, 0));
+        assert_eq!(taken(Topic { rate: RateLimit::every(200), ..whole() }, &all), (6, 94, 0));
     }
 
     #[test]
     fn a_stamp_far_ahead_silences_nobody() {
         let jumps = [(1, 10), (2, 1_000_000), (3, 30), (4, 40), (5, 240)];
-        assert_eq!(taken(Topic { gap_ns: 200, ..whole() }, &jumps), (4, 1, 0));
+        assert_eq!(taken(Topic { rate: RateLimit::every(200), ..whole() }, &jumps), (4, 1, 0));
     }
 
     #[test]
