@@ -62,10 +62,12 @@ pub(super) enum Misuse {
     ReadHung,
     /// One of its event handlers answered that it failed.
     HandlerFailed,
+    /// It stamped a sample with a time that is still to come.
+    StampedAhead,
 }
 
 impl Misuse {
-    pub(super) const ALL: [Misuse; 7] = [
+    pub(super) const ALL: [Misuse; 8] = [
         Misuse::AskedToWait,
         Misuse::CalledFromStep,
         Misuse::ServiceFromStep,
@@ -73,6 +75,7 @@ impl Misuse {
         Misuse::ReadPanicked,
         Misuse::ReadHung,
         Misuse::HandlerFailed,
+        Misuse::StampedAhead,
     ];
 
     /// Of those that come with a reason, the place where the last one is kept.
@@ -81,6 +84,7 @@ impl Misuse {
             Misuse::ReadPanicked => Some(0),
             Misuse::HandlerFailed => Some(1),
             Misuse::ReadHung => Some(2),
+            Misuse::StampedAhead => Some(3),
             _ => None,
         }
     }
@@ -106,6 +110,10 @@ impl Misuse {
             Misuse::ReadPanicked => "its reads panicked and their callers got FAILED",
             Misuse::ReadHung => "its reads did not come back in time and their callers got DEADLINE",
             Misuse::HandlerFailed => "its event handlers failed",
+            Misuse::StampedAhead => {
+                "samples were stamped with a time to come and count from when they were written: stamp with \
+                 the host's clock"
+            }
         }
     }
 }
@@ -147,7 +155,7 @@ pub(super) struct Counters {
     /// Commands and events lost in full queues of connections that are gone, and those that never ran before they were cut.
     lost_before: [AtomicU64; 2],
     /// What the last one said, of each misuse that says something.
-    last_words: [LastWords; 3],
+    last_words: [LastWords; 4],
 }
 
 impl Counters {

@@ -80,6 +80,7 @@ macro_rules! cases {
                     a_full_queue_of_samples_drops_the_newest_where_asked,
                     nothing_is_lost_without_being_counted_while_both_run,
                     a_sample_older_than_the_connection_allows_is_stale,
+                    samples_of_a_clock_that_is_ahead_or_behind_are_stale_when_health_says_so,
                     a_cut_stream_shows_nothing_and_a_new_one_starts_afresh,
                 }
                 Second {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use trocar::lcm::{Inventory, Item, Lcm, LinkDetail, Sample, When};
+use trocar::lcm::{Detail, Inventory, Item, Lcm, LinkDetail, Sample, When};
 use trocar::model::{ClassInfo, Health, Refusal, State, SystemGraph};
 
 use super::Lab;
@@ -123,8 +123,18 @@ impl Lab {
     /// Commands to this component that were lost: to full queues, or with their connection.
     #[must_use]
     pub fn lost_commands(&self, name: &str) -> u64 {
+        self.detail(name).commands_rejected
+    }
+
+    /// What its users are warned of.
+    #[must_use]
+    pub fn warnings(&self, name: &str) -> Vec<String> {
+        self.detail(name).warnings
+    }
+
+    fn detail(&self, name: &str) -> Detail {
         let detail = block_on(self.host().detail(&self.path(name)));
-        detail.unwrap_or_else(|refusal| panic!("the figures of {name}: {refusal}")).commands_rejected
+        detail.unwrap_or_else(|refusal| panic!("the figures of {name}: {refusal}"))
     }
 
     /// Figures of all connections; of one between processes each end gives its own.

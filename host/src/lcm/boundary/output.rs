@@ -4,7 +4,7 @@
 
 mod slots;
 
-use std::io;
+use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -18,12 +18,15 @@ use trocar_rt::stream::{Meta, StreamWriter};
 use trocar_rt::wake::Waker;
 
 use super::super::context;
-use super::super::instance::Instance;
+use super::super::instance::{Instance, Misuse};
 use super::super::pending;
 use super::input::InCell;
 use super::{late, told};
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
 
+/// A stamp of this machine's clock may be so much ahead of it, ns: that much is the error of a device whose time was
+/// translated.
+const STAMP_BOUND_NS: u64 = 10_000_000;
 /// Connection number of readers from outside.
 pub(in crate::lcm) const OUTSIDE: u64 = 0;
 
@@ -309,7 +312,34 @@ impl OutCell {
         let seq = self.seq.load(Ordering::Relaxed) + 1;
         self.seq.store(seq, Ordering::Relaxed);
         self.total_bytes.store(self.total_bytes.load(Ordering::Relaxed) + bytes as u64, Ordering::Relaxed);
-        Meta { stamp_ns: if stamp_ns == 0 { os::now_ns() } else { stamp_ns }, seq }
+        let stamp_ns = if stamp_ns == 0 { os::now_ns() } else { stamp_ns };
+        if stamp_ns > context::about_now_ns().saturating_add(STAMP_BOUND_NS) {
+            self.note_ahead(stamp_ns);
+        }
+        Meta { stamp_ns, seq }
+    }
+
+    /// Counts a sample whose stamp is still to come, should it really be; real-time.
+    #[cold]
+    #[inline(never)]
+    fn note_ahead(&self, stamp_ns: u64) {
+        let ahead_ns = stamp_ns.saturating_sub(os::now_ns());
+        if ahead_ns <= STAMP_BOUND_NS {
+            return;
+        }
+        super::running(|instance| {
+            let mut said = [0; 96];
+            let room = said.len();
+            let mut rest = said.as_mut_slice();
+            instance.described.look(|set| {
+                let name = set.slots.output_of(self).map(|i| set.ports.outputs[i].name.as_str());
+                // What does not fit is left out.
+                let _ =
+                    write!(rest, "{:.3} s ahead at {}", ahead_ns as f64 / 1e9, name.unwrap_or("an output"));
+            });
+            let len = room - rest.len();
+            instance.counters.failed(Misuse::StampedAhead, &said[..len]);
+        });
     }
 
     /// Publishes one plain sample of the output's size.

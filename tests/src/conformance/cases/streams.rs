@@ -123,6 +123,54 @@ pub fn a_sample_older_than_the_connection_allows_is_stale(way: &Way) {
     until("without a connection nothing is too old", Health::Ok, &|| ());
 }
 
+pub fn samples_of_a_clock_that_is_ahead_or_behind_are_stale_when_health_says_so(way: &Way) {
+    let max_age_ns = if way.deployment.two_processes() { 300_000_000 } else { 20_000_000 };
+    let options = ConnectOptions { max_age_ns: Some(max_age_ns), ..ConnectOptions::default() };
+    let lab = flowing(way, "latest", options);
+    let stands = |health| {
+        let now = lab.stands("client");
+        if now == Some((State::Active, health)) { Ok(()) } else { Err(format!("{now:?}")) }
+    };
+    // Ahead: a sample is as old as its coming, for the component as for its health.
+    lab.configure("server", json!({ "clock_s": 3600.0 })).expect("clock_s is live");
+    eventually("a sample that has just come is fresh, and the client is well", || {
+        publish(&lab, 1);
+        let seen = lab.samples("look");
+        if (seen.fresh, seen.stale) != (1, 0) {
+            return Err(format!("{seen:?}"));
+        }
+        stands(Health::Ok)
+    });
+    eventually("after it the client has stale input", || stands(Health::StaleInput));
+    let seen = lab.samples("look");
+    assert_eq!(seen.stale, 1, "what health calls stale is stale for the component: {seen:?}");
+    eventually("the server is warned of its stamps", || {
+        let said = lab.warnings("server");
+        if said
+            .iter()
+            .any(|w| w.contains("stamped with a time to come") && w.contains("s ahead at value_out"))
+        {
+            Ok(())
+        } else {
+            Err(said.join("; "))
+        }
+    });
+    // Behind: as old as its stamp says, for both.
+    lab.configure("server", json!({ "clock_s": -3600.0 })).expect("clock_s is live");
+    publish(&lab, 1);
+    eventually("the old sample has arrived", || {
+        publish(&lab, 1);
+        let seen = lab.samples("look");
+        if seen.last == lab.count("server", "samples") as f64 { Ok(()) } else { Err(format!("{seen:?}")) }
+    });
+    let seen = lab.samples("look");
+    assert_eq!(seen.stale, 1, "{seen:?}");
+    eventually("the client has stale input while samples come", || {
+        publish(&lab, 1);
+        stands(Health::StaleInput)
+    });
+}
+
 pub fn a_slow_consumer_misses_what_its_queue_cannot_hold_and_knows_how_much(way: &Way) {
     let lab = flowing(way, "fifo", fifo(2, true));
     for round in 1..=50_u32 {
