@@ -9,6 +9,7 @@ use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 
 use crate::lanes;
+use crate::pace::Pace;
 
 /// Lowest frequency of a design, as part of the rate of samples: below it the rounding of a number moves what comes out.
 const NARROWEST: f64 = 1e-5;
@@ -24,12 +25,10 @@ struct BiquadConfig {
     /// Quality: 0.7071 is Butterworth's; bands are frequency_hz / q wide
     #[config(live, min = 0.05, max = 100.0, default = 0.7071067811865476)]
     q: f64,
-    /// Rate of the samples that come in
-    #[config(live, min = 0.001, max = 1e7, unit = "Hz", default = 1000.0)]
-    sample_hz: f64,
 }
 
-/// Filters each number of scalars and wrenches (R. Bristow-Johnson, *Cookbook formulae for audio EQ biquad filter
+/// Filters each number of scalars and wrenches, at the rate their stamps say; while these say nothing, at the rate of the
+/// component (R. Bristow-Johnson, *Cookbook formulae for audio EQ biquad filter
 /// coefficients*).
 #[derive(Component)]
 #[component(rate_hz = 1000, provides("ctl"))]
@@ -45,11 +44,16 @@ pub struct Biquad {
     /// Samples left out: not finite, or beyond 1e100.
     #[state]
     rejected: u64,
+    /// Samples a second that the filter of `value` is made for, Hz; 0 before the first one.
+    #[state]
+    value_hz: f64,
+    /// Likewise of `wrench`, Hz.
+    #[state]
+    wrench_hz: f64,
     #[config]
     cfg: BiquadConfig,
-    design: Design,
-    of_value: Option<[Memory; 1]>,
-    of_wrench: Option<[Memory; 6]>,
+    of_value: Lane<1>,
+    of_wrench: Lane<6>,
 }
 
 #[provides("ctl")]
@@ -57,52 +61,117 @@ impl Biquad {
     /// Forgets the past: the next sample is the first one.
     #[command]
     fn clear(&mut self) {
-        (self.of_value, self.of_wrench) = (None, None);
+        (self.of_value.memory, self.of_wrench.memory) = (None, None);
     }
 }
 
 impl Component for Biquad {
     fn configure(&mut self) -> Result {
-        let BiquadConfig { frequency_hz, sample_hz, .. } = self.cfg;
-        if frequency_hz >= 0.5 * sample_hz {
-            let half = 0.5 * sample_hz;
-            return Err(
-                format!("frequency_hz: {frequency_hz} Hz is not below half of sample_hz, {half} Hz").into()
-            );
-        }
-        if frequency_hz < NARROWEST * sample_hz {
-            return Err(format!(
-                "frequency_hz: {frequency_hz} Hz is below 1/100000 of sample_hz, {sample_hz} Hz, which numbers do not resolve: filter slower samples"
-            )
-            .into());
-        }
-        let design = Design::of(&self.cfg);
-        if design != self.design {
-            let of_wrench = self.of_wrench.iter_mut().flatten();
-            for memory in self.of_value.iter_mut().flatten().chain(of_wrench) {
-                design.take_over(&self.design, memory);
-            }
-            self.design = design;
-        }
+        let Biquad { cfg, of_value, of_wrench, .. } = self;
+        cfg.fits(of_value.hz)?;
+        cfg.fits(of_wrench.hz)?;
+        of_value.design_for(cfg);
+        of_wrench.design_for(cfg);
         Ok(())
     }
 
     fn start(&mut self) -> Result {
         self.rejected = 0;
-        self.clear();
+        (self.of_value, self.of_wrench) = (Lane::default(), Lane::default());
         Ok(())
     }
 
-    fn step(&mut self, _: &Tick) -> Result {
-        let Biquad { design, of_value, of_wrench, .. } = self;
-        self.rejected += lanes::pass(&mut self.value, &self.filtered, |n| design.each(n, of_value));
-        self.rejected += lanes::pass(&mut self.wrench, &self.filtered_wrench, |n| design.each(n, of_wrench));
+    fn step(&mut self, t: &Tick) -> Result {
+        let Biquad { cfg, of_value, of_wrench, .. } = self;
+        let own_hz = if t.period_s() > 0.0 { 1.0 / t.period_s() } else { 0.0 };
+        self.rejected +=
+            lanes::pass(&mut self.value, &self.filtered, |n, s| of_value.each(n, s.stamp, own_hz, cfg));
+        self.rejected += lanes::pass(&mut self.wrench, &self.filtered_wrench, |n, s| {
+            of_wrench.each(n, s.stamp, own_hz, cfg)
+        });
+        (self.value_hz, self.wrench_hz) = (of_value.hz, of_wrench.hz);
+        cfg.fits(of_value.hz)?;
+        cfg.fits(of_wrench.hz)
+    }
+}
+
+impl BiquadConfig {
+    /// # Errors
+    /// There is no such filter for samples of this rate.
+    fn fits(&self, hz: f64) -> Result {
+        let frequency_hz = self.frequency_hz;
+        if hz > 0.0 && frequency_hz >= 0.5 * hz {
+            return Err(format!(
+                "frequency_hz: {frequency_hz} Hz is not below half the rate of the samples, {} Hz: choose less than {} Hz",
+                round(hz),
+                round(0.5 * hz)
+            )
+            .into());
+        }
+        if frequency_hz < NARROWEST * hz {
+            return Err(format!(
+                "frequency_hz: {frequency_hz} Hz is below 1/100000 of the rate of the samples, {} Hz, which numbers do not resolve: filter slower samples",
+                round(hz)
+            )
+            .into());
+        }
         Ok(())
     }
 }
 
+/// With the four digits that matter to people.
+fn round(hz: f64) -> f64 {
+    let last = 10f64.powf(hz.log10().floor() - 3.0);
+    (hz / last).round() * last
+}
+
+/// The filter of one input's numbers.
+#[derive(Default)]
+struct Lane<const N: usize> {
+    pace: Pace,
+    /// What the design is made for, Hz; 0: nothing is known yet.
+    hz: f64,
+    design: Design,
+    memory: Option<[Memory; N]>,
+}
+
+impl<const N: usize> Lane<N> {
+    /// Makes the design these settings ask for; what is remembered goes on under it.
+    fn design_for(&mut self, cfg: &BiquadConfig) {
+        if self.hz <= 0.0 || cfg.fits(self.hz).is_err() {
+            return;
+        }
+        let design = Design::of(cfg, self.hz);
+        if design != self.design {
+            for memory in self.memory.iter_mut().flatten() {
+                design.take_over(&self.design, memory);
+            }
+            self.design = design;
+        }
+    }
+
+    /// One sample of all numbers; the first one finds the filters at rest on it.
+    fn each(&mut self, mut numbers: [f64; N], stamp: Stamp, own_hz: f64, cfg: &BiquadConfig) -> [f64; N] {
+        let hz = match self.pace.note(stamp.ns()) {
+            Some(hz) => hz,
+            None if self.hz > 0.0 => self.hz,
+            None => own_hz,
+        };
+        if hz != self.hz {
+            self.hz = hz;
+            self.design_for(cfg);
+        }
+        let design = &self.design;
+        let memory = self.memory.get_or_insert_with(|| numbers.map(|x| design.at_rest(x)));
+        for (number, memory) in numbers.iter_mut().zip(memory) {
+            *number = design.step(*number, memory);
+        }
+        numbers
+    }
+}
+
 /// `H(z) = (b0 + b1 z⁻¹ + b2 z⁻²) / (1 + a1 z⁻¹ + a2 z⁻²)`.
-#[derive(Default, PartialEq)]
+#[derive(PartialEq)]
 struct Design {
     b: [f64; 3],
     a: [f64; 2],
@@ -110,6 +179,13 @@ struct Design {
     constant: f64,
     /// What a sample leaves of a step that fades.
     fades: f64,
+}
+
+impl Default for Design {
+    /// Everything passes as it is: that of a rate nobody knows yet.
+    fn default() -> Self {
+        Design { b: [1.0, 0.0, 0.0], a: [0.0; 2], constant: 1.0, fades: 0.0 }
+    }
 }
 
 /// What a number's filter remembers.
@@ -124,8 +200,8 @@ struct Memory {
 }
 
 impl Design {
-    fn of(cfg: &BiquadConfig) -> Design {
-        let turn = TAU * cfg.frequency_hz / cfg.sample_hz;
+    fn of(cfg: &BiquadConfig, hz: f64) -> Design {
+        let turn = TAU * cfg.frequency_hz / hz;
         let (sine, cosine) = turn.sin_cos();
         // 1 − cos, without the digits that the difference loses.
         let rise = 2.0 * (0.5 * turn).sin().powi(2);
@@ -163,14 +239,5 @@ impl Design {
         memory.step *= self.fades;
         memory.last = [x, y + memory.step];
         memory.last[1]
-    }
-
-    /// One sample of all numbers; the first one finds the filters at rest on it.
-    fn each<const N: usize>(&self, mut numbers: [f64; N], memory: &mut Option<[Memory; N]>) -> [f64; N] {
-        let memory = memory.get_or_insert_with(|| numbers.map(|x| self.at_rest(x)));
-        for (number, memory) in numbers.iter_mut().zip(memory) {
-            *number = self.step(*number, memory);
-        }
-        numbers
     }
 }

@@ -21,12 +21,13 @@ pub(crate) trait Lanes<const N: usize>: Copy {
 pub(crate) fn pass<T: Payload + Lanes<N>, const N: usize>(
     from: &mut In<T>,
     to: &Out<T>,
-    mut filter: impl FnMut([f64; N]) -> [f64; N],
+    mut filter: impl FnMut([f64; N], &Sample<T>) -> [f64; N],
 ) -> u64 {
     let mut rejected = 0;
     while let Some(sample) = from.next_sample() {
         if sample.value.is_good() {
-            to.write_at(&sample.value.with(filter(sample.value.numbers())), sample.stamp);
+            let numbers = filter(sample.value.numbers(), &sample);
+            to.write_at(&sample.value.with(numbers), sample.stamp);
         } else {
             rejected += 1;
         }

@@ -27,6 +27,7 @@ mod good;
 mod kalman;
 mod lanes;
 mod moving_median;
+mod pace;
 mod pid;
 mod resampler;
 mod watchdog;

@@ -68,8 +68,9 @@ impl Component for MovingMedian {
     fn step(&mut self, _: &Tick) -> Result {
         let length = self.cfg.window;
         let MovingMedian { of_value, of_wrench, .. } = self;
-        self.rejected += lanes::pass(&mut self.value, &self.filtered, |n| of_value.each(length, n));
-        self.rejected += lanes::pass(&mut self.wrench, &self.filtered_wrench, |n| of_wrench.each(length, n));
+        self.rejected += lanes::pass(&mut self.value, &self.filtered, |n, _| of_value.each(length, n));
+        self.rejected +=
+            lanes::pass(&mut self.wrench, &self.filtered_wrench, |n, _| of_wrench.each(length, n));
         Ok(())
     }
 }

@@ -66,6 +66,13 @@ fn all_filters_run_behind_each_other_and_behind_a_robot() {
         let value = sample["value"].as_f64().unwrap();
         assert!(value.abs() <= 1.0 && sample["stamp"].as_u64() > Some(0), "{output}: {sample}");
     }
+    site.until("host/smooth", "its rate is known", |row| row["value_hz"].as_f64() > Some(0.0));
+    site.unfit(
+        "host/smooth",
+        &json!({ "frequency_hz": 600 }),
+        "COMPONENT_REFUSED",
+        "frequency_hz: 600 Hz is not below half the rate of the samples",
+    );
     let estimate = site.sample("host/track/estimate");
     assert!(estimate["sigma"].as_f64() > Some(0.0), "{estimate}");
     // Half a turn about z and a metre: the tip at 120 mm.
@@ -127,11 +134,6 @@ fn settings_that_make_no_filter_are_refused_with_the_figures_that_would() {
     let component = |name: &str, config: Value, words: &str| {
         site.unfit(&format!("host/{name}"), &config, "COMPONENT_REFUSED", words);
     };
-    component(
-        "smooth",
-        json!({ "frequency_hz": 600 }),
-        "frequency_hz: 600 Hz is not below half of sample_hz, 500 Hz",
-    );
     component("median", json!({ "window": 4 }), "window: 4 is even: an odd number of samples has a median");
     component("even", json!({ "ahead_s": 2 }), "2 s ahead is longer than a sample is held, 0.5 s");
     component("control", json!({ "lowest": 2 }), "lowest, highest: 2 is not below 1");

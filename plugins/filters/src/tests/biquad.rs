@@ -65,10 +65,56 @@ fn a_biquad_filters_each_number_of_a_wrench_and_keeps_stamps() {
 
 #[test]
 fn biquads_that_cannot_be_are_refused() {
+    let mut bench = Bench::<Biquad>::new("{}");
+    through(&mut bench, 1, |_| 1.0);
     assert_eq!(
-        refused::<Biquad>(r#"{"frequency_hz": 500}"#),
-        "frequency_hz: 500 Hz is not below half of sample_hz, 500 Hz"
+        bench.configure(r#"{"frequency_hz": 500}"#).unwrap_err().reason,
+        "frequency_hz: 500 Hz is not below half the rate of the samples, 1000 Hz: choose less than 500 Hz"
     );
     assert!(refused::<Biquad>(r#"{"kind": "comb"}"#).contains(r#""comb" is not one of"#));
     assert!(refused::<Biquad>(r#"{"q": 0}"#).contains("is below 0.05"));
+}
+
+/// Steps of 1 kHz with a sample of a source of 200 Hz in each fifth one; in the last one the constant is another.
+fn slow_samples(bench: &mut Bench<Biquad>, count: usize, value: impl Fn(f64) -> f64) -> Vec<f64> {
+    for n in 0..count {
+        let stamp = bench.now();
+        bench.push("value", Scalar { stamp, value: value(n as f64 / 200.0) });
+        bench.step(5);
+    }
+    bench.outputs::<Scalar>("filtered").iter().map(|s| s.value).collect()
+}
+
+#[test]
+fn a_biquad_is_made_for_the_rate_of_the_samples_and_not_for_its_own() {
+    let mut bench = Bench::<Biquad>::new(r#"{"frequency_hz": 20}"#);
+    let out = slow_samples(&mut bench, 600, |t| (TAU * 20.0 * t).sin());
+    // At its corner it lets half of the power through.
+    let power = out[200..].iter().map(|y| y * y).sum::<f64>() / 400.0;
+    assert!((power - 0.25).abs() < 0.01, "{power}");
+    assert!((bench.state().value_hz - 200.0).abs() < 1e-6, "{}", bench.state().value_hz);
+    let refused = bench.configure(r#"{"frequency_hz": 150}"#).unwrap_err().reason;
+    assert_eq!(
+        refused,
+        "frequency_hz: 150 Hz is not below half the rate of the samples, 200 Hz: choose less than 100 Hz"
+    );
+}
+
+#[test]
+fn a_rate_that_becomes_known_moves_no_constant() {
+    let mut bench = Bench::<Biquad>::new(r#"{"frequency_hz": 20}"#);
+    let out = slow_samples(&mut bench, 100, |_| 3.0);
+    assert!(out.len() == 100 && out.iter().all(|y| (y - 3.0).abs() < 1e-9), "{out:?}");
+}
+
+#[test]
+fn a_corner_that_the_samples_are_too_slow_for_is_a_fault_that_says_so() {
+    let mut bench = Bench::<Biquad>::new(r#"{"frequency_hz": 150}"#);
+    let why = (0..20).find_map(|n| {
+        let stamp = bench.now();
+        bench.push("value", Scalar { stamp, value: f64::from(n) });
+        (0..5).find_map(|_| bench.try_step().err())
+    });
+    let why = why.expect("it goes on with a filter that cannot be").reason;
+    assert!(why.contains("is not below half the rate of the samples, 200 Hz"), "{why}");
 }

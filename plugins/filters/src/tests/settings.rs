@@ -49,7 +49,7 @@ fn changed<C: Class, T: Payload>(
 ) -> [Vec<f64>; 2] {
     let mut bench = Bench::<C>::new(settings[0]);
     let halves = signal.split_at(signal.len() / 2);
-    let mut half = |bench: &mut Bench<C>, values: &[f64]| -> Vec<f64> {
+    let half = |bench: &mut Bench<C>, values: &[f64]| -> Vec<f64> {
         for value in values {
             let stamp = bench.now();
             bench.push("value", Scalar { stamp, value: *value });
