@@ -112,16 +112,19 @@ impl Instance {
     }
 
     pub(in crate::lcm) fn report(&self, with_ports: bool) -> Report {
+        // Before the look: whatever changes after it is in a report of a higher number.
+        let number = self.hub.reports.fetch_add(1, Ordering::SeqCst) + 1;
+        // Before the state: a warning tells of what has happened, and no report shows it beside the state before that.
+        let warnings = self.warnings();
         Report {
             id: self.id.clone(),
-            // Before the look: whatever changes after it is in a report of a higher number.
-            number: self.hub.reports.fetch_add(1, Ordering::SeqCst) + 1,
+            number,
             state: self.state(),
             health: self.watch.health(),
             fault: self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone(),
             ports: with_ports.then(|| self.ports()),
             lost_connections: Vec::new(),
-            warnings: self.warnings(),
+            warnings,
         }
     }
 
