@@ -24,8 +24,13 @@ use trocar_rt::timing::Histogram;
 use super::super::context;
 use super::output::OutCell;
 
+/// Number of the next link of this process; never given twice, as an address would be.
+static NEXT: AtomicU64 = AtomicU64::new(1);
+
 /// The consumer's end of one connection.
 pub(in crate::lcm) struct InLink {
+    /// What a component knows the connection by that a sample came by.
+    serial: u64,
     reader: UnsafeCell<StreamReader>,
     /// Samples that may wait.
     depth: usize,
@@ -107,6 +112,7 @@ impl InLink {
             room: UnsafeCell::new(vec![0; bytes.div_ceil(8)].into_boxed_slice()),
         });
         InLink {
+            serial: NEXT.fetch_add(1, Ordering::Relaxed),
             reader: UnsafeCell::new(reader),
             depth,
             max_age_ns,
@@ -228,7 +234,7 @@ impl InCell {
         // SAFETY: the caller's promise.
         let link = unsafe { &*self.held.get() }.as_ref()?;
         // SAFETY: as above.
-        (Arc::as_ptr(link) as u64 == token).then(|| unsafe { link.pass_on(output, stamp_ns, false) })
+        (link.serial == token).then(|| unsafe { link.pass_on(output, stamp_ns, false) })
     }
 
     /// Takes the present link and shows what `pick` finds there. Component's thread only. Made once for each way to pick: a
@@ -277,7 +283,7 @@ impl InCell {
             len: sample.bytes.len() as u64,
             stamp_ns: sample.meta.stamp_ns,
             seq: sample.meta.seq,
-            token: Arc::as_ptr(link) as u64,
+            token: link.serial,
         };
         // SAFETY: the caller lends room for a SampleView.
         unsafe { view.write(shown) };
@@ -362,7 +368,7 @@ pub(super) unsafe extern "C" fn writable(ctx: *mut c_void, view: *mut SampleView
     // SAFETY: component's thread only.
     let Some(link) = (unsafe { &*in_cell(ctx).held.get() }) else { return std::ptr::null_mut() };
     // The view of another input says nothing about the frame held here.
-    if token_of(view) != Some(Arc::as_ptr(link) as u64) {
+    if token_of(view) != Some(link.serial) {
         return std::ptr::null_mut();
     }
     // SAFETY: component's thread only.

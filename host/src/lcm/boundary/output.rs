@@ -5,7 +5,7 @@
 mod slots;
 
 use std::io::{self, Write};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::PortType;
@@ -96,6 +96,8 @@ pub(in crate::lcm) struct Outs {
 #[derive(Clone, Default)]
 struct Pools {
     lends: Option<Arc<FramePool>>,
+    /// How many came before the one that lends.
+    number: u64,
     /// Those before it, of which frames may still be out.
     earlier: Vec<Arc<FramePool>>,
 }
@@ -109,8 +111,8 @@ pub(in crate::lcm) struct OutCell {
     pools: BindingCell<Pools>,
     /// They are changed one after the other.
     pooling: Mutex<()>,
-    /// Address of the pool that was locked, or was refused to be.
-    locked: AtomicUsize,
+    /// Number of the pool that was locked, or was refused to be; 0 = none.
+    locked: AtomicU64,
     /// The component's inputs, whose samples may be passed on.
     inputs: BindingCell<Vec<Arc<InCell>>>,
     /// The class said no type: that of the first connection holds while there is one.
@@ -139,7 +141,7 @@ impl OutCell {
             editing: Mutex::new(()),
             pools: BindingCell::new(Box::default()),
             pooling: Mutex::new(()),
-            locked: AtomicUsize::new(0),
+            locked: AtomicU64::new(0),
             inputs: BindingCell::new(Box::default()),
             untyped,
             seq: AtomicU64::new(0),
@@ -235,9 +237,9 @@ impl OutCell {
     /// Another pool, or none, lends from now on. The one before stays at least until the next [`OutCell::reclaim`].
     fn change_pool(&self, lends: Option<Arc<FramePool>>) {
         let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
-        let Pools { lends: before, mut earlier } = self.pools.enter().clone();
+        let Pools { lends: before, number, mut earlier } = self.pools.enter().clone();
         earlier.extend(before);
-        self.pools.swap(Box::new(Pools { lends, earlier }));
+        self.pools.swap(Box::new(Pools { lends, number: number + 1, earlier }));
     }
 
     /// The memory of all its pools, for readers in another process.
@@ -259,9 +261,9 @@ impl OutCell {
 
     /// Locks the pool it lends from into memory, once; why it could not. Managers only.
     pub(super) fn lock_pool(&self) -> Option<OsError> {
-        let pool = self.pools.enter().lends.clone()?;
-        let address = Arc::as_ptr(&pool).addr();
-        if self.locked.swap(address, Ordering::Relaxed) == address {
+        let Pools { lends, number, .. } = self.pools.enter().clone();
+        let pool = lends?;
+        if self.locked.swap(number, Ordering::Relaxed) == number {
             return None;
         }
         pool.lock_memory().err()

@@ -50,6 +50,26 @@ fn an_untyped_input_takes_the_type_of_whatever_it_is_connected_to() {
 }
 
 #[test]
+fn no_two_connections_of_an_input_are_told_apart_by_the_same_number() {
+    let world = World::new("serial");
+    let source = outputs(&[("ab", plain("Ab")), ("ba", plain("Ba"))]);
+    let source = world.active("source", &source, on_signal(), Script::default());
+    let sink = world.active("sink", &inputs(&[("any", json!("any"))]), on_signal(), Script::default());
+    let mut seen = std::collections::BTreeSet::new();
+    // Memory of a connection that went is used again for the next one, sooner or later.
+    for round in 0..200 {
+        let (output, name, len) = if round % 2 == 0 { (0, "source/ab", 2) } else { (1, "source/ba", 3) };
+        let connection = world.connect("sink/any", name);
+        assert_eq!(source.write(output, &bytes(&[1.0, 2.0, 3.0][..len])), EXECUTED);
+        let (_, token) = sink.next_with(0, 8, |view| view.token).expect("a sample has come");
+        assert!(seen.insert(token), "round {round}: another connection was {token}, too");
+        world.cut(&connection);
+        // The input shows nothing of it any more, and lets it go.
+        assert!(sink.next(0, 16).is_none());
+    }
+}
+
+#[test]
 fn an_untyped_output_takes_the_type_of_its_first_connection_and_gives_it_back_with_the_last() {
     let world = World::new("any-out");
     let player = world.active("player", &outputs(&[("any", json!("any"))]), on_signal(), Script::default());
