@@ -312,6 +312,8 @@ pub struct ClassDesc {
     pub period_ns: u64,
     /// Longest stay inside its own code, ns; 0 = the host's default.
     pub max_step_ns: u64,
+    /// What its components can be run by.
+    pub limits: ExecutionLimitsDesc,
     pub config: &'static [ConfigFieldDesc],
     pub inputs: &'static [InputDesc],
     pub outputs: &'static [OutputDesc],
@@ -319,6 +321,21 @@ pub struct ClassDesc {
     pub provided: &'static [ProvidedDesc],
     pub state: Option<&'static TypeDesc>,
     pub many: ManyDesc,
+}
+
+/// The executions a class is made for; a component is never run by another.
+pub struct ExecutionLimitsDesc {
+    /// Execution models; empty = any.
+    pub models: &'static [&'static str],
+    /// Shortest and longest time between two steps, ns; 0 = no limit.
+    pub min_period_ns: u64,
+    pub max_period_ns: u64,
+}
+
+impl ExecutionLimitsDesc {
+    /// A class that runs right however it is run.
+    pub const NONE: ExecutionLimitsDesc =
+        ExecutionLimitsDesc { models: &[], min_period_ns: 0, max_period_ns: 0 };
 }
 
 /// Ports and interfaces that exist once for each name of a list which the component sets while it lives. In their

@@ -5,7 +5,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::*;
-use crate::desc::{CommandDesc, FieldDesc, ManyDesc, Prim, Safety};
+use crate::desc::{CommandDesc, ExecutionLimitsDesc, FieldDesc, ManyDesc, Prim, Safety};
 
 static F64: TypeDesc = TypeDesc::prim(Prim::F64);
 static FULL: TypeDesc = TypeDesc { size: 65_536, align: 8, kind: TypeKind::Array { item: &F64, n: 8192 } };
@@ -52,6 +52,7 @@ const fn class() -> ClassDesc {
         model: "on_signal",
         period_ns: 0,
         max_step_ns: 0,
+        limits: ExecutionLimitsDesc::NONE,
         config: &[],
         inputs: &[],
         outputs: &[],

@@ -163,6 +163,18 @@ pub struct Execution {
     /// Longest stay inside its own code before a component without a period counts as unresponsive; 0 = 50 ms.
     #[serde(default)]
     pub max_step_ns: u64,
+    /// Models its components can be run by; empty = any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub models: Vec<String>,
+    /// Shortest and longest time between two steps it is made for, ns; 0 = no limit.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub min_period_ns: u64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub max_period_ns: u64,
+}
+
+fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

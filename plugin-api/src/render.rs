@@ -6,8 +6,8 @@ mod out;
 
 use crate::abi::{ABI_MAJOR, ABI_MINOR};
 use crate::desc::{
-    ArgDesc, ClassDesc, CommandDesc, ConfigFieldDesc, InputDesc, OutputDesc, PluginDesc, PortType,
-    ProvidedDesc, RequiredDesc, TypeDesc, TypeKind,
+    ArgDesc, ClassDesc, CommandDesc, ConfigFieldDesc, ExecutionLimitsDesc, InputDesc, OutputDesc, PluginDesc,
+    PortType, ProvidedDesc, RequiredDesc, TypeDesc, TypeKind,
 };
 use crate::types::Types;
 use out::Out;
@@ -211,12 +211,35 @@ impl<const N: usize> Out<N> {
             self.key("max_step_ns", false);
             self.number(c.max_step_ns);
         }
+        self.execution_limits(&c.limits);
         self.byte(b'}');
         self.config(c.config);
         self.byte(b',');
         self.ports(c.inputs, c.outputs, c.required, c.provided);
         self.type_opt("state", c.state);
         self.byte(b'}');
+    }
+
+    const fn execution_limits(&mut self, limits: &ExecutionLimitsDesc) {
+        if !limits.models.is_empty() {
+            self.key("models", false);
+            self.byte(b'[');
+            let mut i = 0;
+            while i < limits.models.len() {
+                self.comma(i);
+                self.text(limits.models[i]);
+                i += 1;
+            }
+            self.byte(b']');
+        }
+        if limits.min_period_ns > 0 {
+            self.key("min_period_ns", false);
+            self.number(limits.min_period_ns);
+        }
+        if limits.max_period_ns > 0 {
+            self.key("max_period_ns", false);
+            self.number(limits.max_period_ns);
+        }
     }
 
     const fn ports(

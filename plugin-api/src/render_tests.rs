@@ -25,6 +25,11 @@ static CLASS: ClassDesc = ClassDesc {
     model: "periodic",
     period_ns: 1_000_000,
     max_step_ns: 20_000_000,
+    limits: ExecutionLimitsDesc {
+        models: &["periodic", "exec_in"],
+        min_period_ns: 100_000,
+        max_period_ns: 10_000_000,
+    },
     config: &[ConfigFieldDesc {
         name: "cutoff_hz",
         doc: "corner",
@@ -99,7 +104,10 @@ fn a_manifest_rendered_at_compile_time_parses_back_with_each_type_once() {
     assert_eq!(m.types.len(), 1);
     assert_eq!(m.types[0].doc, "A \"quoted\"\nforce");
     assert_eq!(m.classes[0].doc, "µ");
-    assert_eq!(m.classes[0].execution.max_step_ns, 20_000_000);
+    let execution = &m.classes[0].execution;
+    assert_eq!(execution.max_step_ns, 20_000_000);
+    assert_eq!(execution.models, ["periodic", "exec_in"]);
+    assert_eq!((execution.min_period_ns, execution.max_period_ns), (100_000, 10_000_000));
     assert!(m.classes[0].required[0].handlers[0].direct);
     assert_eq!(m.classes[0].inputs[0].ty, MPort::Plain { plain: Type::Ref { name: "Force".into() } });
     assert_eq!(

@@ -22,6 +22,8 @@ pub struct ClassInfo {
     pub safe_from_any_thread: bool,
     /// Defaults; every field is set.
     pub execution: Execution,
+    /// The executions it is made for.
+    pub limits: ExecutionLimits,
     /// JSON Schema of the configuration, with the extra keywords `unit` and `live`.
     pub config_schema: Value,
     pub ports: Ports,
@@ -84,6 +86,17 @@ pub struct Execution {
     pub on_failure: Option<OnFailure>,
     /// How its thread is told that something has come for it; unset = by the length of its period, see [`Execution::polls`].
     pub wake: Option<Wake>,
+}
+
+/// The executions a class is made for. A controller that has to step on a grid within a range of rates says so here,
+/// and a component of it is never made to run otherwise.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExecutionLimits {
+    /// Empty = any.
+    pub models: Vec<ExecutionModel>,
+    /// Shortest and longest time between two steps, ns.
+    pub min_period_ns: Option<u64>,
+    pub max_period_ns: Option<u64>,
 }
 
 /// How a thread is told that a sample, command or event has come for one of its components.

@@ -10,8 +10,8 @@ use serde_json::Value;
 use super::failure::{Done, Exit};
 use super::session::Session;
 use super::view::{
-    ArgView, ClassView, ComponentView, DescribeView, ExecutionView, FieldView, MemberView, OptionsView,
-    PortsView, ProxyView, StreamView, TypeView,
+    ArgView, ClassView, ComponentView, DescribeView, ExecutionLimitsView, ExecutionView, FieldView,
+    MemberView, OptionsView, PortsView, ProxyView, StreamView, TypeView,
 };
 use super::{out, style, units};
 
@@ -167,6 +167,7 @@ impl Page {
         let execution = ComponentView { execution: c.execution.clone(), ..ComponentView::default() };
         self.line(1, &format!("safety {}{device}, runs {}", c.safety, execution.rate()));
         self.execution(&c.execution, false);
+        self.execution_limits(&c.execution_limits);
         self.config(&Value::Null, &c.config_schema);
     }
 
@@ -208,6 +209,19 @@ impl Page {
         if !set.is_empty() {
             self.line(1, &format!("execution: {}", set.join(", ")));
         }
+    }
+
+    /// What else is refused, where something is.
+    fn execution_limits(&mut self, l: &ExecutionLimitsView) {
+        let models = if l.models.is_empty() { "any model".to_owned() } else { l.models.join(" or ") };
+        let rates = match (l.min_rate_hz, l.max_rate_hz) {
+            (Some(low), Some(high)) => format!("{low} to {high} Hz"),
+            (Some(low), None) => format!("at least {low} Hz"),
+            (None, Some(high)) => format!("at most {high} Hz"),
+            (None, None) if l.models.is_empty() => return,
+            (None, None) => "any rate".to_owned(),
+        };
+        self.line(1, &format!("made for: {models}, {rates}"));
     }
 
     /// Each setting: value (or default), unit, range, whether it may change while running, doc.

@@ -283,8 +283,21 @@ pub(super) struct ClassView {
     pub(super) safety: String,
     pub(super) hardware: bool,
     pub(super) execution: ExecutionView,
+    pub(super) execution_limits: ExecutionLimitsView,
     pub(super) config_schema: Value,
     pub(super) ports: PortsView,
+}
+
+/// The executions a class is made for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct ExecutionLimitsView {
+    /// Empty = any.
+    pub(super) models: Vec<String>,
+    /// Hz; none = no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) min_rate_hz: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) max_rate_hz: Option<f64>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

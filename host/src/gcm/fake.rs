@@ -12,9 +12,9 @@ use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::timeout;
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
-    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionModel,
-    Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Provided, Proxy, Refusal, Required, Safety,
-    State, SystemGraph, Tag, Type,
+    Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionLimits,
+    ExecutionModel, Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Provided, Proxy, Refusal,
+    Required, Safety, State, SystemGraph, Tag, Type,
 };
 
 use super::{Gcm, text};
@@ -146,6 +146,11 @@ pub(crate) fn class() -> Arc<ClassInfo> {
             model: Some(ExecutionModel::Periodic),
             period_ns: Some(1_000_000),
             ..Execution::default()
+        },
+        limits: ExecutionLimits {
+            models: ExecutionModel::ALL.to_vec(),
+            min_period_ns: Some(100_000),
+            max_period_ns: Some(1_000_000_000),
         },
         config_schema: json!({
             "type": "object",

@@ -101,6 +101,11 @@ fn class_info(
         hardware: class.hardware,
         safe_from_any_thread: class.safe_from_any_thread,
         execution,
+        limits: model::ExecutionLimits {
+            models: class.execution.models.iter().map(|m| execution_model(m)).collect::<Result<_, _>>()?,
+            min_period_ns: Some(class.execution.min_period_ns).filter(|ns| *ns > 0),
+            max_period_ns: Some(class.execution.max_period_ns).filter(|ns| *ns > 0),
+        },
         config_schema: class.config.clone(),
         ports: ports(class, types)?,
     };

@@ -58,7 +58,17 @@ const KINDS: &[(&str, &[(&str, &str)])] = &[
             ("state", "form"),
         ],
     ),
-    ("execution", &[("model", ""), ("period_ns", ""), ("max_step_ns", "")]),
+    (
+        "execution",
+        &[
+            ("model", ""),
+            ("period_ns", ""),
+            ("max_step_ns", ""),
+            ("models", ""),
+            ("min_period_ns", ""),
+            ("max_period_ns", ""),
+        ],
+    ),
     (
         "input",
         &[

@@ -39,7 +39,7 @@ const ROBOT_LOST_S: f64 = 0.02;
 
 /// Robot-Assisted B-Scan: goes along a line at a constant distance from the retina and makes an image of the A-scans.
 #[derive(Component)]
-#[component(name = "bscan", rate_hz = 1000)]
+#[component(name = "bscan", rate_hz = 1000, models("periodic", "exec_in", "exec_out"), rates_hz(100, 8000))]
 pub struct BScan {
     /// From the tip to the retina; its tracker has to know the robot
     #[input(fifo = 64)]

@@ -176,6 +176,15 @@ impl<D: Drive> Arm<D> {
         self.handle = *wrench;
     }
 
+    /// Periods of `missed_s` seconds in all were left out before the next step: nothing moved meanwhile, and what times out
+    /// counts them.
+    pub fn miss(&mut self, missed_s: f64) {
+        self.motion.pass(missed_s);
+        if let Some(silent_s) = self.silent_s.as_mut() {
+            *silent_s += missed_s;
+        }
+    }
+
     /// One control period of `dt_s` seconds: new setpoint, one cycle of the drive, checks.
     pub fn step(&mut self, dt_s: f64) {
         let driven = matches!(self.operating.mode(), OperatingMode::ENABLED | OperatingMode::PAUSED);

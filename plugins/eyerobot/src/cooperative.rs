@@ -28,7 +28,7 @@ struct CooperativeConfig {
 /// Cooperative control: asks the robot in each cycle to follow the hand on its handle. The robot stands when it is not asked, and it is
 /// asked only behind a guard: a plane that follows the retina, or a fixed one while no retina was seen.
 #[derive(Component)]
-#[component(rate_hz = 500)]
+#[component(rate_hz = 500, models("periodic", "exec_in", "exec_out"), rates_hz(100, 8000))]
 pub struct Cooperative {
     /// From the tip to the retina; its tracker should know the robot
     #[input(optional)]

@@ -33,7 +33,13 @@ struct FreeHandConfig {
 
 /// A simulated hand that holds the tool itself: the baseline without a robot. It goes to and fro along a line, and trembles.
 #[derive(Component)]
-#[component(rate_hz = 1000, safety = "sensor", provides("truth"))]
+#[component(
+    rate_hz = 1000,
+    models("periodic", "exec_in", "exec_out"),
+    rates_hz(100, 8000),
+    safety = "sensor",
+    provides("truth")
+)]
 pub struct FreeHand {
     /// True pose and twist of the tip in the simulated world
     #[output(tag = "sim")]

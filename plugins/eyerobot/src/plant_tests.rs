@@ -163,3 +163,28 @@ fn under_a_remote_centre_the_true_shaft_follows_the_setpoint_within_5_micrometre
         assert!(worst < 5e-6, "seed {seed}: the shaft drifts {worst:e} m");
     }
 }
+
+#[test]
+fn at_every_rate_it_is_made_for_the_arm_holds_still_and_arrives() {
+    for rate_hz in [100.0, 125.0, 500.0, 1000.0, 8000.0] {
+        let (dt_s, home) = (1.0 / rate_hz, Joints::zeros());
+        let drive = SimulatedDrive::new(Simulation::default(), home);
+        let mut arm = Arm::new(Settings::default(), drive, home);
+        for word in ["enable", "home"] {
+            arm.state_command(word).expect("a new arm takes it");
+        }
+        let strays = |arm: &mut Arm<SimulatedDrive>, around: &Joints, s: f64| {
+            (0..(s * rate_hz) as u32).fold(0.0, |most: f64, _| {
+                arm.step(dt_s);
+                most.max((arm.drive().truth().position - around).amax())
+            })
+        };
+        let most = strays(&mut arm, &home, 3.0);
+        assert!(most < 5e-6, "{rate_hz} Hz: nobody asked for it, and it moved {most} m or rad");
+        let goal = Joints::from_fn(|i, _| if i == 0 { 0.002 } else { 0.0 });
+        arm.move_jp(goal.as_slice()).expect("it is near");
+        strays(&mut arm, &goal, 2.0);
+        let most = strays(&mut arm, &goal, 1.0);
+        assert!(most < 5e-6, "{rate_hz} Hz: {most} m or rad from the goal");
+    }
+}

@@ -35,6 +35,8 @@ const FIRST_CYCLE_S: f64 = 1e-3;
 #[component(
     name = "eyerobot",
     rate_hz = 1000,
+    models("periodic", "exec_in", "exec_out"),
+    rates_hz(100, 8000),
     safety = "actuator",
     provides("arm", "local", "spatial", "body", "hand", "compliance", "axis", "virtual_fixture", "truth")
 )]
@@ -311,7 +313,11 @@ impl Component for EyeRobot {
     fn step(&mut self, tick: &Tick) -> Result {
         self.period_s = tick.period_s();
         self.feel(tick.now());
-        self.arm.step(tick.period_s());
+        let missed = (tick.elapsed_s() / self.period_s).round() - 1.0;
+        if missed > 0.0 {
+            self.arm.miss(missed * self.period_s);
+        }
+        self.arm.step(self.period_s);
         self.publish(tick.now());
         self.state.write(&ArmState {
             stamp: tick.now(),

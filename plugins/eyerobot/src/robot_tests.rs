@@ -114,6 +114,29 @@ fn servo_jv_holds_by_itself_when_it_is_not_repeated() {
 }
 
 #[test]
+fn a_motion_by_velocity_ends_in_its_time_where_periods_were_left_out() {
+    let x = |bench: &Bench<EyeRobot>| bench.read::<(), Pose>("arm/measured_cp", ()).unwrap().position[0];
+    let goal = JointState { velocity: List::of(&[0.005, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
+    let goes_on = |missed_ns: u64| {
+        let mut bench = Bench::<EyeRobot>::new("{}");
+        for _ in 0..50 {
+            bench.command::<_, ()>("servo_jv", goal).unwrap();
+            bench.step(1);
+        }
+        let from = x(&bench);
+        bench.late_step(missed_ns).unwrap();
+        bench.step(100);
+        x(&bench) - from
+    };
+    let (in_time, late) = (goes_on(0), goes_on(7_000_000));
+    // Seven of its eight milliseconds have passed before the late step.
+    assert!(
+        late < in_time - 6.0 * 0.005e-3,
+        "{late} m after periods that were left out, {in_time} m without"
+    );
+}
+
+#[test]
 fn servo_commands_that_lay_in_wait_or_come_from_another_clock_are_refused_and_counted() {
     let mut bench = Bench::<EyeRobot>::new("{}");
     bench.step(1);

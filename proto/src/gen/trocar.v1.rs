@@ -440,6 +440,22 @@ pub struct ClassInfo {
     /// Its ports before any configuration.
     #[prost(message, optional, tag = "11")]
     pub ports: ::core::option::Option<Ports>,
+    /// The executions it is made for; others are refused.
+    #[prost(message, optional, tag = "12")]
+    pub execution_limits: ::core::option::Option<ExecutionLimits>,
+}
+/// The executions a class is made for.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ExecutionLimits {
+    /// Execution models; empty = any.
+    #[prost(string, repeated, tag = "1")]
+    pub models: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Shortest time between two steps, e.g. "0.0001s"; unset = no limit.
+    #[prost(message, optional, tag = "2")]
+    pub min_period: ::core::option::Option<::prost_types::Duration>,
+    /// Longest time between two steps; unset = no limit.
+    #[prost(message, optional, tag = "3")]
+    pub max_period: ::core::option::Option<::prost_types::Duration>,
 }
 /// Distribution of a duration, ns.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]

@@ -6,11 +6,14 @@ use crate::attrs;
 use proc_macro2::Span;
 use syn::ext::IdentExt;
 use syn::meta::ParseNestedMeta;
+use syn::parse::Parse;
 use syn::spanned::Spanned;
 use syn::{DeriveInput, Expr, LitStr};
 use trocar_plugin_api::limits::{MAX_STEP_NS, MODELS_WITH_RATE, PERIOD_NS};
 
 const MODELS: [&str; 6] = ["periodic", "continuous", "on_signal", "on_callback", "stream", "none"];
+/// Those that need the component of somebody else, too: no class has them by default.
+const INSIDE: [&str; 2] = ["exec_in", "exec_out"];
 
 #[derive(Default)]
 pub(crate) struct ClassAttr {
@@ -21,6 +24,10 @@ pub(crate) struct ClassAttr {
     /// Where the class says its rate.
     rate: Option<Span>,
     pub(crate) max_step_ns: u64,
+    /// Models it is made for; empty = any.
+    pub(crate) models: Vec<String>,
+    /// Shortest and longest period it is made for, ns; 0 = no limit.
+    pub(crate) periods_ns: [u64; 2],
     /// Variant of `desc::Safety`.
     pub(crate) safety: &'static str,
     pub(crate) hardware: bool,
@@ -67,7 +74,30 @@ impl ClassAttr {
                 "a periodic class needs its rate: #[component(rate_hz = 1000)]",
             ));
         }
+        class.fits(&input.ident)?;
         Ok(class)
+    }
+
+    /// The default execution is one the class is made for.
+    fn fits(&self, class: &syn::Ident) -> syn::Result<()> {
+        if !self.models.is_empty() && !self.models.contains(&self.model) {
+            let (model, models) = (&self.model, self.models.join(", "));
+            let why =
+                format!("its own model, {model}, is not among its models, {models}: name it there, too");
+            return Err(syn::Error::new_spanned(class, why));
+        }
+        let [least, most] = self.periods_ns;
+        if self.period_ns > 0 && most > 0 && !(least..=most).contains(&self.period_ns) {
+            let hz = |ns: u64| 1e9 / ns as f64;
+            let why = format!(
+                "its own rate, {} Hz, is not within rates_hz, {} to {} Hz",
+                hz(self.period_ns),
+                hz(most),
+                hz(least)
+            );
+            return Err(syn::Error::new_spanned(class, why));
+        }
+        Ok(())
     }
 
     fn setting(&mut self, meta: ParseNestedMeta<'_>) -> syn::Result<()> {
@@ -113,6 +143,21 @@ impl ClassAttr {
                 }
                 self.model = model.value();
             }
+            "models" => {
+                let mut named = Vec::new();
+                names(&meta, &mut named)?;
+                for (model, span) in named {
+                    if !MODELS.iter().chain(&INSIDE).any(|known| *known == model) {
+                        let known = [MODELS.as_slice(), &INSIDE].concat().join(", ");
+                        return Err(syn::Error::new(
+                            span,
+                            format!("unknown execution model; there are {known}"),
+                        ));
+                    }
+                    self.models.push(model);
+                }
+            }
+            "rates_hz" => self.periods_ns = rates(&meta)?,
             "safety" => {
                 let safety = meta.value()?.parse::<LitStr>()?;
                 self.safety = match safety.value().as_str() {
@@ -131,8 +176,8 @@ impl ClassAttr {
             "optional" => names(&meta, &mut self.optional)?,
             _ => {
                 return Err(meta.error(
-                    "unknown setting; there are name, rate_hz, max_step_ms, model, safety, hardware, safe_from_any_thread, \
-                     provides(\"…\"), requires(\"…\") and optional(\"…\")",
+                    "unknown setting; there are name, rate_hz, max_step_ms, model, models(\"…\"), rates_hz(lowest, highest), safety, \
+                     hardware, safe_from_any_thread, provides(\"…\"), requires(\"…\") and optional(\"…\")",
                 ));
             }
         }
@@ -148,4 +193,24 @@ fn names(meta: &ParseNestedMeta<'_>, into: &mut Vec<(String, Span)>) -> syn::Res
         into.push((name.value(), name.span()));
     }
     Ok(())
+}
+
+/// `rates_hz(lowest, highest)` as the shortest and longest period, ns.
+fn rates(meta: &ParseNestedMeta<'_>) -> syn::Result<[u64; 2]> {
+    let inside;
+    let paren = syn::parenthesized!(inside in meta.input);
+    let mut rates = Vec::new();
+    for expr in inside.parse_terminated(Expr::parse, syn::Token![,])? {
+        rates.push(attrs::number(&expr)?.parse().unwrap_or(0.0));
+    }
+    let wrong = |why: &str| Err(syn::Error::new(paren.span.join(), why));
+    let [lowest, highest] = rates[..] else {
+        return wrong("rates_hz has two numbers: the lowest and the highest rate in Hz");
+    };
+    let ns = |hz: f64| (1e9 / hz).round();
+    let within = |hz: f64| (PERIOD_NS.0 as f64..=PERIOD_NS.1 as f64).contains(&ns(hz));
+    if !within(lowest) || !within(highest) || lowest > highest {
+        return wrong("rates_hz(lowest, highest): from 1/3600 Hz to 1e6 Hz, the lower one first");
+    }
+    Ok([ns(highest) as u64, ns(lowest) as u64])
 }

@@ -109,6 +109,7 @@ fn desc(
     let ClassAttr { name, doc, model, period_ns, max_step_ns, hardware, .. } = class;
     let (safety, safe_from_any_thread) =
         (format_ident!("{}", class.safety), class.safe_from_any_thread.is_some());
+    let (models, [min_period_ns, max_period_ns]) = (&class.models, class.periods_ns);
     let config = match &fields.config {
         Some((_, ty)) => quote!(<#ty as ::trocar_sdk::Config>::FIELDS),
         None => quote!(&[]),
@@ -130,6 +131,11 @@ fn desc(
             model: #model,
             period_ns: #period_ns,
             max_step_ns: #max_step_ns,
+            limits: ::trocar_sdk::__private::ExecutionLimitsDesc {
+                models: &[#(#models),*],
+                min_period_ns: #min_period_ns,
+                max_period_ns: #max_period_ns,
+            },
             config: #config,
             #fixed
             state: #state,

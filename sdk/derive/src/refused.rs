@@ -41,6 +41,15 @@ fn an_execution_that_a_host_refuses_does_not_compile() {
         ("rate_hz = -1", "at most 1e6 Hz"),
         ("max_step_ms = 0.09", "at least 0.1 ms"),
         ("max_step_ms = 3600001", "at most 3.6e6 ms"),
+        (r#"models("sometimes")"#, "unknown execution model; there are periodic"),
+        (
+            r#"models("on_signal"), rate_hz = 4"#,
+            "its own model, periodic, is not among its models, on_signal",
+        ),
+        ("rates_hz(100)", "rates_hz has two numbers"),
+        ("rates_hz(200, 100)", "the lower one first"),
+        ("rates_hz(0, 100)", "from 1/3600 Hz to 1e6 Hz"),
+        ("rate_hz = 4, rates_hz(100, 1000)", "its own rate, 4 Hz, is not within rates_hz, 100 to 1000 Hz"),
         (r#"safety = "high""#, "safety is actuator, sensor or none"),
     ] {
         refused(settings, &of_component(&format!("#[component({settings})] struct C {{}}")), why);
@@ -50,6 +59,7 @@ fn an_execution_that_a_host_refuses_does_not_compile() {
         "rate_hz = 0.000278",
         r#"model = "stream", rate_hz = 30"#,
         r#"model = "stream""#,
+        r#"rate_hz = 1000, models("periodic", "exec_in"), rates_hz(100, 8000)"#,
         "max_step_ms = 0.1",
         "max_step_ms = 3600000",
     ] {

@@ -103,7 +103,9 @@ impl Planner {
             let mut created = Component { state: State::Created, ..component.clone() };
             if other == id {
                 created.execution = execution.clone();
-            } else if let Err(why) = execution::check_thread(&self.graph, &component.execution) {
+            } else if let Err(why) = execution::check_thread(&self.graph, &component.execution)
+                .and_then(|()| execution::check_limits(&self.graph, &component.class, &component.execution))
+            {
                 return Err(Refusal::InUse { id: id.clone(), by: vec![format!("{other}: {why}")] });
             }
             self.push(Change::Create { id: other.clone(), component: Box::new(created) });

@@ -5,7 +5,7 @@
 
 mod check;
 
-pub(super) use check::check;
+pub(super) use check::{check, check_limits};
 pub use check::{class_fault, period_fault};
 
 use crate::{Component, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph};

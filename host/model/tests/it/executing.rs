@@ -117,6 +117,83 @@ fn every_setting_is_refused_outside_its_limits_with_field_value_and_limits() {
     }
 }
 
+/// A graph whose process offers `servo`, made to step on a grid of 100 Hz to 8 kHz, in its own thread or in another's step.
+fn with_servo() -> SystemGraph {
+    let mut graph = empty();
+    let servo = class("arms", "servo", ExecutionModel::Periodic, Ports::default());
+    let limits = ExecutionLimits {
+        models: vec![ExecutionModel::Periodic, ExecutionModel::ExecIn],
+        min_period_ns: Some(125_000),
+        max_period_ns: Some(10_000_000),
+    };
+    let host = graph.processes.get_mut(&name("host")).unwrap();
+    host.classes.push(std::sync::Arc::new(ClassInfo { limits, ..servo }));
+    done(&mut graph, &[create("host/robot", "eyerobot"), create("host/log", "logger")]);
+    graph
+}
+
+#[test]
+fn a_class_is_run_only_by_what_it_is_made_for() {
+    let graph = with_servo();
+    let slow = |hz: u64| Execution { period_ns: Some(1_000_000_000 / hz), ..e() };
+    let model = |model| Execution { model: Some(model), ..e() };
+    for (execution, field, why) in [
+        (
+            model(ExecutionModel::OnSignal),
+            "model",
+            "class `servo` is made to run as periodic or exec_in, not as on_signal",
+        ),
+        (model(ExecutionModel::Continuous), "model", "not as continuous"),
+        (model(ExecutionModel::None), "model", "not as none"),
+        (slow(50), "rate_hz", "50 Hz: class `servo` is made for 100 Hz to 8000 Hz"),
+        (slow(10_000), "rate_hz", "10000 Hz: class `servo` is made for 100 Hz to 8000 Hz"),
+        (inside("host/robot", Some(ExecutionModel::ExecOut)), "model", "not as exec_out"),
+        (
+            inside("host/log", None),
+            "model",
+            "is made for steps on a grid, 100 Hz to 8000 Hz; exec_in has none here",
+        ),
+    ] {
+        let (blame, said) = blamed(&graph, &of("servo", execution));
+        assert_eq!(blame, format!("execution.{field}"), "{said}");
+        assert!(said.contains(why), "{said:?} should contain {why:?}");
+    }
+    for execution in [e(), slow(100), slow(8000), inside("host/robot", None)] {
+        plan(&graph, &of("servo", execution.clone()))
+            .unwrap_or_else(|refusal| panic!("{execution:?}: {refusal}"));
+    }
+}
+
+#[test]
+fn a_change_of_execution_keeps_to_what_a_class_is_made_for_whoever_gives_the_pace() {
+    let mut graph = with_servo();
+    done(&mut graph, &[of("servo", e())]);
+    let asked = Execution { period_ns: Some(20_000_000), ..e() };
+    assert!(blamed(&graph, &change("host/x", asked.clone())).1.contains("50 Hz: class `servo` is made for"));
+    done(&mut graph, &[change("host/x", inside("host/robot", None))]);
+    // In the step of another component, that one's rate is its own.
+    let refusal = refused(&graph, &change("host/robot", asked));
+    assert!(
+        matches!(&refusal, Refusal::InUse { by, .. } if by[0].contains("50 Hz in the step of `host/robot`: class `servo` is made for")),
+        "{refusal}"
+    );
+    done(&mut graph, &[change("host/robot", Execution { period_ns: Some(5_000_000), ..e() })]);
+}
+
+#[test]
+fn a_class_whose_own_execution_is_outside_its_limits_is_no_class() {
+    let servo = class("arms", "servo", ExecutionModel::Periodic, Ports::default());
+    let of = |models: &[ExecutionModel], max_period_ns| ClassInfo {
+        limits: ExecutionLimits { models: models.to_vec(), min_period_ns: None, max_period_ns },
+        ..servo.clone()
+    };
+    assert_eq!(class_fault(&of(&[ExecutionModel::Periodic], Some(1_000_000))), None);
+    let said = class_fault(&of(&[ExecutionModel::Stream], None)).unwrap();
+    assert_eq!(said, "execution.model: class `servo` is made to run as stream, not as periodic");
+    let said = class_fault(&of(&[], Some(500_000))).unwrap();
+    assert_eq!(said, "execution.rate_hz: 1000 Hz: class `servo` is made for at least 2000 Hz");
+}
+
 #[test]
 fn inside_without_a_model_is_exec_in_and_exec_out_is_kept_where_it_is_said() {
     let mut graph = empty();

@@ -129,6 +129,7 @@ pub(crate) fn class(plugin: &str, name: &str, model: ExecutionModel, ports: Port
             period_ns: (model == ExecutionModel::Periodic).then_some(1_000_000),
             ..Execution::default()
         },
+        limits: ExecutionLimits::default(),
         config_schema: json!({"type": "object", "additionalProperties": false, "properties": {}}),
         ports,
     }

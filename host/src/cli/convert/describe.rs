@@ -6,10 +6,10 @@ use serde_json::Value;
 use trocar_proto::v1;
 
 use super::json::from_struct;
-use super::{component, connection, execution, process, word};
+use super::{component, connection, execution, ns, process, word};
 use crate::cli::view::{
-    ArgView, ClassView, DescribeView, FieldView, MemberView, PortsView, ProvidedView, RequiredView,
-    StreamView, TypeView,
+    ArgView, ClassView, DescribeView, ExecutionLimitsView, FieldView, MemberView, PortsView, ProvidedView,
+    RequiredView, StreamView, TypeView,
 };
 
 pub(in crate::cli) fn description(path: &str, d: &v1::DescribeResponse) -> DescribeView {
@@ -33,8 +33,18 @@ fn class(c: &v1::ClassInfo) -> ClassView {
         safety: word(c.safety().as_str_name(), "SAFETY_").to_lowercase(),
         hardware: c.hardware,
         execution: c.execution.as_ref().map(execution).unwrap_or_default(),
+        execution_limits: c.execution_limits.as_ref().map(execution_limits).unwrap_or_default(),
         config_schema: c.config_schema.as_ref().map_or(Value::Null, from_struct),
         ports: c.ports.as_ref().map(ports).unwrap_or_default(),
+    }
+}
+
+fn execution_limits(l: &v1::ExecutionLimits) -> ExecutionLimitsView {
+    let hz = |period: &Option<prost_types::Duration>| period.as_ref().map(|d| 1e9 / ns(Some(d)) as f64);
+    ExecutionLimitsView {
+        models: l.models.clone(),
+        min_rate_hz: hz(&l.max_period),
+        max_rate_hz: hz(&l.min_period),
     }
 }
 

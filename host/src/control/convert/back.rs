@@ -238,6 +238,22 @@ pub(crate) fn class(c: v1::ClassInfo) -> Result<model::ClassInfo, Refusal> {
         execution: execution(need(c.execution, "execution")?)?,
         config_schema: from_struct(c.config_schema.unwrap_or_default()),
         ports: ports(need(c.ports, "ports")?)?,
+        limits: limits(c.execution_limits.unwrap_or_default())?,
+    })
+}
+
+fn limits(l: v1::ExecutionLimits) -> Result<model::ExecutionLimits, Refusal> {
+    let model = |text: &String| {
+        let found = model::ExecutionModel::ALL.into_iter().find(|m| m.name() == text);
+        found.ok_or_else(|| unreadable("execution_limits.models"))
+    };
+    let period = |d: &Option<prost_types::Duration>, field: &str| {
+        d.as_ref().map(|d| super::requests::ns(d, field)).transpose()
+    };
+    Ok(model::ExecutionLimits {
+        models: l.models.iter().map(model).collect::<Result<_, _>>()?,
+        min_period_ns: period(&l.min_period, "execution_limits.min_period")?,
+        max_period_ns: period(&l.max_period, "execution_limits.max_period")?,
     })
 }
 

@@ -129,7 +129,7 @@ fn step(step: v1::Step) -> Result<Request, Refusal> {
     }
 }
 
-fn ns(duration: &Duration, field: &str) -> Result<u64, Refusal> {
+pub(super) fn ns(duration: &Duration, field: &str) -> Result<u64, Refusal> {
     duration_ns(duration).ok_or_else(|| {
         let shown = duration.seconds as f64 + f64::from(duration.nanos) / 1e9;
         invalid(

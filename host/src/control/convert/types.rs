@@ -212,6 +212,11 @@ pub(crate) fn class(c: &model::ClassInfo) -> v1::ClassInfo {
         execution: Some(execution_out(&c.execution)),
         config_schema: Some(to_struct(&c.config_schema)),
         ports: Some(ports(&c.ports)),
+        execution_limits: Some(v1::ExecutionLimits {
+            models: c.limits.models.iter().map(|m| m.name().to_owned()).collect(),
+            min_period: c.limits.min_period_ns.map(duration),
+            max_period: c.limits.max_period_ns.map(duration),
+        }),
     }
 }
 

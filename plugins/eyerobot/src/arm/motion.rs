@@ -26,6 +26,19 @@ impl Motion {
         matches!(self, Motion::Hold | Motion::ServoPosition { .. } | Motion::Move(_))
     }
 
+    /// Time passes in which it was not carried out.
+    pub(super) fn pass(&mut self, s: f64) {
+        match self {
+            Motion::ServoVelocity { left_s, .. } => *left_s -= s,
+            Motion::Tip(Tip { twist, force, axis }) => {
+                for left_s in [&mut twist.left_s, &mut force.left_s, &mut axis.left_s] {
+                    *left_s -= s;
+                }
+            }
+            Motion::Hold | Motion::ServoPosition { .. } | Motion::Move(_) => {}
+        }
+    }
+
     /// A motion by velocity or force that nobody has repeated in time.
     pub(super) fn is_over(&self) -> bool {
         match self {

@@ -3,10 +3,12 @@
 //! Invariant: a refusal names the field, the value and the limits; limits of the machine (processors, priorities it
 //! grants) are not judged here, since only the machine knows them.
 
+use super::super::host_of;
 use super::able;
 use crate::refusal::duration;
 use crate::{
-    ClassInfo, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph, Type, Wake, defaults, validate,
+    ClassInfo, ComponentId, Execution, ExecutionLimits, ExecutionModel, Refusal, SystemGraph, Type, Wake,
+    defaults, validate,
 };
 
 /// Limits of a period, ns.
@@ -44,7 +46,8 @@ pub fn class_fault(class: &ClassInfo) -> Option<String> {
         .and_then(|()| scheduling(execution))
         .and_then(|()| stream(execution))
         .and_then(|()| step(execution))
-        .and_then(|()| history(execution, row_bytes(class)));
+        .and_then(|()| history(execution, row_bytes(class)))
+        .and_then(|()| if open { Ok(()) } else { limits(class, execution, execution.period_ns) });
     checked.err().map(|(field, why)| format!("execution.{field}: {why}"))
 }
 
@@ -70,7 +73,8 @@ pub(in crate::plan) fn check(
         .and_then(|()| step(execution))
         .and_then(|()| step_without_period(execution))
         .and_then(|()| wake(execution))
-        .and_then(|()| history(execution, row_bytes));
+        .and_then(|()| history(execution, row_bytes))
+        .and_then(|()| limits(class, execution, period_of(graph, execution)));
     checked.map_err(|(field, why)| {
         let field = format!("execution.{field}");
         Refusal::ArgumentInvalid { what: format!("{verb} {id}"), why: format!("{field}: {why}"), field }
@@ -129,6 +133,73 @@ fn called_back(class: &ClassInfo, execution: &Execution) -> Result<(), Fault> {
         class.name
     );
     Err(("model", why))
+}
+
+/// Whether a component can still be run by what gives it its pace.
+pub(in crate::plan) fn check_limits(
+    graph: &SystemGraph,
+    class: &ClassInfo,
+    execution: &Execution,
+) -> Result<(), String> {
+    limits(class, execution, period_of(graph, execution)).map_err(|(_, why)| why)
+}
+
+/// A class is run only by what it is made for. `period_ns`: between its steps, whoever gives the pace.
+fn limits(class: &ClassInfo, execution: &Execution, period_ns: Option<u64>) -> Result<(), Fault> {
+    let ExecutionLimits { models, min_period_ns, max_period_ns } = &class.limits;
+    let name = &class.name;
+    let model = execution.model.map_or("nothing", ExecutionModel::name);
+    if !models.is_empty() && !execution.model.is_some_and(|m| models.contains(&m)) {
+        let models: Vec<_> = models.iter().map(|m| m.name()).collect();
+        return Err((
+            "model",
+            format!("class `{name}` is made to run as {}, not as {model}", models.join(" or ")),
+        ));
+    }
+    let (low, high) = (min_period_ns.unwrap_or(1), max_period_ns.unwrap_or(u64::MAX));
+    let made_for = || match (min_period_ns, max_period_ns) {
+        (Some(low), Some(high)) => format!("{} to {}", rate(*high), rate(*low)),
+        (Some(low), None) => format!("at most {}", rate(*low)),
+        (None, Some(high)) => format!("at least {}", rate(*high)),
+        (None, None) => String::new(),
+    };
+    match period_ns {
+        Some(period) if !(low..=high).contains(&period) => {
+            let (field, thread) = match (&execution.stream_of, &execution.inside) {
+                (Some(host), _) => ("stream_of", format!(" in the stream of `{host}`")),
+                (_, Some(host)) => ("inside", format!(" in the step of `{host}`")),
+                (None, None) => ("rate_hz", String::new()),
+            };
+            Err((field, format!("{}{thread}: class `{name}` is made for {}", rate(period), made_for())))
+        }
+        None if (min_period_ns.is_some() || max_period_ns.is_some())
+            && !execution.model.is_some_and(|m| !m.has_grid() && !m.is_inside() && models.contains(&m)) =>
+        {
+            let why =
+                format!("class `{name}` is made for steps on a grid, {}; {model} has none here", made_for());
+            Err(("model", why))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// "1000 Hz", "33.333 Hz".
+fn rate(period_ns: u64) -> String {
+    format!("{} Hz", (1e12 / period_ns as f64).round() / 1e3)
+}
+
+/// The time between the steps of a component that is run so, ns; `None` where no grid gives it.
+fn period_of(graph: &SystemGraph, execution: &Execution) -> Option<u64> {
+    let mut execution = execution;
+    // The graph holds no circle, but a walk that trusts nobody ends anyway.
+    for _ in 0..=graph.components.len() {
+        let Some(host) = host_of(execution) else {
+            let grid = execution.model.is_some_and(ExecutionModel::has_grid);
+            return execution.period_ns.filter(|_| grid);
+        };
+        execution = &graph.components.get(&host)?.execution;
+    }
+    None
 }
 
 /// A setting that belongs to the thread, not to a component that only runs in it.
