@@ -284,6 +284,10 @@ pub enum Refusal {
     PeerLost {
         member: MemberId,
     },
+    /// A newer call took its place before it ran, as the command's policy says.
+    Replaced {
+        member: MemberId,
+    },
     QueueFull {
         member: MemberId,
         depth: usize,

@@ -15,7 +15,7 @@ use trocar_plugin_api::abi::{
 use trocar_rt::os;
 
 use super::api::{Invoke, Payload, Reply};
-use super::boundary::{Answer, DEFAULT_DEADLINE_NS, FnBinding, Reader, within_ns};
+use super::boundary::{Answer, DEFAULT_DEADLINE_NS, FnBinding, REPLACED, Reader, within_ns};
 use super::connect;
 use super::dynamic::PortSet;
 use super::external::{misfit, wrong_kind};
@@ -135,6 +135,7 @@ fn refusal(
         DISABLED => Refusal::Disabled { member },
         NOT_ACTIVE => Refusal::NotActive { member, state: instance.state() },
         WOULD_BLOCK => Refusal::WouldBlock { member },
+        QUEUE_FULL if answer.text == REPLACED => Refusal::Replaced { member },
         QUEUE_FULL => Refusal::QueueFull {
             member,
             depth: instance.described.now().external.mailbox.stats().depth as usize,

@@ -380,6 +380,20 @@ groups! {
             stage.refuses("InteractService/Invoke", soon)
         };
 
+        a_goal_that_a_newer_one_replaced "ABORTED" "REPLACED" ["host/robot/arm/servo_jp"] |stage| {
+            stage.grpc.create_with("host/robot", "eyerobot", json!({}), json!({ "rate_hz": 100 }));
+            stage.grpc.start("host/robot");
+            let goal = json!({ "path": "host/robot/arm/servo_jp", "json": { "position": [0, 0, 0, 0, 0] } });
+            let call = || stage.grpc.call("InteractService/Invoke", goal.clone());
+            eventually("two goals came within one period", || {
+                std::thread::scope(|scope| {
+                    let calls = [scope.spawn(call), scope.spawn(call), scope.spawn(call)];
+                    let answers = calls.map(|call| call.join().unwrap());
+                    answers.into_iter().find_map(Result::err).ok_or("all were carried out")
+                })
+            })
+        };
+
         a_full_queue "RESOURCE_EXHAUSTED" "QUEUE_FULL" ["host/full"] |stage| {
             // Patience enough for the queue to fill before the actuator counts as stuck.
             let patient = json!({ "model": "on_signal", "max_step": "600s" });

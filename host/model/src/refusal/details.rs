@@ -94,6 +94,7 @@ impl Refusal {
             Refusal::CommandFailed { .. } => (Aborted, "COMMAND_FAILED"),
             Refusal::Deadline { .. } => (DeadlineExceeded, "DEADLINE"),
             Refusal::PeerLost { .. } => (Unavailable, "PEER_LOST"),
+            Refusal::Replaced { .. } => (Aborted, "REPLACED"),
             Refusal::QueueFull { .. } => (ResourceExhausted, "QUEUE_FULL"),
             Refusal::NotImplemented { .. } => (Unimplemented, "NOT_IMPLEMENTED"),
             Refusal::Forbidden { .. } => (PermissionDenied, "FORBIDDEN"),
@@ -189,9 +190,11 @@ impl Refusal {
                 m.put("port", port).put("state", state).put("after_ns", after_ns)
             }
             LcmTimeout { process, what } => m.put("process", process).put("what", what),
-            Unbound { member } | Disabled { member } | WouldBlock { member } | PeerLost { member } => {
-                m.put("member", member)
-            }
+            Unbound { member }
+            | Disabled { member }
+            | WouldBlock { member }
+            | PeerLost { member }
+            | Replaced { member } => m.put("member", member),
             NotActive { member, state } => m.put("member", member).put("state", state),
             CommandFailed { member, text } => m.put("member", member).put("text", text),
             Deadline { member, after_ns, may_still_run } => {

@@ -221,6 +221,7 @@ fn calling() -> Vec<Refusal> {
         },
         Refusal::Deadline { member: call.clone(), after_ns: 1_500_000_000, may_still_run: true },
         Refusal::PeerLost { member: call.clone() },
+        Refusal::Replaced { member: call.clone() },
         Refusal::QueueFull { member: call, depth: 16 },
         Refusal::NotImplemented {
             what: "a connection between two processes".into(),

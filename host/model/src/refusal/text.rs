@@ -304,6 +304,7 @@ impl Display for Refusal {
                 write!(f, "`{member}` did not finish within {}; {still}", duration(*after_ns))
             }
             PeerLost { member } => write!(f, "the process or component behind `{member}` is gone"),
+            Replaced { member } => write!(f, "a newer call of `{member}` took its place before it ran"),
             QueueFull { member, depth } => {
                 write!(f, "the queue of `{member}` is full: {depth} calls are waiting already")
             }
@@ -519,6 +520,9 @@ impl Refusal {
                 .into(),
             PeerLost { .. } => "Look for the process with `trocar ls`; connections return by themselves when it is back, \
                 motion waits for Resume."
+                .into(),
+            Replaced { .. } => "Nothing, where the newer call was yours; otherwise find out with `trocar describe` who else is \
+                connected, and let one of them command."
                 .into(),
             QueueFull { .. } => "Call more slowly, give the connection a deeper mailbox, or let the command's policy be \
                 latest_wins."

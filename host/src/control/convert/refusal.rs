@@ -87,6 +87,7 @@ refusals! {
     CommandFailed { member, text }
     Deadline { member, after_ns, may_still_run }
     PeerLost { member }
+    Replaced { member }
     QueueFull { member, depth }
     NotImplemented { what, hint }
     Forbidden { what }

@@ -47,7 +47,7 @@ pub(super) use host_table::{HostContext, SharedTable};
 pub(super) use input::{InCell, InLink, Newest};
 pub(super) use output::{Consumer, OUTSIDE, OutCell, OutLink, Shape};
 pub(super) use ports::{NoRoom, Slots};
-pub(super) use queue::Lane;
+pub(super) use queue::{Lane, REPLACED, replaced};
 pub(super) use range::RangeCheck;
 pub(super) use read::{ReadTarget, Reader, read_published};
 pub(super) use same::{same_input, same_output, same_provided, same_required};

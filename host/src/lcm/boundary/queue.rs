@@ -39,6 +39,20 @@ pub(super) trait Destination {
     fn away(&self) -> Option<Outcome>;
 }
 
+/// What is said beside QUEUE_FULL where the queue had room and a newer call took the place of this one.
+pub(in crate::lcm) const REPLACED: &str = "a newer call took its place before it ran";
+
+/// Answers a call whose place a newer one took, unexecuted. Real-time.
+pub(in crate::lcm) fn replaced(replies: &ReplyPool, token: u64) {
+    if let Some(running) = replies.begin(token, QUEUE_FULL) {
+        running.finish(QUEUE_FULL, |_, text| {
+            let len = REPLACED.len().min(text.len());
+            text[..len].copy_from_slice(&REPLACED.as_bytes()[..len]);
+            len
+        });
+    }
+}
+
 /// Queues a call and, in the mode that asks for it, waits for the answer. `arg` and `ret` have the lane's sizes. Real-time unless it
 /// waits.
 pub(super) fn queue(
@@ -75,9 +89,7 @@ pub(super) fn queue(
         }
         Push::TooLong => return QUEUE_FULL,
         Push::Closed => return to.closed(),
-        Push::DroppedOldest(old) => {
-            to.replies().fail(old.reply, QUEUE_FULL);
-        }
+        Push::DroppedOldest(old) => replaced(to.replies(), old.reply),
     }
     to.signal();
     to.queued();

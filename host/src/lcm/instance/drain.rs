@@ -5,12 +5,14 @@
 use std::sync::{Arc, PoisonError};
 
 use trocar_plugin_api::abi::{
-    DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, QUEUE_FULL, STATUS_OK,
-    STATUS_PANICKED, Status,
+    DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, STATUS_OK, STATUS_PANICKED,
+    Status,
 };
 use trocar_rt::mailbox::EntryHead;
 
-use super::super::boundary::{EntryError, as_bytes, outcome_of, plain_outcome, sentence, text_in, write_err};
+use super::super::boundary::{
+    EntryError, as_bytes, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
+};
 use super::super::inbox::{ENTRY_EVENT, Inbox};
 use super::super::supervise::Entry;
 use super::super::{context, pending};
@@ -105,9 +107,7 @@ impl Instance {
                 }
             };
             // Superseded by a newer one of the same command.
-            let skip = |head: EntryHead| {
-                inbox.replies.fail(head.reply, QUEUE_FULL);
-            };
+            let skip = |head: EntryHead| replaced(&inbox.replies, head.reply);
             inbox.mailbox.drain(run, skip);
         }
     }
