@@ -136,6 +136,16 @@ impl Type {
         }
     }
 
+    /// Whether a value holds numbers, which a range may limit. Stamps, flags, texts and enums are none.
+    pub fn has_numbers(&self) -> bool {
+        match self {
+            Type::Prim(p) => !matches!(p, Prim::Bool | Prim::Stamp),
+            Type::Array { item, .. } | Type::List { item, .. } => item.has_numbers(),
+            Type::Struct(s) => s.fields.iter().any(|f| f.ty.has_numbers()),
+            Type::Text { .. } | Type::Enum(_) => false,
+        }
+    }
+
     /// Bytes, a power of two.
     pub fn align(&self) -> usize {
         match self {

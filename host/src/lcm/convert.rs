@@ -313,6 +313,17 @@ fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provi
     })
 }
 
+/// What is shown as a limit must hold: there has to be a number for it.
+fn limited(ty: model::Type, arg: &wire::Arg, command: &str) -> Result<model::Type, String> {
+    if (arg.min.is_some() || arg.max.is_some()) && !ty.has_numbers() {
+        let title = ty.title();
+        return Err(format!(
+            "command {command}: min and max of its argument are limits of numbers, and {title} has none: leave them out"
+        ));
+    }
+    Ok(ty)
+}
+
 fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command, String> {
     use model::CommandKind as K;
     name(&command.name)?;
@@ -337,7 +348,7 @@ fn command(command: &wire::Command, types: &mut Types) -> Result<model::Command,
         Some(a) => Some(model::Arg {
             name: a.name.clone(),
             doc: a.doc.clone(),
-            ty: frames::value(types.resolve(&a.ty)?, &a.frame)?,
+            ty: limited(frames::value(types.resolve(&a.ty)?, &a.frame)?, a, &command.name)?,
             unit: a.unit.clone(),
             min: a.min,
             max: a.max,

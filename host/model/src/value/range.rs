@@ -5,9 +5,9 @@
 use serde_json::Value;
 
 use super::special;
-use crate::Arg;
+use crate::{Arg, Prim, Type};
 
-/// The declared range of an argument, for a scalar and for every item of a list.
+/// The declared range of an argument, for every number in it however deep. Stamps, flags, texts and enums are none.
 ///
 /// # Errors
 /// "value 300 is above maximum 100 mm".
@@ -15,17 +15,25 @@ pub fn check_range(arg: &Arg, value: &Value) -> Result<(), String> {
     if arg.min.is_none() && arg.max.is_none() {
         return Ok(());
     }
-    range(arg, value, if arg.name.is_empty() { "value" } else { &arg.name })
+    range(arg, &arg.ty, value, if arg.name.is_empty() { "value" } else { &arg.name })
 }
 
-fn range(arg: &Arg, value: &Value, name: &str) -> Result<(), String> {
-    let number = match value {
-        Value::Array(items) => {
-            return items
-                .iter()
-                .enumerate()
-                .try_for_each(|(i, item)| range(arg, item, &format!("{name}[{i}]")));
+fn range(arg: &Arg, ty: &Type, value: &Value, name: &str) -> Result<(), String> {
+    match ty {
+        Type::Array { item, .. } | Type::List { item, .. } => {
+            let mut items = value.as_array().into_iter().flatten().enumerate();
+            return items.try_for_each(|(i, value)| range(arg, item, value, &format!("{name}[{i}]")));
         }
+        Type::Struct(s) => {
+            return s.fields.iter().try_for_each(|field| {
+                let inside = value.get(&field.name).unwrap_or(&Value::Null);
+                range(arg, &field.ty, inside, &format!("{name}.{}", field.name))
+            });
+        }
+        Type::Prim(Prim::Bool | Prim::Stamp) | Type::Text { .. } | Type::Enum(_) => return Ok(()),
+        Type::Prim(_) => {}
+    }
+    let number = match value {
         Value::Number(n) => n.as_f64(),
         Value::String(s) => special(s).or_else(|| s.parse().ok()),
         _ => None,

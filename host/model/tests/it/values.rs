@@ -162,7 +162,23 @@ fn a_value_outside_the_declared_range_names_the_limit_with_its_unit() {
     let check = |v: Value| check_range(&limited("mm"), &v);
     assert_eq!(check(json!(300)).unwrap_err(), "v 300 is above maximum 100 mm");
     assert_eq!(check(json!(-0.5)).unwrap_err(), "v -0.5 is below minimum 0 mm");
-    assert_eq!(check(json!([1, 2, 101])).unwrap_err(), "v[2] 101 is above maximum 100 mm");
+    let of = |ty: Type, v: Value| check_range(&Arg { ty, ..limited("mm") }, &v);
+    let list = |item: Type| Type::List { item: Box::new(item), n: 4 };
+    let array = |item: Type| Type::Array { item: Box::new(item), n: 2 };
+    let point = || {
+        structure("P", 16, vec![field("t", 0, Type::Prim(Prim::Stamp), ""), field("x", 8, f64_type(), "m")])
+    };
+    let far = json!({ "t": 900, "x": 101 });
+    for (ty, value, name) in [
+        (list(f64_type()), json!([1, 2, 101]), "v[2]"),
+        (array(array(f64_type())), json!([[0, 0], [0, 101]]), "v[1][1]"),
+        (point(), far.clone(), "v.x"),
+        (list(point()), json!([{ "t": 900, "x": 1 }, far]), "v[1].x"),
+    ] {
+        assert_eq!(of(ty, value).unwrap_err(), format!("{name} 101 is above maximum 100 mm"));
+    }
+    assert_eq!(of(point(), json!({ "t": 900, "x": 1 })), Ok(()), "a stamp is no number of it");
+    assert_eq!(of(Type::Text { n: 8 }, json!("300")), Ok(()));
     assert_eq!(check(json!("Infinity")).unwrap_err(), "v Infinity is above maximum 100 mm");
     assert!(check(json!("NaN")).is_err(), "NaN is within no range");
     assert_eq!(check(json!(100)), Ok(()));

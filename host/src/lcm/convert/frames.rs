@@ -117,6 +117,22 @@ mod tests {
     }
 
     #[test]
+    fn limits_of_an_argument_without_numbers_are_refused() {
+        let with = |ty: Value| {
+            class(|class| {
+                let arg = class.pointer_mut("/provided/0/commands/0/arg").unwrap();
+                (arg["type"], arg["max"]) = (ty, 1.into());
+                arg.as_object_mut().unwrap().remove("frame");
+            })
+        };
+        assert!(with("f64".into()).is_ok() && with(serde_json::json!({ "list": "u8", "n": 3 })).is_ok());
+        for ty in ["bool", "stamp"] {
+            let why = with(ty.into()).unwrap_err();
+            assert!(why.contains("command turn: min and max of its argument are limits of numbers"), "{why}");
+        }
+    }
+
+    #[test]
     fn an_argument_and_a_result_in_two_frames_are_told_to_an_untyped_function_as_two_types() {
         let info = class(|_| {}).unwrap();
         let told: Value = serde_json::from_str(&back::command(&info.ports.provided[0].commands[0])).unwrap();
