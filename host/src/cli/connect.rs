@@ -29,7 +29,7 @@ pub(super) struct ConnectArgs {
     /// Older samples are stale, e.g. 5ms; unset: of an actuator three periods of its source, of others none.
     #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
     pub(super) max_age: Option<u64>,
-    /// Default deadline of waiting calls, e.g. 100ms.
+    /// Default deadline of waiting calls, e.g. 100ms; goals that were only sent and waited longer are not carried out.
     #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
     pub(super) deadline: Option<u64>,
     /// Depth of the queue of commands or events.

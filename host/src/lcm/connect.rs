@@ -15,7 +15,7 @@ use trocar_rt::stream::{self, DropPolicy, Payload};
 use super::api::LinkDetail;
 use super::boundary::{CommandTarget, FnBinding, Lane, OutCell, RangeCheck, ReadTarget, Reader, Shape};
 use super::carriers::{Both, Carriers, Joined};
-use super::dynamic::PortSet;
+use super::dynamic::{Goal, PortSet};
 use super::far::Here;
 use super::inbox::Inbox;
 use super::instance::Instance;
@@ -216,6 +216,7 @@ pub(super) fn target(
 pub(super) fn lane(command: &Command, index: usize) -> Lane {
     Lane {
         index: index as u32,
+        ages: Goal::of(command) != Goal::None,
         arg_bytes: command.arg.as_ref().map_or(0, |a| a.ty.size()),
         ret_bytes: command.ret.as_ref().map_or(0, Type::size),
         overflow: match command.overflow {

@@ -6,7 +6,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use trocar_model::{Ports, TAPS};
+use trocar_model::{Command, Ports, TAPS};
 use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
@@ -42,6 +42,8 @@ pub(super) struct PortSet {
     pub(super) bypass: Option<(usize, usize)>,
     /// Told of the commands, where there are any.
     pub(super) command_tap: Option<CommandTap>,
+    /// Of each command.
+    pub(super) goals: Vec<Goal>,
     max_ret: usize,
 }
 
@@ -76,6 +78,7 @@ impl PortSet {
             ReplyPool::new(EXTERNAL_REPLIES, max_ret, ERR_BYTES),
             commands.clone(),
             From::Outside,
+            0,
         );
         let bypass = ports.inputs.first().and_then(|input| {
             let fits = |o: &trocar_model::Output| {
@@ -91,6 +94,7 @@ impl PortSet {
             cell: slots.output(at).clone(),
             arg_bytes: all().map(|c| c.arg.as_ref().map_or(0, |a| a.ty.size())).collect(),
         });
+        let goals = all().map(Goal::of).collect();
         Ok(PortSet {
             ports: Arc::new(ports),
             slots,
@@ -99,6 +103,7 @@ impl PortSet {
             external,
             bypass,
             command_tap,
+            goals,
             max_ret,
         })
     }
@@ -157,6 +162,31 @@ impl PortSet {
             .chain(required.map(|p| p.name.clone()))
             .chain(provided.map(|p| p.name.clone()))
             .collect()
+    }
+}
+
+/// What a command makes its component go for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Goal {
+    /// Nothing: it only carries words or flags, or nothing at all, as what stops a device does.
+    #[default]
+    None,
+    /// Numbers, which are right when they are sent.
+    Numbers,
+    /// A goal of a stream that is renewed all the time, CRTK's `servo_*`.
+    Servo,
+}
+
+impl Goal {
+    pub(super) fn of(command: &Command) -> Goal {
+        let numbers = command.arg.as_ref().is_some_and(|arg| arg.ty.has_numbers());
+        if command.kind.is_read() || !numbers {
+            Goal::None
+        } else if command.name.starts_with("servo_") {
+            Goal::Servo
+        } else {
+            Goal::Numbers
+        }
     }
 }
 

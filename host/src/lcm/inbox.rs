@@ -57,6 +57,8 @@ pub(super) struct Inbox {
     /// What entries must be, where another process fills it; by their index.
     checks: Vec<Check>,
     losses: Losses,
+    /// Within which its connection wants commands carried out, ns; 0 = it says nothing.
+    pub(super) deadline_ns: u64,
     toll: Toll,
     closed: AtomicBool,
 }
@@ -81,7 +83,7 @@ pub(super) struct Check {
 struct Toll {
     /// Commands that ran and failed.
     failed: AtomicU64,
-    /// Commands and events that never ran: Stop, Disconnect, Remove, another description.
+    /// Commands and events that never ran: Stop, Disconnect, Remove, another description, or they had waited too long.
     unexecuted: AtomicU64,
     /// What the last failure said.
     last: Mutex<Sentence>,
@@ -110,14 +112,16 @@ struct Losses {
 }
 
 impl Inbox {
-    /// Commands of one client.
+    /// Commands of one client, whose connection gives them `deadline_ns`; 0: it says nothing.
     pub(super) fn commands(
         mailbox: Mailbox,
         replies: Arc<ReplyPool>,
         targets: Vec<Arc<Position>>,
         from: From,
+        deadline_ns: u64,
     ) -> Arc<Inbox> {
-        Arc::new(Self::of(mailbox, replies, targets, from, false, Vec::new()))
+        let inbox = Self::of(mailbox, replies, targets, from, false, Vec::new());
+        Arc::new(Inbox { deadline_ns, ..inbox })
     }
 
     /// Events of one connection.
@@ -132,8 +136,9 @@ impl Inbox {
         targets: Vec<Arc<Position>>,
         from: From,
         checks: Vec<Check>,
+        deadline_ns: u64,
     ) -> Arc<Inbox> {
-        Arc::new(Self::of(mailbox, replies, targets, from, false, checks))
+        Arc::new(Inbox { deadline_ns, ..Self::of(mailbox, replies, targets, from, false, checks) })
     }
 
     /// Events of a component of another process.
@@ -161,6 +166,7 @@ impl Inbox {
             events,
             from,
             checks,
+            deadline_ns: 0,
             losses: Losses::default(),
             toll: Toll::default(),
             closed: AtomicBool::new(false),
@@ -277,7 +283,10 @@ impl Inbox {
         if fresh[1] {
             say(
                 "never ran",
-                &format!(": {} so far were still queued when it stopped or was cut off", now[1]),
+                &format!(
+                    ": {} so far were still queued when it stopped or was cut off, or had waited too long",
+                    now[1]
+                ),
             );
         }
     }

@@ -142,7 +142,7 @@ pub fn system_schema() -> Value {
                         "oneOf": [{ "const": "latest" }, { "$ref": "#/$defs/queue" }]
                     },
                     "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Older samples are stale, ms." },
-                    "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Default deadline of waiting calls, ms." },
+                    "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Default deadline of waiting calls, ms; goals that were only sent and waited longer are not carried out." },
                     "mailbox": { "type": "integer", "minimum": 1, "maximum": 65536, "description": "Depth of the queue of commands or events." },
                     "adapt": { "type": "boolean", "default": false, "description": "Copy by name when the layouts differ." },
                     "carrier": { "type": "string", "description": "Pins how data travel: inline, heap (within a process) or memfd (between two, and within one where it is pinned); left out: the best there is." }

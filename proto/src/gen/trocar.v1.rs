@@ -620,7 +620,7 @@ pub struct ConnectOptions {
     /// Older samples make the client STALE_INPUT.
     #[prost(message, optional, tag = "2")]
     pub max_age: ::core::option::Option<::prost_types::Duration>,
-    /// Default deadline of blocking calls.
+    /// Default deadline of blocking calls. What is only sent, with numbers, is not carried out once it has waited longer.
     #[prost(message, optional, tag = "3")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
     /// Mailbox depth in commands or events.

@@ -10,6 +10,7 @@ use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::os;
 use trocar_rt::reply::{Reply, ReplyPool};
 
+use super::super::context;
 use super::super::inbox::ENTRY_COMMAND;
 use super::super::pending;
 use super::call::write_err;
@@ -18,6 +19,8 @@ use super::call::write_err;
 pub(in crate::lcm) struct Lane {
     /// Position in the queue's table.
     pub(in crate::lcm) index: u32,
+    /// Its argument is a goal that grows old.
+    pub(in crate::lcm) ages: bool,
     pub(in crate::lcm) arg_bytes: usize,
     pub(in crate::lcm) ret_bytes: usize,
     pub(in crate::lcm) overflow: Overflow,
@@ -74,7 +77,9 @@ pub(super) fn queue(
         None
     };
     let reply = ticket.as_ref().map_or(0, |t| t.token());
-    let head = EntryHead { kind: ENTRY_COMMAND, index: lane.index, reply, stamp_ns: 0 };
+    // Whoever waits gives up by himself; for the others the server looks how long it took.
+    let stamp_ns = if lane.ages && reply == 0 { context::about_now_ns() } else { 0 };
+    let head = EntryHead { kind: ENTRY_COMMAND, index: lane.index, reply, stamp_ns };
     let payload: &[u8] = if lane.arg_bytes == 0 {
         &[]
     } else {

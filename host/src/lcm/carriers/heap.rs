@@ -200,6 +200,7 @@ fn interfaces(both: &Both<'_>, binding: &Binding) -> Ends {
         ReplyPool::new(REPLY_CELLS, max_ret, ERR_BYTES),
         binding.functions.iter().map(|(_, c)| from_set.commands[*c].clone()).collect(),
         From::Component(Arc::downgrade(client)),
+        connection.options.deadline_ns.unwrap_or(0),
     );
     server.edit_inboxes(|all| all.push(commands_in.clone()));
     let handlers: Vec<_> = to_set.ports.required.iter().flat_map(|r| &r.handlers).collect();

@@ -151,7 +151,11 @@ impl Half {
             }
         };
         tell("failed", "", failed);
-        tell("never ran", " were still queued when it stopped or was cut off", unexecuted);
+        tell(
+            "never ran",
+            " were still queued when it stopped or was cut off, or had waited too long",
+            unexecuted,
+        );
     }
 
     pub(super) fn stage(&self) -> MutexGuard<'_, Stage> {

@@ -219,6 +219,7 @@ impl ServerWires {
             bound().map(|id| set.commands[id].clone()).collect(),
             here.from(&connection.client.component),
             checks.collect(),
+            connection.options.deadline_ns.unwrap_or(0),
         );
         server.edit_inboxes(|all| all.push(commands_in.clone()));
         let to = Arc::new(FarEvents { mailbox: calls.events, bell: calls.for_client });

@@ -9,10 +9,12 @@ use trocar_plugin_api::abi::{
     Status,
 };
 use trocar_rt::mailbox::EntryHead;
+use trocar_rt::os;
 
 use super::super::boundary::{
     EntryError, as_bytes, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
 };
+use super::super::dynamic::Goal;
 use super::super::inbox::{ENTRY_EVENT, Inbox};
 use super::super::supervise::Entry;
 use super::super::{context, pending};
@@ -27,6 +29,12 @@ fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outc
     }
 }
 
+/// Longest a goal that was only sent may wait for an actuator, ns, where its connection says no deadline; or so many of
+/// the actuator's own periods.
+const GOAL_NS: u64 = 100_000_000;
+const GOAL_PERIODS: u64 = 3;
+/// Likewise of a stream of goals, ns: a machine without real-time threads is late by some milliseconds.
+const SERVO_NS: u64 = 10_000_000;
 /// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
 const ROUNDS: usize = 2;
 
@@ -101,6 +109,7 @@ impl Instance {
                     (_, Some(_)) if head.reply == 0 && !self.is_active() => {
                         turn_away(entered, self.turned_away())
                     }
+                    (_, Some(command)) if self.is_late(inbox, head, command) => turn_away(entered, DEADLINE),
                     (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
                     // Queued for a command that is not in the description any more.
                     (_, None) => inbox.refuse(head, DISABLED),
@@ -110,6 +119,26 @@ impl Instance {
             let skip = |head: EntryHead| replaced(&inbox.replies, head.reply);
             inbox.mailbox.drain(run, skip);
         }
+    }
+
+    /// Whether a command that was only sent has waited longer than its goal is right: then carrying it out would move a
+    /// device by what somebody wanted before a standstill. Real-time.
+    fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32) -> bool {
+        // Without a time, or with a reply, nothing ages here.
+        if head.stamp_ns == 0 {
+            return false;
+        }
+        let goal = self.described.look(|set| set.goals.get(command as usize).copied().unwrap_or_default());
+        let periods_ns = GOAL_PERIODS * self.period_ns();
+        let longest_ns = match goal {
+            Goal::None => return false,
+            _ if inbox.deadline_ns > 0 => inbox.deadline_ns,
+            _ if !self.is_actuator() => return false,
+            Goal::Numbers => GOAL_NS.max(periods_ns),
+            Goal::Servo if periods_ns > 0 => SERVO_NS.max(periods_ns),
+            Goal::Servo => GOAL_NS,
+        };
+        os::now_ns().saturating_sub(head.stamp_ns) > longest_ns
     }
 
     /// Counted; the watchdog tells of it. Real-time unless it panicked.

@@ -1,10 +1,13 @@
 //! Every reason why a command is not executed.
 
+use std::time::Instant;
+
 use trocar::model::ConnectOptions;
 use trocar_sdk::Outcome;
 
 use super::super::{Answer, Call, Function, Lab, Way};
 use super::commands::waiting;
+use crate::eventually;
 
 const ALL: [Function; 9] = [
     Function::Poke,
@@ -133,6 +136,39 @@ pub fn a_call_that_was_not_begun_by_its_deadline_never_runs(way: &Way) {
     // Whatever is taken after it would have come behind it.
     assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
     assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]));
+}
+
+pub fn a_goal_that_was_sent_and_waited_longer_than_its_connection_allows_never_runs(way: &Way) {
+    let lab = Lab::pair(way);
+    let deadline_ns = 20_000_000;
+    let options = ConnectOptions { deadline_ns: Some(deadline_ns), ..ConnectOptions::default() };
+    lab.connect_with("client/peer", "server/ctl", options);
+    lab.start("server");
+    lab.start("client");
+    if way.deployment.inline() {
+        // Nothing waits there.
+        assert_eq!(lab.perform(Call::send(Function::Write, 9.0)).only(), Outcome::Executed);
+        return;
+    }
+    lab.occupied(|| {
+        let sent = [Call::send(Function::Write, 9.0), Call::send(Function::Poke, 0.0)];
+        for call in sent {
+            assert_eq!(lab.perform(call).only(), Outcome::Queued);
+        }
+        let since = Instant::now();
+        eventually("the goal is too old", || {
+            let waited = since.elapsed();
+            if waited.as_nanos() > 2 * u128::from(deadline_ns) { Ok(()) } else { Err(format!("{waited:?}")) }
+        });
+    });
+    // What carries no number, such as what stops a device, is right however long it waited.
+    lab.await_count("server", "pokes", |n| n == 1);
+    assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
+    assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]), "the old goal was carried out");
+    eventually("the connection counts it", || {
+        let never_ran: u64 = lab.links().iter().map(|l| l.unexecuted).sum();
+        if never_ran == 1 { Ok(()) } else { Err(never_ran) }
+    });
 }
 
 /// What comes of a call that names no deadline of its own while the server cannot take it.

@@ -2,10 +2,10 @@
 
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use trocar_model::{ConnectOptions, Verb};
+use trocar_model::{ConnectOptions, Execution, Verb};
 use trocar_plugin_api::abi::*;
 
 use super::puppet::*;
@@ -142,6 +142,45 @@ fn a_deadline_says_whether_the_command_may_still_run() {
     go.send(()).unwrap();
     go.send(()).unwrap();
     assert_eq!(client.ask(TWICE, 3).ret, 3, "what was given up is not executed: the next answer is for 3");
+}
+
+#[test]
+fn an_actuator_carries_out_no_goal_from_before_a_standstill() {
+    for (safety, ran) in [("actuator", vec![POKE, POKE, SET]), ("none", vec![POKE, SET, POKE, SET])] {
+        let world = World::new(&format!("standstill-{safety}"));
+        let client = world.active("client", &client(false), on_signal(), Script::default());
+        let (begun, heard) = mpsc::channel();
+        let (go, wait) = mpsc::channel::<()>();
+        let wait = Mutex::new(wait);
+        let command = move |_: &Stage, id: u32, _: u64| {
+            begun.send(id as usize % 4).unwrap();
+            wait.lock().unwrap().recv().unwrap();
+            Ok(0)
+        };
+        let mut ports = server();
+        ports["safety"] = safety.into();
+        // Patience enough to stand still inside a command.
+        let patient = Execution { max_step_ns: Some(60_000_000_000), ..on_signal() };
+        world.active(
+            "server",
+            &ports,
+            patient,
+            Script { command: Some(Box::new(command)), ..Script::default() },
+        );
+        world.connect("client/peer", "server/ctl");
+        assert_eq!(client.send(POKE, 0), QUEUED);
+        let mut seen = vec![heard.recv().unwrap()];
+        assert_eq!([client.send(SET, 1), client.send(POKE, 0)], [QUEUED, QUEUED]);
+        let since = Instant::now();
+        eventually("the goal is old", || since.elapsed() > Duration::from_millis(110));
+        assert_eq!(client.send(SET, 2), QUEUED, "what is sent now is right");
+        for _ in 1..ran.len() {
+            go.send(()).unwrap();
+            seen.push(heard.recv().unwrap());
+        }
+        go.send(()).unwrap();
+        assert_eq!(seen, ran, "{safety}");
+    }
 }
 
 #[test]
