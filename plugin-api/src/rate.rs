@@ -3,9 +3,10 @@
 //! Invariant: what is kept lies on a grid that does not move with the samples, so that the rate asked for is the rate kept.
 //! A gap counted from the last sample would keep every second one of 30 Hz where 20 Hz are asked for.
 
-/// Keeps the sample at each point of a grid.
+/// Keeps the samples nearest to the points of a grid.
 ///
-/// A sample may come a quarter of the gap early, so that the jitter of a source that is as fast as the grid loses nothing.
+/// A sample is kept when the next one, as far behind it as it is behind the one before, would be farther from the point:
+/// so the jitter of a source that is as fast as the grid loses nothing, and of a much faster one those kept are a gap apart.
 /// A slower source is kept whole. Pure: times come from the caller, ns of one clock, and a clock that goes back begins a
 /// new grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -14,11 +15,13 @@ pub struct RateLimit {
     gap_ns: u64,
     /// The next point, ns; 0 = none was kept yet.
     due_ns: u64,
+    /// The sample before, ns.
+    last_ns: u64,
 }
 
 impl RateLimit {
     /// Keeps everything.
-    pub const UNLIMITED: RateLimit = RateLimit { gap_ns: 0, due_ns: 0 };
+    pub const UNLIMITED: RateLimit = RateLimit::every(0);
 
     /// At most `rate_hz` a second, Hz; what is no positive number keeps everything.
     #[must_use]
@@ -29,13 +32,16 @@ impl RateLimit {
     /// At most one in `gap_ns`, ns; 0 keeps everything.
     #[must_use]
     pub const fn every(gap_ns: u64) -> RateLimit {
-        RateLimit { gap_ns, due_ns: 0 }
+        RateLimit { gap_ns, due_ns: 0, last_ns: 0 }
     }
 
-    /// Whether a sample of this time is to be kept.
+    /// Whether a sample of this time is to be kept; asked for each.
     #[must_use]
-    pub fn is_due(&self, now_ns: u64) -> bool {
-        self.is_new(now_ns) || now_ns.saturating_add(self.gap_ns / 4) >= self.due_ns
+    pub fn is_due(&mut self, now_ns: u64) -> bool {
+        let interval_ns = now_ns.saturating_sub(self.last_ns);
+        self.last_ns = now_ns;
+        let early_ns = interval_ns.min(self.gap_ns) / 2;
+        self.is_new(now_ns) || now_ns.saturating_add(early_ns) >= self.due_ns
     }
 
     /// A sample of this time was kept.
@@ -109,8 +115,8 @@ mod tests {
                     let want = seconds * f64::min(source_hz, asked_hz);
                     let what = format!("{asked_hz} Hz of {source_hz} Hz, jitter {jitter}: {count} of {want}");
                     assert!((count as f64 - want).abs() <= 2.0 + want / 500.0, "{what}");
-                    // A sample comes a period of the source late at most.
-                    let apart = 0.75e9 / asked_hz - 1.5e9 / source_hz;
+                    // A sample is half a period of the source early or late at most, and its jitter.
+                    let apart = 1e9 / asked_hz - 1.5e9 / source_hz;
                     assert!(least as f64 >= apart, "{what}: two within {least} ns");
                 }
             }
@@ -120,8 +126,8 @@ mod tests {
     #[test]
     fn a_silence_is_not_made_up_for() {
         let stamps = (0..100).chain(1_000_000..1_000_100).map(|i| 1_000 + i * 10);
-        // In 1000 ns before the silence, and in as many after it: the begin, and one near each of ten points.
-        assert_eq!(kept(RateLimit::every(100), stamps).0, 22);
+        // One in 100: ten before, ten after.
+        assert_eq!(kept(RateLimit::every(100), stamps), (20, 100));
     }
 
     #[test]
