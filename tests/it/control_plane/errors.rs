@@ -380,10 +380,12 @@ groups! {
             stage.refuses("InteractService/Invoke", soon)
         };
 
-        a_goal_that_a_newer_one_replaced "ABORTED" "REPLACED" ["host/robot/arm/servo_jp"] |stage| {
-            stage.grpc.create_with("host/robot", "eyerobot", json!({}), json!({ "rate_hz": 100 }));
-            stage.grpc.start("host/robot");
-            let goal = json!({ "path": "host/robot/arm/servo_jp", "json": { "position": [0, 0, 0, 0, 0] } });
+        a_goal_that_a_newer_one_replaced "ABORTED" "REPLACED" ["host/slow/ctl/write_latest"] |stage| {
+            // It looks for commands five times a second.
+            let slow = json!({ "model": "periodic", "rate_hz": 5 });
+            stage.grpc.create_with("host/slow", "Server", json!({}), slow);
+            stage.grpc.start("host/slow");
+            let goal = json!({ "path": "host/slow/ctl/write_latest", "json": 1.0 });
             let call = || stage.grpc.call("InteractService/Invoke", goal.clone());
             eventually("two goals came within one period", || {
                 std::thread::scope(|scope| {
