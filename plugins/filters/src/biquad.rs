@@ -1,8 +1,8 @@
 //! Second-order sections: low-pass, high-pass, band-pass, notch.
 //!
-//! Invariant: nothing comes out that was not in the signal: the filter begins at rest on its first sample, and with other
-//! settings at rest on what came out last, or, where the old or the new settings let nothing constant through, on what came in
-//! last. What is then left of a step fades as fast as the new settings follow.
+//! Invariant: nothing comes out that was not in the signal. The filter begins at rest on its first sample. With
+//! other settings it begins at rest on its last output, or on its last input where the old or the new settings
+//! let nothing constant through; the rest of a step fades as fast as the new settings follow.
 use std::f64::consts::TAU;
 
 use trocar_sdk::data::{Scalar, Wrench};
@@ -11,8 +11,11 @@ use trocar_sdk::prelude::*;
 use crate::lanes;
 use crate::pace::Pace;
 
-/// Lowest frequency of a design, as part of the rate of samples: below it the rounding of a number moves what comes out.
+/// Lowest frequency of a design, as part of the rate of samples: below it rounding moves the output.
 const NARROWEST: f64 = 1e-5;
+
+/// Samples after which stamps that have said nothing will say nothing.
+const ENOUGH: u32 = 16;
 
 #[derive(Config)]
 struct BiquadConfig {
@@ -90,8 +93,8 @@ impl Component for Biquad {
             of_wrench.each(n, s.stamp, own_hz, cfg)
         });
         (self.value_hz, self.wrench_hz) = (of_value.hz, of_wrench.hz);
-        cfg.fits(of_value.hz)?;
-        cfg.fits(of_wrench.hz)
+        cfg.fits(of_value.sure_hz())?;
+        cfg.fits(of_wrench.sure_hz())
     }
 }
 
@@ -129,13 +132,20 @@ fn round(hz: f64) -> f64 {
 #[derive(Default)]
 struct Lane<const N: usize> {
     pace: Pace,
-    /// What the design is made for, Hz; 0: nothing is known yet.
+    /// Rate the design is made for, Hz; 0: nothing is known yet.
     hz: f64,
+    /// Samples so far, up to [`ENOUGH`].
+    seen: u32,
     design: Design,
     memory: Option<[Memory; N]>,
 }
 
 impl<const N: usize> Lane<N> {
+    /// The rate, Hz, once it is no guess any more: the stamps say it, or have said nothing for long enough; 0 before that.
+    fn sure_hz(&self) -> f64 {
+        if self.pace.is_known() || self.seen >= ENOUGH { self.hz } else { 0.0 }
+    }
+
     /// Makes the design these settings ask for; what is remembered goes on under it.
     fn design_for(&mut self, cfg: &BiquadConfig) {
         if self.hz <= 0.0 || cfg.fits(self.hz).is_err() {
@@ -150,8 +160,9 @@ impl<const N: usize> Lane<N> {
         }
     }
 
-    /// One sample of all numbers; the first one finds the filters at rest on it.
+    /// Filters one sample of all numbers; the first one finds the filters at rest on it.
     fn each(&mut self, mut numbers: [f64; N], stamp: Stamp, own_hz: f64, cfg: &BiquadConfig) -> [f64; N] {
+        self.seen = (self.seen + 1).min(ENOUGH);
         let hz = match self.pace.note(stamp.ns()) {
             Some(hz) => hz,
             None if self.hz > 0.0 => self.hz,
@@ -177,7 +188,7 @@ struct Design {
     a: [f64; 2],
     /// `H(1)`: what becomes of a constant, 1 or 0.
     constant: f64,
-    /// What a sample leaves of a step that fades.
+    /// Part of a fading step that a sample leaves.
     fades: f64,
 }
 
@@ -188,14 +199,14 @@ impl Default for Design {
     }
 }
 
-/// What a number's filter remembers.
+/// Memory of a number's filter.
 #[derive(Clone, Copy, Default)]
 struct Memory {
     /// Transposed direct form II.
     past: [f64; 2],
-    /// What came in last, and what came out.
+    /// Last input and last output.
     last: [f64; 2],
-    /// What is left of the step that a change of settings would have made.
+    /// Rest of the step that a change of settings would have made.
     step: f64,
 }
 
@@ -227,7 +238,7 @@ impl Design {
     /// Goes on from where another design was, without a jump and without what it was swinging in.
     fn take_over(&self, from: &Design, memory: &mut Memory) {
         let last @ [x, y] = memory.last;
-        // What comes out of a design that lets constants through is the better guess of the constant part.
+        // The output of a design that lets constants through is the better guess of the constant part.
         let seat = if from.constant * self.constant == 1.0 { y } else { x };
         *memory = Memory { last, step: y - self.constant * seat, ..self.at_rest(seat) };
     }

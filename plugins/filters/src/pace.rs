@@ -26,6 +26,11 @@ pub(crate) struct Pace {
 }
 
 impl Pace {
+    /// The stamps have told a rate.
+    pub(crate) fn is_known(&self) -> bool {
+        self.hz > 0.0
+    }
+
     /// Takes note of a sample; the rate, Hz, where it is another one from now on.
     pub(crate) fn note(&mut self, stamp_ns: u64) -> Option<f64> {
         let last_ns = self.last_ns.replace(stamp_ns);

@@ -75,7 +75,7 @@ fn biquads_that_cannot_be_are_refused() {
     assert!(refused::<Biquad>(r#"{"q": 0}"#).contains("is below 0.05"));
 }
 
-/// Steps of 1 kHz with a sample of a source of 200 Hz in each fifth one; in the last one the constant is another.
+/// Outputs for a source of 200 Hz before steps of 1 kHz.
 fn slow_samples(bench: &mut Bench<Biquad>, count: usize, value: impl Fn(f64) -> f64) -> Vec<f64> {
     for n in 0..count {
         let stamp = bench.now();
@@ -117,4 +117,31 @@ fn a_corner_that_the_samples_are_too_slow_for_is_a_fault_that_says_so() {
     });
     let why = why.expect("it goes on with a filter that cannot be").reason;
     assert!(why.contains("is not below half the rate of the samples, 200 Hz"), "{why}");
+}
+
+#[test]
+fn a_corner_that_only_the_rate_of_the_component_is_too_slow_for_is_no_fault() {
+    let mut bench = Bench::<Biquad>::new(r#"{"frequency_hz": 600}"#);
+    for _ in 0..100 {
+        // Four samples of 4 kHz in each step of 1 kHz.
+        for quarter in 0..4 {
+            let stamp = Stamp::from_ns(bench.now().ns() + quarter * 250_000);
+            bench.push("value", Scalar { stamp, value: 3.0 });
+        }
+        bench.step(1);
+    }
+    assert!((bench.state().value_hz - 4000.0).abs() < 1e-6, "{}", bench.state().value_hz);
+    assert!(bench.outputs::<Scalar>("filtered").iter().all(|s| (s.value - 3.0).abs() < 1e-9));
+}
+
+#[test]
+fn a_corner_that_is_too_high_is_a_fault_where_stamps_say_nothing_too() {
+    let mut bench = Bench::<Biquad>::new(r#"{"frequency_hz": 600}"#);
+    let stamp = Stamp::from_ns(77);
+    let why = (0..40).find_map(|_| {
+        bench.push("value", Scalar { stamp, value: 3.0 });
+        bench.try_step().err()
+    });
+    let why = why.expect("it goes on without a filter").reason;
+    assert!(why.contains("is not below half the rate of the samples, 1000 Hz"), "{why}");
 }
