@@ -240,7 +240,7 @@ pub struct OutSlot {
 
 /// Set in [`SampleView::flags`] when the sample had not been seen by this input before.
 pub const SAMPLE_FRESH: u32 = 1;
-/// Set when the sample is older than the connection's `max_age`, by its stamp or because nothing has come for so long.
+/// Set when the sample is older than the connection's `max_age`, by its stamp or by the time it came.
 pub const SAMPLE_STALE: u32 = 2;
 
 /// One sample or frame, valid until the next `latest`, `next` or `release` on the same input.

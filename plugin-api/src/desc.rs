@@ -312,7 +312,7 @@ pub struct ClassDesc {
     pub period_ns: u64,
     /// Longest stay inside its own code, ns; 0 = the host's default.
     pub max_step_ns: u64,
-    /// What its components can be run by.
+    /// The executions its components can be run by.
     pub limits: ExecutionLimitsDesc,
     pub config: &'static [ConfigFieldDesc],
     pub inputs: &'static [InputDesc],

@@ -1,14 +1,15 @@
 //! At most so many a second: which samples of a faster source are kept.
 //!
-//! Invariant: what is kept lies on a grid that does not move with the samples, so that the rate asked for is the rate kept.
-//! A gap counted from the last sample would keep every second one of 30 Hz where 20 Hz are asked for.
+//! Invariant: the samples that are kept lie on a grid that does not move with them, so that the rate asked
+//! for is the rate kept. A gap counted from the last sample would keep every second one of 30 Hz where 20 Hz
+//! are asked for.
 
 /// Keeps the samples nearest to the points of a grid.
 ///
-/// A sample is kept when the next one, as far behind it as it is behind the one before, would be farther from the point:
-/// so the jitter of a source that is as fast as the grid loses nothing, and of a much faster one those kept are a gap apart.
-/// A slower source is kept whole. Pure: times come from the caller, ns of one clock, and a clock that goes back begins a
-/// new grid.
+/// A sample is kept when the next one would be farther from the point; the interval to the sample before says
+/// when that one comes. The jitter of a source that is as fast as the grid loses nothing, and samples kept of a
+/// much faster one are a gap apart. A slower source is kept whole. Pure: times come from the caller, ns of one
+/// clock, and a clock that goes back begins a new grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RateLimit {
     /// Between two points of the grid, ns; 0 = everything is kept.
@@ -79,7 +80,7 @@ impl RateLimit {
 mod tests {
     use super::*;
 
-    /// How many of these samples are kept, and the least time between two, ns.
+    /// Counts the samples that are kept; with the least time between two, ns.
     fn kept(mut limit: RateLimit, stamps: impl Iterator<Item = u64>) -> (u64, u64) {
         let (mut count, mut least, mut last) = (0, u64::MAX, None);
         for stamp in stamps.filter(|stamp| {

@@ -128,7 +128,7 @@ typedef struct trocar_loan {
 
 /* Set in trocar_sample.flags when the sample had not been seen by this input before. */
 #define TROCAR_SAMPLE_FRESH 1u
-/* Set when the sample is older than the connection's max_age, by its stamp or because nothing has come for so long. */
+/* Set when the sample is older than the connection's max_age, by its stamp or by the time it came. */
 #define TROCAR_SAMPLE_STALE 2u
 
 /* One sample or frame, valid until the next latest, next or release on the same input. Set struct_size before asking. */

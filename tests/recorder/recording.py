@@ -426,7 +426,7 @@ def test_a_recording_of_several_processes_is_made_where_it_is_asked_for_and_at_m
         assert values <= set(topics), sorted(topics)
         for name in values:
             stamps = [message.publish_time for message, _ in topics[name]]
-            # Those nearest to the points of a grid: as many as the time holds, the first and the last among them.
+            # Samples nearest to the points of a grid: as many as the time holds, with the first and the last.
             most = (stamps[-1] - stamps[0]) / 20_000_000 + 1.5
             assert 20 < len(stamps) <= most, (name, len(stamps), most)
         where = {c["path"].split("/")[0] for c in topics["/recorder/graph"][0][1]["components"] if c["class"] == "recorder/recorder"}

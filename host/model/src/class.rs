@@ -88,8 +88,8 @@ pub struct Execution {
     pub wake: Option<Wake>,
 }
 
-/// The executions a class is made for. A controller that has to step on a grid within a range of rates says so here,
-/// and a component of it is never made to run otherwise.
+/// The executions a class is made for. A controller that has to step on a grid within a range of rates says
+/// so here, and a component of it is never made to run otherwise.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExecutionLimits {
     /// Empty = any.

@@ -211,7 +211,7 @@ impl Page {
         }
     }
 
-    /// What else is refused, where something is.
+    /// Tells which executions the class is made for, where not every one is allowed.
     fn execution_limits(&mut self, l: &ExecutionLimitsView) {
         let models = if l.models.is_empty() { "any model".to_owned() } else { l.models.join(" or ") };
         let rates = match (l.min_rate_hz, l.max_rate_hz) {

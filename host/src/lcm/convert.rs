@@ -313,7 +313,7 @@ fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provi
     })
 }
 
-/// What is shown as a limit must hold: there has to be a number for it.
+/// A limit that is shown must hold: the argument has to have a number for it.
 fn limited(ty: model::Type, arg: &wire::Arg, command: &str) -> Result<model::Type, String> {
     if (arg.min.is_some() || arg.max.is_some()) && !ty.has_numbers() {
         let title = ty.title();

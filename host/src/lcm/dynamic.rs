@@ -42,7 +42,7 @@ pub(super) struct PortSet {
     pub(super) bypass: Option<(usize, usize)>,
     /// Told of the commands, where there are any.
     pub(super) command_tap: Option<CommandTap>,
-    /// Of each command.
+    /// Kind of goal of each command.
     pub(super) goals: Vec<Goal>,
     max_ret: usize,
 }
@@ -165,7 +165,7 @@ impl PortSet {
     }
 }
 
-/// What a command makes its component go for.
+/// The kind of goal a command gives its component.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Goal {
     /// Nothing: it only carries words or flags, or nothing at all, as what stops a device does.

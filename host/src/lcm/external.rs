@@ -415,7 +415,7 @@ async fn follow(path: String, feed: Feed, teller: Teller) {
             }
         }
         Feed::Output(mut output, mut rate, width) => {
-            // What is given lies on a grid: a timer that comes late, and a look that takes long, slow nothing down.
+            // Items lie on a grid: a late timer or a long look slows nothing down.
             let mut pause = Duration::ZERO;
             while !rest(&teller, pause).await {
                 if output.instance.is_closed() {

@@ -83,7 +83,7 @@ pub(super) struct Check {
 struct Toll {
     /// Commands that ran and failed.
     failed: AtomicU64,
-    /// Commands and events that never ran: Stop, Disconnect, Remove, another description, or they had waited too long.
+    /// Commands and events that never ran: Stop, Disconnect, Remove, another description, or too long a wait.
     unexecuted: AtomicU64,
     /// What the last failure said.
     last: Mutex<Sentence>,

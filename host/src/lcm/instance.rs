@@ -62,7 +62,7 @@ pub(super) enum Misuse {
     ReadHung,
     /// One of its event handlers answered that it failed.
     HandlerFailed,
-    /// It stamped a sample with a time that is still to come.
+    /// The component stamped a sample with a time that is still to come.
     StampedAhead,
 }
 

@@ -19,7 +19,7 @@ pub const VET_ARG: &str = "__vet";
 /// How long constructors, layout, entry and init may take together: so short that a Create without a deadline of its own
 /// still answers what it came to.
 pub(crate) const VET_LIMIT: Duration = Duration::from_secs(3);
-/// How long the child may take until it touches the file: that is our own code, on a machine that may be busy with others.
+/// The child may take so long until it touches the file: its own code runs on a machine that may be busy.
 pub(crate) const BEGIN_LIMIT: Duration = Duration::from_secs(20);
 /// Begins every line of the child that is meant for us.
 pub(crate) const PREFIX: &str = "trocar-vet ";
@@ -134,13 +134,14 @@ fn begins_within(child: &Child, limit: Duration) -> io::Result<bool> {
     wait(child, says, limit)
 }
 
-/// Waits for the end of the child; false when the limit passed. Does not wait for the pipe: a grandchild may hold it open.
+/// Waits for the end of the child; false when the limit passed. Does not wait for the pipe, which a grandchild
+/// may hold open.
 fn ends_within(child: &Child, limit: Duration) -> io::Result<bool> {
     wait(child, -1, limit)
 }
 
-/// Waits until there is something to read in `says` (-1: nothing ever is), or for the end of the child, without reaping it, so
-/// that its number still is its own.
+/// Waits until there is something to read in `says` (-1: nothing ever is), or for the end of the child. The
+/// child is not reaped, so that its number stays its own.
 fn wait(child: &Child, says: i32, limit: Duration) -> io::Result<bool> {
     // Kernels before 5.3 have no pidfd; then poll only sleeps, in short steps.
     let pidfd = open_pidfd(child.id()).ok();

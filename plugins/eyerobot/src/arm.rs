@@ -176,8 +176,8 @@ impl<D: Drive> Arm<D> {
         self.handle = *wrench;
     }
 
-    /// Periods of `missed_s` seconds in all were left out before the next step: nothing moved meanwhile, and what times out
-    /// counts them.
+    /// Periods of `missed_s` seconds in all were left out before the next step: nothing moved meanwhile, and
+    /// time-outs count them.
     pub fn miss(&mut self, missed_s: f64) {
         self.motion.pass(missed_s);
         if let Some(silent_s) = self.silent_s.as_mut() {

@@ -99,7 +99,7 @@ pub(crate) fn seconds(what: &str, s: f64) -> Result<u64> {
     Err(format!("{what}: {s} s is not between 0 s and {LONGEST_S} s").into())
 }
 
-/// What keeps at most so many samples a second; 0 Hz keeps all.
+/// The limit that keeps at most so many samples a second; 0 Hz keeps all.
 ///
 /// # Errors
 /// It is no rate.

@@ -12,7 +12,7 @@ use syn::{DeriveInput, Expr, LitStr};
 use trocar_plugin_api::limits::{MAX_STEP_NS, MODELS_WITH_RATE, PERIOD_NS};
 
 const MODELS: [&str; 6] = ["periodic", "continuous", "on_signal", "on_callback", "stream", "none"];
-/// Those that need the component of somebody else, too: no class has them by default.
+/// Models that need another component, too: no class has them by default.
 const INSIDE: [&str; 2] = ["exec_in", "exec_out"];
 
 #[derive(Default)]

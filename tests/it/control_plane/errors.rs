@@ -381,7 +381,7 @@ groups! {
         };
 
         a_goal_that_a_newer_one_replaced "ABORTED" "REPLACED" ["host/slow/ctl/write_latest"] |stage| {
-            // It looks for commands five times a second.
+            // The server looks for commands five times a second.
             let slow = json!({ "model": "periodic", "rate_hz": 5 });
             stage.grpc.create_with("host/slow", "Server", json!({}), slow);
             stage.grpc.start("host/slow");

@@ -126,7 +126,7 @@ impl Lab {
         self.detail(name).commands_rejected
     }
 
-    /// What its users are warned of.
+    /// Warnings that its users see.
     #[must_use]
     pub fn warnings(&self, name: &str) -> Vec<String> {
         self.detail(name).warnings

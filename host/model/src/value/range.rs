@@ -7,7 +7,8 @@ use serde_json::Value;
 use super::special;
 use crate::{Arg, Prim, Type};
 
-/// The declared range of an argument, for every number in it however deep. Stamps, flags, texts and enums are none.
+/// Checks the declared range for every number of an argument, however deep. Stamps, flags, texts and enums
+/// are no numbers.
 ///
 /// # Errors
 /// "value 300 is above maximum 100 mm".

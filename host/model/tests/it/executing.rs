@@ -117,7 +117,8 @@ fn every_setting_is_refused_outside_its_limits_with_field_value_and_limits() {
     }
 }
 
-/// A graph whose process offers `servo`, made to step on a grid of 100 Hz to 8 kHz, in its own thread or in another's step.
+/// A graph whose process offers `servo`: it steps on a grid of 100 Hz to 8 kHz, in its own thread or in
+/// another component's step.
 fn with_servo() -> SystemGraph {
     let mut graph = empty();
     let servo = class("arms", "servo", ExecutionModel::Periodic, Ports::default());

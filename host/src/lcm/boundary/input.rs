@@ -29,7 +29,7 @@ static NEXT: AtomicU64 = AtomicU64::new(1);
 
 /// The consumer's end of one connection.
 pub(in crate::lcm) struct InLink {
-    /// What a component knows the connection by that a sample came by.
+    /// Tells a component by which connection a sample came.
     serial: u64,
     reader: UnsafeCell<StreamReader>,
     /// Samples that may wait.

@@ -24,8 +24,8 @@ use super::input::InCell;
 use super::{late, told};
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
 
-/// A stamp of this machine's clock may be so much ahead of it, ns: that much is the error of a device whose time was
-/// translated.
+/// A stamp may be so much ahead of this machine's clock, ns: the translation of a device's time has such an
+/// error.
 const STAMP_BOUND_NS: u64 = 10_000_000;
 /// Connection number of readers from outside.
 pub(in crate::lcm) const OUTSIDE: u64 = 0;
@@ -96,7 +96,7 @@ pub(in crate::lcm) struct Outs {
 #[derive(Clone, Default)]
 struct Pools {
     lends: Option<Arc<FramePool>>,
-    /// How many came before the one that lends.
+    /// Counts the pools before the one that lends.
     number: u64,
     /// Those before it, of which frames may still be out.
     earlier: Vec<Arc<FramePool>>,
@@ -335,7 +335,7 @@ impl OutCell {
             let mut rest = said.as_mut_slice();
             instance.described.look(|set| {
                 let name = set.slots.output_of(self).map(|i| set.ports.outputs[i].name.as_str());
-                // What does not fit is left out.
+                // A longer text is cut.
                 let _ =
                     write!(rest, "{:.3} s ahead at {}", ahead_ns as f64 / 1e9, name.unwrap_or("an output"));
             });

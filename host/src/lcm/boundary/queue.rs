@@ -42,7 +42,7 @@ pub(super) trait Destination {
     fn away(&self) -> Option<Outcome>;
 }
 
-/// What is said beside QUEUE_FULL where the queue had room and a newer call took the place of this one.
+/// Text beside QUEUE_FULL when a newer call took the place of this one.
 pub(in crate::lcm) const REPLACED: &str = "a newer call took its place before it ran";
 
 /// Answers a call whose place a newer one took, unexecuted. Real-time.
@@ -77,7 +77,7 @@ pub(super) fn queue(
         None
     };
     let reply = ticket.as_ref().map_or(0, |t| t.token());
-    // Whoever waits gives up by himself; for the others the server looks how long it took.
+    // A waiting caller has its own deadline; the server judges the age of a command that was only sent.
     let stamp_ns = if lane.ages && reply == 0 { context::about_now_ns() } else { 0 };
     let head = EntryHead { kind: ENTRY_COMMAND, index: lane.index, reply, stamp_ns };
     let payload: &[u8] = if lane.arg_bytes == 0 {

@@ -1,7 +1,7 @@
 //! The declared range of an argument.
 //!
-//! Invariant: looked at on the bytes, wherever they lie, before a component sees them; what is shown as a limit holds for
-//! every number of the argument, however deep.
+//! Invariant: the bytes are checked, wherever they lie, before a component sees them; a limit that is shown
+//! holds for every number of the argument, however deep.
 
 use trocar_model::{Arg, Prim, Type};
 
@@ -9,9 +9,9 @@ use trocar_model::{Arg, Prim, Type};
 #[derive(Clone, Debug)]
 pub(in crate::lcm) struct RangeCheck {
     ty: Type,
-    /// Of one argument.
+    /// Size of one argument.
     bytes: usize,
-    /// It is a single f64, as most are.
+    /// The argument is a single f64, as most are.
     single: bool,
     min: f64,
     max: f64,

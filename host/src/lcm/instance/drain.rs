@@ -29,8 +29,8 @@ fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outc
     }
 }
 
-/// Longest a goal that was only sent may wait for an actuator, ns, where its connection says no deadline; or so many of
-/// the actuator's own periods.
+/// A goal that was only sent may wait so long for an actuator, ns, where its connection says no deadline; or
+/// so many of the actuator's own periods.
 const GOAL_NS: u64 = 100_000_000;
 const GOAL_PERIODS: u64 = 3;
 /// Likewise of a stream of goals, ns: a machine without real-time threads is late by some milliseconds.
@@ -121,8 +121,8 @@ impl Instance {
         }
     }
 
-    /// Whether a command that was only sent has waited longer than its goal is right: then carrying it out would move a
-    /// device by what somebody wanted before a standstill. Real-time.
+    /// Whether a command that was only sent has waited longer than its goal is right. Carrying it out would move
+    /// a device by a wish from before a standstill. Real-time.
     fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32) -> bool {
         // Without a time, or with a reply, nothing ages here.
         if head.stamp_ns == 0 {

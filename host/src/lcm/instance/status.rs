@@ -114,7 +114,7 @@ impl Instance {
     pub(in crate::lcm) fn report(&self, with_ports: bool) -> Report {
         // Before the look: whatever changes after it is in a report of a higher number.
         let number = self.hub.reports.fetch_add(1, Ordering::SeqCst) + 1;
-        // Before the state: a warning tells of what has happened, and no report shows it beside the state before that.
+        // Read before the state: a warning tells of a change, and no report shows it beside the state before.
         let warnings = self.warnings();
         Report {
             id: self.id.clone(),

@@ -45,8 +45,8 @@ impl<C: Class> Bench<C> {
         self.step_at(now_ns, deadline_ns, C::DESC.period_ns, period_ns)
     }
 
-    /// One step without a grid, `ns` after the one before, as a signal, a callback or its own stream wakes a component:
-    /// there is no period, and in the first step no time has passed.
+    /// Steps without a grid, `ns` after the step before, as a signal, a callback or its own stream wakes a
+    /// component: there is no period, and in the first step no time has passed.
     ///
     /// # Errors
     /// As `try_step`.

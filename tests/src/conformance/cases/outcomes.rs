@@ -161,7 +161,7 @@ pub fn a_goal_that_was_sent_and_waited_longer_than_its_connection_allows_never_r
             if waited.as_nanos() > 2 * u128::from(deadline_ns) { Ok(()) } else { Err(format!("{waited:?}")) }
         });
     });
-    // What carries no number, such as what stops a device, is right however long it waited.
+    // A command without numbers, such as one that stops a device, is right however long it waited.
     lab.await_count("server", "pokes", |n| n == 1);
     assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
     assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]), "the old goal was carried out");
