@@ -10,6 +10,7 @@ use jsonschema::error::{TypeKind, ValidationErrorKind};
 use serde_json::{Map, Value};
 
 use crate::refusal::brief as cut;
+use crate::value::{EXACT, ROUNDED};
 use crate::{Unit, nearest};
 
 /// One thing that is wrong with a configuration.
@@ -26,8 +27,17 @@ pub fn defaults(schema: &Value) -> Value {
     complete(schema, Value::Object(Map::new()))
 }
 
-/// `value` with every absent key that has a default filled in, also in nested objects.
+/// `value` with every absent key that has a default filled in, also in nested objects, and with whole numbers that were
+/// written as texts, as those beyond 2^53 have to be, as the numbers they are.
 pub fn complete(schema: &Value, value: Value) -> Value {
+    let value = match value {
+        Value::String(text) => return whole(schema, text),
+        Value::Array(items) => {
+            let item = schema.get("items").unwrap_or(&Value::Null);
+            return Value::Array(items.into_iter().map(|value| complete(item, value)).collect());
+        }
+        value => value,
+    };
     let (Some(properties), Value::Object(mut map)) = (properties(schema), value.clone()) else {
         return value;
     };
@@ -43,6 +53,52 @@ pub fn complete(schema: &Value, value: Value) -> Value {
         }
     }
     Value::Object(map)
+}
+
+/// A text that stands for a whole number, where the schema wants one and takes no text.
+fn whole(schema: &Value, text: String) -> Value {
+    if !takes(schema, "integer") || takes(schema, "string") {
+        return Value::String(text);
+    }
+    match (text.parse::<u64>(), text.parse::<i64>()) {
+        (Ok(number), _) => Value::from(number),
+        (_, Ok(number)) => Value::from(number),
+        _ => Value::String(text),
+    }
+}
+
+/// Whether the schema names this type.
+fn takes(schema: &Value, ty: &str) -> bool {
+    match schema.get("type") {
+        Some(Value::String(said)) => said == ty,
+        Some(Value::Array(said)) => said.iter().any(|said| said == ty),
+        _ => false,
+    }
+}
+
+/// Whole numbers of `config` that came as a double too large to hold them exactly.
+fn rounded(schema: &Value, config: &Value, pointer: &str, found: &mut BTreeMap<String, String>) {
+    match config {
+        Value::Number(n) if n.is_f64() && takes(schema, "integer") && !takes(schema, "number") => {
+            let n = n.as_f64().unwrap_or_default();
+            if n.abs() >= EXACT as f64 && n.fract() == 0.0 {
+                found.insert(pointer.to_owned(), format!("{}: {n} {ROUNDED}", dotted(pointer)));
+            }
+        }
+        Value::Object(map) => {
+            for (key, value) in map {
+                let inner = properties(schema).and_then(|p| p.get(key)).unwrap_or(&Value::Null);
+                rounded(inner, value, &below(pointer, key), found);
+            }
+        }
+        Value::Array(items) => {
+            let item = schema.get("items").unwrap_or(&Value::Null);
+            for (i, value) in items.iter().enumerate() {
+                rounded(item, value, &format!("{pointer}/{i}"), found);
+            }
+        }
+        _ => {}
+    }
 }
 
 fn properties(schema: &Value) -> Option<&Map<String, Value>> {
@@ -77,6 +133,7 @@ pub fn validate(schema: &Value, config: &Value) -> Vec<Violation> {
         }
     };
     let mut found = BTreeMap::new();
+    rounded(schema, config, "", &mut found);
     for error in validator.iter_errors(config) {
         for violation in violations(schema, &error) {
             found.entry(violation.pointer).or_insert(violation.message);

@@ -19,8 +19,11 @@ use crate::Type;
 
 /// Largest payload that is converted, bytes. Bulk data travels as frames, not as JSON.
 const MAX_BYTES: usize = 64 << 20;
-/// Integers beyond this lose digits in JSON readers that use doubles.
-const EXACT: u64 = 1 << 53;
+/// Whole numbers from here on lose digits in JSON that is read into doubles, as that of gRPC is.
+pub(crate) const EXACT: u64 = 1 << 53;
+/// What is wrong with a whole number that came as such a double.
+pub(crate) const ROUNDED: &str =
+    "may have been rounded on its way: from 2^53 on write a whole number as a text, \"9007199254740993\"";
 
 /// Why a value cannot be converted.
 #[derive(Clone, Debug, PartialEq, Eq)]

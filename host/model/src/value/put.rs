@@ -170,9 +170,8 @@ fn integer(value: &Value, p: Prim, here: &At<'_>) -> Res<i128> {
             (Some(i), _, _) => Ok(i.into()),
             (_, Some(u), _) => Ok(u.into()),
             // gRPC's JSON numbers are doubles: 30 arrives as 30.0.
-            (_, _, Some(f)) if f.fract() == 0.0 && f.abs() <= EXACT as f64 => Ok(f as i128),
-            (_, _, Some(f)) if f.fract() == 0.0 => here
-                .err(format!("{f:e} is above 2^53 and may have lost digits on its way; send it as a string")),
+            (_, _, Some(f)) if f.fract() == 0.0 && f.abs() < EXACT as f64 => Ok(f as i128),
+            (_, _, Some(f)) if f.fract() == 0.0 => here.err(format!("{f} {}", super::ROUNDED)),
             _ => here.err(wanted()),
         },
         Value::String(s) => s.parse().or_else(|_| here.err(wanted())),

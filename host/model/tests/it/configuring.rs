@@ -29,6 +29,36 @@ fn one(config: Value) -> (String, String) {
 }
 
 #[test]
+fn whole_numbers_of_64_bits_are_exact_or_refused() {
+    let schema = json!({"type": "object", "properties": {
+        "big": {"type": "integer"}, "name": {"type": "string"}, "either": {"type": ["integer", "string"]},
+        "all": {"type": "array", "items": {"type": "integer"}}, "real": {"type": "number"},
+    }});
+    let digits = "9007199254740993";
+    let given = complete(
+        &schema,
+        json!({
+            "big": digits, "name": digits, "either": digits, "all": [digits, "-9223372036854775808", 3], "real": 1e300,
+        }),
+    );
+    assert_eq!(given["big"], json!(9_007_199_254_740_993_u64));
+    assert_eq!(given["all"], json!([9_007_199_254_740_993_u64, i64::MIN, 3]));
+    assert_eq!((&given["name"], &given["either"]), (&json!(digits), &json!(digits)), "texts stay texts");
+    assert_eq!(validate(&schema, &given), []);
+    // As a double, which is what JSON numbers of gRPC are.
+    for (config, pointer) in
+        [(json!({"big": 9_007_199_254_740_992.0}), "/big"), (json!({"all": [1, -1e18]}), "/all/1")]
+    {
+        let wrong = validate(&schema, &config);
+        assert_eq!(wrong.iter().map(|v| v.pointer.as_str()).collect::<Vec<_>>(), [pointer]);
+        assert!(wrong[0].message.contains("write a whole number as a text"), "{}", wrong[0].message);
+    }
+    assert_eq!(validate(&schema, &json!({"big": 9_007_199_254_740_991.0})), []);
+    let wrong = validate(&schema, &complete(&schema, json!({"big": "12a"})));
+    assert!(wrong[0].message.contains("\"12a\" is not an integer"), "{}", wrong[0].message);
+}
+
+#[test]
 fn defaults_are_filled_in_also_below_and_leave_out_what_has_none() {
     let want =
         json!({"cutoff_hz": 50, "mode": "fast", "gains": [1, 2], "limits": {"force": 8, "speed": 0.1}});
