@@ -97,6 +97,8 @@ pub struct Arm<D> {
     retreat: Option<Retreat>,
     /// Since a motion was over that nobody repeated, s; none once anything else was commanded.
     silent_s: Option<f64>,
+    /// Motions by velocity or force that ended because nobody repeated them in time.
+    timeouts: u64,
     news: News,
 }
 
@@ -157,6 +159,7 @@ impl<D: Drive> Arm<D> {
             braking: false,
             retreat: None,
             silent_s: None,
+            timeouts: 0,
             news: News::default(),
         }
     }
@@ -176,6 +179,11 @@ impl<D: Drive> Arm<D> {
         self.handle = *wrench;
     }
 
+    /// Motions by velocity or force so far that ended because nobody repeated them within `servo_timeout_s`.
+    pub fn timeouts(&self) -> u64 {
+        self.timeouts
+    }
+
     /// Periods of `missed_s` seconds in all were left out before the next step: nothing moved meanwhile, and
     /// time-outs count them.
     pub fn miss(&mut self, missed_s: f64) {
@@ -193,6 +201,7 @@ impl<D: Drive> Arm<D> {
             // Nobody sends it any more: the drive brakes harder than its velocity loop follows.
             self.brake();
             self.silent_s = Some(0.0);
+            self.timeouts += 1;
         }
         self.mind_silence(dt_s);
         let follows = driven && !self.braking;

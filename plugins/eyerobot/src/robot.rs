@@ -122,6 +122,12 @@ pub struct EyeRobot {
     /// Servo commands since Start whose stamp was too old, or ahead of the clock.
     #[state]
     stale_commands: u64,
+    /// Motions by velocity or force since Start that ended because nobody repeated them within servo_timeout_s: where it
+    /// grows while somebody commands, commands come too slowly, and the arm brakes between them.
+    #[state]
+    servo_timeouts: u64,
+    /// Of the arm, at Start.
+    timeouts_before: u64,
     /// What the output `tip` says.
     #[state]
     truth: CartesianState,
@@ -143,6 +149,7 @@ impl EyeRobot {
     fn build(&mut self, position: Joints, homed: bool) {
         let drive = SimulatedDrive::new(self.cfg.simulation(), position);
         self.arm = Arm::new(self.cfg.settings(), drive, position);
+        self.timeouts_before = 0;
         if homed {
             self.arm.referenced();
         }
@@ -225,6 +232,7 @@ impl EyeRobot {
         self.base_frame = Pose { stamp, ..arm.base().into() };
         self.gain = arm.gain().into();
         self.retreat = arm::Retreat::payload(arm.retreat());
+        self.servo_timeouts = arm.timeouts().saturating_sub(self.timeouts_before);
         self.truth = self.true_tip(stamp);
         self.tell(stamp);
     }
@@ -281,6 +289,7 @@ impl Component for EyeRobot {
 
     fn start(&mut self) -> Result {
         (self.handle_rejected, self.stale_commands) = (0, 0);
+        self.timeouts_before = self.arm.timeouts();
         self.arm.settle();
         if self.cfg.auto_enable {
             let paused = self.arm.operating().mode() == OperatingMode::PAUSED;

@@ -114,6 +114,25 @@ fn servo_jv_holds_by_itself_when_it_is_not_repeated() {
 }
 
 #[test]
+fn commands_that_come_too_slowly_are_counted_where_the_arm_brakes_between_them() {
+    let goal = JointState { velocity: List::of(&[0.002, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
+    let counted = |period: u64| {
+        let mut bench = Bench::<EyeRobot>::new("{}");
+        for _ in 0..50 {
+            bench.command::<_, ()>("servo_jv", goal).unwrap();
+            bench.step(period);
+        }
+        let counted = bench.state().servo_timeouts;
+        bench.stop().unwrap();
+        bench.start().unwrap();
+        bench.step(1);
+        assert_eq!(bench.state().servo_timeouts, 0, "since Start");
+        counted
+    };
+    assert_eq!((counted(2), counted(20)), (0, 50));
+}
+
+#[test]
 fn a_motion_by_velocity_ends_in_its_time_where_periods_were_left_out() {
     let x = |bench: &Bench<EyeRobot>| bench.read::<(), Pose>("arm/measured_cp", ()).unwrap().position[0];
     let goal = JointState { velocity: List::of(&[0.005, 0.0, 0.0, 0.0, 0.0]), ..Default::default() };
