@@ -13,6 +13,9 @@ use crate::refusal::brief as cut;
 use crate::value::{EXACT, ROUNDED};
 use crate::{Unit, nearest};
 
+/// Most bytes of a configuration as JSON: a list of a few components stays below the 4 MiB that clients of gRPC take by themselves.
+const LARGEST: usize = 1 << 20;
+
 /// One thing that is wrong with a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Violation {
@@ -105,6 +108,24 @@ fn properties(schema: &Value) -> Option<&Map<String, Value>> {
     schema.get("properties")?.as_object()
 }
 
+/// Bytes of a value as JSON.
+fn length(value: &Value) -> usize {
+    struct Counting(usize);
+    impl std::io::Write for Counting {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0 += bytes.len();
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let mut counting = Counting(0);
+    // Neither the value nor the counter fails.
+    let _ = serde_json::to_writer(&mut counting, value);
+    counting.0
+}
+
 /// JSON merge patch (RFC 7396): objects merge, null removes, anything else replaces.
 pub fn merge(base: &Value, patch: &Value) -> Value {
     let Value::Object(patch) = patch else { return patch.clone() };
@@ -125,6 +146,14 @@ pub fn merge(base: &Value, patch: &Value) -> Value {
 
 /// Everything wrong with `config`, one entry per JSON pointer, in the pointers' order; empty = valid.
 pub fn validate(schema: &Value, config: &Value) -> Vec<Violation> {
+    let bytes = length(config);
+    if bytes > LARGEST {
+        let message = format!(
+            "takes {bytes} bytes as JSON, and a configuration takes {LARGEST} at most, since each list shows it: put what is \
+             large into a file and let the setting name that"
+        );
+        return vec![Violation { pointer: String::new(), message }];
+    }
     let validator = match jsonschema::validator_for(schema) {
         Ok(validator) => validator,
         Err(error) => {

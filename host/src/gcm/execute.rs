@@ -85,6 +85,7 @@ impl Gcm {
             Known::New(tell) => {
                 let answer = self.audited(&requests, &options, deadline).await;
                 tell.send_replace(Some(answer.clone()));
+                lock(&self.inner.answers).given(&options.request_id, &answer);
                 answer
             }
             Known::Same(mut answer) => {

@@ -1,24 +1,28 @@
 //! Answers kept by request id, so that a repeated request gets the same answer and is not done twice.
 //!
-//! Invariant: bounded in number and in age; one id is being carried out at most once, and never answered with what
-//! became of another request.
+//! Invariant: bounded in number, in bytes and in age; one id is being carried out at most once, and never
+//! answered with what became of another request. A request is remembered by its hash, not by its words.
 
 use std::collections::VecDeque;
+use std::fmt::{self, Debug, Write};
 use std::time::{Duration, Instant};
 
+use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 use trocar_model::{Refusal, Request};
 
 use super::execute::Executed;
 
 const KEPT: usize = 4096;
+/// What all answers together may take, about.
+const BYTES: usize = 64 << 20;
 const AGE: Duration = Duration::from_secs(600);
 
 pub(super) type Answer = Result<Executed, Refusal>;
 
 /// What is known of a request id.
 pub(super) enum Known {
-    /// Nothing: carry it out and put the answer here.
+    /// Nothing: carry it out, put the answer here, and say so to [`Answers::given`].
     New(watch::Sender<Option<Answer>>),
     /// It was asked before: the answer is here, or will be.
     Same(watch::Receiver<Option<Answer>>),
@@ -29,7 +33,9 @@ pub(super) enum Known {
 struct Entry {
     at: Instant,
     id: String,
-    requests: Vec<Request>,
+    requests: Hash,
+    /// Of id and answer, as far as it is there.
+    bytes: usize,
     answer: watch::Receiver<Option<Answer>>,
 }
 
@@ -43,25 +49,81 @@ impl Entry {
 #[derive(Default)]
 pub(super) struct Answers {
     kept: VecDeque<Entry>,
+    bytes: usize,
 }
 
 impl Answers {
     /// Looks an id up and takes it if it is free, in one step.
     pub(super) fn ask(&mut self, id: &str, requests: &[Request], now: Instant) -> Known {
-        while self.kept.front().is_some_and(|e| now.saturating_duration_since(e.at) > AGE) {
-            self.kept.pop_front();
-        }
-        self.kept.retain(|e| !e.given_up());
+        self.kept.retain(|e| !e.given_up() && now.saturating_duration_since(e.at) <= AGE);
+        self.bytes = self.kept.iter().map(|e| e.bytes).sum();
+        let requests = hash(requests);
         if let Some(entry) = self.kept.iter().find(|e| e.id == id) {
             return if entry.requests == requests { Known::Same(entry.answer.clone()) } else { Known::Other };
         }
-        if self.kept.len() == KEPT {
-            self.kept.pop_front();
-        }
         let (tell, answer) = watch::channel(None);
-        self.kept.push_back(Entry { at: now, id: id.to_owned(), requests: requests.to_vec(), answer });
+        self.bytes += id.len();
+        self.kept.push_back(Entry { at: now, id: id.to_owned(), requests, bytes: id.len(), answer });
+        self.bound();
         Known::New(tell)
     }
+
+    /// The answer to `id` has been told: it counts from now on.
+    pub(super) fn given(&mut self, id: &str, answer: &Answer) {
+        let Some(entry) = self.kept.iter_mut().rfind(|e| e.id == id) else { return };
+        let bytes = length(answer);
+        entry.bytes += bytes;
+        self.bytes += bytes;
+        self.bound();
+    }
+
+    /// Forgets the oldest, but never the newest.
+    fn bound(&mut self) {
+        while (self.kept.len() > KEPT || self.bytes > BYTES) && self.kept.len() > 1 {
+            self.bytes -= self.kept.pop_front().map_or(0, |oldest| oldest.bytes);
+        }
+    }
+}
+
+type Hash = [u8; 32];
+
+/// Of what the requests say; two that say the same in another order of keys are the same, since maps are
+/// sorted.
+fn hash(requests: &[Request]) -> Hash {
+    struct Hashing(Sha256);
+    impl Write for Hashing {
+        fn write_str(&mut self, text: &str) -> fmt::Result {
+            self.0.update(text.as_bytes());
+            Ok(())
+        }
+    }
+    let mut hashing = Hashing(Sha256::new());
+    // Neither the hash nor Debug of plain data fails.
+    let _ = write!(hashing, "{requests:?}");
+    hashing.0.finalize().into()
+}
+
+/// About as many bytes as an answer takes.
+fn length(answer: &Answer) -> usize {
+    struct Counting(usize);
+    impl Write for Counting {
+        fn write_str(&mut self, text: &str) -> fmt::Result {
+            self.0 += text.len();
+            Ok(())
+        }
+    }
+    let mut counting = Counting(0);
+    let mut count = |part: &dyn Debug| {
+        let _ = write!(counting, "{part:?}");
+    };
+    match answer {
+        Ok(done) => {
+            count(&done.plan.changes);
+            count(&done.reports);
+        }
+        Err(refusal) => count(refusal),
+    }
+    counting.0
 }
 
 #[cfg(test)]
@@ -105,6 +167,27 @@ mod tests {
         let (mut answers, now) = (Answers::default(), Instant::now());
         drop(answers.ask("a", &stop("host/robot"), now));
         assert!(matches!(answers.ask("a", &stop("host/robot"), now), Known::New(_)));
+    }
+
+    #[test]
+    fn big_requests_and_big_answers_take_no_more_than_their_share() {
+        let (mut answers, now) = (Answers::default(), Instant::now());
+        let text = "x".repeat(BYTES / 16);
+        for i in 0..40 {
+            let id = i.to_string();
+            let Known::New(tell) = answers.ask(&id, &stop(&format!("host/{i}")), now) else {
+                panic!("nobody asked before")
+            };
+            let answer = Err(Refusal::Internal { text: text.clone() });
+            tell.send_replace(Some(answer.clone()));
+            answers.given(&id, &answer);
+            assert!(answers.bytes <= BYTES, "{} bytes after {i}", answers.bytes);
+        }
+        assert!((10..=16).contains(&answers.kept.len()), "{} are kept", answers.kept.len());
+        assert!(matches!(answers.ask("39", &stop("host/39"), now), Known::Same(_)), "the newest is kept");
+        let late = now + AGE + Duration::from_secs(1);
+        assert!(matches!(answers.ask("new", &stop("host/new"), late), Known::New(_)));
+        assert_eq!(answers.bytes, "new".len(), "what is forgotten counts no more");
     }
 
     #[test]

@@ -29,6 +29,14 @@ fn one(config: Value) -> (String, String) {
 }
 
 #[test]
+fn a_configuration_too_large_for_a_list_is_refused_with_where_to_put_it() {
+    let schema = json!({ "type": "object", "properties": { "lut": { "type": "string" } } });
+    assert_eq!(validate(&schema, &json!({ "lut": "x".repeat(1_000_000) })), []);
+    let wrong = validate(&schema, &json!({ "lut": "x".repeat(1_100_000) }));
+    assert!(wrong.len() == 1 && wrong[0].message.contains("into a file"), "{wrong:?}");
+}
+
+#[test]
 fn whole_numbers_of_64_bits_are_exact_or_refused() {
     let schema = json!({"type": "object", "properties": {
         "big": {"type": "integer"}, "name": {"type": "string"}, "either": {"type": ["integer", "string"]},

@@ -21,6 +21,8 @@ use crate::lcm::{Invoke, Selection};
 type Items = Pin<Box<dyn Stream<Item = Result<v1::SubscribeResponse, Status>> + Send>>;
 type Lines = Pin<Box<dyn Stream<Item = Result<v1::LogsResponse, Status>> + Send>>;
 
+/// Most that one Subscribe follows: each is pushed to by the component's own thread.
+const SELECTIONS: usize = 256;
 /// Items one caller may have waiting.
 const WAITING: usize = 256;
 
@@ -105,6 +107,16 @@ impl InteractService for Edge {
                 what: "Subscribe".into(),
                 why: "nothing is selected: give selections such as [{\"path\": \"host/robot/arm/operating_state\"}]"
                     .into(),
+                field: "selections".into(),
+            }));
+        }
+        if selections.len() > SELECTIONS {
+            return Err(refuse(Refusal::ArgumentInvalid {
+                what: "Subscribe".into(),
+                why: format!(
+                    "it selects {}, and one Subscribe follows {SELECTIONS} at most: follow the rest by another",
+                    selections.len()
+                ),
                 field: "selections".into(),
             }));
         }
