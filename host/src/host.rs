@@ -18,6 +18,8 @@ pub use error::HostError;
 pub use memory::MemoryBounds;
 pub use process::Host;
 pub use signals::{StopRequest, say_to_keeper};
-pub use state_dir::{StateChoice, StateDir, state_home};
+pub use state_dir::{StateChoice, StateDir};
 
-pub use crate::control::Viewer;
+pub use crate::runtime_dir::state_home;
+
+pub use crate::control::{PortRules, Viewer};

@@ -16,6 +16,7 @@ pub mod lcm;
 pub mod loader;
 mod plain;
 pub mod processes;
+mod runtime_dir;
 pub mod system_file;
 #[cfg(test)]
 #[path = "../../tests/src/watchdog.rs"]

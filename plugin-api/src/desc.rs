@@ -306,6 +306,8 @@ pub struct ClassDesc {
     pub hardware: bool,
     /// `make_safe` touches only what is made for several threads: it may be called while another entry hangs.
     pub safe_from_any_thread: bool,
+    /// Starts programs: created only in a process that allows that.
+    pub starts_programs: bool,
     /// Default execution model: "periodic", "continuous", "on_signal", "on_callback", "stream", "none".
     pub model: &'static str,
     /// Default period of a periodic or stream class, ns; 0 = none.

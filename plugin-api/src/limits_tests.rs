@@ -49,6 +49,7 @@ const fn class() -> ClassDesc {
         safety: Safety::None,
         hardware: false,
         safe_from_any_thread: false,
+        starts_programs: false,
         model: "on_signal",
         period_ns: 0,
         max_step_ns: 0,

@@ -129,6 +129,9 @@ pub struct Class {
     /// `make_safe` touches only what is made for several threads: it may be called while another entry hangs.
     #[serde(default)]
     pub safe_from_any_thread: bool,
+    /// Starts programs: created only in a process that allows that.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub starts_programs: bool,
     #[serde(default)]
     pub execution: Execution,
     /// JSON Schema of the configuration object, with the extra keywords `unit` and `live`.

@@ -203,6 +203,9 @@ impl<const N: usize> Out<N> {
         self.pair("safety", c.safety.name(), false);
         self.flag("hardware", c.hardware);
         self.flag("safe_from_any_thread", c.safe_from_any_thread);
+        if c.starts_programs {
+            self.flag("starts_programs", true);
+        }
         self.raw(",\"execution\":{");
         self.pair("model", c.model, true);
         self.key("period_ns", false);

@@ -22,6 +22,7 @@ static CLASS: ClassDesc = ClassDesc {
     safety: Safety::Sensor,
     hardware: false,
     safe_from_any_thread: false,
+    starts_programs: false,
     model: "periodic",
     period_ns: 1_000_000,
     max_step_ns: 20_000_000,

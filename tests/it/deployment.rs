@@ -131,6 +131,33 @@ fn a_killed_host_is_shown_as_lost_and_its_name_is_free_again() {
 }
 
 #[test]
+fn a_stop_at_the_port_of_a_managed_host_stops_there_with_and_without_its_manager() {
+    let mut cluster = Cluster::new(&["sine"]);
+    let left = cluster.host("left");
+    for name in ["left/a", "left/b"] {
+        cluster.grpc.await_class("left", "sine");
+        cluster.grpc.create(name, "sine", json!({}));
+        cluster.grpc.start(name);
+    }
+    let stopped = |answer: &Value| {
+        let all = answer["components"].as_array().unwrap().iter();
+        all.map(|c| format!("{} {}", c["path"], c["state"])).collect::<Vec<_>>()
+    };
+    let there = left.grpcurl();
+    let answer = there.ok("GcmService/Stop", json!({ "path": "left/a" }));
+    assert_eq!(stopped(&answer), [r#""left/a" "STATE_STOPPED""#], "{answer}");
+    eventually("the manager hears of it", || match cluster.grpc.state("left/a").as_str() {
+        "STOPPED" => Ok(()),
+        other => Err(other.to_owned()),
+    });
+    cluster.gcm.kill();
+    let answer = there.ok("GcmService/Stop", json!({ "path": "left/**" }));
+    assert_eq!(stopped(&answer), [r#""left/b" "STATE_STOPPED""#], "{answer}");
+    let unknown = there.refused("GcmService/Stop", json!({ "path": "left/c" }));
+    assert_eq!(unknown.reason, "COMPONENT_NOT_FOUND", "{unknown}");
+}
+
+#[test]
 fn a_managed_host_says_where_its_manager_is() {
     let cluster = Cluster::new(&["sine"]);
     let left = cluster.host("left");

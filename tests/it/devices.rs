@@ -31,7 +31,8 @@ impl Site {
     /// One host that takes these plugins from its directory.
     fn with(plugins: &[&str]) -> Site {
         let world = World::with_plugins(plugins);
-        let process = HostProcess::start(&world);
+        // `pipe_source` starts programs.
+        let process = HostProcess::start_with(&world, "host", &["--allow-exec"]);
         let site = Site { grpc: process.grpcurl(), world, process };
         eventually("the plugins are listed", || {
             let listed = site.grpc.plugins().len();

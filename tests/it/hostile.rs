@@ -11,8 +11,12 @@ mod elsewhere;
 mod impostor;
 #[path = "hostile/limits.rs"]
 mod limits;
+#[path = "hostile/other_user.rs"]
+mod other_user;
 #[path = "hostile/peer.rs"]
 mod peer;
+#[path = "hostile/silent.rs"]
+mod silent;
 #[path = "hostile/stranger.rs"]
 mod stranger;
 

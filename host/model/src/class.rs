@@ -20,6 +20,8 @@ pub struct ClassInfo {
     /// Opens a device.
     pub hardware: bool,
     pub safe_from_any_thread: bool,
+    /// Whether it starts programs, and may.
+    pub programs: Programs,
     /// Defaults; every field is set.
     pub execution: Execution,
     /// The executions it is made for.
@@ -34,6 +36,18 @@ impl ClassInfo {
     pub fn full_name(&self) -> String {
         format!("{}/{}", self.plugin, self.name)
     }
+}
+
+/// Whether components of a class start programs of the machine, as the process's user.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Programs {
+    /// They start none.
+    #[default]
+    None,
+    /// They do, and the process lets them.
+    Allowed,
+    /// They would, and the process does not let them: none is created.
+    Refused,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

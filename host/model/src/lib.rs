@@ -28,8 +28,8 @@ mod value;
 pub use change::{Change, Plan, Skipped, inverse};
 pub use class::{
     Arg, ClassInfo, Command, CommandKind, Event, Execution, ExecutionLimits, ExecutionModel, Function,
-    Handler, Input, OnFailure, Output, Overflow, PortType, Ports, Provided, Required, Safety, TAPS, Tag,
-    Wake,
+    Handler, Input, OnFailure, Output, Overflow, PortType, Ports, Programs, Provided, Required, Safety, TAPS,
+    Tag, Wake,
 };
 pub use config::{
     Violation, complete, defaults, live_only, live_settings, merge, schema_fault, unknown_nulls, validate,

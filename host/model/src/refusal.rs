@@ -296,8 +296,18 @@ pub enum Refusal {
         what: String,
         hint: String,
     },
+    /// A component of this class starts programs, and its process lets none do that.
+    ProgramsNotAllowed {
+        process: Name,
+        class: String,
+    },
+    /// It would change something, and the caller is neither of the host's user nor has that user's token.
     Forbidden {
         what: String,
+        /// As the kernel and the caller tell.
+        caller: String,
+        /// Number of the host's user.
+        user: u32,
     },
     /// It would change something, and came from a page that only reads.
     ReadOnly {

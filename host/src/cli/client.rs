@@ -1,27 +1,34 @@
 //! Connects to a GCM and reads what a refusal says.
 //!
-//! Invariant: never waits longer than its limits; an address without a GCM is told apart from a GCM that refuses.
+//! Invariant: never waits longer than its limits; an address without a GCM is told apart from a GCM that
+//! refuses. A socket of this user beside the port is taken before the port: the host then knows the caller on
+//! every machine, and a Stop never waits in a queue with others.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use tonic::transport::{Channel, Endpoint};
 use tonic_types::StatusExt;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 
+use crate::control::{Tokened, dial};
+use crate::runtime_dir::Door;
+
 /// How long to wait for a connection.
 const CONNECT: Duration = Duration::from_secs(2);
+
+/// Bytes of the largest answer taken: a list of many components with long configurations.
+const LARGEST: usize = 256 << 20;
 
 /// The services of one address.
 #[derive(Clone, Debug)]
 pub(super) struct Client {
-    pub(super) attach: AttachServiceClient<Channel>,
-    pub(super) gcm: GcmServiceClient<Channel>,
-    pub(super) interact: InteractServiceClient<Channel>,
-    pub(super) plugin: PluginServiceClient<Channel>,
+    pub(super) attach: AttachServiceClient<Tokened>,
+    pub(super) gcm: GcmServiceClient<Tokened>,
+    pub(super) interact: InteractServiceClient<Tokened>,
+    pub(super) plugin: PluginServiceClient<Tokened>,
 }
 
 /// What a status says, in the words of the error table.
@@ -37,22 +44,23 @@ pub(super) struct Told {
 }
 
 impl Client {
-    /// Connects to `host:port` (a scheme and a missing port are filled in).
+    /// Connects to `host:port` (a scheme and a missing port are filled in), by the socket beside it where
+    /// there is one.
     ///
     /// # Errors
     /// A sentence: malformed address, nobody listens, no answer in 2 s.
-    pub(super) async fn connect(addr: &str) -> Result<Self, String> {
-        let uri = uri(addr);
-        let endpoint = Endpoint::from_shared(uri)
-            .map_err(|_| "not an address; write HOST:PORT, e.g. 127.0.0.1:50551".to_owned())?
-            .connect_timeout(CONNECT)
-            .tcp_nodelay(true);
-        let channel = endpoint.connect().await.map_err(|e| root_cause(&e))?;
+    pub(super) async fn connect(addr: &str, door: Door) -> Result<Self, String> {
+        let channel = dial(&uri(addr), door, CONNECT).await.map_err(|e| match root_cause(&e) {
+            cause if cause.contains("invalid uri") || cause.contains("invalid authority") => {
+                "not an address; write HOST:PORT, e.g. 127.0.0.1:50551".to_owned()
+            }
+            cause => cause,
+        })?;
         Ok(Self {
-            attach: AttachServiceClient::new(channel.clone()),
-            gcm: GcmServiceClient::new(channel.clone()),
-            interact: InteractServiceClient::new(channel.clone()),
-            plugin: PluginServiceClient::new(channel),
+            attach: AttachServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
+            gcm: GcmServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
+            interact: InteractServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
+            plugin: PluginServiceClient::new(channel).max_decoding_message_size(LARGEST),
         })
     }
 }

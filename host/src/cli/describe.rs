@@ -168,6 +168,11 @@ impl Page {
         self.line(1, &format!("safety {}{device}, runs {}", c.safety, execution.rate()));
         self.execution(&c.execution, false);
         self.execution_limits(&c.execution_limits);
+        match c.programs.as_str() {
+            "allowed" => self.line(1, "starts programs, as its process allows"),
+            "refused" => self.line(1, "starts programs, which its process does not allow: see --allow-exec"),
+            _ => {}
+        }
         self.config(&Value::Null, &c.config_schema);
     }
 

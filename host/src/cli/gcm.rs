@@ -31,7 +31,7 @@ pub(super) struct GcmArgs {
     #[arg(long)]
     fresh: bool,
     #[command(flatten)]
-    viewer: hosting::ViewerArgs,
+    port: hosting::PortArgs,
     #[command(flatten)]
     tie: hosting::Tie,
 }
@@ -50,7 +50,7 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
     logging::install(log::LevelFilter::Info);
     let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
     let stop = args.tie.listen()?;
-    let host = Host::start_gcm(&args.listen, &state, args.fresh, args.viewer.viewer()).await?;
+    let host = Host::start_gcm(&args.listen, &state, args.fresh, args.port.rules()).await?;
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
     if session.json() {

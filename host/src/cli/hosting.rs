@@ -12,7 +12,8 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{logging, out, session};
 use crate::host::{
-    Host, HostConfig, HostError, MemoryBounds, StateChoice, StopRequest, Viewer, say_to_keeper, state_home,
+    Host, HostConfig, HostError, MemoryBounds, PortRules, StateChoice, StopRequest, Viewer, say_to_keeper,
+    state_home,
 };
 use crate::loader::Trust;
 use crate::system_file::ProcessSpec;
@@ -49,30 +50,39 @@ pub(super) struct HostArgs {
     /// Keep all memory of this process from being swapped out; where that is not allowed it is said and it runs without.
     #[arg(long)]
     lock_memory: bool,
+    /// Let components start programs, as you: classes that do (`trocar describe CLASS` says so) are refused otherwise.
+    #[arg(long)]
+    allow_exec: bool,
     #[command(flatten)]
     memory: MemoryArgs,
     #[command(flatten)]
-    viewer: ViewerArgs,
+    port: PortArgs,
     #[command(flatten)]
     tie: Tie,
 }
 
-/// What the page at a program's address may do.
+/// Who may do what at a program's address.
 #[derive(Args, Clone, Copy, Debug)]
-pub(super) struct ViewerArgs {
+pub(super) struct PortArgs {
     /// The viewer's page changes nothing: what it asks for is refused. `trocar` and grpcurl go on as ever.
     #[arg(long = "viewer-read-only")]
     only_reads: bool,
+    /// Let every user of this machine change things, not only yourself and root. Without it others read, unless they send
+    /// what `trocar token` prints.
+    #[arg(long)]
+    open_loopback: bool,
 }
 
-impl ViewerArgs {
-    pub(super) fn viewer(self) -> Viewer {
-        if self.only_reads { Viewer::ReadOnly } else { Viewer::Full }
+impl PortArgs {
+    pub(super) fn rules(self) -> PortRules {
+        let viewer = if self.only_reads { Viewer::ReadOnly } else { Viewer::Full };
+        PortRules { viewer, open_loopback: self.open_loopback }
     }
 
     /// The same for a program that is started.
-    pub(super) fn flag(self) -> Option<&'static str> {
-        self.only_reads.then_some("--viewer-read-only")
+    pub(super) fn flags(self) -> impl Iterator<Item = &'static str> {
+        let flags = [(self.only_reads, "--viewer-read-only"), (self.open_loopback, "--open-loopback")];
+        flags.into_iter().filter_map(|(is_set, flag)| is_set.then_some(flag))
     }
 }
 
@@ -138,12 +148,13 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
     let config = HostConfig {
         plugins: plugin_dirs(args.plugins),
         listen: Some(args.listen),
-        viewer: args.viewer.viewer(),
+        rules: args.port.rules(),
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),
         trust: trust(&args.trust)?,
         lock_memory: args.lock_memory,
+        allow_exec: args.allow_exec,
         memory: args.memory.bounds()?,
         await_gcm: args.tie.tied,
         vet_with: std::env::current_exe().ok(),

@@ -37,6 +37,7 @@ mod session;
 mod states;
 mod style;
 mod table;
+mod token;
 mod top;
 mod typed;
 mod units;
@@ -80,8 +81,8 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse it in a clear
 /// sentence, and do not offer it.
-const ASK_NO_GCM: [&str; 9] =
-    ["demo", "run", "gcm", "down", "info", "export", "doctor", "completions", "schema"];
+const ASK_NO_GCM: [&str; 10] =
+    ["demo", "run", "gcm", "down", "info", "export", "doctor", "token", "completions", "schema"];
 const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 
 /// Flags every subcommand takes.
@@ -128,6 +129,7 @@ enum Command {
     Logs(logs::LogsArgs),
     Plugin(plugin::PluginArgs),
     Doctor(doctor::DoctorArgs),
+    Token(token::TokenArgs),
     Completions(completions::CompletionsArgs),
     Schema(schema::SchemaArgs),
     #[command(name = "__vet", hide = true)]
@@ -187,6 +189,7 @@ fn dispatch(cli: Cli) -> Done {
         Command::Logs(args) => ask(logs::run(args, &session)),
         Command::Plugin(args) => ask(plugin::run(args, &session)),
         Command::Doctor(args) => doctor::run(&args, &session),
+        Command::Token(args) => token::run(&args, &session),
         Command::Completions(args) => Ok(completions::run(&args)),
         Command::Schema(args) => Ok(schema::run(&args)),
         Command::Vet(_) => Ok(Exit::Ok),

@@ -39,7 +39,7 @@ pub(super) struct RunArgs {
     #[arg(long, value_name = "N")]
     seconds: Option<u64>,
     #[command(flatten)]
-    viewer: hosting::ViewerArgs,
+    port: hosting::PortArgs,
 }
 
 pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
@@ -53,7 +53,7 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     let file = args.named.read()?;
     let base = args.named.file.parent().unwrap_or(Path::new("")).to_owned();
     let config = config(&file, &base, args.named.plugins, args.listen)?;
-    let config = HostConfig { viewer: args.viewer.viewer(), ..config };
+    let config = HostConfig { rules: args.port.rules(), ..config };
     let mut stop = StopRequest::listen();
     let mut host = config.start().await?;
     logging::to_readers(host.own_lines());
@@ -100,6 +100,7 @@ pub(super) fn config(
         plugins,
         listen: Some(listen),
         trust,
+        allow_exec: process.allow_exec,
         vet_with: std::env::current_exe().ok(),
         ..HostConfig::new(process.name.clone())
     })

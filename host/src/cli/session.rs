@@ -22,6 +22,7 @@ use super::view::{
 };
 use super::wait::{For, Waiting};
 use super::{convert, out};
+use crate::runtime_dir::Door;
 
 /// Port a GCM listens on when nobody says otherwise.
 pub(super) const DEFAULT_GCM: &str = "127.0.0.1:50551";
@@ -66,8 +67,15 @@ impl Session {
 
     async fn client(&self) -> Result<Client, Failure> {
         let addr = self.address();
-        let connect = || async { Client::connect(&addr).await.map_err(|e| Failure::no_gcm(&addr, &e)) };
+        let connect =
+            || async { Client::connect(&addr, Door::Calls).await.map_err(|e| Failure::no_gcm(&addr, &e)) };
         self.client.get_or_try_init(connect).await.cloned()
+    }
+
+    /// The connection for Stop, which waits for nothing else that is asked.
+    async fn stopping(&self) -> Result<Client, Failure> {
+        let addr = self.address();
+        Client::connect(&addr, Door::Stop).await.map_err(|e| Failure::no_gcm(&addr, &e))
     }
 
     fn failed(&self, status: &tonic::Status) -> Failure {

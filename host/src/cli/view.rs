@@ -282,6 +282,8 @@ pub(super) struct ClassView {
     /// none, sensor or actuator.
     pub(super) safety: String,
     pub(super) hardware: bool,
+    /// none, allowed or refused.
+    pub(super) programs: String,
     pub(super) execution: ExecutionView,
     pub(super) execution_limits: ExecutionLimitsView,
     pub(super) config_schema: Value,

@@ -3,8 +3,11 @@
 //! Invariant: every refusal leaves through `status.rs`, every name enters through `convert`; a method decides nothing.
 
 mod attach;
+mod caller;
 mod convert;
 mod deadline;
+mod dial;
+mod doors;
 mod incoming;
 mod occupant;
 mod serve;
@@ -17,7 +20,9 @@ mod web;
 #[cfg(test)]
 mod tests;
 
+pub use caller::Tokened;
+pub use dial::dial;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
 pub use uplink::{Begin, Uplink, UplinkError};
-pub use web::Viewer;
+pub use web::{PortRules, Viewer};

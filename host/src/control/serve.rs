@@ -1,12 +1,12 @@
 //! The port: binds, serves every service with reflection and health, and the viewer; stops gracefully.
 //!
-//! Invariant: only loopback addresses until calls are authenticated; connections are bounded in size, number of streams
-//! and idle time.
+//! Invariant: only loopback addresses, whose callers the kernel knows; connections are bounded in size, number, number of streams
+//! and silence.
 
 use std::fmt;
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::net::TcpListener;
@@ -23,12 +23,15 @@ use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use super::attach::{AttachEdge, MAX_MESSAGE};
+use super::caller::{Access, own_user};
+use super::doors::Doors;
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
 use super::server::Edge;
-use super::web::{self, Viewer};
+use super::web::{self, PortRules};
 use crate::gcm::{Gcm, Lines};
 use crate::lcm::{Lcm, News};
+use crate::runtime_dir::RuntimeDir;
 
 /// Streams one connection may have open at once.
 const MAX_STREAMS: u32 = 256;
@@ -44,8 +47,9 @@ pub struct ServeConfig {
     pub local: Option<(Name, Arc<dyn Lcm>)>,
     /// Address of the GCM that manages this process, when it is another's.
     pub managed_by: Option<String>,
-    /// What the viewer's page may do.
-    pub viewer: Viewer,
+    pub rules: PortRules,
+    /// Where sockets beside the port and the user's token lie; `None`: neither is there.
+    pub runtime: Option<RuntimeDir>,
 }
 
 /// Why a port cannot be served.
@@ -72,6 +76,7 @@ impl std::error::Error for ServeError {}
 pub struct Server {
     addr: SocketAddr,
     stop: oneshot::Sender<()>,
+    doors: Option<Doors>,
     /// Streams that would never end by themselves end with it.
     open: watch::Sender<()>,
     task: JoinHandle<()>,
@@ -96,15 +101,22 @@ impl Server {
             lines,
             closing: closing.clone(),
         };
-        let router = routes(edge, config.gcm, config.viewer, closing).await.map_err(|because| {
-            ServeError::Unusable {
+        let access = Access {
+            rules: config.rules,
+            user: own_user(),
+            tokens: config.runtime.clone(),
+            refused: Mutex::default(),
+        };
+        let routes =
+            routes(edge, config.gcm, access, closing).await.map_err(|because| ServeError::Unusable {
                 because,
                 help: "rebuild trocar: its service descriptions are damaged".into(),
-            }
-        })?;
+            })?;
+        let doors = config.runtime.map(|dir| Doors::open(&dir, addr, &routes));
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(async move {
-            let served = router.serve_with_incoming_shutdown(Incoming::new(listener), async {
+            let incoming = Incoming::tcp(listener, own_user());
+            let served = transport().add_routes(routes).serve_with_incoming_shutdown(incoming, async {
                 // A dropped sender means the same.
                 let _ = stopped.await;
             });
@@ -112,7 +124,7 @@ impl Server {
                 log::error!("the gRPC port ended: {e}");
             }
         });
-        Ok(Server { addr, stop, open, task, logging })
+        Ok(Server { addr, stop, doors, open, task, logging })
     }
 
     /// Where it listens.
@@ -121,9 +133,10 @@ impl Server {
     }
 
     /// Takes no more calls; open ones get a moment, streams are cut.
-    pub async fn shutdown(self) {
+    pub async fn shutdown(mut self) {
         // A server that ended by itself has nobody listening.
         let _ = self.stop.send(());
+        self.doors.iter_mut().for_each(Doors::close);
         drop(self.open);
         if let Some(logging) = self.logging {
             logging.abort();
@@ -237,12 +250,22 @@ fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>
     (lines, keeper)
 }
 
+/// How connections are spoken to.
+pub(super) fn transport() -> tonic::transport::Server {
+    tonic::transport::Server::builder()
+        // Browsers speak it; `web` keeps foreign ones out.
+        .accept_http1(true)
+        .max_concurrent_streams(MAX_STREAMS)
+        .http2_keepalive_interval(Some(Duration::from_secs(20)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
+}
+
 async fn routes(
     edge: Edge,
     gcm: Option<Gcm>,
-    viewer: Viewer,
+    access: Access,
     closing: watch::Receiver<()>,
-) -> Result<tonic::transport::server::Router, String> {
+) -> Result<Routes, String> {
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<GcmServiceServer<Edge>>().await;
     reporter.set_serving::<InteractServiceServer<Edge>>().await;
@@ -261,12 +284,6 @@ async fn routes(
             .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET)
             .include_reflection_service(false)
     };
-    let mut server = tonic::transport::Server::builder()
-        // Browsers speak it; `web` keeps foreign ones out.
-        .accept_http1(true)
-        .max_concurrent_streams(MAX_STREAMS)
-        .http2_keepalive_interval(Some(Duration::from_secs(20)))
-        .http2_keepalive_timeout(Some(Duration::from_secs(10)));
     let mut services = Routes::builder();
     services
         .add_service(GcmServiceServer::new(edge.clone()))
@@ -283,5 +300,5 @@ async fn routes(
                 .max_encoding_message_size(MAX_MESSAGE),
         );
     }
-    Ok(server.add_routes(web::with_page(services.routes(), viewer)))
+    Ok(web::with_page(services.routes(), access))
 }

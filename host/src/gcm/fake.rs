@@ -13,8 +13,8 @@ use tokio::time::timeout;
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionLimits,
-    ExecutionModel, Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Provided, Proxy, Refusal,
-    Required, Safety, State, SystemGraph, Tag, Type,
+    ExecutionModel, Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Programs, Provided, Proxy,
+    Refusal, Required, Safety, State, SystemGraph, Tag, Type,
 };
 
 use super::{Gcm, text};
@@ -142,6 +142,7 @@ pub(crate) fn class() -> Arc<ClassInfo> {
         safety: Safety::Actuator,
         hardware: false,
         safe_from_any_thread: true,
+        programs: Programs::None,
         execution: Execution {
             model: Some(ExecutionModel::Periodic),
             period_ns: Some(1_000_000),

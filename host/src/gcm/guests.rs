@@ -10,8 +10,8 @@ use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
 use trocar_model::{
     Change, ClassInfo, Component, ComponentId, ConnectOptions, ConnectionId, Event, Execution,
-    ExecutionLimits, ExecutionModel, Function, Handler, Health, Name, PortId, Ports, Provided, Refusal,
-    Request, Required, Safety, State, SystemGraph,
+    ExecutionLimits, ExecutionModel, Function, Handler, Health, Name, PortId, Ports, Programs, Provided,
+    Refusal, Request, Required, Safety, State, SystemGraph,
 };
 
 use super::manager::lock;
@@ -217,6 +217,7 @@ static CLASS: LazyLock<Arc<ClassInfo>> = LazyLock::new(|| {
         safety: Safety::None,
         hardware: false,
         safe_from_any_thread: false,
+        programs: Programs::None,
         execution: Execution { model: Some(ExecutionModel::None), ..Execution::default() },
         limits: ExecutionLimits::default(),
         config_schema: json!({ "type": "object", "additionalProperties": false }),

@@ -1,16 +1,18 @@
 //! A Unix socket per host process, for its own user: how `trocar stop --all` works without a GCM.
 //!
-//! Invariant: it needs no gRPC, no name and no port; the directory is readable by its user only, so no other user can ask.
+//! Invariant: it needs no gRPC, no name and no port; the directory is readable by its user only, so no other
+//! user can ask.
 
-use std::fs::{self, DirBuilder};
-use std::os::unix::fs::DirBuilderExt;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{UnixListener, UnixStream};
+use trocar_rt::os::{Unshared, unshared};
 
-use super::{HostError, state_dir};
+use super::HostError;
+use crate::runtime_dir::{RuntimeDir, pid_of};
 
 /// How long a process may take to stop its components.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -20,6 +22,7 @@ const STOP: &str = "stop\n";
 #[derive(Debug)]
 pub(super) struct Announcement {
     path: PathBuf,
+    _unshared: Unshared,
     listener: UnixListener,
 }
 
@@ -39,29 +42,26 @@ impl Answer {
     }
 }
 
-fn directory() -> PathBuf {
-    state_dir::state_home().join("run")
-}
-
 impl Announcement {
     /// Opens the socket of this process in `instance`'s name (several hosts may live in one process).
     ///
     /// # Errors
     /// The directory cannot be made or the socket cannot be bound.
     pub(super) fn open(instance: &str) -> Result<Self, HostError> {
-        Self::open_in(&directory(), instance)
+        Self::open_in(&RuntimeDir::of_user(), instance)
     }
 
-    fn open_in(dir: &Path, instance: &str) -> Result<Self, HostError> {
-        let failed =
-            |e: std::io::Error| HostError::StateUnwritable { dir: dir.to_owned(), because: e.to_string() };
-        DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(failed)?;
-        sweep(dir);
-        let path = dir.join(format!("{}.{instance}.sock", std::process::id()));
+    fn open_in(dir: &RuntimeDir, instance: &str) -> Result<Self, HostError> {
+        let failed = |e: std::io::Error| HostError::StateUnwritable {
+            dir: dir.path().to_owned(),
+            because: e.to_string(),
+        };
+        dir.prepare().map_err(failed)?;
+        let path = dir.path().join(format!("{}.{instance}.sock", std::process::id()));
         // A process id comes again: what lies here belongs to nobody alive.
         let _ = fs::remove_file(&path);
         let listener = UnixListener::bind(&path).map_err(failed)?;
-        Ok(Self { path, listener })
+        Ok(Self { path, _unshared: unshared(&listener), listener })
     }
 
     /// Serves requests for ever: each one runs `stop`, whose words go back to the asker.
@@ -97,27 +97,6 @@ async fn answer<F: Future<Output = Result<String, String>>>(mut stream: UnixStre
     let _ = stream.write_all(answer.as_bytes()).await;
 }
 
-/// Takes away what killed processes left. One that is just being bound refuses, too, so its process must be gone as well.
-fn sweep(dir: &Path) {
-    for path in fs::read_dir(dir).into_iter().flatten().flatten().map(|entry| entry.path()) {
-        let Some(pid) = pid_of(&path) else { continue };
-        let refuses = || {
-            let tried = std::os::unix::net::UnixStream::connect(&path);
-            tried.is_err_and(|e| e.kind() == std::io::ErrorKind::ConnectionRefused)
-        };
-        if !Path::new("/proc").join(pid.to_string()).exists() && refuses() {
-            // Another one that starts now may be faster.
-            let _ = fs::remove_file(&path);
-        }
-    }
-}
-
-/// The process a socket is named after.
-fn pid_of(path: &Path) -> Option<u32> {
-    let name = path.file_name()?.to_str()?;
-    name.strip_suffix(".sock")?.split('.').next()?.parse().ok()
-}
-
 impl Drop for Announcement {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.path);
@@ -126,13 +105,12 @@ impl Drop for Announcement {
 
 /// Asks every host process of this user on this machine to stop its components, all at once.
 pub(crate) async fn stop_everything() -> Vec<Answer> {
-    stop_everything_in(&directory()).await
+    stop_everything_in(&RuntimeDir::of_user()).await
 }
 
-async fn stop_everything_in(dir: &Path) -> Vec<Answer> {
-    let entries = fs::read_dir(dir).into_iter().flatten().flatten();
-    let asked: Vec<_> = entries
-        .map(|e| e.path())
+async fn stop_everything_in(dir: &RuntimeDir) -> Vec<Answer> {
+    let asked: Vec<_> = dir
+        .entries()
         .filter(|p| p.extension().is_some_and(|e| e == "sock"))
         .map(|path| tokio::spawn(async move { ask(&path).await }))
         .collect();
@@ -175,7 +153,7 @@ mod tests {
     use super::*;
 
     async fn serving(
-        dir: &Path,
+        dir: &RuntimeDir,
         instance: &str,
         answer: Result<String, String>,
     ) -> tokio::task::JoinHandle<()> {
@@ -186,9 +164,10 @@ mod tests {
     #[tokio::test]
     async fn every_process_is_asked_and_its_words_come_back() {
         let temp = tempfile::tempdir().unwrap();
-        let good = serving(temp.path(), "a", Ok("everything stands still".into())).await;
-        let bad = serving(temp.path(), "b", Err("host/x did not stop".into())).await;
-        let mut answers = stop_everything_in(temp.path()).await;
+        let dir = RuntimeDir::at(temp.path());
+        let good = serving(&dir, "a", Ok("everything stands still".into())).await;
+        let bad = serving(&dir, "b", Err("host/x did not stop".into())).await;
+        let mut answers = stop_everything_in(&dir).await;
         answers.sort_by_key(|a| a.result.is_err());
         assert_eq!(answers[0].text(), "everything stands still");
         assert_eq!(answers[1].result, Err("host/x did not stop".into()));
@@ -202,20 +181,7 @@ mod tests {
         let temp = tempfile::tempdir().unwrap();
         let dead = temp.path().join("4242.host.sock");
         drop(std::os::unix::net::UnixListener::bind(&dead).unwrap());
-        assert!(stop_everything_in(temp.path()).await.is_empty());
+        assert!(stop_everything_in(&RuntimeDir::at(temp.path())).await.is_empty());
         assert!(!dead.exists(), "the dead socket is still there");
-    }
-
-    #[tokio::test]
-    async fn what_a_killed_process_left_is_swept_away_by_the_next_one_and_nothing_else_is() {
-        let temp = tempfile::tempdir().unwrap();
-        // No process has so large a number.
-        let dead = temp.path().join("4294967295.host.sock");
-        drop(std::os::unix::net::UnixListener::bind(&dead).unwrap());
-        let binding = temp.path().join(format!("{}.other.sock", std::process::id()));
-        drop(std::os::unix::net::UnixListener::bind(&binding).unwrap());
-        let _next = Announcement::open_in(temp.path(), "a").unwrap();
-        assert!(!dead.exists(), "the dead socket is still there");
-        assert!(binding.exists(), "its process lives: it may be about to listen");
     }
 }

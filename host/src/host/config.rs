@@ -8,7 +8,7 @@ use trocar_model::{Name, Refusal};
 use trocar_plugin_api::abi::StaticPlugin;
 
 use super::{Host, HostError, MemoryBounds, StateChoice};
-use crate::control::Viewer;
+use crate::control::{PortRules, Viewer};
 use crate::loader::Trust;
 
 /// What a host is made from.
@@ -24,8 +24,8 @@ pub struct HostConfig {
     pub state: StateChoice,
     /// Forget what an earlier process left in the state directory.
     pub fresh: bool,
-    /// What the page at that address may do.
-    pub viewer: Viewer,
+    /// Who may do what at that address.
+    pub rules: PortRules,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,
     /// Wait for that GCM when it does not answer yet, or still takes an earlier incarnation of this process for alive.
@@ -36,6 +36,8 @@ pub struct HostConfig {
     pub vet_with: Option<PathBuf>,
     /// Keep all memory of the process resident, so that no cycle waits for a page.
     pub lock_memory: bool,
+    /// Components may start programs, as this process's user.
+    pub allow_exec: bool,
     /// How much memory the process may use.
     pub memory: MemoryBounds,
 }
@@ -48,7 +50,7 @@ impl HostConfig {
             plugins: Vec::new(),
             linked: Vec::new(),
             listen: None,
-            viewer: Viewer::Full,
+            rules: PortRules::default(),
             state: StateChoice::Ephemeral,
             fresh: false,
             gcm: None,
@@ -56,6 +58,7 @@ impl HostConfig {
             trust: Trust::Dev,
             vet_with: None,
             lock_memory: false,
+            allow_exec: false,
             memory: MemoryBounds::default(),
         }
     }
@@ -123,7 +126,13 @@ impl HostBuilder {
     /// What the viewer's page at that address may do.
     #[must_use]
     pub fn viewer(self, viewer: Viewer) -> Self {
-        self.with(|c| c.viewer = viewer)
+        self.with(|c| c.rules.viewer = viewer)
+    }
+
+    /// Lets whoever reaches that address do everything, other users of the machine, too. Without it they only read.
+    #[must_use]
+    pub fn open_loopback(self, open: bool) -> Self {
+        self.with(|c| c.rules.open_loopback = open)
     }
 
     /// Where it keeps its state.
@@ -161,6 +170,12 @@ impl HostBuilder {
     #[must_use]
     pub fn lock_memory(self, lock: bool) -> Self {
         self.with(|c| c.lock_memory = lock)
+    }
+
+    /// Lets components start programs, as this process's user; classes that do are refused otherwise.
+    #[must_use]
+    pub fn allow_exec(self, allow: bool) -> Self {
+        self.with(|c| c.allow_exec = allow)
     }
 
     /// From where on the process is warned of the memory it uses, and how much it gets at most: a limit of the whole program.

@@ -9,16 +9,17 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinHandle;
-use trocar_model::{Change, Request, State, StopReason, Target, Verb};
+use trocar_model::{Request, Target};
 
 use super::announce::Announcement;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
-use crate::control::{Begin, GcmServices, ServeConfig, Server, Uplink, Viewer};
+use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
-use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine};
+use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, stop_active};
 use crate::loader::{CatalogChange, PluginEntry, PluginError};
+use crate::runtime_dir::RuntimeDir;
 
 /// A running process of a system.
 ///
@@ -57,11 +58,11 @@ impl Host {
         listen: &str,
         state: &StateChoice,
         fresh: bool,
-        viewer: Viewer,
+        rules: PortRules,
     ) -> Result<Self, HostError> {
         needs_runtime()?;
         let mut host = Self::in_directory(state, fresh)?;
-        let done = host.bring_up_gcm(listen, viewer).await;
+        let done = host.bring_up_gcm(listen, rules).await;
         host.if_up(done).await
     }
 
@@ -103,6 +104,7 @@ impl Host {
             classes,
             links: Some(self.state.path().join("links.sock")),
             lock_memory: config.lock_memory,
+            allow_exec: config.allow_exec,
         })
         .map_err(|e| HostError::Threads { because: e.to_string() })?;
         config.memory.keep(&lcm)?;
@@ -143,7 +145,8 @@ impl Host {
                 gcm: self.gcm.clone(),
                 local: Some((config.name.clone(), local.clone())),
                 managed_by: config.gcm.clone(),
-                viewer: config.viewer,
+                rules: config.rules,
+                runtime: Some(RuntimeDir::of_user()),
             })
             .await?;
         }
@@ -165,7 +168,7 @@ impl Host {
         Ok(())
     }
 
-    async fn bring_up_gcm(&mut self, listen: &str, viewer: Viewer) -> Result<(), HostError> {
+    async fn bring_up_gcm(&mut self, listen: &str, rules: PortRules) -> Result<(), HostError> {
         let gcm = start_gcm(&self.state).await?;
         self.gcm = Some(gcm.clone());
         self.listen(ServeConfig {
@@ -173,7 +176,8 @@ impl Host {
             gcm: Some(gcm),
             local: None,
             managed_by: None,
-            viewer,
+            rules,
+            runtime: Some(RuntimeDir::of_user()),
         })
         .await
     }
@@ -325,15 +329,9 @@ async fn stop_all(gcm: Option<Gcm>, lcm: Arc<LocalLcm>) -> Result<String, String
             log::warn!("the GCM refused to stop everything, stopping past it: {refusal}");
         }
     }
-    let inventory = lcm.inventory().await.map_err(|e| e.to_string())?;
-    let active: Vec<_> = inventory.components.into_iter().filter(|c| c.state == State::Active).collect();
-    let mut failed = Vec::new();
-    for c in &active {
-        let to = State::Stopped(StopReason::Requested);
-        let stop = Change::Run { id: c.id.clone(), verb: Verb::Stop, from: State::Active, to };
-        if let Err(refusal) = lcm.apply(stop, deadline).await {
-            failed.push(refusal.to_string());
-        }
-    }
+    let lcm: Arc<dyn Lcm> = lcm;
+    let stopped = stop_active(&lcm, |_| true, deadline).await.map_err(|e| e.to_string())?;
+    let failed: Vec<_> =
+        stopped.into_iter().filter_map(|(_, done)| done.err()).map(|e| e.to_string()).collect();
     if failed.is_empty() { Ok("everything stands still".to_owned()) } else { Err(failed.join("; ")) }
 }

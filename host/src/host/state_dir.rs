@@ -13,8 +13,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use trocar_rt::os::{Unshared, unshared};
+
 use super::HostError;
 use crate::loader::Hash;
+use crate::runtime_dir::state_home;
 
 const LOCK: &str = "lock";
 /// A process has locked its directory this long after making it.
@@ -46,6 +49,8 @@ pub struct StateDir {
 /// What keeps others out.
 #[derive(Debug)]
 struct Hold {
+    /// A child that a plugin forks and leaves behind would keep the next process out.
+    _unshared: [Option<Unshared>; 2],
     _lock: File,
     _claim: Option<UnixDatagram>,
 }
@@ -106,7 +111,8 @@ impl StateDir {
         let claim = if ephemeral { None } else { claim(path)? };
         file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
         writeln!(file, "{}", std::process::id()).map_err(unwritable)?;
-        let hold = Mutex::new(Some(Hold { _lock: file, _claim: claim }));
+        let unshared = [Some(unshared(&file)), claim.as_ref().map(unshared)];
+        let hold = Mutex::new(Some(Hold { _unshared: unshared, _lock: file, _claim: claim }));
         Ok(Self { path: path.to_owned(), ephemeral, made, goes: AtomicBool::new(ephemeral), hold })
     }
 
@@ -162,16 +168,6 @@ fn claim(path: &Path) -> Result<Option<UnixDatagram>, HostError> {
         Err(e) if e.kind() == ErrorKind::AddrInUse => Err(HostError::StateHeld { dir: path.to_owned() }),
         Err(_) => Ok(None),
     }
-}
-
-/// `$XDG_STATE_HOME/trocar`, or `~/.local/state/trocar`; without a home directory the temporary one.
-pub fn state_home() -> PathBuf {
-    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    set("XDG_STATE_HOME")
-        .filter(|p| p.is_absolute())
-        .or_else(|| set("HOME").map(|home| home.join(".local/state")))
-        .unwrap_or_else(std::env::temp_dir)
-        .join("trocar")
 }
 
 /// A name no other host takes: the number tells the hosts of one process apart, the time those of processes with one id

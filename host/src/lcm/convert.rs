@@ -100,6 +100,7 @@ fn class_info(
         },
         hardware: class.hardware,
         safe_from_any_thread: class.safe_from_any_thread,
+        programs: if class.starts_programs { model::Programs::Allowed } else { model::Programs::None },
         execution,
         limits: model::ExecutionLimits {
             models: class.execution.models.iter().map(|m| execution_model(m)).collect::<Result<_, _>>()?,

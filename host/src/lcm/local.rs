@@ -17,7 +17,9 @@ use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
-use trocar_model::{Change, ComponentId, Execution, ExecutionModel, Name, Refusal, Verb};
+use trocar_model::{
+    Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Programs, Refusal, Verb,
+};
 use trocar_rt::os;
 
 use self::ports::Follower;
@@ -55,11 +57,14 @@ pub struct LcmConfig {
     pub links: Option<PathBuf>,
     /// Lock the memory of the process, where the machine allows it, else the stacks of components' threads.
     pub lock_memory: bool,
+    /// Components may start programs.
+    pub allow_exec: bool,
 }
 
 pub struct LocalLcm {
     hub: Arc<Hub>,
     classes: Option<Arc<dyn Classes>>,
+    allow_exec: bool,
     held: Mutex<Held>,
     next_number: AtomicU32,
     log_thread: Mutex<Option<thread::JoinHandle<()>>>,
@@ -130,6 +135,7 @@ impl LocalLcm {
         let lcm = Arc::new(LocalLcm {
             carriers,
             classes: config.classes,
+            allow_exec: config.allow_exec,
             held: Mutex::new(Held::default()),
             next_number: AtomicU32::new(1),
             log_thread: Mutex::new(None),
@@ -179,11 +185,20 @@ impl LocalLcm {
         (slot.instance.number == instance.number).then(|| slot.executor.clone())
     }
 
+    /// Classes as this process offers them.
+    fn offered(&self, classes: &dyn Classes) -> Vec<Arc<ClassInfo>> {
+        let mut all = classes.catalog();
+        for class in all.iter_mut().filter(|c| c.programs == Programs::Allowed && !self.allow_exec) {
+            *class = Arc::new(ClassInfo { programs: Programs::Refused, ..(**class).clone() });
+        }
+        all
+    }
+
     /// Tells everyone that the plugin directories offer something else now.
     pub fn catalog_changed(&self) {
         if let Some(classes) = &self.classes {
             // Nobody listening is fine: the inventory has it.
-            let _ = self.hub.news.send(News::Catalog(classes.catalog()));
+            let _ = self.hub.news.send(News::Catalog(self.offered(classes.as_ref())));
         }
     }
 
@@ -462,7 +477,7 @@ impl Lcm for LocalLcm {
         Ok(Inventory {
             card: self.own_card(),
             components,
-            classes: self.classes.as_ref().map_or_else(Vec::new, |c| c.catalog()),
+            classes: self.classes.as_ref().map_or_else(Vec::new, |c| self.offered(c.as_ref())),
             halves: self.carriers.halves().flat_map(|halves| halves.reports()).collect(),
             warnings: self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         })

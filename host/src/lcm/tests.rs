@@ -57,7 +57,13 @@ impl World {
     /// With these classes, and with a place where it listens for other processes.
     fn with(process: &'static str, classes: Arc<dyn Classes>, links: Option<PathBuf>) -> World {
         let process_name = Name::parse(process).unwrap();
-        let config = LcmConfig { process: process_name, classes: Some(classes), links, lock_memory: false };
+        let config = LcmConfig {
+            process: process_name,
+            classes: Some(classes),
+            links,
+            lock_memory: false,
+            allow_exec: false,
+        };
         World { lcm: LocalLcm::new(config).unwrap(), process }
     }
 

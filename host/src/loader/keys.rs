@@ -49,6 +49,7 @@ const KINDS: &[(&str, &[(&str, &str)])] = &[
             ("safety", ""),
             ("hardware", ""),
             ("safe_from_any_thread", ""),
+            ("starts_programs", ""),
             ("execution", "execution"),
             ("config", ""),
             ("inputs", "input"),

@@ -65,6 +65,8 @@ pub struct ProcessSpec {
     /// What follows when it ends.
     pub restart: Policy,
     pub memory: MemoryBounds,
+    /// Its components may start programs.
+    pub allow_exec: bool,
 }
 
 impl ProcessSpec {
@@ -78,6 +80,7 @@ impl ProcessSpec {
             env: Vec::new(),
             restart: Policy::default(),
             memory: MemoryBounds::default(),
+            allow_exec: false,
         }
     }
 

@@ -18,7 +18,8 @@ use crate::processes::{Limits, Policy, Unheard};
 
 pub(super) const SYSTEM: &[&str] =
     &["$schema", "version", "processes", "components", "connections", "scenarios"];
-pub(super) const PROCESS: &[&str] = &["plugins", "trust", "listen", "state", "env", "restart", "memory"];
+pub(super) const PROCESS: &[&str] =
+    &["plugins", "trust", "listen", "state", "env", "restart", "memory", "allow_exec"];
 pub(super) const RESTART: &[&str] =
     &["max", "within_s", "backoff_ms", "most_backoff_ms", "start_within_s", "unheard_s"];
 pub(super) const MEMORY: &[&str] = &["warn_mib", "limit_mib"];
@@ -158,6 +159,7 @@ fn processes(part: &Cursor<'_>) -> Result<Vec<ProcessSpec>, Problem> {
             env,
             restart: fields.get("restart").map(restart).transpose()?.unwrap_or_default(),
             memory: fields.get("memory").map(memory).transpose()?.unwrap_or_default(),
+            allow_exec: fields.get("allow_exec").map(Cursor::flag).transpose()?.unwrap_or_default(),
         });
     }
     Ok(processes)

@@ -64,7 +64,8 @@ pub fn system_schema() -> Value {
                         "default": "on_failure",
                         "oneOf": [{ "enum": policies }, { "$ref": "#/$defs/restart" }]
                     },
-                    "memory": { "$ref": "#/$defs/memory" }
+                    "memory": { "$ref": "#/$defs/memory" },
+                    "allow_exec": { "type": "boolean", "default": false, "description": "Let its components start programs, as the user who starts it. Classes that do are refused otherwise." }
                 }
             },
             "memory": {

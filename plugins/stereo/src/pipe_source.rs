@@ -49,7 +49,7 @@ struct PipeSourceConfig {
 /// Runs a program that writes raw frames, and sends each of them. With ffmpeg: `["ffmpeg", "-loglevel", "error", "-i",
 /// "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]`.
 #[derive(Component)]
-#[component(model = "stream", rate_hz = 250, safety = "sensor", hardware)]
+#[component(model = "stream", rate_hz = 250, safety = "sensor", hardware, starts_programs)]
 pub struct PipeSource {
     /// One frame per step at most, in the layout that the configuration says
     #[output]

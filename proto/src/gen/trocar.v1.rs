@@ -443,6 +443,9 @@ pub struct ClassInfo {
     /// The executions it is made for; others are refused.
     #[prost(message, optional, tag = "12")]
     pub execution_limits: ::core::option::Option<ExecutionLimits>,
+    /// Whether it starts programs of the machine.
+    #[prost(enumeration = "Programs", tag = "13")]
+    pub programs: i32,
 }
 /// The executions a class is made for.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -1179,6 +1182,39 @@ impl Primitive {
             "PRIMITIVE_F32" => Some(Self::F32),
             "PRIMITIVE_F64" => Some(Self::F64),
             "PRIMITIVE_STAMP" => Some(Self::Stamp),
+            _ => None,
+        }
+    }
+}
+/// Whether components of a class start programs of the machine, as the process's user.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum Programs {
+    /// They start none.
+    Unspecified = 0,
+    /// They do, and the process lets them.
+    Allowed = 1,
+    /// They would, and the process does not let them: none is created.
+    Refused = 2,
+}
+impl Programs {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "PROGRAMS_UNSPECIFIED",
+            Self::Allowed => "PROGRAMS_ALLOWED",
+            Self::Refused => "PROGRAMS_REFUSED",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "PROGRAMS_UNSPECIFIED" => Some(Self::Unspecified),
+            "PROGRAMS_ALLOWED" => Some(Self::Allowed),
+            "PROGRAMS_REFUSED" => Some(Self::Refused),
             _ => None,
         }
     }

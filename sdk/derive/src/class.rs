@@ -33,6 +33,7 @@ pub(crate) struct ClassAttr {
     pub(crate) hardware: bool,
     /// Where the class says so.
     pub(crate) safe_from_any_thread: Option<Span>,
+    pub(crate) starts_programs: bool,
     pub(crate) provides: Vec<(String, Span)>,
     pub(crate) requires: Vec<(String, Span)>,
     pub(crate) optional: Vec<(String, Span)>,
@@ -171,13 +172,14 @@ impl ClassAttr {
             }
             "hardware" => self.hardware = true,
             "safe_from_any_thread" => self.safe_from_any_thread = Some(meta.path.span()),
+            "starts_programs" => self.starts_programs = true,
             "provides" => names(&meta, &mut self.provides)?,
             "requires" => names(&meta, &mut self.requires)?,
             "optional" => names(&meta, &mut self.optional)?,
             _ => {
                 return Err(meta.error(
                     "unknown setting; there are name, rate_hz, max_step_ms, model, models(\"…\"), rates_hz(lowest, highest), safety, \
-                     hardware, safe_from_any_thread, provides(\"…\"), requires(\"…\") and optional(\"…\")",
+                     hardware, safe_from_any_thread, starts_programs, provides(\"…\"), requires(\"…\") and optional(\"…\")",
                 ));
             }
         }

@@ -106,7 +106,7 @@ fn desc(
     provided: &Interfaces<'_>,
     required: &Interfaces<'_>,
 ) -> TokenStream {
-    let ClassAttr { name, doc, model, period_ns, max_step_ns, hardware, .. } = class;
+    let ClassAttr { name, doc, model, period_ns, max_step_ns, hardware, starts_programs, .. } = class;
     let (safety, safe_from_any_thread) =
         (format_ident!("{}", class.safety), class.safe_from_any_thread.is_some());
     let (models, [min_period_ns, max_period_ns]) = (&class.models, class.periods_ns);
@@ -128,6 +128,7 @@ fn desc(
             safety: ::trocar_sdk::__private::Safety::#safety,
             hardware: #hardware,
             safe_from_any_thread: #safe_from_any_thread,
+            starts_programs: #starts_programs,
             model: #model,
             period_ns: #period_ns,
             max_step_ns: #max_step_ns,

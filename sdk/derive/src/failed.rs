@@ -33,7 +33,7 @@ pub(crate) fn component(input: &DeriveInput) -> TokenStream {
             unsafe impl ::trocar_sdk::Class for #name {
                 const DESC: &'static ::trocar_sdk::__private::ClassDesc = &::trocar_sdk::__private::ClassDesc {
                     name: #text, doc: "", safety: ::trocar_sdk::__private::Safety::None, hardware: false,
-                    safe_from_any_thread: false, model: "on_signal", period_ns: 0, max_step_ns: 0,
+                    safe_from_any_thread: false, starts_programs: false, model: "on_signal", period_ns: 0, max_step_ns: 0,
                     limits: ::trocar_sdk::__private::ExecutionLimitsDesc::NONE, config: &[],
                     inputs: &[], outputs: &[], required: &[], provided: &[], state: ::core::option::Option::None,
                     many: ::trocar_sdk::__private::ManyDesc::NONE,

@@ -43,9 +43,9 @@ pub fn derive_config(input: TokenStream) -> TokenStream {
 /// Makes a struct a component class.
 ///
 /// Struct attribute: `#[component(name = "…", rate_hz = 1000, max_step_ms = 50, model = "…",
-/// models("…", "…"), rates_hz(100, 8000), safety = "…", hardware, safe_from_any_thread, provides("a", "b"),
-/// requires("c"), optional("c"))]`; `models` and `rates_hz` name the executions the class is made for, and
-/// everything else is refused. Field attributes: `#[input]`, `#[output]`,
+/// models("…", "…"), rates_hz(100, 8000), safety = "…", hardware, safe_from_any_thread, starts_programs,
+/// provides("a", "b"), requires("c"), optional("c"))]`; `models` and `rates_hz` name the executions the class is made
+/// for, and everything else is refused; a class that `starts_programs` is created only where the process allows it. Field attributes: `#[input]`, `#[output]`,
 /// `#[required]`, `#[event("interface")]`, `#[state]`, `#[config]`, `#[host]`, `#[names]`; a field without one is private run-time
 /// state and needs `Default`. Beside a port's attribute, `#[frame("retina")]` says in which coordinates its payload is.
 #[proc_macro_derive(

@@ -349,6 +349,28 @@ def test_channel_credentials_are_taken_and_needed(tmp_path):
         fake.end()
 
 
+def test_a_token_of_the_environment_goes_with_each_request_and_none_does_without(monkeypatch):
+    fake, sent = Fake(), {}
+
+    def noting(name, answer):
+        def noted(request, context):
+            sent[name] = dict(context.invocation_metadata()).get("authorization")
+            return answer(request, context)
+
+        return noted
+
+    fake.answers = {name: noting(name, answer) for name, answer in fake.answers.items()}
+    try:
+        for token, header in (("", None), ("0123", "Bearer 0123")):
+            monkeypatch.setenv("TROCAR_TOKEN", token)
+            sent.clear()
+            with trocar.connect(fake.address) as ire:
+                assert ire.ProcessServer.Server.Provided.Write
+            assert {"GcmService/Watch", "GuestService/Join", "GcmService/Describe"} <= sent.keys() and set(sent.values()) == {header}, sent
+    finally:
+        fake.end()
+
+
 def test_an_address_that_is_none_is_refused():
     with pytest.raises(trocar.TrocarError, match="HOST:PORT"):
         trocar.connect(42)

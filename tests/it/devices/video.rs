@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::{Value, json};
-use trocar_tests::{World, eventually, repository};
+use trocar_tests::{HostProcess, Trocar, World, eventually, repository};
 
 use super::{OK, REFUSED, Site};
 
@@ -78,6 +78,46 @@ fn shell(line: &str, more: Value) -> Value {
                              "restart": true, "restart_delay_s": 0.05, "stall_s": 5 });
     config.as_object_mut().unwrap().extend(more.as_object().cloned().unwrap_or_default());
     config
+}
+
+#[test]
+fn a_class_that_starts_programs_is_created_only_in_a_process_that_allows_it() {
+    let world = World::with_plugins(&["stereo"]);
+    let host = HostProcess::start(&world);
+    let trocar = Trocar::at(&world, host.address());
+    eventually("the class is listed", || match host.grpcurl().plugins().len() {
+        0 => Err("no plugin yet"),
+        _ => Ok(()),
+    });
+    trocar.run(&["describe", "stereo/pipe_source"]).ends_with(OK).says("its process does not allow");
+    for refused in
+        [&["create", "host/pipe", "pipe_source"][..], &["create", "host/pipe", "pipe_source", "--dry-run"]]
+    {
+        trocar.run(refused).ends_with(REFUSED).says("PROGRAMS_NOT_ALLOWED").says("--allow-exec");
+    }
+    let file = |allow: &str| {
+        let text = format!(
+            r#"{{ "version": 1, "processes": {{ "eye": {{ {allow} }} }},
+                 "components": {{ "eye/pipe": {{ "class": "stereo/pipe_source",
+                     "config": {{ "command": ["cat", "/dev/zero"], "width": 4, "height": 4 }} }} }} }}"#
+        );
+        world.write("pipe.json", text).to_string_lossy().into_owned()
+    };
+    let plugins = world.plugins().to_string_lossy().into_owned();
+    let run = |file: String| {
+        Trocar::new(&world).run(&[
+            "run",
+            &file,
+            "--plugins",
+            &plugins,
+            "--listen",
+            "127.0.0.1:0",
+            "--seconds",
+            "0",
+        ])
+    };
+    run(file("")).ends_with(REFUSED).says("PROGRAMS_NOT_ALLOWED").says("allow_exec");
+    run(file(r#""allow_exec": true"#)).ends_with(OK);
 }
 
 #[test]

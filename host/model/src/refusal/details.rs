@@ -97,6 +97,7 @@ impl Refusal {
             Refusal::Replaced { .. } => (Aborted, "REPLACED"),
             Refusal::QueueFull { .. } => (ResourceExhausted, "QUEUE_FULL"),
             Refusal::NotImplemented { .. } => (Unimplemented, "NOT_IMPLEMENTED"),
+            Refusal::ProgramsNotAllowed { .. } => (PermissionDenied, "PROGRAMS_NOT_ALLOWED"),
             Refusal::Forbidden { .. } => (PermissionDenied, "FORBIDDEN"),
             Refusal::ReadOnly { .. } => (PermissionDenied, "READ_ONLY"),
             Refusal::Internal { .. } => (Internal, "INTERNAL"),
@@ -201,7 +202,9 @@ impl Refusal {
                 m.put("member", member).put("after_ns", after_ns).put("may_still_run", may_still_run)
             }
             QueueFull { member, depth } => m.put("member", member).put("depth", depth),
-            NotImplemented { what, .. } | Forbidden { what } | ReadOnly { what } => m.put("what", what),
+            NotImplemented { what, .. } | ReadOnly { what } => m.put("what", what),
+            ProgramsNotAllowed { process, class } => m.put("process", process).put("class", class),
+            Forbidden { what, caller, user } => m.put("what", what).put("caller", caller).put("user", user),
             Internal { text } => m.put("text", text),
         };
         m.0

@@ -227,7 +227,12 @@ fn calling() -> Vec<Refusal> {
             what: "a connection between two processes".into(),
             hint: "Create both components in one process.".into(),
         },
-        Refusal::Forbidden { what: "Remove".into() },
+        Refusal::ProgramsNotAllowed { process: name("host"), class: "stereo/pipe_source".into() },
+        Refusal::Forbidden {
+            what: "Remove".into(),
+            caller: "user 65534 at 127.0.0.1:40404".into(),
+            user: 1000,
+        },
         Refusal::ReadOnly { what: "Remove".into() },
         Refusal::Internal { text: "the plan left a connection without a client".into() },
     ]

@@ -309,7 +309,20 @@ impl Display for Refusal {
                 write!(f, "the queue of `{member}` is full: {depth} calls are waiting already")
             }
             NotImplemented { what, .. } => write!(f, "{what} is not in this version"),
-            Forbidden { what } => write!(f, "{what} is not allowed for this caller"),
+            ProgramsNotAllowed { process, class } => {
+                write!(
+                    f,
+                    "class {class} starts programs as this host's user, and process `{process}` lets no component do that"
+                )
+            }
+            Forbidden { what, caller, user } => {
+                let owner = if *user == 0 {
+                    "only root changes".into()
+                } else {
+                    format!("only user {user} and root change")
+                };
+                write!(f, "{what} is refused to {caller}, who may read: {owner} things here")
+            }
             ReadOnly { what } => write!(f, "{what} changes something, and this viewer only reads"),
             Internal { text } => write!(f, "trocar itself made a mistake: {text}"),
         }
@@ -529,7 +542,13 @@ impl Refusal {
                 .into(),
             NotImplemented { hint, .. } if !hint.is_empty() => hint.clone(),
             NotImplemented { .. } => "Do without it in this version.".into(),
-            Forbidden { .. } => "Ask with an identity whose role allows it.".into(),
+            ProgramsNotAllowed { process, .. } => format!(
+                "Start `{process}` with --allow-exec, or write \"allow_exec\": true for it into \"processes\" of the system file."
+            ),
+            Forbidden { user, .. } => format!(
+                "Ask as user {user}; or let that user give you what `trocar token` prints, and set TROCAR_TOKEN to it \
+                 (`trocar`, Python) or send the header `authorization: Bearer TOKEN` (grpcurl -H)."
+            ),
             ReadOnly { .. } => "Ask with `trocar` or grpcurl, or start the program without --viewer-read-only.".into(),
             Internal { .. } => "Please report it with the log; nothing was changed on purpose.".into(),
         }

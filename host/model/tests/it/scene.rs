@@ -124,6 +124,7 @@ pub(crate) fn class(plugin: &str, name: &str, model: ExecutionModel, ports: Port
         safety: Safety::None,
         hardware: false,
         safe_from_any_thread: false,
+        programs: Programs::None,
         execution: Execution {
             model: Some(model),
             period_ns: (model == ExecutionModel::Periodic).then_some(1_000_000),

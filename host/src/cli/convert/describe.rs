@@ -32,6 +32,12 @@ fn class(c: &v1::ClassInfo) -> ClassView {
         doc: c.doc.clone(),
         safety: word(c.safety().as_str_name(), "SAFETY_").to_lowercase(),
         hardware: c.hardware,
+        programs: match c.programs() {
+            v1::Programs::Unspecified => "none",
+            v1::Programs::Allowed => "allowed",
+            v1::Programs::Refused => "refused",
+        }
+        .to_owned(),
         execution: c.execution.as_ref().map(execution).unwrap_or_default(),
         execution_limits: c.execution_limits.as_ref().map(execution_limits).unwrap_or_default(),
         config_schema: c.config_schema.as_ref().map_or(Value::Null, from_struct),

@@ -74,7 +74,7 @@ pub(super) struct DemoArgs {
     #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
     listen: String,
     #[command(flatten)]
-    viewer: hosting::ViewerArgs,
+    port: hosting::PortArgs,
 }
 
 fn processes(text: &str) -> Result<usize, String> {
@@ -100,7 +100,7 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     let pictures = args.pictures.map(|dir| acting::directory(&dir, behavior, layout)).transpose()?;
     let file = layout.file("demo.json", behavior.system())?;
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
-    let show = Show { seconds: args.seconds, pictures, session, behavior, layout, viewer: args.viewer };
+    let show = Show { seconds: args.seconds, pictures, session, behavior, layout, port: args.port };
     if layout.processes() == 1 {
         in_one(&file, plugins, args.listen, &show).await
     } else {
@@ -110,7 +110,7 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
 
 async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: &Show<'_>) -> Done {
     let config = run::config(file, Path::new(""), plugins, listen)?;
-    let config = HostConfig { viewer: show.viewer.viewer(), ..config };
+    let config = HostConfig { rules: show.port.rules(), ..config };
     let mut stop = StopRequest::listen();
     let host = config.start().await?;
     logging::to_readers(host.own_lines());
@@ -135,8 +135,8 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
 async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: &Show<'_>) -> Done {
     let mut stop = StopRequest::listen();
     let state = StateDir::open(&StateChoice::Ephemeral, false)?;
-    let gcm = programs::gcm(listen, state.path(), show.viewer);
-    let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path(), show.viewer);
+    let gcm = programs::gcm(listen, state.path(), show.port);
+    let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path(), show.port);
     let mut system = System::new(up::Gcm::Own(gcm), launch);
     let came_up = tokio::select! {
         came_up = system.come_up(file) => Some(came_up),
@@ -172,7 +172,7 @@ struct Show<'a> {
     session: &'a Session,
     behavior: Behavior,
     layout: Layout,
-    viewer: hosting::ViewerArgs,
+    port: hosting::PortArgs,
 }
 
 impl Show<'_> {

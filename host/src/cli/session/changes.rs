@@ -50,7 +50,8 @@ impl Session {
         paths: &[String],
         m: &MutationArgs,
     ) -> Result<Outcome, Failure> {
-        let mut gcm = self.client().await?.gcm;
+        let client = if verb == Verb::Stop { self.stopping().await? } else { self.client().await? };
+        let mut gcm = client.gcm;
         macro_rules! ask {
             ($request:ident, $method:ident) => {{
                 let ask = v1::$request {

@@ -66,7 +66,7 @@ impl Session {
     ) -> Result<(), Failure> {
         let mut ask = tonic::Request::new(v1::StopRequest { paths, ..v1::StopRequest::default() });
         ask.set_timeout(within);
-        match self.client().await?.gcm.stop(ask).await {
+        match self.stopping().await?.gcm.stop(ask).await {
             Ok(_) => Ok(()),
             Err(status) if status.code() == tonic::Code::NotFound => Ok(()),
             Err(status) => Err(self.failed(&status)),

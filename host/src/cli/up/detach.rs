@@ -111,7 +111,7 @@ fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
     args.named.plugins.iter().for_each(|dir| give("plugins", dir.into()));
     args.name.iter().for_each(|name| give("name", name.as_str().into()));
     gcm.into_iter().for_each(|addr| give("gcm", addr.into()));
-    all.extend(args.viewer.flag().map(Into::into));
+    all.extend(args.port.flags().map(Into::into));
     all.push("--".into());
     all.push(args.named.file.clone().into());
     all

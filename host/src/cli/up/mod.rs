@@ -60,7 +60,7 @@ pub(super) struct UpArgs {
     #[arg(long)]
     detach: bool,
     #[command(flatten)]
-    viewer: hosting::ViewerArgs,
+    port: hosting::PortArgs,
     /// This is what --detach left running.
     #[arg(long, hide = true)]
     detached: bool,
@@ -140,9 +140,9 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     let mut door = Door::open(state.path()).map_err(|e| no_door(state.path(), &e))?;
     let gcm = match session.explicit_gcm() {
         Some(addr) => Gcm::Of(addr.to_owned()),
-        None => Gcm::Own(programs::gcm(&args.listen, state.path(), args.viewer)),
+        None => Gcm::Own(programs::gcm(&args.listen, state.path(), args.port)),
     };
-    let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path(), args.viewer);
+    let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path(), args.port);
     let mut system = System::new(gcm, launch);
     let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;

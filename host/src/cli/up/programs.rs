@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use trocar_model::{ComponentId, Name};
 
-use crate::cli::hosting::{self, ViewerArgs};
+use crate::cli::hosting::{self, PortArgs};
 use crate::processes::{Limits, Policy, Program};
 use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
 
@@ -31,10 +31,10 @@ fn output(state: &Path, process: Option<&str>) -> PathBuf {
     })
 }
 
-pub(in crate::cli) fn gcm(listen: &str, state: &Path, viewer: ViewerArgs) -> Program {
+pub(in crate::cli) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program {
     let mut args: Vec<OsString> =
         ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into();
-    args.extend(viewer.flag().map(Into::into));
+    args.extend(port.flags().map(Into::into));
     Program {
         name: GCM.to_owned(),
         args,
@@ -53,7 +53,7 @@ pub(in crate::cli) struct Launch {
     base: PathBuf,
     plugins: Vec<PathBuf>,
     state: PathBuf,
-    viewer: ViewerArgs,
+    port: PortArgs,
 }
 
 impl Launch {
@@ -63,11 +63,11 @@ impl Launch {
         at: &Path,
         plugins: &[PathBuf],
         state: &Path,
-        viewer: ViewerArgs,
+        port: PortArgs,
     ) -> Launch {
         let base = absolute(at.parent().unwrap_or(Path::new("")));
         let (processes, plugins, state) = (file.processes.clone(), plugins.to_vec(), state.to_owned());
-        Launch { processes, base, plugins, state, viewer }
+        Launch { processes, base, plugins, state, port }
     }
 
     pub(super) fn hosts(&self) -> Vec<Program> {
@@ -84,7 +84,7 @@ impl Launch {
 
     fn host(&self, process: &ProcessSpec) -> Program {
         let mut program = host(process, &self.base, &self.plugins, &self.state);
-        program.args.extend(self.viewer.flag().map(Into::into));
+        program.args.extend(self.port.flags().map(Into::into));
         program
     }
 }
@@ -106,6 +106,7 @@ fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -
         trust.push(base.join(list));
         args.extend(["--trust".into(), trust]);
     }
+    args.extend(process.allow_exec.then(|| "--allow-exec".into()));
     let bounds = [("--memory-warn", process.memory.warn_mib), ("--memory-limit", process.memory.limit_mib)];
     for (option, mib) in bounds {
         args.extend(mib.into_iter().flat_map(|mib| [option.into(), mib.to_string().into()]));

@@ -226,6 +226,11 @@ pub(crate) fn class(c: v1::ClassInfo) -> Result<model::ClassInfo, Refusal> {
         v1::Safety::Sensor => model::Safety::Sensor,
         v1::Safety::Actuator => model::Safety::Actuator,
     };
+    let programs = match c.programs() {
+        v1::Programs::Unspecified => model::Programs::None,
+        v1::Programs::Allowed => model::Programs::Allowed,
+        v1::Programs::Refused => model::Programs::Refused,
+    };
     Ok(model::ClassInfo {
         plugin: c.plugin,
         version: c.version,
@@ -235,6 +240,7 @@ pub(crate) fn class(c: v1::ClassInfo) -> Result<model::ClassInfo, Refusal> {
         safety,
         hardware: c.hardware,
         safe_from_any_thread: c.safe_from_any_thread,
+        programs,
         execution: execution(need(c.execution, "execution")?)?,
         config_schema: from_struct(c.config_schema.unwrap_or_default()),
         ports: ports(need(c.ports, "ports")?)?,

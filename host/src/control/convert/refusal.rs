@@ -90,7 +90,8 @@ refusals! {
     Replaced { member }
     QueueFull { member, depth }
     NotImplemented { what, hint }
-    Forbidden { what }
+    ProgramsNotAllowed { process, class }
+    Forbidden { what, caller, user }
     ReadOnly { what }
     Internal { text }
 }

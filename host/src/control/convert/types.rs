@@ -209,6 +209,11 @@ pub(crate) fn class(c: &model::ClassInfo) -> v1::ClassInfo {
         safety: safety(c.safety) as i32,
         hardware: c.hardware,
         safe_from_any_thread: c.safe_from_any_thread,
+        programs: match c.programs {
+            model::Programs::None => v1::Programs::Unspecified,
+            model::Programs::Allowed => v1::Programs::Allowed,
+            model::Programs::Refused => v1::Programs::Refused,
+        } as i32,
         execution: Some(execution_out(&c.execution)),
         config_schema: Some(to_struct(&c.config_schema)),
         ports: Some(ports(&c.ports)),

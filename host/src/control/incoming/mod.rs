@@ -1,39 +1,148 @@
 //! Callers of the port, as they are let in.
 //!
-//! Invariant: an error of accepting never ends the port and is never answered by trying again at once: the kernel keeps the caller
-//! waiting, so the next try would fail the same way, and a thread would do nothing else.
+//! Invariant: an error of accepting never ends the port and is never answered by trying again at once: the
+//! kernel keeps the caller waiting, so the next try would fail the same way, and a thread would do nothing
+//! else.
 
+mod connection;
+mod seats;
+
+use std::fs::File;
 use std::io;
+use std::os::fd::{AsFd, AsRawFd};
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use rustix::io::Errno;
-use tokio::net::{TcpListener, TcpStream};
+use rustix::io::{Errno, fcntl_dupfd_cloexec};
+use tokio::net::{TcpListener, TcpStream, UnixListener};
 use tokio::time::{Sleep, sleep};
-use tokio_stream::Stream;
 use trocar_links::Seldom;
-use trocar_rt::os::now_ns;
+use trocar_rt::os::{Unshared, now_ns, unshared};
+
+pub(super) use self::connection::Connection;
+use self::connection::Stream;
+use self::seats::Seats;
+use super::caller::Peer;
 
 /// Pause of letting callers in where the process may open no more files.
 const PAUSE: Duration = Duration::from_millis(100);
+/// Pause until a caller that was let go has closed its file.
+const TURN: Duration = Duration::from_millis(1);
+/// Files that are opened early, so that this many callers of a socket can be let in where there is none left.
+const SPARE: usize = 4;
 
-/// Connections without Nagle's delay. Where there is no file or no memory for one, its caller waits in the kernel's queue and is let in
-/// as soon as there is: to hang up on it would tell it nothing either, and cost it the call.
+/// What is listened at.
+enum Listener {
+    Tcp(TcpListener),
+    /// Files that give way to callers.
+    Unix(UnixListener, Vec<File>),
+}
+
+/// Connections without Nagle's delay. Where there is no file or no memory for one, its caller waits in the
+/// kernel's queue and is let in as soon as there is: to hang up on it would tell it nothing either, and cost
+/// it the call.
 pub(super) struct Incoming {
-    listener: TcpListener,
+    _unshared: Unshared,
+    listener: Listener,
+    /// The user whose programs are no guests.
+    user: u32,
+    seats: Arc<Seats>,
+    /// Let in, but with one of the last files.
+    held: Option<TcpStream>,
     pause: Option<Pin<Box<Sleep>>>,
     nobody: Seldom,
+    guests: Seldom,
 }
 
 impl Incoming {
-    pub(super) fn new(listener: TcpListener) -> Incoming {
-        Incoming { listener, pause: None, nobody: Seldom::default() }
+    pub(super) fn tcp(listener: TcpListener, user: u32) -> Incoming {
+        Incoming::new(Listener::Tcp(listener), user)
+    }
+
+    pub(super) fn unix(listener: UnixListener, user: u32) -> Incoming {
+        let mut incoming = Incoming::new(Listener::Unix(listener, Vec::new()), user);
+        incoming.provide();
+        incoming
+    }
+
+    fn new(listener: Listener, user: u32) -> Incoming {
+        let seats = Arc::default();
+        let (nobody, guests) = (Seldom::default(), Seldom::default());
+        let _unshared = match &listener {
+            Listener::Tcp(listener) => unshared(listener),
+            Listener::Unix(listener, _) => unshared(listener),
+        };
+        Incoming { _unshared, listener, user, seats, held: None, pause: None, nobody, guests }
+    }
+
+    /// Opens the spare files anew, as far as there are some.
+    fn provide(&mut self) {
+        let Listener::Unix(_, spare) = &mut self.listener else { return };
+        while spare.len() < SPARE
+            && let Ok(file) = File::open("/dev/null")
+        {
+            spare.push(file);
+        }
+    }
+
+    /// The next caller with its file.
+    fn poll_stream(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<(Stream, Peer)>> {
+        let stream = match &mut self.listener {
+            Listener::Unix(listener, _) => {
+                let (stream, _) = ready!(listener.poll_accept(cx))?;
+                let peer = Peer::of_unix(&stream);
+                return Poll::Ready(Ok((Stream::Unix(stream), peer)));
+            }
+            Listener::Tcp(listener) => match self.held.take() {
+                Some(held) => lower(held)?,
+                None => ready!(listener.poll_accept(cx))?.0,
+            },
+        };
+        if seats::is_of_the_last(stream.as_raw_fd()) {
+            self.held = Some(stream);
+            let somebody_went = self.seats.give_up_one();
+            if !somebody_went {
+                self.nobody.warn(now_ns(), &why(&Errno::MFILE.into()));
+            }
+            let pause = if somebody_went { TURN } else { PAUSE };
+            self.pause = Some(Box::pin(sleep(pause)));
+            return Poll::Ready(Err(Errno::AGAIN.into()));
+        }
+        if let Err(e) = stream.set_nodelay(true) {
+            log::debug!("small answers to a caller may come late: {e}");
+        }
+        let peer = stream.peer_addr().map(|addr| Peer::of_tcp(&stream, addr))?;
+        Poll::Ready(Ok((Stream::Tcp(stream), peer)))
+    }
+
+    /// A place for it, if it may have one.
+    fn seat(&mut self, stream: Stream, peer: Peer) -> Option<Connection> {
+        let is_guest = !peer.is_of(self.user);
+        match self.seats.take(is_guest) {
+            Some(seat) => Some(Connection::new(stream, peer, seat)),
+            None => {
+                let most = seats::GUESTS;
+                let why = format!(
+                    "{peer} was sent away: other users have {most} connections already, which is all they get"
+                );
+                self.guests.warn(now_ns(), &why);
+                None
+            }
+        }
     }
 }
 
-impl Stream for Incoming {
-    type Item = io::Result<TcpStream>;
+/// The same connection by the lowest number that is free now.
+fn lower(stream: TcpStream) -> io::Result<TcpStream> {
+    let stream = stream.into_std()?;
+    let moved = fcntl_dupfd_cloexec(stream.as_fd(), 0);
+    TcpStream::from_std(moved.map_or(stream, std::net::TcpStream::from))
+}
+
+impl tokio_stream::Stream for Incoming {
+    type Item = io::Result<Connection>;
 
     fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         loop {
@@ -41,15 +150,20 @@ impl Stream for Incoming {
                 ready!(pause.as_mut().poll(cx));
                 self.pause = None;
             }
-            match ready!(self.listener.poll_accept(cx)) {
-                Ok((stream, _)) => {
-                    if let Err(e) = stream.set_nodelay(true) {
-                        log::debug!("small answers to a caller may come late: {e}");
+            match ready!(self.poll_stream(cx)) {
+                Ok((stream, peer)) => {
+                    self.provide();
+                    if let Some(connection) = self.seat(stream, peer) {
+                        return Poll::Ready(Some(Ok(connection)));
                     }
-                    return Poll::Ready(Some(Ok(stream)));
                 }
                 Err(e) if is_of_one_caller(&e) => {}
                 Err(e) => {
+                    if let Listener::Unix(_, spare) = &mut self.listener
+                        && spare.pop().is_some()
+                    {
+                        continue;
+                    }
                     self.nobody.warn(now_ns(), &why(&e));
                     self.pause = Some(Box::pin(sleep(PAUSE)));
                 }
@@ -58,12 +172,19 @@ impl Stream for Incoming {
     }
 }
 
-/// It has gone from the queue with its caller: the next one is another's.
+/// It has gone from the queue with its caller: the next one is another's. Or its turn comes later.
 fn is_of_one_caller(e: &io::Error) -> bool {
-    let of_one = [Errno::CONNABORTED, Errno::CONNRESET, Errno::INTR, Errno::PROTO, Errno::PERM];
+    let of_one = [
+        Errno::AGAIN,
+        Errno::CONNABORTED,
+        Errno::CONNRESET,
+        Errno::INTR,
+        Errno::NOTCONN,
+        Errno::PERM,
+        Errno::PROTO,
+    ];
     Errno::from_io_error(e).is_some_and(|errno| of_one.contains(&errno))
 }
-
 fn why(e: &io::Error) -> String {
     let help = match Errno::from_io_error(e) {
         Some(Errno::MFILE) => {
@@ -84,7 +205,9 @@ mod tests {
 
     #[test]
     fn what_befalls_one_caller_is_no_reason_to_wait_and_what_befalls_all_says_what_to_do() {
-        for of_one in [Errno::CONNABORTED, Errno::CONNRESET, Errno::INTR, Errno::PROTO, Errno::PERM] {
+        for of_one in
+            [Errno::CONNABORTED, Errno::CONNRESET, Errno::INTR, Errno::NOTCONN, Errno::PROTO, Errno::PERM]
+        {
             assert!(is_of_one_caller(&of_one.into()), "{of_one}");
         }
         for (of_all, help) in [

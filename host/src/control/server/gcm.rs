@@ -12,7 +12,8 @@ use super::list::{Listed, listed};
 use super::part::{narrow, split};
 use super::wait::{Awaited, Wait};
 use super::watch::{WatchStream, watch};
-use super::{Caller, Edge, not_built, refuse};
+use super::{Caller, Edge, not_built, past, refuse};
+use crate::control::caller::Peer;
 use crate::control::convert::{self, Common, Figures};
 use crate::control::deadline::{deadline, room};
 use crate::control::services::FOR_COMPONENT;
@@ -46,16 +47,16 @@ macro_rules! mutate {
     }};
 }
 
-/// Who asks: a component of this process, an address, or a host at an address for one of its components.
+/// Who asks: a component of this process, a user at an address, or a host there for one of its components.
 pub(super) fn identity<T>(request: &Request<T>) -> String {
     if let Some(Caller(path)) = request.extensions().get() {
         return path.clone();
     }
-    let addr = request.remote_addr().map_or_else(|| "local".into(), |a| a.to_string());
+    let from = request.extensions().get::<Peer>().map_or_else(|| "local".into(), Peer::to_string);
     let named = request.metadata().get(FOR_COMPONENT).and_then(|v| ComponentId::parse(v.to_str().ok()?).ok());
     match named {
-        Some(component) => format!("{component} through {addr}"),
-        None => addr,
+        Some(component) => format!("{component} through {from}"),
+        None => from,
     }
 }
 
@@ -198,6 +199,9 @@ impl GcmService for Edge {
     }
 
     async fn stop(&self, request: Request<v1::StopRequest>) -> Result<Response<v1::StopResponse>, Status> {
+        if let (None, Some((process, lcm))) = (&self.gcm, &self.local) {
+            return past::stop(process, lcm, request).await.map(Response::new);
+        }
         let (mut answer, done) =
             mutate!(self, request, StopResponse { failed }, |r: v1::StopRequest| Ok(vec![Asked::Stop {
                 targets: convert::targets("Stop", r.paths, r.path)?

@@ -6,6 +6,7 @@ mod interact;
 mod list;
 mod logs;
 mod part;
+mod past;
 mod plugin;
 mod wait;
 mod watch;
@@ -19,6 +20,7 @@ use tokio::task::JoinSet;
 use tonic::{Extensions, Status};
 use trocar_model::{ComponentId, Name, Refusal, SystemGraph};
 
+use super::caller::OnlyReads;
 use super::convert::Figures;
 use super::status::status;
 use crate::gcm::{Gcm, Lines};
@@ -30,10 +32,6 @@ const FIGURES: Duration = Duration::from_secs(1);
 /// The component a request comes from, when it never left this process.
 #[derive(Clone)]
 pub(super) struct Caller(pub(super) String);
-
-/// The request comes from a page that only reads; of what can do both it may ask only that.
-#[derive(Clone, Copy)]
-pub(super) struct OnlyReads;
 
 /// Whom this port speaks for.
 #[derive(Clone)]
@@ -71,13 +69,11 @@ impl Edge {
         }
     }
 
-    /// A page that only reads may call commands that read.
+    /// A caller that only reads may call commands that read.
     fn may_call(&self, extensions: &Extensions, path: &str) -> Result<(), Refusal> {
-        if extensions.get::<OnlyReads>().is_none() {
-            return Ok(());
-        }
+        let Some(limit) = extensions.get::<OnlyReads>() else { return Ok(()) };
         let (id, port, member) = part::split(path)?;
-        let refused = || Refusal::ReadOnly { what: path.to_owned() };
+        let refused = || limit.refusal(path.to_owned());
         // Without a graph nobody here knows what a command does.
         let graph = self.gcm.as_ref().map(Gcm::graph).ok_or_else(refused)?;
         let Some(component) = graph.components.get(&id) else {

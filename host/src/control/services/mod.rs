@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tonic::client::Grpc;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Endpoint;
 use tonic::{Request, Status};
 use tonic_types::StatusExt;
 use trocar_model::{ComponentId, Refusal};
@@ -20,6 +20,7 @@ use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use self::dynamic::Rpc;
 use super::attach::MAX_MESSAGE;
+use super::caller::{Tokened, with_token};
 use super::server::{Caller, Edge};
 use super::status::{code_name, status};
 use crate::gcm::Gcm;
@@ -45,7 +46,7 @@ pub struct GcmServices {
 #[derive(Clone)]
 enum Way {
     Here(Edge),
-    There { addr: String, channel: Channel },
+    There { addr: String, channel: Tokened },
 }
 
 impl GcmServices {
@@ -65,7 +66,7 @@ impl GcmServices {
         let bare = addr.strip_prefix("http://").unwrap_or(addr);
         let endpoint = Endpoint::from_shared(format!("http://{bare}")).map_err(|e| e.to_string())?;
         let channel = endpoint.connect_timeout(CONNECT).tcp_nodelay(true).connect_lazy();
-        let way = Way::There { addr: bare.into(), channel };
+        let way = Way::There { addr: bare.into(), channel: with_token(channel) };
         Ok(GcmServices { runtime: Handle::current(), way, _open: watch::channel(()).0 })
     }
 }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::control::{ServeConfig, Server, Viewer};
+use crate::control::{PortRules, ServeConfig, Server};
 use crate::gcm::fake::{FakeLcm, name};
 use crate::gcm::{GcmConfig, Registration};
 use crate::lcm::{Lcm, SERVICE_VERBS};
@@ -92,7 +92,8 @@ async fn a_gcm_elsewhere_answers_the_same_and_its_loss_is_named() {
         gcm: Some(gcm.clone()),
         local: Some((name("host"), lcm)),
         managed_by: None,
-        viewer: Viewer::Full,
+        rules: PortRules::default(),
+        runtime: None,
     });
     let server = server.await.unwrap();
     let addr = server.addr().to_string();

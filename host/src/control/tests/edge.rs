@@ -6,7 +6,7 @@ use tonic_health::pb::health_client::HealthClient;
 use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
 use trocar_proto::v1;
 
-use super::super::{ServeConfig, ServeError, Server, Viewer};
+use super::super::{PortRules, ServeConfig, ServeError, Server};
 use super::{System, connect, create, in_time, serve, start, stop};
 
 /// Symbols a tool asks for: our services and the error details.
@@ -178,7 +178,8 @@ async fn a_taken_port_and_an_open_address_are_refused_with_what_to_do() {
         gcm: None,
         local: None,
         managed_by: None,
-        viewer: Viewer::Full,
+        rules: PortRules::default(),
+        runtime: None,
     };
     for (listen, what, remedy) in
         [(first.addr().to_string(), "taken", "--listen"), ("0.0.0.0:0".into(), "not authenticated", "SSH")]

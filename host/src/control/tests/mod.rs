@@ -17,7 +17,7 @@ use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 
-use super::{ServeConfig, Server, Viewer};
+use super::{PortRules, ServeConfig, Server};
 use crate::gcm::fake::{FakeLcm, name};
 use crate::gcm::{Gcm, GcmConfig, Registration};
 use crate::lcm::Lcm;
@@ -37,7 +37,8 @@ async fn serve(listen: &str, gcm: Option<&Gcm>, local: Option<&Arc<FakeLcm>>) ->
         gcm: gcm.cloned(),
         local: local.map(|lcm| (name("host"), lcm.clone() as Arc<dyn Lcm>)),
         managed_by: gcm.is_none().then(|| "127.0.0.1:50551".into()),
-        viewer: Viewer::Full,
+        rules: PortRules::default(),
+        runtime: None,
     };
     Server::start(config).await.unwrap()
 }

@@ -15,15 +15,17 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, oneshot};
 use tokio::task::JoinHandle;
-use tonic::transport::{Channel, Endpoint};
 use trocar_model::{Refusal, SystemGraph};
 use trocar_proto::v1;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
 use self::session::Session;
 use super::attach::MAX_MESSAGE;
+use super::caller::Tokened;
+use super::dial::dial;
 use crate::gcm::{Registration, Slice};
 use crate::lcm::Lcm;
+use crate::runtime_dir::Door;
 
 /// Time for a GCM to answer at all. One that hangs answers when it goes on, so nothing is gained by waiting longer.
 const ATTEMPT: Duration = Duration::from_secs(1);
@@ -183,11 +185,9 @@ impl Tie {
     }
 
     /// A GCM that answers. One that hangs must not find, when it goes on, the Hello of every attempt that was given up meanwhile.
-    async fn dial(&self) -> Result<AttachServiceClient<Channel>, Refused> {
+    async fn dial(&self) -> Result<AttachServiceClient<Tokened>, Refused> {
         let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
-        let endpoint = Endpoint::from_shared(uri).map_err(|e| Refused::Unheard(because(&e)))?;
-        let channel =
-            endpoint.tcp_nodelay(true).connect().await.map_err(|e| Refused::Unheard(because(&e)))?;
+        let channel = dial(&uri, Door::Calls, ATTEMPT).await.map_err(|e| Refused::Unheard(because(&e)))?;
         let mut client = AttachServiceClient::new(channel)
             .max_decoding_message_size(MAX_MESSAGE)
             .max_encoding_message_size(MAX_MESSAGE);
@@ -196,7 +196,7 @@ impl Tie {
         Ok(client)
     }
 
-    async fn hello(&self, client: AttachServiceClient<Channel>) -> Result<Session, Refused> {
+    async fn hello(&self, client: AttachServiceClient<Tokened>) -> Result<Session, Refused> {
         // What was begun for the last session is finished first, so that the slice has it.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };

@@ -11,13 +11,13 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
-use tonic::transport::Channel;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
 use super::orders::Orders;
 use super::{Refused, Told};
 use crate::control::attach::{BEAT, LEASE};
+use crate::control::caller::Tokened;
 use crate::control::convert;
 use crate::gcm::Registration;
 use crate::lcm::{Lcm, News};
@@ -40,7 +40,7 @@ pub(super) struct Session {
 
 impl Session {
     pub(super) async fn open(
-        mut client: AttachServiceClient<Channel>,
+        mut client: AttachServiceClient<Tokened>,
         who: Registration,
         lcm: Arc<dyn Lcm>,
         told: Told,

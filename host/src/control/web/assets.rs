@@ -2,6 +2,7 @@
 //!
 //! Invariant: only embedded bytes are served, by exact name: no path of this machine is ever looked at.
 
+use axum::Extension;
 use axum::body::Bytes;
 use axum::extract::Path;
 use axum::http::header::{
@@ -11,7 +12,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
-use super::Viewer;
+use crate::control::caller::OnlyReads;
 
 /// What the build made.
 #[derive(RustEmbed)]
@@ -29,9 +30,9 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; s
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Every page is the same file: it looks at its own address.
-pub(super) async fn page(viewer: Viewer) -> Response {
-    match (viewer, Built::get(PAGE)) {
-        (Viewer::ReadOnly, Some(found)) => {
+pub(super) async fn page(limit: Option<Extension<OnlyReads>>) -> Response {
+    match (limit, Built::get(PAGE)) {
+        (Some(_), Some(found)) => {
             let told = String::from_utf8_lossy(&found.data).replacen(FULL, ONLY_READS, 1);
             answer(PAGE, "no-cache", told.into())
         }
@@ -101,8 +102,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_page_that_only_reads_is_told_so() {
-        for (viewer, told) in [(Viewer::Full, FULL), (Viewer::ReadOnly, ONLY_READS)] {
-            let body = axum::body::to_bytes(page(viewer).await.into_body(), 1 << 20).await.unwrap();
+        for (limit, told) in [(None, FULL), (Some(Extension(OnlyReads::Page)), ONLY_READS)] {
+            let body = axum::body::to_bytes(page(limit).await.into_body(), 1 << 20).await.unwrap();
             let page = String::from_utf8(body.to_vec()).unwrap();
             assert_eq!(page.matches("<meta name=\"viewer\"").count(), 1, "{page}");
             assert!(page.contains(told), "{page}");

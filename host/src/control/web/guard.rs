@@ -22,12 +22,18 @@ pub(super) async fn guard(request: Request, next: Next) -> Response {
 }
 
 /// True for a program that speaks gRPC, without any sign of a browser.
-pub(super) fn is_program(version: Version, headers: &HeaderMap) -> bool {
+fn is_program(version: Version, headers: &HeaderMap) -> bool {
     version == Version::HTTP_2 && !headers.contains_key(ORIGIN) && !headers.contains_key("sec-fetch-site")
 }
 
+/// True for gRPC as programs speak it; gRPC-Web is for pages, whoever speaks it.
+pub(in crate::control) fn is_native(request: &Request) -> bool {
+    let kind = request.headers().get(CONTENT_TYPE).map_or(&b""[..], |kind| kind.as_bytes());
+    is_program(request.version(), request.headers()) && !kind.starts_with(b"application/grpc-web")
+}
+
 /// True for gRPC in any of its forms.
-pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
+pub(in crate::control) fn is_grpc(headers: &HeaderMap) -> bool {
     text(headers, CONTENT_TYPE.as_str()).is_some_and(|t| t.starts_with("application/grpc"))
 }
 

@@ -4,17 +4,29 @@
 
 mod assets;
 mod guard;
-mod reading;
+
+use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
-use axum::middleware::from_fn;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tonic::Status;
 use tonic::service::Routes;
 use tonic_web::GrpcWebLayer;
+
+pub(super) use self::guard::{is_grpc, is_native};
+use super::caller::{Access, only_allowed};
+
+/// Who may do what at a port, beyond what everybody may.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PortRules {
+    pub viewer: Viewer,
+    /// Whoever reaches the port may do everything, other users of the machine, too.
+    pub open_loopback: bool,
+}
 
 /// What the viewer's page may do on a port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -26,21 +38,17 @@ pub enum Viewer {
     ReadOnly,
 }
 
-/// The services and the page as one.
-pub(super) fn with_page(services: Routes, viewer: Viewer) -> Routes {
+/// The services and the page as one, behind what decides who may ask for what.
+pub(super) fn with_page(services: Routes, access: Access) -> Routes {
     let services = services.into_axum_router().layer(GrpcWebLayer::new()).reset_fallback();
     let page = Router::new()
-        .route("/", get(move || assets::page(viewer)))
-        .route("/video", get(move || assets::page(viewer)))
+        .route("/", get(assets::page))
+        .route("/video", get(assets::page))
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/assets/{name}", get(assets::asset))
         .route("/{name}", get(assets::beside));
     let all = services.merge(page).fallback(nothing_there);
-    let all = match viewer {
-        Viewer::Full => all,
-        Viewer::ReadOnly => all.layer(from_fn(reading::only)),
-    };
-    all.layer(from_fn(guard::guard)).into()
+    all.layer(from_fn_with_state(Arc::new(access), only_allowed)).layer(from_fn(guard::guard)).into()
 }
 
 /// gRPC keeps its own answer to what it does not know; everybody else is told what there is.

@@ -9,7 +9,7 @@ use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use trocar_model::{ClassInfo, Execution, ExecutionLimits, Refusal, Safety};
+use trocar_model::{ClassInfo, Execution, ExecutionLimits, Programs, Refusal, Safety};
 use trocar_plugin_api::abi::{
     Bytes, ClassTable, ErrBuf, HostTable, IN_SAMPLE, Outcome, PARALLEL, Parallel, Ports, STATUS_FAILED,
     STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, Sink, SliceBody, Status, Tick,
@@ -416,6 +416,7 @@ pub(in crate::lcm) fn class(mut ports: trocar_model::Ports, safety: Safety) -> C
         safety,
         hardware: false,
         safe_from_any_thread: false,
+        programs: Programs::None,
         execution: Execution::default(),
         limits: ExecutionLimits::default(),
         config_schema: serde_json::json!({}),

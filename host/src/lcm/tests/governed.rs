@@ -84,6 +84,7 @@ impl Governed {
             classes: Some(Arc::new(Catalog)),
             links: None,
             lock_memory: false,
+            allow_exec: false,
         };
         let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), LocalLcm::new(config).unwrap());
         let who = Registration::new(Name::parse(process).unwrap(), String::new());

@@ -1,12 +1,15 @@
-"""The channel to the GCM: unary calls with deadlines, streams, and nothing of grpc beyond this file's callers.
+"""The channels to the GCM: unary calls with deadlines, streams, and nothing of grpc beyond this file's callers.
 
-Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` here and nowhere else.
+Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` here and nowhere else. Calls have a connection of
+their own, so that no number of streams keeps a Stop waiting.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import threading
 from typing import Any
 
 import grpc
@@ -30,19 +33,34 @@ _OPTIONS = [
 ]
 
 
+STREAMS = 100
+"""Streams one connection carries. A host takes 256; the rest of them would wait unseen."""
+
+
 class Wire:
-    """One channel. ``address`` is ``host:port``; ``credentials`` are grpc's channel credentials, none = plain text."""
+    """The way to one GCM. ``address`` is ``host:port``; ``credentials`` are grpc's channel credentials, none = plain text.
+
+    With ``TROCAR_TOKEN`` in the environment each request carries that token: another user's, who gave it (`trocar token`).
+    """
 
     def __init__(self, address: str, credentials: Any = None, options: list[tuple[str, Any]] | None = None) -> None:
         self.address = address
-        merged = [*_OPTIONS, *(options or [])]
-        if credentials is None:
-            self.channel = grpc.insecure_channel(address, merged)
-        else:
-            self.channel = grpc.secure_channel(address, credentials, merged)
+        self._credentials = credentials
+        self._merged = [*_OPTIONS, *(options or [])]
+        token = os.environ.get("TROCAR_TOKEN", "").strip()
+        self._metadata = (("authorization", f"Bearer {token}"),) if token else None
+        self.channel = self._channel()
         self._unary: dict[str, Any] = {}
-        self._streams: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._carriers: list[_Carrier] = []
         self.closed = False
+
+    def _channel(self) -> Any:
+        # Channels that may share a connection would.
+        options = [*self._merged, ("grpc.use_local_subchannel_pool", 1)]
+        if self._credentials is None:
+            return grpc.insecure_channel(self.address, options)
+        return grpc.secure_channel(self.address, self._credentials, options)
 
     def _unary_of(self, name: str) -> Any:
         found = self._unary.get(name)
@@ -58,7 +76,7 @@ class Wire:
         """Asks and waits, ``timeout`` seconds at most."""
         __tracebackhide__ = True
         try:
-            return self._unary_of(name)(request, timeout=timeout)
+            return self._unary_of(name)(request, timeout=timeout, metadata=self._metadata)
         except (grpc.RpcError, ValueError) as e:
             error = self.error(e, name)
         raise error
@@ -66,7 +84,7 @@ class Wire:
     def begin(self, name: str, request: Any, timeout: float) -> Any:
         """Asks and hands back grpc's future."""
         try:
-            return self._unary_of(name).future(request, timeout=timeout)
+            return self._unary_of(name).future(request, timeout=timeout, metadata=self._metadata)
         except ValueError as e:
             raise self.error(e, name) from None
 
@@ -100,16 +118,34 @@ class Wire:
     def stream(self, name: str, request: Any) -> Any:
         """Opens a stream of answers; ends only with it or with the channel."""
         m = _proto.METHODS[name]
-        found = self._streams.get(name)
-        if found is None:
-            found = self.channel.unary_stream(
-                m.path, request_serializer=m.request.SerializeToString, response_deserializer=m.response.FromString
-            )
-            self._streams[name] = found
+        carrier = self._carrier()
         try:
-            return found(request)
+            opened = carrier.channel.unary_stream(
+                m.path, request_serializer=m.request.SerializeToString, response_deserializer=m.response.FromString
+            )(request, metadata=self._metadata)
         except ValueError as e:
+            self._left(carrier)
             raise self.error(e, name) from None
+        if not opened.add_callback(lambda: self._left(carrier)):
+            # It has ended already.
+            self._left(carrier)
+        return opened
+
+    def _carrier(self) -> _Carrier:
+        """A connection with room for one more stream."""
+        with self._lock:
+            if self.closed:
+                raise self.error(ValueError(), "stream")
+            found = next((c for c in self._carriers if c.streams < STREAMS), None)
+            if found is None:
+                found = _Carrier(self._channel())
+                self._carriers.append(found)
+            found.streams += 1
+            return found
+
+    def _left(self, carrier: _Carrier) -> None:
+        with self._lock:
+            carrier.streams -= 1
 
     def error(self, e: Any, name: str) -> TrocarError:
         """What a failure of grpc means."""
@@ -121,5 +157,17 @@ class Wire:
 
     def close(self) -> None:
         """Ends every call and stream."""
-        self.closed = True
+        with self._lock:
+            self.closed = True
+            carriers = list(self._carriers)
         self.channel.close()
+        for carrier in carriers:
+            carrier.channel.close()
+
+
+class _Carrier:
+    """A connection for streams, and how many it carries."""
+
+    def __init__(self, channel: Any) -> None:
+        self.channel = channel
+        self.streams = 0

@@ -51,6 +51,14 @@ def test_a_shell_that_is_killed_goes_from_the_graph_too(system, ire):
     eventually("it is gone", lambda: "dies" not in ire._graph.processes)
 
 
+def test_many_follows_keep_no_call_of_their_session_waiting(system, ire):
+    # More than a connection carries streams.
+    follows = [ire.follow("robot/EyeRobot/position", lambda *_: None, max_rate_hz=1) for _ in range(260)]
+    assert ire.stop("robot/EyeRobot") and ire.start("robot/EyeRobot")
+    for f in follows:
+        f.close()
+
+
 def test_programs_that_are_started_beside_a_session_run_undisturbed(system):
     # By fork: newer versions of subprocess have a way without, which pty and others do not take.
     code = """

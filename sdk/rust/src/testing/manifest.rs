@@ -137,6 +137,7 @@ impl Types {
             safety: class.safety.name().to_string(),
             hardware: class.hardware,
             safe_from_any_thread: class.safe_from_any_thread,
+            starts_programs: class.starts_programs,
             execution: m::Execution::default(),
             config: crate::serde_json::Value::Null,
             inputs: class

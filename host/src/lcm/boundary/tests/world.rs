@@ -82,6 +82,7 @@ impl World {
             classes: Some(Arc::new(Puppets)),
             links: None,
             lock_memory: false,
+            allow_exec: false,
         };
         let lcm = LocalLcm::new(config).unwrap();
         World { lcm, runtime, process: process.into(), connections: AtomicU64::new(0) }

@@ -31,6 +31,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         classes: Some(Arc::new(FakeClasses)),
         links: None,
         lock_memory: false,
+        allow_exec: false,
     };
     let lcm = LocalLcm::new(config).unwrap();
     let id = ComponentId::parse("hy_mask/c").unwrap();

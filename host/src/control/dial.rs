@@ -1,0 +1,36 @@
+//! The way to a port: by the socket beside it, else by TCP, with the token of the environment.
+//!
+//! Invariant: a socket is taken only from this user's own runtime directory, so nobody else can stand behind
+//! it.
+
+use std::time::Duration;
+
+use tonic::transport::{Channel, Endpoint, Error};
+
+use super::caller::{Tokened, with_token};
+use crate::runtime_dir::{Door, RuntimeDir};
+
+/// Connects to `http://HOST:PORT`; `within` bounds each attempt.
+///
+/// # Errors
+/// It is no address, nobody listens there, or no answer came in time.
+pub async fn dial(uri: &str, door: Door, within: Duration) -> Result<Tokened, Error> {
+    if let Some(channel) = beside(uri, door, within).await {
+        return Ok(with_token(channel));
+    }
+    let endpoint = Endpoint::from_shared(uri.to_owned())?.connect_timeout(within).tcp_nodelay(true);
+    Ok(with_token(endpoint.connect().await?))
+}
+
+async fn beside(uri: &str, door: Door, within: Duration) -> Option<Channel> {
+    let addrs = tokio::net::lookup_host(uri.strip_prefix("http://")?).await.ok()?;
+    let dir = RuntimeDir::of_user();
+    for path in addrs.filter(|addr| addr.ip().is_loopback()).flat_map(|addr| dir.doors(addr, door)) {
+        let Ok(endpoint) = Endpoint::from_shared(format!("unix:{}", path.display())) else { continue };
+        // One that a killed host left refuses at once.
+        if let Ok(channel) = endpoint.connect_timeout(within).connect().await {
+            return Some(channel);
+        }
+    }
+    None
+}

@@ -1,0 +1,105 @@
+//! Sockets beside the port, in the user's runtime directory: one for calls, and one for Stop on a thread of
+//! its own.
+//!
+//! Invariant: only their user's programs and root's can reach them. Nothing that is asked at the port or at
+//! the first one takes anything that a Stop at the second needs: not a file, not a connection, not a thread.
+
+use std::io;
+use std::net::SocketAddr;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixListener;
+use std::path::PathBuf;
+use std::thread;
+
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tonic::service::Routes;
+
+use super::caller::own_user;
+use super::incoming::Incoming;
+use super::serve::transport;
+use crate::runtime_dir::{Door, RuntimeDir};
+
+/// The sockets of one port; removed when they are dropped.
+pub(super) struct Doors {
+    paths: Vec<PathBuf>,
+    /// Both end with it.
+    open: Option<watch::Sender<()>>,
+    calls: Option<JoinHandle<()>>,
+}
+
+impl Doors {
+    /// Opens them beside the port `addr`. A port works without them: what could not be opened is logged.
+    pub(super) fn open(dir: &RuntimeDir, addr: SocketAddr, routes: &Routes) -> Doors {
+        let (open, closing) = watch::channel(());
+        let mut doors = Doors { paths: Vec::new(), open: Some(open), calls: None };
+        if let Err(e) = doors.listen(dir, addr, routes, &closing) {
+            let dir = dir.path().display();
+            log::warn!(
+                "programs of this user reach {addr} by TCP alone, since there is no socket in {dir}: {e}"
+            );
+        }
+        doors
+    }
+
+    fn listen(
+        &mut self,
+        dir: &RuntimeDir,
+        addr: SocketAddr,
+        routes: &Routes,
+        closing: &watch::Receiver<()>,
+    ) -> io::Result<()> {
+        dir.prepare()?;
+        let stop = self.bind(dir.door(addr, Door::Stop))?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let serving = serve(stop, routes.clone(), closing.clone());
+        // It ends with its sockets; a call that hangs does not keep the process.
+        thread::Builder::new().name("trocar-stop".into()).spawn(move || runtime.block_on(serving))?;
+        let calls = self.bind(dir.door(addr, Door::Calls))?;
+        self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
+        Ok(())
+    }
+
+    fn bind(&mut self, path: PathBuf) -> io::Result<UnixListener> {
+        // A process id comes again: what lies here belongs to nobody alive.
+        let _ = std::fs::remove_file(&path);
+        let listener = UnixListener::bind(&path)?;
+        self.paths.push(path.clone());
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))?;
+        listener.set_nonblocking(true)?;
+        Ok(listener)
+    }
+
+    /// Takes no more calls; open ones end with the port's.
+    pub(super) fn close(&mut self) {
+        self.open = None;
+        for path in self.paths.drain(..) {
+            // A directory that was removed took it along.
+            let _ = std::fs::remove_file(path);
+        }
+    }
+}
+
+impl Drop for Doors {
+    fn drop(&mut self) {
+        self.close();
+        if let Some(calls) = &self.calls {
+            calls.abort();
+        }
+    }
+}
+
+async fn serve(listener: UnixListener, routes: Routes, mut closing: watch::Receiver<()>) {
+    let served = async {
+        let incoming = Incoming::unix(tokio::net::UnixListener::from_std(listener)?, own_user());
+        let closed = async move {
+            // Its sender only ever goes.
+            let _ = closing.changed().await;
+        };
+        let router = transport().add_routes(routes);
+        router.serve_with_incoming_shutdown(incoming, closed).await.map_err(io::Error::other)
+    };
+    if let Err(e) = served.await {
+        log::error!("a socket of the gRPC port ended: {e}");
+    }
+}

@@ -1,0 +1,237 @@
+//! The runtime directory of a user: the sockets of its hosts, and the token it may give to others.
+//!
+//! Invariant: only its user can read or enter it; what killed processes left is swept away by the next one,
+//! and nothing else is.
+
+use std::fs::{self, DirBuilder, OpenOptions};
+use std::io::{self, Read, Write};
+use std::net::SocketAddr;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use rustix::rand::{GetRandomFlags, getrandom};
+
+/// Bytes of chance in a token.
+const CHANCE: usize = 32;
+
+/// What a socket beside a port is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Door {
+    /// The services of the port.
+    Calls,
+    /// The same on a thread and with files of its own, so that Stop gets through whatever the port has to do.
+    Stop,
+}
+
+impl Door {
+    fn suffix(self) -> &'static str {
+        match self {
+            Door::Calls => "calls",
+            Door::Stop => "stop",
+        }
+    }
+}
+
+/// `$XDG_STATE_HOME/trocar`, or `~/.local/state/trocar`; without a home directory the temporary one.
+pub fn state_home() -> PathBuf {
+    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    set("XDG_STATE_HOME")
+        .filter(|p| p.is_absolute())
+        .or_else(|| set("HOME").map(|home| home.join(".local/state")))
+        .unwrap_or_else(std::env::temp_dir)
+        .join("trocar")
+}
+
+/// A directory with sockets and a token.
+#[derive(Clone, Debug)]
+pub struct RuntimeDir(PathBuf);
+
+impl RuntimeDir {
+    /// The one at `path`, which may not be there yet.
+    pub fn at(path: impl Into<PathBuf>) -> RuntimeDir {
+        RuntimeDir(path.into())
+    }
+
+    /// That of this program's user.
+    pub(crate) fn of_user() -> RuntimeDir {
+        RuntimeDir::at(state_home().join("run"))
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    /// Makes it, and takes away what killed processes left.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub(crate) fn prepare(&self) -> io::Result<()> {
+        DirBuilder::new().recursive(true).mode(0o700).create(&self.0)?;
+        self.sweep();
+        Ok(())
+    }
+
+    /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names
+    /// the network, too.
+    pub(crate) fn door(&self, addr: SocketAddr, door: Door) -> PathBuf {
+        self.0.join(format!("{}.{}", std::process::id(), tail(addr, door)))
+    }
+
+    /// Sockets beside the port `addr`; one of a killed process may still be among them.
+    pub(crate) fn doors(&self, addr: SocketAddr, door: Door) -> Vec<PathBuf> {
+        let tail = tail(addr, door);
+        let beside = |path: &PathBuf| {
+            let name = path.file_name().and_then(|name| name.to_str()).and_then(|name| name.split_once('.'));
+            name.is_some_and(|(_, rest)| rest == tail)
+        };
+        self.entries().filter(beside).collect()
+    }
+
+    /// The token of this user; made when there is none.
+    ///
+    /// # Errors
+    /// It can be neither read nor written, or others could have read it.
+    pub fn token(&self) -> io::Result<String> {
+        match self.known_token() {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+            known => return known,
+        }
+        self.prepare()?;
+        let mut chance = [0; CHANCE];
+        getrandom(&mut chance, GetRandomFlags::empty())?;
+        let token: String = chance.iter().map(|byte| format!("{byte:02x}")).collect();
+        // Whole or not there: another program may look at the same moment, or make one.
+        let new = self.0.join(format!("token.{}", std::process::id()));
+        let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&new)?;
+        file.write_all(format!("{token}\n").as_bytes())?;
+        let linked = fs::hard_link(&new, self.token_path());
+        fs::remove_file(&new)?;
+        match linked {
+            Ok(()) => Ok(token),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => self.known_token(),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// The token, if there is one.
+    ///
+    /// # Errors
+    /// There is none, it cannot be read, or others could have read it.
+    pub(crate) fn known_token(&self) -> io::Result<String> {
+        let path = self.token_path();
+        let mut file = fs::File::open(&path)?;
+        let told = file.metadata()?;
+        if told.mode() & 0o077 != 0 {
+            return Err(io::Error::new(
+                io::ErrorKind::PermissionDenied,
+                format!("others may read {}; remove it, and `trocar token` makes another", path.display()),
+            ));
+        }
+        let mut token = String::new();
+        file.read_to_string(&mut token)?;
+        let token = token.trim();
+        if token.len() != 2 * CHANCE {
+            let why = format!("{} holds no token; remove it, and `trocar token` makes one", path.display());
+            return Err(io::Error::new(io::ErrorKind::InvalidData, why));
+        }
+        Ok(token.to_owned())
+    }
+
+    fn token_path(&self) -> PathBuf {
+        self.0.join("token")
+    }
+
+    /// A socket that is just being bound refuses, too, so its process must be gone as well.
+    fn sweep(&self) {
+        for path in self.entries() {
+            let Some(pid) = pid_of(&path) else { continue };
+            if !Path::new("/proc").join(pid.to_string()).exists() && refuses(&path) {
+                // Another one that starts now may be faster.
+                let _ = fs::remove_file(&path);
+            }
+        }
+    }
+
+    /// Everything in it.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = PathBuf> + use<> {
+        fs::read_dir(&self.0).into_iter().flatten().flatten().map(|entry| entry.path())
+    }
+}
+
+/// Nobody listens there any more, or not yet.
+fn refuses(path: &Path) -> bool {
+    std::os::unix::net::UnixStream::connect(path).is_err_and(|e| e.kind() == io::ErrorKind::ConnectionRefused)
+}
+
+fn tail(addr: SocketAddr, door: Door) -> String {
+    let network = fs::metadata("/proc/self/ns/net").map_or(0, |network| network.ino());
+    format!("{addr}.{network:x}.{}", door.suffix())
+}
+
+/// The process a socket is named after.
+pub(crate) fn pid_of(path: &Path) -> Option<u32> {
+    path.file_name()?.to_str()?.split_once('.')?.0.parse().ok()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+    use std::os::unix::net::UnixListener;
+
+    use super::*;
+
+    #[test]
+    fn a_token_is_made_once_and_only_its_user_can_read_it() {
+        let temp = tempfile::tempdir().unwrap();
+        let dir = RuntimeDir::at(temp.path().join("run"));
+        assert_eq!(dir.known_token().unwrap_err().kind(), io::ErrorKind::NotFound);
+        let token = dir.token().unwrap();
+        assert!(token.len() == 64 && token.bytes().all(|b| b.is_ascii_hexdigit()), "{token}");
+        assert_eq!(dir.token().unwrap(), token);
+        let mode = |path: &Path| fs::metadata(path).unwrap().mode() & 0o777;
+        assert_eq!((mode(dir.path()), mode(&dir.token_path())), (0o700, 0o600));
+        fs::remove_file(dir.token_path()).unwrap();
+        assert_ne!(dir.token().unwrap(), token);
+    }
+
+    #[test]
+    fn a_token_that_others_could_have_read_is_none_and_neither_is_half_a_one() {
+        let temp = tempfile::tempdir().unwrap();
+        let dir = RuntimeDir::at(temp.path());
+        dir.token().unwrap();
+        fs::set_permissions(dir.token_path(), fs::Permissions::from_mode(0o640)).unwrap();
+        assert!(dir.token().unwrap_err().to_string().contains("others may read"));
+        fs::set_permissions(dir.token_path(), fs::Permissions::from_mode(0o600)).unwrap();
+        fs::write(dir.token_path(), "").unwrap();
+        assert!(dir.token().unwrap_err().to_string().contains("holds no token"));
+    }
+
+    #[test]
+    fn a_door_is_found_by_the_address_of_its_port_and_by_nothing_else() {
+        let temp = tempfile::tempdir().unwrap();
+        let dir = RuntimeDir::at(temp.path());
+        let at = |port| SocketAddr::from(([127, 0, 0, 1], port));
+        let door = dir.door(at(50551), Door::Calls);
+        let _listening = UnixListener::bind(&door).unwrap();
+        assert_eq!(dir.doors(at(50551), Door::Calls), [door]);
+        assert!(dir.doors(at(50551), Door::Stop).is_empty() && dir.doors(at(5055), Door::Calls).is_empty());
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_swept_away_by_the_next_one_and_nothing_else_is() {
+        let temp = tempfile::tempdir().unwrap();
+        let dir = RuntimeDir::at(temp.path());
+        // No process has so large a number.
+        let dead = temp.path().join("4294967295.host.sock");
+        drop(UnixListener::bind(&dead).unwrap());
+        let binding = temp.path().join(format!("{}.other.sock", std::process::id()));
+        drop(UnixListener::bind(&binding).unwrap());
+        let token = dir.token().unwrap();
+        dir.prepare().unwrap();
+        assert!(!dead.exists(), "the dead socket is still there");
+        assert!(binding.exists(), "its process lives: it may be about to listen");
+        assert_eq!(dir.token().unwrap(), token);
+    }
+}
