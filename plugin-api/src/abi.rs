@@ -427,6 +427,21 @@ pub struct SliceBody {
     pub run: unsafe extern "C" fn(data: *mut c_void, slice: u32) -> Status,
 }
 
+/// Id of the host extension [`Keep`].
+pub const KEEP: &str = "trocar.keep/1";
+
+/// For code that cannot know that nobody still holds what an instance was given, its host table or a slot.
+#[repr(C)]
+#[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
+pub struct Keep {
+    pub struct_size: u32,
+    pub flags: u32,
+    /// All that the instance of this table was given stays as it is until the process ends, destroyed or not;
+    /// slots answer as those of ports without a connection. `ctx` is that of the `HostTable`. Any thread, at
+    /// the latest from `bind` or `destroy`.
+    pub keep: unsafe extern "C" fn(ctx: *mut c_void),
+}
+
 /// A plugin linked into the executable: its manifest, which a file carries as a note, and its entry.
 #[derive(Clone, Copy, Debug)]
 pub struct StaticPlugin {

@@ -307,6 +307,15 @@ typedef struct trocar_parallel {
     trocar_status (*run)(void *ctx, uint32_t slices, const trocar_slice_body *body);
 } trocar_parallel;
 
+/* Host extension "trocar.keep/1": for code that cannot know whether somebody holds a slot or the table. */
+typedef struct trocar_keep {
+    uint32_t struct_size;
+    uint32_t flags;
+    /* All that the instance of this table was given stays as it is until the process ends, destroyed or not. ctx
+     * is that of its trocar_host. Any thread, at the latest from bind or destroy. */
+    void (*keep)(void *ctx);
+} trocar_keep;
+
 /* One component class. A null entry is not implemented. */
 typedef struct trocar_class {
     uint32_t struct_size;

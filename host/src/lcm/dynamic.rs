@@ -382,7 +382,7 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     described.life().kept.push(new.clone());
     instance.as_running(Inside::Bind, || entered.bind(new.slots.table())).map_err(|e| failed("bind", e))?;
     let mut life = described.life();
-    life.kept.retain(|set| Arc::ptr_eq(set, &before));
+    life.kept.retain(|set| instance.holds_on() || Arc::ptr_eq(set, &before));
     life.fresh = false;
     if same {
         return Ok(());

@@ -118,6 +118,10 @@ impl Misuse {
     }
 }
 
+/// Why one is kept whose handles outlive it.
+pub(super) const HELD: &str =
+    "its code still holds ports or host handles of it, in a static or in a thread that did not end";
+
 /// Bytes of a reason that are kept.
 const LAST_WORDS_BYTES: usize = 160;
 
@@ -461,13 +465,24 @@ impl Instance {
         self.described.reclaim() + self.inboxes.reclaim() + self.faces.reclaim()
     }
 
-    /// Ends the plugin's instance; one that somebody is still making safe is left, with all it was given.
+    /// Ends the plugin's instance. With all it was given, one is left that somebody is still making safe, and
+    /// one of which handles outlive it: they lead to what answers that nobody is connected, instead of to
+    /// memory of others.
     pub(super) fn destroy(&self, entered: &mut Entered<'_>) {
-        if !self.as_running(Entry::Destroy, || entered.destroy())
-            && let Some(me) = self.me()
-        {
-            self.hub.bury(me, "another thread is still making it safe");
+        let destroyed = self.as_running(Entry::Destroy, || entered.destroy());
+        let why = match destroyed {
+            false => "another thread is still making it safe",
+            true if self.host.is_held() => HELD,
+            true => return,
+        };
+        if let Some(me) = self.me() {
+            self.hub.bury(me, why);
         }
+    }
+
+    /// Its code holds ports or host handles that were to go with one of its instances.
+    pub(super) fn holds_on(&self) -> bool {
+        self.host.is_held()
     }
 
     /// Everything that can still reach it is told it is gone.

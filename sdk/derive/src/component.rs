@@ -344,8 +344,10 @@ fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Inter
         fn command(
             &mut self,
             id: u32,
+            lists: &::trocar_sdk::__private::Layout,
             call: &mut ::trocar_sdk::__private::Call,
         ) -> ::trocar_sdk::__private::Status {
+            let _ = lists;
             let mut at = 0u32;
             #(
                 let next = at + Self::#provided.commands.len() as u32;
@@ -377,8 +379,10 @@ fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Inter
         fn on_event(
             &mut self,
             id: u32,
+            lists: &::trocar_sdk::__private::Layout,
             call: &mut ::trocar_sdk::__private::Call,
         ) -> ::trocar_sdk::__private::Status {
+            let _ = lists;
             let mut at = 0u32;
             #(
                 let next = at + Self::#required.handlers.len() as u32;

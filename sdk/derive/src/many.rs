@@ -1,7 +1,7 @@
 //! Repeated ports and interfaces: the lists behind them, their slots and the way from their ids to methods.
 //!
-//! Invariant: slots are counted by the lists described last, ids by those in force since `bind`; both behind what is
-//! fixed, in the order of the description.
+//! Invariant: slots are counted by the lists described last, ids by those in force since `bind`, as the
+//! instance keeps them apart from the fields; both behind what is fixed, in the order of the description.
 
 use crate::fields::{ComponentFields, Port};
 use crate::interfaces::{Interface, Interfaces};
@@ -28,21 +28,6 @@ pub(crate) fn items(
     let list = |i: &Interface<'_>| i.names.cloned();
     let required_lists: Vec<Ident> = required.many.iter().filter_map(list).collect();
     let provided_lists: Vec<Ident> = provided.many.iter().filter_map(list).collect();
-    let functions = required.many.iter().map(|i| i.ports.len());
-    let events = provided.many.iter().map(|i| i.ports.len());
-    let mut frozen: Vec<&Ident> = inputs.iter().chain(&outputs).copied().collect();
-    frozen.extend(fields.names.iter().map(|(ident, _)| ident));
-    let mut follow = TokenStream::new();
-    for interface in provided.many.iter().chain(&required.many) {
-        let Some(list) = interface.names else { continue };
-        for port in interface.ports.iter().map(|p| &p.ident) {
-            if port == list {
-                frozen.push(port);
-            } else {
-                follow.extend(quote!(self.#port.freeze_as(self.#list.names());));
-            }
-        }
-    }
     quote! {
         const DESCRIPTION: &'static str = {
             #[allow(long_running_const_eval)]
@@ -60,18 +45,6 @@ pub(crate) fn items(
                 required: ::std::vec![#(self.#required_lists.names()),*],
                 provided: ::std::vec![#(self.#provided_lists.names()),*],
             }
-        }
-        fn freeze(&mut self) {
-            #(self.#frozen.freeze();)*
-            #follow
-        }
-        fn many_slots(&self) -> [usize; 4] {
-            [
-                0 #(+ self.#inputs.names().described_len())*,
-                0 #(+ self.#outputs.names().described_len())*,
-                0 #(+ self.#required_lists.names().described_len() * #functions)*,
-                0 #(+ self.#provided_lists.names().described_len() * #events)*,
-            ]
         }
     }
 }
@@ -100,42 +73,71 @@ pub(crate) fn binds(
 ) -> TokenStream {
     let fixed = |ports: &[Port]| ports.iter().filter(|p| !p.many).count();
     let in_interfaces = |all: &[Interface<'_>]| all.iter().map(|i| i.ports.len()).sum::<usize>();
-    let inputs = lone_binds("many_inputs", fixed(&fields.inputs), &ports(&fields.inputs));
-    let outputs = lone_binds("many_outputs", fixed(&fields.outputs), &ports(&fields.outputs));
-    let functions =
-        group_binds("many_functions", in_interfaces(&required.fixed), required.many.chunks(1).collect());
-    let events = group_binds("many_events", in_interfaces(&provided.fixed), provided.groups().collect());
-    let lists = fields.names.iter().map(|(ident, _)| ident);
-    quote!(#(self.#lists.adopt();)* #inputs #outputs #functions #events)
+    let inputs = lone_binds("inputs", fixed(&fields.inputs), &ports(&fields.inputs));
+    let outputs = lone_binds("outputs", fixed(&fields.outputs), &ports(&fields.outputs));
+    let functions = group_binds(
+        "many_functions",
+        in_interfaces(&required.fixed),
+        "required",
+        required.many.chunks(1).collect(),
+    );
+    let events =
+        group_binds("many_events", in_interfaces(&provided.fixed), "provided", provided.groups().collect());
+    let lists = fields.names.iter().map(|(ident, _)| adopt(ident, provided, required));
+    quote!(#(#lists)* #inputs #outputs #functions #events)
 }
 
-fn lone_binds(method: &str, first: usize, ports: &[&Ident]) -> TokenStream {
+/// A list takes over what the host was told of it, whatever became of the field meanwhile.
+fn adopt(list: &Ident, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> TokenStream {
+    let of = |all: &Interfaces<'_>| all.many.iter().position(|i| i.names == Some(list));
+    let told = match (of(provided), of(required)) {
+        (Some(at), _) => names_of("provided", at),
+        (None, Some(at)) => names_of("required", at),
+        // No interface is for it.
+        (None, None) => quote!(&::std::vec::Vec::from(self.#list.wanted())),
+    };
+    quote!(self.#list.adopt(#told);)
+}
+
+/// The names that the host was told of one list.
+fn names_of(kind: &str, at: usize) -> TokenStream {
+    let kind = format_ident!("{kind}");
+    quote!(::trocar_sdk::__private::names_of(&binder.lists().#kind, #at))
+}
+
+fn lone_binds(kind: &str, first: usize, ports: &[&Ident]) -> TokenStream {
     if ports.is_empty() {
         return TokenStream::new();
     }
-    let method = format_ident!("{method}");
+    let method = format_ident!("many_{kind}");
+    let names = (0..ports.len()).map(|at| names_of(kind, at));
     quote! {{
         let mut at = #first;
         #(
-            binder.#method(at, 1, &mut self.#ports);
-            at += self.#ports.names().described_len();
+            let names = #names;
+            binder.#method(at, 1, names, &mut self.#ports);
+            at += names.len();
         )*
         let _ = at;
     }}
 }
 
-fn group_binds(method: &str, first: usize, groups: Vec<&[Interface<'_>]>) -> TokenStream {
+fn group_binds(method: &str, first: usize, kind: &str, groups: Vec<&[Interface<'_>]>) -> TokenStream {
     if groups.is_empty() {
         return TokenStream::new();
     }
     let method = format_ident!("{method}");
+    let mut list = 0;
     let groups = groups.iter().map(|group| {
+        let names = names_of(kind, list);
+        list += group.len();
         let ports: Vec<&Ident> = group.iter().flat_map(|i| &i.ports).map(|p| &p.ident).collect();
-        let (list, apart) = (group[0].names, ports.len());
+        let apart = ports.len();
         let offsets = 0..apart;
         quote! {
-            #(binder.#method(at + #offsets, #apart, &mut self.#ports);)*
-            at += self.#list.names().described_len() * #apart;
+            let names = #names;
+            #(binder.#method(at + #offsets, #apart, names, &mut self.#ports);)*
+            at += names.len() * #apart;
         }
     });
     quote! {{
@@ -147,18 +149,22 @@ fn group_binds(method: &str, first: usize, groups: Vec<&[Interface<'_>]>) -> Tok
 
 /// Ids of commands behind those of fixed interfaces; `at` is the first of them.
 pub(crate) fn commands(provided: &Interfaces<'_>) -> TokenStream {
+    let mut list = 0;
     let lines = provided.groups().map(|group| {
         let parts = parts(group, |i| i.provides_part(), "commands", "command");
-        dispatch(group, &parts, &quote!(self))
+        let names = quote!(::trocar_sdk::__private::names_of(&lists.provided, #list));
+        list += group.len();
+        dispatch(&names, &parts)
     });
     quote!(#(#lines)*)
 }
 
 /// Ids of handlers behind those of fixed interfaces.
 pub(crate) fn handlers(required: &Interfaces<'_>) -> TokenStream {
-    let lines = required.many.chunks(1).map(|alone| {
+    let lines = required.many.chunks(1).enumerate().map(|(list, alone)| {
         let parts = parts(alone, |i| i.handles_part(), "handlers", "on_event");
-        dispatch(alone, &parts, &quote!(self))
+        let names = quote!(::trocar_sdk::__private::names_of(&lists.required, #list));
+        dispatch(&names, &parts)
     });
     quote!(#(#lines)*)
 }
@@ -174,17 +180,12 @@ fn parts(
     group.iter().map(part).map(|part| (quote!(Self::#part.#members), quote!(Self::#part.#run))).collect()
 }
 
-fn dispatch(
-    group: &[Interface<'_>],
-    parts: &[(TokenStream, TokenStream)],
-    this: &TokenStream,
-) -> TokenStream {
-    let list = group[0].names;
+fn dispatch(names: &TokenStream, parts: &[(TokenStream, TokenStream)]) -> TokenStream {
     let members = parts.iter().map(|(members, _)| members);
-    let found = within(parts, this);
+    let found = within(parts, &quote!(self));
     quote! {
         let n = 0 #(+ #members.len() as u32)*;
-        let next = at + n * self.#list.names().len() as u32;
+        let next = at + n * #names.len() as u32;
         if id < next {
             #found
         }

@@ -6,7 +6,7 @@
 use crate::aligned;
 use crate::dynamic::{AnyCommand, AnyType, Place, scan};
 use crate::function::{FunctionPort, waiting};
-use crate::host::Host;
+use crate::lease::{Lease, Tie};
 use crate::outcome::{CallError, Outcome};
 use crate::ports::{Flow, In, Out, PortKind};
 use crate::stubs;
@@ -229,8 +229,8 @@ impl Out<Any> {
 unsafe impl Flow for In<Any> {
     type Slot = InSlot;
     const KIND: PortKind = PortKind::Any;
-    unsafe fn attach(&mut self, slot: *const InSlot, _: &Host) {
-        self.slot = slot;
+    unsafe fn attach(&mut self, slot: *const InSlot, tie: &Tie) {
+        self.tie(slot, tie);
     }
 }
 
@@ -238,14 +238,15 @@ unsafe impl Flow for In<Any> {
 unsafe impl Flow for Out<Any> {
     type Slot = OutSlot;
     const KIND: PortKind = PortKind::Any;
-    unsafe fn attach(&mut self, slot: *const OutSlot, host: &Host) {
-        self.tie(slot, host);
+    unsafe fn attach(&mut self, slot: *const OutSlot, tie: &Tie) {
+        self.tie(slot, tie);
     }
 }
 
 /// A function that binds to any command.
 pub struct AnyFunction {
     slot: *const FnSlot,
+    lease: Option<Lease>,
 }
 
 // SAFETY: the host's slots take calls from several threads of one component.
@@ -255,7 +256,7 @@ unsafe impl Sync for AnyFunction {}
 
 impl Default for AnyFunction {
     fn default() -> Self {
-        AnyFunction { slot: stubs::function() }
+        AnyFunction { slot: stubs::function(), lease: None }
     }
 }
 
@@ -349,8 +350,9 @@ impl FunctionPort for AnyFunction {
 unsafe impl Flow for AnyFunction {
     type Slot = FnSlot;
     const KIND: PortKind = PortKind::Any;
-    unsafe fn attach(&mut self, slot: *const FnSlot, _: &Host) {
+    unsafe fn attach(&mut self, slot: *const FnSlot, tie: &Tie) {
         self.slot = slot;
+        self.lease = Some(tie.lease.clone());
     }
 }
 

@@ -6,6 +6,7 @@ use crate::call::Call;
 use crate::config::JsonObject;
 use crate::describe::Lists;
 use crate::host::Host;
+use crate::lease::Layout;
 use crate::payload::Payload;
 use crate::ports::Binder;
 use crate::safe::MakeSafe;
@@ -103,23 +104,15 @@ pub unsafe trait Class: Component + Send + Sized + 'static {
     #[doc(hidden)]
     fn set_state(&mut self, row: &Self::State);
     #[doc(hidden)]
-    fn command(&mut self, id: u32, call: &mut Call) -> Status;
+    fn command(&mut self, id: u32, lists: &Layout, call: &mut Call) -> Status;
     #[doc(hidden)]
     fn read(row: &Self::State, id: u32, call: &mut Call) -> Status;
     #[doc(hidden)]
-    fn on_event(&mut self, id: u32, call: &mut Call) -> Status;
+    fn on_event(&mut self, id: u32, lists: &Layout, call: &mut Call) -> Status;
     /// The lists of names behind what is repeated.
     #[doc(hidden)]
     fn lists(&self) -> Lists<'_> {
         Lists { inputs: Vec::new(), outputs: Vec::new(), required: Vec::new(), provided: Vec::new() }
-    }
-    /// From now on ids and slots follow the present lists.
-    #[doc(hidden)]
-    fn freeze(&mut self) {}
-    /// Slots beyond the fixed ones, as described last: inputs, outputs, functions, events.
-    #[doc(hidden)]
-    fn many_slots(&self) -> [usize; 4] {
-        [0; 4]
     }
 }
 

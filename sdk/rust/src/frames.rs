@@ -2,7 +2,7 @@
 //!
 //! Invariant: a view borrows its input and a loan its output, so neither outlives the next request to the host.
 
-use crate::host::Host;
+use crate::lease::Tie;
 use crate::outcome::{NoFrame, Outcome};
 use crate::payload::Payload;
 use crate::ports::{Flow, In, Out, PortKind};
@@ -95,8 +95,8 @@ impl<H: Payload> In<Frame<H>> {
 unsafe impl<H: Payload> Flow for In<Frame<H>> {
     type Slot = InSlot;
     const KIND: PortKind = PortKind::Frame { header: H::DESC, format: H::FORMAT };
-    unsafe fn attach(&mut self, slot: *const InSlot, _: &Host) {
-        self.slot = slot;
+    unsafe fn attach(&mut self, slot: *const InSlot, tie: &Tie) {
+        self.tie(slot, tie);
     }
 }
 
@@ -206,8 +206,8 @@ impl<H: Payload> Out<Frame<H>> {
 unsafe impl<H: Payload> Flow for Out<Frame<H>> {
     type Slot = OutSlot;
     const KIND: PortKind = PortKind::Frame { header: H::DESC, format: H::FORMAT };
-    unsafe fn attach(&mut self, slot: *const OutSlot, host: &Host) {
-        self.tie(slot, host);
+    unsafe fn attach(&mut self, slot: *const OutSlot, tie: &Tie) {
+        self.tie(slot, tie);
         let outcome = self.ask_pool();
         if !outcome.is_ok() && outcome != Outcome::Unbound {
             log::warn!("the pool asked for before the output was bound cannot be made: {outcome}");

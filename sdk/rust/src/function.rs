@@ -3,7 +3,7 @@
 //! Invariant: nothing here waits without a deadline; `send` and `emit` never wait at all.
 
 use crate::call::Value;
-use crate::host::Host;
+use crate::lease::{Lease, Tie};
 use crate::outcome::{CallError, Outcome};
 use crate::ports::{Flow, PortKind};
 use crate::stubs;
@@ -28,6 +28,7 @@ pub trait EventPort {
 /// A function: bound to a command of whatever component is connected. Several threads may call it.
 pub struct Function<A = (), R = ()> {
     slot: *const FnSlot,
+    lease: Option<Lease>,
     kind: PhantomData<fn(A) -> R>,
 }
 
@@ -38,7 +39,7 @@ unsafe impl<A, R> Sync for Function<A, R> {}
 
 impl<A, R> Default for Function<A, R> {
     fn default() -> Self {
-        Function { slot: stubs::function(), kind: PhantomData }
+        Function { slot: stubs::function(), lease: None, kind: PhantomData }
     }
 }
 
@@ -117,14 +118,16 @@ impl<A: Value, R: Value> FunctionPort for Function<A, R> {
 unsafe impl<A: Value, R: Value> Flow for Function<A, R> {
     type Slot = FnSlot;
     const KIND: PortKind = PortKind::Any;
-    unsafe fn attach(&mut self, slot: *const FnSlot, _: &Host) {
+    unsafe fn attach(&mut self, slot: *const FnSlot, tie: &Tie) {
         self.slot = slot;
+        self.lease = Some(tie.lease.clone());
     }
 }
 
 /// An event generator of a provided interface.
 pub struct Event<T = ()> {
     slot: *const EventSlot,
+    lease: Option<Lease>,
     kind: PhantomData<fn(T)>,
 }
 
@@ -133,7 +136,7 @@ unsafe impl<T> Send for Event<T> {}
 
 impl<T> Default for Event<T> {
     fn default() -> Self {
-        Event { slot: stubs::event(), kind: PhantomData }
+        Event { slot: stubs::event(), lease: None, kind: PhantomData }
     }
 }
 
@@ -157,7 +160,8 @@ impl<T: Value> EventPort for Event<T> {
 unsafe impl<T: Value> Flow for Event<T> {
     type Slot = EventSlot;
     const KIND: PortKind = PortKind::Any;
-    unsafe fn attach(&mut self, slot: *const EventSlot, _: &Host) {
+    unsafe fn attach(&mut self, slot: *const EventSlot, tie: &Tie) {
         self.slot = slot;
+        self.lease = Some(tie.lease.clone());
     }
 }

@@ -1,18 +1,21 @@
 //! The host as an instance sees it: clock, services, callbacks.
 //!
-//! Invariant: the host's table is valid until `destroy` returns, so threads of the author's end in `Drop` at the latest.
+//! Invariant: the host's table is valid until `destroy` returns, and until the process ends where a handle is
+//! left then.
 
 use crate::outcome::Outcome;
 use crate::values::Stamp;
 use core::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trocar_plugin_api::abi::{Bytes, HostTable, has_entry};
+use trocar_plugin_api::abi::{Bytes, HostTable, KEEP, Keep, has_entry};
 
 /// First token that [`Host::services`] gives.
 const FIRST_TOKEN: u64 = 1 << 32;
 
-/// A handle to the host: a `#[host]` field of a component. Any thread may use it while the component lives.
+/// A handle to the host: a `#[host]` field of a component. Any thread may use it. Threads of yours end in
+/// `Drop` at the latest: a handle that is there beyond it costs the memory of the component until the process
+/// ends, and the host says so.
 #[derive(Clone)]
 pub struct Host {
     env: Arc<Env>,
@@ -34,14 +37,29 @@ unsafe impl Sync for Env {}
 
 impl Host {
     /// # Safety
-    /// `table` is valid until the instance is destroyed.
+    /// `table` is valid until the instance is destroyed, and longer when the host is asked to keep it.
     pub(crate) unsafe fn new(table: *const HostTable, name: &str) -> Host {
         let (step_ns, token) = (AtomicU64::new(0), AtomicU64::new(FIRST_TOKEN));
         Host { env: Arc::new(Env { table, name: name.to_string(), step_ns, token }) }
     }
 
+    /// The instance is gone; `ports`: none of its ports is left.
+    pub(crate) fn end(self, ports: bool) {
+        let table = self.env.table;
+        if !(Arc::into_inner(self.env).is_some() && ports) {
+            // SAFETY: as in `table`; `destroy` has not returned.
+            keep(unsafe { &*table });
+        }
+    }
+
+    /// What the host gave this instance so far is to stay until the process ends.
+    pub(crate) fn keep(&self) {
+        keep(self.table());
+    }
+
     fn table(&self) -> &HostTable {
-        // SAFETY: `new` demands a table that outlives the instance; create refuses a null one.
+        // SAFETY: `new` demands a table that outlives the instance, and `end` has it kept for handles that
+        // outlive that; create refuses a null one.
         unsafe { &*self.env.table }
     }
 
@@ -128,6 +146,18 @@ impl Host {
         let table = self.table();
         // SAFETY: the text lives through the call.
         unsafe { (table.extension)(table.ctx, bytes(id)) }
+    }
+}
+
+fn keep(table: &HostTable) {
+    // SAFETY: the text lives through the call; what is found is the extension of that name, or null.
+    let found = unsafe { (table.extension)(table.ctx, bytes(KEEP)).cast::<Keep>().as_ref() };
+    match found {
+        // SAFETY: the context of the table it came from.
+        Some(extension) => unsafe { (extension.keep)(table.ctx) },
+        None => log::error!(
+            "ports or host handles of a component that is gone are still held, and this host is too old to keep what they              point to: end the threads that hold them in Drop, and keep none in a static"
+        ),
     }
 }
 

@@ -23,6 +23,7 @@ mod function;
 mod geometry;
 mod guard;
 mod host;
+mod lease;
 mod many;
 mod outcome;
 mod parallel;
@@ -80,6 +81,7 @@ pub mod __private {
     pub use crate::describe::{Lists, check as check_lists};
     pub use crate::export::{BUILT_WITH, manifest_text, plugin_name};
     pub use crate::function::{EventPort, FunctionPort};
+    pub use crate::lease::{Layout, names as names_of};
     pub use crate::ports::{Binder, frame_fits, payload_of, port_type};
     pub use crate::shims::{Export, init, text};
     pub use crate::stubs::Shared;

@@ -1,10 +1,11 @@
 //! Ports and interfaces that exist once for each name of a list which the component sets itself.
 //!
-//! Invariant: a list changes only in `bind`, for all of its ports at once. Until then positions, ids and slots mean what
-//! the host was told before, so a command never reaches the neighbour of the arm it was meant for.
+//! Invariant: a list changes only in `bind`, for all of its ports at once. Until then positions, ids and
+//! slots mean what the host was told before, so a command never reaches the neighbour of the arm it was meant
+//! for. They are counted by `lease::Layout`, not by these fields, which an author may exchange.
 
 use crate::component::Result;
-use crate::host::Host;
+use crate::lease::Tie;
 use crate::ports::Flow;
 use core::ops::{Index, IndexMut};
 
@@ -36,7 +37,6 @@ const MAX_NAME: usize = 63;
 #[derive(Clone, Default, Debug)]
 pub struct Names {
     wanted: Vec<String>,
-    described: Vec<String>,
     bound: Vec<String>,
 }
 
@@ -91,21 +91,10 @@ impl Names {
         self
     }
 
-    /// `describe` has told the host.
+    /// `bind` comes with the slots of what the host was told.
     #[doc(hidden)]
-    pub fn freeze(&mut self) {
-        self.described.clone_from(&self.wanted);
-    }
-
-    /// `bind` comes with the slots of what was told.
-    #[doc(hidden)]
-    pub fn adopt(&mut self) {
-        self.bound.clone_from(&self.described);
-    }
-
-    #[doc(hidden)]
-    pub fn described_len(&self) -> usize {
-        self.described.len()
+    pub fn adopt(&mut self, told: &[String]) {
+        told.clone_into(&mut self.bound);
     }
 }
 
@@ -247,33 +236,21 @@ impl<P> Many<P> {
     pub fn ports_mut(&mut self) -> impl ExactSizeIterator<Item = &mut P> {
         self.ports.iter_mut()
     }
-
-    #[doc(hidden)]
-    pub fn freeze(&mut self) {
-        self.names.freeze();
-    }
-
-    /// Takes over the list of the interface this port belongs to.
-    #[doc(hidden)]
-    pub fn freeze_as(&mut self, names: &Names) {
-        self.names.wanted.clone_from(&names.wanted);
-        self.names.freeze();
-    }
 }
 
 impl<P: Flow + Default> Many<P> {
-    /// Makes the described list the present one and ties each port to the slot of its position.
+    /// Makes the list the host was told the present one and ties each port to the slot of its position.
     ///
     /// # Safety
-    /// `slot` gives, for each described position, a slot as [`Flow::attach`] demands it.
-    pub(crate) unsafe fn tie(&mut self, host: &Host, slot: impl Fn(usize) -> *const P::Slot) {
+    /// `slot` gives, for each position of `told`, a slot as [`Flow::attach`] demands it.
+    pub(crate) unsafe fn tie(&mut self, tie: &Tie, told: &[String], slot: impl Fn(usize) -> *const P::Slot) {
         let mut old: Vec<(String, P)> = self.names.bound.drain(..).zip(self.ports.drain(..)).collect();
-        self.names.adopt();
+        self.names.adopt(told);
         for (at, name) in self.names.bound.iter().enumerate() {
             let known = old.iter().position(|(n, _)| n == name);
             let mut port = known.map(|i| old.swap_remove(i).1).unwrap_or_default();
-            // SAFETY: the caller vouches for described positions.
-            unsafe { port.attach(slot(at), host) };
+            // SAFETY: the caller vouches for positions of the list.
+            unsafe { port.attach(slot(at), tie) };
             self.ports.push(port);
         }
     }

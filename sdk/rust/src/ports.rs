@@ -3,6 +3,7 @@
 //! Invariant: a port always points to a slot, the unbound stub until `bind`, so that using it needs no check.
 
 use crate::host::Host;
+use crate::lease::{Layout, Lease, Tie};
 use crate::many::Many;
 use crate::outcome::Outcome;
 use crate::payload::Payload;
@@ -29,8 +30,8 @@ pub unsafe trait Flow {
     type Slot;
     const KIND: PortKind;
     /// # Safety
-    /// `slot` is valid until the next `attach` or the end of the instance, and carries what `KIND` says.
-    unsafe fn attach(&mut self, slot: *const Self::Slot, host: &Host);
+    /// `slot` is valid while the lease of `tie` is held, and carries what `KIND` says.
+    unsafe fn attach(&mut self, slot: *const Self::Slot, tie: &Tie);
 }
 
 /// The manifest's port type of a field; the field's own `format` wins over the header's.
@@ -77,39 +78,45 @@ pub const fn frame_fits(payloads: &[Option<&'static TypeDesc>]) {
 /// The slot tables during `bind`. Made by the shims after the counts were compared with the description.
 pub struct Binder<'a> {
     ports: &'a Ports,
-    host: &'a Host,
+    tie: &'a Tie,
+    lists: &'a Layout,
 }
 
 impl<'a> Binder<'a> {
     /// # Safety
-    /// The tables hold as many slots as the class describes, of the described types, valid until the next `bind` or
-    /// the end of the instance.
-    pub(crate) unsafe fn new(ports: &'a Ports, host: &'a Host) -> Binder<'a> {
-        Binder { ports, host }
+    /// The tables hold as many slots as the class describes with `lists`, of the described types, valid while
+    /// the lease of `tie` is held.
+    pub(crate) unsafe fn new(ports: &'a Ports, tie: &'a Tie, lists: &'a Layout) -> Binder<'a> {
+        Binder { ports, tie, lists }
+    }
+
+    /// The lists of names that the slots were described with.
+    pub fn lists(&self) -> &'a Layout {
+        self.lists
     }
 
     pub fn input<P: Flow<Slot = InSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.input_count as usize, "input slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
-        unsafe { port.attach(*self.ports.inputs.add(at), self.host) }
+        unsafe { port.attach(*self.ports.inputs.add(at), self.tie) }
     }
 
     pub fn output<P: Flow<Slot = OutSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.output_count as usize, "output slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
-        unsafe { port.attach(*self.ports.outputs.add(at), self.host) }
+        unsafe { port.attach(*self.ports.outputs.add(at), self.tie) }
     }
 
     pub fn function<P: Flow<Slot = FnSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.function_count as usize, "function slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
-        unsafe { port.attach(*self.ports.functions.add(at), self.host) }
+        unsafe { port.attach(*self.ports.functions.add(at), self.tie) }
     }
 
     pub fn event<P: Flow<Slot = EventSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.event_count as usize, "event slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
-        unsafe { port.attach(*self.ports.events.add(at), self.host) }
+        unsafe { port.attach(*self.ports.events.add(at), self.tie) }
     }
 }
 
@@ -117,13 +124,14 @@ impl<'a> Binder<'a> {
 macro_rules! many {
     ($($name:ident, $slot:ty, $table:ident, $count:ident;)*) => {
         impl Binder<'_> {$(
-            pub fn $name<P: Flow<Slot = $slot> + Default>(&self, at: usize, apart: usize, many: &mut Many<P>) {
-                let described = many.names().described_len();
-                let last = described.checked_sub(1).map(|n| at + n * apart);
+            pub fn $name<P: Flow<Slot = $slot> + Default>(
+                &self, at: usize, apart: usize, names: &[String], many: &mut Many<P>,
+            ) {
+                let last = names.len().checked_sub(1).map(|n| at + n * apart);
                 let there = self.ports.$count as usize;
                 assert!(last.is_none_or(|last| last < there), "slots {at} to {last:?} of {there} do not exist");
                 // SAFETY: inside the table, for described positions; `new` vouches for slot and type.
-                unsafe { many.tie(self.host, |i| *self.ports.$table.add(at + i * apart)) }
+                unsafe { many.tie(self.tie, names, |i| *self.ports.$table.add(at + i * apart)) }
             }
         )*}
     };
@@ -146,6 +154,7 @@ many! {
 /// ```
 pub struct In<T> {
     pub(crate) slot: *const InSlot,
+    lease: Option<Lease>,
     kind: PhantomData<fn() -> T>,
 }
 
@@ -154,7 +163,7 @@ unsafe impl<T> Send for In<T> {}
 
 impl<T> Default for In<T> {
     fn default() -> Self {
-        In { slot: stubs::input(), kind: PhantomData }
+        In { slot: stubs::input(), lease: None, kind: PhantomData }
     }
 }
 
@@ -172,6 +181,11 @@ pub struct Sample<T> {
 }
 
 impl<T> In<T> {
+    pub(crate) fn tie(&mut self, slot: *const InSlot, tie: &Tie) {
+        self.slot = slot;
+        self.lease = Some(tie.lease.clone());
+    }
+
     /// The newest sample again and again (`next` false), or each once, in order.
     #[inline]
     pub(crate) fn view(&mut self, next: bool) -> Option<SampleView> {
@@ -233,8 +247,8 @@ impl<T: Payload> In<T> {
 unsafe impl<T: Payload> Flow for In<T> {
     type Slot = InSlot;
     const KIND: PortKind = PortKind::Plain(T::DESC);
-    unsafe fn attach(&mut self, slot: *const InSlot, _: &Host) {
-        self.slot = slot;
+    unsafe fn attach(&mut self, slot: *const InSlot, tie: &Tie) {
+        self.tie(slot, tie);
     }
 }
 
@@ -270,6 +284,7 @@ fn sample<T: Payload>(view: &SampleView) -> Sample<T> {
 /// An output: of plain samples (`Out<Force>`) or of frames (`Out<Frame<ImageHeader>>`).
 pub struct Out<T> {
     pub(crate) slot: *const OutSlot,
+    lease: Option<Lease>,
     pub(crate) host: Option<Host>,
     /// The pool asked for so far: bytes of the largest frame, slots. Repeated at each `bind`.
     pub(crate) pool: Option<(u64, u32)>,
@@ -281,14 +296,15 @@ unsafe impl<T> Send for Out<T> {}
 
 impl<T> Default for Out<T> {
     fn default() -> Self {
-        Out { slot: stubs::output(), host: None, pool: None, kind: PhantomData }
+        Out { slot: stubs::output(), lease: None, host: None, pool: None, kind: PhantomData }
     }
 }
 
 impl<T> Out<T> {
-    pub(crate) fn tie(&mut self, slot: *const OutSlot, host: &Host) {
+    pub(crate) fn tie(&mut self, slot: *const OutSlot, tie: &Tie) {
         self.slot = slot;
-        self.host = Some(host.clone());
+        self.lease = Some(tie.lease.clone());
+        self.host = Some(tie.host.clone());
     }
 
     /// `own`, or the begin of the running step, or now; ns.
@@ -324,7 +340,7 @@ impl<T: Payload> Out<T> {
 unsafe impl<T: Payload> Flow for Out<T> {
     type Slot = OutSlot;
     const KIND: PortKind = PortKind::Plain(T::DESC);
-    unsafe fn attach(&mut self, slot: *const OutSlot, host: &Host) {
-        self.tie(slot, host);
+    unsafe fn attach(&mut self, slot: *const OutSlot, tie: &Tie) {
+        self.tie(slot, tie);
     }
 }

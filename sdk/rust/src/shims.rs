@@ -9,6 +9,7 @@ use crate::component::{Class, Tick};
 use crate::config::JsonObject;
 use crate::guard::{Chain, guard, refuse, settle};
 use crate::host::Host;
+use crate::lease::{self, Layout, Tie};
 use crate::payload::Payload;
 use crate::ports::Binder;
 use crate::safe::MakeSafe;
@@ -23,8 +24,18 @@ use trocar_plugin_api::abi::{
 struct Instance<C> {
     /// Reached by one entry at a time, through [`component`].
     component: C,
+    /// What the host was told and what it gave; reached likewise, through [`own`].
+    own: Own,
     /// Never changes after `create`.
     beside: Beside,
+}
+
+/// What ids and slots mean, where the author's code does not reach it.
+struct Own {
+    /// By the last description, and since the last `bind`.
+    described: Layout,
+    bound: Layout,
+    tie: Tie,
 }
 
 /// What may be read while an entry is inside the component.
@@ -82,6 +93,14 @@ unsafe fn component<'a, C>(this: *mut c_void) -> &'a mut C {
 }
 
 /// # Safety
+/// As [`component`].
+#[inline]
+unsafe fn own<'a, C>(this: *mut c_void) -> &'a mut Own {
+    // SAFETY: by the caller's promise a live instance; the component beside it is not borrowed.
+    unsafe { &mut (*this.cast::<Instance<C>>()).own }
+}
+
+/// # Safety
 /// `this` comes from `create::<C>` and lives during `'a`; other entries may be inside its component.
 #[inline]
 unsafe fn beside<'a, C>(this: *mut c_void) -> &'a Beside {
@@ -95,18 +114,29 @@ unsafe extern "C" fn create<C: Class>(
     instance_name: Bytes,
     err: *mut ErrBuf,
 ) -> *mut c_void {
-    let mut made = core::ptr::null_mut();
+    let mut made: *mut c_void = core::ptr::null_mut();
+    let mut tie = None;
     guard(err, || {
         if host.is_null() {
             return refuse(err, STATUS_INVALID, &"create was called without a host table");
         }
-        // SAFETY: the name is readable during the call, the table until destroy.
+        // SAFETY: the name is readable during the call; the table until destroy, and until the end of the
+        // process for handles that `Tie::end` finds still there.
         let host = unsafe { Host::new(host, &String::from_utf8_lossy(slice(instance_name))) };
+        tie = Some(Tie::new(&host));
         let component = C::create(host.clone());
         let safe = component.safe_handle();
-        made = Box::into_raw(Box::new(Instance { component, beside: Beside { host, safe } })).cast();
+        if let Some(tie) = tie.take() {
+            let own = Own { described: Layout::default(), bound: Layout::default(), tie };
+            made = Box::into_raw(Box::new(Instance { component, own, beside: Beside { host, safe } })).cast();
+        }
         STATUS_OK
     });
+    if made.is_null()
+        && let Some(tie) = tie
+    {
+        tie.end();
+    }
     made
 }
 
@@ -114,10 +144,24 @@ unsafe extern "C" fn destroy<C: Class>(this: *mut c_void) {
     guard(core::ptr::null_mut(), || {
         if !this.is_null() {
             // SAFETY: `this` was made by `create::<C>` and this is its last use.
-            drop(unsafe { Box::from_raw(this.cast::<Instance<C>>()) });
+            let Instance { component, own, beside } = *unsafe { Box::from_raw(this.cast::<Instance<C>>()) };
+            // Dropped in the opposite order, also when the component's Drop panics.
+            let _last = Last(Some(own.tie));
+            let _all = (component, beside);
         }
         STATUS_OK
     });
+}
+
+/// Looks, once all of an instance is gone, whether its handles are.
+struct Last(Option<Tie>);
+
+impl Drop for Last {
+    fn drop(&mut self) {
+        if let Some(tie) = self.0.take() {
+            tie.end();
+        }
+    }
 }
 
 unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status {
@@ -141,7 +185,8 @@ unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *m
 unsafe extern "C" fn describe<C: Class>(this: *mut c_void, sink: *const Sink) -> Status {
     guard(core::ptr::null_mut(), || {
         // SAFETY: a live instance and a sink that is valid for the call.
-        let (component, beside, sink) = unsafe { (component::<C>(this), beside::<C>(this), &*sink) };
+        let (component, own, beside, sink) =
+            unsafe { (component::<C>(this), own::<C>(this), beside::<C>(this), &*sink) };
         let text = match crate::describe::build(component) {
             Ok(json) => json.to_string(),
             Err(e) => {
@@ -149,7 +194,7 @@ unsafe extern "C" fn describe<C: Class>(this: *mut c_void, sink: *const Sink) ->
                 return STATUS_INVALID;
             }
         };
-        component.freeze();
+        own.described = Layout::wanted(&component.lists());
         // SAFETY: the sink's own context; the bytes live through the call.
         unsafe { (sink.write)(sink.ctx, Bytes { ptr: text.as_ptr(), len: text.len() }) };
         STATUS_OK
@@ -159,9 +204,9 @@ unsafe extern "C" fn describe<C: Class>(this: *mut c_void, sink: *const Sink) ->
 unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status {
     guard(err, || {
         // SAFETY: a live instance; the slot tables are valid until the next bind or destroy.
-        let (component, beside, ports) = unsafe { (component::<C>(this), beside::<C>(this), &*ports) };
+        let (component, own, ports) = unsafe { (component::<C>(this), own::<C>(this), &*ports) };
         let given = [ports.input_count, ports.output_count, ports.function_count, ports.event_count];
-        let wanted = slot_counts(component);
+        let wanted = slot_counts::<C>(&own.described);
         if given != wanted {
             return refuse(
                 err,
@@ -172,8 +217,12 @@ unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err:
                 ),
             );
         }
-        // SAFETY: counts agree; the host made the slots from the manifest or the last description.
-        component.bind(&unsafe { Binder::new(ports, &beside.host) });
+        let before = own.tie.renew();
+        own.bound.clone_from(&own.described);
+        // SAFETY: counts agree; the host made the slots from the manifest or the last description. They stay
+        // until the next bind or destroy, and longer where one of these two finds that somebody holds them.
+        component.bind(&unsafe { Binder::new(ports, &own.tie, &own.bound) });
+        lease::settle(before, &own.tie.host);
         if !C::DESCRIPTION.is_empty() {
             component.ports_changed();
         }
@@ -182,13 +231,17 @@ unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err:
 }
 
 /// Inputs, outputs, functions, events.
-fn slot_counts<C: Class>(component: &C) -> [u32; 4] {
+fn slot_counts<C: Class>(lists: &Layout) -> [u32; 4] {
     let functions: usize = C::DESC.required.iter().map(|r| r.functions.len()).sum();
     let events: usize = C::DESC.provided.iter().map(|p| p.events.len()).sum();
     let mut counts = [C::DESC.inputs.len(), C::DESC.outputs.len(), functions, events];
-    for (count, many) in counts.iter_mut().zip(component.many_slots()) {
-        *count += many;
-    }
+    let many = &C::DESC.many;
+    counts[0] += lists.inputs.iter().map(Vec::len).sum::<usize>();
+    counts[1] += lists.outputs.iter().map(Vec::len).sum::<usize>();
+    counts[2] +=
+        lists.required.iter().zip(many.required).map(|(l, i)| l.len() * i.functions.len()).sum::<usize>();
+    counts[3] +=
+        lists.provided.iter().zip(many.provided).map(|(l, i)| l.len() * i.events.len()).sum::<usize>();
     counts.map(|n| n as u32)
 }
 
@@ -232,7 +285,9 @@ unsafe extern "C" fn command<C: Class>(
     err: *mut ErrBuf,
 ) -> Status {
     // SAFETY: the table's contract: a live instance, pointers to the described types.
-    guard(err, || unsafe { component::<C>(this).command(id, &mut Call::new(arg, ret, err)) })
+    guard(err, || unsafe {
+        component::<C>(this).command(id, &own::<C>(this).bound, &mut Call::new(arg, ret, err))
+    })
 }
 
 unsafe extern "C" fn read<C: Class>(
@@ -269,7 +324,7 @@ unsafe extern "C" fn on_event<C: Class>(
         // SAFETY: the table's contract: a live instance, a payload of the described type.
         unsafe {
             let mut call = Call::new(payload, core::ptr::null_mut(), err);
-            component::<C>(this).on_event(id, &mut call)
+            component::<C>(this).on_event(id, &own::<C>(this).bound, &mut call)
         }
     })
 }

@@ -57,6 +57,7 @@ fn structs() -> Vec<Both> {
         }
         trocar_slice_body = SliceBody { data, run }
         trocar_parallel = Parallel { struct_size, flags, ctx, threads, run }
+        trocar_keep = Keep { struct_size, flags, keep }
         trocar_class = ClassTable {
             struct_size, flags, name, create, destroy, configure, describe, bind, start, stop, resume, make_safe,
             step, command, read, on_event, on_service, state_copy, snapshot, restore, extension,

@@ -3,9 +3,12 @@
 //! Invariant: every function here may be called from any thread of the plugin and never waits.
 
 use std::ffi::c_void;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 
-use trocar_plugin_api::abi::{ABI_MAJOR, ABI_MINOR, Bytes, HostTable, NOT_ACTIVE, Outcome, PARALLEL, QUEUED};
+use trocar_plugin_api::abi::{
+    ABI_MAJOR, ABI_MINOR, Bytes, HostTable, KEEP, Keep, NOT_ACTIVE, Outcome, PARALLEL, QUEUED,
+};
 use trocar_rt::os;
 
 use super::super::context;
@@ -23,6 +26,8 @@ pub(in crate::lcm) struct HostContext {
     pub(in crate::lcm) instance: OnceLock<Weak<Instance>>,
     pub(in crate::lcm) account: Account,
     desk: Arc<Desk>,
+    /// Its code holds something of what it was given, and for how long nobody knows.
+    held: AtomicBool,
 }
 
 impl HostContext {
@@ -33,7 +38,13 @@ impl HostContext {
             instance: OnceLock::new(),
             account: Account::default(),
             desk: hub.desk.clone(),
+            held: AtomicBool::new(false),
         })
+    }
+
+    /// Nothing that the instance was given may go before the process ends.
+    pub(in crate::lcm) fn is_held(&self) -> bool {
+        self.held.load(Ordering::Acquire)
     }
 
     /// The table for this context, which must outlive it.
@@ -144,6 +155,13 @@ unsafe extern "C" fn ports_changed(ctx: *mut c_void) -> Outcome {
 unsafe extern "C" fn extension(_ctx: *mut c_void, id: Bytes) -> *const c_void {
     match text(&id) {
         id if id == PARALLEL.as_bytes() => parallel::table().cast(),
+        id if id == KEEP.as_bytes() => (&raw const KEEPER).cast(),
         _ => std::ptr::null(),
     }
+}
+
+static KEEPER: Keep = Keep { struct_size: size_of::<Keep>() as u32, flags: 0, keep };
+
+unsafe extern "C" fn keep(ctx: *mut c_void) {
+    context_of(ctx).held.store(true, Ordering::Release);
 }

@@ -259,6 +259,22 @@ impl<C: Class> Bench<C> {
 impl<C: Class> Drop for Bench<C> {
     fn drop(&mut self) {
         self.destroy();
+        if self.host.held.load(Ordering::Relaxed) {
+            self.leave_all();
+        }
+    }
+}
+
+impl<C: Class> Bench<C> {
+    /// Handles are left: what they lead to stays until the process ends.
+    fn leave_all(&mut self) {
+        std::mem::take(&mut self.inputs).leak();
+        std::mem::take(&mut self.outputs).leak();
+        std::mem::take(&mut self.functions).leak();
+        std::mem::take(&mut self.events).leak();
+        let host = std::mem::replace(&mut self.host, FakeHost::new());
+        Box::leak(std::mem::replace(&mut self.host_table, self.host.table()));
+        Box::leak(host);
     }
 }
 

@@ -7,7 +7,7 @@ use super::{alloc, parallel};
 use core::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
-use trocar_plugin_api::abi::{self, Bytes, HostTable, Outcome, Parallel};
+use trocar_plugin_api::abi::{self, Bytes, HostTable, Keep, Outcome, Parallel};
 
 /// When the virtual clock begins: 1 s, so that no stamp is 0.
 const CLOCK_BEGIN_NS: u64 = 1_000_000_000;
@@ -36,6 +36,8 @@ pub(crate) struct FakeHost {
     pub(crate) active: AtomicBool,
     pub(crate) callbacks: Callbacks,
     pub(crate) services: Mutex<Vec<(u64, String)>>,
+    /// What it gave is to stay: handles are left.
+    pub(crate) held: AtomicBool,
 }
 
 impl FakeHost {
@@ -51,6 +53,7 @@ impl FakeHost {
             active: AtomicBool::new(false),
             callbacks: Callbacks::new(),
             services: Mutex::new(Vec::new()),
+            held: AtomicBool::new(false),
         })
     }
 
@@ -121,9 +124,19 @@ unsafe extern "C" fn extension(ctx: *mut c_void, id: Bytes) -> *const c_void {
     let _quiet = alloc::pause();
     // SAFETY: the table's own context; the id is readable during the call.
     let (host, id) = unsafe { (fake(ctx), core::slice::from_raw_parts(id.ptr, id.len)) };
+    if id == abi::KEEP.as_bytes() {
+        return (&raw const KEEPER).cast();
+    }
     if id != abi::PARALLEL.as_bytes() || host.threads.load(Ordering::Relaxed) < 2 {
         return core::ptr::null();
     }
     let pool = host.parallel.get_or_init(|| Box::new(Pool(parallel::table(host))));
     (&raw const pool.0).cast()
+}
+
+static KEEPER: Keep = Keep { struct_size: size_of::<Keep>() as u32, flags: 0, keep };
+
+unsafe extern "C" fn keep(ctx: *mut c_void) {
+    // SAFETY: the table's own context.
+    unsafe { fake(ctx) }.held.store(true, Ordering::Relaxed);
 }

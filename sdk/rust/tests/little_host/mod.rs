@@ -4,6 +4,7 @@
 #![allow(clippy::vec_box)] // See the invariant.
 
 use core::ffi::c_void;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicI32, AtomicU32, Ordering};
 use trocar_plugin_api::abi::*;
 use trocar_plugin_api::manifest::Description;
@@ -24,6 +25,8 @@ pub(crate) struct Asked {
     pub(crate) services: Vec<(u64, String)>,
     /// Threads of `trocar.parallel/1`; without any, the host has no such extension.
     pub(crate) threads: u32,
+    /// How often it asked to keep what it was given.
+    pub(crate) kept: Arc<AtomicU32>,
 }
 
 pub(crate) struct LittleHost<C: Class> {
@@ -371,6 +374,7 @@ fn host_table() -> Box<HostTable> {
         let (threads, id) =
             unsafe { ((*ctx.cast::<Asked>()).threads, core::slice::from_raw_parts(id.ptr, id.len)) };
         match threads {
+            _ if id == KEEP.as_bytes() => (&raw const KEEPER).cast(),
             1.. if id == PARALLEL.as_bytes() => (&raw const POOL.0).cast(),
             _ => core::ptr::null(),
         }
@@ -394,6 +398,13 @@ fn host_table() -> Box<HostTable> {
         extension,
         ports_changed,
     })
+}
+
+static KEEPER: Keep = Keep { struct_size: size_of::<Keep>() as u32, flags: 0, keep };
+
+unsafe extern "C" fn keep(ctx: *mut c_void) {
+    // SAFETY: the context is the host's record.
+    unsafe { (*ctx.cast::<Asked>()).kept.fetch_add(1, Ordering::SeqCst) };
 }
 
 /// Three threads that take slices in turn; the caller waits.

@@ -1,0 +1,85 @@
+//! Whether somebody still holds what the host gave an instance: ports in a static, a host handle in a thread.
+//!
+//! Invariant: the host frees slots after `bind` or `destroy`, and its table after `destroy`. Before either
+//! returns, whatever a handle that is still there points to is kept (`trocar.keep/1`), so no handle ever
+//! points to nothing.
+
+use crate::describe::Lists;
+use crate::host::Host;
+use crate::many::Names;
+use std::sync::Arc;
+
+/// Held by each port that one `bind` tied.
+#[derive(Clone)]
+pub(crate) struct Lease(Arc<()>);
+
+impl Lease {
+    fn new() -> Lease {
+        Lease(Arc::new(()))
+    }
+
+    /// Nobody else holds it, and nobody will.
+    fn was_last(self) -> bool {
+        Arc::into_inner(self.0).is_some()
+    }
+}
+
+/// What a port is tied with.
+pub struct Tie {
+    pub(crate) host: Host,
+    pub(crate) lease: Lease,
+}
+
+impl Tie {
+    pub(crate) fn new(host: &Host) -> Tie {
+        Tie { host: host.clone(), lease: Lease::new() }
+    }
+
+    /// Another `bind` begins: its ports are tied with what this is then. Answers what the ports before were
+    /// tied with.
+    pub(crate) fn renew(&mut self) -> Lease {
+        core::mem::replace(&mut self.lease, Lease::new())
+    }
+
+    /// All of the instance is gone but this.
+    pub(crate) fn end(self) {
+        let Tie { host, lease } = self;
+        let ports = lease.was_last();
+        host.end(ports);
+    }
+}
+
+/// `bind` has tied the ports anew: one that was left out may still be somewhere.
+pub(crate) fn settle(before: Lease, host: &Host) {
+    if !before.was_last() {
+        host.keep();
+    }
+}
+
+/// The lists of names as the host knows them, kept apart from the fields, which an author may exchange at any
+/// time: ids and slots are counted by these.
+#[derive(Clone, Default)]
+pub struct Layout {
+    pub inputs: Vec<Vec<String>>,
+    pub outputs: Vec<Vec<String>>,
+    pub required: Vec<Vec<String>>,
+    pub provided: Vec<Vec<String>>,
+}
+
+impl Layout {
+    pub(crate) fn wanted(lists: &Lists<'_>) -> Layout {
+        let names = |lists: &[&Names]| lists.iter().map(|names| names.wanted().to_vec()).collect();
+        Layout {
+            inputs: names(&lists.inputs),
+            outputs: names(&lists.outputs),
+            required: names(&lists.required),
+            provided: names(&lists.provided),
+        }
+    }
+}
+
+/// The names of one list; none before the first description.
+#[inline]
+pub fn names(lists: &[Vec<String>], at: usize) -> &[String] {
+    lists.get(at).map_or(&[], Vec::as_slice)
+}
