@@ -1,7 +1,8 @@
 // C++17 over trocar_plugin.h, header-only: a component is a struct, its ports are fields, its commands are methods.
 //
-// Invariant: positions are looked up by name in the manifest, so manifest and code cannot drift apart unnoticed; no
-// exception leaves the tables (trocar::Refused is the author's answer, anything else counts as a panic).
+// Invariant: positions are looked up by name in the manifest and sizes compared with it, so manifest and code
+// cannot drift apart unnoticed; no exception leaves the tables (trocar::Refused is the author's answer,
+// anything else counts as a panic).
 //
 //   TROCAR_MANIFEST(R"json({...})json");
 //   struct LowPass : trocar::Component {
@@ -17,6 +18,7 @@
 #include "trocar_frames.hpp"
 #include "trocar_json.hpp"
 #include "trocar_repeated.hpp"
+#include "trocar_sizes.hpp"
 #include "trocar_values.hpp"
 
 #include <algorithm>
@@ -189,7 +191,8 @@ trocar_status guarded(trocar_err *err, F &&entry, trocar_status refusal = TROCAR
 // The members of class C, each at its position in the manifest.
 template <class C> class Members {
   public:
-    explicit Members(const Json &manifest) : manifest_(manifest) {
+    // Of a class in the manifest; types are those of the whole.
+    Members(const Json &manifest, const Json &types) : manifest_(manifest), types_(types), sizes_(types) {
         inputs.resize(manifest["inputs"].items().size());
         outputs.resize(manifest["outputs"].items().size());
         functions.resize(count("required", "functions"));
@@ -200,28 +203,38 @@ template <class C> class Members {
     }
 
     template <class T> void input(std::string_view name, In<T> C::*port) {
+        sizes_.same_port(name, port_of("inputs", name)["type"], "plain", bytes_of<T>());
         put(inputs, port_at("inputs", name), name) = [port](C &c, const trocar_in *slot) { (c.*port).tie(slot); };
     }
     template <class T> void output(std::string_view name, Out<T> C::*port) {
+        sizes_.same_port(name, port_of("outputs", name)["type"], "plain", bytes_of<T>());
         put(outputs, port_at("outputs", name), name) = [port](C &c, const trocar_out *slot) { (c.*port).tie(slot); };
     }
     template <class H> void input(std::string_view name, FrameIn<H> C::*port) {
+        sizes_.same_port(name, port_of("inputs", name)["type"], "frame", bytes_of<H>());
         put(inputs, port_at("inputs", name), name) = [port](C &c, const trocar_in *slot) { (c.*port).tie(slot); };
     }
     template <class H> void output(std::string_view name, FrameOut<H> C::*port) {
+        sizes_.same_port(name, port_of("outputs", name)["type"], "frame", bytes_of<H>());
         put(outputs, port_at("outputs", name), name) = [port](C &c, const trocar_out *slot) { (c.*port).tie(slot); };
     }
     // Names of members are "interface/member".
     template <class A, class R> void function(std::string_view name, Function<A, R> C::*port) {
+        const Json &told = member_of("required", "functions", name);
+        if (told["any"].boolean()) throw Refused(std::string(name) + ": a function of any type is tied in bound()");
+        sizes_.same(name, "argument", told["arg"], bytes_of<A>());
+        sizes_.same(name, "result", told["ret"], bytes_of<R>());
         put(functions, member_at("required", "functions", name), name) =
             [port](C &c, const trocar_fn *slot) { (c.*port).tie(slot); };
     }
     template <class T> void event(std::string_view name, Event<T> C::*port) {
+        sizes_.same(name, "payload", member_of("provided", "events", name)["payload"], bytes_of<T>());
         put(events, member_at("provided", "events", name), name) =
             [port](C &c, const trocar_event *slot) { (c.*port).tie(slot); };
     }
     // void f(), void f(A), R f(), R f(A).
     template <class R, class... A> void command(std::string_view name, R (C::*f)(A...)) {
+        same_command(name, bytes_of_all<A...>(), bytes_of<R>());
         put(commands, member_at("provided", "commands", name), name) = [f](C &c, const void *arg, void *ret) {
             answer<R, A...>([&](auto &&...a) -> R { return (c.*f)(a...); }, arg, ret);
         };
@@ -229,6 +242,8 @@ template <class C> class Members {
     // R f(const State &), R f(const State &, A): a pure function of one published row.
     template <class R, class S, class... A> void read(std::string_view name, R (*f)(const S &, A...)) {
         static_assert(std::is_trivially_copyable_v<S>, "the state is plain data");
+        same_command(name, bytes_of_all<A...>(), bytes_of<R>());
+        sizes_.same(name, "state", manifest_["state"], bytes_of<S>());
         put(reads, member_at("provided", "commands", name), name) = [f](const void *row, const void *arg, void *ret) {
             S state{};
             if (row != nullptr) std::memcpy(&state, row, sizeof state);
@@ -236,6 +251,7 @@ template <class C> class Members {
         };
     }
     template <class... A> void on(std::string_view name, void (C::*f)(A...)) {
+        sizes_.same(name, "payload", member_of("required", "handlers", name)["payload"], bytes_of_all<A...>());
         put(handlers, member_at("required", "handlers", name), name) = [f](C &c, const void *arg) {
             answer<void, A...>([&](auto &&...a) { (c.*f)(a...); }, arg, nullptr);
         };
@@ -243,7 +259,7 @@ template <class C> class Members {
     // Members of interfaces that describe writes once for each name of a list, "arm_{}/move_jp": the first parameter says
     // which one is meant, from 0 in the order of the description. R f(size_t), R f(size_t, A).
     template <class R, class... A> void each_command(std::string_view name, R (C::*f)(size_t, A...)) {
-        repeated.command(name, [f](C &c, size_t each, const void *arg, void *ret) {
+        repeated.command(name, bytes_of_all<A...>(), bytes_of<R>(), [f](C &c, size_t each, const void *arg, void *ret) {
             answer<R, A...>([&](auto &&...a) -> R { return (c.*f)(each, a...); }, arg, ret);
         });
     }
@@ -251,20 +267,22 @@ template <class C> class Members {
     // its description the members in the order they are given here.
     template <class R, class S, class... A> void each_read(std::string_view name, R (*f)(const S &, size_t, A...)) {
         static_assert(std::is_trivially_copyable_v<S>, "the state is plain data");
-        repeated.read(name, [f](const void *row, size_t each, const void *arg, void *ret) {
+        sizes_.same(name, "state", manifest_["state"], bytes_of<S>());
+        repeated.read(name, bytes_of_all<A...>(), bytes_of<R>(), [f](const void *row, size_t each, const void *arg, void *ret) {
             S state{};
             if (row != nullptr) std::memcpy(&state, row, sizeof state);
             answer<R, A...>([&](auto &&...a) -> R { return f(state, each, a...); }, arg, ret);
         });
     }
     template <class... A> void each_on(std::string_view name, void (C::*f)(size_t, A...)) {
-        repeated.handler(name, [f](C &c, size_t each, const void *arg) {
+        repeated.handler(name, bytes_of_all<A...>(), [f](C &c, size_t each, const void *arg) {
             answer<void, A...>([&](auto &&...a) { (c.*f)(each, a...); }, arg, nullptr);
         });
     }
     // The state block, published after each entry.
     template <class S> void state(S C::*field) {
         static_assert(std::is_trivially_copyable_v<S>, "the state is plain data");
+        sizes_.same("the state block", "state", manifest_["state"], bytes_of<S>());
         state_size = sizeof(S);
         state_of = [field](C &c) -> void * { return &(c.*field); };
     }
@@ -281,6 +299,7 @@ template <class C> class Members {
     size_t state_size = 0;
 
     const Json &manifest() const { return manifest_; }
+    const Json &types() const { return types_; }
 
     // Everything the manifest names must have been given.
     void check() const {
@@ -323,6 +342,22 @@ template <class C> class Members {
         }
         throw Refused("the manifest has no " + std::string(name) + " among the " + kind);
     }
+    const Json &port_of(const char *kind, std::string_view name) const {
+        return manifest_[kind].items()[port_at(kind, name)];
+    }
+    const Json &member_of(const char *side, const char *kind, std::string_view name) const {
+        size_t at = member_at(side, kind, name);
+        for (const Json &i : manifest_[side].items()) {
+            if (at < i[kind].items().size()) return i[kind].items()[at];
+            at -= i[kind].items().size();
+        }
+        throw Refused("the manifest has no " + std::string(name));
+    }
+    void same_command(std::string_view name, size_t arg, size_t ret) const {
+        const Json &told = member_of("provided", "commands", name);
+        sizes_.same(name, "argument", told["arg"]["type"], arg);
+        sizes_.same(name, "result", told["ret"], ret);
+    }
     template <class V> typename V::value_type &put(V &all, size_t at, std::string_view name) {
         if (all[at]) throw Refused(std::string(name) + " is given twice");
         return all[at];
@@ -337,18 +372,20 @@ template <class C> class Members {
     }
 
     const Json &manifest_;
+    const Json &types_;
+    const Sizes sizes_;
 };
 
-// The table of class C. Made once; members that do not fit the manifest make create refuse with the reason.
+// The table of class C. Made once; members that do not fit the manifest are why init, and create, refuse.
 template <class C> class Table {
     static_assert(std::is_base_of_v<Component, C>, "a component derives from trocar::Component");
 
   public:
-    static const trocar_class *make(const Json &manifest) {
+    static const trocar_class *make(const Json &manifest, const Json &types) {
         static const std::string name = manifest["name"].string();
         static std::unique_ptr<Members<C>> made;
         wrong_ = guarded_text([&] {
-            made = std::make_unique<Members<C>>(manifest);
+            made = std::make_unique<Members<C>>(manifest, types);
             C::members(*made);
             made->check();
         });
@@ -416,6 +453,8 @@ template <class C> class Table {
         }
         return &table;
     }
+    // Why it can make none; empty when it can.
+    static const std::string &wrong() { return wrong_; }
 
   private:
     static C *of(void *self) { return static_cast<C *>(self); }
@@ -501,18 +540,24 @@ template <class C> class Table {
 // A class by its name in the manifest.
 struct ClassOf {
     std::string_view name;
-    const trocar_class *(*make)(const Json &manifest);
+    const trocar_class *(*make)(const Json &manifest, const Json &types);
+    const std::string &(*wrong)();
 };
-template <class C> ClassOf class_(std::string_view name) { return {name, Table<C>::make}; }
+template <class C> ClassOf class_(std::string_view name) { return {name, Table<C>::make, Table<C>::wrong}; }
 
 // The plugin of a manifest, its classes in the manifest's order whatever order they are given in.
 class Plugin {
   public:
-    Plugin(const char *manifest, std::initializer_list<ClassOf> given) : manifest_(Json::parse(manifest)) {
+    Plugin(const char *manifest, std::initializer_list<ClassOf> given, trocar_status (*init)(const trocar_host *))
+        : manifest_(Json::parse(manifest)) {
         for (const Json &c : manifest_["classes"].items()) {
-            for (const ClassOf &one : given)
-                if (one.name == c["name"].string()) classes_.push_back(one.make(c));
+            for (const ClassOf &one : given) {
+                if (one.name != c["name"].string()) continue;
+                classes_.push_back(one.make(c, manifest_["types"]));
+                if (!one.wrong().empty()) wrong_ += (wrong_.empty() ? "class " : "; class ") + c["name"].string() + ": " + one.wrong();
+            }
         }
+        table_.init = init;
         table_.struct_size = sizeof table_;
         table_.abi_major = TROCAR_ABI_MAJOR;
         table_.abi_minor = TROCAR_ABI_MINOR;
@@ -522,9 +567,16 @@ class Plugin {
         table_.classes = classes_.data();
     }
     const trocar_plugin *table() const { return &table_; }
+    // A plugin whose code and manifest differ is refused before anything of it runs.
+    trocar_status init(const trocar_host *host) const {
+        if (wrong_.empty()) return TROCAR_STATUS_OK;
+        if (host != nullptr && host->log != nullptr) host->log(host->ctx, TROCAR_LOG_ERROR, bytes("init"), bytes(wrong_));
+        return TROCAR_STATUS_INVALID;
+    }
 
   private:
     Json manifest_;
+    std::string wrong_;
     std::vector<const trocar_class *> classes_;
     trocar_plugin table_ = {};
 };
@@ -532,14 +584,19 @@ class Plugin {
 } // namespace trocar
 
 // The exported function, after TROCAR_MANIFEST: TROCAR_PLUGIN(trocar::class_<LowPass>("low_pass"), ...)
-#define TROCAR_PLUGIN(...)                                                              \
-    TROCAR_EXPORT const trocar_plugin *trocar_plugin_v1(void) {                         \
-        try {                                                                           \
-            static const trocar::Plugin plugin(trocar_manifest_note.desc, {__VA_ARGS__}); \
-            return plugin.table();                                                      \
-        } catch (...) {                                                                 \
-            return nullptr;                                                             \
-        }                                                                               \
+#define TROCAR_PLUGIN(...)                                                                                         \
+    static trocar_status trocar_plugin_init(const trocar_host *host);                                              \
+    static const trocar::Plugin &trocar_plugin_whole() {                                                           \
+        static const trocar::Plugin plugin(trocar_manifest_note.desc, {__VA_ARGS__}, trocar_plugin_init);          \
+        return plugin;                                                                                             \
+    }                                                                                                              \
+    static trocar_status trocar_plugin_init(const trocar_host *host) { return trocar_plugin_whole().init(host); }  \
+    TROCAR_EXPORT const trocar_plugin *trocar_plugin_v1(void) {                                                    \
+        try {                                                                                                      \
+            return trocar_plugin_whole().table();                                                                  \
+        } catch (...) {                                                                                            \
+            return nullptr;                                                                                        \
+        }                                                                                                          \
     }
 
 #endif

@@ -6,6 +6,7 @@
 #define TROCAR_REPEATED_HPP
 
 #include "trocar_json.hpp"
+#include "trocar_sizes.hpp"
 
 #include <cstring>
 #include <functional>
@@ -60,12 +61,16 @@ template <class C> class Repeated {
     using Read = std::function<void(const void *, size_t, const void *, void *)>;
     using Handler = std::function<void(C &, size_t, const void *)>;
 
-    void command(std::string_view name, Command run) { add(provided_, name).command = std::move(run); }
-    void read(std::string_view name, Read run) {
-        add(provided_, name).read = std::move(run);
+    void command(std::string_view name, size_t arg, size_t ret, Command run) {
+        add(provided_, name, arg, ret).command = std::move(run);
+    }
+    void read(std::string_view name, size_t arg, size_t ret, Read run) {
+        add(provided_, name, arg, ret).read = std::move(run);
         reads_ = true;
     }
-    void handler(std::string_view name, Handler run) { add(required_, name).handler = std::move(run); }
+    void handler(std::string_view name, size_t payload, Handler run) {
+        add(required_, name, payload, 0).handler = std::move(run);
+    }
     bool empty() const { return provided_.empty() && required_.empty(); }
 
     // The ids of a description beyond the manifest's.
@@ -78,8 +83,9 @@ template <class C> class Repeated {
             return std::vector<Json>(all.begin() + static_cast<std::ptrdiff_t>(fixed), all.end());
         };
         const std::vector<Json> provided = beyond("provided"), required = beyond("required");
-        places(out.commands, provided_, provided, "commands");
-        places(out.handlers, required_, required, "handlers");
+        const Sizes sizes(description["types"]);
+        places(out.commands, provided_, provided, "commands", sizes);
+        places(out.handlers, required_, required, "handlers", sizes);
         if (reads_) in_order(provided);
         return out;
     }
@@ -105,6 +111,8 @@ template <class C> class Repeated {
     // Which interfaces, and the member's own name; one of the three functions is there.
     struct Member {
         std::string before, after, name;
+        // Of the argument or payload, and of the result.
+        size_t arg, ret;
         Command command;
         Read read;
         Handler handler;
@@ -116,12 +124,14 @@ template <class C> class Repeated {
         std::string path() const { return before + "{}" + after + "/" + name; }
     };
 
-    static Member &add(std::vector<Member> &all, std::string_view path) {
+    static Member &add(std::vector<Member> &all, std::string_view path, size_t arg, size_t ret) {
         const size_t each = path.find("{}"), slash = path.find('/');
         if (each == path.npos || slash == path.npos || slash < each) {
             throw Refused(std::string(path) + " names no member of a repeated interface, such as arm_{}/move_jp");
         }
         Member made;
+        made.arg = arg;
+        made.ret = ret;
         made.before = std::string(path.substr(0, each));
         made.after = std::string(path.substr(each + 2, slash - each - 2));
         made.name = std::string(path.substr(slash + 1));
@@ -132,10 +142,14 @@ template <class C> class Repeated {
     }
 
     static void places(std::vector<Place> &out, const std::vector<Member> &known, const std::vector<Json> &interfaces,
-                       const char *kind) {
+                       const char *kind, const Sizes &sizes) {
         for (size_t i = 0; i < interfaces.size(); ++i) {
             for (const Json &m : interfaces[i][kind].items()) {
                 const size_t member = find(known, interfaces[i]["name"].string(), m["name"].string());
+                const bool told = known[member].handler != nullptr;
+                sizes.same(known[member].path(), told ? "payload" : "argument", told ? m["payload"] : m["arg"]["type"],
+                           known[member].arg);
+                sizes.same(known[member].path(), "result", m["ret"], known[member].ret);
                 size_t each = 0;
                 for (size_t before = 0; before < i; ++before)
                     each += known[member].of(interfaces[before]["name"].string()) ? 1 : 0;

@@ -145,7 +145,7 @@ void the_present_arms_answer_each_for_itself(const trocar_class &c) {
 
 void names_are_looked_up_and_what_is_not_there_is_refused() {
     static const trocar::Json manifest = trocar::Json::parse(R"({"name": "mixed"})");
-    const trocar_class &c = *trocar::Table<Mixed>::make(manifest);
+    const trocar_class &c = *trocar::Table<Mixed>::make(manifest, manifest["types"]);
     const trocar_host host = quiet_host();
     uint8_t room[256];
     trocar_err err = {room, sizeof room, 0};
@@ -155,8 +155,8 @@ void names_are_looked_up_and_what_is_not_there_is_refused() {
     auto &mixed = *static_cast<Mixed *>(self);
     const trocar_ports ports = {sizeof(trocar_ports), 0, 0, 0, 0, 0, nullptr, nullptr, nullptr, nullptr};
     mixed.text = R"({"class": {"name": "mixed", "provided": [
-        {"name": "left_a", "commands": [{"name": "turn"}]}, {"name": "x_right", "commands": [{"name": "turn"}]},
-        {"name": "left_b", "commands": [{"name": "turn"}]}]}})";
+        {"name": "left_a", "commands": [{"name": "turn", "ret": "i32"}]}, {"name": "x_right", "commands": [{"name": "turn", "ret": "i32"}]},
+        {"name": "left_b", "commands": [{"name": "turn", "ret": "i32"}]}]}})";
     expect(c.describe(self, &nowhere) == 0 && c.bind(self, &ports, &err) == 0, "describe mixed");
     int ret = 0;
     const int wanted[] = {10, 20, 11};
@@ -166,6 +166,12 @@ void names_are_looked_up_and_what_is_not_there_is_refused() {
     expect(c.describe(self, &nowhere) == TROCAR_STATUS_FAILED && logged.find("left_a/jump") != std::string::npos &&
                logged.find("left_{}/turn, {}_right/turn") != std::string::npos, "a member nobody has");
     expect(c.command(self, 2, nullptr, &ret, &err) == 0 && ret == 11, "what was in force stays");
+    mixed.text = R"({"class": {"name": "mixed", "provided": [{"name": "left_a", "commands": [
+        {"name": "turn", "arg": {"type": "f64"}, "ret": "i32"}]}]}})";
+    expect(c.describe(self, &nowhere) == TROCAR_STATUS_INVALID &&
+               logged.find("left_{}/turn: the argument has 0 bytes in the code and 8 in the manifest") != std::string::npos,
+           "a member of another size");
+    expect(c.command(self, 2, nullptr, &ret, &err) == 0 && ret == 11, "what was in force stays");
     mixed.text = "{";
     expect(c.describe(self, &nowhere) == TROCAR_STATUS_INVALID, "no JSON");
     c.destroy(self);
@@ -173,9 +179,9 @@ void names_are_looked_up_and_what_is_not_there_is_refused() {
         expect(table->create(&host, {}, &err) == nullptr &&
                    std::string(reinterpret_cast<const char *>(room), err.len).find(what) != std::string::npos, what);
     };
-    refused(trocar::Table<Plain>::make(manifest), "ctl/f names no member of a repeated interface");
-    refused(trocar::Table<Twice>::make(manifest), "a_{}/f is given twice");
-    refused(trocar::Table<Silent>::make(manifest), "has no describe that names them");
+    refused(trocar::Table<Plain>::make(manifest, manifest["types"]), "ctl/f names no member of a repeated interface");
+    refused(trocar::Table<Twice>::make(manifest, manifest["types"]), "a_{}/f is given twice");
+    refused(trocar::Table<Silent>::make(manifest, manifest["types"]), "has no describe that names them");
 }
 
 } // namespace

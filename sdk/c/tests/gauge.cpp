@@ -138,9 +138,9 @@ trocar_outcome lend = TROCAR_EXECUTED;
 
 void frames_are_lent_forwarded_and_described() {
     static const trocar::Json manifest = trocar::Json::parse(
-        R"({"name": "frames", "inputs": [{"name": "in"}], "outputs": [{"name": "out"}],
+        R"({"name": "frames", "inputs": [{"name": "in", "type": {"frame": "u64"}}], "outputs": [{"name": "out", "type": {"frame": "u64"}}],
             "provided": [{"name": "ctl", "commands": [{"name": "grow"}]}]})");
-    const trocar_class &c = *trocar::Table<Frames>::make(manifest);
+    const trocar_class &c = *trocar::Table<Frames>::make(manifest, manifest["types"]);
     uint8_t room[128];
     trocar_err err = {room, sizeof room, 0};
     trocar_host host = {};
@@ -322,9 +322,9 @@ int main() {
     c.destroy(self);
 
     static const trocar::Json manifest = trocar::Json::parse(R"({"name": "w", "inputs": [{"name": "x"}]})");
-    expect(trocar::Table<Wrong>::make(manifest)->create(&host, {}, &err) == nullptr &&
+    expect(trocar::Table<Wrong>::make(manifest, manifest["types"])->create(&host, {}, &err) == nullptr &&
                said().find("no z among the inputs") != std::string::npos, "a member the manifest has not");
-    expect(trocar::Table<Missing>::make(manifest)->create(&host, {}, &err) == nullptr &&
+    expect(trocar::Table<Missing>::make(manifest, manifest["types"])->create(&host, {}, &err) == nullptr &&
                said().find("nothing is given for inputs") != std::string::npos, "a member that is missing");
     frames_are_lent_forwarded_and_described();
     return failures == 0 ? 0 : 1;

@@ -40,6 +40,46 @@ fn repeated_interfaces_of_a_cpp_component_have_commands_reads_and_handlers() {
     assert!(done.status.success(), "{said}\n{}", String::from_utf8_lossy(&done.stderr));
 }
 
+/// A locale whose numbers have a decimal comma: the file the C library reads, made here because few machines
+/// have one.
+fn comma_locale(dir: &Path) -> &'static str {
+    let words: [&[u8]; 6] = [
+        b",\0",
+        b".\0",
+        b"\x03\x03\0",
+        &u32::from(b',').to_ne_bytes(),
+        &u32::from(b'.').to_ne_bytes(),
+        b"UTF-8\0",
+    ];
+    let begin = 8 + 4 * words.len();
+    let (mut places, mut data) = (Vec::new(), Vec::new());
+    for word in words {
+        while word.len() == 4 && !(begin + data.len()).is_multiple_of(4) {
+            data.push(0);
+        }
+        places.push(begin + data.len());
+        data.extend(word);
+    }
+    let head = [0x2003_1114, words.len()].into_iter().chain(places);
+    let mut file: Vec<u8> = head.flat_map(|n| (n as u32).to_ne_bytes()).collect();
+    file.extend(data);
+    let dir = dir.join("comma.UTF-8");
+    std::fs::create_dir_all(&dir).unwrap();
+    std::fs::write(dir.join("LC_NUMERIC"), file).unwrap();
+    "comma.UTF-8"
+}
+
+#[test]
+fn numbers_of_cpp_json_are_exact_in_every_locale_and_sizes_are_the_manifests() {
+    let program = compiled("numbers.cpp", "numbers", &["-O1"]);
+    let dir = program.parent().unwrap();
+    let locale = comma_locale(dir);
+    for locale in [None, Some(locale)] {
+        let done = Command::new(&program).args(locale).env("LOCPATH", dir).output().unwrap();
+        assert!(done.status.success(), "{locale:?}: {}", String::from_utf8_lossy(&done.stdout));
+    }
+}
+
 /// The fenced blocks of one language of a page of the documentation.
 fn blocks(page: &str, language: &str) -> Vec<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs").join(page);
