@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
 
-use super::Hash;
+use super::{Hash, libraries};
 
 /// Why a plugin or a class cannot be used.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,14 +119,18 @@ pub enum Fault {
     Crashed {
         during: Stage,
         how: String,
+        /// Its last words on standard error; empty when it had none. As in the two that follow.
+        said: String,
     },
     Hung {
         during: Stage,
         seconds: u64,
+        said: String,
     },
     Quit {
         during: Stage,
         code: i32,
+        said: String,
     },
     VetFailed {
         because: String,
@@ -137,6 +141,8 @@ pub enum Fault {
     },
     Init {
         status: i32,
+        /// Its last error in the log while it was tried.
+        said: String,
     },
 }
 
@@ -198,17 +204,11 @@ impl Fault {
 }
 
 impl Fault {
-    /// The code itself is at fault: the same bytes come to the same again, whatever the system has then.
+    /// The file itself is at fault: the same bytes come to the same again, whatever the system has then. A
+    /// crash, a hang or an exit may be for want of a licence, a device or a service, which is there the next
+    /// time.
     pub(super) fn is_of_the_file(&self) -> bool {
-        matches!(
-            self,
-            Fault::NoEntry
-                | Fault::Layout { .. }
-                | Fault::EntryDiffers { .. }
-                | Fault::Crashed { .. }
-                | Fault::Hung { .. }
-                | Fault::Quit { .. }
-        )
+        matches!(self, Fault::NoEntry | Fault::Layout { .. } | Fault::EntryDiffers { .. })
     }
 }
 
@@ -254,6 +254,15 @@ impl fmt::Display for Stage {
     }
 }
 
+/// What the code said before it ended, where it did.
+struct Words<'a>(&'a str);
+
+impl fmt::Display for Words<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() { Ok(()) } else { write!(f, ", saying \"{}\"", self.0) }
+    }
+}
+
 impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -295,11 +304,19 @@ impl fmt::Display for Fault {
             }
             Fault::RunPath { path } => write!(
                 f,
-                "carries the library search path `{path}`: link it without -rpath (only $ORIGIN is allowed)"
+                "carries the library search path `{path}`: link it without -rpath, and put its libraries where the system looks \
+                 (a directory in /etc/ld.so.conf.d, then ldconfig)"
             ),
             Fault::MissingLibrary { name } => write!(
                 f,
-                "needs the library `{name}`, which this system does not have: install it, or link it statically"
+                "needs the library `{name}`, which this system does not have: install it, or link it statically{}. It is looked \
+                 for again every 2 s; one beside the plugin is not found, for plugins are loaded from a cache",
+                if libraries::is_secured() {
+                    ". This program has file capabilities or another user's rights, so LD_LIBRARY_PATH does not count: name the \
+                     directory in /etc/ld.so.conf.d, then ldconfig"
+                } else {
+                    ""
+                }
             ),
             Fault::LibraryByPath { name } => write!(
                 f,
@@ -354,6 +371,12 @@ impl fmt::Display for Fault {
                 "uses the symbol `{symbol}`, which nothing defines: link the library that has it (-Wl,-z,defs \
                  finds this at build time)"
             ),
+            Fault::DlOpen { because } if because.contains("static TLS") => write!(
+                f,
+                "cannot be loaded: {because}: each version that was loaded keeps its part of a small room until the process ends. \
+                 Restart the host; where one version is refused, build it with -ftls-model=global-dynamic, or start the host with \
+                 GLIBC_TUNABLES=glibc.rtld.optional_static_tls=16384"
+            ),
             Fault::DlOpen { because } => write!(f, "cannot be loaded: {because}"),
             Fault::NoEntry => write!(
                 f,
@@ -369,19 +392,24 @@ impl fmt::Display for Fault {
                     "has a manifest and tables that do not fit: {what}: correct the plugin, or rebuild it completely"
                 )
             }
-            Fault::Crashed { during, how } => write!(
+            Fault::Crashed { during, how, said } => write!(
                 f,
-                "crashes while {during} ({how}); it was tried in a child process, this host is not affected: \
-                 debug it with `trocar __vet FILE`"
+                "crashes while {during} ({how}){}; it was tried in a child process, this host is not affected, and it is tried again \
+                 when it is asked for: debug it with `trocar __vet FILE`",
+                Words(said)
             ),
-            Fault::Hung { during, seconds } => write!(
+            Fault::Hung { during, seconds, said } => write!(
                 f,
-                "does not come back within {seconds} s while {during}; the child process that tried it was \
-                 ended, and it is not tried again until its file is another or was taken away: do slow work in \
-                 `configure` or `start`"
+                "does not come back within {seconds} s while {during}{}; the child process that tried it was ended, and it is tried \
+                 again when it is asked for: do slow work in `configure` or `start`",
+                Words(said)
             ),
-            Fault::Quit { during, code } => {
-                write!(f, "ends the process with code {code} while {during}: a plugin must not call exit")
+            Fault::Quit { during, code, said } => {
+                write!(
+                    f,
+                    "ends the process with code {code} while {during}{}: a plugin must not call exit",
+                    Words(said)
+                )
             }
             Fault::VetFailed { because } => write!(f, "could not be tried in a child process: {because}"),
             Fault::Cache { path, because } => write!(
@@ -389,9 +417,10 @@ impl fmt::Display for Fault {
                 "cannot be copied to the plugin cache {}: {because}: free or repair the state directory",
                 path.display()
             ),
-            Fault::Init { status } => {
-                write!(f, "refuses to work: its init answers {status}: see the log for its reason")
+            Fault::Init { status, said } if said.is_empty() => {
+                write!(f, "refuses to work: its init answers {status} and logs no error that says why")
             }
+            Fault::Init { said, .. } => write!(f, "refuses to work: {said}"),
         }
     }
 }

@@ -34,6 +34,13 @@ pub(crate) fn is_available(soname: &str) -> bool {
     }
 }
 
+/// The dynamic linker takes no search path from the environment: the program has capabilities of its file, or
+/// runs as another user than who started it.
+pub(crate) fn is_secured() -> bool {
+    // SAFETY: asks what the kernel told this process when it began.
+    unsafe { libc::getauxval(libc::AT_SECURE) != 0 }
+}
+
 /// Whether the cache lists the library; nothing when its format is unknown.
 fn cache_lists(cache: &[u8], soname: &str) -> Option<bool> {
     // The old format, if present, comes first and the one of today follows it.

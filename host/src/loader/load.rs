@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
 use serde::{Deserialize, Serialize};
-use trocar_plugin_api::abi::{ClassTable, PluginTable, STATUS_OK};
+use trocar_plugin_api::abi::{ClassTable, LOG_ERROR, PluginTable, STATUS_OK};
 use trocar_plugin_api::layout::{AbiHeader, LAYOUT_SYMBOL, LibHeader};
 use trocar_plugin_api::manifest::{Class, Manifest};
 use trocar_plugin_api::{ENTRY_SYMBOL, EntryFn, layout};
@@ -63,13 +63,28 @@ impl LoadedPlugin {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum LoadFault {
-    UndefinedSymbol { symbol: String },
-    MissingLibrary { name: String },
-    DlOpen { because: String },
+    UndefinedSymbol {
+        symbol: String,
+    },
+    MissingLibrary {
+        name: String,
+    },
+    DlOpen {
+        because: String,
+    },
     NoEntry,
-    Layout { difference: String },
-    EntryDiffers { what: String },
-    Init { status: i32 },
+    Layout {
+        difference: String,
+    },
+    EntryDiffers {
+        what: String,
+    },
+    Init {
+        status: i32,
+        /// What it logged as an error then; empty when it said nothing.
+        #[serde(default)]
+        said: String,
+    },
 }
 
 impl From<LoadFault> for Fault {
@@ -81,7 +96,7 @@ impl From<LoadFault> for Fault {
             LoadFault::NoEntry => Fault::NoEntry,
             LoadFault::Layout { difference } => Fault::Layout { difference },
             LoadFault::EntryDiffers { what } => Fault::EntryDiffers { what },
-            LoadFault::Init { status } => Fault::Init { status },
+            LoadFault::Init { status, said } => Fault::Init { status, said },
         }
     }
 }
@@ -193,7 +208,16 @@ unsafe fn call_init(table: *const PluginTable, name: &str, log: LogFn, flags: u3
     // SAFETY: `init` is the plugin's own, called once, with a host table that lives as long as the process.
     match unsafe { init(host) } {
         STATUS_OK => Ok(()),
-        status => Err(LoadFault::Init { status }),
+        status => Err(LoadFault::Init { status, said: String::new() }),
+    }
+}
+
+/// The error a plugin logged last while the vetting child tries it.
+static SAID: Mutex<String> = Mutex::new(String::new());
+
+fn note(_plugin: &str, level: u32, _target: &str, message: &str) {
+    if level == LOG_ERROR {
+        message.clone_into(&mut SAID.lock().unwrap_or_else(PoisonError::into_inner));
     }
 }
 
@@ -207,7 +231,14 @@ pub(crate) fn try_out(
     let _stays_mapped = ManuallyDrop::new(opened.library);
     stage(Stage::Init);
     // SAFETY: `open` checked the table; the library stays until the process ends.
-    unsafe { call_init(opened.table, &manifest.name, |_, _, _, _| (), 0) }
+    let done = unsafe { call_init(opened.table, &manifest.name, note, 0) };
+    done.map_err(|fault| match fault {
+        LoadFault::Init { status, .. } => {
+            let said = SAID.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            LoadFault::Init { status, said }
+        }
+        other => other,
+    })
 }
 
 fn open(

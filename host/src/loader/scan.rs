@@ -1,7 +1,8 @@
 //! Looks at the plugin directories and reads what is new in them.
 //!
-//! Invariant: a file whose signature did not change is not opened again, and a file that is still being written (young,
-//! and not seen closed) is not opened yet: it keeps its last outcome, or stays invisible.
+//! Invariant: a file whose signature did not change is not opened again, but for a library that was missing
+//! then, and a file that is still being written (young, and not seen closed) is not opened yet: it keeps its
+//! last outcome, or stays invisible.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,7 +11,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::catalog::Finding;
 use super::file::{PluginDir, Signature};
-use super::{Fault, ListedPlugin, Trust, inspect};
+use super::{Fault, ListedPlugin, Trust, inspect, libraries};
 
 /// A file without a close event counts once its size and mtime did not change for this long.
 pub(crate) const SETTLE: Duration = Duration::from_millis(200);
@@ -105,7 +106,9 @@ impl Scanner {
         if seen.signature != signature {
             *seen = Seen { signature, since: Instant::now(), current: false, outcome: seen.outcome.take() };
         }
-        if let (true, Some(outcome)) = (seen.current, &seen.outcome) {
+        // What it was refused for may be there now, without a change of the file.
+        let is_mended = matches!(&seen.outcome, Some(Err(Fault::MissingLibrary { name })) if libraries::is_available(name));
+        if let (true, false, Some(outcome)) = (seen.current, is_mended, &seen.outcome) {
             return Look::Outcome(outcome.clone());
         }
         let settled = !meta.is_file() || age(&signature) >= settle || seen.since.elapsed() >= settle;

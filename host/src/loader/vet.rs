@@ -3,7 +3,8 @@
 //! Invariant: the child is spawned (never forked by hand), bounded in time, and always reaped; only what it says in lines of
 //! our own prefix counts, whatever the plugin prints. The host loads nothing the child did not come back from.
 
-use std::io::{self, Read};
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
@@ -13,6 +14,7 @@ use std::time::{Duration, Instant};
 use super::error::Stage;
 use super::load::LoadFault;
 use super::{Fault, PluginError};
+use crate::plain::sentence;
 
 /// Hidden subcommand of the host binary: `__vet FILE`.
 pub const VET_ARG: &str = "__vet";
@@ -25,6 +27,9 @@ pub(crate) const BEGIN_LIMIT: Duration = Duration::from_secs(20);
 pub(crate) const PREFIX: &str = "trocar-vet ";
 /// More than this the child never says, bytes.
 const REPORT_LIMIT: u64 = 64 << 10;
+
+/// Of what it says on standard error the end is told, bytes.
+const WORDS_LIMIT: u64 = 400;
 
 /// Tries a file somebody names as a host does before it loads it: constructors, tables, entry and init, in a child process
 /// of `exe`, a program that knows the hidden subcommand.
@@ -43,12 +48,15 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
     let replaced = exe.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
     let exe = if replaced { Path::new("/proc/self/exe") } else { exe };
     let failed = |e: io::Error| Fault::VetFailed { because: format!("{}: {e}", exe.display()) };
+    // A file without a name takes all it says, where a pipe that nobody reads would hold it up.
+    let words = rustix::fs::memfd_create("trocar-vet", rustix::fs::MemfdFlags::CLOEXEC).map(File::from);
+    let its_words = words.as_ref().ok().and_then(|words| words.try_clone().ok());
     let mut child = Command::new(exe)
         .arg(VET_ARG)
         .arg(file)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        .stderr(Stdio::null())
+        .stderr(its_words.map_or_else(Stdio::null, Stdio::from))
         .process_group(0)
         .spawn()
         .map_err(failed)?;
@@ -59,7 +67,22 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
     let status = end_group(&mut child).map_err(failed)?;
     let status = in_time.map_err(failed)?.then_some(status);
     let report = Report::parse(&read_report(&mut child));
-    report.verdict(status, limit)
+    report.verdict(status, limit, &words.map_or_else(|_| String::new(), last_words))
+}
+
+/// The end of what was said, as one line.
+fn last_words(mut said: File) -> String {
+    let mut bytes = Vec::new();
+    let end = said.seek(SeekFrom::End(0)).unwrap_or(0);
+    let read = said
+        .seek(SeekFrom::Start(end.saturating_sub(WORDS_LIMIT)))
+        .and_then(|_| said.read_to_end(&mut bytes));
+    if let Err(error) = read {
+        log::debug!("what a plugin said while it was tried cannot be read: {error}");
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    sentence(lines.join("; ").as_bytes())
 }
 
 /// What the child said.
@@ -90,7 +113,8 @@ impl Report {
     }
 
     /// `status` is none when the child had to be ended.
-    fn verdict(self, status: Option<ExitStatus>, limit: Duration) -> Result<(), Fault> {
+    fn verdict(self, status: Option<ExitStatus>, limit: Duration, said: &str) -> Result<(), Fault> {
+        let said = said.to_string();
         match (self.result, self.stage, status) {
             (Some(Ok(())), _, Some(status)) if status.success() => Ok(()),
             (Some(Err(fault)), ..) => Err(fault.into()),
@@ -98,10 +122,10 @@ impl Report {
             (_, None, Some(status)) => {
                 Err(Fault::VetFailed { because: format!("the child ended with {status}") })
             }
-            (_, Some(during), None) => Err(Fault::Hung { during, seconds: limit.as_secs().max(1) }),
+            (_, Some(during), None) => Err(Fault::Hung { during, seconds: limit.as_secs().max(1), said }),
             (_, Some(during), Some(status)) => match status.signal() {
-                Some(signal) => Err(Fault::Crashed { during, how: signal_name(signal) }),
-                None => Err(Fault::Quit { during, code: status.code().unwrap_or(-1) }),
+                Some(signal) => Err(Fault::Crashed { during, how: signal_name(signal), said }),
+                None => Err(Fault::Quit { during, code: status.code().unwrap_or(-1), said }),
             },
         }
     }

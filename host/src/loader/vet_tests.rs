@@ -5,7 +5,7 @@ use super::*;
 const LIMIT: Duration = Duration::from_secs(5);
 
 fn verdict(text: &str, raw_status: Option<i32>) -> Result<(), Fault> {
-    Report::parse(text).verdict(raw_status.map(ExitStatus::from_raw), LIMIT)
+    Report::parse(text).verdict(raw_status.map(ExitStatus::from_raw), LIMIT, "no licence")
 }
 
 #[test]
@@ -19,9 +19,10 @@ fn only_a_clean_end_after_ok_is_a_good_verdict() {
 #[test]
 fn the_last_stage_tells_where_it_crashed_or_hung() {
     let crash = verdict("trocar-vet loading\ntrocar-vet layout\ntrocar-vet entry\n", Some(libc::SIGABRT));
+    assert!(crash.as_ref().is_err_and(|e| e.to_string().contains(r#", saying "no licence";"#)), "{crash:?}");
     assert!(matches!(crash, Err(Fault::Crashed { during: Stage::Entry, .. })), "{crash:?}");
     let hung = verdict("trocar-vet loading\n", None);
-    assert_eq!(hung, Err(Fault::Hung { during: Stage::Loading, seconds: 5 }));
+    assert_eq!(hung, Err(Fault::Hung { during: Stage::Loading, seconds: 5, said: "no licence".into() }));
 }
 
 #[test]

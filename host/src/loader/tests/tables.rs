@@ -110,6 +110,9 @@ fn a_newer_minor_may_have_longer_tables_and_another_major_none() {
 fn an_init_that_crashes_hangs_or_refuses_is_found_in_the_child() {
     refused(&built("", "", "abort()"), &["crashes while its init is called"]);
     refused(&built("", "", "return 5"), &["its init answers 5"]);
+    let says = r#"static const char why[] = "no licence"; host->log(host->ctx, 1, (trocar_bytes){0, 0}, \
+        (trocar_bytes){(const uint8_t *)why, sizeof why - 1}); return 5"#;
+    refused(&built("", "", says), &["refuses to work: no licence"]);
     let mut world = World::new();
     world.vet_limit = Duration::from_millis(1500);
     world.put("x.so", &built("", "", "for (;;) pause()"));
@@ -118,26 +121,23 @@ fn an_init_that_crashes_hangs_or_refuses_is_found_in_the_child() {
 }
 
 #[test]
-fn what_was_refused_is_not_tried_again_until_its_file_was_away() {
+fn what_crashed_is_tried_again_when_it_is_asked_for_and_its_words_are_told() {
     let world = World::new();
     let tries = world.beside("tries");
     let entry = format!(
-        "int f = open(\"{}\", O_WRONLY | O_CREAT | O_APPEND, 0600); if (write(f, \"x\", 1) == 1) abort()",
+        "int f = open(\"{}\", O_WRONLY | O_CREAT | O_APPEND, 0600); if (write(f, \"x\", 1) == 1 && write(2, \"no licence\\n\", 11) == 11 \
+         && lseek(f, 0, SEEK_END) < 3) abort()",
         tries.display()
     );
-    let bytes = built("", &entry, "");
-    world.put("x.so", &bytes);
+    world.put("x.so", &built("", &entry, ""));
     let store = world.open();
-    let tried = || {
-        let class = store.class("probe/c").unwrap();
-        let error = store.load(&class).err().map(|e| e.to_string()).unwrap_or_default();
+    let tried = || store.load(&store.class("probe/c").unwrap()).err().map(|e| e.to_string());
+    for _ in 0..2 {
+        let error = tried().unwrap();
         assert!(error.contains("crashes while its entry is called"), "{error}");
-        std::fs::read(&tries).unwrap().len()
-    };
-    assert_eq!([tried(), tried(), tried()], [1, 1, 1]);
-    std::fs::remove_file(world.path("x.so")).unwrap();
-    store.rescan();
-    world.put("x.so", &bytes);
-    store.rescan();
-    assert_eq!(tried(), 2);
+        assert!(error.contains(r#"saying "no licence""#), "{error}");
+    }
+    assert_eq!(tried(), None, "what it wants is there");
+    // Once more in the host itself.
+    assert_eq!(std::fs::read(&tries).unwrap().len(), 4);
 }
