@@ -3,6 +3,7 @@
 //! Time is ns of CLOCK_MONOTONIC everywhere; a deadline is absolute on that clock.
 
 mod forked;
+mod household;
 mod manners;
 
 use std::fmt;
@@ -10,6 +11,7 @@ use std::sync::atomic::AtomicU32;
 
 pub use crate::sync::Scope;
 pub use forked::{Unshared, unshared};
+pub use household::Household;
 pub use manners::{Hygiene, reset_rounding, rounding, set_sigmask, thread_hygiene};
 
 /// Ns of CLOCK_MONOTONIC. Any thread, about 25 ns, no system call.

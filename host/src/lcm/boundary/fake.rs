@@ -50,6 +50,12 @@ pub(in crate::lcm) trait Behaviour: Send + Sync {
     fn destroyed(&self) {}
 }
 
+/// Changes what new files of this process are closed to, as a library does.
+pub(in crate::lcm) fn set_umask(mask: u32) {
+    // SAFETY: any mask is one.
+    unsafe { libc::umask(mask) };
+}
+
 /// Bytes of a row of GetState.
 const ROW: usize = crate::lcm::system::MAX_BYTES;
 

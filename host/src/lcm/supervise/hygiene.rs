@@ -1,5 +1,5 @@
 //! Whether component code left its thread and its process as it found them: signal mask, rounding mode, working directory,
-//! threads.
+//! locale, umask, what signals do, standard streams, threads.
 //!
 //! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it is named, and
 //! while an entry looks after its manners itself (`Watch::mind`), what is found belongs to it and not to the watchdog.
@@ -10,10 +10,10 @@ mod tests;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use trocar_model::Health;
-use trocar_rt::os::{self, Hygiene};
+use trocar_rt::os::{self, Household, Hygiene};
 
 use crate::loader::{self, Moment};
 
@@ -43,6 +43,13 @@ fn whereabouts() -> Option<(PathBuf, PathBuf)> {
 /// Takes where the process is now for where it belongs, before anybody's code has run.
 pub(super) fn settle() {
     let _ = whereabouts();
+    household().get_or_insert_with(Household::look);
+}
+
+/// How the process stood when somebody between entries last looked at it.
+fn household() -> MutexGuard<'static, Option<Household>> {
+    static HOUSEHOLD: Mutex<Option<Household>> = Mutex::new(None);
+    HOUSEHOLD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Brings the process back to where it belongs, or lets it belong where it is; answers what came of it.
@@ -61,6 +68,7 @@ pub(in crate::lcm) struct Manners {
     thread: Hygiene,
     /// Where the process was then; elsewhere than at home it was by somebody else's doing.
     directory: Option<PathBuf>,
+    household: Household,
     moment: Moment,
     /// Empty while the component runs: its threads are not to wait for this look.
     threads: BTreeSet<i32>,
@@ -89,6 +97,7 @@ impl Manners {
             thread: os::thread_hygiene(),
             moment: loader::moment(),
             directory: whereabouts().map(|(now, _)| now),
+            household: Household::look(),
             threads: if instance.is_active() { BTreeSet::new() } else { threads() },
         }
     }
@@ -106,6 +115,9 @@ impl Manners {
         if now.sigmask != self.thread.sigmask {
             os::set_sigmask(self.thread.sigmask);
             instance.warn(&format!("{entry}: it changed the signal mask of its thread, which was put back"));
+        }
+        for said in self.household.put_back(&Household::look()) {
+            instance.warn(&format!("{entry}: it changed {said}"));
         }
         if !self.threads.is_empty() {
             instance.set_elders(|| self.threads.iter().map(|tid| (*tid, began(*tid))).collect());
@@ -178,6 +190,7 @@ impl Premises {
         if now_ns.saturating_sub(self.masks_ns) >= MASKS_NS {
             self.masks_ns = now_ns;
             suspects |= wards.iter().filter(|ward| mask(ward, wards)).count() > 0;
+            look_at_household(wards);
         }
         if suspects {
             self.suspected_ns = now_ns + SUSPECTED_NS;
@@ -186,6 +199,26 @@ impl Premises {
             wards.iter().for_each(|ward| ward.instance.watch.suspect(false));
         }
         directory != Found::TooEarly
+    }
+}
+
+/// What steps, commands and threads of components have changed for everybody. What an entry that looks for
+/// itself does is left to it.
+fn look_at_household(wards: &[&Ward]) {
+    let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+    let now = Household::look();
+    if matches!(minding(wards, &before), Minding::Looks) {
+        return;
+    }
+    let mut known = household();
+    let changes = known.as_ref().map_or_else(Vec::new, |last| last.put_back(&now));
+    *known = Some(if changes.is_empty() { now } else { Household::look() });
+    drop(known);
+    for said in changes {
+        match wards {
+            [ward] => ward.instance.warn(&format!("it changed {said}")),
+            _ => log::warn!("between entries, code of one of {} components changed {said}", wards.len()),
+        }
     }
 }
 

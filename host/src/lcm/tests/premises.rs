@@ -1,4 +1,5 @@
-//! A component that changes the working directory, in a process of its own: the directory is everybody's.
+//! Components that change the working directory or the umask, in processes of their own: both are
+//! everybody's.
 
 use std::env;
 use std::process::Command as Process;
@@ -8,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use trocar_plugin_api::abi::Tick;
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::fake::{Own, set_umask};
 use super::*;
 
 /// Says that this is the process made for it.
@@ -30,6 +31,32 @@ impl Behaviour for Strays {
     fn command(&self, _: u32, _: &Own) -> Result<(), String> {
         self.strike("command")
     }
+}
+
+/// Closes what new files are to everybody but their owner, in the entry it is told to.
+struct Closes(&'static str);
+
+impl Closes {
+    fn strike(&self, entry: &str) -> Result<(), String> {
+        if self.0 == entry {
+            set_umask(0o077);
+        }
+        Ok(())
+    }
+}
+
+impl Behaviour for Closes {
+    fn start(&self) -> Result<(), String> {
+        self.strike("start")
+    }
+    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+        self.strike("command")
+    }
+}
+
+fn umask() -> String {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    status.lines().find_map(|l| l.strip_prefix("Umask:")).unwrap().trim().to_string()
 }
 
 /// Counts its steps.
@@ -111,10 +138,39 @@ async fn the_process_whose_directory_is_changed() {
     world.end().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn the_process_whose_umask_is_changed() {
+    if env::var_os(CHILD).is_none() {
+        return;
+    }
+    set_umask(0o022);
+    for (entry, says) in [("start", "start: it changed the umask"), ("command", "it changed the umask")] {
+        let world = World::new("p_mask");
+        let info = class(ctl(), Safety::None);
+        world.create_as(entry, info, model(ExecutionModel::OnSignal), Arc::new(Closes(entry))).await;
+        world.start(entry).await;
+        world.call(entry).await.unwrap();
+        let whole = format!("{says} of the process to 077, which was put back to 022");
+        world.eventually("naming who changed the umask", entry, |r| r.warnings.contains(&whole)).await;
+        eventually("the umask is put back", || umask() == "0022").await;
+        world.end().await;
+    }
+}
+
 #[test]
 fn whoever_changes_the_working_directory_is_named_and_it_is_put_back() {
+    alone("the_process_whose_directory_is_changed");
+}
+
+#[test]
+fn whoever_changes_the_umask_is_named_and_it_is_put_back() {
+    alone("the_process_whose_umask_is_changed");
+}
+
+/// Plays one of these tests in a process of its own.
+fn alone(test: &str) {
     let child = Process::new(env::current_exe().unwrap())
-        .args(["--exact", "lcm::tests::premises::the_process_whose_directory_is_changed", "--nocapture"])
+        .args(["--exact", &format!("lcm::tests::premises::{test}"), "--nocapture"])
         .env(CHILD, "1")
         .output()
         .unwrap();

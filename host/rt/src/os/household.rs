@@ -1,0 +1,179 @@
+//! What belongs to the whole process and any code in it may change: its locale, what new files are closed to, what signals
+//! do, its standard streams.
+//!
+//! Invariant: looked at by system calls, so never from a step; only what differs is put back, and nothing of this program's
+//! own counts as another's doing.
+
+use std::ffi::{CStr, CString, c_int, c_void};
+use std::mem::{MaybeUninit, zeroed};
+
+/// Signals that have names; those above are for whoever takes them.
+const SIGNALS: [(c_int, &str); 20] = [
+    (libc::SIGHUP, "SIGHUP"),
+    (libc::SIGINT, "SIGINT"),
+    (libc::SIGQUIT, "SIGQUIT"),
+    (libc::SIGILL, "SIGILL"),
+    (libc::SIGTRAP, "SIGTRAP"),
+    (libc::SIGABRT, "SIGABRT"),
+    (libc::SIGBUS, "SIGBUS"),
+    (libc::SIGFPE, "SIGFPE"),
+    (libc::SIGUSR1, "SIGUSR1"),
+    (libc::SIGSEGV, "SIGSEGV"),
+    (libc::SIGUSR2, "SIGUSR2"),
+    (libc::SIGPIPE, "SIGPIPE"),
+    (libc::SIGALRM, "SIGALRM"),
+    (libc::SIGTERM, "SIGTERM"),
+    (libc::SIGCHLD, "SIGCHLD"),
+    (libc::SIGXCPU, "SIGXCPU"),
+    (libc::SIGXFSZ, "SIGXFSZ"),
+    (libc::SIGVTALRM, "SIGVTALRM"),
+    (libc::SIGPROF, "SIGPROF"),
+    (libc::SIGSYS, "SIGSYS"),
+];
+
+const STREAMS: [&str; 3] = ["standard input", "standard output", "standard error"];
+
+/// How the process stood at one moment.
+#[derive(Clone)]
+pub struct Household {
+    locale: CString,
+    umask: Option<u32>,
+    handlers: [libc::sigaction; SIGNALS.len()],
+    /// Which are open.
+    streams: [bool; STREAMS.len()],
+}
+
+impl Household {
+    /// Some 25 system calls.
+    pub fn look() -> Household {
+        Household {
+            locale: locale(),
+            umask: umask(),
+            handlers: SIGNALS.map(|(signal, _)| handler(signal)),
+            // SAFETY: asks for the flags of a number, which need not be open.
+            streams: [0, 1, 2].map(|fd| unsafe { libc::fcntl(fd, libc::F_GETFD) } != -1),
+        }
+    }
+
+    /// Puts back what `now` has changed since this, as far as that goes; says each thing that was.
+    pub fn put_back(&self, now: &Household) -> Vec<String> {
+        let mut said = Vec::new();
+        if now.locale != self.locale {
+            // SAFETY: a name that setlocale gave.
+            let done = unsafe { libc::setlocale(libc::LC_ALL, self.locale.as_ptr()) };
+            let back = if done.is_null() { "and could not be put back" } else { "which was put back" };
+            said.push(format!(
+                "the locale of the process to {}, {back}: use newlocale and uselocale, for your thread alone",
+                now.locale.to_string_lossy()
+            ));
+        }
+        if let (Some(was), Some(is)) = (self.umask, now.umask)
+            && was != is
+        {
+            // SAFETY: any mask is one.
+            unsafe { libc::umask(was) };
+            said.push(format!("the umask of the process to {is:03o}, which was put back to {was:03o}"));
+        }
+        for (i, (signal, name)) in SIGNALS.iter().enumerate() {
+            let (was, is) = (&self.handlers[i], &now.handlers[i]);
+            if was.sa_sigaction != is.sa_sigaction && !is_ours(is.sa_sigaction) {
+                // SAFETY: an action that sigaction gave for this signal.
+                let done = unsafe { libc::sigaction(*signal, was, std::ptr::null_mut()) };
+                let back = if done == 0 { "which was put back" } else { "and could not be put back" };
+                said.push(format!("what {name} does in the process, {back}"));
+            }
+        }
+        for (fd, name) in STREAMS.iter().enumerate() {
+            if self.streams[fd] && !now.streams[fd] {
+                let back =
+                    if open_nothing(fd as c_int) { "which leads nowhere now" } else { "which stays closed" };
+                said.push(format!("the {name} of the process by closing it, {back}"));
+            }
+        }
+        said
+    }
+}
+
+fn locale() -> CString {
+    // SAFETY: a null name only asks; what is given lives until the locale is changed.
+    let name = unsafe { libc::setlocale(libc::LC_ALL, std::ptr::null()) };
+    if name.is_null() {
+        return c"C".into();
+    }
+    // SAFETY: a text of the C library's.
+    unsafe { CStr::from_ptr(name) }.into()
+}
+
+/// As the kernel shows it: to ask by `umask` would change it for others meanwhile.
+fn umask() -> Option<u32> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let word = status.lines().find_map(|line| line.strip_prefix("Umask:"))?;
+    u32::from_str_radix(word.trim(), 8).ok()
+}
+
+fn handler(signal: c_int) -> libc::sigaction {
+    // SAFETY: an all-zero action is a valid place for the answer; a null new action only asks.
+    unsafe {
+        let mut now: libc::sigaction = zeroed();
+        libc::sigaction(signal, std::ptr::null(), &mut now);
+        now
+    }
+}
+
+/// The handler is code of this program, such as that of its runtime, and of no library.
+fn is_ours(handler: usize) -> bool {
+    let of = |address: *const c_void| {
+        let mut found = MaybeUninit::<libc::Dl_info>::uninit();
+        // SAFETY: the room is a whole Dl_info, which is written when the answer is not 0; any address may be asked for.
+        (unsafe { libc::dladdr(address, found.as_mut_ptr()) } != 0)
+            // SAFETY: written, by the answer.
+            .then(|| unsafe { found.assume_init() }.dli_fbase)
+    };
+    let own = of(is_ours as fn(usize) -> bool as *const c_void);
+    handler != libc::SIG_DFL
+        && handler != libc::SIG_IGN
+        && own.is_some()
+        && of(handler as *const c_void) == own
+}
+
+/// Opens what takes everything and gives nothing at a closed number, so that no file of somebody comes to lie there.
+fn open_nothing(fd: c_int) -> bool {
+    // SAFETY: a constant text; the file is ours until it is at its number.
+    unsafe {
+        let opened = libc::open(c"/dev/null".as_ptr(), libc::O_RDWR);
+        // Another thread may have taken the number meanwhile: then it is open, and its own.
+        if opened >= 0 && opened != fd {
+            libc::close(opened);
+        }
+        libc::fcntl(fd, libc::F_GETFD) != -1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_process_shares_is_seen_and_put_back_and_said() {
+        let before = Household::look();
+        // SAFETY: a mask, and an action that ignores a signal nobody here uses.
+        unsafe {
+            libc::umask(0o077);
+            libc::signal(libc::SIGUSR2, libc::SIG_IGN);
+        }
+        let said = before.put_back(&Household::look()).join("; ");
+        assert!(said.contains("the umask of the process to 077, which was put back"), "{said}");
+        assert!(said.contains("what SIGUSR2 does in the process, which was put back"), "{said}");
+        let after = Household::look();
+        assert_eq!((after.umask, handler(libc::SIGUSR2).sa_sigaction), (before.umask, libc::SIG_DFL));
+        assert!(before.put_back(&after).is_empty(), "nothing is left to put back");
+    }
+
+    #[test]
+    fn a_handler_of_the_program_itself_is_nobody_elses_doing() {
+        extern "C" fn own(_: c_int) {}
+        let own = own as extern "C" fn(c_int) as usize;
+        assert!(is_ours(own) && !is_ours(libc::getpid as *const () as usize));
+        assert!(!is_ours(libc::SIG_IGN) && !is_ours(libc::SIG_DFL));
+    }
+}
