@@ -2,11 +2,14 @@
 
 import csv
 import json
+import pathlib
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 
-from world import (BIN, FILLER, HERE, OK, PARTIAL, PATIENCE_S, REFUSED, USAGE, VENV, Skip, World, messages, missing, opcodes,
+from world import (BIN, FILLER, HERE, OK, PARTIAL, PATIENCE_S, REFUSED, ROOT, USAGE, VENV, Skip, World, messages, missing, opcodes,
                    passes_the_page_cache_by)
 
 
@@ -342,6 +345,49 @@ def test_hostile_recordings_end_in_a_sentence():
                     assert "panicked" not in done.stderr, done.stderr[-500:]
                     said = [line for line in done.stderr.splitlines() if line.startswith(("error: ", "warning: "))]
                     assert said or done.returncode == OK, (words, done.returncode, done.stderr[-500:])
+
+
+def test_hostile_recordings_of_megabytes_take_no_gigabytes():
+    sys.path.insert(0, str(ROOT / "tests/data/recordings"))
+    import make
+    size = 3 << 20
+    many = range(1, size // 200)
+    big = make.types(make.LINE, *(make.kind(f"T{n}", *(make.field(f"f{k}", k, make.DOUBLE) for k in range(1, 20))) for n in range(1000)))
+    wide = make.types(make.kind("V", *(make.field(f"field_{k}", k, make.DOUBLE) for k in range(1, 4000))))
+    listed = make.types(make.kind("V", make.field("x", 1, make.DOUBLE, repeated=True)))
+    described = make.schema(1, "p.V", big)
+    hostile = {
+        "a type for many channels": described + b"".join(make.channel(n, 1, f"/a/b/{n}") + make.message(n, 1, make.double(1, 1.0)) for n in many),
+        "a description of empty parts": make.schema(1, "p.V", make.inner(1, b"\x22\0" * (size // 2))) + make.channel(1, 1, "/a/b/c") + make.lines(1),
+        "a description of empty files": make.schema(1, "p.V", b"\x0a\0" * (250 << 10)) + make.channel(1, 1, "/a/b/c") + make.lines(1),
+        "zeros that take no room": make.schema(1, "p.V", wide) + make.channel(1, 1, "/a/b/c") + make.message(1, 1, b"") * (size // 3000),
+        "branches for each message": make.schema(1, "p.M0", make.chain(30, 2)) + make.channel(1, 1, "/a/b/c") + make.message(1, 1, b"") * (size // 3000),
+        "a long list behind short ones": make.schema(1, "p.V", listed) + make.channel(1, 1, "/a/b/c") + make.message(1, 1, b"") * (size // 310)
+        + make.message(1, 2, make.inner(1, bytes(8 * 4000))),
+        "a name for all": make.schema(1, "p." + "V" * size, make.types(make.LINE)) + b"".join(make.channel(n, 1, f"/{n}") for n in many),
+        "names of one file": make.ONE + b"".join(make.channel(n, 1, f"/{chr(0x4e00 + n)}") + make.message(n, 1, b"") for n in many[1:]),
+    }
+    with tempfile.TemporaryDirectory(prefix="trocar-recorder-") as place:
+        for name, records in hostile.items():
+            path = pathlib.Path(place) / "a.mcap"
+            path.write_bytes(make.whole(records))
+            for words in (["info"], ["export", "--csv"], ["export", "--npz"]):
+                output = [] if words == ["info"] else ["-o", f"{place}/out"]
+                # Of address space, 1.5 GiB.
+                limited = ["sh", "-c", 'ulimit -v 1572864; exec "$@"', "sh", BIN / "trocar", *words, path, *output]
+                done = subprocess.run(limited, capture_output=True, text=True, timeout=PATIENCE_S)
+                assert done.returncode in (OK, REFUSED, PARTIAL), (name, words, done.returncode, done.stderr[-500:])
+                assert "panicked" not in done.stderr and len(done.stderr) < 20_000, (name, words, done.stderr[-500:])
+                shutil.rmtree(f"{place}/out", ignore_errors=True)
+                pathlib.Path(f"{place}/out").unlink(missing_ok=True)
+
+
+def test_the_corpus_of_recordings_is_what_its_script_makes():
+    sys.path.insert(0, str(ROOT / "tests/data/recordings"))
+    import make
+    place = ROOT / "tests/data/recordings"
+    there = {path.stem: path.read_bytes() for path in place.glob("*.mcap")}
+    assert there == make.corpus(), "make it anew: python3 tests/data/recordings/make.py tests/data/recordings"
 
 
 def test_rerun_shows_images_poses_and_plots():

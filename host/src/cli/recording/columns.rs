@@ -1,19 +1,22 @@
 //! Messages as rows of named values, by the descriptors that the file has for them.
 //!
 //! Invariant: a message that is not what its channel says is counted and left out; it never ends the reading.
-
-use std::panic::{self, UnwindSafe};
-use std::sync::Once;
+//! Its cost is bounded by the values it has, not by those its type could have.
 
 use prost_reflect::bytes::Bytes;
-use prost_reflect::{
-    DescriptorPool, DynamicMessage, FieldDescriptor, MessageDescriptor, ReflectMessage, Value,
-};
+use prost_reflect::{DynamicMessage, FieldDescriptor, MessageDescriptor, ReflectMessage, Value};
 
 use super::read::Channel;
+use super::types::Types;
 
 /// Values of one message at most; the others are counted.
 const MOST: usize = 4096;
+/// Fields of one message that are looked at, values or not.
+const STEPS: u64 = 4 * MOST as u64;
+/// Types inside each other, of which columns are made before one has come.
+const DEEP: usize = 32;
+/// Longest name of a value, B.
+const NAME: usize = 1024;
 
 /// One value of a row.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +37,10 @@ pub(super) struct Values {
     pub(super) row: Vec<(String, Cell)>,
     /// How many there was no room for.
     pub(super) left_out: u64,
+    /// Fields that were looked at.
+    pub(super) steps: u64,
+    /// The types around the field that is looked at.
+    around: Vec<MessageDescriptor>,
 }
 
 impl Values {
@@ -44,21 +51,39 @@ impl Values {
             self.left_out += 1;
         }
     }
+
+    /// Whether another field may be looked at.
+    fn step(&mut self) -> bool {
+        self.steps += 1;
+        self.steps <= STEPS
+    }
+
+    /// Whether a message that is not there has columns: a type within itself would have them without an end.
+    fn has_columns(&self, of: &MessageDescriptor) -> bool {
+        self.around.len() < DEEP && !self.around.contains(of)
+    }
 }
 
 /// Reads the messages of one channel.
 pub(super) struct Reader {
     message: Option<MessageDescriptor>,
+    /// Why it can read none; empty where nothing is wrong.
+    pub(super) wrong: String,
 }
 
 impl Reader {
-    pub(super) fn of(channel: &Channel) -> Reader {
-        let proto = channel.encoding == "protobuf" && channel.schema_encoding == "protobuf";
-        // Of some damaged descriptions the library panics while it words its error: they describe nothing either.
-        let pool =
-            || unless_it_panics(|| DescriptorPool::decode(channel.schema_data.as_slice()).ok()).flatten();
-        Reader {
-            message: if proto { pool().and_then(|p| p.get_message_by_name(&channel.schema)) } else { None },
+    pub(super) fn of(channel: &Channel, types: &mut Types) -> Reader {
+        let none = |wrong: String| Reader { message: None, wrong };
+        if channel.encoding == "json" {
+            return none(String::new());
+        }
+        if channel.encoding != "protobuf" || channel.schema.encoding != "protobuf" {
+            let (encoding, of) = (&channel.encoding, &channel.schema.encoding);
+            return none(format!("messages in {encoding:?} with types in {of:?} are not read here"));
+        }
+        match types.message(&channel.schema) {
+            Ok(message) => Reader { message: Some(message), wrong: String::new() },
+            Err(wrong) => none(wrong),
         }
     }
 
@@ -78,35 +103,28 @@ impl Reader {
     }
 }
 
-/// Gives what `f` gives, or nothing where it panics, of which nothing is printed.
-fn unless_it_panics<T>(f: impl FnOnce() -> T + UnwindSafe) -> Option<T> {
-    thread_local! {
-        static QUIET: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
-    }
-    static HOOK: Once = Once::new();
-    HOOK.call_once(|| {
-        let told = panic::take_hook();
-        panic::set_hook(Box::new(move |info| {
-            if !QUIET.get() {
-                told(info);
-            }
-        }));
-    });
-    QUIET.set(true);
-    let given = panic::catch_unwind(f);
-    QUIET.set(false);
-    given.ok()
-}
-
 fn flatten(message: &DynamicMessage, path: &str, all: &mut Values) {
+    all.around.push(message.descriptor());
     for field in message.descriptor().fields() {
-        // Of "one of these" and of what may be missing only what is there.
-        if field.supports_presence() && !message.has_field(&field) && field.kind().as_message().is_none() {
+        let there = message.has_field(&field);
+        let inner = field.kind();
+        let columns = match inner.as_message().filter(|_| !field.is_list()) {
+            Some(of) => all.has_columns(of),
+            // Of "one of these" and of what may be missing only what is there.
+            None => !field.supports_presence(),
+        };
+        if !there && !columns {
             continue;
         }
-        let name = if path.is_empty() { field.name().to_owned() } else { format!("{path}.{}", field.name()) };
-        value(&message.get_field(&field), &name, &field, all);
+        let point = if path.is_empty() { "" } else { "." };
+        let fits = path.len() + field.name().len() < NAME;
+        if !all.step() || !fits {
+            all.left_out += u64::from(there);
+            continue;
+        }
+        value(&message.get_field(&field), &format!("{path}{point}{}", field.name()), &field, all);
     }
+    all.around.pop();
 }
 
 fn value(value_of: &Value, name: &str, field: &FieldDescriptor, all: &mut Values) {
@@ -137,11 +155,19 @@ fn value(value_of: &Value, name: &str, field: &FieldDescriptor, all: &mut Values
         Value::Message(message) => return flatten(message, name, all),
         Value::List(items) => {
             for (n, item) in items.iter().enumerate() {
-                value(item, &format!("{name}[{n}]"), field, all);
+                if all.step() {
+                    value(item, &format!("{name}[{n}]"), field, all);
+                } else {
+                    all.left_out += 1;
+                }
             }
             return;
         }
-        Value::Map(_) => return,
+        // Their keys are no columns.
+        Value::Map(entries) => {
+            all.left_out += entries.len() as u64;
+            return;
+        }
     };
     all.push(name, cell);
 }

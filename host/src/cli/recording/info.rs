@@ -1,9 +1,10 @@
 //! `trocar info F`: what is in a recording, also in one that was cut off.
 //!
-//! Invariant: the counts are those of the messages that can be read, not what the file says of itself.
+//! Invariant: the counts are those of the messages that can be read, not what the file says of itself. Where chunks
+//! cannot be read, they are what the file says, or not known, and the answer tells which.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
@@ -11,7 +12,8 @@ use mcap::records::MessageHeader;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::read::{self, Channel, Takes, Whole};
+use super::fields::Statistics;
+use super::read::{Channel, Takes, Whole};
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::session::Session;
 use crate::cli::table::Table;
@@ -28,15 +30,15 @@ pub(in crate::cli) struct InfoArgs {
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
-struct TopicView {
-    topic: String,
+pub(super) struct TopicView {
+    pub(super) topic: String,
     schema: String,
-    messages: u64,
+    pub(super) messages: u64,
     bytes: u64,
     /// ns of the recorder's clock.
     first_ns: u64,
     last_ns: u64,
-    /// Hz, over the time it came; 0 = too short a time to say.
+    /// Hz, over the time it came; 0 = not known, or too short a time to say.
     rate_hz: f64,
     /// Samples that are missing, as far as the recorder could write it down.
     lost: u64,
@@ -45,24 +47,42 @@ struct TopicView {
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
-struct InfoView {
+pub(super) struct InfoView {
     file: String,
     bytes: u64,
     profile: String,
     library: String,
     /// Closed as it should be; else `wrong` says what is not.
     whole: bool,
-    wrong: String,
-    messages: u64,
+    pub(super) wrong: String,
+    #[serde(skip)]
+    remains: &'static str,
+    pub(super) messages: u64,
+    pub(super) counted: Counted,
     lost: u64,
+    /// Whether a recorder told of losses; else `lost` is not known.
+    loss_told: bool,
     /// Of all topics.
     interrupted: u64,
     duration_s: f64,
     /// Of the first message, ns since the Unix epoch; 0 = not known.
     begin_unix_ns: i128,
     reason: String,
-    topics: Vec<TopicView>,
+    pub(super) topics: Vec<TopicView>,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// The way in which the messages were counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Counted {
+    /// Each was read.
+    #[default]
+    Read,
+    /// Chunks could not be read, and the file has counts of itself.
+    Told,
+    /// Chunks could not be read: there are more.
+    Part,
 }
 
 /// The topic on which the recorder tells what is missing so far.
@@ -90,7 +110,7 @@ impl Takes for Counting {
             Some(topic) => topic,
             None => self.topics.entry(channel.topic.clone()).or_insert_with(|| TopicView {
                 topic: channel.topic.clone(),
-                schema: channel.schema.clone(),
+                schema: channel.schema.name.clone(),
                 first_ns: header.log_time,
                 ..TopicView::default()
             }),
@@ -112,10 +132,21 @@ impl Takes for Counting {
 
 pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
     let bar = super::reading_bar(&args.file, session.json());
-    let mut counting = Counting { topics: BTreeMap::new(), loss: Vec::new(), bar: bar.clone() };
-    let whole = read::read(&args.file, &mut counting);
+    let view = look(&args.file, &bar);
     bar.finish_and_clear();
-    let whole = whole?;
+    let view = view?;
+    if session.json() {
+        session.print_json(&view)?;
+    } else {
+        show(&view);
+    }
+    Ok(if view.whole { Exit::Ok } else { Exit::Partial })
+}
+
+/// All that is shown of a recording.
+pub(super) fn look(file: &Path, bar: &ProgressBar) -> Result<InfoView, Failure> {
+    let mut counting = Counting { topics: BTreeMap::new(), loss: Vec::new(), bar: bar.clone() };
+    let whole = super::read_safely(file, &mut counting)?;
     let missing = if whole.told("trocar.end", "lost").is_some() {
         Missing::at_the_end(&whole)
     } else {
@@ -125,7 +156,7 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
     for channel in whole.channels.values() {
         topics.entry(channel.topic.clone()).or_insert_with(|| TopicView {
             topic: channel.topic.clone(),
-            schema: channel.schema.clone(),
+            schema: channel.schema.name.clone(),
             ..TopicView::default()
         });
     }
@@ -141,31 +172,52 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
         topic.rate_hz = if span > RATE_S { topic.messages.saturating_sub(1) as f64 / span } else { 0.0 };
     }
     let came = || topics.values().filter(|t| t.messages > 0);
-    let first = came().map(|t| t.first_ns).min().unwrap_or(0);
-    let last = came().map(|t| t.last_ns).max().unwrap_or(0);
+    let mut first = came().map(|t| t.first_ns).min().unwrap_or(0);
+    let mut last = came().map(|t| t.last_ns).max().unwrap_or(0);
+    let mut messages = topics.values().map(|t| t.messages).sum();
+    let counted = match &whole.statistics {
+        _ if whole.unread_chunks == 0 => Counted::Read,
+        None => Counted::Part,
+        Some(told) => {
+            (first, last, messages) = (told.first_ns, told.last_ns, told.messages);
+            told_by(&whole, told, &mut topics);
+            Counted::Told
+        }
+    };
+    let loss_told = whole.told("trocar.end", "lost").is_some() || topics.contains_key(LOSS);
     let offset: Option<i128> = whole.told("trocar.clock", "offset_to_unix_ns").and_then(|n| n.parse().ok());
-    let view = InfoView {
-        file: args.file.display().to_string(),
+    Ok(InfoView {
+        file: file.display().to_string(),
         bytes: whole.bytes,
         profile: whole.profile.clone(),
         library: whole.library.clone(),
         whole: whole.closed && whole.wrong.is_empty(),
         wrong: whole.wrong.clone(),
-        messages: topics.values().map(|t| t.messages).sum(),
+        remains: whole.remains,
+        messages,
+        counted,
         lost: missing.lost,
+        loss_told,
         interrupted: missing.interrupted,
         duration_s: last.saturating_sub(first) as f64 * 1e-9,
         begin_unix_ns: offset.map_or(0, |offset| offset.saturating_add(first.into())),
         reason: whole.told("trocar.end", "reason").unwrap_or_default().to_owned(),
         topics: topics.into_values().collect(),
         metadata: whole.metadata.into_iter().collect(),
-    };
-    if session.json() {
-        session.print_json(&view)?;
-    } else {
-        show(&view);
+    })
+}
+
+/// Counts of topics as the file has them of itself; their rates are not known then.
+fn told_by(whole: &Whole, told: &Statistics, topics: &mut BTreeMap<String, TopicView>) {
+    for topic in topics.values_mut() {
+        (topic.messages, topic.rate_hz) = (0, 0.0);
     }
-    Ok(if view.whole { Exit::Ok } else { Exit::Partial })
+    for (id, messages) in &told.of_channel {
+        let topic = whole.channels.get(id).and_then(|channel| topics.get_mut(&channel.topic));
+        if let Some(topic) = topic {
+            topic.messages = topic.messages.saturating_add(*messages);
+        }
+    }
 }
 
 impl Missing {
@@ -213,19 +265,33 @@ pub(super) fn size(bytes: u64) -> String {
 
 fn show(view: &InfoView) {
     out::say(&format!(
-        "{}: {}, {:.3} s, {} messages, {} lost{}",
+        "{}: {}, {:.3} s, {}, {}{}",
         view.file,
         size(view.bytes),
         view.duration_s,
-        view.messages,
-        view.lost,
-        if view.reason.is_empty() { String::new() } else { format!("; ended: {}", view.reason) },
+        match view.counted {
+            Counted::Read => format!("{} messages", view.messages),
+            Counted::Told =>
+                format!("{} messages as the file says, not all of which can be read", view.messages),
+            Counted::Part if view.messages == 0 => "none of its messages can be read".to_owned(),
+            Counted::Part => format!("at least {} messages", view.messages),
+        },
+        if view.loss_told { format!("{} lost", view.lost) } else { "losses are not told in it".to_owned() },
+        if view.reason.is_empty() {
+            String::new()
+        } else {
+            format!("; ended: {}", units::cut(&view.reason, 200))
+        },
     ));
     let mut table = Table::new(&["TOPIC", "MESSAGES", "RATE", "BYTES", "LOST", "TYPE"]);
     for topic in &view.topics {
         table.row([
             units::cut(&topic.topic, 120),
-            topic.messages.to_string(),
+            if view.counted == Counted::Part && topic.messages == 0 {
+                "-".to_owned()
+            } else {
+                topic.messages.to_string()
+            },
             if topic.rate_hz > 0.0 { units::rate(topic.rate_hz) } else { "-".to_owned() },
             size(topic.bytes),
             topic.lost.to_string(),
@@ -239,7 +305,7 @@ fn show(view: &InfoView) {
         out::complain("warning", &super::interrupted(&topic.topic, topic.interrupted));
     }
     if !view.wrong.is_empty() {
-        out::complain("warning", &format!("{}; everything before that is read", view.wrong));
+        out::complain("warning", &format!("{}; {} is read", view.wrong, view.remains));
     }
 }
 

@@ -2,9 +2,11 @@
 //!
 //! Invariant: what a file says is a stranger's word: lengths, names and numbers in it are checked before they are used.
 
+mod arrays;
 pub(super) mod columns;
 mod ends;
 pub(super) mod export;
+mod fields;
 pub(super) mod info;
 mod npz;
 mod patience;
@@ -16,26 +18,39 @@ mod records;
 mod select;
 mod sink;
 mod tables;
+mod types;
 
 use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar_model::nearest;
 
-use super::style;
+use self::read::{Takes, Whole};
+use super::failure::Failure;
+use super::{style, units};
+
+#[cfg(test)]
+mod corpus_tests;
 
 /// Names that are shown of more.
 const SHOWN: usize = 40;
+/// Characters that are shown of a name.
+const NAME: usize = 120;
 
 /// What is nearest to one of these words; empty where nothing is.
 fn meant<'a>(words: impl IntoIterator<Item = &'a str>, names: &[&str]) -> String {
     let close = words.into_iter().find_map(|word| nearest(word, names.iter().copied()));
-    close.map(|name| format!("did you mean {name}? ")).unwrap_or_default()
+    close.map(|name| format!("did you mean {}? ", units::cut(name, NAME))).unwrap_or_default()
+}
+
+/// A name in a sentence.
+fn shown(name: &str) -> String {
+    units::cut(name, NAME)
 }
 
 /// Names in one line, the first ones of many.
 fn listed(names: &[&str]) -> String {
-    let shown = &names[..names.len().min(SHOWN)];
+    let shown: Vec<String> = names.iter().take(SHOWN).map(|name| shown(name)).collect();
     let more = names.len() - shown.len();
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{}{more}", shown.join(", "))
@@ -44,7 +59,18 @@ fn listed(names: &[&str]) -> String {
 /// That a topic has gaps that no counter of losses knows.
 fn interrupted(topic: &str, times: u64) -> String {
     let times = if times > 1 { format!(", {times} times") } else { String::new() };
-    format!("{topic}: its connection or the process of its source went away{times}")
+    format!("{}: its connection or the process of its source went away{times}", shown(topic))
+}
+
+/// Reads a recording: a fault of ours in it is told as a sentence, too.
+fn read_safely(file: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure> {
+    types::unless_it_panics(|| read::read(file, takes)).unwrap_or_else(|| {
+        Err(Failure::local(
+            "UNREADABLE",
+            format!("{}: the reader met something in it that it does not expect, and ended", file.display()),
+            "this is a fault of trocar: please report it with the recording, or with its first megabyte",
+        ))
+    })
 }
 
 /// How far a recording has been read, in bytes, where somebody looks.

@@ -13,6 +13,8 @@ use super::planes::Row;
 
 /// Largest side of a picture, pixels.
 const LARGEST: u32 = 1 << 15;
+/// Pixels of a compressed picture at most: a byte of it may stand for 62.
+const MOST: u64 = 1 << 26;
 
 /// Pixels as PNG takes them, without gaps between rows.
 #[derive(Debug, PartialEq)]
@@ -113,7 +115,7 @@ fn raw((width, height, step): (u32, u32, u32), encoding: &str, data: &[u8]) -> O
 fn qoi_picture(data: &[u8]) -> Option<Picture> {
     let header = qoi::decode_header(data).ok()?;
     // A byte of QOI is at most 62 pixels: a header that promises more lies.
-    let most = (data.len() as u64).saturating_mul(62);
+    let most = (data.len() as u64).saturating_mul(62).min(MOST);
     if header.width > LARGEST
         || header.height > LARGEST
         || u64::from(header.width) * u64::from(header.height) > most

@@ -1,18 +1,20 @@
 //! An MCAP file from its first byte to its last good one.
 //!
 //! Invariant: no more memory is asked for than the file has bytes; where a file is cut off or damaged, everything before
-//! that place is given, and the place is told.
+//! that place is given, and the place is told. A chunk gives nothing when its checksum does not fit its bytes.
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
 use std::io::BufReader;
 use std::path::Path;
+use std::sync::Arc;
 
-use mcap::McapError;
-use mcap::records::{MessageHeader, Record, op};
+use mcap::records::{MessageHeader, op};
 
+use super::fields::{Fields, Statistics, fields};
 use super::records::{Broken, Chunk, Records, split};
 use crate::cli::failure::Failure;
+use crate::cli::units;
 
 /// Bytes that are read at once.
 const AT_ONCE: usize = 256 << 10;
@@ -22,9 +24,18 @@ const AT_ONCE: usize = 256 << 10;
 pub(super) struct Channel {
     pub(super) topic: String,
     pub(super) encoding: String,
-    pub(super) schema: String,
-    pub(super) schema_encoding: String,
-    pub(super) schema_data: Vec<u8>,
+    /// Channels of one type share it.
+    pub(super) schema: Arc<Schema>,
+}
+
+/// The description of a type.
+#[derive(Debug, Default)]
+pub(super) struct Schema {
+    /// Counts the descriptions of the file; 0 is that of a channel without one.
+    pub(super) number: usize,
+    pub(super) name: String,
+    pub(super) encoding: String,
+    pub(super) data: Vec<u8>,
 }
 
 /// What is told of a file while it is read.
@@ -51,6 +62,12 @@ pub(super) struct Whole {
     pub(super) wrong: String,
     /// Messages of channels that the file does not describe.
     pub(super) strays: u64,
+    /// Chunks that gave nothing, since they are compressed or damaged; `wrong` says why.
+    pub(super) unread_chunks: u64,
+    /// The counts that the file has of itself.
+    pub(super) statistics: Option<Statistics>,
+    /// The part of the file that was read all the same.
+    pub(super) remains: &'static str,
 }
 
 /// Reads all of it.
@@ -69,15 +86,18 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
     }
     // A recorder keeps its file locked as long as it writes; where nothing can be locked, nobody knows.
     let written = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
+    let whole = Whole { bytes: there.len(), ..Whole::default() };
     let mut reading =
-        Reading { whole: Whole { bytes: there.len(), ..Whole::default() }, schemas: BTreeMap::new(), takes };
+        Reading { whole, schemas: BTreeMap::new(), described: 0, unread: String::new(), begins_at: 0, takes };
     let mut records = Records::new(BufReader::with_capacity(AT_ONCE, file));
     let mut known = false;
     loop {
+        let begins_at = records.came();
         let ended = match records.next() {
             Ok(None) => break,
             Ok(Some((opcode, body))) => {
                 known = true;
+                reading.begins_at = begins_at;
                 reading.record(opcode, body)
             }
             Err(Broken::CutOff { opcode, body }) => {
@@ -103,7 +123,7 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
             Err(Ended::Asked(failure)) => return Err(failure),
         }
     }
-    let mut whole = reading.whole;
+    let Reading { mut whole, unread, .. } = reading;
     if !known {
         let why = if whole.wrong.is_empty() { "it is empty".to_owned() } else { whole.wrong };
         return Err(Failure::local(
@@ -120,6 +140,17 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
             records.came()
         );
     }
+    whole.remains = if whole.wrong.is_empty() { "everything else" } else { "everything before that" };
+    let mut all_wrong = Vec::new();
+    if whole.unread_chunks > 0 {
+        all_wrong.push(format!("{} left out: {unread}", units::count(whole.unread_chunks, "chunk")));
+    }
+    if whole.strays > 0 {
+        let strays = units::count(whole.strays, "message");
+        all_wrong.push(format!("{strays} left out: the file does not describe their channels"));
+    }
+    all_wrong.extend(Some(whole.wrong).filter(|wrong| !wrong.is_empty()));
+    whole.wrong = all_wrong.join("; ");
     Ok(whole)
 }
 
@@ -132,54 +163,65 @@ enum Ended {
     Asked(Failure),
 }
 
-impl From<McapError> for Ended {
-    fn from(why: McapError) -> Ended {
-        Ended::Damage(format!("damaged: {why}"))
-    }
-}
-
 struct Reading<'a> {
     whole: Whole,
-    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    schemas: BTreeMap<u16, Arc<Schema>>,
+    /// So many descriptions came.
+    described: usize,
+    /// Why the first chunk that gave nothing did so.
+    unread: String,
+    /// The place of the record that is read, B.
+    begins_at: u64,
     takes: &'a mut dyn Takes,
 }
 
 impl Reading<'_> {
     fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), Ended> {
-        // Indexes and attachments are not needed here: what is not parsed cannot be wrong.
-        let needed = [op::HEADER, op::FOOTER, op::SCHEMA, op::CHANNEL, op::MESSAGE, op::METADATA];
         if opcode == op::CHUNK {
             return self.chunk(body, false);
         }
-        if !needed.contains(&opcode) {
-            return Ok(());
-        }
         let whole = &mut self.whole;
-        match mcap::parse_record(opcode, body)? {
-            Record::Header(header) => (whole.profile, whole.library) = (header.profile, header.library),
-            Record::Schema { header, data } => {
-                self.schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
+        match fields(opcode, body).map_err(|why| Ended::Damage(format!("damaged: {why}")))? {
+            Fields::Header { profile, library } => {
+                (whole.profile, whole.library) = (profile.to_owned(), library.to_owned());
             }
-            Record::Channel(channel) => {
-                let (schema, schema_encoding, schema_data) =
-                    self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                whole.channels.entry(channel.id).or_insert(Channel {
-                    topic: channel.topic,
-                    encoding: channel.message_encoding,
-                    schema,
-                    schema_encoding,
-                    schema_data,
-                });
+            Fields::Schema { id, name, encoding, data } => self.schema(id, name, encoding, data),
+            Fields::Channel { id, schema, topic, encoding } => {
+                let schema = self.schemas.get(&schema).cloned().unwrap_or_default();
+                let channel = || Channel { topic: topic.to_owned(), encoding: encoding.to_owned(), schema };
+                whole.channels.entry(id).or_insert_with(channel);
             }
-            Record::Message { header, data } => match whole.channels.get(&header.channel_id) {
-                Some(channel) => self.takes.message(channel, &header, &data).map_err(Ended::Asked)?,
+            Fields::Message { header, data } => match whole.channels.get(&header.channel_id) {
+                Some(channel) => self.takes.message(channel, &header, data).map_err(Ended::Asked)?,
                 None => whole.strays += 1,
             },
-            Record::Metadata(metadata) => whole.metadata.push((metadata.name, metadata.metadata)),
-            Record::Footer(_) => whole.closed = true,
-            _ => {}
+            Fields::Metadata { name, values } => whole.metadata.push((name.to_owned(), values)),
+            Fields::Statistics(statistics) => whole.statistics = Some(statistics),
+            Fields::Footer => whole.closed = true,
+            Fields::Other => {}
         }
         Ok(())
+    }
+
+    /// Keeps a description; the summary repeats those that came before, and they stay one.
+    fn schema(&mut self, id: u16, name: &str, encoding: &str, data: &[u8]) {
+        let same = |known: &Arc<Schema>| {
+            (known.name.as_str(), known.encoding.as_str(), &known.data[..]) == (name, encoding, data)
+        };
+        if self.schemas.get(&id).is_some_and(same) {
+            return;
+        }
+        self.described += 1;
+        let (name, encoding, data) = (name.to_owned(), encoding.to_owned(), data.to_vec());
+        self.schemas.insert(id, Arc::new(Schema { number: self.described, name, encoding, data }));
+    }
+
+    /// Goes on behind a chunk that gives nothing.
+    fn leave_out(&mut self, why: impl FnOnce(u64) -> String) {
+        self.whole.unread_chunks += 1;
+        if self.unread.is_empty() {
+            self.unread = why(self.begins_at);
+        }
     }
 
     /// The records of a chunk; of one whose end is missing those that are there.
@@ -190,15 +232,23 @@ impl Reading<'_> {
         };
         if !chunk.compression.is_empty() {
             let name = String::from_utf8_lossy(chunk.compression).chars().take(20).collect::<String>();
-            return Err(Ended::Damage(format!(
-                "chunks compressed with {name:?} are not read here: `mcap compress --compression none` makes others"
-            )));
+            self.leave_out(|_| {
+                let help = "`mcap compress --compression none` makes others";
+                format!("chunks compressed with {name:?} are not read here: {help}")
+            });
+            return Ok(());
         }
         let records = match usize::try_from(chunk.len).ok().and_then(|len| chunk.records.get(..len)) {
             Some(records) => records,
             None if cut => chunk.records,
             None => return Err(damage("a chunk is shorter than it says")),
         };
+        // Before anything in it is believed. The sum of one that was cut off cannot be known.
+        if !cut && chunk.crc != 0 && crc32fast::hash(records) != chunk.crc {
+            let why = "damaged: a chunk's checksum is another one than that of its bytes";
+            self.leave_out(|at| format!("near byte {at}: {why}"));
+            return Ok(());
+        }
         let mut rest = records;
         while let Some((opcode, body, after)) = split(rest) {
             // A chunk in a chunk is nothing that the format knows.
@@ -209,9 +259,6 @@ impl Reading<'_> {
         }
         if !rest.is_empty() && !cut {
             return Err(damage("a record is longer than its chunk"));
-        }
-        if !cut && chunk.crc != 0 && crc32fast::hash(records) != chunk.crc {
-            return Err(damage("a chunk's checksum is another one than that of its bytes"));
         }
         Ok(())
     }

@@ -7,18 +7,20 @@ use mcap::WriteOptions;
 use proptest::prelude::*;
 
 use super::*;
-use crate::cli::recording::columns;
+use crate::cli::recording::{columns, types};
 
 #[derive(Default)]
 struct Counting {
     messages: Vec<u32>,
     values: usize,
+    types: types::Types,
 }
 
 impl Takes for Counting {
     fn message(&mut self, channel: &Channel, header: &MessageHeader, data: &[u8]) -> Result<(), Failure> {
         self.messages.push(header.sequence);
-        self.values += columns::Reader::of(channel).values(channel, data).map_or(0, |all| all.row.len());
+        let reader = columns::Reader::of(channel, &mut self.types);
+        self.values += reader.values(channel, data).map_or(0, |all| all.row.len());
         Ok(())
     }
 }

@@ -5,17 +5,13 @@
 
 /// Whether a path is meant by a pattern.
 pub(super) fn matches(pattern: &str, path: &str) -> bool {
-    let split = |text: &str| -> Vec<String> {
-        text.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect()
-    };
-    let (pattern, path) = (split(pattern), split(path));
+    let (mut pattern, path) = (parts(pattern), parts(path));
     if pattern.is_empty() || pattern.len() > 64 {
         return false;
     }
-    let whole = parts(&pattern, &path);
-    let mut inside = pattern.clone();
-    inside.push("**".to_owned());
-    whole || parts(&inside, &path)
+    // A name of what holds others is a name of all in it, and `**` is no name, too.
+    pattern.push("**");
+    wild(&pattern, &path, |part| *part == "**", |pattern, name| one(pattern.as_bytes(), name.as_bytes()))
 }
 
 /// Whether a topic is what a recorder tells of itself: `/recorder/NAME`. What is recorded has a name of three parts, in a process
@@ -24,34 +20,34 @@ pub(super) fn is_recorders(topic: &str) -> bool {
     topic.strip_prefix("/recorder/").is_some_and(|name| !name.contains('/'))
 }
 
-fn parts(pattern: &[String], path: &[String]) -> bool {
-    match pattern.split_first() {
-        None => path.is_empty(),
-        Some((first, rest)) if first == "**" => (0..=path.len()).any(|skip| parts(rest, &path[skip..])),
-        Some((first, rest)) => path
-            .split_first()
-            .is_some_and(|(name, others)| one(first.as_bytes(), name.as_bytes()) && parts(rest, others)),
-    }
+fn parts(path: &str) -> Vec<&str> {
+    path.split('/').filter(|part| !part.is_empty()).collect()
 }
 
-/// `*` within a name; no recursion, so a hostile pattern costs its length times the name's.
-fn one(pattern: &[u8], name: &[u8]) -> bool {
+/// Whether items are what a pattern says, in which some parts stand for any number of items. There is no
+/// recursion: a hostile pattern costs its length times that of the items.
+fn wild<T>(pattern: &[T], items: &[T], any: impl Fn(&T) -> bool, same: impl Fn(&T, &T) -> bool) -> bool {
     let (mut p, mut n) = (0, 0);
-    let mut star = None;
-    while n < name.len() {
-        if p < pattern.len() && pattern[p] == b'*' {
-            star = Some((p, n));
+    let mut last = None;
+    while n < items.len() {
+        if pattern.get(p).is_some_and(&any) {
+            last = Some((p, n));
             p += 1;
-        } else if p < pattern.len() && (pattern[p] == name[n] || pattern[p] == b'?') {
+        } else if pattern.get(p).is_some_and(|part| same(part, &items[n])) {
             (p, n) = (p + 1, n + 1);
-        } else if let Some((at, from)) = star {
-            star = Some((at, from + 1));
+        } else if let Some((at, from)) = last {
+            last = Some((at, from + 1));
             (p, n) = (at + 1, from + 1);
         } else {
             return false;
         }
     }
-    pattern[p..].iter().all(|c| *c == b'*')
+    pattern[p..].iter().all(any)
+}
+
+/// `*` and `?` within a name.
+fn one(pattern: &[u8], name: &[u8]) -> bool {
+    wild(pattern, name, |c| *c == b'*', |p, c| p == c || *p == b'?')
 }
 
 #[cfg(test)]
@@ -80,8 +76,17 @@ mod tests {
             ("**", "a/b/c", true),
             ("", "a/b/c", false),
             ("*/camera_?/image", "host/camera_2/image", true),
+            ("**/b/**/c", "a/b/b/x/c", true),
+            ("**/b/**/c/d", "a/b/b/x/c", false),
         ] {
             assert_eq!(matches(pattern, path), wanted, "{pattern} {path}");
         }
+    }
+
+    #[test]
+    fn a_path_of_many_parts_is_compared_without_going_back_more_than_once() {
+        let path = format!("{}b", "a/".repeat(20_000));
+        let pattern = "**/a/".repeat(20);
+        assert!(matches(&format!("{pattern}b"), &path) && !matches(&format!("{pattern}c"), &path));
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Invariant: a sink makes new files only, with names that lead out of no directory.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions};
 use std::path::Path;
 
@@ -9,6 +10,7 @@ use mcap::records::MessageHeader;
 use serde::Serialize;
 
 use super::columns::{Cell, Reader};
+use super::info::size;
 use super::read::Channel;
 use crate::cli::failure::Failure;
 
@@ -23,10 +25,12 @@ pub(super) struct Message<'a> {
 impl Message<'_> {
     /// Its values; one that has none, and values that are too many, are counted.
     pub(super) fn row(&self, view: &mut ExportView) -> Option<Vec<(String, Cell)>> {
-        let values = self.reader.values(self.channel, self.data);
-        view.unreadable += u64::from(values.is_none());
-        let values = values?;
+        let Some(values) = self.reader.values(self.channel, self.data) else {
+            view.unreadable(self);
+            return None;
+        };
         view.unplaced += values.left_out;
+        view.steps = view.steps.saturating_add(values.steps);
         Some(values.row)
     }
 }
@@ -46,6 +50,8 @@ pub(super) struct ExportView {
     pub(super) messages: u64,
     /// Messages that are not what their channel says.
     pub(super) unreadable: u64,
+    /// Why the first of those could not be read, where that is known.
+    pub(super) why: String,
     /// Values that the first message of a topic has no column for, and frames that are of another shape than the first.
     pub(super) unplaced: u64,
     /// Pictures: `--png` writes them, arrays do not hold them.
@@ -54,8 +60,76 @@ pub(super) struct ExportView {
     pub(super) texts: u64,
     /// Messages that the recorder told of itself: written where `--topic` names them.
     pub(super) recorders: u64,
-    /// Why the recording was not read to its end.
+    /// Why not all of the recording was read.
     pub(super) wrong: String,
+    #[serde(skip)]
+    pub(super) remains: &'static str,
+    /// Fields that were looked at.
+    #[serde(skip)]
+    pub(super) steps: u64,
+}
+
+impl ExportView {
+    /// Counts a message that is not what its channel says.
+    pub(super) fn unreadable(&mut self, message: &Message<'_>) {
+        self.unreadable += 1;
+        if self.why.is_empty() && !message.reader.wrong.is_empty() {
+            self.why = format!("{}: {}", super::shown(&message.channel.topic), message.reader.wrong);
+        }
+    }
+}
+
+/// The most that an export may cost. It grows with the file, with room for zeros, which take none in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    file: u64,
+}
+
+impl Bounds {
+    /// For a file of so many bytes.
+    pub(super) fn of(file: u64) -> Bounds {
+        Bounds { file }
+    }
+
+    fn most(self, base: u64, each: u64) -> u64 {
+        self.file.saturating_mul(each).saturating_add(base)
+    }
+
+    fn too_large(what: &str, most: &str) -> Failure {
+        let help = "take less of it: --topic, --from, --to";
+        Failure::local(
+            "TOO_LARGE",
+            format!("{what} are over the limit for a file of this size, {most}"),
+            help,
+        )
+    }
+
+    /// So much memory may be taken; gives it.
+    ///
+    /// # Errors
+    /// TOO_LARGE: the sum is over the limit.
+    pub(super) fn memory(self, bytes: usize) -> Result<usize, Failure> {
+        let most = self.most(256 << 20, 32).min(4 << 30);
+        if bytes as u64 <= most { Ok(bytes) } else { Err(Self::too_large("numbers and names", &size(most))) }
+    }
+
+    /// So much may be written; gives it.
+    ///
+    /// # Errors
+    /// TOO_LARGE: the sum is over the limit.
+    pub(super) fn written(self, bytes: u64) -> Result<u64, Failure> {
+        let most = self.most(256 << 20, 32);
+        if bytes <= most { Ok(bytes) } else { Err(Self::too_large("tables", &size(most))) }
+    }
+
+    /// So many fields may be looked at.
+    ///
+    /// # Errors
+    /// TOO_LARGE: the sum is over the limit.
+    pub(super) fn steps(self, steps: u64) -> Result<(), Failure> {
+        let most = self.most(8_000_000, 8);
+        if steps <= most { Ok(()) } else { Err(Self::too_large("fields of its types", &most.to_string())) }
+    }
 }
 
 /// A topic as the name of a file: no way out of its directory.
@@ -65,11 +139,27 @@ pub(super) fn file_name(topic: &str) -> String {
     if name.is_empty() { "topic".to_owned() } else { name }
 }
 
-/// The name of a topic's file or directory, where two topics may come to the same one: the first that is not taken.
-pub(super) fn free_name(topic: &str, taken: impl Fn(&str) -> bool) -> String {
-    let name = file_name(topic);
-    let others = (2u64..).map(|n| format!("{name}_{n}"));
-    std::iter::once(name.clone()).chain(others).find(|name| !taken(name)).unwrap_or(name)
+/// The names of files or directories of topics, of which two may come to the same one.
+#[derive(Default)]
+pub(super) struct Names {
+    taken: BTreeSet<String>,
+    /// By the name that several come to, the number that the next one tries.
+    next: BTreeMap<String, u64>,
+}
+
+impl Names {
+    /// A topic's: the first that is not taken.
+    pub(super) fn free(&mut self, topic: &str) -> String {
+        let name = file_name(topic);
+        let mut free = name.clone();
+        while self.taken.contains(&free) {
+            let next = self.next.entry(name.clone()).or_insert(1);
+            *next += 1;
+            free = format!("{name}_{next}");
+        }
+        self.taken.insert(free.clone());
+        free
+    }
 }
 
 pub(super) fn wrote(path: &Path, why: &dyn std::fmt::Display) -> Failure {
