@@ -43,6 +43,18 @@ def test_a_recording_by_the_command_line_is_whole_and_explains_itself():
         assert [c["path"] for c in world.json("ls")["components"]] == ["host/sine"]
 
 
+def test_an_output_that_gave_nothing_is_in_the_recording():
+    with World(["sine"]) as world:
+        world.source()
+        world.run("create", "host/quiet", "sine", code=OK)
+        done = world.record("host/sine/value", "host/quiet/value", "-o", "a.mcap", least={"/host/sine/value": 101})
+        assert done["silent"] == ["/host/quiet/value"], done
+        _, metadata, _ = messages(world.dir / "a.mcap")
+        assert metadata["trocar.end"]["messages:/host/quiet/value"] == "0", metadata["trocar.end"]
+        counted = {t["topic"]: t["messages"] for t in world.json("info", "a.mcap")["topics"]}
+        assert counted["/host/quiet/value"] == 0 < counted["/host/sine/value"], counted
+
+
 def test_commands_begin_pause_mark_thin_and_end_a_recording():
     with World(["sine"]) as world:
         sine = world.source()

@@ -42,6 +42,8 @@ pub(crate) struct Missing {
     pub(crate) lost: Vec<(String, u64)>,
     /// How often what they are connected to went away.
     pub(crate) interrupted: Vec<(String, u64)>,
+    /// Connected, and nothing has come of it since the recording began.
+    pub(crate) silent: Vec<String>,
 }
 
 impl Missing {
@@ -50,7 +52,8 @@ impl Missing {
             let all = each.iter().map(|topic| (topic.name.clone(), count(topic)));
             all.filter(|(_, n)| *n > 0).collect()
         };
-        Missing { lost: those(|topic| topic.lost), interrupted: those(|topic| topic.interrupted) }
+        let silent = each.iter().filter(|topic| topic.is_silent()).map(|topic| topic.name.clone()).collect();
+        Missing { lost: those(|topic| topic.lost), interrupted: those(|topic| topic.interrupted), silent }
     }
 }
 

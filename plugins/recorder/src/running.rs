@@ -287,8 +287,10 @@ impl Running {
         let (lost, interrupted) = (by_topic(&missing.lost), by_topic(&missing.interrupted));
         let total: u64 = missing.lost.iter().map(|(_, n)| n).sum();
         // With the clock on the wall, which may drift from that of the stamps while it records.
-        let told =
-            json!({ "lost": total, "topics": lost, "interrupted": interrupted, "unix_ns": unix_ns() as u64 });
+        let told = json!({
+            "lost": total, "topics": lost, "interrupted": interrupted, "silent": missing.silent,
+            "unix_ns": unix_ns() as u64,
+        });
         let text = told.to_string();
         if !self.way.has_room(text.len()) {
             return false;

@@ -128,6 +128,11 @@ impl Topic {
         self.source == source && self.encoder.is_some()
     }
 
+    /// Whether it is recorded, and has given nothing.
+    pub(crate) fn is_silent(&self) -> bool {
+        self.link.is_some() && self.kept + self.left_out + self.lost == 0
+    }
+
     /// All but its name and what is kept of it.
     pub(crate) fn forget(&mut self) {
         let name = std::mem::take(&mut self.name);
@@ -464,6 +469,17 @@ mod tests {
         assert_eq!(topic.interrupted, 1, "this recording reaches back behind that");
         topic.begin(120);
         assert_eq!(topic.interrupted, 0, "this one does not");
+    }
+
+    #[test]
+    fn what_is_connected_and_gave_nothing_is_silent() {
+        let mut topic = whole();
+        topic.begin(0);
+        assert!(!topic.is_silent(), "it is connected to nothing");
+        topic.link_is(Some(Link { id: 1, epoch: 0, term: 1 }), 1, 10);
+        assert!(topic.is_silent());
+        topic.lose(1, 20);
+        assert!(!topic.is_silent(), "it gave something, which was lost");
     }
 
     #[test]

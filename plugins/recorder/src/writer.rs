@@ -388,7 +388,8 @@ impl OpenFile {
         let mut room = (TAIL / 2) as usize;
         let lost = all.iter().filter(|(_, n)| **n > 0).map(|(topic, n)| ("lost", topic, *n));
         let cut = missing.interrupted.iter().map(|(topic, n)| ("interrupted", topic, *n));
-        for (what, topic, n) in cut.chain(lost) {
+        let silent = missing.silent.iter().map(|topic| ("messages", topic, 0));
+        for (what, topic, n) in cut.chain(lost).chain(silent) {
             let Some(left) = room.checked_sub(topic.len() + 64) else { break };
             room = left;
             end.insert(format!("{what}:{topic}"), n.to_string());

@@ -70,7 +70,11 @@ fn a_closed_file_holds_everything_and_says_what_was_lost() {
         push(way, 99, 10); // Before the recording: no part of it.
         way.order(opening(&path, 0));
         (1..=500).for_each(|n| push(way, n, 1000));
-        let missing = Missing { lost: vec![("/a".into(), 3)], interrupted: vec![("/a".into(), 2)] };
+        let missing = Missing {
+            lost: vec![("/a".into(), 3)],
+            interrupted: vec![("/a".into(), 2)],
+            silent: vec!["/b".into()],
+        };
         way.order(Order::Missing(missing, OnItsWay::default()));
         way.order(Order::Close("enough".into()));
     });
@@ -85,6 +89,7 @@ fn a_closed_file_holds_everything_and_says_what_was_lost() {
     let text =
         String::from_utf8_lossy(&all[end.offset as usize..(end.offset + end.length) as usize]).into_owned();
     assert!(text.contains("lost:/a") && text.contains("interrupted:/a") && text.contains("enough"), "{text}");
+    assert!(text.contains("messages:/b"), "what gave nothing is told: {text}");
 }
 
 #[test]

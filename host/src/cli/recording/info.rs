@@ -3,7 +3,7 @@
 //! Invariant: the counts are those of the messages that can be read, not what the file says of itself. Where chunks
 //! cannot be read, they are what the file says, or not known, and the answer tells which.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -102,6 +102,8 @@ struct Missing {
     interrupted: u64,
     lost_of: BTreeMap<String, u64>,
     interrupted_of: BTreeMap<String, u64>,
+    /// Recorded, and nothing has come.
+    silent: BTreeSet<String>,
 }
 
 impl Takes for Counting {
@@ -161,7 +163,7 @@ pub(super) fn look(file: &Path, bar: &ProgressBar) -> Result<InfoView, Failure> 
         });
     }
     // What is lost of a tap or a pair of images is counted for the output, whose topics lie below it.
-    for name in missing.lost_of.keys().chain(missing.interrupted_of.keys()) {
+    for name in missing.lost_of.keys().chain(missing.interrupted_of.keys()).chain(&missing.silent) {
         let topic = || TopicView { topic: name.clone(), ..TopicView::default() };
         topics.entry(name.clone()).or_insert_with(topic);
     }
@@ -232,6 +234,10 @@ impl Missing {
             let of = match what {
                 "lost" => &mut missing.lost_of,
                 "interrupted" => &mut missing.interrupted_of,
+                "messages" if number(value) == 0 => {
+                    missing.silent.insert(topic.to_owned());
+                    continue;
+                }
                 _ => continue,
             };
             of.insert(topic.to_owned(), number(value));
@@ -248,7 +254,9 @@ impl Missing {
         };
         let (lost_of, interrupted_of) = (of("topics"), of("interrupted"));
         let sum = |of: &BTreeMap<String, u64>| of.values().fold(0, |sum: u64, n| sum.saturating_add(*n));
-        Missing { lost: sum(&lost_of), interrupted: sum(&interrupted_of), lost_of, interrupted_of }
+        let silent = told["silent"].as_array().into_iter().flatten();
+        let silent = silent.filter_map(|topic| topic.as_str().map(str::to_owned)).collect();
+        Missing { lost: sum(&lost_of), interrupted: sum(&interrupted_of), lost_of, interrupted_of, silent }
     }
 }
 
@@ -315,7 +323,7 @@ mod tests {
 
     #[test]
     fn what_is_missing_in_a_file_that_was_cut_off_is_what_was_told_last() {
-        let told = br#"{"lost": 7, "topics": {"/a": 3, "/b": 4, "/c": "x"}, "interrupted": {"/a": 2}}"#;
+        let told = br#"{"lost": 7, "topics": {"/a": 3, "/b": 4, "/c": "x"}, "interrupted": {"/a": 2}, "silent": ["/d", 4]}"#;
         let missing = Missing::so_far(told);
         let of = |all: &[(&str, u64)]| all.iter().map(|(topic, n)| ((*topic).to_owned(), *n)).collect();
         let wanted = Missing {
@@ -323,6 +331,7 @@ mod tests {
             interrupted: 2,
             lost_of: of(&[("/a", 3), ("/b", 4)]),
             interrupted_of: of(&[("/a", 2)]),
+            silent: ["/d".to_owned()].into(),
         };
         assert_eq!(missing, wanted);
         for hostile in [&b""[..], b"[]", b"{\"topics\": 1}", b"\xff"] {

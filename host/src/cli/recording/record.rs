@@ -99,6 +99,8 @@ struct RecordedView {
     losses: Vec<(String, u64)>,
     /// Topics whose source went away, and how often.
     interruptions: Vec<(String, u64)>,
+    /// Topics that were connected, and gave nothing.
+    silent: Vec<String>,
 }
 
 pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
@@ -428,19 +430,19 @@ fn not_begun() -> Failure {
     Failure::local("INTERRUPTED", "it was ended before anything was recorded", "")
 }
 
-/// Of which topics something is missing.
+/// The topics that miss something, or gave nothing.
 async fn missing(
     session: &Session,
     path: &str,
     inputs: usize,
     view: &mut RecordedView,
 ) -> Result<(), Failure> {
-    if view.lost + view.interrupted == 0 {
-        return Ok(());
-    }
     for n in 0..inputs {
         let topic = ask(session, path, "topic", Some(&json!(n))).await?;
         let name = topic["topic"].as_str().unwrap_or_default();
+        if ["kept", "left_out", "lost", "interrupted"].iter().all(|key| whole(&topic[key]) == 0) {
+            view.silent.push(name.to_owned());
+        }
         for (key, to) in [("lost", &mut view.losses), ("interrupted", &mut view.interruptions)] {
             let n = whole(&topic[key]);
             if n > 0 {
@@ -487,6 +489,9 @@ fn shown(view: RecordedView, session: &Session) -> Done {
         }
         if view.lost > 0 {
             out::complain("help", LESS);
+        }
+        for topic in &view.silent {
+            out::complain("note", &format!("{topic}: it was recorded, and gave nothing"));
         }
         for (topic, n) in &view.interruptions {
             out::complain("warning", &super::interrupted(topic, *n));
