@@ -57,7 +57,11 @@ impl Site {
         if arg != "null" {
             words.extend(["--arg", &arg]);
         }
-        self.trocar().run(&words).ends_with(OK).json()["value"].clone()
+        let ended = self.trocar().run(&words);
+        let value = ended.json()["value"].clone();
+        // An event that says false is no success of what was called.
+        ended.ends_with(if value == json!(false) { REFUSED } else { OK });
+        value
     }
 
     /// Checks that a command is refused over gRPC, for this reason and with these words.

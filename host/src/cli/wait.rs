@@ -14,6 +14,8 @@ use super::{out, units};
 const MOST_NS: u64 = 60_000_000_000;
 
 /// Waits for a state or an event: `trocar wait host/robot`, `trocar wait host/echo/ctl/done --deadline 2s`.
+///
+/// An event that says false, as `goal_reached` of a move that was held on its way, ends it with exit code 1.
 #[derive(Args, Debug)]
 pub(super) struct WaitArgs {
     /// process/component, or process/component/interface/event.
@@ -91,8 +93,11 @@ pub(super) async fn run(args: WaitArgs, session: &Session) -> Done {
         }
     };
     let seen = session.wait_for(&Waiting { path: args.path, deadline_ns: args.deadline, what }).await?;
+    // `trocar wait …/goal_reached --call … && next` goes on after a success only.
+    let failed = seen.value == Some(Value::Bool(false));
+    let exit = if failed { Exit::Refused } else { Exit::Ok };
     if session.json() {
-        return session.print_json(&seen);
+        return session.print_json(&seen).map(|_| exit);
     }
     out::say(&match &seen.value {
         Some(value) => {
@@ -102,5 +107,8 @@ pub(super) async fn run(args: WaitArgs, session: &Session) -> Done {
         }
         None => format!("{}  {}", seen.path, seen.state),
     });
-    Ok(Exit::Ok)
+    if failed {
+        out::complain("warning", "the event says false: what was waited for has ended without success");
+    }
+    Ok(exit)
 }

@@ -34,6 +34,18 @@ impl Site {
 }
 
 #[test]
+fn a_wait_for_a_move_that_is_held_is_no_success() {
+    let site = robot();
+    let goal = |x: f64| json!({ "position": [x, 0.0, 0.0, 0.0, 0.0] });
+    assert!(site.moved_to([0.001, 0.0, 0.0, 0.0, 0.0]), "a move that arrives is one");
+    assert!(site.moved_to([0.001, 0.0, 0.0, 0.0, 0.0]), "so is one to where it is");
+    site.grpc.invoke(&format!("{ARM}/move_jp"), goal(0.04));
+    let (event, hold) = (format!("{ARM}/goal_reached"), format!("{ARM}/hold"));
+    let held = site.trocar().run(&["wait", &event, "--call", &hold]);
+    held.ends_with(REFUSED).says("false").says("without success");
+}
+
+#[test]
 fn every_state_that_crtk_lets_a_client_reach_is_reached_by_calls_and_told() {
     let site = robot();
     let words = ["enable", "disable", "pause", "resume"];
