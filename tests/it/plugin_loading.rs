@@ -65,6 +65,33 @@ fn truncating_the_file_of_a_running_plugin_is_not_noticed_by_it() {
     assert_eq!(grpc.state("host/s"), "ACTIVE");
 }
 
+#[test]
+fn a_reset_says_that_it_keeps_the_code_of_before() {
+    let world = World::with_plugins(&["sine"]);
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    grpc.await_class("host", "sine");
+    grpc.create("host/s", "sine", json!({}));
+    let reset = || grpc.ok("GcmService/Reset", json!({ "path": "host/s" })).to_string();
+    assert!(!reset().contains("was created with"), "the file is the same one");
+
+    // The same code with a byte behind it: another file.
+    let hash = |grpc: &Grpcurl| plugin(grpc, "libtrocar_sine.so").map(|p| p["hash"].clone());
+    let (file, before) = (world.plugins().join("libtrocar_sine.so"), hash(&grpc));
+    let (mut bytes, newer) = (fs::read(&file).unwrap(), world.plugins().join("newer"));
+    bytes.push(0);
+    fs::write(&newer, bytes).unwrap();
+    fs::rename(&newer, &file).unwrap();
+    eventually("the newer file is listed", || match hash(&grpc) {
+        now if now.is_some() && now != before => Ok(()),
+        now => Err(format!("{now:?}")),
+    });
+    grpc.await_class("host", "sine");
+
+    let told = reset();
+    assert!(told.contains("was created with") && told.contains("remove and create host/s"), "{told}");
+}
+
 fn plugin(grpc: &Grpcurl, name: &str) -> Option<Value> {
     grpc.plugins().into_iter().find(|p| file_name(p) == name)
 }

@@ -275,12 +275,34 @@ impl LocalLcm {
             }
             Ok(()) => {
                 slot.executor.waker.notify();
+                if verb == Verb::Reset {
+                    self.other_code(&slot.instance).iter().for_each(|text| slot.instance.warn(text));
+                }
                 self.lock_pools(&slot.instance);
                 let lost_connections = self.cut_lost(&slot.instance);
                 Ok(Report { lost_connections, ..slot.instance.report(true) })
             }
             Err((entry, e)) => Err(component_error(id, entry, e)),
         }
+    }
+
+    /// A warning that Reset keeps the code of the Create, where the plugin's file is another one by now.
+    fn other_code(&self, instance: &Instance) -> Option<String> {
+        let (info, id) = (&instance.info, &instance.id);
+        let classes = self.classes.as_ref()?.catalog();
+        let other = classes.iter().find(|class| class.full_name() == info.full_name())?;
+        (other.hash != info.hash).then(|| {
+            let short = |hash: &str| hash.chars().take(8).collect::<String>();
+            format!(
+                "reset: it is made again from the code it was created with, plugin {} {} ({}); the file is {} ({}) now: \
+                 remove and create {id} to take that",
+                info.plugin,
+                info.version,
+                short(&info.hash),
+                other.version,
+                short(&other.hash),
+            )
+        })
     }
 
     /// Acts first: no further step begins once this returns or times out.
