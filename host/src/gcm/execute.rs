@@ -3,6 +3,7 @@
 //! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM did it. What hangs
 //! holds up the components of its own request and no others.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use trocar_model::{
@@ -11,6 +12,7 @@ use trocar_model::{
 };
 
 use super::apart::asked_apart;
+use super::generated::first_part;
 use super::manager::lock;
 use super::observed::{observe, stand_by};
 use super::requests::{Answer, Known};
@@ -123,13 +125,19 @@ impl Gcm {
         }
         let forced = self.give_way(requests, options.validate_only)?;
         let apart = asked_apart(requests);
+        let at_once = AtomicUsize::new(0);
         let decide = |graph: &SystemGraph| {
             if let Some(expected) = options.expected_revision
                 && expected != graph.revision
             {
                 return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
             }
-            let plan = plan_all(graph, requests)?;
+            // A dry run makes no component, so it knows the ports of classes alone.
+            let (plan, first) = match options.validate_only {
+                true => (plan_all(graph, requests)?, requests.len()),
+                false => first_part(graph, requests)?,
+            };
+            at_once.store(first, Ordering::Relaxed);
             self.can_be_made(&apart)?;
             Ok(plan)
         };
@@ -145,10 +153,14 @@ impl Gcm {
             return Ok(done);
         }
         let carrying = Carrying::begin(self, claim, &done.plan);
-        let made = match self.begin_apart(&apart, deadline).await {
+        let mut made = match self.begin_apart(&apart, deadline).await {
             Ok(()) => self.all_or_nothing(&carrying, &mut done, deadline).await,
             not_up => not_up,
         };
+        let waiting = &requests[at_once.load(Ordering::Relaxed)..];
+        if made.is_ok() && !waiting.is_empty() {
+            made = self.second_part(waiting, &carrying, &mut done, deadline).await;
+        }
         if let Err(refusal) = made {
             self.end_apart(apart.into_iter().map(|a| a.process).collect()).await;
             return Err(refusal);
@@ -185,7 +197,7 @@ impl Gcm {
         revision
     }
 
-    async fn all_or_nothing(
+    pub(super) async fn all_or_nothing(
         &self,
         carrying: &Carrying<'_>,
         done: &mut Executed,
@@ -201,18 +213,22 @@ impl Gcm {
                 // It goes away all the same: a component that hangs must not keep itself.
                 Err(refusal) if doomed => log::warn!("{} before its removal: {refusal}", text::line(change)),
                 Err(refusal) => {
-                    let undo =
-                        inverse(&Plan { changes: done.plan.changes[..i].to_vec(), skipped: Vec::new() });
-                    for change in undo.changes {
-                        if let Err(refusal) = carrying.one(&change, Instant::now() + UNDO).await {
-                            log::error!("undoing it ({}): {refusal}", text::line(&change));
-                        }
-                    }
+                    self.undo(carrying, &done.plan.changes[..i]).await;
                     return Err(refusal);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Takes back what was done.
+    pub(super) async fn undo(&self, carrying: &Carrying<'_>, done: &[Change]) {
+        let undo = inverse(&Plan { changes: done.to_vec(), skipped: Vec::new() });
+        for change in undo.changes {
+            if let Err(refusal) = carrying.one(&change, Instant::now() + UNDO).await {
+                log::error!("undoing it ({}): {refusal}", text::line(&change));
+            }
+        }
     }
 
     /// One change: done by the LCM, then entered in the graph.

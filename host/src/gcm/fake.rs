@@ -33,6 +33,8 @@ pub(crate) struct FakeLcm {
     /// Every change that was asked, as "Start host/a".
     done: Mutex<Vec<String>>,
     refuse: Mutex<BTreeSet<String>>,
+    /// Changes after which their component has these ports.
+    ports: Mutex<BTreeMap<String, Arc<Ports>>>,
     /// Connections to other processes that cannot be made.
     unreachable: Mutex<BTreeSet<String>>,
     /// Changes that put their component in FAULT.
@@ -174,6 +176,7 @@ impl FakeLcm {
             states: Mutex::default(),
             done: Mutex::default(),
             refuse: Mutex::default(),
+            ports: Mutex::default(),
             unreachable: Mutex::default(),
             fault: Mutex::default(),
             lose: Mutex::default(),
@@ -190,6 +193,11 @@ impl FakeLcm {
     /// "Connect b/x/input to a/x/value" cannot be done from now on.
     pub(crate) fn unreachable(&self, connect: &str) {
         self.unreachable.lock().unwrap().insert(connect.into());
+    }
+
+    /// "Configure host/a" makes these ports.
+    pub(crate) fn ports_at(&self, change: &str, ports: Ports) {
+        self.ports.lock().unwrap().insert(change.into(), Arc::new(ports));
     }
 
     /// "Start host/a" is refused from now on.
@@ -335,7 +343,8 @@ impl Lcm for FakeLcm {
             }
         };
         let now = states.get(&id).copied().unwrap_or(State::Created);
-        Ok(report(&id, now))
+        let ports = self.ports.lock().unwrap().get(&asked).cloned();
+        Ok(Report { ports, ..report(&id, now) })
     }
 
     async fn link(&self, end: crate::lcm::FarEnd, deadline: Instant) -> Result<Report, Refusal> {

@@ -9,6 +9,7 @@ mod claims;
 mod execute;
 mod far;
 mod fate;
+mod generated;
 mod guests;
 mod ids;
 mod lines;

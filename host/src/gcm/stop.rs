@@ -25,12 +25,18 @@ pub(super) struct Carrying<'a> {
 
 impl<'a> Carrying<'a> {
     pub(super) fn begin(gcm: &'a Gcm, claim: Claim<'a>, plan: &Plan) -> Carrying<'a> {
+        let carrying = Carrying { gcm, claim };
+        carrying.goes_on(plan);
+        carrying
+    }
+
+    /// Carries out this plan, too.
+    pub(super) fn goes_on(&self, plan: &Plan) {
         let moves = |change: &&Change| {
             matches!(change, Change::Run { from: State::Active, .. } | Change::Run { to: State::Active, .. })
         };
         let moving: BTreeSet<_> = plan.changes.iter().filter(moves).map(|c| id_of(c).clone()).collect();
-        claim.marks(|marks| marks.moving = moving);
-        Carrying { gcm, claim }
+        self.claim.marks(|marks| marks.moving.extend(moving));
     }
 
     /// One change. What a Stop named meanwhile is not set in motion, or not left so; what hangs and is to be stopped or

@@ -100,6 +100,49 @@ async fn a_process_that_comes_back_with_other_ports_loses_what_does_not_fit() {
     assert_eq!(numbers(&gcm.graph()), Vec::<u64>::new());
 }
 
+/// Creates a source and a component that has an input `made` once it is configured, and connects that.
+fn with_a_made_port(lcm: &FakeLcm) -> Vec<Request> {
+    let mut ports = crate::gcm::fake::class().ports.clone();
+    let input = ports.inputs[0].clone();
+    ports.inputs.push(trocar_model::Input { name: "made".into(), ..input });
+    lcm.ports_at("Configure host/b", ports);
+    let config = Some(serde_json::json!({ "gain": 2.0 }));
+    let configured =
+        Request::Create { id: id("host/b"), class: "arm".into(), config, execution: Execution::default() };
+    vec![create("host/a"), configured, connect("host/b/made", "host/a/value"), start("host/**")]
+}
+
+#[tokio::test]
+async fn ports_that_a_configuration_makes_are_connected_beside_its_create() {
+    let (gcm, lcm) = system().await;
+    let all = with_a_made_port(&lcm);
+    let done = ask(&gcm, all).await.unwrap();
+    assert_eq!((numbers(&gcm.graph()), done.revision), (vec![1], 1), "one request is one change");
+    assert_eq!(component(&gcm.graph(), "host/b").state, State::Active);
+    let lines = plan_lines(&done.plan).join("; ");
+    assert!(lines.contains("create host/b") && lines.contains("host/b/made"), "{lines}");
+}
+
+#[tokio::test]
+async fn what_was_made_to_find_out_its_ports_goes_when_the_others_are_refused() {
+    let (gcm, lcm) = system().await;
+    let mut all = with_a_made_port(&lcm);
+    all.insert(3, connect("host/b/mode", "host/a/value"));
+    let refusal = ask(&gcm, all.clone()).await.unwrap_err();
+    assert!(refusal.to_string().contains("made"), "it lists what there is: {refusal}");
+    let gone = |lcm: &FakeLcm| (lcm.state("host/a"), lcm.state("host/b")) == (None, None);
+    assert!(gcm.graph().components.is_empty() && gone(&lcm), "{:?}", lcm.done());
+    all.remove(3);
+    lcm.refuse("Start host/b");
+    assert_eq!(ask(&gcm, all).await.unwrap_err().reason(), "COMPONENT_REFUSED");
+    assert!(gcm.graph().components.is_empty() && gone(&lcm), "{:?}", lcm.done());
+    assert_eq!(
+        (gcm.graph().connections.len(), gcm.graph().revision),
+        (0, 0),
+        "a refused request is no change"
+    );
+}
+
 #[tokio::test]
 async fn another_thread_means_made_anew_with_the_same_wires() {
     let (gcm, lcm) = wired().await;

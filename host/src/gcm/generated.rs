@@ -1,0 +1,77 @@
+//! Ports that a configuration makes: a request set that connects them beside the Create is carried out in two parts.
+//!
+//! Invariant: a refusal in the second part takes the first one back; without such ports there is one part.
+
+use std::time::Instant;
+
+use trocar_model::{Plan, Refusal, Request, SystemGraph, plan_all};
+
+use super::Gcm;
+use super::execute::Executed;
+use super::stop::Carrying;
+
+/// The plan of the requests, or of the first ones that must be done before the others can be planned, and their
+/// number.
+///
+/// # Errors
+/// Every refusal of the plan.
+pub(super) fn first_part(graph: &SystemGraph, requests: &[Request]) -> Result<(Plan, usize), Refusal> {
+    let refusal = match plan_all(graph, requests) {
+        Ok(plan) => return Ok((plan, requests.len())),
+        Err(refusal) => refusal,
+    };
+    match before(requests, &refusal) {
+        Some(first) => Ok((plan_all(graph, &requests[..first])?, first)),
+        None => Err(refusal),
+    }
+}
+
+/// The number of requests before the first that connects a port which is not known yet, of a component that is
+/// created here with a configuration.
+fn before(requests: &[Request], refusal: &Refusal) -> Option<usize> {
+    let Refusal::InterfaceNotFound { port, .. } = refusal else { return None };
+    let makes = |request: &Request| match request {
+        Request::Create { id, config: Some(config), .. } => {
+            *id == port.component && config.as_object().is_some_and(|settings| !settings.is_empty())
+        }
+        _ => false,
+    };
+    let connects = |request: &Request| match request {
+        Request::Connect { client, server, .. } => client == port || server == port,
+        _ => false,
+    };
+    let (made, connected) = (requests.iter().position(makes)?, requests.iter().position(connects)?);
+    (made < connected).then_some(connected)
+}
+
+impl Gcm {
+    /// Plans and does what had to wait for ports; `done` has what was done before.
+    ///
+    /// # Errors
+    /// Every refusal of the plan or a component; then both parts are undone.
+    pub(super) async fn second_part(
+        &self,
+        requests: &[Request],
+        carrying: &Carrying<'_>,
+        done: &mut Executed,
+        deadline: Instant,
+    ) -> Result<(), Refusal> {
+        let planned = plan_all(&self.graph(), requests);
+        let mut more = Executed { plan: planned.clone().unwrap_or_default(), ..Executed::default() };
+        let made = match planned {
+            Ok(plan) => {
+                carrying.goes_on(&plan);
+                self.all_or_nothing(carrying, &mut more, deadline).await
+            }
+            Err(refusal) => Err(refusal),
+        };
+        if let Err(refusal) = made {
+            self.undo(carrying, &done.plan.changes).await;
+            return Err(refusal);
+        }
+        done.plan.changes.extend(more.plan.changes);
+        done.plan.skipped.extend(more.plan.skipped);
+        done.reports.extend(more.reports);
+        Ok(())
+    }
+}
