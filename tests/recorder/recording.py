@@ -55,6 +55,31 @@ def test_an_output_that_gave_nothing_is_in_the_recording():
         assert counted["/host/quiet/value"] == 0 < counted["/host/sine/value"], counted
 
 
+def test_a_system_file_has_one_place_and_connects_the_inputs_that_it_configures():
+    with World(["sine"]) as world:
+        # An input that is there because the configuration names it.
+        rec = {"class": "recorder/recorder", "config": {"directory": "recordings", "path": "x.mcap", "topics": ["signal"]}}
+        system = {"version": 1, "processes": {"s": {"plugins": ["plugins"]}},
+                  "components": {"s/sine": {"class": "sine/sine"}, "s/rec": rec},
+                  "connections": [{"client": "s/rec/signal", "server": "s/sine/value"}]}
+        for verb in ("run", "up"):
+            project, elsewhere = world.dir / verb / "project", world.dir / verb / "elsewhere"
+            for place in (project, elsewhere):
+                (place / "recordings").mkdir(parents=True)
+            (project / "plugins").symlink_to(world.dir / "plugins")
+            (project / "s.json").write_text(json.dumps(system))
+            command = [BIN / "trocar", verb, "../project/s.json", "--listen", "127.0.0.1:0"]
+            with open(world.dir / f"{verb}.log", "w+") as log:
+                process = subprocess.Popen(command, cwd=elsewhere, env=world.env, stdout=log, stderr=subprocess.STDOUT)
+                try:
+                    found = eventually(f"{verb} records", lambda: [*(world.dir / verb).rglob("x.mcap")],
+                                       progress=lambda: (process.poll(), (world.dir / f"{verb}.log").read_text()))
+                finally:
+                    process.terminate()
+                    process.wait(PATIENCE_S)
+            assert found == [project / "recordings/x.mcap"], found
+
+
 def test_commands_begin_pause_mark_thin_and_end_a_recording():
     with World(["sine"]) as world:
         sine = world.source()

@@ -51,15 +51,29 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     }
     logging::install(log::LevelFilter::Warn);
     let file = args.named.read()?;
-    let base = args.named.file.parent().unwrap_or(Path::new("")).to_owned();
-    let config = config(&file, &base, args.named.plugins, args.listen)?;
+    let folder = args.named.file.parent().unwrap_or(Path::new(""));
+    let config = config(&file, folder, args.named.plugins, args.listen)?;
     let config = HostConfig { rules: args.port.rules(), ..config };
+    go_to(folder)?;
     let mut stop = StopRequest::listen();
     let mut host = config.start().await?;
     logging::to_readers(host.own_lines());
     let done = live(&mut host, &file, args.seconds, session, &mut stop).await;
     host.shutdown().await;
     done
+}
+
+/// Makes the file's folder the working directory, as `trocar up` does for its processes: paths in configurations
+/// are relative to the file, too. Every other relative path was made absolute before.
+fn go_to(folder: &Path) -> Result<(), Failure> {
+    if folder.as_os_str().is_empty() {
+        return Ok(());
+    }
+    let refused = |e| {
+        let message = format!("{}: cannot be the working directory: {e}", folder.display());
+        Failure::local("IO", message, "check the permissions of the system file's folder")
+    };
+    std::env::set_current_dir(folder).map_err(refused)
 }
 
 async fn live(
@@ -89,6 +103,7 @@ pub(super) fn config(
 ) -> Result<HostConfig, Failure> {
     let process = file.single_process()?;
     let plugins = hosting::plugins_of(process, base, plugins);
+    let plugins = plugins.into_iter().map(|dir| std::path::absolute(&dir).unwrap_or(dir)).collect();
     let trust = match &process.trust {
         TrustSpec::Dev => Trust::Dev,
         TrustSpec::AllowList(list) => {

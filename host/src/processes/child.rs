@@ -42,6 +42,8 @@ pub struct Program {
     /// Started again it listens where it listened first.
     pub stays: bool,
     pub env: Vec<(String, String)>,
+    /// Its working directory; `None`: that of whoever starts it.
+    pub folder: Option<PathBuf>,
     /// Where all it prints goes.
     pub output: PathBuf,
     pub policy: Policy,
@@ -74,6 +76,9 @@ impl Child {
             command.env(LEVEL, "warn");
         }
         command.envs(program.env.iter().map(|(name, value)| (name, value)));
+        if let Some(folder) = &program.folder {
+            command.current_dir(folder);
+        }
         let (ours, its) = UnixStream::pair()?;
         ours.set_nonblocking(true)?;
         let output = File::options().create(true).append(true).open(&program.output)?;

@@ -137,7 +137,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
     let state = StateDir::open(&StateChoice::Ephemeral, false)?;
     let gcm = programs::gcm(listen, state.path(), show.port);
     let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path(), show.port);
-    let mut system = System::new(up::Gcm::Own(gcm), launch);
+    let mut system = System::new(up::Gcm::Own(Box::new(gcm)), launch);
     let came_up = tokio::select! {
         came_up = system.come_up(file) => Some(came_up),
         () = stop.asked() => None,

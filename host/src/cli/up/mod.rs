@@ -68,7 +68,7 @@ pub(super) struct UpArgs {
 
 /// Where its GCM is.
 pub(super) enum Gcm {
-    Own(Program),
+    Own(Box<Program>),
     /// Another's, at this address.
     Of(String),
 }
@@ -140,7 +140,7 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     let mut door = Door::open(state.path()).map_err(|e| no_door(state.path(), &e))?;
     let gcm = match session.explicit_gcm() {
         Some(addr) => Gcm::Of(addr.to_owned()),
-        None => Gcm::Own(programs::gcm(&args.listen, state.path(), args.port)),
+        None => Gcm::Own(Box::new(programs::gcm(&args.listen, state.path(), args.port))),
     };
     let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path(), args.port);
     let mut system = System::new(gcm, launch);
@@ -264,7 +264,7 @@ impl System {
         let addr = match &self.gcm {
             Gcm::Of(addr) => addr.clone(),
             Gcm::Own(program) => {
-                self.supervisor.start(program.clone());
+                self.supervisor.start(program.as_ref().clone());
                 self.in_time(&[GCM.to_owned()]).await?.unwrap_or_default()
             }
         };
@@ -351,7 +351,7 @@ impl System {
     /// Where to look.
     fn logs(&self, name: &str) -> String {
         let own = match &self.gcm {
-            Gcm::Own(program) => Some(program),
+            Gcm::Own(program) => Some(&**program),
             Gcm::Of(_) => None,
         };
         let program = self.hosts.iter().chain(own).find(|p| p.name == name);

@@ -41,6 +41,7 @@ pub(in crate::cli) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program
         listen: listen.to_owned(),
         stays: true,
         env: Vec::new(),
+        folder: None,
         output: output(state, None),
         policy: Policy::OnFailure(GCM_LIMITS),
     }
@@ -65,7 +66,8 @@ impl Launch {
         state: &Path,
         port: PortArgs,
     ) -> Launch {
-        let base = absolute(at.parent().unwrap_or(Path::new("")));
+        let folder = at.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let base = absolute(folder.unwrap_or(Path::new(".")));
         let (processes, plugins, state) = (file.processes.clone(), plugins.to_vec(), state.to_owned());
         Launch { processes, base, plugins, state, port }
     }
@@ -117,6 +119,8 @@ fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -
         listen: process.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned()),
         stays: false,
         env: process.env.clone(),
+        // Paths in configurations are relative to the file, too.
+        folder: Some(base.to_owned()),
         output,
         policy: process.restart,
     }

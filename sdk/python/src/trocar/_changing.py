@@ -115,7 +115,8 @@ class Changing:
     def apply(self, system: Any, *, dry_run: bool = False, start: bool = True) -> Answer:
         """Makes the system of a file (or of a dict of its form), all or nothing; what is there already is only changed.
 
-        Shows what it does as lines ``+ create …``, ``~ configure …``; with ``dry_run`` nothing is done.
+        Shows what it does as lines ``+ create …``, ``~ configure …``; with ``dry_run`` nothing is done. Processes that run keep
+        their folder: relative paths in configurations mean that of the file they were started with.
         """
         __tracebackhide__ = True
         self._call("GcmService/List", brief=True)
