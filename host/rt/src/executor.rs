@@ -95,6 +95,16 @@ impl Pacer {
         self.pace
     }
 
+    /// Moves its grid to another phase, bit by bit, see [`Grid::move_to`]; a grid that begins later begins there.
+    pub fn set_phase(&mut self, to_ns: u64) {
+        if let Pace::Grid { phase_ns, .. } = &mut self.pace {
+            *phase_ns = to_ns;
+            if let Some(grid) = &mut self.grid {
+                grid.move_to(to_ns);
+            }
+        }
+    }
+
     /// Sleeps until a wake while nobody needs cycles. Periods in between are neither run nor skipped: the grid
     /// begins anew with the next [`Pacer::next`].
     pub fn rest(&mut self, clock: &impl Clock) {

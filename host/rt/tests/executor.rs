@@ -79,6 +79,59 @@ fn two_grids_keep_the_distance_of_their_phases_whenever_they_begin() {
 }
 
 #[test]
+fn a_new_phase_is_reached_by_sixteenths_of_a_period_and_no_cycle_is_left_out_or_doubled() {
+    let clock = ManualClock::at(1);
+    let mut pacer = grid(1_600, 0, 0);
+    assert_eq!(next(&mut pacer, &clock).unwrap().deadline_ns, 1_600);
+    pacer.set_phase(250);
+    // The next deadline is known already.
+    let deadlines: Vec<u64> = (0..4).map(|_| next(&mut pacer, &clock).unwrap().deadline_ns).collect();
+    assert_eq!(deadlines, [3_200, 4_900, 6_600, 8_250]);
+    pacer.set_phase(0);
+    let back: Vec<u64> = (0..4).map(|_| next(&mut pacer, &clock).unwrap().deadline_ns).collect();
+    assert_eq!(back, [9_850, 11_350, 12_850, 14_400]);
+}
+
+#[test]
+fn a_grid_that_begins_after_a_rest_begins_at_the_new_phase() {
+    let clock = ManualClock::at(1);
+    let mut pacer = grid(100, 0, 0);
+    next(&mut pacer, &clock).unwrap();
+    pacer.set_phase(30);
+    clock.wakes.replace(vec![5]);
+    pacer.rest(&clock);
+    assert_eq!(next(&mut pacer, &clock).unwrap().deadline_ns, 130);
+}
+
+proptest! {
+    /// Cycle `k` of a grid has its deadline in period `k` of the clock, whatever its phase was and becomes.
+    #[test]
+    fn executed_and_skipped_are_the_elapsed_periods_while_the_phase_changes(
+        period in 16..5_000_u64,
+        steps in prop::collection::vec((0..12_000_u64, 0..3_000_u64, prop::option::of(0..10_000_u64)), 1..200),
+        catch_up in 0..3_u32,
+    ) {
+        let clock = ManualClock::at(12_345);
+        let mut pacer = grid(period, 0, catch_up);
+        let (mut counted, mut first, mut last) = (0_u64, None, 0);
+        for (busy, late, phase) in steps {
+            if let Some(phase) = phase {
+                pacer.set_phase(phase);
+            }
+            clock.late_ns.set(late);
+            if let Some(cycle) = next(&mut pacer, &clock) {
+                prop_assert!(cycle.deadline_ns <= cycle.begin_ns);
+                last = cycle.deadline_ns / period;
+                counted += 1 + if first.is_some() { cycle.skipped } else { 0 };
+                prop_assert_eq!(counted, last - *first.get_or_insert(last) + 1);
+            }
+            clock.pass(busy);
+        }
+        prop_assert!(counted > 0 && last > 0);
+    }
+}
+
+#[test]
 fn a_late_machine_moves_no_deadline() {
     let clock = ManualClock::at(0);
     clock.late_ns.set(40);

@@ -1,12 +1,19 @@
 //! The grid of absolute deadlines of a periodic executor.
 //!
-//! Deadline `k` is `origin + k * period`, computed from `k` each time, so it never drifts; and every period is
-//! either executed or counted as skipped.
+//! Deadline `k` is `base + phase + k * period`, computed from `k` each time, so it never drifts; and every period
+//! is either executed or counted as skipped. A new phase moves the deadlines and not the numbers, so that no
+//! cycle is left out for it or run twice.
+
+/// The phase moves in each cycle by this part of a period at most, so that two steps keep nearly their distance.
+const SLEW: u64 = 16;
 
 /// Where a periodic executor stands on its grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
-    origin_ns: u64,
+    base_ns: u64,
+    phase_ns: u64,
+    /// The phase it is moving to.
+    aim_ns: u64,
     period_ns: u64,
     /// The next cycle's number: executed plus skipped cycles before it.
     at: u64,
@@ -26,7 +33,7 @@ pub struct Due {
 impl Grid {
     /// The first deadline is `start_ns + phase_ns`; a period of 0 counts as 1 ns.
     pub fn new(start_ns: u64, period_ns: u64, phase_ns: u64) -> Self {
-        Self { origin_ns: start_ns.saturating_add(phase_ns), period_ns: period_ns.max(1), at: 0 }
+        Self { base_ns: start_ns, phase_ns, aim_ns: phase_ns, period_ns: period_ns.max(1), at: 0 }
     }
 
     /// The grid of all times that are `phase_ns` after a multiple of the period on the monotonic clock, from
@@ -40,12 +47,34 @@ impl Grid {
             0 => now_ns,
             into => now_ns.saturating_add(period_ns - into),
         };
-        Self { origin_ns: first, period_ns, at: 0 }
+        Self { base_ns: first - phase_ns, phase_ns, aim_ns: phase_ns, period_ns, at: 0 }
+    }
+
+    /// From now on the deadlines move to this phase, taken modulo the period, by a sixteenth of a period in each
+    /// cycle. Cycle `k` stays within its own period of the clock, so executed + skipped = elapsed periods all the
+    /// way. For grids made by [`Grid::on_clock`].
+    pub fn move_to(&mut self, phase_ns: u64) {
+        self.aim_ns = phase_ns % self.period_ns;
+    }
+
+    /// The phase as it is now.
+    pub fn phase(&self) -> u64 {
+        self.phase_ns
     }
 
     /// When the next cycle is due, ns of the monotonic clock.
     pub fn deadline(&self) -> u64 {
-        self.origin_ns.saturating_add(self.at.saturating_mul(self.period_ns))
+        self.origin().saturating_add(self.at.saturating_mul(self.period_ns))
+    }
+
+    fn origin(&self) -> u64 {
+        self.base_ns.saturating_add(self.phase_ns)
+    }
+
+    fn slew(&mut self) {
+        let most = (self.period_ns / SLEW).max(1);
+        let aim_ns = self.aim_ns;
+        self.phase_ns = aim_ns.clamp(self.phase_ns.saturating_sub(most), self.phase_ns.saturating_add(most));
     }
 
     /// The next cycle's number: executed plus skipped cycles before it.
@@ -61,7 +90,7 @@ impl Grid {
     /// missed: the last `catch_up` of them are still run, one with each call, those before are skipped. A
     /// cycle that is due but whose period still runs is never skipped.
     pub fn begin(&mut self, now_ns: u64, catch_up: u64) -> Option<Due> {
-        let newest = now_ns.checked_sub(self.origin_ns)? / self.period_ns;
+        let newest = now_ns.checked_sub(self.origin())? / self.period_ns;
         if newest < self.at {
             return None;
         }
@@ -70,6 +99,7 @@ impl Grid {
         self.at = cycle;
         let deadline_ns = self.deadline();
         self.at = cycle + 1;
+        self.slew();
         Some(Due { cycle, deadline_ns, skipped })
     }
 }
