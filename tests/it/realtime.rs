@@ -5,6 +5,7 @@
 
 mod counted;
 mod models;
+mod phases;
 mod priority;
 mod queues;
 mod refusals;

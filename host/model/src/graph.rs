@@ -98,6 +98,8 @@ pub struct ConnectOptions {
     pub mailbox: Option<usize>,
     /// By-name copy when the layouts differ.
     pub adapt: bool,
+    /// The client may step before the server on their grid: where a circle of components is cut.
+    pub delay: bool,
     /// Take the place of an existing connection of the client end.
     pub replace: bool,
     /// Pins the carrier ("inline", "heap", "memfd"); empty = the best there is.

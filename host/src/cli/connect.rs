@@ -38,6 +38,10 @@ pub(super) struct ConnectArgs {
     /// Copy by name when the layouts differ.
     #[arg(long)]
     pub(super) adapt: bool,
+    /// The client may step before the server in a period of both and take its samples one period later: cuts a
+    /// circle of components.
+    #[arg(long)]
+    pub(super) delay: bool,
     /// Take the place of the client's present connection.
     #[arg(long)]
     pub(super) replace: bool,

@@ -111,6 +111,8 @@ fn stats(s: &v1::ComponentStats) -> StatsView {
         commands: s.commands,
         commands_rejected: s.commands_rejected,
         events_dropped: s.events_dropped,
+        phase_ns: s.phase_ns,
+        phase_auto: s.phase_auto,
     }
 }
 
@@ -122,7 +124,7 @@ fn execution(e: &v1::Execution) -> ExecutionView {
     ExecutionView {
         model: e.model.clone(),
         period_ns,
-        phase_ns: ns(e.phase.as_ref()),
+        phase_ns: e.phase.as_ref().map(|d| ns(Some(d))),
         stream_of: e.stream_of.clone(),
         inside: e.inside.clone(),
         priority: e.priority.unwrap_or(0),
@@ -165,6 +167,7 @@ fn options(o: &v1::ConnectOptions) -> OptionsView {
         deadline_ns: o.deadline.as_ref().map(|d| ns(Some(d))),
         mailbox: o.mailbox,
         adapt: o.adapt,
+        delay: o.delay,
         carrier: o.carrier.clone(),
     }
 }
@@ -189,6 +192,7 @@ pub(super) fn connection(c: &v1::Connection) -> ConnectionView {
         options: c.options.as_ref().map(options).unwrap_or_default(),
         passed: c.passed,
         dropped: c.dropped,
+        skipped: c.skipped,
         bytes: c.bytes,
         latency_p50_ns: c.latency_p50_ns,
         latency_p99_ns: c.latency_p99_ns,

@@ -129,6 +129,7 @@ impl Page {
         let (rate, mut runs) = (c.rate(), c.rate());
         // That of a stream's member says its stream once more.
         push(&mut runs, ", ", if c.execution.thread == rate { "" } else { &c.execution.thread });
+        push(&mut runs, ", at ", &c.phase());
         self.line(1, &format!("health {}, runs {runs}", c.health));
         self.execution(&c.execution, c.stats.realtime);
         let s = &c.stats;
@@ -183,8 +184,8 @@ impl Page {
         if !e.model.is_empty() {
             add("model", e.model.clone());
         }
-        if e.phase_ns > 0 {
-            add("phase", units::time(e.phase_ns));
+        if let Some(phase_ns) = e.phase_ns {
+            add("phase", units::time(phase_ns));
         }
         if e.priority > 0 {
             let granted = if realtime { " (granted)" } else { "" };

@@ -60,7 +60,8 @@ pub(super) struct ExecutionView {
     pub(super) model: String,
     /// 0 = not periodic.
     pub(super) period_ns: u64,
-    pub(super) phase_ns: u64,
+    /// As it was set; null = by what feeds it.
+    pub(super) phase_ns: Option<u64>,
     pub(super) stream_of: String,
     pub(super) inside: String,
     pub(super) priority: u32,
@@ -99,6 +100,11 @@ pub(super) struct StatsView {
     pub(super) commands: u64,
     pub(super) commands_rejected: u64,
     pub(super) events_dropped: u64,
+    /// Its place in its period; absent without a grid of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) phase_ns: Option<u64>,
+    /// Nobody set that phase.
+    pub(super) phase_auto: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -110,6 +116,8 @@ pub(super) struct ConnectionView {
     pub(super) options: OptionsView,
     pub(super) passed: u64,
     pub(super) dropped: u64,
+    /// Samples a newer one took the place of where only the newest is taken; none of `dropped`.
+    pub(super) skipped: u64,
     pub(super) bytes: u64,
     pub(super) latency_p50_ns: u64,
     pub(super) latency_p99_ns: u64,
@@ -157,6 +165,9 @@ pub(super) struct OptionsView {
     /// Commands or events.
     pub(super) mailbox: Option<u32>,
     pub(super) adapt: bool,
+    /// The client may step before the server on their grid.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub(super) delay: bool,
     /// It was pinned to; "" = to none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub(super) carrier: String,
@@ -187,6 +198,23 @@ impl ComponentView {
     }
 }
 
+impl ComponentView {
+    /// The rate, and where in its period it steps: "1000 Hz +500 µs".
+    pub(super) fn runs(&self) -> String {
+        match self.stats.phase_ns.filter(|ns| *ns > 0) {
+            Some(ns) => format!("{} +{}", self.rate(), super::units::time(ns)),
+            None => self.rate(),
+        }
+    }
+
+    /// Its place in its period, and who says so; empty without a grid of its own.
+    pub(super) fn phase(&self) -> String {
+        let who = if self.stats.phase_auto { "auto" } else { "as set" };
+        let said = |ns| format!("{} of each period ({who})", super::units::time(ns));
+        self.stats.phase_ns.map(said).unwrap_or_default()
+    }
+}
+
 impl ConnectionView {
     /// Component of the client end.
     pub(super) fn client_component(&self) -> &str {
@@ -206,6 +234,9 @@ impl ConnectionView {
     /// What became of what was sent over it.
     pub(super) fn figures(&self) -> String {
         let mut text = format!("passed {}, dropped {}, queue {}", self.passed, self.dropped, self.depth);
+        if self.skipped > 0 {
+            text.push_str(&format!(", skipped {} (newest only)", self.skipped));
+        }
         for (figure, what) in [
             (self.high_water, "at most"),
             (self.rejected, "rejected"),

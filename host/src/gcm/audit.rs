@@ -119,6 +119,7 @@ fn wire_options(options: &ConnectOptions) -> Option<Value> {
     put(&mut body, "deadline_ms", ms(options.deadline_ns));
     put(&mut body, "mailbox", options.mailbox.map(Value::from));
     put(&mut body, "adapt", options.adapt.then_some(Value::Bool(true)));
+    put(&mut body, "delay", options.delay.then_some(Value::Bool(true)));
     put(&mut body, "replace", options.replace.then_some(Value::Bool(true)));
     put(&mut body, "carrier", (!options.carrier.is_empty()).then(|| options.carrier.as_str().into()));
     (!body.is_empty()).then_some(Value::Object(body))

@@ -13,8 +13,8 @@ use tokio::time::timeout;
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionLimits,
-    ExecutionModel, Health, Input, Name, Output, Overflow, PortType, Ports, Prim, Programs, Provided, Proxy,
-    Refusal, Required, Safety, State, SystemGraph, Tag, Type,
+    ExecutionModel, Health, Input, Name, Output, Overflow, Phase, PortType, Ports, Prim, Programs, Provided,
+    Proxy, Refusal, Required, Safety, State, StepTimes, SystemGraph, Tag, Type,
 };
 
 use super::{Gcm, text};
@@ -50,6 +50,10 @@ pub(crate) struct FakeLcm {
     feeds: Mutex<Vec<mpsc::Sender<Item>>>,
     /// How many subscriptions there were.
     followed: watch::Sender<usize>,
+    /// The phases it was given last.
+    pub(crate) phases: watch::Sender<BTreeMap<ComponentId, Phase>>,
+    /// Times its steps take.
+    pub(crate) takes: Mutex<StepTimes>,
     pub(crate) news: broadcast::Sender<News>,
 }
 
@@ -186,6 +190,8 @@ impl FakeLcm {
             halves: Mutex::default(),
             feeds: Mutex::default(),
             followed: watch::Sender::new(0),
+            phases: watch::Sender::default(),
+            takes: Mutex::default(),
             news: broadcast::Sender::new(64),
         })
     }
@@ -417,6 +423,17 @@ impl Lcm for FakeLcm {
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
         Ok(vec![LinkDetail { connection: 1, carrier: "inline".into(), passed: 7, ..LinkDetail::default() }])
+    }
+
+    async fn phases(
+        &self,
+        given: Option<Vec<(ComponentId, Phase)>>,
+        _: Instant,
+    ) -> Result<StepTimes, Refusal> {
+        if let Some(given) = given {
+            self.phases.send_replace(given.into_iter().collect());
+        }
+        Ok(self.takes.lock().unwrap().clone())
     }
 
     async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal> {

@@ -58,7 +58,7 @@ impl Gcm {
     /// The state folder cannot be used.
     pub async fn start(config: GcmConfig) -> Result<Gcm, IdsError> {
         let graph = SystemGraph { next_connection: 1, ..SystemGraph::default() };
-        Ok(Gcm {
+        let gcm = Gcm {
             inner: Arc::new(Inner {
                 ids: Ids::open(config.state.as_deref())?,
                 each_change: config.each_change,
@@ -69,7 +69,9 @@ impl Gcm {
                 isolation: watch::Sender::new(Isolation::default()),
                 lines: Arc::default(),
             }),
-        })
+        };
+        gcm.keep_phases();
+        Ok(gcm)
     }
 
     /// The graph as it is now.

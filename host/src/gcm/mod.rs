@@ -15,6 +15,7 @@ mod ids;
 mod lines;
 mod manager;
 mod observed;
+mod phases;
 mod requests;
 mod restore;
 mod sessions;

@@ -7,6 +7,7 @@ mod hanging;
 mod hearing;
 mod interrupted;
 mod keeping_stopped;
+mod phases;
 mod ports;
 mod restarted;
 

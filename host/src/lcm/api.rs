@@ -10,7 +10,8 @@ use serde_json::Value;
 use tokio::sync::{broadcast, mpsc};
 use trocar_links::Card;
 use trocar_model::{
-    Change, ClassInfo, ComponentId, Connection, End, Health, MemberId, Ports, Proxy, Refusal, State,
+    Change, ClassInfo, ComponentId, Connection, End, Health, MemberId, Phase, Ports, Proxy, Refusal, State,
+    StepTimes,
 };
 
 /// The owner of one process's components.
@@ -45,6 +46,17 @@ pub trait Lcm: Send + Sync {
 
     /// Figures of every connection that ends in this process.
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal>;
+
+    /// Lets components whose phase nobody asked for step at these places in their periods, and others at 0;
+    /// nothing: leaves them where they are. Answers what the steps of components take that have run long enough to
+    /// tell. No component is waited for.
+    async fn phases(
+        &self,
+        _given: Option<Vec<(ComponentId, Phase)>>,
+        _deadline: Instant,
+    ) -> Result<StepTimes, Refusal> {
+        Ok(StepTimes::new())
+    }
 
     /// The plugins its directories hold, refused ones too.
     async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal>;
@@ -261,6 +273,10 @@ pub struct Detail {
     /// True when SCHED_FIFO was granted.
     pub realtime: bool,
     pub warnings: Vec<String>,
+    /// Offset of its grid from the multiples of the period, ns; `None` without a grid of its own.
+    pub phase_ns: Option<u64>,
+    /// Nobody asked for that phase.
+    pub phase_auto: bool,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -274,6 +290,8 @@ pub struct LinkDetail {
     pub passed: u64,
     /// Lost in a full queue or for lack of frames; those in `rejected` too.
     pub dropped: u64,
+    /// Samples a newer one took the place of where only the newest is taken: no loss, and none of `dropped`.
+    pub skipped: u64,
     /// Commands and events a full queue did not take.
     pub rejected: u64,
     /// Samples, or commands and as many events, that may wait.
@@ -299,6 +317,7 @@ impl LinkDetail {
         LinkDetail {
             passed: self.passed + later.passed,
             dropped: self.dropped + later.dropped,
+            skipped: self.skipped + later.skipped,
             rejected: self.rejected + later.rejected,
             depth: newest(self.depth, later.depth),
             high_water: self.high_water.max(later.high_water),
@@ -325,6 +344,7 @@ impl LinkDetail {
             server_wake: if self.server_wake.is_empty() { other.server_wake } else { self.server_wake },
             passed,
             dropped: self.dropped.max(other.dropped),
+            skipped: self.skipped.max(other.skipped),
             rejected: self.rejected.max(other.rejected),
             depth: self.depth.max(other.depth),
             high_water: self.high_water.max(other.high_water),

@@ -93,6 +93,8 @@ pub(super) struct Executor {
     tid: AtomicI32,
     /// Bells it sleeps on, or is about to.
     bells: AtomicUsize,
+    /// Phase of its grid, ns; its pacer is told by a job.
+    phase_ns: AtomicU64,
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
@@ -151,6 +153,10 @@ impl Executor {
             name: name[..name.floor_char_boundary(realtime::NAME_BYTES)].to_owned(),
             tid: AtomicI32::new(0),
             bells: AtomicUsize::new(0),
+            phase_ns: AtomicU64::new(match pace {
+                Pace::Grid { phase_ns, .. } => phase_ns,
+                _ => 0,
+            }),
         });
         let (mine, name, execution) = (executor.clone(), name.to_owned(), execution.clone());
         let memory = memory.clone();
@@ -180,6 +186,18 @@ impl Executor {
         drop(jobs);
         self.has_jobs.store(true, Ordering::Release);
         self.waker.notify();
+    }
+
+    /// Phase of its grid, ns; `None` without a grid.
+    pub(super) fn phase_ns(&self) -> Option<u64> {
+        matches!(self.pace, Pace::Grid { .. }).then(|| self.phase_ns.load(Ordering::Relaxed))
+    }
+
+    /// Moves its grid to this phase without leaving out a cycle.
+    pub(super) fn set_phase(&self, phase_ns: u64) {
+        if self.phase_ns.swap(phase_ns, Ordering::Relaxed) != phase_ns {
+            self.submit(move |crew| crew.pacer.set_phase(phase_ns));
+        }
     }
 
     /// From now on another process can wake it for this member with this bell.

@@ -5,6 +5,7 @@
 mod assemble;
 mod detail;
 mod far;
+mod phases;
 mod ports;
 mod wiring;
 
@@ -18,7 +19,8 @@ use std::time::{Duration, Instant};
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_model::{
-    Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Programs, Refusal, Verb,
+    Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Phase, Programs, Refusal, StepTimes,
+    Verb,
 };
 use trocar_rt::os;
 
@@ -83,6 +85,8 @@ struct Held {
     leaving: Vec<Arc<Instance>>,
     /// It shuts down, or has: nothing is made here any more.
     closed: bool,
+    /// Phases as they were given last: what is made anew gets them again.
+    phases: BTreeMap<ComponentId, Phase>,
 }
 
 /// One component and where it runs.
@@ -93,6 +97,8 @@ struct Slot {
     execution: Execution,
     /// Configuration it was last given, for Reset.
     config: Option<String>,
+    /// The place in its period that it was given, where nobody asked for one.
+    phase: Option<Phase>,
 }
 
 impl Slot {
@@ -451,6 +457,14 @@ impl Lcm for LocalLcm {
 
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
         external::subscribe(self, selections)
+    }
+
+    async fn phases(
+        &self,
+        given: Option<Vec<(ComponentId, Phase)>>,
+        _deadline: Instant,
+    ) -> Result<StepTimes, Refusal> {
+        Ok(self.give_phases(given))
     }
 
     async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal> {

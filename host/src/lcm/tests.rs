@@ -15,6 +15,7 @@ mod governed;
 mod leaving;
 mod manners;
 mod passive;
+mod phases;
 mod premises;
 mod reading;
 mod removal;

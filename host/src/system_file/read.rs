@@ -41,7 +41,7 @@ pub(super) const EXECUTION: &[&str] = &[
     "wake",
 ];
 pub(super) const CONNECTION: &[&str] =
-    &["client", "server", "queue", "max_age_ms", "deadline_ms", "mailbox", "adapt", "carrier"];
+    &["client", "server", "queue", "max_age_ms", "deadline_ms", "mailbox", "adapt", "delay", "carrier"];
 pub(super) const QUEUE: &[&str] = &["fifo", "drop_oldest"];
 
 pub(super) const MODELS: &[(&str, ExecutionModel)] = &[
@@ -378,6 +378,7 @@ fn connections(part: &Cursor<'_>, components: &[ComponentSpec]) -> Result<Vec<Co
                 .transpose()?
                 .map(|m| m as usize),
             adapt: fields.get("adapt").map(Cursor::flag).transpose()?.unwrap_or(false),
+            delay: fields.get("delay").map(Cursor::flag).transpose()?.unwrap_or(false),
             replace: false,
             carrier: fields.get("carrier").map(Cursor::text).transpose()?.unwrap_or_default().to_owned(),
         };

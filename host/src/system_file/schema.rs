@@ -117,7 +117,7 @@ pub fn system_schema() -> Value {
                     "model": { "enum": models, "description": "What makes it step." },
                     "rate_hz": { "type": "number", "exclusiveMinimum": 0, "description": "Steps per second, Hz." },
                     "period_us": { "type": "number", "exclusiveMinimum": 0, "description": "Time between steps, µs; instead of rate_hz." },
-                    "phase_us": { "type": "number", "minimum": 0, "description": "Offset of its grid, µs." },
+                    "phase_us": { "type": "number", "minimum": 0, "description": "Offset of its grid, µs; left out: by what feeds it." },
                     "stream_of": { "type": "string", "description": "Runs in the stream of this component (process/component)." },
                     "inside": { "type": "string", "description": "Runs inside the step of this component (process/component): before it, or after it with model exec_out." },
                     "priority": { "type": "integer", "minimum": 1, "maximum": 99, "description": "SCHED_FIFO priority." },
@@ -146,6 +146,7 @@ pub fn system_schema() -> Value {
                     "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Default deadline of waiting calls, ms; goals that were only sent and waited longer are not carried out." },
                     "mailbox": { "type": "integer", "minimum": 1, "maximum": 65536, "description": "Depth of the queue of commands or events." },
                     "adapt": { "type": "boolean", "default": false, "description": "Copy by name when the layouts differ." },
+                    "delay": { "type": "boolean", "default": false, "description": "The client may step before the server in a period of both and take its samples one period later: cuts a circle of components." },
                     "carrier": { "type": "string", "description": "Pins how data travel: inline, heap (within a process) or memfd (between two, and within one where it is pinned); left out: the best there is." }
                 }
             },

@@ -368,7 +368,7 @@ pub struct Execution {
     /// Time between steps, e.g. "0.001s"; wins over rate_hz.
     #[prost(message, optional, tag = "3")]
     pub period: ::core::option::Option<::prost_types::Duration>,
-    /// Offset of the time grid, e.g. "0.0002s".
+    /// Offset of the time grid, e.g. "0.0002s"; unset = by what feeds it, see ComponentStats.phase_ns.
     #[prost(message, optional, tag = "4")]
     pub phase: ::core::option::Option<::prost_types::Duration>,
     /// Runs in the stream of this component (process/component), after it.
@@ -525,6 +525,13 @@ pub struct ComponentStats {
     /// What the machine refused, in sentences.
     #[prost(string, repeated, tag = "15")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Where in each period it steps, behind the multiples of the period on the machine's monotonic clock, ns; unset = it has no grid
+    /// of its own.
+    #[prost(uint64, optional, tag = "16")]
+    pub phase_ns: ::core::option::Option<u64>,
+    /// True: nobody set that phase; it is reckoned so that what feeds it on the same grid has written before.
+    #[prost(bool, tag = "17")]
+    pub phase_auto: bool,
 }
 /// A component and how it stands.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -639,6 +646,10 @@ pub struct ConnectOptions {
     /// refused.
     #[prost(string, tag = "7")]
     pub carrier: ::prost::alloc::string::String,
+    /// True: on a grid of one period the client may step before the server, and takes its samples a period later. Where a circle of
+    /// components is cut; in one without it the newest connection is.
+    #[prost(bool, tag = "8")]
+    pub delay: bool,
 }
 /// A connection and its figures.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -662,7 +673,7 @@ pub struct Connection {
     /// Samples taken; commands and events that were queued.
     #[prost(uint64, tag = "6")]
     pub passed: u64,
-    /// Samples, commands and events lost in full queues, the rejected ones included.
+    /// Samples, commands and events lost in full queues, the rejected ones included; without those in skipped.
     #[prost(uint64, tag = "7")]
     pub dropped: u64,
     /// Bytes that arrived.
@@ -699,6 +710,9 @@ pub struct Connection {
     /// How the server is told of commands; empty for streams, and as above.
     #[prost(string, tag = "18")]
     pub server_wake: ::prost::alloc::string::String,
+    /// Samples a newer one took the place of before the client looked, where it takes the newest only: no loss.
+    #[prost(uint64, tag = "19")]
+    pub skipped: u64,
 }
 /// One half of a connection between two processes: the end that is there, with a stand-in for the other one.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4530,7 +4544,7 @@ pub struct Order {
     #[prost(uint64, tag = "2")]
     pub deadline_ns: u64,
     /// What to do.
-    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12")]
+    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13")]
     pub order: ::core::option::Option<order::Order>,
 }
 /// Nested message and enum types in `Order`.
@@ -4568,7 +4582,50 @@ pub mod order {
         /// Make the half of a connection to another process.
         #[prost(message, tag = "12")]
         Link(super::LinkOrder),
+        /// Step at these phases.
+        #[prost(message, tag = "13")]
+        Phases(super::PhasesOrder),
     }
+}
+/// Where in their periods components step that were given no phase by anybody. The answer tells what steps take.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct PhasesOrder {
+    /// Those of the process that do not step at 0.
+    #[prost(message, repeated, tag = "1")]
+    pub given: ::prost::alloc::vec::Vec<GivenPhase>,
+    /// True: nothing is changed, only what steps take is asked.
+    #[prost(bool, tag = "2")]
+    pub ask_only: bool,
+}
+/// Where in its period a component steps.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct GivenPhase {
+    /// process/component.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// Behind each multiple of the period on the monotonic clock, ns.
+    #[prost(uint64, tag = "2")]
+    pub phase_ns: u64,
+    /// What does not fit, in a sentence; empty = all does.
+    #[prost(string, tag = "3")]
+    pub note: ::prost::alloc::string::String,
+}
+/// What steps take.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Steps {
+    /// One for each component that has run long enough to tell.
+    #[prost(message, repeated, tag = "1")]
+    pub steps: ::prost::alloc::vec::Vec<StepTime>,
+}
+/// What the steps of a component take.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct StepTime {
+    /// process/component.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// At most but for rare ones, ns.
+    #[prost(uint64, tag = "2")]
+    pub step_ns: u64,
 }
 /// A connection of which one end is in this process.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -4697,7 +4754,7 @@ pub struct Answer {
     #[prost(uint64, tag = "1")]
     pub id: u64,
     /// What became of it.
-    #[prost(oneof = "answer::Answer", tags = "2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12")]
+    #[prost(oneof = "answer::Answer", tags = "2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13")]
     pub answer: ::core::option::Option<answer::Answer>,
 }
 /// Nested message and enum types in `Answer`.
@@ -4738,6 +4795,9 @@ pub mod answer {
         /// Everything there is.
         #[prost(message, tag = "12")]
         Inventory(super::Inventory),
+        /// What steps take.
+        #[prost(message, tag = "13")]
+        Steps(super::Steps),
     }
 }
 /// A subscription stands.

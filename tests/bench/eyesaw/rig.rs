@@ -109,7 +109,10 @@ impl Rig {
         let client = self.plan.place(client);
         let all = answer["connections"].as_array().cloned().unwrap_or_default();
         let of = all.iter().find(|connection| connection["client"] == client.as_str());
-        of.map_or(f64::NAN, |connection| as_number(&connection["dropped"]))
+        // A client that takes the newest only misses those, too.
+        let missed =
+            |connection: &Value| as_number(&connection["dropped"]) + as_number(&connection["skipped"]);
+        of.map_or(f64::NAN, missed)
     }
 
     /// A process's number; 0 while there is none.

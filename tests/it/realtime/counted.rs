@@ -7,6 +7,7 @@
 use serde_json::{Value, json};
 use trocar_tests::{Bystander, eventually, number};
 
+use super::phases::Pair;
 use super::{Scene, accounts_for_every_period, says};
 
 /// Rounds of which the machine may spoil all but one.
@@ -232,4 +233,35 @@ fn a_hang_costs_nobody_else_a_cycle_and_every_period_of_it_is_skipped() {
     // 50 ms without progress are ten periods of 5 ms.
     assert!(number(&stats["skipped"]) >= 8 && number(&stats["overruns"]) >= 1, "{stats}");
     assert!(scene.host.printed().contains("host/p"), "the log names it");
+}
+
+/// Samples that are looked at, of each connection.
+const SAMPLES: u64 = 5_000;
+
+#[test]
+fn two_components_of_one_rate_lose_no_more_than_two_that_were_set_half_a_period_apart() {
+    let pair = Pair::new();
+    let at = |phase: &str| json!({ "phase": phase });
+    pair.add(1, json!({}), json!({}));
+    pair.add(2, at("0s"), at("0.0005s"));
+    let figures = |n: u32| {
+        let list = pair.grpc.ok("GcmService/List", json!({}));
+        let all = list["connections"].as_array().cloned().unwrap_or_default();
+        let client = format!("host/sensor{n}/tip");
+        let one = all.into_iter().find(|c| c["client"] == client.as_str()).unwrap();
+        ["passed", "skipped", "dropped"].map(|field| number(&one[field]))
+    };
+    // A round in which the machine was taken away tells nothing.
+    let rounds = (0..ROUNDS).map(|_| {
+        let before = [1, 2].map(figures);
+        eventually("samples pass", || match [1, 2].map(figures) {
+            now if (0..2).all(|i| now[i][0] >= before[i][0] + SAMPLES) => Ok(()),
+            now => Err(format!("{now:?}")),
+        });
+        let after = [1, 2].map(figures);
+        [0, 1].map(|i| after[i][1] + after[i][2] - before[i][1] - before[i][2])
+    });
+    let rounds: Vec<[u64; 2]> = rounds.collect();
+    let beyond = |[auto, control]: &[u64; 2]| auto.saturating_sub(*control) <= SAMPLES / 50;
+    assert!(rounds.iter().any(beyond), "lost of {SAMPLES}, beside half a period: {rounds:?}");
 }

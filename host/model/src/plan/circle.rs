@@ -60,7 +60,7 @@ fn order(graph: &SystemGraph) -> Edges {
     edges
 }
 
-pub(super) fn is_stream(graph: &SystemGraph, c: &Connection) -> bool {
+pub(crate) fn is_stream(graph: &SystemGraph, c: &Connection) -> bool {
     let client = graph.components.get(&c.client.component);
     client.is_some_and(|client| client.ports.inputs.iter().any(|i| c.client.port == i.name.as_str()))
 }

@@ -12,7 +12,7 @@ use crate::{Component, ComponentId, Execution, ExecutionModel, Refusal, SystemGr
 
 impl ExecutionModel {
     /// Steps on a grid, so a period means something.
-    pub(super) fn has_grid(self) -> bool {
+    pub(crate) fn has_grid(self) -> bool {
         matches!(self, ExecutionModel::Periodic | ExecutionModel::Stream)
     }
 

@@ -18,6 +18,7 @@ mod wire;
 
 use std::collections::BTreeMap;
 
+pub(crate) use circle::is_stream;
 pub use execution::{class_fault, period_fault};
 pub use restore::{Here, restore};
 pub use run::open_ends;

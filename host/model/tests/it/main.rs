@@ -12,6 +12,7 @@ mod framing;
 mod interpolating;
 mod invariants;
 mod paths;
+mod phasing;
 mod refusals;
 mod removing;
 mod restoring;

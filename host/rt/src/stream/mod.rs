@@ -72,6 +72,8 @@ pub struct StreamStats {
     pub taken: u64,
     /// Offered and never to be seen.
     pub dropped: u64,
+    /// The part of them that a newer one took the place of, where only the newest is kept or looked at.
+    pub skipped: u64,
 }
 
 /// A handle to a link's counters, for any thread; it does not keep the link's samples.
@@ -84,9 +86,11 @@ impl StreamCounters {
         let read = |a: &AtomicU64| a.load(Ordering::Relaxed);
         let Counters { writer, reader } = &*self.0;
         let turned_away = read(&writer.0.turned_away);
+        let skipped = [read(&writer.0.passed_over), read(&reader.0.skipped)];
         StreamStats {
             taken: sum([read(&reader.0.taken)]),
-            dropped: sum([read(&writer.0.dropped), turned_away, read(&reader.0.skipped)]),
+            dropped: sum([read(&writer.0.dropped), turned_away, skipped[0], skipped[1]]),
+            skipped: sum(skipped),
             pushed: sum([read(&writer.0.pushed), turned_away, read(&reader.0.pushed_here)]),
         }
     }
@@ -196,6 +200,8 @@ struct WriterCounts {
     dropped: AtomicU64,
     /// Pushed by whoever could not come in, and dropped.
     turned_away: AtomicU64,
+    /// Unseen when the next one came, where the newest alone is kept.
+    passed_over: AtomicU64,
 }
 
 // SAFETY: atomic numbers.
@@ -215,7 +221,10 @@ unsafe impl Plain for ReaderCounts {}
 impl Counters {
     fn lay_out(layout: &mut Layout) -> Arc<Self> {
         let zero = || AtomicU64::new(0);
-        let writer = || Padded(WriterCounts { pushed: zero(), dropped: zero(), turned_away: zero() });
+        let writer = || {
+            let [pushed, dropped, turned_away, passed_over] = std::array::from_fn(|_| zero());
+            Padded(WriterCounts { pushed, dropped, turned_away, passed_over })
+        };
         let reader = || Padded(ReaderCounts { taken: zero(), skipped: zero(), pushed_here: zero() });
         Arc::new(Self { writer: layout.place(writer), reader: layout.place(reader) })
     }

@@ -143,7 +143,9 @@ impl StreamWriter {
             tally(&counters.pushed, 1);
             let pushed = self.put(&mut end, sample);
             if pushed != Pushed::Queued {
-                tally(&counters.dropped, 1);
+                let newest_only = matches!(self.link.order, Order::Latest(_));
+                let newer = newest_only && pushed == Pushed::DroppedOldest;
+                tally(if newer { &counters.passed_over } else { &counters.dropped }, 1);
             }
             return pushed;
         }

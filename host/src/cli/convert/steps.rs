@@ -105,6 +105,7 @@ fn options(o: &ConnectOptions) -> v1::ConnectOptions {
         deadline: o.deadline_ns.map(duration),
         mailbox: o.mailbox.map(number),
         adapt: o.adapt,
+        delay: o.delay,
         replace: o.replace,
         carrier: o.carrier.clone(),
     }

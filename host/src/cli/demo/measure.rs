@@ -171,7 +171,7 @@ impl Reading {
     /// Lost on the way of the video.
     fn lost(&self, parts: &Parts) -> u64 {
         let video = self.all.connections.iter().filter(|c| parts.chain.contains(&c.client));
-        video.map(|c| c.dropped).sum()
+        video.map(|c| c.dropped + c.skipped).sum()
     }
 
     fn end(&self, parts: &Parts) -> ConnectionView {

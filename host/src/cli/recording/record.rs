@@ -302,6 +302,7 @@ async fn recording(
             deadline: None,
             mailbox: None,
             adapt: false,
+            delay: false,
             replace: false,
             carrier: None,
             mutation: MutationArgs::default(),

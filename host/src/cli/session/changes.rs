@@ -109,6 +109,7 @@ impl Session {
             deadline: args.deadline.map(convert::duration),
             mailbox: args.mailbox,
             adapt: args.adapt,
+            delay: args.delay,
             replace: args.replace,
             carrier: args.carrier.clone().unwrap_or_default(),
         };

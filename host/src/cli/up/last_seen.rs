@@ -105,7 +105,7 @@ fn execution(e: &ExecutionView) -> Execution {
     Execution {
         model: ExecutionModel::ALL.into_iter().find(|m| m.name() == e.model),
         period_ns: some(e.period_ns),
-        phase_ns: some(e.phase_ns),
+        phase_ns: e.phase_ns,
         stream_of: text(&e.stream_of),
         inside: text(&e.inside),
         priority: few(e.priority).and_then(|p| u8::try_from(p).ok()),
@@ -130,6 +130,7 @@ fn options(o: &OptionsView) -> ConnectOptions {
         deadline_ns: o.deadline_ns,
         mailbox: o.mailbox.map(depth),
         adapt: o.adapt,
+        delay: o.delay,
         replace: false,
         carrier: o.carrier.clone(),
     }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
-use trocar_model::{Change, ComponentId, Name, Refusal};
+use trocar_model::{Change, ComponentId, Name, Phase, Refusal, StepTimes};
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
@@ -296,6 +296,18 @@ impl Lcm for RemoteLcm {
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
         match self.question(O::Links(v1::LinksOrder {}), "the figures of its connections").await? {
             A::Links(links) => links.links.into_iter().map(convert::link_in).collect(),
+            _ => wrong(),
+        }
+    }
+
+    async fn phases(
+        &self,
+        given: Option<Vec<(ComponentId, Phase)>>,
+        deadline: Instant,
+    ) -> Result<StepTimes, Refusal> {
+        let order = O::Phases(convert::phases_out(given));
+        match self.ask(order, deadline, "the phases of its components").await? {
+            A::Steps(steps) => convert::steps_in(steps),
             _ => wrong(),
         }
     }

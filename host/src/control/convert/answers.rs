@@ -198,7 +198,7 @@ fn any_spread(s: Option<v1::Spread>) -> Spread {
 
 mirror!(stats_out, detail_in: Detail = ComponentStats {
     lateness_p50_ns, lateness_p99_ns, lateness_max_ns, executed, skipped, overruns, load, commands, commands_rejected,
-    events_dropped, thread, realtime, warnings;
+    events_dropped, thread, realtime, warnings, phase_ns, phase_auto;
     period: some_spread, any_spread;
     compute: some_spread, any_spread
 });
@@ -214,6 +214,7 @@ pub(crate) fn link(d: LinkDetail) -> v1::Connection {
         carrier: d.carrier,
         passed: d.passed,
         dropped: d.dropped,
+        skipped: d.skipped,
         bytes: d.bytes,
         latency_p50_ns: d.latency_p50_ns,
         latency_p99_ns: d.latency_p99_ns,
@@ -235,6 +236,7 @@ pub(crate) fn link_in(c: v1::Connection) -> Result<LinkDetail, Refusal> {
         carrier: c.carrier,
         passed: c.passed,
         dropped: c.dropped,
+        skipped: c.skipped,
         bytes: c.bytes,
         latency_p50_ns: c.latency_p50_ns,
         latency_p99_ns: c.latency_p99_ns,

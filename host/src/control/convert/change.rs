@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use serde_json::Value;
 use trocar_links::Card;
-use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, PortId, Refusal, State, Verb};
+use trocar_model::{
+    Change, Component, ComponentId, Connection, ConnectionId, Phase, PortId, Refusal, State, StepTimes, Verb,
+};
 use trocar_proto::v1;
 
 use super::answers::{half, half_in};
@@ -203,6 +205,34 @@ pub(crate) fn far_in(end: v1::LinkOrder) -> Result<FarEnd, Refusal> {
         class: ClassOf { name: end.class, hash: end.class_hash },
         card: card_in(end.card.ok_or_else(|| unreadable("card"))?),
     })
+}
+
+pub(crate) fn phases_out(given: Option<Vec<(ComponentId, Phase)>>) -> v1::PhasesOrder {
+    let ask_only = given.is_none();
+    let given = given.into_iter().flatten().map(|(id, Phase { phase_ns, note })| v1::GivenPhase {
+        path: id.to_string(),
+        phase_ns,
+        note,
+    });
+    v1::PhasesOrder { given: given.collect(), ask_only }
+}
+
+pub(crate) fn phases_in(order: v1::PhasesOrder) -> Result<Option<Vec<(ComponentId, Phase)>>, Refusal> {
+    let phase = |given: v1::GivenPhase| {
+        Ok((ComponentId::parse(&given.path)?, Phase { phase_ns: given.phase_ns, note: given.note }))
+    };
+    let given = order.given.into_iter().map(phase).collect::<Result<_, Refusal>>()?;
+    Ok((!order.ask_only).then_some(given))
+}
+
+pub(crate) fn steps_out(steps: StepTimes) -> v1::Steps {
+    let one = |(id, step_ns): (ComponentId, u64)| v1::StepTime { path: id.to_string(), step_ns };
+    v1::Steps { steps: steps.into_iter().map(one).collect() }
+}
+
+pub(crate) fn steps_in(steps: v1::Steps) -> Result<StepTimes, Refusal> {
+    let one = |step: v1::StepTime| Ok((ComponentId::parse(&step.path)?, step.step_ns));
+    steps.steps.into_iter().map(one).collect()
 }
 
 pub(crate) fn inventory_out(inventory: &Inventory) -> v1::Inventory {

@@ -15,8 +15,8 @@ pub(super) use answers::{
 };
 pub(super) use back::unreadable;
 pub(super) use change::{
-    change_in, change_out, classes_in, far_in, far_out, inventory_in, inventory_out, report_in, slice_in,
-    slice_out,
+    change_in, change_out, classes_in, far_in, far_out, inventory_in, inventory_out, phases_in, phases_out,
+    report_in, slice_in, slice_out, steps_in, steps_out,
 };
 pub(super) use graph::{
     Figures, component, connection, list, process, report, supervisor, told, wanted_apart,

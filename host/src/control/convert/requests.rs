@@ -231,6 +231,7 @@ pub(crate) fn options(o: v1::ConnectOptions) -> Result<ConnectOptions, Refusal> 
         deadline_ns: o.deadline.as_ref().map(|d| ns(d, "options.deadline")).transpose()?,
         mailbox: o.mailbox.map(|n| depth(n, "options.mailbox")).transpose()?,
         adapt: o.adapt,
+        delay: o.delay,
         replace: o.replace,
         carrier: o.carrier,
     })

@@ -286,6 +286,7 @@ pub(crate) fn options_out(o: &model::ConnectOptions) -> v1::ConnectOptions {
         deadline: o.deadline_ns.map(duration),
         mailbox: o.mailbox.map(|n| n as u32),
         adapt: o.adapt,
+        delay: o.delay,
         replace: o.replace,
         carrier: o.carrier.clone(),
     }

@@ -152,6 +152,10 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
         O::Plugins(_) => A::Plugins(v1::Plugins {
             plugins: lcm.plugins().await?.into_iter().map(convert::plugin).collect(),
         }),
+        O::Phases(order) => {
+            let given = convert::phases_in(order)?;
+            A::Steps(convert::steps_out(lcm.phases(given, deadline).await?))
+        }
         O::Inventory(_) => A::Inventory(convert::inventory_out(&lcm.inventory().await?)),
         O::Apply(_) | O::Link(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
     })

@@ -144,7 +144,8 @@ impl Joined for OnHeap {
             Ends::Stream { link, stats, shape, depth, output: cell, .. } => {
                 let s = stats.stats();
                 detail.passed = s.taken;
-                detail.dropped = s.dropped + cell.exhausted();
+                detail.dropped = s.dropped.saturating_sub(s.skipped) + cell.exhausted();
+                detail.skipped = s.skipped;
                 detail.depth = *depth as u64;
                 detail.bytes = cell.bytes_of(s.taken, *shape);
                 detail.latency_p50_ns = link.latency.percentile(0.50);

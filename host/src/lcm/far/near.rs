@@ -213,7 +213,7 @@ impl Pair {
         self.client.disconnect(client, Loss::Cut);
         let (last, offered) = self.server.end(connection, server);
         // What a cycle under way still takes is among what was not to be seen any more, and counts once.
-        let taken = offered.map(|offered| offered.count.saturating_sub(last.dropped));
+        let taken = offered.map(|offered| offered.count.saturating_sub(last.dropped + last.skipped));
         let all = self.client.detail().merged(last);
         (LinkDetail { passed: taken.unwrap_or(all.passed), ..all }, offered)
     }

@@ -325,9 +325,11 @@ impl ServerWires {
         let written = output.seq.load(Ordering::Relaxed);
         self.disconnect(connection, here);
         let stats = stats.stats();
-        let dropped = stats.pushed.saturating_sub(stats.taken);
-        let bytes = output.bytes_of(stats.taken, *shape);
-        let detail = LinkDetail { passed: stats.taken, dropped, bytes, ..LinkDetail::default() };
+        let (passed, skipped) = (stats.taken, stats.skipped);
+        // Samples that wait are lost with the link.
+        let dropped = stats.pushed.saturating_sub(passed + skipped);
+        let bytes = output.bytes_of(passed, *shape);
+        let detail = LinkDetail { passed, dropped, skipped, bytes, ..LinkDetail::default() };
         (detail, Some(Self::counted(written, stats.pushed, first)))
     }
 
@@ -354,7 +356,8 @@ impl ServerWires {
                 let s = stats.stats();
                 LinkDetail {
                     passed: s.taken,
-                    dropped: s.dropped + output.exhausted(),
+                    dropped: s.dropped.saturating_sub(s.skipped) + output.exhausted(),
+                    skipped: s.skipped,
                     bytes: output.bytes_of(s.taken, *shape),
                     ..LinkDetail::default()
                 }

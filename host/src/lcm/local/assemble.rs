@@ -94,7 +94,7 @@ impl LocalLcm {
         };
         self.roster.add(Ward::new(made.clone(), executor.0.clone()));
         self.hub.logs.name(number, Some(&id));
-        let slot = Slot { instance: made, executor: executor.0, execution, config: None };
+        let mut slot = Slot { instance: made, executor: executor.0, execution, config: None, phase: None };
         let done = self.inside(&slot, Entry::Create, deadline, make).await;
         match done {
             Ok(Ok(())) => {
@@ -103,6 +103,7 @@ impl LocalLcm {
                 let report = slot.instance.report(true);
                 let closed = {
                     let mut held = self.held();
+                    slot.give_phase(held.phases.get(&id));
                     if !held.closed {
                         held.components.insert(id, slot.clone());
                     }

@@ -5,6 +5,12 @@
 use super::super::{Detail, Spread};
 use super::Slot;
 
+/// The reason why its phase does not fit.
+fn note(slot: &Slot) -> Option<String> {
+    let note = slot.phase.as_ref().map(|phase| &phase.note).filter(|note| !note.is_empty())?;
+    Some(format!("phase: {note}"))
+}
+
 /// `around`: whether the one it runs inside of, if any, is ACTIVE.
 pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
     let s = slot.instance.stats.snapshot();
@@ -40,6 +46,8 @@ pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
             },
         },
         realtime: slot.executor.settings.realtime(),
-        warnings: slot.instance.warnings(),
+        warnings: slot.instance.warnings().into_iter().chain(note(slot)).collect(),
+        phase_ns: slot.executor.phase_ns().filter(|_| slot.has_own_grid()),
+        phase_auto: slot.has_own_grid() && slot.execution.phase_ns.is_none(),
     }
 }

@@ -135,6 +135,7 @@ impl World {
         let mut watchdog = Watchdog::of(format!("each of {made} frames is taken or dropped"));
         loop {
             let link = self.link(number).await;
+            let link = LinkDetail { dropped: link.dropped + link.skipped, ..link };
             if link.passed + link.dropped == made {
                 return link;
             }

@@ -18,6 +18,8 @@ export interface EdgeFigures {
   p99: number;
   /// Since the connection was made, and per second now.
   dropped: number;
+  /// A newer one took their place where only the newest is taken: no loss.
+  skipped: number;
   dropping: number;
   failed: number;
   /// It carried something before, and now nothing does.
@@ -93,6 +95,7 @@ class Figures {
         p50: Number(c.latencyP50Ns),
         p99: Number(c.latencyP99Ns),
         dropped: Number(c.dropped),
+        skipped: Number(c.skipped),
         dropping: Number(c.dropped - old.c.dropped) / seconds,
         failed: Number(c.failed),
         stalled: quiet >= 2,

@@ -84,7 +84,7 @@ class Changing:
     def connect(self, client: Any, server: Any, *, dry_run: bool = False, **options: Any) -> Answer:
         """Connects a required interface or input to a provided interface or output.
 
-        ``options`` as in a system file: ``queue={"fifo": 8}``, ``max_age_ms``, ``deadline_ms``, ``mailbox``, ``adapt``,
+        ``options`` as in a system file: ``queue={"fifo": 8}``, ``max_age_ms``, ``deadline_ms``, ``mailbox``, ``adapt``, ``delay``,
         ``carrier``, and ``replace=True``.
         """
         __tracebackhide__ = True

@@ -20,7 +20,7 @@ _EXECUTION = (
     "model", "rate_hz", "period_us", "phase_us", "stream_of", "inside", "priority", "cpus", "catch_up", "threads",
     "max_step_ms", "history", "on_failure", "wake",
 )  # fmt: skip
-_CONNECTION = ("client", "server", "queue", "max_age_ms", "deadline_ms", "mailbox", "adapt", "carrier")
+_CONNECTION = ("client", "server", "queue", "max_age_ms", "deadline_ms", "mailbox", "adapt", "delay", "carrier")
 _LARGEST = 16 << 20
 
 
@@ -126,7 +126,7 @@ def connect_options(value: Mapping[str, Any], where: str) -> Any:
     known = (*_CONNECTION[2:], "replace")
     f = _fields(value, known, where)
     out = _proto.message("ConnectOptions")()
-    for key in ("adapt", "replace"):
+    for key in ("adapt", "delay", "replace"):
         if key in f:
             if not isinstance(f[key], bool):
                 raise _wrong(f"{where}/{key}", f"true or false is wanted, {f[key]!r} is there")

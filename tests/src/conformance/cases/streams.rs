@@ -36,6 +36,8 @@ pub fn the_latest_value_is_shown_again_and_is_fresh_once(way: &Way) {
     assert_eq!((first.last, first.fresh, first.gaps), (10.0, 1, 9), "the newest; nine were passed over");
     let again = lab.samples("look");
     assert_eq!((again.last, again.fresh), (10.0, 0));
+    let skipped: u64 = lab.links().iter().map(|l| l.skipped).sum();
+    assert_eq!((skipped, dropped(&lab)), (9, 0), "what a newer one took the place of is no loss");
 }
 
 pub fn a_full_queue_of_samples_drops_its_oldest_and_the_gap_says_how_many(way: &Way) {

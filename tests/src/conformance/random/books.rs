@@ -166,7 +166,12 @@ fn frames_add_up(lab: &Lab, client: &str, server: &str) {
 fn frames_made(lab: &Lab, client: &str, server: &str, asked: u64) -> (u64, String) {
     let figures = || {
         let link = lab.link(&format!("{client}/frame"));
-        [lab.count(server, "samples"), lab.count(server, "exhausted"), link.passed, link.dropped]
+        [
+            lab.count(server, "samples"),
+            lab.count(server, "exhausted"),
+            link.passed,
+            link.dropped + link.skipped,
+        ]
     };
     let before = figures();
     outside(lab, &format!("{server}/ctl/publish_frames"), Some(asked as f64));

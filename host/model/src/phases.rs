@@ -1,0 +1,312 @@
+//! The place in its period at which each component on a grid steps, so that what one writes the next one takes:
+//! sources first, each reader behind what feeds it.
+//!
+//! Invariant: pure, and the same for the same graph. A phase that was asked for is kept. Between two components
+//! of one period the reader steps at least the writer's step and a margin behind it, modulo the period, and a
+//! margin before the writer's next step; where that cannot be, it is said.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::plan::{host_of, is_stream};
+use crate::{ComponentId, Connection, ExecutionModel, SystemGraph};
+
+/// The margin for a thread that is late, in eighths of the period, and the longest one, ns. With an eighth for
+/// the step the reader stands in the middle: either may be late by as much.
+const MARGIN_EIGHTHS: u64 = 3;
+const MARGIN_NS: u64 = 1_000_000;
+/// Shortest and longest a step is taken for that nobody has measured, as a part of the period and in ns.
+const UNKNOWN_PART: u64 = 8;
+const UNKNOWN_NS: u64 = 500_000;
+
+/// Time a step takes at most but for rare ones, by component, ns; nothing for one that was not measured yet.
+pub type StepTimes = BTreeMap<ComponentId, u64>;
+
+/// The place of a component in its period.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Phase {
+    /// Behind each multiple of the period on the monotonic clock, ns.
+    pub phase_ns: u64,
+    /// The reason why it does not fit, in a sentence; empty: samples arrive in the period in which they are
+    /// written.
+    pub note: String,
+}
+
+/// The phases of all components that have a thread on a grid and were given none by anybody.
+pub fn phases(graph: &SystemGraph, steps: &StepTimes) -> BTreeMap<ComponentId, Phase> {
+    let wheels = wheels(graph, steps);
+    let edges = edges(graph, &wheels);
+    let circles = groups(wheels, &edges).into_iter().map(|wheels| {
+        let edges = edges.iter().filter(|edge| wheels.contains_key(&edge.from)).collect();
+        let period_ns = wheels.values().map(|wheel| wheel.period_ns).min().unwrap_or(1);
+        Circle { period_ns, wheels, edges }
+    });
+    circles.flat_map(|circle| circle.fit()).collect()
+}
+
+/// A thread on a grid.
+#[derive(Clone)]
+struct Wheel {
+    period_ns: u64,
+    /// The phase that was asked for.
+    fixed_ns: Option<u64>,
+    /// Time kept for its step, ns.
+    step_ns: u64,
+}
+
+/// Samples between two threads of one period.
+struct Edge {
+    from: ComponentId,
+    to: ComponentId,
+    /// The reader need not step behind the writer: the connection says `delay`, or closes a circle.
+    cut: bool,
+}
+
+type Wheels = BTreeMap<ComponentId, Wheel>;
+
+fn wheels(graph: &SystemGraph, steps: &StepTimes) -> Wheels {
+    let mut measured: BTreeMap<ComponentId, u64> = BTreeMap::new();
+    for (id, step_ns) in steps {
+        if let Some(head) = head(graph, id) {
+            *measured.entry(head).or_default() += step_ns;
+        }
+    }
+    let heads = graph.components.iter().filter_map(|(id, component)| {
+        let execution = &component.execution;
+        let own = host_of(execution).is_none() && execution.model.is_some_and(ExecutionModel::has_grid);
+        let period_ns = execution.period_ns.filter(|ns| own && *ns > 0)?;
+        let step_ns = room(measured.get(id).copied().unwrap_or(0), period_ns);
+        let fixed_ns = execution.phase_ns.map(|ns| ns % period_ns);
+        Some((id.clone(), Wheel { period_ns, fixed_ns, step_ns }))
+    });
+    heads.collect()
+}
+
+/// Time kept for a step that takes this long: doubled until it is enough, so that a figure that wavers moves
+/// nothing.
+fn room(step_ns: u64, period_ns: u64) -> u64 {
+    let mut room = (period_ns / UNKNOWN_PART).min(UNKNOWN_NS);
+    while room < step_ns.min(period_ns) {
+        room = (room * 2).max(1);
+    }
+    room.min(period_ns)
+}
+
+/// The component whose thread runs this one.
+fn head(graph: &SystemGraph, id: &ComponentId) -> Option<ComponentId> {
+    let mut at = id.clone();
+    // The graph holds no circle, but a walk that trusts nobody ends anyway.
+    for _ in 0..=graph.components.len() {
+        match host_of(&graph.components.get(&at)?.execution) {
+            Some(host) => at = host,
+            None => return Some(at),
+        }
+    }
+    None
+}
+
+fn edges(graph: &SystemGraph, wheels: &Wheels) -> Vec<Edge> {
+    let ends = |c: &Connection| {
+        let [from, to] = [&c.server, &c.client].map(|end| head(graph, &end.component));
+        let (from, to) = (from?, to?);
+        let one_grid = wheels.get(&from)?.period_ns == wheels.get(&to)?.period_ns;
+        (one_grid && from != to && is_stream(graph, c)).then_some((from, to))
+    };
+    let mut behind: BTreeMap<ComponentId, BTreeSet<ComponentId>> = BTreeMap::new();
+    let mut edges = Vec::new();
+    // By number: it is the newest connection that closes a circle.
+    for connection in graph.connections.values() {
+        let Some((from, to)) = ends(connection) else { continue };
+        let cut = connection.options.delay || leads(&behind, &to, &from);
+        if !cut {
+            behind.entry(from.clone()).or_default().insert(to.clone());
+        }
+        edges.push(Edge { from, to, cut });
+    }
+    edges
+}
+
+/// Whether one comes from `from` to `to`.
+fn leads(
+    behind: &BTreeMap<ComponentId, BTreeSet<ComponentId>>,
+    from: &ComponentId,
+    to: &ComponentId,
+) -> bool {
+    let (mut seen, mut next) = (BTreeSet::from([from]), vec![from]);
+    while let Some(at) = next.pop() {
+        if at == to {
+            return true;
+        }
+        next.extend(behind.get(at).into_iter().flatten().filter(|id| seen.insert(*id)));
+    }
+    false
+}
+
+/// Splits them into those that are connected with each other, directly or through others.
+fn groups(mut all: Wheels, edges: &[Edge]) -> Vec<Wheels> {
+    let mut beside: BTreeMap<&ComponentId, Vec<&ComponentId>> = BTreeMap::new();
+    for edge in edges {
+        beside.entry(&edge.from).or_default().push(&edge.to);
+        beside.entry(&edge.to).or_default().push(&edge.from);
+    }
+    let mut groups = Vec::new();
+    while let Some((id, wheel)) = all.pop_first() {
+        let (mut group, mut next) = (Wheels::new(), vec![id.clone()]);
+        group.insert(id, wheel);
+        while let Some(at) = next.pop() {
+            for other in beside.get(&at).into_iter().flatten() {
+                if let Some((id, wheel)) = all.remove_entry(*other) {
+                    next.push(id.clone());
+                    group.insert(id, wheel);
+                }
+            }
+        }
+        groups.push(group);
+    }
+    groups
+}
+
+/// Connected threads of one period, round which their phases lie.
+struct Circle<'a> {
+    period_ns: u64,
+    wheels: Wheels,
+    edges: Vec<&'a Edge>,
+}
+
+/// A way to lay the phases.
+#[derive(Default)]
+struct Layout {
+    at: BTreeMap<ComponentId, Place>,
+    tight: BTreeSet<ComponentId>,
+}
+
+/// The place at which a thread steps.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    /// Counted on over whole periods, ns.
+    at_ns: u64,
+    /// The place of the first of its chain, ns.
+    first_ns: u64,
+}
+
+impl Layout {
+    fn at(&self, id: &ComponentId) -> Option<u64> {
+        self.at.get(id).map(|place| place.at_ns)
+    }
+
+    /// Time from the step of the first of its chain to its own, ns.
+    fn behind(&self, id: &ComponentId) -> u64 {
+        self.at.get(id).map_or(0, |place| place.at_ns - place.first_ns)
+    }
+}
+
+impl Circle<'_> {
+    /// Uses the longest margin with which all fit into one period; else one with which they fit round it.
+    fn fit(&self) -> BTreeMap<ComponentId, Phase> {
+        let margin_ns = (self.period_ns / 8 * MARGIN_EIGHTHS).min(MARGIN_NS);
+        let tries = || [1, 2, 4, 8].map(|part| self.lay(margin_ns / part)).into_iter();
+        let within = |layout: &Layout| layout.at.keys().all(|id| layout.behind(id) < self.period_ns);
+        let fits = |layout: &Layout| layout.tight.is_empty();
+        let layout = tries().take(2).find(|l| fits(l) && within(l)).or_else(|| tries().find(fits));
+        let layout = layout.unwrap_or_else(|| self.lay(margin_ns));
+        let auto = self.wheels.iter().filter(|(_, wheel)| wheel.fixed_ns.is_none());
+        auto.map(|(id, _)| {
+            let at = layout.at(id).unwrap_or(0);
+            let note = self.note(&layout, id);
+            (id.clone(), Phase { phase_ns: at % self.period_ns, note })
+        })
+        .collect()
+    }
+
+    fn note(&self, layout: &Layout, id: &ComponentId) -> String {
+        if layout.tight.contains(id) {
+            return "its period has no room for the steps of what feeds it, its own and those of what it feeds: samples \
+                between them may be left out; give it a lower rate, or set phases yourself (phase)"
+                .to_owned();
+        }
+        match layout.behind(id) / self.period_ns {
+            0 => String::new(),
+            1 => "the steps before it take longer than a period together: it takes samples one period later"
+                .to_owned(),
+            n => format!(
+                "the steps before it take longer than {n} periods together: it takes samples {n} periods later"
+            ),
+        }
+    }
+
+    /// Sources first, each one at the earliest place that is right for all its neighbours that have one.
+    fn lay(&self, margin_ns: u64) -> Layout {
+        let mut layout = Layout::default();
+        for (id, wheel) in &self.wheels {
+            layout.at.extend(wheel.fixed_ns.map(|ns| (id.clone(), Place { at_ns: ns, first_ns: ns })));
+        }
+        let mut left: Vec<&ComponentId> = self.wheels.keys().collect();
+        while !left.is_empty() {
+            let waits = |id: &ComponentId| {
+                self.edges.iter().any(|e| !e.cut && e.to == *id && left.contains(&&e.from))
+            };
+            // A rest without a first one would be a circle, and circles are cut.
+            let next = left.iter().position(|id| !waits(id)).unwrap_or(0);
+            let id = left.remove(next);
+            if self.wheels.get(id).is_some_and(|wheel| wheel.fixed_ns.is_none()) {
+                let place = self.place(&layout, id, margin_ns);
+                layout.at.insert(id.clone(), place);
+            }
+        }
+        let asked = |id: &ComponentId| self.wheels.get(id).is_none_or(|wheel| wheel.fixed_ns.is_some());
+        let tight = self.edges.iter().filter(|e| !self.arrives(&layout, e, margin_ns));
+        // Two phases that were asked for are kept as they are.
+        let tight = tight.filter(|e| !(asked(&e.from) && asked(&e.to)));
+        layout.tight = tight.flat_map(|e| [e.from.clone(), e.to.clone()]).collect();
+        layout
+    }
+
+    /// The earliest place behind all that feed it that leaves nobody's room, or the earliest one there is.
+    fn place(&self, layout: &Layout, id: &ComponentId, margin_ns: u64) -> Place {
+        let step = |id: &ComponentId| self.wheels.get(id).map_or(0, |wheel| wheel.step_ns);
+        let feeds = self.edges.iter().filter(|e| e.to == *id);
+        let last = feeds.clone().filter(|e| !e.cut).filter_map(|e| {
+            let place = layout.at.get(&e.from)?;
+            Some((place.at_ns + step(&e.from) + margin_ns, Some(place.first_ns)))
+        });
+        let (earliest, first) = last.max().unwrap_or((0, None));
+        // Arcs that are somebody else's, as (begin, length) on the circle.
+        let before = feeds.filter_map(|e| {
+            let at = layout.at(&e.from)?;
+            Some((self.on(at, margin_ns), 2 * margin_ns + step(&e.from)))
+        });
+        let behind = self.edges.iter().filter(|e| e.from == *id).filter_map(|e| {
+            let at = layout.at(&e.to)?;
+            Some((self.on(at, margin_ns + step(id)), 2 * margin_ns + step(id)))
+        });
+        let arcs: Vec<(u64, u64)> = before.chain(behind).collect();
+        let free = |at: u64| {
+            arcs.iter().all(|(begin, length)| {
+                let into = self.on(at, *begin);
+                into == 0 || into >= *length
+            })
+        };
+        let ends = arcs.iter().map(|(begin, length)| earliest + self.on(begin + length, earliest));
+        let mut places: Vec<u64> = ends.chain([earliest]).collect();
+        places.sort_unstable();
+        let at_ns = places.into_iter().find(|at| free(*at)).unwrap_or(earliest);
+        Place { at_ns, first_ns: first.unwrap_or(at_ns) }
+    }
+
+    /// Distance from `from` on to `at` on the circle.
+    fn on(&self, at: u64, from: u64) -> u64 {
+        (at % self.period_ns + self.period_ns - from % self.period_ns) % self.period_ns
+    }
+
+    /// Whether what passes there is taken in each period: read behind the step that writes it, and before the
+    /// next one.
+    fn arrives(&self, layout: &Layout, edge: &Edge, margin_ns: u64) -> bool {
+        let (Some(from), Some(to)) = (layout.at(&edge.from), layout.at(&edge.to)) else {
+            return true;
+        };
+        let (Some(writer), Some(_)) = (self.wheels.get(&edge.from), self.wheels.get(&edge.to)) else {
+            return true;
+        };
+        let behind = self.on(to, from);
+        behind >= writer.step_ns + margin_ns && behind + margin_ns <= self.period_ns
+    }
+}
