@@ -156,7 +156,8 @@ fn keep(table: &HostTable) {
         // SAFETY: the context of the table it came from.
         Some(extension) => unsafe { (extension.keep)(table.ctx) },
         None => log::error!(
-            "ports or host handles of a component that is gone are still held, and this host is too old to keep what they              point to: end the threads that hold them in Drop, and keep none in a static"
+            "ports or host handles of a component that is gone are still held, and this host is too old to keep what they \
+             point to: end the threads that hold them in Drop, and keep none in a static"
         ),
     }
 }
