@@ -1,8 +1,10 @@
 //! The only place the dynamic linker loads plugins from: `<state>/plugins/<sha256>/<name>.so`.
 //!
 //! Invariant: a path handed out holds exactly the bytes of that hash, is owned by this user, and nobody else can write it or
-//! a directory above it up to the cache's root. Files are made complete under another name, then renamed.
+//! a directory above it up to the cache's root. Files are made complete under another name, then renamed. Versions that nobody
+//! can ask for any more go.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
@@ -69,6 +71,24 @@ impl Cache {
     pub(crate) fn set_vetted(&self, hash: &Hash) {
         if let Err(error) = write_whole(&self.dir(hash).join(verdict_name()), b"ok\n", 0o400) {
             log::debug!("the verdict on {} was not kept: {error}", hash.short());
+        }
+    }
+
+    /// Removes what is neither in `keep` nor the newest of the rest: going back to the version before costs nothing.
+    pub(crate) fn prune(&self, keep: &BTreeSet<Hash>) {
+        let entries = fs::read_dir(&self.root).into_iter().flatten().flatten();
+        let rest = entries.filter_map(|entry| {
+            let hash = Hash::parse(entry.file_name().to_str()?)?;
+            let made = entry.metadata().ok()?.modified().ok()?;
+            (!keep.contains(&hash)).then(|| (made, entry.path()))
+        });
+        let mut rest: Vec<_> = rest.collect();
+        rest.sort();
+        rest.pop();
+        for (_, dir) in rest {
+            if let Err(error) = fs::remove_dir_all(&dir) {
+                log::debug!("an old version of a plugin stays in {}: {error}", dir.display());
+            }
         }
     }
 

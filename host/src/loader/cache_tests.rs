@@ -37,6 +37,28 @@ fn a_noexec_filesystem_is_seen() {
 }
 
 #[test]
+fn old_versions_go_but_for_those_that_are_kept_and_the_last_one() {
+    let state = tempfile::tempdir().unwrap();
+    let cache = Cache::open(state.path()).unwrap();
+    let day = |n: u64| std::time::SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(n * 86_400);
+    let versions: Vec<Hash> = (0..6u8).map(|n| Hash::of(&[n])).collect();
+    for (n, hash) in versions.iter().enumerate() {
+        cache.put(hash, "sine", b"bytes").unwrap();
+        cache.set_vetted(hash);
+        File::open(cache.dir(hash)).unwrap().set_modified(day(n as u64)).unwrap();
+    }
+    fs::write(cache.root.join("what-a-person-left"), "").unwrap();
+    cache.prune(&[versions[1], versions[5]].into());
+    let left: Vec<bool> = versions.iter().map(|hash| cache.dir(hash).exists()).collect();
+    assert_eq!(
+        left,
+        [false, true, false, false, true, true],
+        "two that are kept, and the newest of the rest"
+    );
+    assert!(cache.root.join("what-a-person-left").exists());
+}
+
+#[test]
 fn nothing_temporary_is_left_behind() {
     let state = tempfile::tempdir().unwrap();
     let cache = Cache::open(state.path()).unwrap();

@@ -171,6 +171,9 @@ impl PluginStore {
         let listed: BTreeSet<Hash> = after.iter().filter_map(PluginEntry::listed).map(|p| p.hash).collect();
         lock(&self.failed).retain(|hash, _| listed.contains(hash));
         *self.entries.write().unwrap_or_else(PoisonError::into_inner) = after;
+        if !changes.is_empty() {
+            self.prune(listed);
+        }
         let observers = lock(&self.observers);
         for change in &changes {
             observers.iter().for_each(|o| (o.tell)(change));
@@ -299,6 +302,15 @@ impl PluginStore {
                 *lock(&plugin.content) = None;
             }
         }
+    }
+
+    /// Old versions go from the cache, but for those whose code is here, or on its way.
+    fn prune(&self, mut keep: BTreeSet<Hash>) {
+        let loaded = lock(&self.loaded);
+        let used = loaded.iter().filter(|(_, slot)| slot.try_lock().map_or(true, |loaded| loaded.is_some()));
+        keep.extend(used.map(|(hash, _)| *hash));
+        drop(loaded);
+        self.cache.prune(&keep);
     }
 
     fn entries(&self) -> Arc<Vec<PluginEntry>> {
