@@ -2,6 +2,7 @@
 //!
 //! Invariant: the lock guards the list only; whoever looks works on a copy.
 
+use std::collections::HashSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -43,8 +44,9 @@ impl Roster {
 
     /// Every component that is on the list now is one of those. Who has gone since may still be among them.
     pub(super) fn has_only(&self, known: &[&Ward]) -> bool {
+        let known: HashSet<u32> = known.iter().map(|k| k.instance.number).collect();
         let wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
-        wards.iter().all(|w| known.iter().any(|k| k.instance.number == w.instance.number))
+        wards.iter().all(|w| known.contains(&w.instance.number))
     }
 
     /// The list, when it is another edition than `seen`, which is brought up to date.

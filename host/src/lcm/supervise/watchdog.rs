@@ -4,7 +4,7 @@
 //! the shortest period (5 to 10 ms: it comes between the steps of everybody, and patience begins at 50 ms), when somebody inside
 //! comes to the end of what it may take, and when a late cycle wakes it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -156,11 +156,12 @@ impl Rounds {
 
     /// Another list of components; what is known of those that stay is kept.
     fn take(&mut self, wards: Vec<Ward>) {
-        let mut before = std::mem::take(&mut self.charges);
+        let before = std::mem::take(&mut self.charges).into_iter();
+        let mut before: HashMap<u32, Charge> = before.map(|c| (c.ward.instance.number, c)).collect();
         self.charges = wards
             .into_iter()
-            .map(|ward| match before.iter().position(|c| c.ward.instance.number == ward.instance.number) {
-                Some(at) => before.swap_remove(at).on(ward),
+            .map(|ward| match before.remove(&ward.instance.number) {
+                Some(charge) => charge.on(ward),
                 None => Charge::new(ward),
             })
             .collect();
