@@ -6,10 +6,13 @@
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use rustix::rand::{GetRandomFlags, getrandom};
+
+/// Beginning of the names that lead to sockets.
+const WAY: &str = "at-";
 
 /// Bytes of chance in a token.
 const CHANCE: usize = 32;
@@ -72,20 +75,39 @@ impl RuntimeDir {
         Ok(())
     }
 
-    /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names
-    /// the network, too.
+    /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names the
+    /// network, too.
     pub(crate) fn door(&self, addr: SocketAddr, door: Door) -> PathBuf {
         self.0.join(format!("{}.{}", std::process::id(), tail(addr, door)))
     }
 
-    /// Sockets beside the port `addr`; one of a killed process may still be among them.
-    pub(crate) fn doors(&self, addr: SocketAddr, door: Door) -> Vec<PathBuf> {
-        let tail = tail(addr, door);
-        let beside = |path: &PathBuf| {
-            let name = path.file_name().and_then(|name| name.to_str()).and_then(|name| name.split_once('.'));
-            name.is_some_and(|(_, rest)| rest == tail)
-        };
-        self.entries().filter(beside).collect()
+    /// The name by which clients find the socket beside the port `addr`, whichever process has it: it stays the same
+    /// for those that connect again.
+    pub(crate) fn way(&self, addr: SocketAddr, door: Door) -> PathBuf {
+        self.0.join(format!("{WAY}{}", tail(addr, door)))
+    }
+
+    /// Leads clients to the socket of this process.
+    ///
+    /// # Errors
+    /// The directory cannot be written.
+    pub(crate) fn lead(&self, addr: SocketAddr, door: Door) -> io::Result<()> {
+        let own = self.door(addr, door);
+        let new = own.with_extension("new");
+        // Whatever lies there was left by a process of this number that was killed.
+        let _ = fs::remove_file(&new);
+        symlink(own.file_name().unwrap_or_default(), &new)?;
+        fs::rename(&new, self.way(addr, door))
+    }
+
+    /// Leads nobody to the socket of this process any more, and removes it. One that another process has is left.
+    pub(crate) fn close(&self, addr: SocketAddr, door: Door) {
+        let (own, way) = (self.door(addr, door), self.way(addr, door));
+        if fs::read_link(&way).is_ok_and(|to| Some(to.as_os_str()) == own.file_name()) {
+            // A directory that was removed took both along.
+            let _ = fs::remove_file(way);
+        }
+        let _ = fs::remove_file(own);
     }
 
     /// The token of this user; made when there is none.
@@ -145,6 +167,12 @@ impl RuntimeDir {
     /// A socket that is just being bound refuses, too, so its process must be gone as well.
     fn sweep(&self) {
         for path in self.entries() {
+            let leads =
+                path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(WAY.as_bytes()));
+            if leads && !path.exists() {
+                let _ = fs::remove_file(&path);
+                continue;
+            }
             let Some(pid) = pid_of(&path) else { continue };
             if !Path::new("/proc").join(pid.to_string()).exists() && refuses(&path) {
                 // Another one that starts now may be faster.
@@ -178,7 +206,7 @@ pub(crate) fn pid_of(path: &Path) -> Option<u32> {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
-    use std::os::unix::net::UnixListener;
+    use std::os::unix::net::{UnixListener, UnixStream};
 
     use super::*;
 
@@ -209,14 +237,26 @@ mod tests {
     }
 
     #[test]
-    fn a_door_is_found_by_the_address_of_its_port_and_by_nothing_else() {
+    fn a_door_is_found_by_the_address_of_its_port_by_the_same_name_whoever_has_it() {
         let temp = tempfile::tempdir().unwrap();
         let dir = RuntimeDir::at(temp.path());
         let at = |port| SocketAddr::from(([127, 0, 0, 1], port));
-        let door = dir.door(at(50551), Door::Calls);
-        let _listening = UnixListener::bind(&door).unwrap();
-        assert_eq!(dir.doors(at(50551), Door::Calls), [door]);
-        assert!(dir.doors(at(50551), Door::Stop).is_empty() && dir.doors(at(5055), Door::Calls).is_empty());
+        let way = dir.way(at(50551), Door::Calls);
+        let _listening = UnixListener::bind(dir.door(at(50551), Door::Calls)).unwrap();
+        assert!(UnixStream::connect(&way).is_err(), "nobody leads there yet");
+        dir.lead(at(50551), Door::Calls).unwrap();
+        UnixStream::connect(&way).unwrap();
+        for other in [dir.way(at(50551), Door::Stop), dir.way(at(5055), Door::Calls)] {
+            assert!(!other.exists(), "{}", other.display());
+        }
+        // Another process has the port now: the first one leaves its way alone.
+        fs::remove_file(&way).unwrap();
+        symlink("1.socket.of.another", &way).unwrap();
+        dir.close(at(50551), Door::Calls);
+        assert_eq!(fs::read_link(&way).unwrap(), Path::new("1.socket.of.another"));
+        assert!(!dir.door(at(50551), Door::Calls).exists());
+        dir.prepare().unwrap();
+        assert!(fs::read_link(&way).is_err(), "it led nowhere");
     }
 
     #[test]

@@ -50,7 +50,7 @@ impl Client {
     /// # Errors
     /// A sentence: malformed address, nobody listens, no answer in 2 s.
     pub(super) async fn connect(addr: &str, door: Door) -> Result<Self, String> {
-        let channel = dial(&uri(addr), door, CONNECT).await.map_err(|e| match root_cause(&e) {
+        let channel = dial(&uri(addr), Some(door), CONNECT).await.map_err(|e| match root_cause(&e) {
             cause if cause.contains("invalid uri") || cause.contains("invalid authority") => {
                 "not an address; write HOST:PORT, e.g. 127.0.0.1:50551".to_owned()
             }

@@ -10,12 +10,14 @@ use tonic::transport::{Channel, Endpoint, Error};
 use super::caller::{Tokened, with_token};
 use crate::runtime_dir::{Door, RuntimeDir};
 
-/// Connects to `http://HOST:PORT`; `within` bounds each attempt.
+/// Connects to `http://HOST:PORT`, by the socket beside it if `door` names one and it is there; `within` bounds each attempt.
 ///
 /// # Errors
 /// It is no address, nobody listens there, or no answer came in time.
-pub async fn dial(uri: &str, door: Door, within: Duration) -> Result<Tokened, Error> {
-    if let Some(channel) = beside(uri, door, within).await {
+pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tokened, Error> {
+    if let Some(door) = door
+        && let Some(channel) = beside(uri, door, within).await
+    {
         return Ok(with_token(channel));
     }
     let endpoint = Endpoint::from_shared(uri.to_owned())?.connect_timeout(within).tcp_nodelay(true);
@@ -25,7 +27,8 @@ pub async fn dial(uri: &str, door: Door, within: Duration) -> Result<Tokened, Er
 async fn beside(uri: &str, door: Door, within: Duration) -> Option<Channel> {
     let addrs = tokio::net::lookup_host(uri.strip_prefix("http://")?).await.ok()?;
     let dir = RuntimeDir::of_user();
-    for path in addrs.filter(|addr| addr.ip().is_loopback()).flat_map(|addr| dir.doors(addr, door)) {
+    for addr in addrs.filter(|addr| addr.ip().is_loopback()) {
+        let path = dir.way(addr, door);
         let Ok(endpoint) = Endpoint::from_shared(format!("unix:{}", path.display())) else { continue };
         // One that a killed host left refuses at once.
         if let Ok(channel) = endpoint.connect_timeout(within).connect().await {

@@ -8,7 +8,6 @@ use std::io;
 use std::net::SocketAddr;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixListener;
-use std::path::PathBuf;
 use std::thread;
 
 use tokio::sync::watch;
@@ -22,7 +21,8 @@ use crate::runtime_dir::{Door, RuntimeDir};
 
 /// The sockets of one port; removed when they are dropped.
 pub(super) struct Doors {
-    paths: Vec<PathBuf>,
+    dir: RuntimeDir,
+    addr: SocketAddr,
     /// Both end with it.
     open: Option<watch::Sender<()>>,
     calls: Option<JoinHandle<()>>,
@@ -32,8 +32,8 @@ impl Doors {
     /// Opens them beside the port `addr`. A port works without them: what could not be opened is logged.
     pub(super) fn open(dir: &RuntimeDir, addr: SocketAddr, routes: &Routes) -> Doors {
         let (open, closing) = watch::channel(());
-        let mut doors = Doors { paths: Vec::new(), open: Some(open), calls: None };
-        if let Err(e) = doors.listen(dir, addr, routes, &closing) {
+        let mut doors = Doors { dir: dir.clone(), addr, open: Some(open), calls: None };
+        if let Err(e) = doors.listen(routes, &closing) {
             let dir = dir.path().display();
             log::warn!(
                 "programs of this user reach {addr} by TCP alone, since there is no socket in {dir}: {e}"
@@ -42,40 +42,34 @@ impl Doors {
         doors
     }
 
-    fn listen(
-        &mut self,
-        dir: &RuntimeDir,
-        addr: SocketAddr,
-        routes: &Routes,
-        closing: &watch::Receiver<()>,
-    ) -> io::Result<()> {
-        dir.prepare()?;
-        let stop = self.bind(dir.door(addr, Door::Stop))?;
+    fn listen(&mut self, routes: &Routes, closing: &watch::Receiver<()>) -> io::Result<()> {
+        self.dir.prepare()?;
+        let stop = self.bind(Door::Stop)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let serving = serve(stop, routes.clone(), closing.clone());
         // It ends with its sockets; a call that hangs does not keep the process.
         thread::Builder::new().name("trocar-stop".into()).spawn(move || runtime.block_on(serving))?;
-        let calls = self.bind(dir.door(addr, Door::Calls))?;
+        let calls = self.bind(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
         Ok(())
     }
 
-    fn bind(&mut self, path: PathBuf) -> io::Result<UnixListener> {
+    fn bind(&self, door: Door) -> io::Result<UnixListener> {
+        let path = self.dir.door(self.addr, door);
         // A process id comes again: what lies here belongs to nobody alive.
         let _ = std::fs::remove_file(&path);
         let listener = UnixListener::bind(&path)?;
-        self.paths.push(path.clone());
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
+        self.dir.lead(self.addr, door)?;
         Ok(listener)
     }
 
     /// Takes no more calls; open ones end with the port's.
     pub(super) fn close(&mut self) {
-        self.open = None;
-        for path in self.paths.drain(..) {
-            // A directory that was removed took it along.
-            let _ = std::fs::remove_file(path);
+        if self.open.take().is_some() {
+            self.dir.close(self.addr, Door::Calls);
+            self.dir.close(self.addr, Door::Stop);
         }
     }
 }

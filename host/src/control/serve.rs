@@ -134,9 +134,10 @@ impl Server {
 
     /// Takes no more calls; open ones get a moment, streams are cut.
     pub async fn shutdown(mut self) {
+        // First: as soon as the port is free, another process's lead to its own.
+        self.doors.iter_mut().for_each(Doors::close);
         // A server that ended by itself has nobody listening.
         let _ = self.stop.send(());
-        self.doors.iter_mut().for_each(Doors::close);
         drop(self.open);
         if let Some(logging) = self.logging {
             logging.abort();

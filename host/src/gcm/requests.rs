@@ -175,7 +175,7 @@ mod tests {
         let text = "x".repeat(BYTES / 16);
         for i in 0..40 {
             let id = i.to_string();
-            let Known::New(tell) = answers.ask(&id, &stop(&format!("host/{i}")), now) else {
+            let Known::New(tell) = answers.ask(&id, &stop(&format!("host/n{i}")), now) else {
                 panic!("nobody asked before")
             };
             let answer = Err(Refusal::Internal { text: text.clone() });
@@ -184,7 +184,7 @@ mod tests {
             assert!(answers.bytes <= BYTES, "{} bytes after {i}", answers.bytes);
         }
         assert!((10..=16).contains(&answers.kept.len()), "{} are kept", answers.kept.len());
-        assert!(matches!(answers.ask("39", &stop("host/39"), now), Known::Same(_)), "the newest is kept");
+        assert!(matches!(answers.ask("39", &stop("host/n39"), now), Known::Same(_)), "the newest is kept");
         let late = now + AGE + Duration::from_secs(1);
         assert!(matches!(answers.ask("new", &stop("host/new"), late), Known::New(_)));
         assert_eq!(answers.bytes, "new".len(), "what is forgotten counts no more");

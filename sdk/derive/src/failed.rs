@@ -46,12 +46,20 @@ pub(crate) fn component(input: &DeriveInput) -> TokenStream {
                 fn bind(&mut self, _: &::trocar_sdk::__private::Binder<'_>) {}
                 fn state(&self) -> Self::State { ::core::unreachable!() }
                 fn set_state(&mut self, _: &Self::State) {}
-                fn command(&mut self, id: u32, call: &mut ::trocar_sdk::__private::Call)
-                    -> ::trocar_sdk::__private::Status { call.unknown(id) }
+                fn command(
+                    &mut self,
+                    id: u32,
+                    _: &::trocar_sdk::__private::Layout,
+                    call: &mut ::trocar_sdk::__private::Call,
+                ) -> ::trocar_sdk::__private::Status { call.unknown(id) }
                 fn read(_: &Self::State, id: u32, call: &mut ::trocar_sdk::__private::Call)
                     -> ::trocar_sdk::__private::Status { call.unknown(id) }
-                fn on_event(&mut self, id: u32, call: &mut ::trocar_sdk::__private::Call)
-                    -> ::trocar_sdk::__private::Status { call.unknown(id) }
+                fn on_event(
+                    &mut self,
+                    id: u32,
+                    _: &::trocar_sdk::__private::Layout,
+                    call: &mut ::trocar_sdk::__private::Call,
+                ) -> ::trocar_sdk::__private::Status { call.unknown(id) }
             }
         };
     }

@@ -93,7 +93,7 @@ fn a_class_that_starts_programs_is_created_only_in_a_process_that_allows_it() {
     for refused in
         [&["create", "host/pipe", "pipe_source"][..], &["create", "host/pipe", "pipe_source", "--dry-run"]]
     {
-        trocar.run(refused).ends_with(REFUSED).says("PROGRAMS_NOT_ALLOWED").says("--allow-exec");
+        trocar.run(refused).ends_with(REFUSED).says("starts programs").says("--allow-exec");
     }
     let file = |allow: &str| {
         let text = format!(
@@ -116,7 +116,7 @@ fn a_class_that_starts_programs_is_created_only_in_a_process_that_allows_it() {
             "0",
         ])
     };
-    run(file("")).ends_with(REFUSED).says("PROGRAMS_NOT_ALLOWED").says("allow_exec");
+    run(file("")).ends_with(REFUSED).says("starts programs").says("allow_exec");
     run(file(r#""allow_exec": true"#)).ends_with(OK);
 }
 

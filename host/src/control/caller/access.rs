@@ -113,13 +113,11 @@ pub(in crate::control) async fn only_allowed(
     mut request: Request,
     next: Next,
 ) -> Response {
-    if !is_grpc(request.headers()) {
-        return next.run(request).await;
-    }
     let peer = request.extensions().get::<Peer>();
     if let Some(limit) = access.limit(peer, request.headers(), is_native(&request)) {
         let asked = request.uri().path();
-        if !READING.contains(&asked) {
+        // Files of the page are for everybody; the page is told what it may do.
+        if is_grpc(request.headers()) && !READING.contains(&asked) {
             let what = asked.rsplit('/').next().unwrap_or_default().to_owned();
             let refusal = limit.refusal(what);
             access

@@ -25,7 +25,6 @@ use super::caller::Tokened;
 use super::dial::dial;
 use crate::gcm::{Registration, Slice};
 use crate::lcm::Lcm;
-use crate::runtime_dir::Door;
 
 /// Time for a GCM to answer at all. One that hangs answers when it goes on, so nothing is gained by waiting longer.
 const ATTEMPT: Duration = Duration::from_secs(1);
@@ -187,7 +186,7 @@ impl Tie {
     /// A GCM that answers. One that hangs must not find, when it goes on, the Hello of every attempt that was given up meanwhile.
     async fn dial(&self) -> Result<AttachServiceClient<Tokened>, Refused> {
         let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
-        let channel = dial(&uri, Door::Calls, ATTEMPT).await.map_err(|e| Refused::Unheard(because(&e)))?;
+        let channel = dial(&uri, None, ATTEMPT).await.map_err(|e| Refused::Unheard(because(&e)))?;
         let mut client = AttachServiceClient::new(channel)
             .max_decoding_message_size(MAX_MESSAGE)
             .max_encoding_message_size(MAX_MESSAGE);
