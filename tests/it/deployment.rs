@@ -145,14 +145,14 @@ fn a_stop_at_the_port_of_a_managed_host_stops_there_with_and_without_its_manager
     };
     let there = left.grpcurl();
     let answer = there.ok("GcmService/Stop", json!({ "path": "left/a" }));
-    assert_eq!(stopped(&answer), [r#""left/a" "STATE_STOPPED""#], "{answer}");
+    assert_eq!(stopped(&answer), [r#""left/a" "COMPONENT_STATE_STOPPED""#], "{answer}");
     eventually("the manager hears of it", || match cluster.grpc.state("left/a").as_str() {
         "STOPPED" => Ok(()),
         other => Err(other.to_owned()),
     });
     cluster.gcm.kill();
     let answer = there.ok("GcmService/Stop", json!({ "path": "left/**" }));
-    assert_eq!(stopped(&answer), [r#""left/b" "STATE_STOPPED""#], "{answer}");
+    assert_eq!(stopped(&answer), [r#""left/b" "COMPONENT_STATE_STOPPED""#], "{answer}");
     let unknown = there.refused("GcmService/Stop", json!({ "path": "left/c" }));
     assert_eq!(unknown.reason, "COMPONENT_NOT_FOUND", "{unknown}");
 }
