@@ -9,6 +9,8 @@ use std::net::SocketAddr;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::OFlags;
+use rustix::process::geteuid;
 use rustix::rand::{GetRandomFlags, getrandom};
 
 /// Beginning of the names that lead to sockets.
@@ -17,7 +19,7 @@ const WAY: &str = "at-";
 /// Bytes of chance in a token.
 const CHANCE: usize = 32;
 
-/// What a socket beside a port is for.
+/// The purpose of a socket beside a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Door {
     /// The services of the port.
@@ -55,12 +57,12 @@ impl RuntimeDir {
         RuntimeDir(path.into())
     }
 
-    /// That of this program's user.
+    /// The directory of this program's user.
     pub(crate) fn of_user() -> RuntimeDir {
         RuntimeDir::at(state_home().join("run"))
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -68,11 +70,32 @@ impl RuntimeDir {
     /// Makes it, and takes away what killed processes left.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// A directory that cannot be made, or is not this user's alone.
     pub(crate) fn prepare(&self) -> io::Result<()> {
         DirBuilder::new().recursive(true).mode(0o700).create(&self.0)?;
+        self.is_own()?;
         self.sweep();
         Ok(())
+    }
+
+    /// Whether this user alone can have put there what lies in it. Without a home directory it lies in the temporary
+    /// one, where anybody may have been first.
+    ///
+    /// # Errors
+    /// There is none, or it is somebody else's, or open to others.
+    pub(crate) fn is_own(&self) -> io::Result<()> {
+        let told = fs::symlink_metadata(&self.0)?;
+        let own = geteuid().as_raw();
+        if told.is_dir() && told.uid() == own && told.mode() & 0o077 == 0 {
+            return Ok(());
+        }
+        let why = format!(
+            "{} is not a directory of user {own} alone (owner {}, mode {:03o}): remove it, or set XDG_STATE_HOME",
+            self.0.display(),
+            told.uid(),
+            told.mode() & 0o777
+        );
+        Err(io::Error::new(io::ErrorKind::PermissionDenied, why))
     }
 
     /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names the
@@ -113,7 +136,7 @@ impl RuntimeDir {
     /// The token of this user; made when there is none.
     ///
     /// # Errors
-    /// It can be neither read nor written, or others could have read it.
+    /// A token that can be neither read nor written, or that others could have read.
     pub fn token(&self) -> io::Result<String> {
         match self.known_token() {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {}
@@ -142,9 +165,11 @@ impl RuntimeDir {
     /// There is none, it cannot be read, or others could have read it.
     pub(crate) fn known_token(&self) -> io::Result<String> {
         let path = self.token_path();
-        let mut file = fs::File::open(&path)?;
+        self.is_own()?;
+        let no_link = OFlags::NOFOLLOW.bits().cast_signed();
+        let mut file = OpenOptions::new().read(true).custom_flags(no_link).open(&path)?;
         let told = file.metadata()?;
-        if told.mode() & 0o077 != 0 {
+        if told.mode() & 0o077 != 0 || told.uid() != geteuid().as_raw() {
             return Err(io::Error::new(
                 io::ErrorKind::PermissionDenied,
                 format!("others may read {}; remove it, and `trocar token` makes another", path.display()),
@@ -234,6 +259,23 @@ mod tests {
         fs::set_permissions(dir.token_path(), fs::Permissions::from_mode(0o600)).unwrap();
         fs::write(dir.token_path(), "").unwrap();
         assert!(dir.token().unwrap_err().to_string().contains("holds no token"));
+    }
+
+    #[test]
+    fn a_directory_that_others_can_enter_gives_no_token_and_opens_no_door() {
+        let temp = tempfile::tempdir().unwrap();
+        let dir = RuntimeDir::at(temp.path().join("run"));
+        dir.token().unwrap();
+        fs::set_permissions(dir.path(), fs::Permissions::from_mode(0o777)).unwrap();
+        for refused in [dir.known_token().unwrap_err(), dir.prepare().unwrap_err(), dir.token().unwrap_err()]
+        {
+            assert!(refused.to_string().contains("alone"), "{refused}");
+        }
+        fs::set_permissions(dir.path(), fs::Permissions::from_mode(0o700)).unwrap();
+        assert!(dir.known_token().is_ok());
+        if std::os::unix::fs::chown(dir.path(), Some(65534), None).is_ok() {
+            assert!(dir.known_token().is_err(), "it was made by another user");
+        }
     }
 
     #[test]

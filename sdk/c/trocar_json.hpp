@@ -124,7 +124,7 @@ class Json {
     enum class Kind { Null, Bool, Number, Text, List, Object };
     Kind kind = Kind::Null;
     double num = 0.0;
-    // Of a number: as it was typed; digits and a sign alone; then how much they say, where it fits.
+    // A number as it was typed; digits and a sign alone; then how much they say, if it fits.
     std::string typed;
     bool digits = false, negative = false, fits = false;
     uint64_t magnitude = 0;

@@ -191,7 +191,7 @@ trocar_status guarded(trocar_err *err, F &&entry, trocar_status refusal = TROCAR
 // The members of class C, each at its position in the manifest.
 template <class C> class Members {
   public:
-    // Of a class in the manifest; types are those of the whole.
+    // Made of a class in the manifest; types are those of the whole.
     Members(const Json &manifest, const Json &types) : manifest_(manifest), types_(types), sizes_(types) {
         inputs.resize(manifest["inputs"].items().size());
         outputs.resize(manifest["outputs"].items().size());

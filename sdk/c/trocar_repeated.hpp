@@ -111,7 +111,7 @@ template <class C> class Repeated {
     // Which interfaces, and the member's own name; one of the three functions is there.
     struct Member {
         std::string before, after, name;
-        // Of the argument or payload, and of the result.
+        // Bytes of the argument or payload, and of the result.
         size_t arg, ret;
         Command command;
         Read read;

@@ -1,4 +1,4 @@
-// How many bytes the types of a manifest take, to compare them with the code before any of it runs.
+// Sizes of the types of a manifest, to compare them with the code before any of it runs.
 //
 // Invariant: the host moves as many bytes as the manifest says, so a member of another size would read or
 // write what lies behind it.
@@ -51,7 +51,7 @@ class Sizes {
                       TROCAR_STATUS_INVALID);
     }
 
-    // Of a port: a plain one moves samples, one of frames the header.
+    // The same for a port: a plain one moves samples, one of frames the header.
     void same_port(std::string_view port, const Json &type, const char *kind, size_t code) const {
         if (type[kind].is_null()) {
             throw Refused(std::string(port) + ": the manifest has no {\"" + kind + "\":…} there, as this kind of port moves; a port " +

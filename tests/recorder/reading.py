@@ -373,7 +373,7 @@ def test_hostile_recordings_of_megabytes_take_no_gigabytes():
             path.write_bytes(make.whole(records))
             for words in (["info"], ["export", "--csv"], ["export", "--npz"]):
                 output = [] if words == ["info"] else ["-o", f"{place}/out"]
-                # Of address space, 1.5 GiB.
+                # 1.5 GiB of address space.
                 limited = ["sh", "-c", 'ulimit -v 1572864; exec "$@"', "sh", BIN / "trocar", *words, path, *output]
                 done = subprocess.run(limited, capture_output=True, text=True, timeout=PATIENCE_S)
                 assert done.returncode in (OK, REFUSED, PARTIAL), (name, words, done.returncode, done.stderr[-500:])

@@ -301,7 +301,7 @@ pub enum Refusal {
         process: Name,
         class: String,
     },
-    /// It would change something, and the caller is neither of the host's user nor has that user's token.
+    /// A change asked by a caller who is neither the host's user nor has that user's token.
     Forbidden {
         what: String,
         /// As the kernel and the caller tell.

@@ -21,7 +21,7 @@ use crate::Type;
 const MAX_BYTES: usize = 64 << 20;
 /// Whole numbers from here on lose digits in JSON that is read into doubles, as that of gRPC is.
 pub(crate) const EXACT: u64 = 1 << 53;
-/// What is wrong with a whole number that came as such a double.
+/// The fault of a whole number that came as such a double.
 pub(crate) const ROUNDED: &str =
     "may have been rounded on its way: from 2^53 on write a whole number as a text, \"9007199254740993\"";
 

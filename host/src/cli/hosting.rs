@@ -61,7 +61,7 @@ pub(super) struct HostArgs {
     tie: Tie,
 }
 
-/// Who may do what at a program's address.
+/// Rights of callers at a program's address.
 #[derive(Args, Clone, Copy, Debug)]
 pub(super) struct PortArgs {
     /// The viewer's page changes nothing: what it asks for is refused. `trocar` and grpcurl go on as ever.

@@ -13,7 +13,7 @@ use crate::runtime_dir::{Door, RuntimeDir};
 /// Connects to `http://HOST:PORT`, by the socket beside it if `door` names one and it is there; `within` bounds each attempt.
 ///
 /// # Errors
-/// It is no address, nobody listens there, or no answer came in time.
+/// No address, nobody who listens there, or no answer in time.
 pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tokened, Error> {
     if let Some(door) = door
         && let Some(channel) = beside(uri, door, within).await
@@ -27,10 +27,11 @@ pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tok
 async fn beside(uri: &str, door: Door, within: Duration) -> Option<Channel> {
     let addrs = tokio::net::lookup_host(uri.strip_prefix("http://")?).await.ok()?;
     let dir = RuntimeDir::of_user();
+    dir.is_own().ok()?;
     for addr in addrs.filter(|addr| addr.ip().is_loopback()) {
         let path = dir.way(addr, door);
         let Ok(endpoint) = Endpoint::from_shared(format!("unix:{}", path.display())) else { continue };
-        // One that a killed host left refuses at once.
+        // A socket that a killed host left refuses at once.
         if let Ok(channel) = endpoint.connect_timeout(within).connect().await {
             return Some(channel);
         }

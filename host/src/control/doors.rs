@@ -2,7 +2,8 @@
 //! its own.
 //!
 //! Invariant: only their user's programs and root's can reach them. Nothing that is asked at the port or at
-//! the first one takes anything that a Stop at the second needs: not a file, not a connection, not a thread.
+//! the first one takes anything that a Stop of this process's components at the second needs: not a file, not
+//! a connection, not a thread. A Stop for other processes goes to them as every order does.
 
 use std::io;
 use std::net::SocketAddr;
@@ -16,7 +17,7 @@ use tonic::service::Routes;
 
 use super::caller::own_user;
 use super::incoming::Incoming;
-use super::serve::transport;
+use super::serve::{GRACE, transport};
 use crate::runtime_dir::{Door, RuntimeDir};
 
 /// The sockets of one port; removed when they are dropped.
@@ -35,9 +36,7 @@ impl Doors {
         let mut doors = Doors { dir: dir.clone(), addr, open: Some(open), calls: None };
         if let Err(e) = doors.listen(routes, &closing) {
             let dir = dir.path().display();
-            log::warn!(
-                "programs of this user reach {addr} by TCP alone, since there is no socket in {dir}: {e}"
-            );
+            log::warn!("programs of this user reach {addr} by TCP, since a socket is missing in {dir}: {e}");
         }
         doors
     }
@@ -47,7 +46,7 @@ impl Doors {
         let stop = self.bind(Door::Stop)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let serving = serve(stop, routes.clone(), closing.clone());
-        // It ends with its sockets; a call that hangs does not keep the process.
+        // The thread ends with its socket; a call that hangs does not keep the process.
         thread::Builder::new().name("trocar-stop".into()).spawn(move || runtime.block_on(serving))?;
         let calls = self.bind(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
@@ -84,6 +83,7 @@ impl Drop for Doors {
 }
 
 async fn serve(listener: UnixListener, routes: Routes, mut closing: watch::Receiver<()>) {
+    let mut over = closing.clone();
     let served = async {
         let incoming = Incoming::unix(tokio::net::UnixListener::from_std(listener)?, own_user());
         let closed = async move {
@@ -93,7 +93,17 @@ async fn serve(listener: UnixListener, routes: Routes, mut closing: watch::Recei
         let router = transport().add_routes(routes);
         router.serve_with_incoming_shutdown(incoming, closed).await.map_err(io::Error::other)
     };
-    if let Err(e) = served.await {
-        log::error!("a socket of the gRPC port ended: {e}");
+    // Streams that nobody ends are cut, as the port cuts its own.
+    let cut = async move {
+        let _ = over.changed().await;
+        tokio::time::sleep(GRACE).await;
+    };
+    tokio::select! {
+        done = served => {
+            if let Err(e) = done {
+                log::error!("a socket of the gRPC port ended: {e}");
+            }
+        }
+        () = cut => {}
     }
 }

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::{oneshot, watch};
+use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinHandle;
 use tonic::service::Routes;
 use trocar_model::{Name, Refusal};
@@ -23,7 +23,7 @@ use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use super::attach::{AttachEdge, MAX_MESSAGE};
-use super::caller::{Access, own_user};
+use super::caller::{Access, READERS, own_user};
 use super::doors::Doors;
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
@@ -36,7 +36,7 @@ use crate::runtime_dir::RuntimeDir;
 /// Streams one connection may have open at once.
 const MAX_STREAMS: u32 = 256;
 /// Time open calls get at shutdown.
-const GRACE: Duration = Duration::from_secs(1);
+pub(super) const GRACE: Duration = Duration::from_secs(1);
 
 /// What a port serves.
 pub struct ServeConfig {
@@ -48,7 +48,7 @@ pub struct ServeConfig {
     /// Address of the GCM that manages this process, when it is another's.
     pub managed_by: Option<String>,
     pub rules: PortRules,
-    /// Where sockets beside the port and the user's token lie; `None`: neither is there.
+    /// The directory of sockets beside the port and of the user's token; `None`: neither is there.
     pub runtime: Option<RuntimeDir>,
 }
 
@@ -106,6 +106,7 @@ impl Server {
             user: own_user(),
             tokens: config.runtime.clone(),
             refused: Mutex::default(),
+            readers: Arc::new(Semaphore::new(READERS)),
         };
         let routes =
             routes(edge, config.gcm, access, closing).await.map_err(|because| ServeError::Unusable {
@@ -251,7 +252,7 @@ fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>
     (lines, keeper)
 }
 
-/// How connections are spoken to.
+/// The protocol's settings for each connection.
 pub(super) fn transport() -> tonic::transport::Server {
     tonic::transport::Server::builder()
         // Browsers speak it; `web` keeps foreign ones out.

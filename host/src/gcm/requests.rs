@@ -14,7 +14,7 @@ use trocar_model::{Refusal, Request};
 use super::execute::Executed;
 
 const KEPT: usize = 4096;
-/// What all answers together may take, about.
+/// Bytes that all answers together may take, about.
 const BYTES: usize = 64 << 20;
 const AGE: Duration = Duration::from_secs(600);
 
@@ -34,7 +34,7 @@ struct Entry {
     at: Instant,
     id: String,
     requests: Hash,
-    /// Of id and answer, as far as it is there.
+    /// Bytes of id and answer, as far as it is there.
     bytes: usize,
     answer: watch::Receiver<Option<Answer>>,
 }
@@ -87,7 +87,7 @@ impl Answers {
 
 type Hash = [u8; 32];
 
-/// Of what the requests say; two that say the same in another order of keys are the same, since maps are
+/// The hash of what the requests say; two that say the same in another order of keys are the same, since maps are
 /// sorted.
 fn hash(requests: &[Request]) -> Hash {
     struct Hashing(Sha256);

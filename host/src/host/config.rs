@@ -24,7 +24,7 @@ pub struct HostConfig {
     pub state: StateChoice,
     /// Forget what an earlier process left in the state directory.
     pub fresh: bool,
-    /// Who may do what at that address.
+    /// Rights of callers at that address.
     pub rules: PortRules,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,

@@ -200,6 +200,22 @@ impl LocalLcm {
         all
     }
 
+    /// Whether a component of the class may be made here, by this process's own list: a GCM may not have heard it
+    /// yet, or mean ill.
+    fn lets_in(&self, classes: &dyn Classes, class: &ClassInfo) -> Result<(), Refusal> {
+        let offered = self.offered(classes);
+        let same = |c: &&Arc<ClassInfo>| c.hash == class.hash && c.full_name() == class.full_name();
+        if let Some(own) = offered.iter().find(same) {
+            return own.is_let_into(&self.hub.process);
+        }
+        // Its file has gone, and its code is here still.
+        let programs = match class.programs {
+            Programs::Allowed if !self.allow_exec => Programs::Refused,
+            programs => programs,
+        };
+        ClassInfo { programs, ..class.clone() }.is_let_into(&self.hub.process)
+    }
+
     /// Tells everyone that the plugin directories offer something else now.
     pub fn catalog_changed(&self) {
         if let Some(classes) = &self.classes {

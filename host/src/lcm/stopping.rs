@@ -10,7 +10,7 @@ use trocar_model::{Change, ComponentId, Refusal, State, StopReason, Verb};
 
 use super::api::{Lcm, Report};
 
-/// What came of one component.
+/// The outcome of one component.
 pub type Stopped = (ComponentId, Result<Report, Refusal>);
 
 /// Stops every ACTIVE component that `which` names, all at once; answers what came of each, in the order of

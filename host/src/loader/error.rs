@@ -254,7 +254,7 @@ impl fmt::Display for Stage {
     }
 }
 
-/// What the code said before it ended, where it did.
+/// Words of the code before it ended, where it did.
 struct Words<'a>(&'a str);
 
 impl fmt::Display for Words<'_> {

@@ -81,7 +81,7 @@ pub(crate) enum LoadFault {
     },
     Init {
         status: i32,
-        /// What it logged as an error then; empty when it said nothing.
+        /// The error it logged then; empty when it said nothing.
         #[serde(default)]
         said: String,
     },

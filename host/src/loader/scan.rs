@@ -106,7 +106,7 @@ impl Scanner {
         if seen.signature != signature {
             *seen = Seen { signature, since: Instant::now(), current: false, outcome: seen.outcome.take() };
         }
-        // What it was refused for may be there now, without a change of the file.
+        // The thing it was refused for may be there now, without a change of the file.
         let is_mended = matches!(&seen.outcome, Some(Err(Fault::MissingLibrary { name })) if libraries::is_available(name));
         if let (true, false, Some(outcome)) = (seen.current, is_mended, &seen.outcome) {
             return Look::Outcome(outcome.clone());

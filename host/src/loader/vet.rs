@@ -28,7 +28,7 @@ pub(crate) const PREFIX: &str = "trocar-vet ";
 /// More than this the child never says, bytes.
 const REPORT_LIMIT: u64 = 64 << 10;
 
-/// Of what it says on standard error the end is told, bytes.
+/// Bytes of its standard error that are told, from the end.
 const WORDS_LIMIT: u64 = 400;
 
 /// Tries a file somebody names as a host does before it loads it: constructors, tables, entry and init, in a child process

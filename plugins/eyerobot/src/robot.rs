@@ -126,7 +126,7 @@ pub struct EyeRobot {
     /// grows while somebody commands, commands come too slowly, and the arm brakes between them.
     #[state]
     servo_timeouts: u64,
-    /// Of the arm, at Start.
+    /// Count of the arm at Start.
     timeouts_before: u64,
     /// What the output `tip` says.
     #[state]

@@ -52,7 +52,7 @@ impl Host {
         }
     }
 
-    /// What the host gave this instance so far is to stay until the process ends.
+    /// Has the host keep what it gave this instance so far until the process ends.
     pub(crate) fn keep(&self) {
         keep(self.table());
     }

@@ -24,7 +24,7 @@ impl Lease {
     }
 }
 
-/// What a port is tied with.
+/// The means to tie a port.
 pub struct Tie {
     pub(crate) host: Host,
     pub(crate) lease: Lease,

@@ -24,13 +24,13 @@ use trocar_plugin_api::abi::{
 struct Instance<C> {
     /// Reached by one entry at a time, through [`component`].
     component: C,
-    /// What the host was told and what it gave; reached likewise, through [`own`].
+    /// Words that the host was told and slots that it gave; reached likewise, through [`own`].
     own: Own,
     /// Never changes after `create`.
     beside: Beside,
 }
 
-/// What ids and slots mean, where the author's code does not reach it.
+/// The meaning of ids and slots, kept where the author's code does not reach it.
 struct Own {
     /// By the last description, and since the last `bind`.
     described: Layout,

@@ -1,4 +1,4 @@
-//! What safe code may do with what belongs to a component: keep it beyond its end, or exchange its lists. The
+//! Things safe code may do with what belongs to a component: keep it beyond its end, or exchange its lists. The
 //! host is asked to keep what is still held, and only then; a command never becomes another list's.
 #![allow(clippy::unwrap_used)]
 
@@ -41,7 +41,7 @@ struct Cfg {
     q: Vec<String>,
 }
 
-/// What is held beyond a component, by the thread that tests.
+/// Handles that the testing thread holds beyond a component.
 static HELD: Mutex<Vec<Left>> = Mutex::new(Vec::new());
 /// Tests take turns, for there is one list.
 static TURN: Mutex<()> = Mutex::new(());

@@ -20,7 +20,7 @@ struct OtherUser {
     dir: PathBuf,
 }
 
-/// How a program of that user ended.
+/// The end of a program of that user.
 struct Ended {
     ok: bool,
     said: String,
@@ -84,7 +84,7 @@ fn served(more: &[&str]) -> (World, HostProcess) {
     (world, host)
 }
 
-/// One request for each way to change something.
+/// A request for each way to change something.
 fn changes() -> Vec<(&'static str, Value)> {
     vec![
         ("GcmService/Create", json!({ "path": "host/theirs", "class": "Server" })),

@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 
 use super::{Planner, execution};
 use crate::{
-    Change, Component, ComponentId, Execution, Health, Name, Programs, Refusal, State, complete, defaults,
-    merge, unknown_nulls, validate,
+    Change, Component, ComponentId, Execution, Health, Name, Refusal, State, complete, defaults, merge,
+    unknown_nulls, validate,
 };
 
 impl Planner {
@@ -26,10 +26,7 @@ impl Planner {
         if self.graph.components.contains_key(id) {
             return Err(Refusal::ComponentExists { id: id.clone() });
         }
-        if class.programs == Programs::Refused {
-            let (process, class) = (id.process.clone(), class.full_name());
-            return Err(Refusal::ProgramsNotAllowed { process, class });
-        }
+        class.is_let_into(&id.process)?;
         let execution = execution::overlay(&class.execution, asked);
         execution::check_cycle(&self.graph, id, &execution)?;
         let schema = &class.config_schema;

@@ -39,7 +39,8 @@ pub fn restore(
     for id in owners_first(&mine) {
         let old = mine[&id];
         let stands_already = here.components.get(&id);
-        let class = match graph.class(process, &old.class.full_name()) {
+        let offered = graph.class(process, &old.class.full_name());
+        let class = match offered.and_then(|class| class.is_let_into(process).map(|()| class)) {
             Ok(class) => class,
             Err(_) if stands_already.is_some() => old.class.clone(),
             Err(refusal) => {

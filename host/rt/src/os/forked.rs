@@ -66,7 +66,7 @@ mod tests {
 
     use super::*;
 
-    /// Which of `files` a forked child has, one letter each.
+    /// Tells which of `files` a forked child has, one letter each.
     fn kept_by_a_child(files: &[i32]) -> String {
         let mut ends = [0; 2];
         // SAFETY: `ends` is a valid place for two numbers.

@@ -1,4 +1,4 @@
-//! What belongs to the whole process and any code in it may change: its locale, what new files are closed to, what signals
+//! State of the whole process that any code in it may change: its locale, what new files are closed to, what signals
 //! do, its standard streams.
 //!
 //! Invariant: looked at by system calls, so never from a step; only what differs is put back, and nothing of this program's
@@ -33,13 +33,13 @@ const SIGNALS: [(c_int, &str); 20] = [
 
 const STREAMS: [&str; 3] = ["standard input", "standard output", "standard error"];
 
-/// How the process stood at one moment.
+/// The state of the process at one moment.
 #[derive(Clone)]
 pub struct Household {
     locale: CString,
     umask: Option<u32>,
     handlers: [libc::sigaction; SIGNALS.len()],
-    /// Which are open.
+    /// True for those that are open.
     streams: [bool; STREAMS.len()],
 }
 

@@ -132,7 +132,7 @@ impl Sink for Arrays {
         for (topic, columns) in &mut self.topics {
             let rows = columns.rows;
             let heads = ["log_time_ns", "publish_time_ns", "sequence"].into_iter().zip(&columns.times);
-            // Where the type has a field of that name, it is that field.
+            // The field of that name, if the type has one.
             for (name, times) in heads.filter(|(name, _)| !columns.fields.contains_key(*name)) {
                 npz.array(&format!("{topic}/{name}"), Item::U64, &[rows], times).map_err(failed)?;
             }

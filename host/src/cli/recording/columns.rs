@@ -110,7 +110,7 @@ fn flatten(message: &DynamicMessage, path: &str, all: &mut Values) {
         let inner = field.kind();
         let columns = match inner.as_message().filter(|_| !field.is_list()) {
             Some(of) => all.has_columns(of),
-            // Of "one of these" and of what may be missing only what is there.
+            // A member of "one of these", or one that may be missing, counts only if it is there.
             None => !field.supports_presence(),
         };
         if !there && !columns {

@@ -1,4 +1,4 @@
-//! What a caller may ask: everything, or what reads. A list over every method there is.
+//! The rights of a caller: to ask everything, or what reads. A list over every method there is.
 //!
 //! Invariant: what is not listed changes something, so a method that is new is refused to whoever only reads
 //! until somebody decides.
@@ -11,13 +11,16 @@ use axum::http::HeaderMap;
 use axum::http::header::AUTHORIZATION;
 use axum::middleware::Next;
 use axum::response::Response;
+use http_body_util::BodyExt;
+use tokio::sync::Semaphore;
+use tonic::Status;
 use trocar_links::Seldom;
 use trocar_model::Refusal;
 use trocar_rt::os::now_ns;
 
 use super::Peer;
 use crate::control::status::status;
-use crate::control::web::{PortRules, Viewer, is_grpc, is_native};
+use crate::control::web::{PortRules, Viewer, is_native};
 use crate::runtime_dir::RuntimeDir;
 
 /// Methods that change nothing. `Invoke` and `WaitFor` look at the command that is called: see [`OnlyReads`].
@@ -40,29 +43,34 @@ const READING: [&str; 16] = [
     "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
 ];
 
-/// Who is let in how far on a port.
+/// The rule by which callers of a port are let in.
 #[derive(Debug)]
 pub(in crate::control) struct Access {
     pub(in crate::control) rules: PortRules,
     /// The user whose programs may do everything.
     pub(in crate::control) user: u32,
-    /// Where the token of that user lies; `None`: no token opens this port.
+    /// The directory of that user's token; `None`: no token opens this port.
     pub(in crate::control) tokens: Option<RuntimeDir>,
     /// A caller cannot fill the log.
     pub(in crate::control) refused: Mutex<Seldom>,
+    /// Requests of callers who only read that are open at once, whoever they are: the host has others to hear.
+    pub(in crate::control) readers: Arc<Semaphore>,
 }
+
+/// Requests of other users' programs that may be open at once, streams among them.
+pub(in crate::control) const READERS: usize = 64;
 
 /// The caller may ask only what reads; of a method that can do both it may ask only that. Says why.
 #[derive(Clone, Debug)]
 pub(in crate::control) enum OnlyReads {
-    /// It is a page, and pages only read here.
+    /// A page, and pages only read here.
     Page,
-    /// It is nobody's who may do more.
+    /// A program of nobody who may do more.
     Caller { who: String, user: u32 },
 }
 
 impl OnlyReads {
-    /// What such a caller is told about `what`, which changes something.
+    /// The refusal of `what`, which changes something, to such a caller.
     pub(in crate::control) fn refusal(&self, what: String) -> Refusal {
         match self {
             OnlyReads::Page => Refusal::ReadOnly { what },
@@ -107,43 +115,76 @@ fn is_same(known: &[u8], sent: &[u8]) -> bool {
     known.len() == sent.len() && known.iter().zip(sent).fold(0, |all, (a, b)| all | (a ^ b)) == 0
 }
 
-/// Refuses what the caller may not ask, and marks the rest for those methods that can do both.
-pub(in crate::control) async fn only_allowed(
+/// Stands before everything, pages and services: marks what comes from a caller who only reads.
+pub(in crate::control) async fn known(
     State(access): State<Arc<Access>>,
     mut request: Request,
     next: Next,
 ) -> Response {
     let peer = request.extensions().get::<Peer>();
     if let Some(limit) = access.limit(peer, request.headers(), is_native(&request)) {
-        let asked = request.uri().path();
-        // Files of the page are for everybody; the page is told what it may do.
-        if is_grpc(request.headers()) && !READING.contains(&asked) {
-            let what = asked.rsplit('/').next().unwrap_or_default().to_owned();
-            let refusal = limit.refusal(what);
+        request.extensions_mut().insert(limit);
+    }
+    next.run(request).await
+}
+
+/// Stands before the services: refuses such a caller every method that is not listed, whatever the request says of
+/// itself. The services ask neither for a verb nor for a kind of content.
+pub(in crate::control) async fn only_reads(
+    State(access): State<Arc<Access>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let asked = request.uri().path();
+    match request.extensions().get::<OnlyReads>() {
+        Some(limit) if !READING.contains(&asked) => {
+            let refusal = limit.refusal(asked.rsplit('/').next().unwrap_or_default().to_owned());
             access
                 .refused
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .warn(now_ns(), &refusal.to_string());
-            return status(&refusal).into_http::<Body>();
+            status(&refusal).into_http::<Body>()
         }
-        request.extensions_mut().insert(limit);
+        Some(OnlyReads::Caller { .. }) => match access.readers.clone().try_acquire_owned() {
+            // Held by the answer until its last part has gone.
+            Ok(permit) => next.run(request).await.map(|body| {
+                Body::new(body.map_frame(move |frame| {
+                    let _held = &permit;
+                    frame
+                }))
+            }),
+            Err(_) => {
+                let said = format!(
+                    "other users' programs have {READERS} requests open here, which is all they get: end some, or ask again"
+                );
+                Status::resource_exhausted(said).into_http::<Body>()
+            }
+        },
+        _ => next.run(request).await,
     }
-    next.run(request).await
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
     use std::collections::BTreeSet;
+    use std::convert::Infallible;
+    use std::sync::mpsc;
+    use std::task::{Context, Poll};
 
+    use axum::http::{Method, Version};
     use prost_reflect::DescriptorPool;
+    use tonic::codegen::Service;
+    use tonic::server::NamedService;
+    use tonic::service::Routes;
     use trocar_proto::FILE_DESCRIPTOR_SET;
 
     use super::super::{From, Peer};
     use super::*;
+    use crate::control::web::with_page;
 
-    /// Those that change something; a method in neither list is one nobody has decided about.
+    /// Methods that change something; one in neither list is one nobody has decided about.
     const CHANGING: [&str; 21] = [
         "/trocar.v1.AttachService/Attach",
         "/trocar.v1.AttachService/Supervise",
@@ -180,12 +221,79 @@ mod tests {
         assert_eq!(judged, all, "say of a new method whether it reads (READING) or changes something");
     }
 
+    /// Asks as a caller nobody knows, in each way the services would answer; the methods that ran.
+    async fn ran(path: &str) -> Vec<String> {
+        let mut ran = Vec::new();
+        for verb in [Method::POST, Method::GET, Method::PUT] {
+            for (version, kind) in [
+                (Version::HTTP_2, Some("application/grpc")),
+                (Version::HTTP_2, Some("text/plain")),
+                (Version::HTTP_2, None),
+                (Version::HTTP_2, Some("application/grpc-web+proto")),
+                (Version::HTTP_11, Some("application/grpc-web-text")),
+                (Version::HTTP_11, Some("application/grpc")),
+            ] {
+                let mut services = Routes::builder();
+                let (tell, told) = mpsc::channel();
+                services.add_service(Says(tell));
+                let mut port = with_page(services.routes(), access(None));
+                let mut request = axum::http::Request::builder().method(&verb).version(version).uri(path);
+                request = request.header("host", "localhost:1");
+                request =
+                    kind.into_iter().fold(request, |request, kind| request.header("content-type", kind));
+                port.call(request.body(tonic::body::Body::empty()).unwrap()).await.unwrap();
+                ran.extend(told.try_iter().map(|path: String| format!("{verb} {version:?} {kind:?} {path}")));
+            }
+        }
+        ran
+    }
+
+    /// A service that runs whatever it is asked.
+    #[derive(Clone)]
+    struct Says(mpsc::Sender<String>);
+
+    impl NamedService for Says {
+        const NAME: &'static str = "trocar.v1.GcmService";
+    }
+
+    impl Service<axum::http::Request<tonic::body::Body>> for Says {
+        type Response = axum::http::Response<tonic::body::Body>;
+        type Error = Infallible;
+        type Future = std::future::Ready<Result<Self::Response, Infallible>>;
+
+        fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+            Poll::Ready(Ok(()))
+        }
+
+        fn call(&mut self, request: axum::http::Request<tonic::body::Body>) -> Self::Future {
+            self.0.send(request.uri().path().to_owned()).unwrap();
+            std::future::ready(Ok(axum::http::Response::default()))
+        }
+    }
+
+    #[tokio::test]
+    async fn no_kind_of_request_reaches_a_method_that_changes_something() {
+        for path in
+            ["/trocar.v1.GcmService/Create", "/trocar.v1.GcmService/Stop", "/trocar.v1.GcmService/New"]
+        {
+            assert_eq!(ran(path).await, Vec::<String>::new());
+        }
+        let reads = ran("/trocar.v1.GcmService/List").await;
+        assert!(reads.iter().any(|asked| asked.contains("application/grpc\"")), "{reads:?}");
+    }
+
     fn peer(uid: Option<u32>) -> Peer {
         Peer { from: From::Address(([127, 0, 0, 1], 4242).into()), uid }
     }
 
     fn access(tokens: Option<RuntimeDir>) -> Access {
-        Access { rules: PortRules::default(), user: 1000, tokens, refused: Mutex::default() }
+        Access {
+            rules: PortRules::default(),
+            user: 1000,
+            tokens,
+            refused: Mutex::default(),
+            readers: Arc::new(Semaphore::new(READERS)),
+        }
     }
 
     fn with(token: &str) -> HeaderMap {

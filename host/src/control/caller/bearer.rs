@@ -19,7 +19,7 @@ pub struct Bearer(Option<MetadataValue<Ascii>>);
 impl Bearer {
     fn from_env() -> Bearer {
         let token = std::env::var("TROCAR_TOKEN").ok().filter(|token| !token.is_empty());
-        // One that no header can hold is not a token; the server's refusal then says what is missing.
+        // A text that no header can hold is no token; the server's refusal then says what is missing.
         Bearer(token.and_then(|token| format!("Bearer {}", token.trim()).parse().ok()))
     }
 }

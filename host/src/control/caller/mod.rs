@@ -1,4 +1,4 @@
-//! Who is at the other end of a connection of the port, and what that one may ask.
+//! The other end of a connection of the port: who it is, and what that one may ask.
 //!
 //! Invariant: the kernel says who it is; what a caller says of itself counts only as far as it holds the
 //! token of this host's user. A caller nobody knows may read, and nothing else.
@@ -8,11 +8,13 @@ mod bearer;
 mod owner;
 
 use std::fmt;
+use std::io;
 use std::net::SocketAddr;
 
+use rustix::io::Errno;
 use tokio::net::{TcpStream, UnixStream};
 
-pub(super) use self::access::{Access, OnlyReads, only_allowed};
+pub(super) use self::access::{Access, OnlyReads, READERS, known, only_reads};
 pub use self::bearer::Tokened;
 pub(super) use self::bearer::with_token;
 
@@ -34,15 +36,30 @@ enum From {
 }
 
 impl Peer {
-    pub(super) fn of_tcp(stream: &TcpStream, addr: SocketAddr) -> Peer {
-        let uid = owner::of(stream).inspect_err(|e| log::debug!("whose {addr} is cannot be told: {e}")).ok();
-        Peer { from: From::Address(addr), uid }
+    /// # Errors
+    /// The process has no file to ask the kernel by.
+    pub(super) fn of_tcp(stream: &TcpStream, addr: SocketAddr) -> io::Result<Peer> {
+        let short = [Errno::MFILE, Errno::NFILE, Errno::NOBUFS, Errno::NOMEM];
+        let uid = match owner::of(stream) {
+            Ok(uid) => Some(uid),
+            Err(e) if Errno::from_io_error(&e).is_some_and(|errno| short.contains(&errno)) => return Err(e),
+            Err(e) => {
+                log::debug!("whose {addr} is cannot be told: {e}");
+                None
+            }
+        };
+        Ok(Peer { from: From::Address(addr), uid })
     }
 
     pub(super) fn of_unix(stream: &UnixStream) -> Peer {
         let known = stream.peer_cred().inspect_err(|e| log::debug!("who calls cannot be told: {e}")).ok();
         let pid = known.as_ref().and_then(tokio::net::unix::UCred::pid);
         Peer { from: From::Socket { pid }, uid: known.map(|known| known.uid()) }
+    }
+
+    /// The user of its program, as the kernel has it.
+    pub(super) fn user(&self) -> Option<u32> {
+        self.uid
     }
 
     /// This user's own program, or root's.

@@ -1,4 +1,4 @@
-//! Whose program is at the other end of a TCP connection of this machine: the kernel knows, and is asked.
+//! The user whose program is at the other end of a TCP connection of this machine: the kernel knows, and is asked.
 //!
 //! Invariant: a user is told only of a socket that is in use now and stayed in use while it was asked about.
 //! A socket that its program has closed belongs to nobody (the kernel then says user 0), and a connection
@@ -51,7 +51,7 @@ fn open() -> io::Result<OwnedFd> {
     Ok(socket_with(AddressFamily::NETLINK, SocketType::DGRAM, flags, kind)?)
 }
 
-/// What the kernel says of the socket from `source` to `destination`.
+/// The kernel's answer about the socket from `source` to `destination`.
 fn ask(diagnosis: &OwnedFd, source: SocketAddr, destination: SocketAddr) -> io::Result<InetResponseHeader> {
     send(diagnosis, &question(source, destination), SendFlags::empty())?;
     let mut waiting = [PollFd::new(diagnosis, PollFlags::IN)];

@@ -1,4 +1,4 @@
-//! One connection of the port: its bytes, and whether its caller has said anything yet.
+//! A connection of the port: its bytes, and whether its caller has said anything yet.
 //!
 //! Invariant: a caller that does not ask within [`PATIENCE`] is let go, as is one that gives its place to
 //! another; a caller that has asked once keeps its connection, whatever it does then.
@@ -35,7 +35,7 @@ pub(in crate::control) struct Connection {
     stream: Stream,
     peer: Peer,
     seat: Seat,
-    /// What is missing of its first question, and until when it is waited for; `None` once it has asked.
+    /// The first question as far as it has come, and until when it is waited for; `None` once it has asked.
     silence: Option<(Head, Pin<Box<Sleep>>)>,
 }
 
@@ -124,7 +124,7 @@ impl AsyncWrite for Connection {
     }
 }
 
-/// How far the head of a first question has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a fixed
+/// The head of a first question as far as it has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a fixed
 /// text that holds one.
 #[derive(Debug, Default)]
 struct Head {

@@ -33,7 +33,7 @@ const TURN: Duration = Duration::from_millis(1);
 /// Files that are opened early, so that this many callers of a socket can be let in where there is none left.
 const SPARE: usize = 4;
 
-/// What is listened at.
+/// The socket that is listened at.
 enum Listener {
     Tcp(TcpListener),
     /// Files that give way to callers.
@@ -100,32 +100,43 @@ impl Incoming {
                 None => ready!(listener.poll_accept(cx))?.0,
             },
         };
-        if seats::is_of_the_last(stream.as_raw_fd()) {
-            self.held = Some(stream);
-            let somebody_went = self.seats.give_up_one();
-            if !somebody_went {
-                self.nobody.warn(now_ns(), &why(&Errno::MFILE.into()));
+        let peer = match seats::is_of_the_last(stream.as_raw_fd()) {
+            true => Err(Errno::MFILE.into()),
+            false => stream.peer_addr().and_then(|addr| Peer::of_tcp(&stream, addr)),
+        };
+        let peer = match peer {
+            Ok(peer) => peer,
+            Err(e) => {
+                // A caller is judged when there is a file to ask the kernel by, and not as somebody else before.
+                self.held = is_short_of_files(&e).then_some(stream);
+                return Poll::Ready(Err(e));
             }
-            let pause = if somebody_went { TURN } else { PAUSE };
-            self.pause = Some(Box::pin(sleep(pause)));
-            return Poll::Ready(Err(Errno::AGAIN.into()));
-        }
+        };
         if let Err(e) = stream.set_nodelay(true) {
             log::debug!("small answers to a caller may come late: {e}");
         }
-        let peer = stream.peer_addr().map(|addr| Peer::of_tcp(&stream, addr))?;
         Poll::Ready(Ok((Stream::Tcp(stream), peer)))
+    }
+
+    /// Waits until a caller that has said nothing has given way, or for better times.
+    fn wait(&mut self, e: &io::Error) {
+        let somebody_went = is_short_of_files(e) && self.seats.give_up_one();
+        if !somebody_went {
+            self.nobody.warn(now_ns(), &why(e));
+        }
+        let pause = if somebody_went { TURN } else { PAUSE };
+        self.pause = Some(Box::pin(sleep(pause)));
     }
 
     /// A place for it, if it may have one.
     fn seat(&mut self, stream: Stream, peer: Peer) -> Option<Connection> {
-        let is_guest = !peer.is_of(self.user);
-        match self.seats.take(is_guest) {
+        let guest = (!peer.is_of(self.user)).then(|| peer.user());
+        match self.seats.take(guest) {
             Some(seat) => Some(Connection::new(stream, peer, seat)),
             None => {
-                let most = seats::GUESTS;
+                let most = seats::OF_ONE;
                 let why = format!(
-                    "{peer} was sent away: other users have {most} connections already, which is all they get"
+                    "{peer} was sent away: another user gets {most} connections, all of them together four times as many"
                 );
                 self.guests.warn(now_ns(), &why);
                 None
@@ -164,27 +175,24 @@ impl tokio_stream::Stream for Incoming {
                     {
                         continue;
                     }
-                    self.nobody.warn(now_ns(), &why(&e));
-                    self.pause = Some(Box::pin(sleep(PAUSE)));
+                    self.wait(&e);
                 }
             }
         }
     }
 }
 
-/// It has gone from the queue with its caller: the next one is another's. Or its turn comes later.
+/// An error that went from the queue with its caller: the next one is another's.
 fn is_of_one_caller(e: &io::Error) -> bool {
-    let of_one = [
-        Errno::AGAIN,
-        Errno::CONNABORTED,
-        Errno::CONNRESET,
-        Errno::INTR,
-        Errno::NOTCONN,
-        Errno::PERM,
-        Errno::PROTO,
-    ];
+    let of_one =
+        [Errno::CONNABORTED, Errno::CONNRESET, Errno::INTR, Errno::NOTCONN, Errno::PERM, Errno::PROTO];
     Errno::from_io_error(e).is_some_and(|errno| of_one.contains(&errno))
 }
+
+fn is_short_of_files(e: &io::Error) -> bool {
+    Errno::from_io_error(e).is_some_and(|errno| [Errno::MFILE, Errno::NFILE].contains(&errno))
+}
+
 fn why(e: &io::Error) -> String {
     let help = match Errno::from_io_error(e) {
         Some(Errno::MFILE) => {

@@ -5,47 +5,67 @@
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 
 use rustix::process::{Resource, getrlimit};
 use tokio::sync::oneshot;
 
 /// Files that are kept for the host itself, for its own user's programs beside the port, and for Stop.
 const KEPT: u64 = 64;
-/// Connections of other users' programs.
-pub(super) const GUESTS: usize = 64;
+/// Connections of all other users' programs.
+const GUESTS: usize = 64;
+/// Connections of the programs of one other user: nobody takes the places of the rest.
+pub(super) const OF_ONE: usize = 16;
+
+/// A user as the kernel has it; `None`: it does not say.
+pub(super) type User = Option<u32>;
 
 /// The places of one port.
 #[derive(Debug, Default)]
 pub(super) struct Seats {
-    /// Those who have said nothing yet, in the order they came; dropping what is kept of one lets it go.
+    /// Callers that have said nothing yet, in the order they came; dropping what is kept of one lets it go.
     silent: Mutex<BTreeMap<u64, oneshot::Sender<()>>>,
-    guests: AtomicUsize,
-    next: std::sync::atomic::AtomicU64,
+    guests: Mutex<BTreeMap<User, usize>>,
+    next: AtomicU64,
 }
 
-/// One caller's place; free again when it is dropped.
+/// The place of a caller; free again when it is dropped.
 #[derive(Debug)]
 pub(super) struct Seat {
     seats: Arc<Seats>,
     number: u64,
-    given_up: Option<oneshot::Receiver<()>>,
-    is_guest: bool,
+    life: Life,
+    guest: Option<User>,
+}
+
+/// The way a caller keeps its place.
+#[derive(Debug)]
+enum Life {
+    /// Silent: it may have to give way.
+    Silent(oneshot::Receiver<()>),
+    Speaks,
+    /// It has to go.
+    GivenUp,
 }
 
 impl Seats {
-    /// A place, if there is one for such a caller.
-    pub(super) fn take(self: &Arc<Self>, is_guest: bool) -> Option<Seat> {
-        if is_guest {
-            let more = |guests: usize| (guests < GUESTS).then_some(guests + 1);
-            self.guests.fetch_update(Ordering::AcqRel, Ordering::Acquire, more).ok()?;
+    /// A place, if there is one for such a caller; `guest`: another user, whose places are counted.
+    pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
+        if let Some(user) = guest {
+            let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);
+            let all: usize = guests.values().sum();
+            let own = guests.entry(user).or_default();
+            if all >= GUESTS || *own >= OF_ONE {
+                return None;
+            }
+            *own += 1;
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (keep, given_up) = oneshot::channel();
         self.silent().insert(number, keep);
-        Some(Seat { seats: self.clone(), number, given_up: Some(given_up), is_guest })
+        Some(Seat { seats: self.clone(), number, life: Life::Silent(given_up), guest })
     }
 
     /// Lets go of the caller that has been silent longest; false: all of them have said something.
@@ -61,24 +81,33 @@ impl Seats {
 impl Seat {
     /// From now on it keeps its place.
     pub(super) fn speaks(&mut self) {
-        self.given_up = None;
+        self.life = Life::Speaks;
         self.seats.silent().remove(&self.number);
     }
 
-    /// Ready when it has to go.
+    /// Ready when it has to go, and ever after.
     pub(super) fn poll_given_up(&mut self, cx: &mut Context<'_>) -> Poll<()> {
-        match &mut self.given_up {
-            Some(given_up) => Pin::new(given_up).poll(cx).map(|_| ()),
-            None => Poll::Pending,
+        match &mut self.life {
+            Life::Silent(given_up) => ready!(Pin::new(given_up).poll(cx).map(|_| ())),
+            Life::Speaks => return Poll::Pending,
+            Life::GivenUp => {}
         }
+        self.life = Life::GivenUp;
+        Poll::Ready(())
     }
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
         self.seats.silent().remove(&self.number);
-        if self.is_guest {
-            self.seats.guests.fetch_sub(1, Ordering::AcqRel);
+        if let Some(user) = self.guest {
+            let mut guests = self.seats.guests.lock().unwrap_or_else(PoisonError::into_inner);
+            let left = guests.get(&user).map_or(0, |own| own - 1);
+            if left == 0 {
+                guests.remove(&user);
+            } else {
+                guests.insert(user, left);
+            }
         }
     }
 }
@@ -107,7 +136,7 @@ mod tests {
     #[test]
     fn whoever_was_silent_longest_gives_way_and_nobody_who_spoke() {
         let seats = Arc::new(Seats::default());
-        let mut callers: Vec<Seat> = (0..3).map(|_| seats.take(false).unwrap()).collect();
+        let mut callers: Vec<Seat> = (0..3).map(|_| seats.take(None).unwrap()).collect();
         callers[0].speaks();
         assert!(seats.give_up_one());
         assert_eq!(callers.iter_mut().map(has_to_go).collect::<Vec<_>>(), [false, true, false]);
@@ -116,13 +145,30 @@ mod tests {
     }
 
     #[test]
-    fn another_users_programs_have_so_many_places_and_no_more_until_one_goes() {
+    fn whoever_has_to_go_is_told_so_as_often_as_it_asks() {
         let seats = Arc::new(Seats::default());
-        let mut guests: Vec<Seat> = (0..GUESTS).map(|_| seats.take(true).unwrap()).collect();
-        assert!(seats.take(true).is_none());
-        assert!(seats.take(false).is_some(), "the host's user is no guest");
+        let mut caller = seats.take(None).unwrap();
+        assert!(seats.give_up_one());
+        assert!(has_to_go(&mut caller) && has_to_go(&mut caller));
+    }
+
+    #[test]
+    fn another_users_programs_have_so_many_places_and_take_nobody_elses() {
+        let seats = Arc::new(Seats::default());
+        let mut guests: Vec<Seat> = (0..OF_ONE).map(|_| seats.take(Some(Some(7))).unwrap()).collect();
+        assert!(seats.take(Some(Some(7))).is_none());
+        assert!(
+            seats.take(Some(Some(8))).is_some() && seats.take(Some(None)).is_some(),
+            "others have their own"
+        );
+        assert!(seats.take(None).is_some(), "the host's user is no guest");
         guests.pop();
-        assert!(seats.take(true).is_some());
+        guests.push(seats.take(Some(Some(7))).unwrap());
+        let rest = (8..).map_while(|user| seats.take(Some(Some(user))));
+        guests.extend(rest.take(2 * GUESTS));
+        assert_eq!(guests.len(), GUESTS, "and all of them together");
+        guests.clear();
+        assert!(seats.guests.lock().unwrap().is_empty());
     }
 
     #[test]

@@ -47,7 +47,7 @@ macro_rules! mutate {
     }};
 }
 
-/// Who asks: a component of this process, a user at an address, or a host there for one of its components.
+/// The asker: a component of this process, a user at an address, or a host there for one of its components.
 pub(super) fn identity<T>(request: &Request<T>) -> String {
     if let Some(Caller(path)) = request.extensions().get() {
         return path.clone();

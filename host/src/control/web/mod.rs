@@ -17,14 +17,14 @@ use tonic::Status;
 use tonic::service::Routes;
 use tonic_web::GrpcWebLayer;
 
-pub(super) use self::guard::{is_grpc, is_native};
-use super::caller::{Access, only_allowed};
+pub(super) use self::guard::is_native;
+use super::caller::{Access, known, only_reads};
 
-/// Who may do what at a port, beyond what everybody may.
+/// Rights of callers at a port, beyond those of everybody.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortRules {
     pub viewer: Viewer,
-    /// Whoever reaches the port may do everything, other users of the machine, too.
+    /// Every caller that reaches the port may do everything, other users of the machine, too.
     pub open_loopback: bool,
 }
 
@@ -40,7 +40,12 @@ pub enum Viewer {
 
 /// The services and the page as one, behind what decides who may ask for what.
 pub(super) fn with_page(services: Routes, access: Access) -> Routes {
-    let services = services.into_axum_router().layer(GrpcWebLayer::new()).reset_fallback();
+    let access = Arc::new(access);
+    let services = services
+        .into_axum_router()
+        .layer(GrpcWebLayer::new())
+        .reset_fallback()
+        .layer(from_fn_with_state(access.clone(), only_reads));
     let page = Router::new()
         .route("/", get(assets::page))
         .route("/video", get(assets::page))
@@ -48,7 +53,7 @@ pub(super) fn with_page(services: Routes, access: Access) -> Routes {
         .route("/assets/{name}", get(assets::asset))
         .route("/{name}", get(assets::beside));
     let all = services.merge(page).fallback(nothing_there);
-    all.layer(from_fn_with_state(Arc::new(access), only_allowed)).layer(from_fn(guard::guard)).into()
+    all.layer(from_fn_with_state(access, known)).layer(from_fn(guard::guard)).into()
 }
 
 /// gRPC keeps its own answer to what it does not know; everybody else is told what there is.

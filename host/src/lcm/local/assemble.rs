@@ -68,6 +68,7 @@ impl LocalLcm {
                 hint: "start the host with --plugins DIR".into(),
             });
         };
+        self.lets_in(classes.as_ref(), &component.class)?;
         let (info, process) = (component.class.clone(), self.hub.process.clone());
         let loading = tokio::task::spawn_blocking(move || classes.load(&info));
         let class = match tokio::time::timeout_at(deadline.into(), loading).await {

@@ -46,7 +46,7 @@ pub(super) fn settle() {
     household().get_or_insert_with(Household::look);
 }
 
-/// How the process stood when somebody between entries last looked at it.
+/// The state of the process when somebody between entries last looked at it.
 fn household() -> MutexGuard<'static, Option<Household>> {
     static HOUSEHOLD: Mutex<Option<Household>> = Mutex::new(None);
     HOUSEHOLD.lock().unwrap_or_else(PoisonError::into_inner)
@@ -202,7 +202,7 @@ impl Premises {
     }
 }
 
-/// What steps, commands and threads of components have changed for everybody. What an entry that looks for
+/// Finds what steps, commands and threads of components have changed for everybody. What an entry that looks for
 /// itself does is left to it.
 fn look_at_household(wards: &[&Ward]) {
     let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();

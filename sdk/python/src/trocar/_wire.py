@@ -127,7 +127,7 @@ class Wire:
             self._left(carrier)
             raise self.error(e, name) from None
         if not opened.add_callback(lambda: self._left(carrier)):
-            # It has ended already.
+            # The stream has ended already.
             self._left(carrier)
         return opened
 

@@ -25,7 +25,7 @@ pub(crate) struct Asked {
     pub(crate) services: Vec<(u64, String)>,
     /// Threads of `trocar.parallel/1`; without any, the host has no such extension.
     pub(crate) threads: u32,
-    /// How often it asked to keep what it was given.
+    /// Times it asked to keep what it was given.
     pub(crate) kept: Arc<AtomicU32>,
 }
 
