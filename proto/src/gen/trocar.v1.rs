@@ -525,7 +525,7 @@ pub struct ComponentStats {
     /// What the machine refused, in sentences.
     #[prost(string, repeated, tag = "15")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Where in each period it steps, behind the multiples of the period on the machine's monotonic clock, ns; unset = it has no grid
+    /// Its place in each period, behind the multiples of the period on the machine's monotonic clock, ns; unset = it has no grid
     /// of its own.
     #[prost(uint64, optional, tag = "16")]
     pub phase_ns: ::core::option::Option<u64>,
@@ -4587,17 +4587,17 @@ pub mod order {
         Phases(super::PhasesOrder),
     }
 }
-/// Where in their periods components step that were given no phase by anybody. The answer tells what steps take.
+/// The places in their periods of components that were given no phase by anybody. The answer tells what steps take.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct PhasesOrder {
-    /// Those of the process that do not step at 0.
+    /// Components of the process that do not step at 0.
     #[prost(message, repeated, tag = "1")]
     pub given: ::prost::alloc::vec::Vec<GivenPhase>,
     /// True: nothing is changed, only what steps take is asked.
     #[prost(bool, tag = "2")]
     pub ask_only: bool,
 }
-/// Where in its period a component steps.
+/// The place in its period at which a component steps.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct GivenPhase {
     /// process/component.
@@ -4606,18 +4606,18 @@ pub struct GivenPhase {
     /// Behind each multiple of the period on the monotonic clock, ns.
     #[prost(uint64, tag = "2")]
     pub phase_ns: u64,
-    /// What does not fit, in a sentence; empty = all does.
+    /// The thing that does not fit, in a sentence; empty = all does.
     #[prost(string, tag = "3")]
     pub note: ::prost::alloc::string::String,
 }
-/// What steps take.
+/// Times that steps take.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Steps {
-    /// One for each component that has run long enough to tell.
+    /// An entry for each component that has run long enough to tell.
     #[prost(message, repeated, tag = "1")]
     pub steps: ::prost::alloc::vec::Vec<StepTime>,
 }
-/// What the steps of a component take.
+/// The time that steps of a component take.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct StepTime {
     /// process/component.
@@ -4795,7 +4795,7 @@ pub mod answer {
         /// Everything there is.
         #[prost(message, tag = "12")]
         Inventory(super::Inventory),
-        /// What steps take.
+        /// Times that steps take.
         #[prost(message, tag = "13")]
         Steps(super::Steps),
     }
