@@ -1,17 +1,17 @@
-//! The place in its period at which each component on a grid steps, so that what one writes the next one takes:
-//! sources first, each reader behind what feeds it.
+//! The place in its period at which each component on a grid steps, so that what one writes the next one
+//! takes: sources first, each reader behind what feeds it.
 //!
-//! Invariant: pure, and the same for the same graph. A phase that was asked for is kept. Between two components
-//! of one period the reader steps at least the writer's step and a margin behind it, modulo the period, and a
-//! margin before the writer's next step; where that cannot be, it is said.
+//! Invariant: pure, and the same for the same graph. A phase that was asked for is kept. Between two
+//! components of one period the reader steps at least the writer's step and a margin behind it, modulo the
+//! period, and a margin before the writer's next step; where that cannot be, it is said.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::plan::{host_of, is_stream};
 use crate::{ComponentId, Connection, ExecutionModel, SystemGraph};
 
-/// The margin for a thread that is late, in eighths of the period, and the longest one, ns. With an eighth for
-/// the step the reader stands in the middle: either may be late by as much.
+/// The margin for a thread that is late, in eighths of the period, and the longest one, ns. With an eighth
+/// for the step the reader stands in the middle: either may be late by as much.
 const MARGIN_EIGHTHS: u64 = 3;
 const MARGIN_NS: u64 = 1_000_000;
 /// Shortest and longest a step is taken for that nobody has measured, as a part of the period and in ns.
@@ -37,10 +37,17 @@ pub fn phases(graph: &SystemGraph, steps: &StepTimes) -> BTreeMap<ComponentId, P
     let edges = edges(graph, &wheels);
     let circles = groups(wheels, &edges).into_iter().map(|wheels| {
         let edges = edges.iter().filter(|edge| wheels.contains_key(&edge.from)).collect();
-        let period_ns = wheels.values().map(|wheel| wheel.period_ns).min().unwrap_or(1);
-        Circle { period_ns, wheels, edges }
+        Circle::new(wheels, edges)
     });
     circles.flat_map(|circle| circle.fit()).collect()
+}
+
+/// Whether the phase of anybody depends on what steps take: samples pass between threads of one period, and
+/// one of them was given no phase.
+pub fn steps_matter(graph: &SystemGraph) -> bool {
+    let wheels = wheels(graph, &StepTimes::new());
+    let auto = |id: &ComponentId| wheels.get(id).is_some_and(|wheel| wheel.fixed_ns.is_none());
+    edges(graph, &wheels).iter().any(|edge| auto(&edge.from) || auto(&edge.to))
 }
 
 /// A thread on a grid.
@@ -141,6 +148,36 @@ fn leads(
     false
 }
 
+/// Each thread behind all that feed it but for what is cut; in the order of their names where that leaves a
+/// choice.
+fn sources_first(
+    wheels: &Wheels,
+    into: &BTreeMap<&ComponentId, Vec<&Edge>>,
+    out_of: &BTreeMap<&ComponentId, Vec<&Edge>>,
+) -> Vec<ComponentId> {
+    let feeders = |id: &ComponentId| into.get(id).into_iter().flatten().filter(|e| !e.cut).count();
+    let mut waits: BTreeMap<&ComponentId, usize> = wheels.keys().map(|id| (id, feeders(id))).collect();
+    let mut ready: BTreeSet<&ComponentId> =
+        waits.iter().filter(|(_, n)| **n == 0).map(|(id, _)| *id).collect();
+    let mut order = Vec::with_capacity(wheels.len());
+    // A rest without a first one would be a circle, and circles are cut.
+    while let Some(id) = ready.pop_first().or_else(|| waits.keys().next().copied()) {
+        if waits.remove(id).is_none() {
+            continue;
+        }
+        order.push(id.clone());
+        for edge in out_of.get(id).into_iter().flatten().filter(|e| !e.cut) {
+            if let Some(left) = waits.get_mut(&edge.to) {
+                *left -= 1;
+                if *left == 0 {
+                    ready.insert(&edge.to);
+                }
+            }
+        }
+    }
+    order
+}
+
 /// Splits them into those that are connected with each other, directly or through others.
 fn groups(mut all: Wheels, edges: &[Edge]) -> Vec<Wheels> {
     let mut beside: BTreeMap<&ComponentId, Vec<&ComponentId>> = BTreeMap::new();
@@ -170,6 +207,11 @@ struct Circle<'a> {
     period_ns: u64,
     wheels: Wheels,
     edges: Vec<&'a Edge>,
+    /// Edges by the end they have at each thread.
+    into: BTreeMap<&'a ComponentId, Vec<&'a Edge>>,
+    out_of: BTreeMap<&'a ComponentId, Vec<&'a Edge>>,
+    /// Sources first.
+    order: Vec<ComponentId>,
 }
 
 /// A way to lay the phases.
@@ -199,15 +241,30 @@ impl Layout {
     }
 }
 
-impl Circle<'_> {
+impl<'a> Circle<'a> {
+    fn new(wheels: Wheels, edges: Vec<&'a Edge>) -> Circle<'a> {
+        let period_ns = wheels.values().map(|wheel| wheel.period_ns).min().unwrap_or(1);
+        let (mut into, mut out_of) = (BTreeMap::new(), BTreeMap::new());
+        for edge in &edges {
+            into.entry(&edge.to).or_insert_with(Vec::new).push(*edge);
+            out_of.entry(&edge.from).or_insert_with(Vec::new).push(*edge);
+        }
+        let order = sources_first(&wheels, &into, &out_of);
+        Circle { period_ns, wheels, edges, into, out_of, order }
+    }
+
     /// Uses the longest margin with which all fit into one period; else one with which they fit round it.
     fn fit(&self) -> BTreeMap<ComponentId, Phase> {
         let margin_ns = (self.period_ns / 8 * MARGIN_EIGHTHS).min(MARGIN_NS);
-        let tries = || [1, 2, 4, 8].map(|part| self.lay(margin_ns / part)).into_iter();
+        let lay = |part| self.lay(margin_ns / part);
         let within = |layout: &Layout| layout.at.keys().all(|id| layout.behind(id) < self.period_ns);
         let fits = |layout: &Layout| layout.tight.is_empty();
-        let layout = tries().take(2).find(|l| fits(l) && within(l)).or_else(|| tries().find(fits));
-        let layout = layout.unwrap_or_else(|| self.lay(margin_ns));
+        let mut laid: Vec<Layout> = [1, 2].map(lay).into();
+        let best = laid.iter().position(|l| fits(l) && within(l)).or_else(|| laid.iter().position(fits));
+        let layout = match best {
+            Some(best) => laid.swap_remove(best),
+            None => [4, 8].into_iter().map(lay).find(fits).unwrap_or_else(|| laid.swap_remove(0)),
+        };
         let auto = self.wheels.iter().filter(|(_, wheel)| wheel.fixed_ns.is_none());
         auto.map(|(id, _)| {
             let at = layout.at(id).unwrap_or(0);
@@ -239,14 +296,7 @@ impl Circle<'_> {
         for (id, wheel) in &self.wheels {
             layout.at.extend(wheel.fixed_ns.map(|ns| (id.clone(), Place { at_ns: ns, first_ns: ns })));
         }
-        let mut left: Vec<&ComponentId> = self.wheels.keys().collect();
-        while !left.is_empty() {
-            let waits = |id: &ComponentId| {
-                self.edges.iter().any(|e| !e.cut && e.to == *id && left.contains(&&e.from))
-            };
-            // A rest without a first one would be a circle, and circles are cut.
-            let next = left.iter().position(|id| !waits(id)).unwrap_or(0);
-            let id = left.remove(next);
+        for id in &self.order {
             if self.wheels.get(id).is_some_and(|wheel| wheel.fixed_ns.is_none()) {
                 let place = self.place(&layout, id, margin_ns);
                 layout.at.insert(id.clone(), place);
@@ -263,7 +313,7 @@ impl Circle<'_> {
     /// The earliest place behind all that feed it that leaves nobody's room, or the earliest one there is.
     fn place(&self, layout: &Layout, id: &ComponentId, margin_ns: u64) -> Place {
         let step = |id: &ComponentId| self.wheels.get(id).map_or(0, |wheel| wheel.step_ns);
-        let feeds = self.edges.iter().filter(|e| e.to == *id);
+        let feeds = self.into.get(id).into_iter().flatten();
         let last = feeds.clone().filter(|e| !e.cut).filter_map(|e| {
             let place = layout.at.get(&e.from)?;
             Some((place.at_ns + step(&e.from) + margin_ns, Some(place.first_ns)))
@@ -274,7 +324,7 @@ impl Circle<'_> {
             let at = layout.at(&e.from)?;
             Some((self.on(at, margin_ns), 2 * margin_ns + step(&e.from)))
         });
-        let behind = self.edges.iter().filter(|e| e.from == *id).filter_map(|e| {
+        let behind = self.out_of.get(id).into_iter().flatten().filter_map(|e| {
             let at = layout.at(&e.to)?;
             Some((self.on(at, margin_ns + step(id)), 2 * margin_ns + step(id)))
         });

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
-use trocar_model::{ComponentId, Name, Phase, Refusal, StepTimes, SystemGraph, phases};
+use trocar_model::{ComponentId, Name, Phase, Refusal, StepTimes, SystemGraph, phases, steps_matter};
 
 use super::Gcm;
 use super::manager::lock;
@@ -16,6 +16,8 @@ use super::manager::lock;
 /// Between two looks at what steps take, while samples pass between components of one grid; and until an LCM that
 /// did not answer is asked again.
 const LOOK: Duration = Duration::from_secs(1);
+/// Rounds of giving phases in one look.
+const ROUNDS: usize = 4;
 /// Time an LCM has to answer.
 const WITHIN: Duration = Duration::from_secs(1);
 
@@ -76,19 +78,20 @@ impl Keeper {
         let unknown = unknown.map(|(process, session)| ask(process, *session)).collect();
         let mut answered = self.carry_out(gcm, unknown).await;
         answered &= self.give(gcm, &graph, &here).await;
-        let shifted = self.given.values().flat_map(|(_, given)| given).any(|(_, phase)| phase.phase_ns > 0);
-        if shifted && self.looked.is_none_or(|at| at.elapsed() >= LOOK) {
+        let matters = steps_matter(&graph);
+        if matters && self.looked.is_none_or(|at| at.elapsed() >= LOOK) {
             self.looked = Some(Instant::now());
             let all = here.iter().map(|(process, session)| ask(process, *session)).collect();
             answered &= self.carry_out(gcm, all).await;
             answered &= self.give(gcm, &graph, &here).await;
         }
-        shifted || !answered
+        matters || !answered
     }
 
     /// Gives the phases, and anew while what steps take is learnt from it; false when an LCM did not answer.
     async fn give(&mut self, gcm: &Gcm, graph: &SystemGraph, here: &BTreeMap<Name, u64>) -> bool {
-        loop {
+        // Each round learns longer steps alone, which double: a few are enough, and the next look goes on.
+        for _ in 0..ROUNDS {
             let mut lists: BTreeMap<Name, Given> = BTreeMap::new();
             for (id, phase) in phases(graph, &self.steps) {
                 let list = lists.entry(id.process.clone()).or_default();
@@ -109,13 +112,19 @@ impl Keeper {
                 return false;
             }
         }
+        false
     }
 
     /// False when an LCM did not answer: it is asked again later.
     async fn carry_out(&mut self, gcm: &Gcm, orders: Vec<Order>) -> bool {
-        let mut asked = JoinSet::new();
+        let (mut asked, mut all) = (JoinSet::new(), true);
         for order in orders {
-            let Ok(lcm) = gcm.lcm_of(&order.process) else { continue };
+            let Ok(lcm) = gcm.lcm_of(&order.process) else {
+                // Lost since the graph was looked at; the next look knows.
+                self.given.remove(&order.process);
+                all = false;
+                continue;
+            };
             asked.spawn(async move {
                 let deadline = Instant::now() + WITHIN;
                 let answer =
@@ -123,9 +132,11 @@ impl Keeper {
                 (order, answer.await.ok())
             });
         }
-        let mut all = true;
         while let Some(done) = asked.join_next().await {
-            let Ok((order, answer)) = done else { continue };
+            let Ok((order, answer)) = done else {
+                all = false;
+                continue;
+            };
             let Some(Ok(steps)) = answer else {
                 told(&order, answer);
                 self.given.remove(&order.process);
