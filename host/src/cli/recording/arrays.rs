@@ -155,7 +155,10 @@ impl Sink for Arrays {
                     continue;
                 };
                 let gap = if kind == Item::F64 { f64::NAN.to_le_bytes() } else { [0; 8] };
-                let mut bytes = Vec::with_capacity(8 * rows * members.len());
+                // Fields that came late or seldom are filled up here, which is counted, too.
+                let more = 8usize.saturating_mul(rows).saturating_mul(members.len());
+                self.bounds.memory(self.bytes.saturating_add(more))?;
+                let mut bytes = Vec::with_capacity(more);
                 for row in 0..rows {
                     for (_, name) in &members {
                         let values = columns.fields.get(name).map_or(&[][..], |f| &f.1[..]);
