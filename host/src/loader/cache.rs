@@ -1,15 +1,17 @@
 //! The only place the dynamic linker loads plugins from: `<state>/plugins/<sha256>/<name>.so`.
 //!
-//! Invariant: a path handed out holds exactly the bytes of that hash, is owned by this user, and nobody else can write it or
-//! a directory above it up to the cache's root. Files are made complete under another name, then renamed. Versions that nobody
-//! can ask for any more go.
+//! Invariant: a path handed out holds exactly the bytes of that hash, is owned by this user, and nobody else
+//! can write it or a directory above it up to the cache's root. Files are made complete under another name,
+//! then renamed. Versions that nobody can ask for any more go.
 
 use std::collections::BTreeSet;
+use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::SystemTime;
 
 use super::file::own_uid;
 use super::{Fault, Hash, StoreError};
@@ -74,19 +76,21 @@ impl Cache {
         }
     }
 
-    /// Removes what is neither in `keep` nor the newest of the rest: going back to the version before costs nothing.
+    /// Removes what is neither in `keep` nor the newest of the rest of its name: going back to the version
+    /// before costs nothing.
     pub(crate) fn prune(&self, keep: &BTreeSet<Hash>) {
         let entries = fs::read_dir(&self.root).into_iter().flatten().flatten();
         let rest = entries.filter_map(|entry| {
             let hash = Hash::parse(entry.file_name().to_str()?)?;
             let made = entry.metadata().ok()?.modified().ok()?;
-            (!keep.contains(&hash)).then(|| (made, entry.path()))
+            (!keep.contains(&hash)).then(|| (library_in(&entry.path()), made, entry.path()))
         });
         let mut rest: Vec<_> = rest.collect();
         rest.sort();
-        rest.pop();
-        for (_, dir) in rest {
-            if let Err(error) = fs::remove_dir_all(&dir) {
+        let last = |pair: &[(Option<OsString>, SystemTime, PathBuf)]| pair[0].0 != pair[1].0;
+        let old = rest.windows(2).filter(|pair| !last(pair)).map(|pair| &pair[0].2);
+        for dir in old {
+            if let Err(error) = fs::remove_dir_all(dir) {
                 log::debug!("an old version of a plugin stays in {}: {error}", dir.display());
             }
         }
@@ -104,6 +108,12 @@ const RULES: u32 = 2;
 fn verdict_name() -> String {
     use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
     format!("vetted-{}-{ABI_MAJOR}.{ABI_MINOR}-{RULES}", env!("CARGO_PKG_VERSION"))
+}
+
+/// Name of the library that lies there.
+fn library_in(dir: &Path) -> Option<OsString> {
+    let names = fs::read_dir(dir).ok()?.flatten().map(|entry| entry.file_name());
+    names.filter(|name| name.as_encoded_bytes().ends_with(b".so")).min()
 }
 
 fn private_dir(path: &Path) -> io::Result<()> {

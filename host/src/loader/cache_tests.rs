@@ -47,6 +47,9 @@ fn old_versions_go_but_for_those_that_are_kept_and_the_last_one() {
         cache.set_vetted(hash);
         File::open(cache.dir(hash)).unwrap().set_modified(day(n as u64)).unwrap();
     }
+    let other = Hash::of(b"of another plugin");
+    cache.put(&other, "cosine", b"bytes").unwrap();
+    File::open(cache.dir(&other)).unwrap().set_modified(day(0)).unwrap();
     fs::write(cache.root.join("what-a-person-left"), "").unwrap();
     cache.prune(&[versions[1], versions[5]].into());
     let left: Vec<bool> = versions.iter().map(|hash| cache.dir(hash).exists()).collect();
@@ -55,6 +58,7 @@ fn old_versions_go_but_for_those_that_are_kept_and_the_last_one() {
         [false, true, false, false, true, true],
         "two that are kept, and the newest of the rest"
     );
+    assert!(cache.dir(&other).exists(), "the last one of another name");
     assert!(cache.root.join("what-a-person-left").exists());
 }
 

@@ -418,7 +418,7 @@ impl fmt::Display for Fault {
                 path.display()
             ),
             Fault::Init { status, said } if said.is_empty() => {
-                write!(f, "refuses to work: its init answers {status} and logs no error that says why")
+                write!(f, "refuses to work: its init answers {status}; the log has what it said, if anything")
             }
             Fault::Init { said, .. } => write!(f, "refuses to work: {said}"),
         }

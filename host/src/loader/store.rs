@@ -309,8 +309,9 @@ impl PluginStore {
         let loaded = lock(&self.loaded);
         let used = loaded.iter().filter(|(_, slot)| slot.try_lock().map_or(true, |loaded| loaded.is_some()));
         keep.extend(used.map(|(hash, _)| *hash));
-        drop(loaded);
+        // Held until then: who loads enters its slot first.
         self.cache.prune(&keep);
+        drop(loaded);
     }
 
     fn entries(&self) -> Arc<Vec<PluginEntry>> {

@@ -3,16 +3,19 @@
 //! Invariant: the child is spawned (never forked by hand), bounded in time, and always reaped; only what it says in lines of
 //! our own prefix counts, whatever the plugin prints. The host loads nothing the child did not come back from.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::collections::VecDeque;
+use std::io::{self, Read};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{self, Receiver};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::error::Stage;
 use super::load::LoadFault;
+use super::store::lock;
 use super::{Fault, PluginError};
 use crate::plain::sentence;
 
@@ -29,7 +32,9 @@ pub(crate) const PREFIX: &str = "trocar-vet ";
 const REPORT_LIMIT: u64 = 64 << 10;
 
 /// Bytes of its standard error that are told, from the end.
-const WORDS_LIMIT: u64 = 400;
+const WORDS_LIMIT: usize = 400;
+/// Time for its last words to arrive after its end.
+const AFTERWARDS: Duration = Duration::from_millis(200);
 
 /// Tries a file somebody names as a host does before it loads it: constructors, tables, entry and init, in a child process
 /// of `exe`, a program that knows the hidden subcommand.
@@ -48,18 +53,16 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
     let replaced = exe.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
     let exe = if replaced { Path::new("/proc/self/exe") } else { exe };
     let failed = |e: io::Error| Fault::VetFailed { because: format!("{}: {e}", exe.display()) };
-    // A file without a name takes all it says, where a pipe that nobody reads would hold it up.
-    let words = rustix::fs::memfd_create("trocar-vet", rustix::fs::MemfdFlags::CLOEXEC).map(File::from);
-    let its_words = words.as_ref().ok().and_then(|words| words.try_clone().ok());
     let mut child = Command::new(exe)
         .arg(VET_ARG)
         .arg(file)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        .stderr(its_words.map_or_else(Stdio::null, Stdio::from))
+        .stderr(Stdio::piped())
         .process_group(0)
         .spawn()
         .map_err(failed)?;
+    let words = child.stderr.take().map(LastWords::follow);
     let in_time = match begins_within(&child, BEGIN_LIMIT) {
         Ok(true) => ends_within(&child, limit),
         never => never,
@@ -67,22 +70,42 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
     let status = end_group(&mut child).map_err(failed)?;
     let status = in_time.map_err(failed)?.then_some(status);
     let report = Report::parse(&read_report(&mut child));
-    report.verdict(status, limit, &words.map_or_else(|_| String::new(), last_words))
+    report.verdict(status, limit, &words.map_or_else(String::new, |words| words.said()))
 }
 
-/// The end of what was said, as one line.
-fn last_words(mut said: File) -> String {
-    let mut bytes = Vec::new();
-    let end = said.seek(SeekFrom::End(0)).unwrap_or(0);
-    let read = said
-        .seek(SeekFrom::Start(end.saturating_sub(WORDS_LIMIT)))
-        .and_then(|_| said.read_to_end(&mut bytes));
-    if let Err(error) = read {
-        log::debug!("what a plugin said while it was tried cannot be read: {error}");
+/// The end of what the child says on standard error, however much that is.
+struct LastWords(Arc<Mutex<VecDeque<u8>>>, Receiver<()>);
+
+impl LastWords {
+    /// Reads as long as somebody writes: a pipe that nobody reads would hold the child up.
+    fn follow(mut from: ChildStderr) -> LastWords {
+        let kept = Arc::new(Mutex::new(VecDeque::new()));
+        let (told, over) = mpsc::channel();
+        let into = kept.clone();
+        let reading = move || {
+            let mut piece = [0; 4096];
+            while let Ok(read @ 1..) = from.read(&mut piece) {
+                let mut kept = lock(&into);
+                kept.extend(&piece[..read]);
+                let more = kept.len().saturating_sub(WORDS_LIMIT);
+                kept.drain(..more);
+            }
+            drop(told);
+        };
+        if let Err(error) = std::thread::Builder::new().name("trocar-vet".into()).spawn(reading) {
+            log::debug!("what a plugin says while it is tried cannot be read: {error}");
+        }
+        LastWords(kept, over)
     }
-    let text = String::from_utf8_lossy(&bytes);
-    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-    sentence(lines.join("; ").as_bytes())
+
+    /// As one line. A grandchild may hold the pipe open: then what has come by now.
+    fn said(self) -> String {
+        let _ = self.1.recv_timeout(AFTERWARDS);
+        let bytes: Vec<u8> = lock(&self.0).iter().copied().collect();
+        let text = String::from_utf8_lossy(&bytes);
+        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        sentence(lines.join("; ").as_bytes())
+    }
 }
 
 /// What the child said.
