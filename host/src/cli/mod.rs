@@ -1,7 +1,8 @@
 //! The command line: clap's tree, one file per subcommand.
 //!
-//! Invariant: the whole surface (names, flags, help) is compared with `host/tests/cli-surface.txt`; a subcommand only
-//! asks over gRPC what anybody could ask, except those that are a process themselves (`host`, `gcm`, `run`, `demo`).
+//! Invariant: the whole surface (names, flags, help) is compared with `host/tests/cli-surface.txt`; a
+//! subcommand only asks over gRPC what anybody could ask, except those that are a process themselves (`host`,
+//! `gcm`, `run`, `demo`).
 
 mod call;
 mod client;
@@ -59,8 +60,9 @@ use session::Session;
 ///
 /// First steps: `trocar demo`, then `trocar ls` in another terminal.
 ///
-/// A host is a process that loads plugins and runs components of their classes. A GCM (Global Component Manager) decides what
-/// is created, connected and started, and answers the other subcommands; a host has one of its own unless told of another.
+/// A host is a process that loads plugins and runs components of their classes. A GCM (Global Component
+/// Manager) decides what is created, connected and started, and answers the other subcommands; a host has one
+/// of its own unless told of another.
 #[derive(Parser, Debug)]
 #[command(
     name = "trocar",
@@ -79,8 +81,8 @@ struct Cli {
 /// Where flags that every subcommand takes stand in its help.
 const LAST: usize = 900;
 
-/// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse it in a clear
-/// sentence, and do not offer it.
+/// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse
+/// it in a clear sentence, and do not offer it.
 const ASK_NO_GCM: [&str; 10] =
     ["demo", "run", "gcm", "down", "info", "export", "doctor", "token", "completions", "schema"];
 const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
@@ -142,7 +144,8 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(e) => return refused_by_clap(&e),
     };
-    // The vetting child shares nothing with the rest: no runtime, no logger, no threads before the plugin is opened.
+    // The vetting child shares nothing with the rest: no runtime, no logger, no threads before the plugin is
+    // opened.
     if let Command::Vet(args) = cli.command {
         return vet::run(&args);
     }
@@ -208,6 +211,7 @@ fn ask(question: impl Future<Output = Done>) -> Done {
 
 /// Runs a process that holds components; it handles its own signals.
 fn process(main: impl Future<Output = Done>) -> Done {
+    crate::lcm::own_process();
     block_on(tokio::runtime::Builder::new_multi_thread(), main)
 }
 

@@ -1,15 +1,16 @@
-//! Whether component code left its thread and its process as it found them: signal mask, rounding mode, working directory,
-//! locale, umask, what signals do, standard streams, threads.
+//! Whether component code left its thread and its process as it found them: signal mask, rounding mode,
+//! working directory, locale, umask, what signals do, standard streams, threads.
 //!
-//! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it is named, and
-//! while an entry looks after its manners itself (`Watch::mind`), what is found belongs to it and not to the watchdog.
+//! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it
+//! is named, and while an entry looks after its manners itself (`Watch::mind`), what is found belongs to it
+//! and not to the watchdog.
 
 #[cfg(test)]
 mod tests;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use trocar_model::Health;
@@ -29,7 +30,8 @@ const MASKS_NS: u64 = 1_000_000_000;
 /// How long those are looked at one by one of whom one may have done something, ns.
 const SUSPECTED_NS: u64 = 10_000_000_000;
 
-/// Where this process belongs: its working directory when components were first looked after. The lock guards the word only.
+/// Where this process belongs: its working directory when components were first looked after. The lock guards
+/// the word only.
 static HOME: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Where the process is, and where it belongs; `None` where that cannot be told.
@@ -43,7 +45,39 @@ fn whereabouts() -> Option<(PathBuf, PathBuf)> {
 /// Takes where the process is now for where it belongs, before anybody's code has run.
 pub(super) fn settle() {
     let _ = whereabouts();
+}
+
+/// This process is a host and nothing else: from now on its locale, umask, signal handlers and standard
+/// streams are looked after. A program that embeds a host changes them as it likes.
+pub(crate) fn own_process() {
     household().get_or_insert_with(Household::look);
+}
+
+/// Entries of components, so that one that was alone can be told from those beside others.
+struct Visits {
+    inside: AtomicUsize,
+    begun: AtomicU64,
+}
+
+static VISITS: Visits = Visits::new();
+
+impl Visits {
+    const fn new() -> Visits {
+        Visits { inside: AtomicUsize::new(0), begun: AtomicU64::new(0) }
+    }
+
+    /// An entry begins; its number if it is alone.
+    fn begin(&self) -> Option<u64> {
+        let alone = self.inside.fetch_add(1, Ordering::AcqRel) == 0;
+        let number = self.begun.fetch_add(1, Ordering::AcqRel) + 1;
+        alone.then_some(number)
+    }
+
+    /// An entry ends; true when no other was there from its begin on.
+    fn end(&self, alone: Option<u64>) -> bool {
+        self.inside.fetch_sub(1, Ordering::AcqRel);
+        alone == Some(self.begun.load(Ordering::Acquire))
+    }
 }
 
 /// The state of the process when somebody between entries last looked at it.
@@ -68,7 +102,9 @@ pub(in crate::lcm) struct Manners {
     thread: Hygiene,
     /// Where the process was then; elsewhere than at home it was by somebody else's doing.
     directory: Option<PathBuf>,
-    household: Household,
+    /// Its number while it is alone, and how the process stood then, where that is looked after.
+    alone: Option<u64>,
+    household: Option<Household>,
     moment: Moment,
     /// Empty while the component runs: its threads are not to wait for this look.
     threads: BTreeSet<i32>,
@@ -90,14 +126,18 @@ fn is_of_house(name: &str) -> bool {
 }
 
 impl Manners {
-    /// Looks before an entry of the component; not from a step. Until [`Manners::after`], the watchdog leaves it alone.
+    /// Looks before an entry of the component; not from a step. Until [`Manners::after`], the watchdog leaves
+    /// it alone.
     pub(in crate::lcm) fn before(instance: &Instance) -> Manners {
         instance.watch.mind();
+        let alone = VISITS.begin();
+        let looked_after = alone.is_some() && household().is_some();
         Manners {
+            alone,
+            household: looked_after.then(Household::look),
             thread: os::thread_hygiene(),
             moment: loader::moment(),
             directory: whereabouts().map(|(now, _)| now),
-            household: Household::look(),
             threads: if instance.is_active() { BTreeSet::new() } else { threads() },
         }
     }
@@ -116,8 +156,15 @@ impl Manners {
             os::set_sigmask(self.thread.sigmask);
             instance.warn(&format!("{entry}: it changed the signal mask of its thread, which was put back"));
         }
-        for said in self.household.put_back(&Household::look()) {
-            instance.warn(&format!("{entry}: it changed {said}"));
+        // Beside others nobody knows whose doing it was, or what another has put back meanwhile: the watchdog
+        // looks then.
+        if VISITS.end(self.alone)
+            && !loader::has_loaded_since(self.moment)
+            && let Some(before) = &self.household
+        {
+            for said in before.put_back(&Household::look()) {
+                instance.warn(&format!("{entry}: it changed {said}"));
+            }
         }
         if !self.threads.is_empty() {
             instance.set_elders(|| self.threads.iter().map(|tid| (*tid, began(*tid))).collect());
@@ -138,8 +185,8 @@ impl Manners {
     }
 }
 
-/// Looks at a component around its step, while it is one of several that may have done something. Then, and only then, a
-/// step costs some system calls.
+/// Looks at a component around its step, while it is one of several that may have done something. Then, and
+/// only then, a step costs some system calls.
 pub(in crate::lcm) struct Suspicion {
     sigmask: u64,
     directory: Option<PathBuf>,
@@ -153,7 +200,8 @@ impl Suspicion {
         })
     }
 
-    /// Notes what it did. The signal mask is put back here, the directory by the watchdog, which owns its place.
+    /// Notes what it did. The signal mask is put back here, the directory by the watchdog, which owns its
+    /// place.
     pub(in crate::lcm) fn after(self, instance: &Instance) {
         if os::thread_hygiene().sigmask != self.sigmask {
             os::set_sigmask(self.sigmask);
@@ -175,8 +223,8 @@ pub(super) struct Premises {
 }
 
 impl Premises {
-    /// One look. `are_all`, asked after it: no component has come since `wards` were taken. `busy`, asked last, are those that
-    /// were inside since the last look that answered true, the ones with commands first.
+    /// One look. `are_all`, asked after it: no component has come since `wards` were taken. `busy`, asked
+    /// last, are those that were inside since the last look that answered true, the ones with commands first.
     /// False: somebody is inside who looks for himself, or is not known yet, so nothing is said yet.
     pub(super) fn look<'a>(
         &mut self,
@@ -202,22 +250,29 @@ impl Premises {
     }
 }
 
-/// Finds what steps, commands and threads of components have changed for everybody. What an entry that looks for
-/// itself does is left to it.
+/// Finds what steps, commands and threads of components have changed for everybody. What an entry that looks
+/// for itself does is left to it.
 fn look_at_household(wards: &[&Ward]) {
+    if household().is_none() {
+        return;
+    }
     let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
     let now = Household::look();
     if matches!(minding(wards, &before), Minding::Looks) {
         return;
     }
     let mut known = household();
-    let changes = known.as_ref().map_or_else(Vec::new, |last| last.put_back(&now));
+    let changes =
+        known.as_ref().filter(|_| !wards.is_empty()).map_or_else(Vec::new, |last| last.put_back(&now));
     *known = Some(if changes.is_empty() { now } else { Household::look() });
     drop(known);
     for said in changes {
         match wards {
             [ward] => ward.instance.warn(&format!("it changed {said}")),
-            _ => log::warn!("between entries, code of one of {} components changed {said}", wards.len()),
+            _ => log::warn!(
+                "code in this process, of one of {} components or beside them, changed {said}",
+                wards.len()
+            ),
         }
     }
 }
@@ -281,8 +336,9 @@ fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
     }
 }
 
-/// Says to those it may have been what was done; alone under suspicion, it was that one. True when there are several: should
-/// it happen again, they are looked at one by one. Who is looked at already would have been found out, so it was another.
+/// Says to those it may have been what was done; alone under suspicion, it was that one. True when there are
+/// several: should it happen again, they are looked at one by one. Who is looked at already would have been
+/// found out, so it was another.
 fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
     if suspects.is_empty() {
         log::warn!("{what}, by no component that was seen running");
@@ -307,7 +363,8 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
     !known.is_empty()
 }
 
-/// Looks at the signal mask of one component's thread, as the kernel shows it; true when several are suspected.
+/// Looks at the signal mask of one component's thread, as the kernel shows it; true when several are
+/// suspected.
 fn mask(ward: &Ward, wards: &[&Ward]) -> bool {
     let executor = &ward.executor;
     let members: Vec<&Ward> = wards.iter().copied().filter(|w| w.executor.id == executor.id).collect();
@@ -343,15 +400,15 @@ fn blocked(tid: i32) -> Option<u64> {
     u64::from_str_radix(line.trim(), 16).ok()
 }
 
-/// Names of threads that run in this process and were started by the component's own code: they bear the name of its thread,
-/// as new threads do, or came into being during one of its entries. What was there before it was made is not its own: it may
-/// be of one removed that had its name.
+/// Names of threads that run in this process and were started by the component's own code: they bear the name
+/// of its thread, as new threads do, or came into being during one of its entries. What was there before it
+/// was made is not its own: it may be of one removed that had its name.
 pub(in crate::lcm) fn left_behind(ward: &Ward, executors: &BTreeSet<i32>) -> Vec<String> {
     own_threads(ward, executors).into_iter().map(|(_, name)| name).collect()
 }
 
-/// One of those that `stop` should have ended still runs, as far as can be told: what was started by `create` or `configure`
-/// may be for `destroy` to end.
+/// One of those that `stop` should have ended still runs, as far as can be told: what was started by `create`
+/// or `configure` may be for `destroy` to end.
 pub(in crate::lcm) fn outlasts_stop(ward: &Ward, executors: &BTreeSet<i32>) -> bool {
     own_threads(ward, executors).iter().any(|(tid, _)| !ward.instance.lasts(*tid))
 }
@@ -372,8 +429,9 @@ fn own_threads(ward: &Ward, executors: &BTreeSet<i32>) -> Vec<(i32, String)> {
         .collect()
 }
 
-/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one out for each that ends
-/// before the reader's place meanwhile; then the next list lacks that one, so that two that are the same are whole.
+/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one
+/// out for each that ends before the reader's place meanwhile; then the next list lacks that one, so that two
+/// that are the same are whole.
 fn threads() -> BTreeSet<i32> {
     let listed = || -> BTreeSet<i32> {
         let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
@@ -389,11 +447,13 @@ fn threads() -> BTreeSet<i32> {
         all.extend(&next);
         last = next;
     }
-    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too few.
+    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too
+    // few.
     all
 }
 
-/// When a thread of this process began, in ticks since boot, so that a number given again can be told apart; 0 when it is gone.
+/// When a thread of this process began, in ticks since boot, so that a number given again can be told apart;
+/// 0 when it is gone.
 fn began(tid: i32) -> u64 {
     let text = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
     // The name before the last parenthesis may hold anything; the 20th word after it is the time.

@@ -10,6 +10,7 @@ mod watch;
 mod watchdog;
 
 pub(super) use charge::LEAVE_NS;
+pub(crate) use hygiene::own_process;
 pub(super) use hygiene::{Manners, Suspicion, left_behind, outlasts_stop};
 pub(super) use roster::{Roster, Ward};
 pub(super) use safe::give_up;

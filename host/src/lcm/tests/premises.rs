@@ -144,6 +144,15 @@ async fn the_process_whose_umask_is_changed() {
         return;
     }
     set_umask(0o022);
+    // A program that embeds a host does what it likes with itself.
+    let world = World::new("p_theirs");
+    let info = class(ctl(), Safety::None);
+    world.create_as("theirs", info, model(ExecutionModel::OnSignal), Arc::new(Closes("start"))).await;
+    world.start("theirs").await;
+    assert_eq!((umask().as_str(), world.report("theirs").await.warnings), ("0077", Vec::new()));
+    world.end().await;
+    set_umask(0o022);
+    crate::lcm::own_process();
     for (entry, says) in [("start", "start: it changed the umask"), ("command", "it changed the umask")] {
         let world = World::new("p_mask");
         let info = class(ctl(), Safety::None);

@@ -13,7 +13,7 @@ use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Port
 use trocar_rt::os;
 
 use super::super::Ward;
-use super::{Found, blocked, look_at_directory, mask, threads};
+use super::{Found, Visits, blocked, look_at_directory, mask, threads};
 use crate::lcm::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm};
 use crate::watchdog::Watchdog;
@@ -142,4 +142,18 @@ fn what_a_newcomer_or_a_load_may_have_done_is_left_until_that_is_known() {
         .unwrap();
     let said = String::from_utf8_lossy(&child.stdout).into_owned() + &String::from_utf8_lossy(&child.stderr);
     assert!(child.status.success() && said.contains("1 passed"), "{said}");
+}
+
+#[test]
+fn an_entry_beside_another_is_not_alone_whichever_ends_first() {
+    let visits = Visits::new();
+    let alone = visits.begin();
+    assert!(alone.is_some() && visits.end(alone));
+    let (first, second) = (visits.begin(), visits.begin());
+    assert!(first.is_some() && second.is_none());
+    assert!(!visits.end(second) && !visits.end(first), "somebody was there meanwhile");
+    let (first, second) = (visits.begin(), visits.begin());
+    assert!(!visits.end(first) && !visits.end(second));
+    let alone = visits.begin();
+    assert!(visits.end(alone));
 }
