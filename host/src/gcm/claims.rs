@@ -68,9 +68,11 @@ impl Part {
         part
     }
 
-    /// What their plan touches besides; its globs are resolved.
-    fn planned(mut self, plan: &Plan) -> Part {
-        self.globs.clear();
+    /// What their plan touches besides; its globs are resolved when the whole is planned.
+    fn planned(mut self, plan: &Plan, is_whole: bool) -> Part {
+        if is_whole {
+            self.globs.clear();
+        }
         // Taking away alone is never taken back; among other things it may have to be connected again.
         let takes_away = |change: &Change| match change {
             Change::Disconnect { .. } | Change::Destroy { .. } => true,
@@ -109,6 +111,18 @@ impl Part {
             || !self.globs.is_empty() && !other.globs.is_empty()
             || matched(&self.globs, &other.ids)
             || matched(&other.globs, &self.ids)
+    }
+}
+
+/// A plan, and whether it is one of all that was asked.
+pub(super) struct Planned {
+    pub(super) plan: Plan,
+    pub(super) is_whole: bool,
+}
+
+impl From<Plan> for Planned {
+    fn from(plan: Plan) -> Planned {
+        Planned { plan, is_whole: true }
     }
 }
 
@@ -209,11 +223,25 @@ impl Claim<'_> {
         }
     }
 
+    /// Takes what `plan` touches besides, which was not known before; false: somebody else has some of it.
+    pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> bool {
+        let mut list = lock(&self.claims.list);
+        let own = list.entries.iter().position(|e| e.number == self.number);
+        let Some(own) = own else { return false };
+        let part = list.entries[own].part.clone().planned(plan, is_whole);
+        let is_free =
+            list.entries.iter().all(|e| e.number == self.number || !e.under_way || !e.part.meets(&part));
+        if is_free {
+            list.entries[own].part = part;
+        }
+        is_free
+    }
+
     /// Plans and takes the part, when nobody else has any of it or came earlier; else what it waits for.
     fn take(
         &self,
         named: &Part,
-        plan: impl FnOnce() -> Result<(Arc<SystemGraph>, Plan), Refusal>,
+        plan: impl FnOnce() -> Result<(Arc<SystemGraph>, Planned), Refusal>,
     ) -> Result<Result<(Arc<SystemGraph>, Plan), Refusal>, String> {
         let mut list = lock(&self.claims.list);
         let first = |part: &Part, list: &List| {
@@ -224,11 +252,11 @@ impl Claim<'_> {
         if let Some(doing) = first(named, &list) {
             return Err(doing);
         }
-        let (graph, plan) = match plan() {
+        let (graph, Planned { plan, is_whole }) = match plan() {
             Ok(planned) => planned,
             Err(refusal) => return Ok(Err(refusal)),
         };
-        let part = named.clone().planned(&plan);
+        let part = named.clone().planned(&plan, is_whole);
         let doing = first(&part, &list);
         if let Some(entry) = list.entries.iter_mut().find(|e| e.number == self.number) {
             entry.under_way = doing.is_none();
@@ -243,11 +271,11 @@ impl Gcm {
     ///
     /// # Errors
     /// What `plan` refuses; LcmTimeout when others took all the time.
-    pub(super) async fn claim_part(
+    pub(super) async fn claim_part<P: Into<Planned>>(
         &self,
         requests: &[Request],
         deadline: Instant,
-        plan: impl Fn(&SystemGraph) -> Result<Plan, Refusal>,
+        plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
         let named = Part::named(&self.graph(), requests);
         let claim = self.inner.claims.queue(named.clone());
@@ -256,7 +284,7 @@ impl Gcm {
             news.mark_unchanged();
             let now = || {
                 let graph = self.graph();
-                plan(&graph).map(|plan| (graph, plan))
+                plan(&graph).map(|plan| (graph, plan.into()))
             };
             let behind = match claim.take(&named, now) {
                 Ok(planned) => return planned.map(|(graph, plan)| (claim, graph, plan)),

@@ -12,6 +12,7 @@ use trocar_model::{
 };
 
 use super::apart::asked_apart;
+use super::claims::Planned;
 use super::generated::first_part;
 use super::manager::lock;
 use super::observed::{observe, stand_by};
@@ -139,7 +140,7 @@ impl Gcm {
             };
             at_once.store(first, Ordering::Relaxed);
             self.can_be_made(&apart)?;
-            Ok(plan)
+            Ok(Planned { plan, is_whole: first == requests.len() })
         };
         let (claim, graph, plan) = match self.claim_part(requests, deadline, decide).await {
             // It went with the request that had made it.
@@ -159,7 +160,7 @@ impl Gcm {
         };
         let waiting = &requests[at_once.load(Ordering::Relaxed)..];
         if made.is_ok() && !waiting.is_empty() {
-            made = self.second_part(waiting, &carrying, &mut done, deadline).await;
+            made = self.other_parts(waiting, &carrying, &mut done, deadline).await;
         }
         if let Err(refusal) = made {
             self.end_apart(apart.into_iter().map(|a| a.process).collect()).await;

@@ -1,6 +1,7 @@
-//! Ports that a configuration makes: a request set that connects them beside the Create is carried out in two parts.
+//! Ports that a configuration makes: a request set that connects them beside the Create is carried out in
+//! parts.
 //!
-//! Invariant: a refusal in the second part takes the first one back; without such ports there is one part.
+//! Invariant: a refusal in a later part takes all before it back; without such ports there is one part.
 
 use std::time::Instant;
 
@@ -48,30 +49,38 @@ impl Gcm {
     /// Plans and does what had to wait for ports; `done` has what was done before.
     ///
     /// # Errors
-    /// Every refusal of the plan or a component; then both parts are undone.
-    pub(super) async fn second_part(
+    /// Every refusal of the plan or a component; then all parts are undone.
+    pub(super) async fn other_parts(
         &self,
         requests: &[Request],
         carrying: &Carrying<'_>,
         done: &mut Executed,
         deadline: Instant,
     ) -> Result<(), Refusal> {
-        let planned = plan_all(&self.graph(), requests);
-        let mut more = Executed { plan: planned.clone().unwrap_or_default(), ..Executed::default() };
-        let made = match planned {
-            Ok(plan) => {
-                carrying.goes_on(&plan);
-                self.all_or_nothing(carrying, &mut more, deadline).await
-            }
-            Err(refusal) => Err(refusal),
-        };
-        if let Err(refusal) = made {
-            self.undo(carrying, &done.plan.changes).await;
-            return Err(refusal);
+        let mut waiting = requests;
+        while !waiting.is_empty() {
+            let made = match first_part(&self.graph(), waiting) {
+                Ok((plan, first)) if !carrying.widens(&plan, first == waiting.len()) => {
+                    Err(self.busy(waiting, "another request"))
+                }
+                Ok((plan, first)) => {
+                    let mut more = Executed { plan, ..Executed::default() };
+                    self.all_or_nothing(carrying, &mut more, deadline).await.map(|()| (more, first))
+                }
+                Err(refusal) => Err(refusal),
+            };
+            let (more, first) = match made {
+                Ok(made) => made,
+                Err(refusal) => {
+                    self.undo(carrying, &done.plan.changes).await;
+                    return Err(refusal);
+                }
+            };
+            done.plan.changes.extend(more.plan.changes);
+            done.plan.skipped.extend(more.plan.skipped);
+            done.reports.extend(more.reports);
+            waiting = &waiting[first..];
         }
-        done.plan.changes.extend(more.plan.changes);
-        done.plan.skipped.extend(more.plan.skipped);
-        done.reports.extend(more.reports);
         Ok(())
     }
 }

@@ -30,8 +30,16 @@ impl<'a> Carrying<'a> {
         carrying
     }
 
-    /// Carries out this plan, too.
-    pub(super) fn goes_on(&self, plan: &Plan) {
+    /// Carries out this plan, too, which touches nothing that another request has; false: it does.
+    pub(super) fn widens(&self, plan: &Plan, is_whole: bool) -> bool {
+        let is_free = self.claim.widen(plan, is_whole);
+        if is_free {
+            self.goes_on(plan);
+        }
+        is_free
+    }
+
+    fn goes_on(&self, plan: &Plan) {
         let moves = |change: &&Change| {
             matches!(change, Change::Run { from: State::Active, .. } | Change::Run { to: State::Active, .. })
         };

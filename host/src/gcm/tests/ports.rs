@@ -100,16 +100,31 @@ async fn a_process_that_comes_back_with_other_ports_loses_what_does_not_fit() {
     assert_eq!(numbers(&gcm.graph()), Vec::<u64>::new());
 }
 
-/// Creates a source and a component that has an input `made` once it is configured, and connects that.
-fn with_a_made_port(lcm: &FakeLcm) -> Vec<Request> {
+/// Creates `path`, which has an input `made` once it is configured.
+fn maker(lcm: &FakeLcm, path: &str) -> Request {
     let mut ports = crate::gcm::fake::class().ports.clone();
     let input = ports.inputs[0].clone();
     ports.inputs.push(trocar_model::Input { name: "made".into(), ..input });
-    lcm.ports_at("Configure host/b", ports);
+    lcm.ports_at(&format!("Configure {path}"), ports);
     let config = Some(serde_json::json!({ "gain": 2.0 }));
-    let configured =
-        Request::Create { id: id("host/b"), class: "arm".into(), config, execution: Execution::default() };
-    vec![create("host/a"), configured, connect("host/b/made", "host/a/value"), start("host/**")]
+    Request::Create { id: id(path), class: "arm".into(), config, execution: Execution::default() }
+}
+
+/// Creates a source and a component that has an input `made` once it is configured, and connects that.
+fn with_a_made_port(lcm: &FakeLcm) -> Vec<Request> {
+    let made = maker(lcm, "host/b");
+    vec![create("host/a"), made, connect("host/b/made", "host/a/value"), start("host/**")]
+}
+
+#[tokio::test]
+async fn any_number_of_components_make_ports_in_one_request() {
+    let (gcm, lcm) = system().await;
+    let (b, c) = (maker(&lcm, "host/b"), maker(&lcm, "host/c"));
+    let wires = ["host/b", "host/c"].map(|path| connect(&format!("{path}/made"), "host/a/value"));
+    let [to_b, to_c] = wires;
+    let done = ask(&gcm, vec![create("host/a"), b, to_b, c, to_c, start("host/**")]).await.unwrap();
+    assert_eq!((numbers(&gcm.graph()), done.revision), (vec![1, 2], 1), "one request is one change");
+    assert_eq!(component(&gcm.graph(), "host/c").state, State::Active);
 }
 
 #[tokio::test]
