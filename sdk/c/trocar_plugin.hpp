@@ -16,6 +16,7 @@
 #define TROCAR_PLUGIN_HPP
 
 #include "trocar_frames.hpp"
+#include "trocar_guard.hpp"
 #include "trocar_json.hpp"
 #include "trocar_repeated.hpp"
 #include "trocar_sizes.hpp"
@@ -164,29 +165,6 @@ struct Component {
     // What ids beyond the manifest mean: by the last describe, and since the last bind.
     Beyond described_, in_force_;
 };
-
-inline trocar_status say(trocar_err *err, trocar_status status, std::string_view why) {
-    if (err != nullptr && err->ptr != nullptr) {
-        err->len = std::min(why.size(), err->cap);
-        std::memcpy(err->ptr, why.data(), err->len);
-    }
-    return status;
-}
-
-// Runs an entry; nothing is thrown out of it. refusal: what a Refused without a status of its own is here.
-template <class F>
-trocar_status guarded(trocar_err *err, F &&entry, trocar_status refusal = TROCAR_STATUS_FAILED) noexcept {
-    try {
-        entry();
-        return TROCAR_STATUS_OK;
-    } catch (const Refused &e) {
-        return say(err, e.status == TROCAR_STATUS_OK ? refusal : e.status, e.what());
-    } catch (const std::exception &e) {
-        return say(err, TROCAR_STATUS_PANICKED, e.what());
-    } catch (...) {
-        return say(err, TROCAR_STATUS_PANICKED, "an exception of unknown type");
-    }
-}
 
 // The members of class C, each at its position in the manifest.
 template <class C> class Members {

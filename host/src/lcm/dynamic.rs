@@ -1,7 +1,8 @@
 //! The ports of one instance as its description has them now, and how another description takes their place.
 //!
-//! Invariant: ports change only inside the component, between two steps, and only after `describe` made sense and `bind`
-//! took them: whatever fails leaves the old ports, their connections and what is queued in them as they were.
+//! Invariant: ports change only inside the component, between two steps, and only after `describe` made sense
+//! and `bind` took them: whatever fails leaves the old ports, their connections and what is queued in them as
+//! they were.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -149,6 +150,14 @@ impl PortSet {
         }
     }
 
+    /// Names of all its ports.
+    fn names(&self) -> Vec<String> {
+        let ports = &self.ports;
+        let moving = ports.inputs.iter().map(|p| &p.name).chain(ports.outputs.iter().map(|p| &p.name));
+        let called = ports.required.iter().map(|p| &p.name).chain(ports.provided.iter().map(|p| &p.name));
+        moving.chain(called).cloned().collect()
+    }
+
     /// Names of the ports of `before` that are not in this set any more, or not as they were.
     fn lost(&self, before: &PortSet) -> Vec<String> {
         let (old, new) = (&before.ports, &self.ports);
@@ -286,8 +295,8 @@ impl Instance {
         context::wake(&self.hub.ports);
     }
 
-    /// Passes on what a filter that failed would have worked on: its first input, to its first output of that type.
-    /// What is left then is taken up without a new sample. Component's thread only; real-time.
+    /// Passes on what a filter that failed would have worked on: its first input, to its first output of that
+    /// type. What is left then is taken up without a new sample. Component's thread only; real-time.
     pub(super) fn bypass(&self) {
         let set = self.described.now.enter();
         if let Some((input, output)) = set.bypass
@@ -304,7 +313,8 @@ impl Instance {
         inputs.filter(|(i, _)| set.slots.input(*i).is_stale(now_ns)).map(|(_, p)| p.name.clone()).collect()
     }
 
-    /// Locks the frame pools of its outputs into memory, each once; says which the machine refused. Managers only.
+    /// Locks the frame pools of its outputs into memory, each once; says which the machine refused. Managers
+    /// only.
     pub(super) fn lock_pools(&self) {
         let set = self.described.now();
         for (output, why) in set.slots.lock_pools() {
@@ -321,7 +331,8 @@ impl Instance {
     }
 }
 
-/// Asks the class for its ports and takes them over when they are others. Inside the component, between two steps.
+/// Asks the class for its ports and takes them over when they are others. Inside the component, between two
+/// steps.
 ///
 /// # Errors
 /// `describe` or `bind` failed, or the description contradicts itself; the ports are as before.
@@ -339,21 +350,27 @@ pub(super) fn describe(instance: &Instance, entered: &mut Entered<'_>) -> Entry 
     take_over(instance, entered, ports)
 }
 
-/// Binds a fresh instance to the ports every instance of its class begins with. Those it had before a Reset stay for
-/// the description that follows: what is connected to them survives it.
+/// Binds a fresh instance to the ports every instance of its class begins with. Those it had before a Reset
+/// stay for the description that follows: what is connected to them survives it.
 pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     let now = instance.described.now();
-    let own = if *now.ports == instance.info.ports {
+    let own = if *now.ports == instance.info.ports && !instance.holds_on() {
         now
     } else {
         let ports = instance.info.ports.clone();
-        Arc::new(PortSet::new(ports, Some(&now)).map_err(|e| ("bind", EntryError::no_room(e)))?)
+        Arc::new(PortSet::new(ports, still(instance, &now)).map_err(|e| ("bind", EntryError::no_room(e)))?)
     };
     let mut life = instance.described.life();
     life.fresh = !Arc::ptr_eq(&own, &instance.described.now());
     life.kept.push(own.clone());
     drop(life);
     instance.as_running(Inside::Bind, || entered.bind(own.slots.table())).map_err(|e| ("bind", e))
+}
+
+/// What a new set may take over of the one before: nothing where handles to it are still held, or two threads
+/// would have one port.
+fn still<'a>(instance: &Instance, before: &'a PortSet) -> Option<&'a PortSet> {
+    (!instance.holds_on()).then_some(before)
 }
 
 /// Here a refusal is a failure, too: configuration and ports do not go together any more.
@@ -367,6 +384,15 @@ pub(super) fn as_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entry 
     take_over(instance, entered, instance.info.ports.clone())
 }
 
+fn made(ports: Ports, before: Option<&PortSet>) -> Result<Arc<PortSet>, (&'static str, EntryError)> {
+    Ok(Arc::new(PortSet::new(ports, before).map_err(|e| ("describe", EntryError::no_room(e)))?))
+}
+
+fn bind_to(instance: &Instance, entered: &mut Entered<'_>, set: &Arc<PortSet>) -> Entry {
+    instance.described.life().kept.push(set.clone());
+    instance.as_running(Inside::Bind, || entered.bind(set.slots.table())).map_err(|e| failed("bind", e))
+}
+
 fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> Entry {
     let described = &instance.described;
     let before = described.now();
@@ -374,21 +400,24 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     if same && !described.life().fresh {
         return Ok(());
     }
-    let new = if same {
-        before.clone()
-    } else {
-        Arc::new(PortSet::new(ports, Some(&before)).map_err(|e| ("describe", EntryError::no_room(e)))?)
-    };
-    described.life().kept.push(new.clone());
-    instance.as_running(Inside::Bind, || entered.bind(new.slots.table())).map_err(|e| failed("bind", e))?;
+    let mut shares = !instance.holds_on();
+    let mut new = if same && shares { before.clone() } else { made(ports, still(instance, &before))? };
+    bind_to(instance, entered, &new)?;
+    if shares && instance.holds_on() {
+        // Handles of the bind before were left just now: they keep what they lead to, and the component has
+        // another.
+        shares = false;
+        new = made((*new.ports).clone(), None)?;
+        bind_to(instance, entered, &new)?;
+    }
     let mut life = described.life();
     life.kept.retain(|set| instance.holds_on() || Arc::ptr_eq(set, &before));
     life.fresh = false;
-    if same {
+    if Arc::ptr_eq(&new, &before) {
         return Ok(());
     }
     life.changed = true;
-    life.lost.extend(new.lost(&before));
+    life.lost.extend(if shares { new.lost(&before) } else { before.names() });
     life.kept.push(before.clone());
     drop(life);
     new.renumber(&before);
@@ -403,8 +432,8 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
         all.retain(|i| !Arc::ptr_eq(i, &before.external));
         all.push(new.external.clone());
     });
-    // What the outside had queued is not executed under another description, and what others had queued for an interface
-    // that went is answered before their connections are cut.
+    // What the outside had queued is not executed under another description, and what others had queued for
+    // an interface that went is answered before their connections are cut.
     before.external.close(DISABLED);
     instance
         .queues()

@@ -35,10 +35,11 @@ impl Tie {
         Tie { host: host.clone(), lease: Lease::new() }
     }
 
-    /// Another `bind` begins: its ports are tied with what this is then. Answers what the ports before were
-    /// tied with.
-    pub(crate) fn renew(&mut self) -> Lease {
-        core::mem::replace(&mut self.lease, Lease::new())
+    /// Another `bind` begins: its ports are tied with what this is then. The answer is dropped when `bind` is
+    /// over, by a panic too, and has what is left of the ports before kept.
+    pub(crate) fn renew(&mut self) -> Settled {
+        let before = core::mem::replace(&mut self.lease, Lease::new());
+        Settled { before: Some(before), host: self.host.clone() }
     }
 
     /// All of the instance is gone but this.
@@ -49,10 +50,17 @@ impl Tie {
     }
 }
 
-/// `bind` has tied the ports anew: one that was left out may still be somewhere.
-pub(crate) fn settle(before: Lease, host: &Host) {
-    if !before.was_last() {
-        host.keep();
+/// The ports of the `bind` before: one that was left out of the new one may still be somewhere.
+pub(crate) struct Settled {
+    before: Option<Lease>,
+    host: Host,
+}
+
+impl Drop for Settled {
+    fn drop(&mut self) {
+        if self.before.take().is_some_and(|lease| !lease.was_last()) {
+            self.host.keep();
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use crate::component::{Class, Tick};
 use crate::config::JsonObject;
 use crate::guard::{Chain, guard, refuse, settle};
 use crate::host::Host;
-use crate::lease::{self, Layout, Tie};
+use crate::lease::{Layout, Tie};
 use crate::payload::Payload;
 use crate::ports::Binder;
 use crate::safe::MakeSafe;
@@ -217,12 +217,11 @@ unsafe extern "C" fn bind<C: Class>(this: *mut c_void, ports: *const Ports, err:
                 ),
             );
         }
-        let before = own.tie.renew();
+        let _settled = own.tie.renew();
         own.bound.clone_from(&own.described);
         // SAFETY: counts agree; the host made the slots from the manifest or the last description. They stay
         // until the next bind or destroy, and longer where one of these two finds that somebody holds them.
         component.bind(&unsafe { Binder::new(ports, &own.tie, &own.bound) });
-        lease::settle(before, &own.tie.host);
         if !C::DESCRIPTION.is_empty() {
             component.ports_changed();
         }

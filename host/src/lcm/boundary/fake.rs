@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::{ClassInfo, Execution, ExecutionLimits, Programs, Refusal, Safety};
 use trocar_plugin_api::abi::{
-    Bytes, ClassTable, ErrBuf, HostTable, IN_SAMPLE, Outcome, PARALLEL, Parallel, Ports, STATUS_FAILED,
-    STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, Sink, SliceBody, Status, Tick,
+    Bytes, ClassTable, ErrBuf, HostTable, IN_SAMPLE, KEEP, Keep, Outcome, PARALLEL, Parallel, Ports,
+    STATUS_FAILED, STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, Sink, SliceBody, Status, Tick,
 };
 
 use super::LoadedClass;
@@ -83,7 +83,8 @@ impl Own {
     /// The next sample of an input of so many words, and its number.
     pub(in crate::lcm) fn take_words<const N: usize>(&self, input: usize) -> Option<([u64; N], u64)> {
         let mut view = frames::view();
-        // SAFETY: the tests' classes have that input, of that size or of frames with such a header, and are bound before they run.
+        // SAFETY: the tests' classes have that input, of that size or of frames with such a header, and are
+        // bound before they run.
         unsafe {
             let slot = *(*self.ports).inputs.add(input);
             if ((*slot).next)((*slot).ctx, &raw mut view) != IN_SAMPLE {
@@ -99,6 +100,18 @@ impl Own {
         unsafe {
             let slot = *(*self.ports).outputs.add(output);
             ((*slot).write)((*slot).ctx, std::ptr::from_ref(value).cast(), 0)
+        }
+    }
+
+    /// Says, as the SDK does, that handles of its are left.
+    pub(in crate::lcm) fn keep(&self) {
+        let id = Bytes { ptr: KEEP.as_ptr(), len: KEEP.len() };
+        // SAFETY: the host's table lives as long as the instance, and answers with the extension of that
+        // name.
+        unsafe {
+            let host = &*self.host;
+            let found = (host.extension)(host.ctx, id).cast::<Keep>();
+            ((*found).keep)(host.ctx);
         }
     }
 
@@ -173,7 +186,8 @@ impl Own {
 #[derive(Clone, Copy)]
 pub(in crate::lcm) struct Device(*const HostTable);
 
-// SAFETY: the table's functions may be called from any thread, as long as the instance lives; tests see to that.
+// SAFETY: the table's functions may be called from any thread, as long as the instance lives; tests see to
+// that.
 unsafe impl Send for Device {}
 
 impl Device {
@@ -205,7 +219,8 @@ type Read = Arc<dyn Fn() -> u64 + Send + Sync>;
 
 static READS: Mutex<Option<HashMap<u64, Read>>> = Mutex::new(None);
 
-/// Says what qualified reads with this argument answer, of whichever component: a read has no instance. Unique over all tests.
+/// Says what qualified reads with this argument answer, of whichever component: a read has no instance.
+/// Unique over all tests.
 pub(in crate::lcm) fn on_read(arg: u64, answer: impl Fn() -> u64 + Send + Sync + 'static) {
     let mut all = READS.lock().unwrap_or_else(PoisonError::into_inner);
     all.get_or_insert_default().insert(arg, Arc::new(answer));
@@ -231,7 +246,8 @@ fn entry(err: *mut ErrBuf, f: impl FnOnce() -> Result<(), String>) -> Status {
 }
 
 fn fake<'a>(this: *mut c_void) -> &'a mut Fake {
-    // SAFETY: made by `create` below, entered by one thread at a time (make_safe from outside uses shared parts only).
+    // SAFETY: made by `create` below, entered by one thread at a time (make_safe from outside uses shared
+    // parts only).
     unsafe { &mut *this.cast::<Fake>() }
 }
 

@@ -1,7 +1,7 @@
 //! Removing what hangs or has failed: it is ended when it comes back, entered by nobody after that, and kept while it may
 //! still use what the host gave it.
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::Tick;
 
@@ -175,6 +175,42 @@ async fn a_thread_of_configure_may_be_ended_by_destroy() {
     assert!(brood.destroyed.load(Ordering::SeqCst));
     assert_eq!(world.lcm.buried(), 0);
     world.end().await;
+}
+
+/// Steps, and leaves handles behind where it is told to.
+struct Leaves {
+    some: bool,
+    steps: AtomicU64,
+}
+
+impl Behaviour for Leaves {
+    fn step(&self, _: &Tick, own: &Own) -> Result<(), String> {
+        if self.some {
+            own.keep();
+        }
+        self.steps.fetch_add(1, Ordering::SeqCst);
+        Ok(())
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_port_to_which_handles_are_left_is_not_that_of_the_instance_made_anew() {
+    for (some, lost) in [(false, &[][..]), (true, &[1])] {
+        let world = World::new(if some { "rm_left" } else { "rm_clean" });
+        let (source, reader) =
+            (class(plain(false, true), Safety::None), class(plain(true, false), Safety::None));
+        let leaves = |some| Arc::new(Leaves { some, steps: AtomicU64::new(0) });
+        let left = leaves(some);
+        world.create_as("s", source, periodic(1000), leaves(false)).await;
+        world.create_as("c", reader, periodic(1000), left.clone()).await;
+        world.connect(1, "c/in", "s/out", ConnectOptions::default()).await;
+        world.start("c").await;
+        eventually("it has stepped", || left.steps.load(Ordering::SeqCst) > 0).await;
+        world.run("c", Verb::Stop).await.unwrap();
+        let report = world.run("c", Verb::Reset).await.unwrap();
+        assert_eq!(report.lost_connections, lost, "{report:?}");
+        world.end().await;
+    }
 }
 
 /// Starts a thread and leaves it running until the test lets go.
