@@ -20,6 +20,7 @@ import traceback
 
 import away
 import endings
+import files
 import reading
 import recording
 import times
@@ -52,7 +53,7 @@ def main():
     parser.add_argument("--exact", nargs="+", metavar="NAME")
     parser.add_argument("--times", action="store_true")
     args = parser.parse_args()
-    tests = chosen(args, {f"recorder::{name}": test for of in (recording, reading, endings, away, times) for name, test in vars(of).items()
+    tests = chosen(args, {f"recorder::{name}": test for of in (recording, files, reading, endings, away, times) for name, test in vars(of).items()
                           if name.startswith("test_")})
     enter_venv()
     hear_signals()
