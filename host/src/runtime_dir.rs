@@ -6,7 +6,7 @@
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, symlink};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use rustix::fs::OFlags;
@@ -74,6 +74,7 @@ impl RuntimeDir {
     pub(crate) fn prepare(&self) -> io::Result<()> {
         DirBuilder::new().recursive(true).mode(0o700).create(&self.0)?;
         self.is_own()?;
+        fs::set_permissions(&self.0, fs::Permissions::from_mode(0o700))?;
         self.sweep();
         Ok(())
     }
@@ -82,15 +83,15 @@ impl RuntimeDir {
     /// one, where anybody may have been first.
     ///
     /// # Errors
-    /// There is none, or it is somebody else's, or open to others.
+    /// There is none, or it is somebody else's, or others can write it.
     pub(crate) fn is_own(&self) -> io::Result<()> {
         let told = fs::symlink_metadata(&self.0)?;
         let own = geteuid().as_raw();
-        if told.is_dir() && told.uid() == own && told.mode() & 0o077 == 0 {
+        if told.is_dir() && told.uid() == own && told.mode() & 0o022 == 0 {
             return Ok(());
         }
         let why = format!(
-            "{} is not a directory of user {own} alone (owner {}, mode {:03o}): remove it, or set XDG_STATE_HOME",
+            "{} is not a directory that user {own} alone can write (owner {}, mode {:03o}): remove it, or set XDG_STATE_HOME",
             self.0.display(),
             told.uid(),
             told.mode() & 0o777
@@ -230,7 +231,6 @@ pub(crate) fn pid_of(path: &Path) -> Option<u32> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use std::os::unix::fs::PermissionsExt;
     use std::os::unix::net::{UnixListener, UnixStream};
 
     use super::*;
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_that_others_can_enter_gives_no_token_and_opens_no_door() {
+    fn a_directory_that_others_can_write_gives_no_token_and_opens_no_door() {
         let temp = tempfile::tempdir().unwrap();
         let dir = RuntimeDir::at(temp.path().join("run"));
         dir.token().unwrap();

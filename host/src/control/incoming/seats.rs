@@ -56,11 +56,11 @@ impl Seats {
         if let Some(user) = guest {
             let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);
             let all: usize = guests.values().sum();
-            let own = guests.entry(user).or_default();
-            if all >= GUESTS || *own >= OF_ONE {
+            let own = guests.get(&user).copied().unwrap_or(0);
+            if all >= GUESTS || own >= OF_ONE {
                 return None;
             }
-            *own += 1;
+            guests.insert(user, own + 1);
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (keep, given_up) = oneshot::channel();
