@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use rustix::event::EventfdFlags;
+use trocar_rt::house;
 
 use crate::address;
 use crate::card::Card;
@@ -95,7 +96,7 @@ impl Links {
         let (own, asked) = (card.clone(), shared.clone());
         let thread = std::thread::Builder::new().name("trocar-links".into());
         // Made there, since the words it leaves behind are that thread's.
-        let thread = thread.spawn(move || Server::new(own, listener, asked, handler).run());
+        let thread = house::spawn(thread, move || Server::new(own, listener, asked, handler).run());
         // Nothing half made: without its thread nobody would answer there.
         let thread = thread.inspect_err(|_| drop(std::fs::remove_file(&card.socket)))?;
         Ok(Links { card, shared, thread: Mutex::new(Some(thread)) })

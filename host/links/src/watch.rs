@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use trocar_rt::house;
 use trocar_rt::os::{MOST_WORDS, Scope, futex_wait_each, futex_wake};
 use trocar_rt::pulse::Life;
 
@@ -73,7 +74,7 @@ impl Watch {
         if self.thread.is_none() {
             let (asked, shared) = (self.asked.clone(), self.shared.clone());
             let thread = std::thread::Builder::new().name("trocar-watch".into());
-            let Ok(thread) = thread.spawn(move || watch(&asked, &shared)) else { return false };
+            let Ok(thread) = house::spawn(thread, move || watch(&asked, &shared)) else { return false };
             self.thread = Some(thread);
         }
         book.watched.push(Watched { session: session.clone(), word, false_wakes: 0 });

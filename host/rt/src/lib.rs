@@ -10,6 +10,7 @@ mod buf;
 pub mod cell;
 pub mod exclusive;
 pub mod executor;
+pub mod house;
 pub mod left;
 pub mod mailbox;
 mod mapping;

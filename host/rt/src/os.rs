@@ -22,6 +22,20 @@ pub fn now_ns() -> u64 {
     t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
 }
 
+/// Ticks since boot, as the kernel writes when a thread began: 10 ms each on every Linux.
+pub fn boot_ticks() -> u64 {
+    let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `t` is a valid place for the answer; CLOCK_BOOTTIME exists since Linux 2.6.39.
+    unsafe { libc::clock_gettime(libc::CLOCK_BOOTTIME, &mut t) };
+    t.tv_sec as u64 * 100 + t.tv_nsec as u64 / 10_000_000
+}
+
+/// Kernel id of the calling thread, as /proc lists it; 0 where that does not tell.
+pub fn thread_id() -> i32 {
+    let link = std::fs::read_link("/proc/thread-self").unwrap_or_default();
+    link.file_name().and_then(|n| n.to_str()).and_then(|n| n.parse().ok()).unwrap_or(0)
+}
+
 /// What a thread of this process has run so far, ns, exact also while it runs; `None` when it is gone.
 pub fn thread_ran_ns(tid: i32) -> Option<u64> {
     let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };

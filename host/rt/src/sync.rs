@@ -21,7 +21,7 @@ pub(crate) use std::{
 /// Starts a thread with a stack of 1 MiB.
 #[cfg(not(loom))]
 pub(crate) fn spawn(run: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
-    std::thread::Builder::new().stack_size(1 << 20).spawn(run)
+    crate::house::spawn(std::thread::Builder::new().stack_size(1 << 20), run)
 }
 
 #[cfg(loom)]

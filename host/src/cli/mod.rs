@@ -55,6 +55,7 @@ use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use failure::{Done, Exit, Failure};
 use session::Session;
+use trocar_rt::house;
 
 /// Component-based software for computer-assisted intervention.
 ///
@@ -219,7 +220,8 @@ fn process(main: impl Future<Output = Done>) -> Done {
 const IDLE: Duration = Duration::from_secs(2);
 
 fn block_on(mut builder: tokio::runtime::Builder, main: impl Future<Output = Done>) -> Done {
-    let runtime = builder.enable_all().thread_name("trocar-io").thread_keep_alive(IDLE).build();
+    let runtime = builder.enable_all().thread_name("trocar-io").thread_keep_alive(IDLE);
+    let runtime = runtime.on_thread_start(house::begin).on_thread_stop(house::end).build();
     let runtime = runtime.map_err(|e| {
         Failure::local(
             "IO",

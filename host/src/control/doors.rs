@@ -14,6 +14,7 @@ use std::thread;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tonic::service::Routes;
+use trocar_rt::house;
 
 use super::caller::own_user;
 use super::incoming::Incoming;
@@ -47,7 +48,7 @@ impl Doors {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let serving = serve(stop, routes.clone(), closing.clone());
         // The thread ends with its socket; a call that hangs does not keep the process.
-        thread::Builder::new().name("trocar-stop".into()).spawn(move || runtime.block_on(serving))?;
+        house::spawn(thread::Builder::new().name("trocar-stop".into()), move || runtime.block_on(serving))?;
         let calls = self.bind(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
         Ok(())

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use trocar_rt::house;
 
 use super::{HostError, StateDir};
 use crate::control::Server;
@@ -67,7 +68,7 @@ impl Ending {
             runtime.block_on(end(&theirs, how));
             tell.send_replace(true);
         };
-        thread::Builder::new().name("trocar-end".into()).spawn(end).map_err(threads)?;
+        house::spawn(thread::Builder::new().name("trocar-end".into()), end).map_err(threads)?;
         Ok(Ending { running, order, ended, alive: Mutex::new(alive) })
     }
 

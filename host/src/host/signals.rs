@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::watch;
+use trocar_rt::house;
 
 /// Exit code of a program that was interrupted.
 const INTERRUPTED: i32 = 130;
@@ -65,7 +66,7 @@ impl StopRequest {
             // A component that never comes back would keep it for ever, and nobody is there to end it.
             std::process::abort();
         };
-        std::thread::Builder::new().name("trocar-tie".into()).spawn(wait).map(|_| ())
+        house::spawn(std::thread::Builder::new().name("trocar-tie".into()), wait).map(|_| ())
     }
 
     /// Also asks when standard input is closed before anything came over it: whoever waits for this process then has gone.
@@ -79,7 +80,7 @@ impl StopRequest {
                 tell.send_replace(true);
             }
         };
-        std::thread::Builder::new().name("trocar-tie".into()).spawn(wait).map(|_| ())
+        house::spawn(std::thread::Builder::new().name("trocar-tie".into()), wait).map(|_| ())
     }
 
     /// Ends when the process is asked to end; at once when it already was.

@@ -3,7 +3,7 @@
 //! Invariant: component code runs only here (passive components and device callbacks excepted). A cycle takes no lock,
 //! allocates nothing and calls nothing of the OS but its own sleep and the wakes after the step; jobs run between cycles.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -11,6 +11,7 @@ use std::thread;
 use trocar_model::{Execution, ExecutionModel};
 use trocar_rt::executor::{Bells, Clock, Pacer};
 use trocar_rt::wake::{MOST_BELLS, Waker};
+use trocar_rt::{house, os};
 
 use super::context::{self, ExecutorId};
 use super::cycle::{self, Member};
@@ -98,32 +99,32 @@ pub(super) struct Executor {
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
-/// Kernel ids of all executors' threads, of whichever LCM: a program may have several, with components of one name.
-static THREADS: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
+/// Names of all executors' threads, of whichever LCM, by kernel id: a program may have several, with components of one name.
+static NAMES: Mutex<BTreeMap<i32, String>> = Mutex::new(BTreeMap::new());
 
-fn all_threads() -> MutexGuard<'static, BTreeSet<i32>> {
-    THREADS.lock().unwrap_or_else(PoisonError::into_inner)
+fn all_names() -> MutexGuard<'static, BTreeMap<i32, String>> {
+    NAMES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// True for the thread of an executor of this process.
-pub(super) fn is_executor(tid: i32) -> bool {
-    all_threads().contains(&tid)
+/// Names of the threads of this process's executors, which threads bear that code on them starts without a name of their own.
+pub(super) fn names() -> BTreeSet<String> {
+    all_names().values().cloned().collect()
 }
 
-/// One thread on that list, until it ends.
-struct Listed(i32);
+/// One thread among them, until it ends.
+struct Named(i32);
 
-impl Listed {
-    fn here() -> Listed {
-        let tid = realtime::thread_id();
-        all_threads().insert(tid);
-        Listed(tid)
+impl Named {
+    fn here(name: String) -> Named {
+        let tid = os::thread_id();
+        all_names().insert(tid, name);
+        Named(tid)
     }
 }
 
-impl Drop for Listed {
+impl Drop for Named {
     fn drop(&mut self) {
-        all_threads().remove(&self.0);
+        all_names().remove(&self.0);
     }
 }
 
@@ -160,11 +161,12 @@ impl Executor {
         });
         let (mine, name, execution) = (executor.clone(), name.to_owned(), execution.clone());
         let memory = memory.clone();
-        thread::Builder::new().name(name.clone()).stack_size(realtime::STACK_BYTES).spawn(move || {
+        let thread = thread::Builder::new().name(name.clone()).stack_size(realtime::STACK_BYTES);
+        house::spawn(thread, move || {
             context::set_executor(mine.id);
             context::set_team(team);
-            let listed = Listed::here();
-            mine.tid.store(listed.0, Ordering::Release);
+            let named = Named::here(mine.name.clone());
+            mine.tid.store(named.0, Ordering::Release);
             mine.settings.settle(&name, &execution);
             mine.settings.lock(&memory);
             mine.run(Crew { members: Vec::new(), bells: Rung::default(), pacer: Pacer::new(pace) });

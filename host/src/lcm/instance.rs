@@ -36,7 +36,7 @@ use super::pending::Owed;
 use super::reading::Reading;
 use super::realtime::Settings;
 use super::services::Account;
-use super::supervise::{Entry, Watch};
+use super::supervise::{Entry, Moment, Watch};
 use super::system;
 use crate::plain::harmless;
 
@@ -296,8 +296,8 @@ pub(super) struct Instance {
     warnings: Mutex<Vec<String>>,
     /// Threads its own code may have started.
     brood: Mutex<BTreeMap<i32, (String, bool)>>,
-    /// Threads that were there before it was made, and when each began.
-    elders: OnceLock<BTreeMap<i32, u64>>,
+    /// Before its code first ran.
+    made: OnceLock<Moment>,
     /// Required ports whose connection was lost or cut, and from when on it counts as lost, ns.
     missing: Mutex<BTreeMap<String, u64>>,
     signalled: Mark,
@@ -374,7 +374,7 @@ impl Instance {
             thread: OnceLock::new(),
             warnings: Mutex::new(Vec::new()),
             brood: Mutex::new(BTreeMap::new()),
-            elders: OnceLock::new(),
+            made: OnceLock::new(),
             missing: Mutex::new(BTreeMap::new()),
             signalled: Mark::default(),
             teller: AtomicU64::new(0),

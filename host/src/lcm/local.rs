@@ -22,7 +22,7 @@ use trocar_model::{
     Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Phase, Programs, Refusal, StepTimes,
     Verb,
 };
-use trocar_rt::os;
+use trocar_rt::{house, os};
 
 use self::ports::Follower;
 use super::api::{
@@ -152,7 +152,7 @@ impl LocalLcm {
             hub,
         });
         let (hub, weak) = (lcm.hub.clone(), Arc::downgrade(&lcm));
-        let thread = thread::Builder::new().name("trocar-log".into()).spawn(move || {
+        let thread = house::spawn(thread::Builder::new().name("trocar-log".into()), move || {
             hub.logs.run(hub.process.as_str(), &hub.news, |number, level, text| {
                 let Some(lcm) = weak.upgrade() else { return };
                 let instance = lcm.held().components.values().find(|s| s.instance.number == number).cloned();

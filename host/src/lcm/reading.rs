@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, oneshot};
 use tokio::time::timeout_at;
 use trocar_model::{MemberId, Refusal};
+use trocar_rt::house;
 
 use super::boundary::{Answer, ReadTarget};
 use super::calling::GRACE;
@@ -187,6 +188,7 @@ impl Readers {
                 }
             }
         };
-        thread::Builder::new().name("trocar-read".into()).stack_size(STACK_BYTES).spawn(work).map(drop)
+        house::spawn(thread::Builder::new().name("trocar-read".into()).stack_size(STACK_BYTES), work)
+            .map(drop)
     }
 }

@@ -176,19 +176,13 @@ pub(super) fn team(
     Ok(Some(Arc::new(team)))
 }
 
-/// Kernel id of the calling thread; 0 where /proc does not tell.
-pub(super) fn thread_id() -> i32 {
-    let link = std::fs::read_link("/proc/thread-self").unwrap_or_default();
-    link.file_name().and_then(|n| n.to_str()).and_then(|n| n.parse().ok()).unwrap_or(0)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::{Arc, Barrier, Mutex, PoisonError};
 
     use trocar_model::Execution;
 
-    use super::{HELPER, Memory, Settings, team, thread_id};
+    use super::{HELPER, Memory, Settings, team};
 
     #[test]
     fn where_the_memory_cannot_be_locked_the_state_says_what_is_and_why() {
@@ -250,11 +244,5 @@ mod tests {
                 .any(|w| w.contains(&format!("helper thread {helper} ")) && w.contains("ulimit -l"));
             assert_eq!(locked, Some(!named), "helper {helper}: {warnings:?}");
         }
-    }
-
-    #[test]
-    fn a_thread_knows_its_kernel_id_which_no_other_has() {
-        let other = std::thread::spawn(thread_id).join().ok();
-        assert!(thread_id() > 0 && other != Some(thread_id()));
     }
 }

@@ -16,8 +16,8 @@ use trocar_plugin_api::abi::{
     DISABLED, INVALID_ARGUMENT, LOG_WARN, NOT_ACTIVE, Outcome, QUEUE_FULL, QUEUED, WOULD_BLOCK,
 };
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
-use trocar_rt::os;
 use trocar_rt::wake::Waker;
+use trocar_rt::{house, os};
 
 use super::context;
 use super::executor::Executor;
@@ -116,7 +116,7 @@ impl Desk {
                 desk.waker.wait(None);
             }
         };
-        let thread = thread::Builder::new().name("trocar-services".into()).spawn(run)?;
+        let thread = house::spawn(thread::Builder::new().name("trocar-services".into()), run)?;
         *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
         Ok(())
     }

@@ -13,6 +13,8 @@ use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use trocar_rt::house;
+
 use super::error::Stage;
 use super::load::LoadFault;
 use super::store::lock;
@@ -92,7 +94,7 @@ impl LastWords {
             }
             drop(told);
         };
-        if let Err(error) = std::thread::Builder::new().name("trocar-vet".into()).spawn(reading) {
+        if let Err(error) = house::spawn(std::thread::Builder::new().name("trocar-vet".into()), reading) {
             log::debug!("what a plugin says while it is tried cannot be read: {error}");
         }
         LastWords(kept, over)

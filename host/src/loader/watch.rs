@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use notify::event::{AccessKind, AccessMode, EventKind, ModifyKind, RenameMode};
 use notify::{RecommendedWatcher, RecursiveMode, Watcher};
+use trocar_rt::house;
 
 use super::file::is_plugin_name;
 use super::scan::SETTLE;
@@ -53,7 +54,7 @@ impl PluginStore {
         // Events are asked for before this returns: a copy that begins now is seen from its first byte.
         let watching = Watching::new(self.clone(), stop.clone());
         let run = move || watching.run(&messages);
-        let thread = std::thread::Builder::new().name("trocar-watch".into()).spawn(run);
+        let thread = house::spawn(std::thread::Builder::new().name("trocar-watch".into()), run);
         let thread =
             thread.inspect_err(|e| log::error!("plugin directories are not watched, no thread: {e}")).ok();
         WatchHandle { store: self.clone(), id, stop, thread }

@@ -6,6 +6,7 @@ use std::io::{IsTerminal, Read, Write};
 
 use rustix::termios::{self, LocalModes, OptionalActions, Termios};
 use tokio::sync::mpsc;
+use trocar_rt::house;
 
 /// What a key asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +47,8 @@ impl Screen {
         let before = raw();
         if before.is_some() {
             // It waits for a key until the process ends.
-            std::thread::Builder::new().name("trocar-keys".into()).spawn(move || read_keys(&tell)).ok();
+            house::spawn(std::thread::Builder::new().name("trocar-keys".into()), move || read_keys(&tell))
+                .ok();
         }
         write("\x1b[?1049h\x1b[?25l");
         Some(Screen { before, keys })

@@ -11,6 +11,7 @@ use serde_json::json;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use trocar_model::Name;
+use trocar_rt::house;
 
 use super::news::News;
 use super::programs::GCM;
@@ -216,7 +217,7 @@ impl Mouth {
             let _ = tell.send(());
         };
         // Without a thread it is dumb.
-        let _ = std::thread::Builder::new().name("trocar-voice".into()).spawn(speak);
+        let _ = house::spawn(std::thread::Builder::new().name("trocar-voice".into()), speak);
         Mouth { lines: Some(lines), done }
     }
 

@@ -17,6 +17,7 @@ use super::super::api::{HalfReport, LinkDetail};
 use super::super::instance::Loss;
 use super::half::Half;
 use super::worker::{Worker, unsaid};
+use trocar_rt::house;
 use trocar_rt::wake::Waker;
 
 pub(super) type Halves = Arc<Mutex<BTreeMap<u64, Arc<Half>>>>;
@@ -106,7 +107,8 @@ impl Far {
         let teller = Teller { halves: halves.clone(), todos: todos.clone() };
         let links = Arc::new(Links::start(Card::own(process, socket)?, teller)?);
         let worker = Worker::new(links.clone(), halves.clone(), todos.clone(), news);
-        let thread = std::thread::Builder::new().name("trocar-far".into()).spawn(move || worker.run())?;
+        let thread =
+            house::spawn(std::thread::Builder::new().name("trocar-far".into()), move || worker.run())?;
         Ok(Far { links, halves, todos, thread: Mutex::new(Some(thread)) })
     }
 

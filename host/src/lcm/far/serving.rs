@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock, Weak};
 
 use trocar_links::Session;
 use trocar_plugin_api::abi::{INVALID_ARGUMENT, NOT_ACTIVE};
-use trocar_rt::os;
+use trocar_rt::{house, os};
 
 use super::super::boundary::{ERR_BYTES, RangeCheck, Reader, read_published};
 use super::super::instance::Instance;
@@ -72,7 +72,8 @@ impl Desk {
         let clerk = self.clerk.clone()?;
         let (ask, asked) = sync_channel(DEPTH);
         let connection = clerk.connection;
-        let begun = std::thread::Builder::new().name("trocar-reads".into()).spawn(move || clerk.run(&asked));
+        let begun =
+            house::spawn(std::thread::Builder::new().name("trocar-reads".into()), move || clerk.run(&asked));
         if let Err(e) = begun {
             log::error!("connection {connection}: reads are not answered: no thread for it: {e}");
             return None;

@@ -13,6 +13,7 @@ use trocar_rt::os;
 use super::super::boundary::EntryError;
 use super::super::gate::{pack, unpack};
 use super::super::realtime::Settings;
+use super::super::supervise::Moment;
 use super::super::{News, Report, context, system};
 use super::Instance;
 
@@ -207,14 +208,14 @@ impl Instance {
         brood.get(&tid).is_some_and(|(_, lasts)| *lasts)
     }
 
-    /// Threads that cannot be its own: they were there before it was made. Told once; kept with when each began.
-    pub(in crate::lcm) fn set_elders(&self, threads: impl FnOnce() -> BTreeMap<i32, u64>) {
-        self.elders.get_or_init(threads);
+    /// Threads that were there before this cannot be its own. Told once.
+    pub(in crate::lcm) fn set_made(&self, before: Moment) {
+        self.made.get_or_init(|| before);
     }
 
-    /// When a thread that was there before it was made began; `None` of one that came after.
-    pub(in crate::lcm) fn elder(&self, tid: i32) -> Option<u64> {
-        self.elders.get()?.get(&tid).copied()
+    /// The moment before its code first ran.
+    pub(in crate::lcm) fn made(&self) -> Option<Moment> {
+        self.made.get().copied()
     }
 
     /// A required port has a connection, again or at last.

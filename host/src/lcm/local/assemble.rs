@@ -2,7 +2,6 @@
 //!
 //! Invariant: no lock is held while component code runs or is waited for; what half exists after a refusal is taken back.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -20,7 +19,7 @@ use super::super::lifecycle::{
     Entry as Done, component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure,
     undo_start,
 };
-use super::super::supervise::{Entry, LEAVE_NS, Manners, Ward, give_up, left_behind, outlasts_stop};
+use super::super::supervise::{Entry, LEAVE_NS, Manners, Strangers, Ward, give_up};
 use super::{LocalLcm, Slot};
 
 fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refusal {
@@ -241,7 +240,7 @@ impl LocalLcm {
             still_connected(&slot.instance, verb)?;
         }
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        let (executors, alone) = (self.executor_threads(&slot), self.is_alone(&slot));
+        let alone = self.is_alone(&slot);
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             let from = instance.state();
             let done = match verb {
@@ -249,9 +248,7 @@ impl LocalLcm {
                 Verb::Start | Verb::Resume if from == State::Fault => return (from, None),
                 Verb::Start => start(instance, entered),
                 Verb::Resume => resume(instance, entered),
-                Verb::Reset => {
-                    reset(instance, entered, config.as_deref(), || outlasts(&ward, &executors, alone))
-                }
+                Verb::Reset => reset(instance, entered, config.as_deref(), || outlasts(&ward, alone)),
                 Verb::Stop | Verb::Configure | Verb::Remove => Ok(()),
             };
             (from, Some(done))
@@ -365,10 +362,9 @@ impl LocalLcm {
     /// What to say of threads that a removed component left running, after some time to end.
     async fn leftovers(&self, slot: &Slot) -> Option<String> {
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        let executors = self.executor_threads(slot);
         let until = Instant::now() + Duration::from_nanos(LEAVE_NS);
         loop {
-            let left = left_behind(&ward, &executors);
+            let left = Strangers::look().left_behind(&ward);
             if left.is_empty() {
                 return None;
             }
@@ -385,12 +381,6 @@ impl LocalLcm {
         }
     }
 
-    /// Threads of this host's own that components run on.
-    fn executor_threads(&self, slot: &Slot) -> BTreeSet<i32> {
-        let held = self.held();
-        held.components.values().map(|s| s.executor.tid()).chain([slot.executor.tid()]).collect()
-    }
-
     /// Nobody else runs on its thread.
     fn is_alone(&self, slot: &Slot) -> bool {
         self.held().components.values().filter(|s| s.executor.id == slot.executor.id).count() == 1
@@ -404,14 +394,13 @@ impl LocalLcm {
         let number = slot.instance.number;
         let (tell, told) = oneshot::channel();
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        let executors = self.executor_threads(&slot);
         // Done whenever its thread comes to it, also long after its remover has given up.
         slot.executor.submit(move |crew| {
             crew.members.retain(|m| m.instance.number != number);
-            end(&ward, &executors, crew.members.is_empty());
+            end(&ward, crew.members.is_empty());
             // Else its remover looks for them, and gives them time to end.
             let late = tell.send(()).is_err();
-            if late && !left_behind(&ward, &[ward.executor.tid()].into()).is_empty() {
+            if late && !Strangers::look().left_behind(&ward).is_empty() {
                 ward.instance.hub.bury(ward.instance.clone(), STRAYS);
             }
         });
@@ -466,9 +455,9 @@ async fn hangs(slot: &Slot) {
 }
 
 /// Threads that use the instance still run after it was stopped, and some time to end where nobody else waits for this one.
-fn outlasts(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) -> bool {
+fn outlasts(ward: &Ward, alone: bool) -> bool {
     let until = Instant::now() + Duration::from_nanos(if alone { LEAVE_NS } else { 0 });
-    while outlasts_stop(ward, executors) {
+    while Strangers::look().outlast_stop(ward) {
         if Instant::now() >= until {
             return true;
         }
@@ -479,7 +468,7 @@ fn outlasts(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) -> bool {
 
 /// Stops and destroys one that is removed, on its own thread; one whose threads still run is not destroyed but kept. `alone`:
 /// nobody else runs there.
-fn end(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) {
+fn end(ward: &Ward, alone: bool) {
     let instance = &ward.instance;
     // A caller's thread, or one of its device, may be inside. Others on this thread are not to wait for that for ever.
     let until_ns = if alone { NEVER_NS } else { os::now_ns() + HUNG.as_nanos() as u64 };
@@ -496,7 +485,7 @@ fn end(ward: &Ward, executors: &BTreeSet<i32>, alone: bool) {
         }
         instance.pay_safe(&mut entered);
         instance.close();
-        if outlasts(ward, executors, alone) {
+        if outlasts(ward, alone) {
             instance.hub.bury(instance.clone(), STRAYS);
         } else {
             instance.destroy(&mut entered);

@@ -9,8 +9,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use trocar_model::{ComponentId, State};
-use trocar_rt::os;
 use trocar_rt::wake::Waker;
+use trocar_rt::{house, os};
 
 use super::super::inbox::Inbox;
 use super::super::instance::Instance;
@@ -42,7 +42,7 @@ impl Follower {
     /// The machine gives no more threads.
     pub(in crate::lcm) fn start(&self, lcm: &Arc<LocalLcm>) -> std::io::Result<()> {
         let (waker, closing, lcm) = (self.waker.clone(), self.closing.clone(), Arc::downgrade(lcm));
-        let thread = thread::Builder::new().name("trocar-ports".into()).spawn(move || {
+        let thread = house::spawn(thread::Builder::new().name("trocar-ports".into()), move || {
             let mut pause_ns = LOOK_NS;
             loop {
                 waker.wait(Some(os::now_ns() + pause_ns));

@@ -3,17 +3,15 @@
 //! Invariant: it never enters the component and never waits for it. What it says of time takes into account that the watchdog
 //! may itself have been kept from running.
 
-use std::collections::BTreeSet;
-
 use trocar_model::{Health, State, StopReason};
 use trocar_plugin_api::abi::NOT_ACTIVE;
 use trocar_rt::os;
 
 use super::super::instance::Misuse;
 use super::super::system;
-use super::hygiene::left_behind;
 use super::roster::Ward;
 use super::safe::give_up;
+use super::strangers::Strangers;
 use super::watch::{Busy, Entry, Misdeed};
 use super::watchdog::Lateness;
 
@@ -125,7 +123,7 @@ impl Charge {
     }
 
     /// Looks for threads it left behind, a while after it was stopped.
-    pub(super) fn look_behind(&mut self, now_ns: u64, executors: &BTreeSet<i32>) {
+    pub(super) fn look_behind<'a>(&mut self, now_ns: u64, strangers: impl FnOnce() -> &'a Strangers) {
         if self.ward.instance.is_active() {
             self.rest_ns = None;
             return;
@@ -138,7 +136,7 @@ impl Charge {
             return;
         }
         self.rest_ns = None;
-        let left = left_behind(&self.ward, executors);
+        let left = strangers().left_behind(&self.ward);
         if !left.is_empty() {
             self.ward.instance.warn(&format!(
                 "{} of its own threads still run after it was stopped: {}",

@@ -8,7 +8,7 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -18,14 +18,13 @@ use trocar_rt::os::{self, Household, Hygiene};
 
 use crate::loader::{self, Moment};
 
-use super::super::executor;
 use super::super::instance::Instance;
-use super::super::realtime;
 use super::roster::Ward;
+use super::strangers::{self, Strangers};
 use super::watch::{Entry, Misdeed};
 
-/// Time between two looks at the signal masks of threads, ns.
-const MASKS_NS: u64 = 1_000_000_000;
+/// Time between two looks at the signal mask of a thread, and at what is the process's, ns.
+const ROUND_NS: u64 = 1_000_000_000;
 
 /// How long those are looked at one by one of whom one may have done something, ns.
 const SUSPECTED_NS: u64 = 10_000_000_000;
@@ -51,6 +50,10 @@ pub(super) fn settle() {
 /// streams are looked after. A program that embeds a host changes them as it likes.
 pub(crate) fn own_process() {
     household().get_or_insert_with(Household::look);
+}
+
+pub(super) fn is_own_process() -> bool {
+    household().is_some()
 }
 
 /// Entries of components, so that one that was alone can be told from those beside others.
@@ -105,24 +108,9 @@ pub(in crate::lcm) struct Manners {
     /// Its number while it is alone, and how the process stood then, where that is looked after.
     alone: Option<u64>,
     household: Option<Household>,
-    moment: Moment,
-    /// Empty while the component runs: its threads are not to wait for this look.
-    threads: BTreeSet<i32>,
-}
-
-/// Beginnings of the names of this program's own threads.
-const HOUSE: [&str; 3] = ["trocar", "tokio", realtime::HELPER];
-/// How often the list of threads is read at most after the first time.
-const LISTS: usize = 16;
-
-/// Is a thread of this name this program's own?
-fn is_of_house(name: &str) -> bool {
-    // Tests run beside each other: a thread of another one, named by its path, is nobody's here.
-    #[cfg(test)]
-    if name.contains("::") {
-        return true;
-    }
-    HOUSE.iter().any(|house| name.starts_with(house))
+    loads: Moment,
+    /// None while the component runs: its threads are not to wait for this look.
+    threads: Option<strangers::Moment>,
 }
 
 impl Manners {
@@ -136,9 +124,9 @@ impl Manners {
             alone,
             household: looked_after.then(Household::look),
             thread: os::thread_hygiene(),
-            moment: loader::moment(),
+            loads: loader::moment(),
             directory: whereabouts().map(|(now, _)| now),
-            threads: if instance.is_active() { BTreeSet::new() } else { threads() },
+            threads: (!instance.is_active()).then(strangers::Moment::now),
         }
     }
 
@@ -159,24 +147,24 @@ impl Manners {
         // Beside others nobody knows whose doing it was, or what another has put back meanwhile: the watchdog
         // looks then.
         if VISITS.end(self.alone)
-            && !loader::has_loaded_since(self.moment)
+            && !loader::has_loaded_since(self.loads)
             && let Some(before) = &self.household
         {
             for said in before.put_back(&Household::look()) {
                 instance.warn(&format!("{entry}: it changed {said}"));
             }
         }
-        if !self.threads.is_empty() {
-            instance.set_elders(|| self.threads.iter().map(|tid| (*tid, began(*tid))).collect());
-            let born = threads().into_iter().filter(|tid| !self.threads.contains(tid));
-            let named = born.map(|tid| (tid, thread_name(tid)));
-            let own = named.filter(|(_, name)| !name.is_empty() && !is_of_house(name));
-            instance.note_brood(own, lasts);
+        if let Some(before) = self.threads {
+            instance.set_made(before);
+            if !before.is_still_so() {
+                let seen = Strangers::look();
+                instance.note_brood(seen.since(before).map(|t| (t.tid, t.name.clone())), lasts);
+            }
         }
         if let Some((now, home)) = whereabouts()
             && now != home
             && self.directory.is_some_and(|before| before != now)
-            && !loader::has_loaded_since(self.moment)
+            && !loader::has_loaded_since(self.loads)
         {
             let put_back = go_home(now, &home);
             instance.warn(&format!("{entry}: it changed the working directory of the process, {put_back}"));
@@ -217,7 +205,8 @@ impl Suspicion {
 /// What the watchdog knows of the process and its threads from earlier looks.
 #[derive(Default)]
 pub(super) struct Premises {
-    masks_ns: u64,
+    household_ns: u64,
+    masks: Round,
     /// Until when somebody is suspected, ns; 0 = nobody is.
     suspected_ns: u64,
 }
@@ -235,9 +224,11 @@ impl Premises {
     ) -> bool {
         let directory = look_at_directory(wards, are_all, busy);
         let mut suspects = directory == Found::Several;
-        if now_ns.saturating_sub(self.masks_ns) >= MASKS_NS {
-            self.masks_ns = now_ns;
-            suspects |= wards.iter().filter(|ward| mask(ward, wards)).count() > 0;
+        for members in self.masks.due(now_ns, wards) {
+            suspects |= mask(&members);
+        }
+        if now_ns.saturating_sub(self.household_ns) >= ROUND_NS {
+            self.household_ns = now_ns;
             look_at_household(wards);
         }
         if suspects {
@@ -247,6 +238,32 @@ impl Premises {
             wards.iter().for_each(|ward| ward.instance.watch.suspect(false));
         }
         directory != Found::TooEarly
+    }
+}
+
+/// Threads in turn, so that each is looked at once in [`ROUND_NS`] and no look takes long.
+#[derive(Default)]
+struct Round {
+    last_ns: u64,
+    /// The thread before the next one.
+    last: u64,
+}
+
+impl Round {
+    /// Members of each thread whose turn it is.
+    fn due<'a>(&mut self, now_ns: u64, wards: &[&'a Ward]) -> Vec<Vec<&'a Ward>> {
+        let mut threads: BTreeMap<u64, Vec<&Ward>> = BTreeMap::new();
+        wards.iter().for_each(|ward| threads.entry(ward.executor.id).or_default().push(ward));
+        let all = threads.len() as u64;
+        let share = all * now_ns.saturating_sub(self.last_ns).min(ROUND_NS) / ROUND_NS;
+        if share == 0 {
+            return Vec::new();
+        }
+        self.last_ns = now_ns.min(self.last_ns.max(now_ns.saturating_sub(ROUND_NS)) + share * ROUND_NS / all);
+        let (first, then) = (threads.range(self.last + 1..), threads.range(..=self.last));
+        let due: Vec<_> = first.chain(then).take(share as usize).collect();
+        self.last = due.last().map_or(0, |(id, _)| **id);
+        due.into_iter().map(|(_, members)| members.clone()).collect()
     }
 }
 
@@ -363,21 +380,16 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
     !known.is_empty()
 }
 
-/// Looks at the signal mask of one component's thread, as the kernel shows it; true when several are
-/// suspected.
-fn mask(ward: &Ward, wards: &[&Ward]) -> bool {
-    let executor = &ward.executor;
-    let members: Vec<&Ward> = wards.iter().copied().filter(|w| w.executor.id == executor.id).collect();
-    if members.first().is_some_and(|first| first.instance.number != ward.instance.number) {
-        return false;
-    }
+/// Looks at the signal mask of the thread of these, as the kernel shows it; true when several are suspected.
+fn mask(members: &[&Ward]) -> bool {
+    let Some(executor) = members.first().map(|ward| &ward.executor) else { return false };
     let before: Vec<u64> = members.iter().map(|w| w.instance.watch.minded()).collect();
     let (Some(now), Some(own)) = (blocked(executor.tid()), executor.settings.hygiene()) else { return false };
     if now == own.sigmask {
         return false;
     }
-    let suspects = match minding(&members, &before) {
-        Minding::Nobody => members,
+    let suspects = match minding(members, &before) {
+        Minding::Nobody => members.to_vec(),
         Minding::Looks => return false,
         Minding::Hang(stuck) => stuck,
     };
@@ -398,71 +410,4 @@ fn blocked(tid: i32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/self/task/{tid}/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("SigBlk:"))?;
     u64::from_str_radix(line.trim(), 16).ok()
-}
-
-/// Names of threads that run in this process and were started by the component's own code: they bear the name
-/// of its thread, as new threads do, or came into being during one of its entries. What was there before it
-/// was made is not its own: it may be of one removed that had its name.
-pub(in crate::lcm) fn left_behind(ward: &Ward, executors: &BTreeSet<i32>) -> Vec<String> {
-    own_threads(ward, executors).into_iter().map(|(_, name)| name).collect()
-}
-
-/// One of those that `stop` should have ended still runs, as far as can be told: what was started by `create`
-/// or `configure` may be for `destroy` to end.
-pub(in crate::lcm) fn outlasts_stop(ward: &Ward, executors: &BTreeSet<i32>) -> bool {
-    own_threads(ward, executors).iter().any(|(tid, _)| !ward.instance.lasts(*tid))
-}
-
-fn own_threads(ward: &Ward, executors: &BTreeSet<i32>) -> Vec<(i32, String)> {
-    let own = ward.executor.name.as_str();
-    let noted = ward.instance.brood();
-    // A thread without a name of its own belongs to the one whose name it bears.
-    let others: BTreeSet<String> = executors.iter().map(|tid| thread_name(*tid)).collect();
-    let is_own =
-        |tid: i32, name: &String| name == own || noted.get(&tid) == Some(name) && !others.contains(name);
-    threads()
-        .into_iter()
-        .filter(|tid| !executors.contains(tid) && !executor::is_executor(*tid))
-        .filter(|tid| ward.instance.elder(*tid).is_none_or(|when| when != began(*tid)))
-        .map(|tid| (tid, thread_name(tid)))
-        .filter(|(tid, name)| !name.is_empty() && is_own(*tid, name))
-        .collect()
-}
-
-/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one
-/// out for each that ends before the reader's place meanwhile; then the next list lacks that one, so that two
-/// that are the same are whole.
-fn threads() -> BTreeSet<i32> {
-    let listed = || -> BTreeSet<i32> {
-        let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-        tasks.filter_map(|t| t.file_name().to_str()?.parse().ok()).collect()
-    };
-    let mut last = listed();
-    let mut all = last.clone();
-    for _ in 0..LISTS {
-        let next = listed();
-        if next == last {
-            return next;
-        }
-        all.extend(&next);
-        last = next;
-    }
-    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too
-    // few.
-    all
-}
-
-/// When a thread of this process began, in ticks since boot, so that a number given again can be told apart;
-/// 0 when it is gone.
-fn began(tid: i32) -> u64 {
-    let text = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
-    // The name before the last parenthesis may hold anything; the 20th word after it is the time.
-    let after = text.rfind(')').map_or("", |at| &text[at + 1..]);
-    after.split_ascii_whitespace().nth(19).and_then(|word| word.parse().ok()).unwrap_or(0)
-}
-
-/// Name of a thread of this process; empty when it is gone.
-fn thread_name(tid: i32) -> String {
-    let text = std::fs::read_to_string(format!("/proc/self/task/{tid}/comm")).unwrap_or_default();
-    text.trim_end().to_owned()
 }

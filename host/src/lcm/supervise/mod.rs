@@ -6,13 +6,15 @@ mod charge;
 mod hygiene;
 mod roster;
 mod safe;
+mod strangers;
 mod watch;
 mod watchdog;
 
 pub(super) use charge::LEAVE_NS;
 pub(crate) use hygiene::own_process;
-pub(super) use hygiene::{Manners, Suspicion, left_behind, outlasts_stop};
+pub(super) use hygiene::{Manners, Suspicion};
 pub(super) use roster::{Roster, Ward};
 pub(super) use safe::give_up;
+pub(super) use strangers::{Moment, Strangers};
 pub(super) use watch::{Entry, Misdeed, Watch};
 pub(super) use watchdog::Watchdog;

@@ -11,6 +11,7 @@ use std::thread;
 use std::time::Duration;
 
 use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED};
+use trocar_rt::house;
 
 use super::super::boundary::EntryError;
 use super::super::instance::Instance;
@@ -47,7 +48,7 @@ pub(in crate::lcm) fn give_up(ward: &Ward) {
 fn make_safe_outside(instance: &Arc<Instance>) {
     let (stuck, made) = (instance.clone(), instance.account().made());
     let (comes_back, ends) = channel::<()>();
-    let spawned = thread::Builder::new().name("trocar-safe".into()).spawn(move || {
+    let spawned = house::spawn(thread::Builder::new().name("trocar-safe".into()), move || {
         // Dropped when it is over.
         let _comes_back = comes_back;
         match stuck.object.make_safe_from_outside() {
@@ -62,7 +63,7 @@ fn make_safe_outside(instance: &Arc<Instance>) {
     let (stuck, spawned) = (instance.clone(), spawned.map(drop));
     let watched = spawned.and_then(|()| {
         let name = "trocar-safe-look".into();
-        thread::Builder::new().name(name).spawn(move || tell_hang(&stuck, made, &ends)).map(drop)
+        house::spawn(thread::Builder::new().name(name), move || tell_hang(&stuck, made, &ends)).map(drop)
     });
     if let Err(e) = watched {
         log::error!(

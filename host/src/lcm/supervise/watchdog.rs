@@ -4,18 +4,20 @@
 //! the shortest period (5 to 10 ms: it comes between the steps of everybody, and patience begins at 50 ms), when somebody inside
 //! comes to the end of what it may take, and when a late cycle wakes it.
 
-use std::collections::{BTreeSet, HashMap};
+use std::cell::OnceCell;
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use trocar_rt::os;
+use trocar_rt::{house, os};
 
 use super::super::context;
 use super::super::hub::Hub;
 use super::charge::Charge;
 use super::hygiene::{self, Premises};
 use super::roster::{Roster, Ward};
+use super::strangers::Strangers;
 
 /// Shortest and longest time between two looks, ns; in between it is the shortest period of a running component.
 const LOOK_NS: (u64, u64) = (5_000_000, 10_000_000);
@@ -42,9 +44,9 @@ impl Watchdog {
         hygiene::settle();
         let stop = Arc::new(AtomicBool::new(false));
         let (asked, shared) = (stop.clone(), hub.clone());
-        let thread = thread::Builder::new()
-            .name("trocar-watchdog".into())
-            .spawn(move || context::deferred(|| Rounds::default().run(&shared, &roster, &asked)))?;
+        let thread = house::spawn(thread::Builder::new().name("trocar-watchdog".into()), move || {
+            context::deferred(|| Rounds::default().run(&shared, &roster, &asked))
+        })?;
         Ok(Watchdog { hub, stop, thread: Mutex::new(Some(thread)) })
     }
 
@@ -123,12 +125,12 @@ impl Rounds {
     fn look(&mut self, now_ns: u64) {
         let late = self.late;
         let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
-        for at in 0..self.charges.len() {
-            let why = stuck[at].clone().or_else(|| {
-                let holders = self.charges.iter().zip(&stuck).filter(|(_, stuck)| stuck.is_some());
-                let holders = holders.filter_map(|(holder, _)| holder.holds(&self.charges[at]));
+        let holders: Vec<usize> = (0..stuck.len()).filter(|at| stuck[*at].is_some()).collect();
+        for (at, why) in stuck.into_iter().enumerate() {
+            let why = why.or_else(|| {
+                let held = holders.iter().filter_map(|by| self.charges[*by].holds(&self.charges[at]));
                 // Where one is inside another, the innermost came in last.
-                holders.max_by_key(|(since_ns, _)| *since_ns).map(|(_, why)| why)
+                held.max_by_key(|(since_ns, _)| *since_ns).map(|(_, why)| why)
             });
             self.charges[at].look(now_ns, why);
         }
@@ -144,9 +146,10 @@ impl Rounds {
             if commanded.is_empty() { those(Charge::entered).collect() } else { commanded }
         };
         let settled = self.premises.look(now_ns, &wards, || roster.has_only(&wards), busy);
-        let executors: BTreeSet<i32> = wards.iter().map(|w| w.executor.tid()).collect();
+        // One look serves all that have come to rest, and none costs nothing.
+        let strangers = OnceCell::new();
         for (charge, counts) in self.charges.iter_mut().zip(counts) {
-            charge.look_behind(now_ns, &executors);
+            charge.look_behind(now_ns, || strangers.get_or_init(Strangers::look));
             // Those that may have done what is not settled yet stay known.
             if settled {
                 charge.note(counts);

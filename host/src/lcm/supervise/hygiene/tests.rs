@@ -2,18 +2,18 @@
 //! may be a newcomer's doing, or a load's, is left until that is known.
 #![allow(clippy::unwrap_used)]
 
+use std::collections::BTreeMap;
 use std::env;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Ports, Safety, State};
 use trocar_rt::os;
 
 use super::super::Ward;
-use super::{Found, Visits, blocked, look_at_directory, mask, threads};
+use super::{Found, ROUND_NS, Round, Visits, blocked, look_at_directory, mask};
 use crate::lcm::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm};
 use crate::watchdog::Watchdog;
@@ -23,6 +23,19 @@ const PATIENCE: Duration = Duration::from_secs(120);
 struct Idle;
 
 impl Behaviour for Idle {}
+
+fn idle() -> Box<Component> {
+    let info = class(Ports::default(), Safety::None);
+    Box::new(Component {
+        ports: Arc::new(info.ports.clone()),
+        class: Arc::new(info),
+        config: serde_json::json!({}),
+        execution: Execution::default(),
+        state: State::Created,
+        health: Health::Ok,
+        fault: String::new(),
+    })
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_gets_its_own_back() {
@@ -36,17 +49,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
     let lcm = LocalLcm::new(config).unwrap();
     let id = ComponentId::parse("hy_mask/c").unwrap();
     behave(&id.to_string(), Arc::new(Idle));
-    let info = class(Ports::default(), Safety::None);
-    let component = Box::new(Component {
-        ports: Arc::new(info.ports.clone()),
-        class: Arc::new(info),
-        config: serde_json::json!({}),
-        execution: Execution::default(),
-        state: State::Created,
-        health: Health::Ok,
-        fault: String::new(),
-    });
-    lcm.apply(Change::Create { id: id.clone(), component }, Instant::now() + PATIENCE).await.unwrap();
+    lcm.apply(Change::Create { id: id.clone(), component: idle() }, Instant::now() + PATIENCE).await.unwrap();
     let instance = lcm.instance(&id).unwrap();
     let executor = lcm.executor_of(&instance).unwrap();
     let ward = Ward::new(instance, executor.clone());
@@ -63,7 +66,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         });
         told.recv().unwrap();
         // The watchdog looks as well, whenever it comes to it.
-        (0..100).for_each(|_| _ = mask(&ward, &[&ward]));
+        (0..100).for_each(|_| _ = mask(&[&ward]));
         assert_eq!(executor.waiting(), 1, "every look has left a job");
         go.send(()).unwrap();
         let mut watchdog = Watchdog::of("the mask is put back");
@@ -76,34 +79,38 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
     lcm.shutdown(PATIENCE).await;
 }
 
-/// Else a thread that was there before an entry counts as made by it, and who "made" it is kept for ever when it is removed.
-#[test]
-fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
-    for round in 0..400 {
-        let (go, wait) = channel::<()>();
-        thread::scope(|scope| {
-            // It comes after those that end: they are what the reader has passed when it comes to it.
-            let ends: Vec<_> = (0..64)
-                .map(|_| {
-                    let (end, ended) = channel::<()>();
-                    scope.spawn(move || ended.recv());
-                    end
-                })
-                .collect();
-            let (tell, told) = channel();
-            scope.spawn(move || {
-                let own = std::fs::read_link("/proc/thread-self").unwrap();
-                tell.send(own.file_name().unwrap().to_str().unwrap().parse::<i32>().unwrap()).unwrap();
-                wait.recv()
-            });
-            let tid = told.recv().unwrap();
-            scope.spawn(move || drop(ends));
-            for look in 0..40 {
-                assert!(threads().contains(&tid), "round {round}, look {look}: it is missing");
-            }
-            drop(go);
-        });
+#[tokio::test(flavor = "multi_thread")]
+async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
+    let config = LcmConfig {
+        process: Name::parse("hy_round").unwrap(),
+        classes: Some(Arc::new(FakeClasses)),
+        links: None,
+        lock_memory: false,
+        allow_exec: false,
+    };
+    let lcm = LocalLcm::new(config).unwrap();
+    let mut wards = Vec::new();
+    for number in 0..7 {
+        let id = ComponentId::parse(&format!("hy_round/c{number}")).unwrap();
+        behave(&id.to_string(), Arc::new(Idle));
+        lcm.apply(Change::Create { id: id.clone(), component: idle() }, Instant::now() + PATIENCE)
+            .await
+            .unwrap();
+        let instance = lcm.instance(&id).unwrap();
+        let executor = lcm.executor_of(&instance).unwrap();
+        wards.push(Ward::new(instance, executor));
     }
+    let wards: Vec<&Ward> = wards.iter().collect();
+    let mut round = Round { last_ns: ROUND_NS, last: 0 };
+    let mut seen: BTreeMap<u64, u64> = BTreeMap::new();
+    for look in 0..200 {
+        let due = round.due(2 * ROUND_NS + look * ROUND_NS / 100, &wards);
+        assert!(look == 0 || due.len() <= 1, "{} in one look", due.len());
+        due.iter().flatten().for_each(|ward| *seen.entry(ward.executor.id).or_default() += 1);
+    }
+    assert_eq!(seen.len(), 7, "{seen:?}");
+    assert!(seen.values().all(|times| (2..=3).contains(times)), "one and two rounds after: {seen:?}");
+    lcm.shutdown(PATIENCE).await;
 }
 
 /// Says that this is the process made for it: the directory is everybody's.

@@ -1,0 +1,94 @@
+//! This program's own threads, by kernel id: any other thread was started by somebody else's code, whatever
+//! its name is.
+//!
+//! Invariant: a thread is on the list before it runs anything of this program's, and until that is over.
+
+use std::collections::BTreeSet;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::{io, thread};
+
+use crate::os;
+
+static OWN: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
+
+fn list() -> MutexGuard<'static, BTreeSet<i32>> {
+    OWN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The calling thread is this program's own, until [`end`]. For runtimes that start threads by themselves.
+pub fn begin() {
+    list().insert(os::thread_id());
+}
+
+/// The calling thread ends.
+pub fn end() {
+    list().remove(&os::thread_id());
+}
+
+/// Own threads at this moment.
+pub fn threads() -> BTreeSet<i32> {
+    list().clone()
+}
+
+/// Starts an own thread.
+///
+/// # Errors
+/// The machine gives no more threads.
+pub fn spawn<T: Send + 'static>(
+    thread: thread::Builder,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<thread::JoinHandle<T>> {
+    thread.spawn(move || {
+        let _listed = Listed::here();
+        run()
+    })
+}
+
+/// On the list as long as this lives, a panic of the thread included.
+struct Listed(i32);
+
+impl Listed {
+    fn here() -> Listed {
+        let tid = os::thread_id();
+        list().insert(tid);
+        Listed(tid)
+    }
+}
+
+impl Drop for Listed {
+    fn drop(&mut self) {
+        list().remove(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use super::{os, spawn, thread, threads};
+
+    #[test]
+    fn a_thread_is_on_the_list_while_it_runs_and_not_after_a_panic() -> Result<(), Box<dyn std::error::Error>>
+    {
+        let (tell, told) = channel();
+        let (go, wait) = channel::<()>();
+        let own = spawn(thread::Builder::new(), move || {
+            let _ = tell.send(os::thread_id());
+            let _ = wait.recv();
+            std::panic::resume_unwind(Box::new(()));
+        })?;
+        let tid = told.recv()?;
+        assert!(threads().contains(&tid));
+        assert!(!threads().contains(&os::thread_id()), "nobody named the thread of this test");
+        drop(go);
+        assert!(own.join().is_err());
+        assert!(!threads().contains(&tid));
+        Ok(())
+    }
+
+    #[test]
+    fn a_thread_knows_its_kernel_id_which_no_other_has() {
+        let other = thread::spawn(os::thread_id).join().ok();
+        assert!(os::thread_id() > 0 && other != Some(os::thread_id()));
+    }
+}
