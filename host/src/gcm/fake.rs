@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::pin::pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -54,6 +55,8 @@ pub(crate) struct FakeLcm {
     pub(crate) phases: watch::Sender<BTreeMap<ComponentId, Phase>>,
     /// Times its steps take.
     pub(crate) takes: Mutex<StepTimes>,
+    /// Questions for figures so far.
+    pub(crate) figures: AtomicUsize,
     pub(crate) news: broadcast::Sender<News>,
 }
 
@@ -192,6 +195,7 @@ impl FakeLcm {
             followed: watch::Sender::new(0),
             phases: watch::Sender::default(),
             takes: Mutex::default(),
+            figures: AtomicUsize::new(0),
             news: broadcast::Sender::new(64),
         })
     }
@@ -418,10 +422,12 @@ impl Lcm for FakeLcm {
     }
 
     async fn detail(&self, _: ComponentId) -> Result<Detail, Refusal> {
+        self.figures.fetch_add(1, Ordering::Relaxed);
         Ok(Detail { executed: 42, thread: "own thread".into(), ..Detail::default() })
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
+        self.figures.fetch_add(1, Ordering::Relaxed);
         Ok(vec![LinkDetail { connection: 1, carrier: "inline".into(), passed: 7, ..LinkDetail::default() }])
     }
 

@@ -151,12 +151,13 @@ impl Edge {
                 },
             })
         })?;
-        let figures = self.figures(&graph, std::slice::from_ref(id), until).await;
         let ends_here = |c: &&Connection| c.client.component == *id || c.server.component == *id;
+        let shown: Vec<&Connection> = graph.connections.values().filter(ends_here).collect();
+        let figures = self.figures(std::slice::from_ref(id), &shown, until).await;
         Ok(v1::GetStateResponse {
             revision: graph.revision,
             component: Some(convert::component(id, component, figures.details.get(id))),
-            connections: connections(&graph, ends_here, &figures),
+            connections: connections(&graph, &shown, &figures),
         })
     }
 }
@@ -277,7 +278,8 @@ impl GcmService for Edge {
         let listed = listed(gcm.watch(), &r, until - room(until), self.closing.clone()).await;
         let Listed { whole, part, etag } = listed.map_err(refuse)?;
         let ids: Vec<ComponentId> = part.components.keys().cloned().collect();
-        let figures = if r.brief { Figures::default() } else { self.figures(&part, &ids, until).await };
+        let shown: Vec<&Connection> = part.connections.values().collect();
+        let figures = if r.brief { Figures::default() } else { self.figures(&ids, &shown, until).await };
         let mut answer = v1::ListResponse { etag, ..convert::list(&whole, &part, gcm.term(), &figures) };
         if r.classes {
             let mut seen = BTreeSet::new();
@@ -321,10 +323,9 @@ impl GcmService for Edge {
             answer.process = Some(convert::process(&name, process));
             answer.classes = process.classes.iter().map(|c| convert::class(c)).collect();
             let leaves_it = |c: &&Connection| !c.is_near() && c.ends_in(&name);
-            if graph.connections.values().any(|c| leaves_it(&c)) {
-                let figures = self.figures(&graph, &[], until).await;
-                answer.connections = connections(&graph, leaves_it, &figures);
-            }
+            let shown: Vec<&Connection> = graph.connections.values().filter(leaves_it).collect();
+            let figures = self.figures(&[], &shown, until).await;
+            answer.connections = connections(&graph, &shown, &figures);
             return Ok(Response::new(answer));
         }
         let (id, port, member) = split(&r.path).map_err(refuse)?;
@@ -379,13 +380,8 @@ impl GcmService for Edge {
     }
 }
 
-fn connections(
-    graph: &SystemGraph,
-    which: impl Fn(&&Connection) -> bool,
-    figures: &Figures,
-) -> Vec<v1::Connection> {
-    let shown = graph.connections.values().filter(which);
-    shown.map(|c| convert::connection(graph, c, figures.links.get(&c.id.0))).collect()
+fn connections(graph: &SystemGraph, shown: &[&Connection], figures: &Figures) -> Vec<v1::Connection> {
+    shown.iter().map(|c| convert::connection(graph, c, figures.links.get(&c.id.0))).collect()
 }
 
 /// At least a moment for the last question.

@@ -11,14 +11,14 @@ mod plugin;
 mod wait;
 mod watch;
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch::Receiver;
 use tokio::task::JoinSet;
 use tonic::{Extensions, Status};
-use trocar_model::{ComponentId, Name, Refusal, SystemGraph};
+use trocar_model::{ComponentId, Connection, Name, Refusal};
 
 use super::caller::OnlyReads;
 use super::convert::Figures;
@@ -94,21 +94,23 @@ impl Edge {
         }
     }
 
-    /// Live figures of `ids` and of all connections; what cannot be had in time is a warning, not a failure. The
-    /// processes are asked side by side, so that a silent one costs the others nothing.
-    async fn figures(&self, graph: &SystemGraph, ids: &[ComponentId], deadline: Instant) -> Figures {
+    /// Live figures of these components and connections; what cannot be had in time is a warning, not a failure. No
+    /// process is asked that has none of them, and those that are, side by side: a silent one costs the others nothing.
+    async fn figures(&self, ids: &[ComponentId], shown: &[&Connection], deadline: Instant) -> Figures {
         let deadline = deadline.min(Instant::now() + FIGURES);
         let mut asking = JoinSet::new();
-        // A connection may end in a process that is not asked for otherwise.
-        let ends = graph.connections.values().flat_map(|c| [&c.client, &c.server]);
-        let ends = ends.map(|end| &end.component.process);
-        let processes: BTreeSet<&Name> = graph.processes.keys().chain(ends).collect();
-        for process in processes {
+        let mut asked: BTreeMap<&Name, (Vec<ComponentId>, bool)> = BTreeMap::new();
+        for end in shown.iter().flat_map(|c| [&c.client, &c.server]) {
+            asked.entry(&end.component.process).or_default().1 = true;
+        }
+        for id in ids {
+            asked.entry(&id.process).or_default().0.push(id.clone());
+        }
+        for (process, (ids, has_ends)) in asked {
             let Ok(lcm) = self.lcm(process) else { continue };
-            let ids: Vec<ComponentId> = ids.iter().filter(|id| id.process == *process).cloned().collect();
             let process = process.clone();
             asking.spawn(async move {
-                let asked = tokio::time::timeout_at(deadline.into(), figures_of(lcm, ids)).await;
+                let asked = tokio::time::timeout_at(deadline.into(), figures_of(lcm, ids, has_ends)).await;
                 asked.unwrap_or_else(|_| Err(format!("process {process} did not give its figures in time")))
             });
         }
@@ -137,13 +139,14 @@ impl Edge {
 
 type Asked = (Vec<(ComponentId, Detail)>, Vec<LinkDetail>);
 
-async fn figures_of(lcm: Arc<dyn Lcm>, ids: Vec<ComponentId>) -> Result<Asked, String> {
+async fn figures_of(lcm: Arc<dyn Lcm>, ids: Vec<ComponentId>, has_ends: bool) -> Result<Asked, String> {
     let mut details = Vec::with_capacity(ids.len());
     for id in ids {
         let detail = lcm.detail(id.clone()).await.map_err(|refusal| refusal.to_string())?;
         details.push((id, detail));
     }
-    Ok((details, lcm.links().await.map_err(|refusal| refusal.to_string())?))
+    let links = if has_ends { lcm.links().await.map_err(|refusal| refusal.to_string())? } else { Vec::new() };
+    Ok((details, links))
 }
 
 /// Refusals leave as statuses.

@@ -1,6 +1,7 @@
 //! A process attached over the wire behaves as one that is in the GCM's own process; losing either side is survived.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
@@ -13,7 +14,7 @@ use super::super::{Begin, Uplink, UplinkError};
 use super::{System, connect, create, link, reason, serve, start, stop};
 use crate::gcm::fake::{FakeLcm, comes, id, name, until};
 use crate::gcm::{Gcm, GcmConfig, Registration};
-use crate::lcm::{News, Report};
+use crate::lcm::{Lcm, News, Report};
 
 /// Longer than any test should take; only a broken one waits for it.
 const WATCHDOG: Duration = Duration::from_secs(60);
@@ -31,6 +32,36 @@ async fn attached() -> (System, Arc<FakeLcm>, Uplink) {
     let (s, lcm) = (System::start().await, FakeLcm::new("gui"));
     let uplink = attach(&s.server.addr().to_string(), "gui", &lcm).await.unwrap();
     (s, lcm, uplink)
+}
+
+#[tokio::test]
+async fn the_state_of_one_component_is_asked_of_no_process_that_has_no_part_in_it() {
+    let s = System::start().await;
+    let mut others = Vec::new();
+    for process in ["peer", "other", "another"] {
+        let lcm = FakeLcm::new(process);
+        let inventory = lcm.inventory().await.unwrap();
+        s.gcm.register(who(process), lcm.clone(), inventory).await.unwrap();
+        others.push(lcm);
+    }
+    let mut gcm = s.gcm();
+    for path in ["host/a", "host/b", "peer/a", "other/a"] {
+        gcm.create(create(path)).await.unwrap();
+    }
+    gcm.connect(link("host/a/robot", "host/b/arm")).await.unwrap();
+    gcm.connect(link("peer/a/input", "host/b/value")).await.unwrap();
+    let asked = || -> Vec<usize> {
+        let all = [&s.lcm].into_iter().chain(&others);
+        all.map(|lcm| lcm.figures.swap(0, Ordering::Relaxed)).collect()
+    };
+    asked();
+    // (of whom, questions: one for the component, one for the connections where there are some)
+    for (path, questions) in [("host/a", [2, 0, 0, 0]), ("host/b", [2, 1, 0, 0]), ("other/a", [0, 0, 1, 0])] {
+        gcm.get_state(v1::GetStateRequest { path: path.into() }).await.unwrap();
+        assert_eq!(asked(), questions, "{path}");
+    }
+    gcm.list(v1::ListRequest { path: "other".into(), ..Default::default() }).await.unwrap();
+    assert_eq!(asked(), [0, 0, 1, 0], "the list of one process");
 }
 
 fn process_is(process: &'static str, state: ProcessState) -> impl Fn(&SystemGraph) -> bool {
