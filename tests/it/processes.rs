@@ -9,6 +9,8 @@ mod away;
 mod detached;
 #[path = "processes/ends.rs"]
 mod ends;
+#[path = "processes/given_up.rs"]
+mod given_up;
 #[path = "processes/isolated.rs"]
 mod isolated;
 #[path = "processes/refusals.rs"]

@@ -157,7 +157,7 @@ impl SystemGraph {
     }
 
     /// A change to something that has gone meanwhile has no effect.
-    pub(crate) fn carry_out(&mut self, change: &Change) {
+    pub fn carry_out(&mut self, change: &Change) {
         match change {
             Change::Create { id, component } => {
                 self.components.insert(id.clone(), (**component).clone());

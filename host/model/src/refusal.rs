@@ -55,6 +55,12 @@ pub enum Refusal {
         process: Name,
         why: String,
     },
+    /// It was to be forgotten, and has not ended.
+    ProcessRuns {
+        process: Name,
+        state: ProcessState,
+        pid: u32,
+    },
     /// The name is held by a process that answers.
     ProcessExists {
         process: Name,

@@ -26,6 +26,10 @@ pub enum Request {
         id: ComponentId,
         force: bool,
     },
+    /// Takes a process that has ended off the graph, with its components and their connections.
+    Forget {
+        process: Name,
+    },
     /// JSON merge patch (RFC 7396) on the present configuration, and where its thread comes from. A change of the latter
     /// makes the component anew on its new thread.
     Configure {

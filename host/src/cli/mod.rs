@@ -18,6 +18,7 @@ mod down;
 mod echo;
 mod execution;
 mod failure;
+mod forget;
 mod gcm;
 mod graph;
 mod hosting;
@@ -32,6 +33,7 @@ mod plugin;
 mod plugin_check;
 mod plugin_new;
 mod recording;
+mod restart;
 mod run;
 mod schema;
 mod session;
@@ -120,6 +122,8 @@ enum Command {
     Connect(connect::ConnectArgs),
     Disconnect(connect::DisconnectArgs),
     Rm(states::RmArgs),
+    Forget(forget::ForgetArgs),
+    Restart(restart::RestartArgs),
     Call(call::CallArgs),
     Echo(echo::EchoArgs),
     Hz(hz::HzArgs),
@@ -181,6 +185,8 @@ fn dispatch(cli: Cli) -> Done {
         Command::Connect(args) => ask(connect::connect(args, &session)),
         Command::Disconnect(args) => ask(connect::disconnect(args, &session)),
         Command::Rm(args) => ask(states::remove(args, &session)),
+        Command::Forget(args) => ask(forget::run(args, &session)),
+        Command::Restart(args) => ask(restart::run(args, &session)),
         Command::Call(args) => ask(call::run(args, &session)),
         Command::Echo(args) => ask(echo::run(args, &session)),
         Command::Hz(args) => ask(hz::run(args, &session)),

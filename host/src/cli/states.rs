@@ -5,6 +5,7 @@
 use clap::Args;
 
 use super::failure::{Done, Exit, Failure};
+use super::forget::forget;
 use super::mutation::{MutationArgs, Outcome, show};
 use super::session::Session;
 use super::{out, style};
@@ -54,7 +55,8 @@ pub(super) struct ResetArgs {
     of: PathArgs,
 }
 
-/// Removes components; one that is ACTIVE is stopped first, and what it moves made safe. All or nothing.
+/// Removes components; one that is ACTIVE is stopped first, and what it moves made safe. All or nothing. A process that
+/// has ended goes with all that was in it, as by `trocar forget`.
 #[derive(Args, Debug)]
 pub(super) struct RmArgs {
     #[command(flatten)]
@@ -133,6 +135,10 @@ async fn stop_without_gcm(session: &Session, why: Failure) -> Done {
 
 pub(super) async fn remove(args: RmArgs, session: &Session) -> Done {
     let mutation = &args.of.mutation;
+    // A name alone is a process.
+    if args.of.paths.iter().all(|path| !path.contains(['/', '*'])) {
+        return forget(&args.of.paths, mutation, session).await;
+    }
     let paths = named(&args.of.paths, session).await?;
     let mut outcome = session.remove(&paths, args.force, mutation).await?;
     if !session.json() && !mutation.dry_run {

@@ -4,10 +4,13 @@
 //! that failed, or whose component was removed, is taken from it again, so none is left behind.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
-use trocar_model::{Change, Name, Plan, Process, ProcessState, Refusal, Request};
+use trocar_model::{
+    Change, ComponentId, Name, Plan, Process, ProcessState, Refusal, Request, SystemGraph, Target,
+};
 
 use super::Gcm;
 use super::execute::{ExecuteOptions, Executed};
@@ -41,6 +44,24 @@ pub(super) struct Isolation {
     /// Those that listen, by number: beside what they can make others.
     listening: BTreeMap<u64, BTreeSet<Name>>,
     newest: u64,
+    /// How often each process was asked to be started again.
+    restarts: BTreeMap<Name, u64>,
+}
+
+impl Isolation {
+    /// Whether a supervisor that listens beside these keeps the process.
+    fn keeps(&self, homes: &BTreeSet<Name>, process: &Name) -> bool {
+        homes.contains(process) || self.wanted.get(process).is_some_and(|home| homes.contains(home))
+    }
+}
+
+/// What a supervisor is asked.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// All it is to keep for isolated components.
+    pub apart: Vec<Apart>,
+    /// Those it is to start again now.
+    pub restart: Vec<Name>,
 }
 
 /// A supervisor that listens; it is counted on until this is dropped.
@@ -49,21 +70,29 @@ pub struct Supervising {
     number: u64,
     all: watch::Receiver<Isolation>,
     told: Option<Vec<Apart>>,
+    /// Of `Isolation::restarts`: what was told, or asked before it was there.
+    restarted: BTreeMap<Name, u64>,
 }
 
 impl Supervising {
     /// All that is wanted of it: at once, and then whenever that is something else.
-    pub async fn next(&mut self) -> Vec<Apart> {
+    pub async fn next(&mut self) -> Wanted {
         loop {
             let now = {
                 let all = self.all.borrow_and_update();
-                let homes = all.listening.get(&self.number);
-                let its =
-                    all.wanted.iter().filter(|(_, home)| homes.is_some_and(|homes| homes.contains(*home)));
-                its.map(|(process, home)| Apart { process: process.clone(), home: home.clone() }).collect()
+                let none = BTreeSet::new();
+                let homes = all.listening.get(&self.number).unwrap_or(&none);
+                let its = all.wanted.iter().filter(|(_, home)| homes.contains(*home));
+                let apart = its.map(|(process, home)| Apart { process: process.clone(), home: home.clone() });
+                let asked = all.restarts.iter().filter(|(process, asked)| {
+                    self.restarted.get(*process) != Some(*asked) && all.keeps(homes, process)
+                });
+                let restart = asked.map(|(process, _)| process.clone()).collect();
+                self.restarted.clone_from(&all.restarts);
+                Wanted { apart: apart.collect(), restart }
             };
-            if self.told.as_ref() != Some(&now) {
-                self.told = Some(now.clone());
+            if self.told.as_ref() != Some(&now.apart) || !now.restart.is_empty() {
+                self.told = Some(now.apart.clone());
                 return now;
             }
             // It lives as long as the GCM, which this holds.
@@ -81,16 +110,23 @@ impl Drop for Supervising {
 impl Gcm {
     /// Takes a supervisor in. What it keeps for a GCM before this one is wanted; what it keeps for this one is known better here.
     pub fn supervise(&self, who: Supervisor) -> Supervising {
-        let mut number = 0;
+        let (mut number, mut restarted) = (0, BTreeMap::new());
         self.inner.isolation.send_modify(|all| {
             all.newest += 1;
             number = all.newest;
+            restarted.clone_from(&all.restarts);
             if who.term != self.term() {
                 all.wanted.extend(who.apart.into_iter().map(|apart| (apart.process, apart.home)));
             }
             all.listening.insert(number, who.processes);
         });
-        Supervising { gcm: self.clone(), number, all: self.inner.isolation.subscribe(), told: None }
+        Supervising {
+            gcm: self.clone(),
+            number,
+            all: self.inner.isolation.subscribe(),
+            told: None,
+            restarted,
+        }
     }
 
     /// Whether somebody is there who makes these.
@@ -133,14 +169,82 @@ impl Gcm {
                     }
                     None => "it is gone again".to_owned(),
                 },
-                _ => {
-                    let within = began.elapsed().as_secs_f64();
-                    let ended = self.graph().processes.get(process).map(|p| p.last_exit.clone());
-                    let ended = ended.filter(|exit| !exit.is_empty()).map(|exit| format!("; it {exit}"));
-                    format!("nothing was heard of it within {within:.1} s{}", ended.unwrap_or_default())
-                }
+                _ => self.not_heard(process, began),
             };
             return Err(Refusal::ProcessNotUp { process: process.clone(), why });
+        }
+        Ok(())
+    }
+
+    /// Why it counts as not up when nothing was heard of it since then.
+    fn not_heard(&self, process: &Name, began: Instant) -> String {
+        let within = began.elapsed().as_secs_f64();
+        let ended = self.graph().processes.get(process).map(|p| p.last_exit.clone());
+        let ended = ended.filter(|exit| !exit.is_empty()).map(|exit| format!("; it {exit}"));
+        format!("nothing was heard of it within {within:.1} s{}", ended.unwrap_or_default())
+    }
+
+    /// Has its supervisor end a process, if it runs, and start it again; waits until it is there with its components.
+    ///
+    /// # Errors
+    /// PROCESS_NOT_FOUND; NOT_SUPERVISED; PROCESS_NOT_UP, with how it ended.
+    pub async fn restart(&self, process: &Name, deadline: Instant) -> Result<Arc<SystemGraph>, Refusal> {
+        let began = Instant::now();
+        let mut graphs = self.watch();
+        let before = graphs.borrow_and_update().process(process)?.clone();
+        let mut known = None;
+        self.inner.isolation.send_if_modified(|all| {
+            if all.listening.values().any(|homes| all.keeps(homes, process)) {
+                *all.restarts.entry(process.clone()).or_default() += 1;
+                return true;
+            }
+            known = Some(all.listening.values().flatten().cloned().collect());
+            false
+        });
+        if let Some(known) = known {
+            return Err(Refusal::NotSupervised { process: process.clone(), known });
+        }
+        log::info!("process {process} is to be started again");
+        let settled = |p: &Process| match p.state {
+            ProcessState::Attached => p.epoch != before.epoch,
+            ProcessState::Failed => p.restarts != before.restarts,
+            ProcessState::Lost | ProcessState::Restarting => false,
+        };
+        let settled = graphs.wait_for(|graph| graph.processes.get(process).is_none_or(settled));
+        let why = match tokio::time::timeout_at(deadline.into(), settled).await {
+            Ok(Ok(graph)) => match graph.processes.get(process) {
+                Some(there) if there.state == ProcessState::Attached => return Ok(graph.clone()),
+                Some(away) => format!("it {}", away.last_exit),
+                None => "it is gone".to_owned(),
+            },
+            _ => self.not_heard(process, began),
+        };
+        Err(Refusal::ProcessNotUp { process: process.clone(), why })
+    }
+
+    /// A Reset asks for a component whose process was given up: that is started again first.
+    ///
+    /// # Errors
+    /// As [`Gcm::restart`]; without a supervisor the plan says more.
+    pub(super) async fn bring_back(&self, requests: &[Request], deadline: Instant) -> Result<(), Refusal> {
+        let graph = self.graph();
+        let failed = |id: &ComponentId| {
+            let process = graph.processes.get(&id.process);
+            graph.components.contains_key(id) && process.is_some_and(|p| p.state == ProcessState::Failed)
+        };
+        let resets = requests.iter().filter_map(|request| match request {
+            Request::Reset { targets } => Some(targets),
+            _ => None,
+        });
+        let named = resets.flatten().filter_map(|target| match target {
+            Target::One(id) if failed(id) => Some(id.process.clone()),
+            _ => None,
+        });
+        for process in named.collect::<BTreeSet<Name>>() {
+            match self.restart(&process, deadline).await {
+                Ok(_) | Err(Refusal::NotSupervised { .. }) => {}
+                Err(refusal) => return Err(refusal),
+            }
         }
         Ok(())
     }

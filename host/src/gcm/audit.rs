@@ -52,6 +52,7 @@ fn request(request: &Request) -> Value {
             json!({ "create": body })
         }
         Request::Remove { id, force } => json!({ "remove": { "path": id.to_string(), "force": force } }),
+        Request::Forget { process } => json!({ "forget": { "process": process.as_str() } }),
         Request::Configure { id, patch, execution } => {
             let mut body = Map::new();
             body.insert("path".into(), id.to_string().into());

@@ -37,6 +37,9 @@ impl Part {
                     part.ids.extend(host_of(execution));
                 }
                 Request::Remove { id, .. } => _ = part.ids.insert(id.clone()),
+                Request::Forget { process } => {
+                    part.ids.extend(graph.components.keys().filter(|id| id.process == *process).cloned());
+                }
                 Request::Configure { id, execution, .. } => {
                     part.ids.insert(id.clone());
                     part.ids.extend(execution.as_ref().and_then(host_of));

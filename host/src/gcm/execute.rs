@@ -3,7 +3,7 @@
 //! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM did it. What hangs
 //! holds up the components of its own request and no others.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use trocar_model::{
@@ -12,6 +12,7 @@ use trocar_model::{
 };
 
 use super::apart::asked_apart;
+use super::away::{only_takes_away, plan_away};
 use super::claims::Planned;
 use super::generated::first_part;
 use super::manager::lock;
@@ -124,14 +125,22 @@ impl Gcm {
         if let Some(done) = self.remove_away(requests, options).await? {
             return Ok(done);
         }
+        if !options.validate_only {
+            self.bring_back(requests, deadline).await?;
+        }
         let forced = self.give_way(requests, options.validate_only)?;
         let apart = asked_apart(requests);
+        let away = AtomicBool::new(false);
         let at_once = AtomicUsize::new(0);
         let decide = |graph: &SystemGraph| {
             if let Some(expected) = options.expected_revision
                 && expected != graph.revision
             {
                 return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
+            }
+            away.store(only_takes_away(graph, requests), Ordering::Relaxed);
+            if away.load(Ordering::Relaxed) {
+                return plan_away(graph, requests).map(Planned::from);
             }
             // A dry run makes no component, so it knows the ports of classes alone.
             let (plan, first) = match options.validate_only {
@@ -150,7 +159,15 @@ impl Gcm {
             planned => planned?,
         };
         let mut done = Executed { revision: graph.revision, plan, ..Executed::default() };
-        if options.validate_only || done.plan.changes.is_empty() {
+        if options.validate_only {
+            return Ok(done);
+        }
+        if away.load(Ordering::Relaxed) {
+            self.take_away(requests, &done.plan)?;
+            done.revision = self.accepted();
+            return Ok(done);
+        }
+        if done.plan.changes.is_empty() {
             return Ok(done);
         }
         let carrying = Carrying::begin(self, claim, &done.plan);
@@ -309,6 +326,7 @@ fn process_of(request: &Request) -> Option<Name> {
             Some(id.process.clone())
         }
         Request::CreateApart { home, .. } => Some(home.clone()),
+        Request::Forget { process } => Some(process.clone()),
         Request::Start { targets }
         | Request::Stop { targets }
         | Request::Resume { targets }

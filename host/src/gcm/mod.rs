@@ -5,6 +5,7 @@
 mod apart;
 mod audit;
 mod awaiting;
+mod away;
 mod claims;
 mod execute;
 mod far;
@@ -28,7 +29,7 @@ pub(crate) mod fake;
 #[cfg(test)]
 mod tests;
 
-pub use apart::{Apart, Supervising, Supervisor};
+pub use apart::{Apart, Supervising, Supervisor, Wanted};
 pub use awaiting::Listening;
 pub use execute::{ExecuteOptions, Executed};
 pub use fate::{Fate, Told};

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod apart;
+mod away;
 mod between;
 mod hanging;
 mod hearing;

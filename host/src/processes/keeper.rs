@@ -71,11 +71,13 @@ pub(super) struct Orders {
     pub(super) down: watch::Receiver<bool>,
     /// The incarnation of this number is of no use: why.
     pub(super) put_down: mpsc::UnboundedReceiver<(u32, String)>,
+    /// It is to be started again, with a clean record.
+    pub(super) again: mpsc::UnboundedReceiver<()>,
 }
 
-/// Keeps it until it is asked to end, or has been given up. Answers how it ended when it was asked to.
+/// Keeps it until it is asked to end. Answers how it ended when it was asked to while it ran.
 pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Option<Exit> {
-    let Orders { mut down, mut put_down } = orders;
+    let Orders { mut down, mut put_down, mut again } = orders;
     let mut history = History::new(program.policy);
     let mut listen = program.listen.clone();
     let set = |change: &dyn Fn(&mut Status)| board.change(&program.name, change);
@@ -94,6 +96,13 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
                 let exit = tokio::select! {
                     exit = live(&mut child, &program, &board, &mut listen, &mut refused) => exit,
                     why = useless(&mut put_down, pid) => child.end(USELESS, Some(why)).await,
+                    () = anew(&mut again) => {
+                        let exit = child.end(PATIENCE, None).await;
+                        set(&|s| (s.phase, s.last_exit) = (Phase::Restarting, Some(exit.clone())));
+                        history = History::new(program.policy);
+                        restarts += 1;
+                        continue;
+                    }
                     () = asked(&mut down) => {
                         let exit = child.end(PATIENCE, None).await;
                         set(&|s| (s.phase, s.last_exit) = (Phase::Ended, Some(exit.clone())));
@@ -119,9 +128,20 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
             s.last_exit = Some(exit.clone());
             s.refused.clone_from(&refused);
         });
-        let Verdict::Restart { after } = verdict else { return None };
+        let pause = async {
+            match verdict {
+                Verdict::Restart { after } => tokio::time::sleep(after).await,
+                // Until somebody wants it back.
+                Verdict::GiveUp | Verdict::Leave => std::future::pending().await,
+            }
+        };
+        restarts += 1;
         tokio::select! {
-            () = tokio::time::sleep(after) => restarts += 1,
+            () = pause => {}
+            () = anew(&mut again) => {
+                set(&|s| s.phase = Phase::Restarting);
+                history = History::new(program.policy);
+            }
             () = asked(&mut down) => {
                 set(&|s| s.phase = Phase::Ended);
                 return None;
@@ -133,6 +153,14 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
 /// Ends when it is to end, or when nobody can ask for that any more.
 async fn asked(down: &mut watch::Receiver<bool>) {
     let _ = down.wait_for(|down| *down).await;
+}
+
+/// Ends when it is to be started again; asked for twice, it is started once.
+async fn anew(again: &mut mpsc::UnboundedReceiver<()>) {
+    if again.recv().await.is_none() {
+        std::future::pending::<()>().await;
+    }
+    while again.try_recv().is_ok() {}
 }
 
 /// Ends when this incarnation is found to be of no use; what was said of others is forgotten.

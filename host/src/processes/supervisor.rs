@@ -34,6 +34,7 @@ pub struct Supervisor {
 struct Kept {
     down: watch::Sender<bool>,
     put_down: mpsc::UnboundedSender<(u32, String)>,
+    again: mpsc::UnboundedSender<()>,
     task: JoinHandle<Option<Exit>>,
 }
 
@@ -54,9 +55,10 @@ impl Supervisor {
         self.board.change(&name, &|_| {});
         let (down, asked) = watch::channel(false);
         let (put_down, useless) = mpsc::unbounded_channel();
-        let orders = Orders { down: asked, put_down: useless };
+        let (again, afresh) = mpsc::unbounded_channel();
+        let orders = Orders { down: asked, put_down: useless, again: afresh };
         let task = tokio::spawn(keep(program, self.board.clone(), orders));
-        kept.insert(name, Kept { down, put_down, task });
+        kept.insert(name, Kept { down, put_down, again, task });
     }
 
     /// How all stand now and whenever something changes; a slow reader sees the newest.
@@ -69,6 +71,14 @@ impl Supervisor {
         if let Some(kept) = self.kept().get(name) {
             // One that was given up takes no orders.
             let _ = kept.put_down.send((pid, why));
+        }
+    }
+
+    /// Ends it, if it runs, and starts it again with a clean record; one that was given up or has ended, too.
+    pub fn again(&self, name: &str) {
+        if let Some(kept) = self.kept().get(name) {
+            // One that was asked to end takes no orders.
+            let _ = kept.again.send(());
         }
     }
 

@@ -2377,6 +2377,58 @@ pub struct ResetResponse {
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
+/// Asks for Forget. A process that comes back by itself is listed again, with what it has.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ForgetRequest {
+    /// Name of a process that is LOST or FAILED.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// True: answer what would be done, do nothing.
+    #[prost(bool, tag = "13")]
+    pub validate_only: bool,
+    /// Free text; the same id within 10 minutes gets the same answer and nothing is done twice.
+    #[prost(string, tag = "14")]
+    pub request_id: ::prost::alloc::string::String,
+    /// Refused with REVISION_CONFLICT when the graph is at another revision; unset = not checked.
+    #[prost(uint64, optional, tag = "15")]
+    pub expected_revision: ::core::option::Option<u64>,
+}
+/// Answers Forget.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ForgetResponse {
+    /// Revision of the graph after it.
+    #[prost(uint64, tag = "1")]
+    pub revision: u64,
+    /// What was done, or with validate_only would be: one line per step, "- disconnect …", "- remove …".
+    #[prost(string, repeated, tag = "2")]
+    pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// How the components touched stand now.
+    #[prost(message, repeated, tag = "3")]
+    pub components: ::prost::alloc::vec::Vec<ComponentReport>,
+    /// Components that were matched but left alone.
+    #[prost(message, repeated, tag = "4")]
+    pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
+    /// What did not go as asked without being refused.
+    #[prost(string, repeated, tag = "5")]
+    pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
+/// Asks for Restart. Components are made anew; what moves something comes back STOPPED.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct RestartRequest {
+    /// Name of a process that a supervisor keeps.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+}
+/// Answers Restart, once the process is ATTACHED again.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct RestartResponse {
+    /// Revision of the graph then.
+    #[prost(uint64, tag = "1")]
+    pub revision: u64,
+    /// Incarnation of the process that runs now.
+    #[prost(uint64, tag = "2")]
+    pub epoch: u64,
+}
 /// Asks for Connect.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ConnectRequest {
@@ -2599,7 +2651,7 @@ pub struct WaitForResponse {
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Step {
     /// What to do.
-    #[prost(oneof = "step::Step", tags = "1, 2, 3, 4, 5, 6, 7, 8, 9")]
+    #[prost(oneof = "step::Step", tags = "1, 2, 3, 4, 5, 6, 7, 8, 9, 10")]
     pub step: ::core::option::Option<step::Step>,
 }
 /// Nested message and enum types in `Step`.
@@ -2634,6 +2686,9 @@ pub mod step {
         /// See Disconnect.
         #[prost(message, tag = "9")]
         Disconnect(super::DisconnectRequest),
+        /// See Forget; all steps of its Apply take something away of processes that have ended.
+        #[prost(message, tag = "10")]
+        Forget(super::ForgetRequest),
     }
 }
 /// Asks for Apply.
@@ -3291,6 +3346,53 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Watch"));
             self.inner.server_streaming(req, path, codec).await
         }
+        /// Takes a process that has ended off the list, with its components and their connections.
+        pub async fn forget(
+            &mut self,
+            request: impl tonic::IntoRequest<super::ForgetRequest>,
+        ) -> std::result::Result<tonic::Response<super::ForgetResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GcmService/Forget",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.GcmService", "Forget"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Ends a process that a supervisor keeps (`trocar up`), if it runs, and starts it again; one that was given up, too.
+        pub async fn restart(
+            &mut self,
+            request: impl tonic::IntoRequest<super::RestartRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::RestartResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GcmService/Restart",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.GcmService", "Restart"));
+            self.inner.unary(req, path, codec).await
+        }
     }
 }
 /// Generated server implementations.
@@ -3409,6 +3511,16 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::WatchRequest>,
         ) -> std::result::Result<tonic::Response<Self::WatchStream>, tonic::Status>;
+        /// Takes a process that has ended off the list, with its components and their connections.
+        async fn forget(
+            &self,
+            request: tonic::Request<super::ForgetRequest>,
+        ) -> std::result::Result<tonic::Response<super::ForgetResponse>, tonic::Status>;
+        /// Ends a process that a supervisor keeps (`trocar up`), if it runs, and starts it again; one that was given up, too.
+        async fn restart(
+            &self,
+            request: tonic::Request<super::RestartRequest>,
+        ) -> std::result::Result<tonic::Response<super::RestartResponse>, tonic::Status>;
     }
     /// Owns the system graph. A host without a GCM of its own serves this for its own process.
     #[derive(Debug)]
@@ -4235,6 +4347,94 @@ pub mod gcm_service_server {
                     };
                     Box::pin(fut)
                 }
+                "/trocar.v1.GcmService/Forget" => {
+                    #[allow(non_camel_case_types)]
+                    struct ForgetSvc<T: GcmService>(pub Arc<T>);
+                    impl<T: GcmService> tonic::server::UnaryService<super::ForgetRequest>
+                    for ForgetSvc<T> {
+                        type Response = super::ForgetResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::ForgetRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GcmService>::forget(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = ForgetSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.GcmService/Restart" => {
+                    #[allow(non_camel_case_types)]
+                    struct RestartSvc<T: GcmService>(pub Arc<T>);
+                    impl<
+                        T: GcmService,
+                    > tonic::server::UnaryService<super::RestartRequest>
+                    for RestartSvc<T> {
+                        type Response = super::RestartResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::RestartRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GcmService>::restart(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = RestartSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
                 _ => {
                     Box::pin(async move {
                         let mut response = http::Response::new(
@@ -4307,6 +4507,9 @@ pub struct SuperviseResponse {
     /// All it is to keep for isolated components; others it kept are to end.
     #[prost(message, repeated, tag = "2")]
     pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
+    /// Processes it is to end, if they run, and to start again now; told once.
+    #[prost(string, repeated, tag = "3")]
+    pub restart: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// Asks for Tell.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -160,6 +160,9 @@ groups! {
         a_process_that_is_not_there "NOT_FOUND" "PROCESS_NOT_FOUND" ["nowhere", "host"]
             |stage| stage.refuses("GcmService/Create", json!({ "path": "nowhere/s", "class": "sine" }));
 
+        a_process_that_runs "FAILED_PRECONDITION" "PROCESS_RUNS" ["`host` runs", "End it first"]
+            |stage| stage.refuses("GcmService/Forget", json!({ "process": "host" }));
+
         a_misspelt_class "NOT_FOUND" "CLASS_NOT_FOUND" ["`sin`", "did you mean `sine`", "There is sine"]
             |stage| stage.refuses("GcmService/Create", json!({ "path": "host/misspelt", "class": "sin" }));
 

@@ -64,6 +64,7 @@ impl Planner {
                 self.create_apart(id, home, class, config.as_ref(), execution)
             }
             Request::Remove { id, force } => self.remove(id, *force),
+            Request::Forget { process } => self.forget(process),
             Request::Configure { id, patch, execution } => self.configure(id, patch, execution.as_ref()),
             Request::Start { targets } => self.start(targets),
             Request::Stop { targets } => self.stop(targets),

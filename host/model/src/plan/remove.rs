@@ -1,10 +1,10 @@
-//! Remove: refused while something depends on the component, unless forced.
+//! Remove: refused while something depends on the component, unless forced. Forget: all of a process that has ended.
 //!
 //! Invariant: a component is stopped before its connections are taken away, so that it stops on request and does not
 //! first lose its peers; no connection outlives one of its ends.
 
 use super::{Planner, host_of};
-use crate::{Change, ComponentId, Connection, Refusal, State, Verb};
+use crate::{Change, ComponentId, Connection, Name, ProcessState, Refusal, State, Verb};
 
 impl Planner {
     pub(super) fn remove(&mut self, id: &ComponentId, force: bool) -> Result<(), Refusal> {
@@ -34,6 +34,28 @@ impl Planner {
         }
         let component = Box::new(self.graph.component(id)?.clone());
         self.push(Change::Destroy { id: id.clone(), component });
+        Ok(())
+    }
+
+    /// The process itself leaves with them; that is no change of a component.
+    pub(super) fn forget(&mut self, process: &Name) -> Result<(), Refusal> {
+        let there = self.graph.process(process)?;
+        if matches!(there.state, ProcessState::Attached | ProcessState::Restarting) {
+            let (state, pid) = (there.state, there.pid);
+            return Err(Refusal::ProcessRuns { process: process.clone(), state, pid });
+        }
+        let ends_here = |c: &&Connection| c.ends_in(process);
+        let connections: Vec<Connection> =
+            self.graph.connections.values().filter(ends_here).cloned().collect();
+        for connection in connections {
+            self.push(Change::Disconnect { connection, replaced: false });
+        }
+        let its: Vec<ComponentId> =
+            self.graph.components.keys().filter(|id| id.process == *process).cloned().collect();
+        for id in its {
+            let component = Box::new(self.graph.component(&id)?.clone());
+            self.push(Change::Destroy { id, component });
+        }
         Ok(())
     }
 }

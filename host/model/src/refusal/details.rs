@@ -48,6 +48,7 @@ impl Refusal {
             Refusal::ProcessLost { .. } => (Unavailable, "PROCESS_LOST"),
             Refusal::NotSupervised { .. } => (FailedPrecondition, "NOT_SUPERVISED"),
             Refusal::ProcessNotUp { .. } => (Unavailable, "PROCESS_NOT_UP"),
+            Refusal::ProcessRuns { .. } => (FailedPrecondition, "PROCESS_RUNS"),
             Refusal::ProcessExists { .. } => (AlreadyExists, "PROCESS_EXISTS"),
             Refusal::ClassNotFound { .. } => (NotFound, "CLASS_NOT_FOUND"),
             Refusal::ComponentExists { .. } => (AlreadyExists, "COMPONENT_EXISTS"),
@@ -117,6 +118,9 @@ impl Refusal {
             }
             NotSupervised { process, known } => m.put("process", process).list("known", known),
             ProcessNotUp { process, why } => m.put("process", process).put("why", why),
+            ProcessRuns { process, state, pid } => {
+                m.put("process", process).put("state", state).put("pid", pid)
+            }
             ProcessExists { process, endpoint, pid } => {
                 m.put("process", process).put("endpoint", endpoint).put("pid", pid)
             }

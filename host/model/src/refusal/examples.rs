@@ -55,6 +55,7 @@ fn naming() -> Vec<Refusal> {
         },
         Refusal::NotSupervised { process: name("host"), known: vec![name("gui")] },
         Refusal::ProcessNotUp { process: name("host.robot"), why: "it was killed by SIGKILL".into() },
+        Refusal::ProcessRuns { process: name("host"), state: ProcessState::Attached, pid: 4242 },
         Refusal::ProcessExists { process: name("host"), endpoint: "127.0.0.1:50551".into(), pid: 4242 },
         Refusal::ClassNotFound {
             process: name("host"),

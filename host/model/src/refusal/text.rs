@@ -104,11 +104,20 @@ impl Display for Refusal {
                 }
             }
             NotSupervised { process, known } => {
-                write!(f, "nobody is there who would make a process beside `{process}`")?;
+                write!(
+                    f,
+                    "nobody is there who keeps process `{process}`, and would start it again or make another beside it"
+                )?;
                 if known.is_empty() { Ok(()) } else { write!(f, "; kept by somebody: {}", list(known)) }
             }
             ProcessNotUp { process, why } => {
                 write!(f, "process `{process}` did not come up: {}", brief(why))
+            }
+            ProcessRuns { process, state: ProcessState::Restarting, .. } => {
+                write!(f, "process `{process}` is being started again: only one that has ended is forgotten")
+            }
+            ProcessRuns { process, pid, .. } => {
+                write!(f, "process `{process}` runs (pid {pid}): only one that has ended is forgotten")
             }
             ProcessExists { process, endpoint, pid } => {
                 let endpoint = if endpoint.is_empty() { "" } else { &format!(", listening on {endpoint}") };
@@ -368,19 +377,28 @@ impl Refusal {
             }
             ProcessLost { process, state: ProcessState::Failed, .. } => format!(
                 "Correct what ends it (`trocar ls` shows how it ended, what it printed is in its supervisor's state \
-                 directory, {process}.output.log), then `trocar down` and `trocar up`: it ended too often, or is never to be restarted."
+                 directory, {process}.output.log; `trocar rm --force` takes out a component of it), then \
+                 `trocar restart {process}`, or `trocar forget {process}` when it is not wanted any more."
             ),
             NotSupervised { process, .. } => format!(
-                "Bring the system up with `trocar up FILE`, which keeps processes and makes more, or start one by hand \
-                 (`trocar host --name NAME --gcm ADDR`) and create the component there; without isolation it is made in {process}."
+                "Bring the system up with `trocar up FILE`, which keeps processes, starts them again and makes more, or start one \
+                 by hand (`trocar host --name NAME --gcm ADDR`); a component without isolation is made in {process}."
             ),
             ProcessNotUp { process, .. } => format!(
-                "Nothing of it is left. What it printed is in {process}.output.log of its supervisor's state directory; \
-                 correct that and ask again, or create the component without isolation."
+                "What it printed is in {process}.output.log of its supervisor's state directory; correct that and ask again. One that \
+                 was to be made for a component alone is gone, and the component can be created without isolation."
             ),
             ProcessLost { process, .. } => format!(
                 "Start the process again (`trocar host --name {process}`, which `trocar up` does by itself); its components \
-                are made anew, and what moves something comes back STOPPED and waits for Resume."
+                are made anew, and what moves something comes back STOPPED and waits for Resume. `trocar forget {process}` \
+                takes one that is not wanted any more off the list, with its components."
+            ),
+            ProcessRuns { process, state: ProcessState::Restarting, .. } => format!(
+                "Wait until `trocar ls` shows it ATTACHED or FAILED. Take it out of its system file and bring the system up \
+                 again when {process} is not to come back."
+            ),
+            ProcessRuns { pid, .. } => format!(
+                "End it first: Ctrl-C in its terminal, `kill {pid}`, or `trocar down` for a whole system; then ask again."
             ),
             ProcessExists { pid, .. } => format!(
                 "Use the one that runs, or end it first (`kill {pid}`). A second one beside it needs an address of its own \

@@ -201,7 +201,7 @@ fn a_process_that_is_away_is_told_as_it_stands_and_what_happens_next() {
     );
     let (failed, help) = lost(ProcessState::Failed, "was killed by SIGSEGV");
     assert!(failed.contains("has failed and is not started again: it was killed by SIGSEGV"), "{failed}");
-    assert!(help.contains("trocar up"), "{help}");
+    assert!(help.contains("trocar restart right"), "{help}");
     assert!(
         ![silent, ended, restarting, failed].iter().any(|text| text.ends_with('.')),
         "a sentence goes on"

@@ -5,7 +5,7 @@ use trocar_proto::v1;
 use trocar_proto::v1::step::Step as S;
 
 use super::{duration, to_struct};
-use crate::gcm::{Apart, Fate, Supervisor, Told};
+use crate::gcm::{Apart, Fate, Supervisor, Told, Wanted};
 
 pub(in crate::cli) fn step(request: &Request) -> v1::Step {
     let step = match request {
@@ -29,6 +29,9 @@ pub(in crate::cli) fn step(request: &Request) -> v1::Step {
             force: *force,
             ..v1::RemoveRequest::default()
         }),
+        Request::Forget { process } => {
+            S::Forget(v1::ForgetRequest { process: process.to_string(), ..v1::ForgetRequest::default() })
+        }
         Request::Configure { id, patch, execution } => S::Configure(v1::ConfigureRequest {
             path: id.to_string(),
             config: Some(to_struct(patch)),
@@ -140,9 +143,11 @@ pub(in crate::cli) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
 }
 
 /// What a GCM wants of it, and which GCM that is.
-pub(in crate::cli) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Vec<Apart>), Refusal> {
+pub(in crate::cli) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
     let one = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
     };
-    Ok((told.term, told.apart.iter().map(one).collect::<Result<_, _>>()?))
+    let apart = told.apart.iter().map(one).collect::<Result<_, _>>()?;
+    let restart = told.restart.iter().map(|name| Name::parse(name)).collect::<Result<_, _>>()?;
+    Ok((told.term, Wanted { apart, restart }))
 }

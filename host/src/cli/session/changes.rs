@@ -2,6 +2,8 @@
 //!
 //! Invariant: every one passes on dry run, expected revision and timeout as they were typed.
 
+use std::time::Duration;
+
 use trocar_proto::v1;
 
 use super::Session;
@@ -95,6 +97,41 @@ impl Session {
         let a =
             self.client().await?.gcm.apply(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
+    }
+
+    /// Takes all of these processes off the list, or none.
+    pub(in crate::cli) async fn forget(
+        &self,
+        processes: &[String],
+        m: &MutationArgs,
+    ) -> Result<Outcome, Failure> {
+        let one = |process: &String| v1::Step {
+            step: Some(v1::step::Step::Forget(v1::ForgetRequest {
+                process: process.clone(),
+                ..v1::ForgetRequest::default()
+            })),
+        };
+        let ask = v1::ApplyRequest {
+            steps: processes.iter().map(one).collect(),
+            validate_only: m.dry_run,
+            expected_revision: m.expected_revision,
+            ..v1::ApplyRequest::default()
+        };
+        let a =
+            self.client().await?.gcm.apply(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
+    }
+
+    /// Waits until it is there again; answers the revision then, and its incarnation.
+    pub(in crate::cli) async fn restart(
+        &self,
+        process: &str,
+        within: Duration,
+    ) -> Result<(u64, u64), Failure> {
+        let mut ask = tonic::Request::new(v1::RestartRequest { process: process.to_owned() });
+        ask.set_timeout(within);
+        let a = self.client().await?.gcm.restart(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok((a.revision, a.epoch))
     }
 
     pub(in crate::cli) async fn connect(&self, args: &ConnectArgs) -> Result<Outcome, Failure> {

@@ -11,7 +11,7 @@ use crate::cli::convert;
 use crate::cli::failure::Failure;
 use crate::cli::mutation::Outcome;
 use crate::cli::view::SystemView;
-use crate::gcm::{Apart, Supervisor, Told};
+use crate::gcm::{Supervisor, Told, Wanted};
 
 impl Session {
     /// All of the requests as one change.
@@ -77,7 +77,7 @@ impl Session {
     pub(in crate::cli) async fn supervise(
         &self,
         who: &Supervisor,
-    ) -> Result<Follow<'_, v1::SuperviseResponse, Result<(u64, Vec<Apart>), Refusal>>, Failure> {
+    ) -> Result<Follow<'_, v1::SuperviseResponse, Result<(u64, Wanted), Refusal>>, Failure> {
         let ask = convert::supervisor(who);
         let stream =
             self.client().await?.attach.supervise(ask).await.map_err(|s| self.failed(&s))?.into_inner();

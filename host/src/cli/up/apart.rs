@@ -64,7 +64,10 @@ impl System {
             }
             tokio::select! {
                 list = lists.next() => match list? {
-                    Some(Ok((term, wanted))) => (wishes.term, wishes.wanted) = (term, wanted),
+                    Some(Ok((term, wanted))) => {
+                        (wishes.term, wishes.wanted) = (term, wanted.apart);
+                        wanted.restart.iter().for_each(|process| self.supervisor.again(process.as_str()));
+                    }
                     Some(Err(refusal)) => log::error!("the GCM wants what cannot be: {refusal}"),
                     None => return Ok(()),
                 },

@@ -117,7 +117,7 @@ impl AttachService for AttachEdge {
                     () = tell.closed() => return,
                     _ = open.changed() => return,
                 };
-                if tell.send(Ok(convert::wanted_apart(term, wanted))).await.is_err() {
+                if tell.send(Ok(convert::wanted(term, wanted))).await.is_err() {
                     return;
                 }
             }

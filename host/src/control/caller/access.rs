@@ -185,7 +185,7 @@ mod tests {
     use crate::control::web::with_page;
 
     /// Methods that change something; one in neither list is one nobody has decided about.
-    const CHANGING: [&str; 21] = [
+    const CHANGING: [&str; 23] = [
         "/trocar.v1.AttachService/Attach",
         "/trocar.v1.AttachService/Supervise",
         "/trocar.v1.AttachService/Tell",
@@ -194,10 +194,12 @@ mod tests {
         "/trocar.v1.GcmService/Connect",
         "/trocar.v1.GcmService/Create",
         "/trocar.v1.GcmService/Disconnect",
+        "/trocar.v1.GcmService/Forget",
         "/trocar.v1.GcmService/Move",
         "/trocar.v1.GcmService/Remove",
         "/trocar.v1.GcmService/Replace",
         "/trocar.v1.GcmService/Reset",
+        "/trocar.v1.GcmService/Restart",
         "/trocar.v1.GcmService/Resume",
         "/trocar.v1.GcmService/Start",
         "/trocar.v1.GcmService/Stop",

@@ -8,7 +8,7 @@ use trocar_proto::v1;
 use super::answers::{link, proxy, stats};
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
-use crate::gcm::{Apart, Fate, Supervisor, Told};
+use crate::gcm::{Apart, Fate, Supervisor, Told, Wanted};
 use crate::lcm::{Detail, LinkDetail, Report};
 
 pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
@@ -64,9 +64,13 @@ pub(crate) fn supervisor(r: v1::SuperviseRequest) -> Result<Supervisor, Refusal>
 }
 
 /// What is wanted of a supervisor.
-pub(crate) fn wanted_apart(term: u64, wanted: Vec<Apart>) -> v1::SuperviseResponse {
+pub(crate) fn wanted(term: u64, wanted: Wanted) -> v1::SuperviseResponse {
     let one = |a: Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
-    v1::SuperviseResponse { term, apart: wanted.into_iter().map(one).collect() }
+    v1::SuperviseResponse {
+        term,
+        apart: wanted.apart.into_iter().map(one).collect(),
+        restart: wanted.restart.iter().map(ToString::to_string).collect(),
+    }
 }
 
 pub(crate) fn component(id: &ComponentId, c: &Component, detail: Option<&Detail>) -> v1::Component {

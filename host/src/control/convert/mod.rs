@@ -18,10 +18,8 @@ pub(super) use change::{
     change_in, change_out, classes_in, far_in, far_out, inventory_in, inventory_out, phases_in, phases_out,
     report_in, slice_in, slice_out, steps_in, steps_out,
 };
-pub(super) use graph::{
-    Figures, component, connection, list, process, report, supervisor, told, wanted_apart,
-};
+pub(super) use graph::{Figures, component, connection, list, process, report, supervisor, told, wanted};
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
-pub(super) use requests::{Common, configure, connect, create, disconnect, remove, steps, targets};
+pub(super) use requests::{Common, configure, connect, create, disconnect, forget, remove, steps, targets};
 pub(super) use types::{class, ports, provided};

@@ -41,6 +41,7 @@ refusals! {
     ProcessLost { process, state, last_exit }
     NotSupervised { process, known }
     ProcessNotUp { process, why }
+    ProcessRuns { process, state, pid }
     ProcessExists { process, endpoint, pid }
     ManagedElsewhere { at }
     PluginNotFound { name, known }

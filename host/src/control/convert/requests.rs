@@ -104,6 +104,10 @@ pub(crate) fn disconnect(r: v1::DisconnectRequest) -> Result<Request, Refusal> {
     Ok(Request::Disconnect { which })
 }
 
+pub(crate) fn forget(r: v1::ForgetRequest) -> Result<Request, Refusal> {
+    Ok(Request::Forget { process: Name::parse(&r.process)? })
+}
+
 /// The steps of an Apply; none is a mistake of whoever made them.
 pub(crate) fn steps(steps: Vec<v1::Step>) -> Result<Vec<Request>, Refusal> {
     if steps.is_empty() {
@@ -125,6 +129,7 @@ fn step(step: v1::Step) -> Result<Request, Refusal> {
         Some(S::Reset(r)) => Ok(Request::Reset { targets: targets("Reset", r.paths, r.path)? }),
         Some(S::Connect(r)) => connect(r),
         Some(S::Disconnect(r)) => disconnect(r),
+        Some(S::Forget(r)) => forget(r),
         None => Err(invalid("Apply", "a step is empty: give it one of create, connect, start, …", "steps")),
     }
 }

@@ -183,6 +183,28 @@ impl GcmService for Edge {
         Ok(Response::new(mutate!(self, request, RemoveResponse, |r| Ok(vec![convert::remove(r)?])).0))
     }
 
+    async fn forget(
+        &self,
+        request: Request<v1::ForgetRequest>,
+    ) -> Result<Response<v1::ForgetResponse>, Status> {
+        Ok(Response::new(mutate!(self, request, ForgetResponse, |r| Ok(vec![convert::forget(r)?])).0))
+    }
+
+    async fn restart(
+        &self,
+        request: Request<v1::RestartRequest>,
+    ) -> Result<Response<v1::RestartResponse>, Status> {
+        let (until, who) = (deadline(&request), identity(&request));
+        let process = Name::parse(&request.into_inner().process).map_err(refuse)?;
+        let answer = self.gcm()?.restart(&process, until - room(until)).await;
+        let outcome =
+            answer.as_ref().map_or_else(ToString::to_string, |graph| format!("revision {}", graph.revision));
+        log::info!(target: "audit", "{who} asked {{\"restart\":{{\"process\":\"{process}\"}}}}: {outcome}");
+        let graph = answer.map_err(refuse)?;
+        let epoch = graph.processes.get(&process).map_or(0, |there| there.epoch);
+        Ok(Response::new(v1::RestartResponse { revision: graph.revision, epoch }))
+    }
+
     async fn configure(
         &self,
         request: Request<v1::ConfigureRequest>,

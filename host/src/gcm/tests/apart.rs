@@ -24,7 +24,7 @@ fn supervisor(apart: &[(&str, &str)], term: u64) -> Supervisor {
 }
 
 async fn wanted(supervising: &mut Supervising) -> Vec<String> {
-    supervising.next().await.iter().map(|apart| apart.process.to_string()).collect()
+    supervising.next().await.apart.iter().map(|apart| apart.process.to_string()).collect()
 }
 
 fn told(fate: Fate, pid: u32) -> Told {
@@ -33,10 +33,10 @@ fn told(fate: Fate, pid: u32) -> Told {
 
 /// Comes up and goes as it is wanted.
 async fn obey(gcm: Gcm, mut supervising: Supervising) {
-    while supervising.next().await.is_empty() {}
+    while supervising.next().await.apart.is_empty() {}
     let own = Registration { pid: 99, ..Registration::new(name("host.a"), String::new()) };
     register(&gcm, own, FakeLcm::new("host.a")).await.unwrap();
-    while !supervising.next().await.is_empty() {}
+    while !supervising.next().await.apart.is_empty() {}
     gcm.told(&told(Fate::Dismissed, 99));
 }
 

@@ -81,6 +81,20 @@ class Changing:
         __tracebackhide__ = True
         return self._change("Remove", {"path": path_of(path, (2,)), "force": force}, None, None, dry_run)
 
+    def forget(self, process: str, *, dry_run: bool = False) -> Answer:
+        """Takes a process that has ended off the list, with its components."""
+        __tracebackhide__ = True
+        return self._change("Forget", {"process": process}, None, None, dry_run)
+
+    def restart(self, process: str, *, timeout: float = 30.0) -> int:
+        """Ends a process that ``trocar up`` keeps and starts it again, also one that is FAILED; what moves something comes back
+        STOPPED. Answers the number of the incarnation that runs then.
+        """
+        __tracebackhide__ = True
+        answer = self._wire.call("GcmService/Restart", _proto.message("RestartRequest")(process=process), timeout)
+        self._seen(answer.revision)
+        return int(answer.epoch)
+
     def connect(self, client: Any, server: Any, *, dry_run: bool = False, **options: Any) -> Answer:
         """Connects a required interface or input to a provided interface or output.
 

@@ -14,7 +14,7 @@ import pytest
 import trocar
 
 from ..conftest import STANDSTILL_S, eventually, reaches
-from .conftest import BIN, listed
+from .conftest import BIN, Program, listed
 
 
 def test_the_shell_is_a_process_with_a_required_interface_and_goes_when_it_leaves(system, ire):
@@ -442,6 +442,31 @@ def test_a_system_is_changed_step_by_step(ire):
     finally:
         for path in {"host/client", "host/second"} & listed(ire):
             ire.remove(path, force=True)
+
+
+def test_a_process_that_has_ended_is_forgotten_and_none_that_runs(system, ire, tmp_path):
+    typo = Program(tmp_path, "lfet", "host", "--name", "lfet", "--listen", "127.0.0.1:0", "--gcm", system.address)
+    try:
+        eventually("it is listed", lambda: "lfet" in ire._graph.processes)
+        with pytest.raises(trocar.TrocarError) as e:
+            ire.forget("lfet")
+        assert e.value.reason == "PROCESS_RUNS", e.value
+        with pytest.raises(trocar.TrocarError) as e:
+            ire.restart("lfet")
+        assert e.value.reason == "NOT_SUPERVISED", e.value
+    finally:
+        typo.end()
+
+    def forgotten():
+        try:
+            return ire.forget("lfet")
+        except trocar.TrocarError as e:
+            # Its end is not seen yet.
+            assert e.reason == "PROCESS_RUNS", e
+            return None
+
+    eventually("it is forgotten", forgotten)
+    assert "lfet" not in {process.name for process in ire._call("GcmService/List", brief=True).processes}
 
 
 def test_a_system_file_is_applied_as_one_and_again_changes_nothing(ire, tmp_path):

@@ -1,0 +1,110 @@
+//! What is taken away of processes that have ended: a component that keeps its process from coming back, or a process with
+//! all that was in it. It is done in the graph alone, since nobody is there to be asked.
+//!
+//! Invariant: no change is carried out here for a process that could still do otherwise: it is FAILED, its supervisor saw it end,
+//! or the request is to forget it.
+
+use std::sync::Arc;
+
+use trocar_model::{
+    Change, Connection, Name, Plan, Process, ProcessState, Refusal, Request, SystemGraph, plan_all,
+};
+
+use super::Gcm;
+use super::far::awaited;
+use super::fate::dismiss;
+use super::manager::lock;
+
+/// It is known that nothing of it runs.
+fn has_ended(process: &Process) -> bool {
+    match process.state {
+        ProcessState::Failed | ProcessState::Restarting => true,
+        ProcessState::Lost => !process.last_exit.is_empty(),
+        ProcessState::Attached => false,
+    }
+}
+
+/// All of them take something away of processes that have ended.
+pub(super) fn only_takes_away(graph: &SystemGraph, requests: &[Request]) -> bool {
+    let takes = |request: &Request| match request {
+        Request::Forget { .. } => true,
+        Request::Remove { id, .. } => graph.processes.get(&id.process).is_some_and(has_ended),
+        _ => false,
+    };
+    !requests.is_empty() && requests.iter().all(takes)
+}
+
+/// What they do to the graph.
+///
+/// # Errors
+/// What a plan refuses, but for the processes being away.
+pub(super) fn plan_away(graph: &SystemGraph, requests: &[Request]) -> Result<Plan, Refusal> {
+    let mut as_if_here = graph.clone();
+    for request in requests {
+        if let Request::Remove { id, .. } = request
+            && let Some(process) = as_if_here.processes.get_mut(&id.process)
+        {
+            process.state = ProcessState::Attached;
+        }
+    }
+    plan_all(&as_if_here, requests)
+}
+
+impl Gcm {
+    /// Enters such a plan.
+    ///
+    /// # Errors
+    /// One of the processes has come back meanwhile.
+    pub(super) fn take_away(&self, requests: &[Request], plan: &Plan) -> Result<(), Refusal> {
+        let (mut back, mut cut, mut strays) = (None, Vec::<Connection>::new(), Vec::new());
+        let forgotten: Vec<&Name> = requests
+            .iter()
+            .filter_map(|request| match request {
+                Request::Forget { process } => Some(process),
+                _ => None,
+            })
+            .collect();
+        self.edit_if(|graph| {
+            let mut sessions = lock(&self.inner.sessions);
+            back = requests.iter().find_map(|request| came_back(graph, request));
+            if back.is_some() {
+                return false;
+            }
+            for change in &plan.changes {
+                if let Change::Disconnect { connection, .. } = change
+                    && !connection.is_near()
+                {
+                    cut.push(connection.clone());
+                }
+                Arc::make_mut(graph).carry_out(change);
+            }
+            for process in &forgotten {
+                let pid = graph.processes.get(*process).map_or(0, |p| p.pid);
+                sessions.dismiss(process, pid);
+                strays.extend(awaited(&mut sessions, process));
+                dismiss(graph, process, &mut cut);
+            }
+            true
+        });
+        if let Some(refusal) = back {
+            return Err(refusal);
+        }
+        self.not_wanted(&forgotten.into_iter().cloned().collect());
+        // Their other halves.
+        self.cut_off(cut);
+        self.cut_strays(strays);
+        Ok(())
+    }
+}
+
+fn came_back(graph: &SystemGraph, request: &Request) -> Option<Refusal> {
+    let (process, may_go): (&Name, fn(&Process) -> bool) = match request {
+        Request::Forget { process } => {
+            (process, |p| matches!(p.state, ProcessState::Lost | ProcessState::Failed))
+        }
+        Request::Remove { id, .. } => (&id.process, has_ended),
+        _ => return None,
+    };
+    let there = graph.processes.get(process).filter(|there| !may_go(there))?;
+    Some(Refusal::ProcessRuns { process: process.clone(), state: there.state, pid: there.pid })
+}
