@@ -34,7 +34,7 @@ pub(super) struct RemoteLcm {
     process: Name,
     next: AtomicU64,
     /// `None` once the stream is gone.
-    link: Mutex<Option<Link>>,
+    link: Arc<Mutex<Option<Link>>>,
 }
 
 struct Link {
@@ -54,8 +54,8 @@ struct Feed {
     tell: mpsc::Sender<Item>,
     /// Items lost since the last one that was taken.
     lost: u64,
-    /// Dropped with the feed.
-    _over: oneshot::Sender<()>,
+    /// Told when the process has ended it, or never begun; dropped where nobody waits for it here.
+    over: oneshot::Sender<()>,
 }
 
 /// Forgets an order when nobody waits any more.
@@ -74,7 +74,7 @@ impl Drop for Forget<'_> {
 impl RemoteLcm {
     pub(super) fn new(process: Name, out: Outgoing) -> Arc<RemoteLcm> {
         let link = Link { out, news: broadcast::Sender::new(NEWS), waiting: HashMap::new() };
-        Arc::new(RemoteLcm { process, next: AtomicU64::new(1), link: Mutex::new(Some(link)) })
+        Arc::new(RemoteLcm { process, next: AtomicU64::new(1), link: Arc::new(Mutex::new(Some(link))) })
     }
 
     /// Something arrived on the stream.
@@ -103,7 +103,7 @@ impl RemoteLcm {
     }
 
     fn link(&self) -> MutexGuard<'_, Option<Link>> {
-        self.link.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.link)
     }
 
     fn lost(&self) -> Refusal {
@@ -120,15 +120,20 @@ impl RemoteLcm {
                 link.waiting.insert(answer.id, Waiting::Feed(feed));
             }
             (what, Some(Waiting::Answer(tell, feed))) => {
-                // The items behind this answer must find their feed.
-                if let (A::Subscribed(_), Some(feed)) = (&what, feed) {
-                    link.waiting.insert(answer.id, Waiting::Feed(feed));
+                match (&what, feed) {
+                    // The items behind this answer must find their feed.
+                    (A::Subscribed(_), Some(feed)) => {
+                        link.waiting.insert(answer.id, Waiting::Feed(feed));
+                    }
+                    (_, Some(feed)) => feed.end(),
+                    (_, None) => {}
                 }
                 // Whoever asked may have given up this moment.
                 let _ = tell.send(what);
             }
-            // The end of a feed, or what nobody waits for any more.
-            (_, _) => {}
+            (_, Some(Waiting::Feed(feed))) => feed.end(),
+            // Nobody waits for it any more.
+            (_, None) => {}
         }
     }
 
@@ -175,7 +180,39 @@ impl RemoteLcm {
     }
 }
 
+fn lock(link: &Mutex<Option<Link>>) -> MutexGuard<'_, Option<Link>> {
+    link.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Gives a feed up as soon as nobody takes from it any more, also one that is only asked for. Its own sender does not outlive
+/// the feed, or the receiver would never end.
+async fn mind(
+    link: Arc<Mutex<Option<Link>>>,
+    id: u64,
+    tell: mpsc::Sender<Item>,
+    ended: oneshot::Receiver<()>,
+) {
+    tokio::select! {
+        biased;
+        by_process = ended => if by_process.is_ok() { return },
+        () = tell.closed() => {}
+    }
+    let out = lock(&link).as_mut().map(|link| {
+        link.waiting.remove(&id);
+        link.out.clone()
+    });
+    // Without a stream there is nothing to unsubscribe from.
+    let Some(out) = out else { return };
+    let order = v1::Order { id: 0, deadline_ns: 0, order: Some(O::Unsubscribe(id)) };
+    let _ = out.send(Ok(message(attach_response::Message::Order(order)))).await;
+}
+
 impl Feed {
+    fn end(self) {
+        // Whoever minds it may have seen that nobody takes from it.
+        let _ = self.over.send(());
+    }
+
     /// What does not fit is counted in the next item that does.
     fn give(&mut self, item: v1::SubscribeResponse) {
         let Ok(mut item) = convert::item_in(item) else {
@@ -265,25 +302,13 @@ impl Lcm for RemoteLcm {
         let (tell, told) = mpsc::channel(ITEMS);
         let (over, ended) = oneshot::channel();
         let id = self.number();
-        let feed = Feed { tell: tell.clone(), lost: 0, _over: over };
+        let feed = Feed { tell: tell.clone(), lost: 0, over };
         let order = O::Subscribe(v1::SubscribeRequest { selections });
+        tokio::spawn(mind(self.link.clone(), id, tell, ended));
         match self.ask_for(id, order, Instant::now() + WITHIN, "a subscription", Some(feed)).await? {
-            A::Subscribed(_) => {}
-            _ => return wrong(),
+            A::Subscribed(_) => Ok(told),
+            _ => wrong(),
         }
-        let out = self.link().as_ref().map(|link| link.out.clone()).ok_or_else(|| self.lost())?;
-        // This task's own sender must not outlive the feed, or its receiver would never end.
-        tokio::spawn(async move {
-            tokio::select! {
-                () = tell.closed() => {
-                    let order = v1::Order { id: 0, deadline_ns: 0, order: Some(O::Unsubscribe(id)) };
-                    // Without a stream there is nothing to unsubscribe from.
-                    let _ = out.send(Ok(message(attach_response::Message::Order(order)))).await;
-                }
-                _ = ended => {}
-            }
-        });
-        Ok(told)
     }
 
     async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal> {
@@ -332,5 +357,78 @@ impl Lcm for RemoteLcm {
             // A channel that has ended.
             None => broadcast::channel(1).1,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::gcm::fake::name;
+
+    fn numbered(told: Result<v1::AttachResponse, tonic::Status>) -> (u64, O) {
+        match told.unwrap().message {
+            Some(attach_response::Message::Order(v1::Order { id, order: Some(order), .. })) => (id, order),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn answer(lcm: &RemoteLcm, id: u64, answer: A) {
+        let answer = v1::Answer { id, answer: Some(answer) };
+        lcm.hear(v1::AttachRequest { message: Some(attach_request::Message::Answer(answer)) });
+    }
+
+    fn waiting(lcm: &RemoteLcm) -> usize {
+        lcm.link().as_ref().unwrap().waiting.len()
+    }
+
+    fn asked(lcm: &Arc<RemoteLcm>) -> tokio::task::JoinHandle<Result<mpsc::Receiver<Item>, Refusal>> {
+        let lcm = lcm.clone();
+        let selection = Selection { path: "far/a/value".into(), max_rate_hz: 0.0, thumbnail_width: 0 };
+        tokio::spawn(async move { lcm.subscribe(vec![selection]).await })
+    }
+
+    #[tokio::test]
+    async fn a_subscription_that_ended_leaves_nothing_whoever_ended_it_and_when() {
+        let (out, mut orders) = mpsc::channel(4);
+        let lcm = RemoteLcm::new(name("far"), out);
+        // Taken, and let go of.
+        let following = asked(&lcm);
+        let (id, _) = numbered(orders.recv().await.unwrap());
+        answer(&lcm, id, A::Subscribed(v1::Subscribed {}));
+        let feed = following.await.unwrap().unwrap();
+        assert_eq!(waiting(&lcm), 1);
+        drop(feed);
+        assert_eq!(numbered(orders.recv().await.unwrap()), (0, O::Unsubscribe(id)));
+        assert_eq!(waiting(&lcm), 0, "after its end");
+        answer(&lcm, id, A::Item(v1::SubscribeResponse::default()));
+        assert_eq!(waiting(&lcm), 0, "by an item that was under way");
+        // Given up before anybody has answered.
+        let following = asked(&lcm);
+        let (id, _) = numbered(orders.recv().await.unwrap());
+        following.abort();
+        assert!(following.await.unwrap_err().is_cancelled());
+        assert_eq!(numbered(orders.recv().await.unwrap()), (0, O::Unsubscribe(id)), "it may have begun");
+        answer(&lcm, id, A::Subscribed(v1::Subscribed {}));
+        assert_eq!(waiting(&lcm), 0, "of one that nobody waits for");
+        // Refused, and ended by the process: there is nothing to give up.
+        let following = asked(&lcm);
+        let (id, _) = numbered(orders.recv().await.unwrap());
+        answer(&lcm, id, A::Refused(convert::refusal_info(&Refusal::lost(name("far")))));
+        assert_eq!(following.await.unwrap().unwrap_err().reason(), "PROCESS_LOST");
+        let following = asked(&lcm);
+        let (id, _) = numbered(orders.recv().await.unwrap());
+        answer(&lcm, id, A::Subscribed(v1::Subscribed {}));
+        let mut feed = following.await.unwrap().unwrap();
+        answer(&lcm, id, A::Ended(v1::Ended {}));
+        assert!(feed.recv().await.is_none());
+        assert_eq!(waiting(&lcm), 0, "of one that its process has ended");
+        drop(feed);
+        // Every task that minds one has had its turn.
+        for _ in 0..8 {
+            tokio::task::yield_now().await;
+        }
+        assert!(orders.try_recv().is_err(), "it was given up although it was over");
     }
 }
