@@ -14,6 +14,7 @@ use trocar_model::{
 
 use super::Gcm;
 use super::execute::{ExecuteOptions, Executed};
+use super::manager::lock;
 
 /// How long a process that is not wanted any more is waited for: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
@@ -189,9 +190,29 @@ impl Gcm {
     /// # Errors
     /// PROCESS_NOT_FOUND; NOT_SUPERVISED; PROCESS_NOT_UP, with how it ended.
     pub async fn restart(&self, process: &Name, deadline: Instant) -> Result<Arc<SystemGraph>, Refusal> {
-        let began = Instant::now();
         let mut graphs = self.watch();
         let before = graphs.borrow_and_update().process(process)?.clone();
+        // It stops everything when it ends in order; what ran before that is to run again.
+        self.edit_if(|graph| {
+            lock(&self.inner.sessions).wanted.of(graph, process);
+            false
+        });
+        let restarted = self.have_restarted(process, &before, &mut graphs, deadline).await;
+        let goes_on = |p: &Process| p.state == ProcessState::Attached && p.epoch == before.epoch;
+        if restarted.is_err() && self.graph().processes.get(process).is_some_and(goes_on) {
+            lock(&self.inner.sessions).wanted.here(process, &[]);
+        }
+        restarted
+    }
+
+    async fn have_restarted(
+        &self,
+        process: &Name,
+        before: &Process,
+        graphs: &mut watch::Receiver<Arc<SystemGraph>>,
+        deadline: Instant,
+    ) -> Result<Arc<SystemGraph>, Refusal> {
+        let began = Instant::now();
         let mut known = None;
         self.inner.isolation.send_if_modified(|all| {
             if all.listening.values().any(|homes| all.keeps(homes, process)) {

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph};
+use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph, Warnings};
 
 use super::Gcm;
 use super::far::awaited;
@@ -68,6 +68,8 @@ impl Gcm {
             now.last_exit.clone_from(&told.last_exit);
             now.restarts = told.restarts;
             now.state = match told.fate {
+                // It was given up, and somebody wanted it back.
+                Fate::Running if now.state == ProcessState::Failed => ProcessState::Restarting,
                 Fate::Running | Fate::Dismissed => now.state,
                 Fate::Restarting => ProcessState::Restarting,
                 Fate::Failed => ProcessState::Failed,
@@ -99,7 +101,7 @@ fn never_seen(pid: u32) -> Process {
         classes: Vec::new(),
         last_exit: String::new(),
         restarts: 0,
-        warnings: Vec::new(),
+        warnings: Warnings::default(),
         guest: String::new(),
     }
 }

@@ -53,6 +53,13 @@ impl Wanted {
         moves_again
     }
 
+    /// It is stopped while its process is here, which may be about to be started again.
+    fn stop_again(&mut self, id: &ComponentId) {
+        if let Some(state) = self.states.get_mut(id) {
+            *state = REQUESTED;
+        }
+    }
+
     /// What was to be stopped and is seen otherwise.
     pub(super) fn owed(&self, graph: &SystemGraph, process: &Name) -> Vec<(ComponentId, State)> {
         let stopped = self.states.iter().filter(|(id, to)| id.process == *process && **to == REQUESTED);
@@ -85,7 +92,10 @@ impl Gcm {
             for (id, component) in stopped {
                 let there = |state: ProcessState| state == ProcessState::Attached;
                 noted |= match graph.processes.get(&id.process) {
-                    Some(process) if there(process.state) => component.state == RESTARTED,
+                    Some(process) if there(process.state) => {
+                        sessions.wanted.stop_again(id);
+                        component.state == RESTARTED
+                    }
                     _ => sessions.wanted.stop(id, component.state),
                 };
             }

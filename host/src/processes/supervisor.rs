@@ -16,8 +16,13 @@ pub(super) struct Board {
 }
 
 impl Board {
+    fn begin(&self, name: &str) {
+        self.all.send_modify(|all| _ = all.insert(name.to_owned(), Status::default()));
+    }
+
+    /// Nothing is told of one that was forgotten.
     pub(super) fn change(&self, name: &str, change: &dyn Fn(&mut Status)) {
-        self.all.send_modify(|all| change(all.entry(name.to_owned()).or_default()));
+        self.all.send_if_modified(|all| all.get_mut(name).map(change).is_some());
     }
 
     fn forget(&self, name: &str) {
@@ -52,7 +57,7 @@ impl Supervisor {
         if kept.contains_key(&name) {
             return;
         }
-        self.board.change(&name, &|_| {});
+        self.board.begin(&name);
         let (down, asked) = watch::channel(false);
         let (put_down, useless) = mpsc::unbounded_channel();
         let (again, afresh) = mpsc::unbounded_channel();
@@ -91,7 +96,9 @@ impl Supervisor {
 
     /// One that has ended or was given up: its name is free, and nothing is told of it any more.
     pub fn forget(&self, name: &str) {
-        self.kept().remove(name);
+        if let Some(kept) = self.kept().remove(name) {
+            kept.task.abort();
+        }
         self.board.forget(name);
     }
 

@@ -160,7 +160,7 @@ groups! {
         a_process_that_is_not_there "NOT_FOUND" "PROCESS_NOT_FOUND" ["nowhere", "host"]
             |stage| stage.refuses("GcmService/Create", json!({ "path": "nowhere/s", "class": "sine" }));
 
-        a_process_that_runs "FAILED_PRECONDITION" "PROCESS_RUNS" ["`host` runs", "End it first"]
+        a_process_that_runs "FAILED_PRECONDITION" "PROCESS_RUNS" ["`host` runs", "only one that has ended"]
             |stage| stage.refuses("GcmService/Forget", json!({ "process": "host" }));
 
         a_misspelt_class "NOT_FOUND" "CLASS_NOT_FOUND" ["`sin`", "did you mean `sine`", "There is sine"]

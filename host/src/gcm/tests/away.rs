@@ -128,7 +128,9 @@ async fn a_component_is_taken_out_of_a_process_that_has_ended_and_of_no_other() 
 /// Does what it is asked once: the process comes back, or fails anew.
 async fn obey(gcm: Gcm, mut supervising: Supervising, comes_back: bool) {
     while !supervising.next().await.restart.contains(&name("far")) {}
-    gcm.told(&told(Fate::Restarting, 3));
+    // Whoever tells may have missed that it was RESTARTING.
+    gcm.told(&told(Fate::Running, 4));
+    assert_eq!(gcm.graph().processes[&name("far")].state, ProcessState::Restarting);
     if comes_back {
         register(&gcm, Registration { pid: 8, ..who("far") }, FakeLcm::new("far")).await.unwrap();
     } else {
