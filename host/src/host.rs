@@ -7,6 +7,7 @@ mod client;
 mod config;
 mod ending;
 mod error;
+mod files;
 mod memory;
 mod process;
 mod signals;

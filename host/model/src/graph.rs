@@ -55,10 +55,17 @@ pub struct Process {
     pub last_exit: String,
     /// How often its supervisor started it again.
     pub restarts: u32,
-    /// What the process itself is warned of, such as its memory.
-    pub warnings: Vec<String>,
+    pub warnings: Warnings,
     /// What takes a place here without an LCM; empty: an ordinary process.
     pub guest: String,
+}
+
+/// What a process itself is warned of, such as its memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Warnings {
+    pub sentences: Vec<String>,
+    /// Nothing new can be made or connected in it, as the last of them says; what runs there goes on.
+    pub unfit: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]

@@ -38,7 +38,7 @@ pub use config::{
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
 pub use copies::{CopyRun, MAX_COPIES};
 pub use graph::{
-    Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph,
+    Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph, Warnings,
 };
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;

@@ -72,6 +72,7 @@ pub(super) fn process(p: &v1::Process) -> ProcessView {
         last_exit: p.last_exit.clone(),
         restarts: p.restarts,
         warnings: p.warnings.clone(),
+        unfit: p.unfit,
     }
 }
 

@@ -33,6 +33,8 @@ pub(super) struct ProcessView {
     pub(super) restarts: u32,
     /// What the process itself is warned of.
     pub(super) warnings: Vec<String>,
+    /// Nothing new can be made or connected in it, as the last warning says.
+    pub(super) unfit: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -15,7 +15,7 @@ use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionLimits,
     ExecutionModel, Health, Input, Name, Output, Overflow, Phase, PortType, Ports, Prim, Programs, Provided,
-    Proxy, Refusal, Required, Safety, State, StepTimes, SystemGraph, Tag, Type,
+    Proxy, Refusal, Required, Safety, State, StepTimes, SystemGraph, Tag, Type, Warnings,
 };
 
 use super::{Gcm, text};
@@ -466,7 +466,7 @@ impl Lcm for FakeLcm {
             components: states.iter().map(|(id, s)| report(id, *s)).collect(),
             classes: vec![class()],
             halves: self.halves.lock().unwrap().values().cloned().collect(),
-            warnings: Vec::new(),
+            warnings: Warnings::default(),
         })
     }
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::HostError;
-use crate::lcm::LocalLcm;
+use crate::lcm::{Concern, LocalLcm};
 
 /// Bounds of one process's memory, MiB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -64,13 +64,13 @@ async fn watch(lcm: Weak<LocalLcm>, warn_mib: u32, limit_mib: Option<u32>) {
         let Some(used) = resident_mib() else { return };
         if let Some(warning) = judge(&mut told, used, warn_mib, limit_mib) {
             warning.iter().for_each(|warning| log::warn!("{warning}"));
-            lcm.warn(warning);
+            lcm.warn(Concern::Memory, warning);
         }
     }
 }
 
 /// What there is to warn of from now on; `None`: as before.
-fn judge(told: &mut bool, used_mib: f64, warn_mib: u32, limit_mib: Option<u32>) -> Option<Vec<String>> {
+fn judge(told: &mut bool, used_mib: f64, warn_mib: u32, limit_mib: Option<u32>) -> Option<Option<String>> {
     let bound = f64::from(warn_mib) * if *told { BACK } else { 1.0 };
     let beyond = used_mib > bound;
     if beyond == std::mem::replace(told, beyond) {
@@ -83,7 +83,7 @@ fn judge(told: &mut bool, used_mib: f64, warn_mib: u32, limit_mib: Option<u32>) 
             "the process has {used_mib:.0} MiB of memory in use, it was to be warned of {warn_mib} MiB{end}"
         )
     };
-    Some(beyond.then(warning).into_iter().collect())
+    Some(beyond.then(warning))
 }
 
 /// What the process has resident now, MiB; `None` where the kernel does not tell.
@@ -105,10 +105,13 @@ mod tests {
         let mut at = |used| judge(&mut told, used, 100, Some(200));
         assert_eq!(at(100.0), None, "at the bound");
         let warned = at(100.9).unwrap();
-        assert!(warned[0].contains("101 MiB") && warned[0].contains("200 MiB"), "{warned:?}");
+        assert!(
+            warned.as_ref().is_some_and(|w| w.contains("101 MiB") && w.contains("200 MiB")),
+            "{warned:?}"
+        );
         assert_eq!(at(150.0), None, "told already");
         assert_eq!(at(95.0), None, "hardly below");
-        assert_eq!(at(89.0), Some(Vec::new()));
+        assert_eq!(at(89.0), Some(None));
         assert_eq!(at(95.0), None, "not beyond again");
     }
 

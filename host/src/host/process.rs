@@ -14,7 +14,7 @@ use trocar_model::{Request, Target};
 use super::announce::Announcement;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
-use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest};
+use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, stop_active};
@@ -108,6 +108,7 @@ impl Host {
         })
         .map_err(|e| HostError::Threads { because: e.to_string() })?;
         config.memory.keep(&lcm)?;
+        files::keep(&lcm);
         self.lcm = Some(lcm.clone());
         self.ending.running().lcm = Some(lcm.clone());
         let changed = Arc::downgrade(&lcm);

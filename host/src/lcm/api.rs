@@ -2,6 +2,7 @@
 //!
 //! Invariant: every call ends by its deadline, whatever a component does; a refused or failed change leaves nothing half made.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -11,7 +12,7 @@ use tokio::sync::{broadcast, mpsc};
 use trocar_links::Card;
 use trocar_model::{
     Change, ClassInfo, ComponentId, Connection, End, Health, MemberId, Phase, Ports, Proxy, Refusal, State,
-    StepTimes,
+    StepTimes, Warnings,
 };
 
 /// The owner of one process's components.
@@ -114,7 +115,20 @@ pub enum News {
     Log(LogLine),
     Half(HalfReport),
     /// The process itself is warned of this now, instead of what it was before.
-    Warnings(Vec<String>),
+    Warnings(Warnings),
+}
+
+/// What a process can be warned of, about itself; in the order in which that is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Concern {
+    Memory,
+    /// Makes it unfit.
+    Files,
+}
+
+/// As it is told.
+pub(super) fn warnings(of: &BTreeMap<Concern, String>) -> Warnings {
+    Warnings { sentences: of.values().cloned().collect(), unfit: of.contains_key(&Concern::Files) }
 }
 
 /// How the half of a connection to another process stands.
@@ -134,8 +148,7 @@ pub struct Inventory {
     pub classes: Vec<Arc<ClassInfo>>,
     /// Halves of connections to other processes.
     pub halves: Vec<HalfReport>,
-    /// What the process itself is warned of.
-    pub warnings: Vec<String>,
+    pub warnings: Warnings,
 }
 
 /// One line a component or the host logged.

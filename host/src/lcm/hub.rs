@@ -1,5 +1,6 @@
 //! What all components of one LCM share: its name, its news, its log ring, the way to wake its watchdog.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,7 +8,7 @@ use tokio::sync::broadcast;
 use trocar_model::Name;
 use trocar_rt::wake::Waker;
 
-use super::api::News;
+use super::api::{Concern, News};
 use super::instance::Instance;
 use super::logs::LogRing;
 use super::reading::Readers;
@@ -33,7 +34,7 @@ pub(super) struct Hub {
     /// Reports made so far.
     pub(super) reports: AtomicU64,
     /// What the process itself is warned of.
-    pub(super) warnings: Mutex<Vec<String>>,
+    pub(super) warnings: Mutex<BTreeMap<Concern, String>>,
 }
 
 impl Hub {

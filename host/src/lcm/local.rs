@@ -26,8 +26,8 @@ use trocar_rt::{house, os};
 
 use self::ports::Follower;
 use super::api::{
-    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report,
-    Sample, Selection, When,
+    Concern, Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply,
+    Report, Sample, Selection, When, warnings,
 };
 use super::calling;
 use super::carriers::Carriers;
@@ -224,11 +224,15 @@ impl LocalLcm {
         }
     }
 
-    /// Warns of the process itself from now on; nothing: of nothing.
-    pub fn warn(&self, warnings: Vec<String>) {
-        self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&warnings);
+    /// Warns of the process itself from now on; nothing: not of this any more.
+    pub fn warn(&self, of: Concern, warning: Option<String>) {
+        let mut all = self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        match warning {
+            Some(warning) => _ = all.insert(of, warning),
+            None => _ = all.remove(&of),
+        }
         // Nobody listening is fine: the inventory has it.
-        let _ = self.hub.news.send(News::Warnings(warnings));
+        let _ = self.hub.news.send(News::Warnings(warnings(&all)));
     }
 
     /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not made. Bounded: what
@@ -509,7 +513,7 @@ impl Lcm for LocalLcm {
             components,
             classes: self.classes.as_ref().map_or_else(Vec::new, |c| self.offered(c.as_ref())),
             halves: self.carriers.halves().flat_map(|halves| halves.reports()).collect(),
-            warnings: self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            warnings: warnings(&self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner)),
         })
     }
 

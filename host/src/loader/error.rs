@@ -32,6 +32,10 @@ pub enum Fault {
     Unreadable {
         because: String,
     },
+    /// The process or the machine has no file or memory left for it: nothing is said about the file.
+    Shortage {
+        because: String,
+    },
     /// `kind` with its article: "a FIFO".
     NotRegular {
         kind: &'static str,
@@ -267,6 +271,10 @@ impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Fault::Vanished => write!(f, "the file is gone: copy it into the plugin directory again"),
+            Fault::Shortage { because } => write!(
+                f,
+                "cannot be read now ({because}): the process has no files or memory left, restart it with more of them (`ulimit -n`)"
+            ),
             Fault::Unreadable { because } => write!(f, "cannot be read ({because}): check its permissions"),
             Fault::NotRegular { kind } => {
                 write!(f, "is {kind}, not a regular file: put the shared library itself here")

@@ -80,7 +80,7 @@ impl PluginDir {
 
     /// Reads `name`; refuses what is not a regular file of bounded size that `trust` takes.
     pub(crate) fn read(&self, name: &OsStr, trust: &Trust) -> Result<FileBytes, Fault> {
-        let file = self.open_beneath(name, trust).map_err(|e| open_fault(&e))?;
+        let file = self.open_beneath(name, trust).map_err(open_fault)?;
         let meta = file.metadata().map_err(unreadable)?;
         check_regular(&meta)?;
         let warnings = trust.judge_owner(Ownership {
@@ -141,7 +141,7 @@ pub(crate) fn read_named(path: &Path) -> Result<FileBytes, Fault> {
         .read(true)
         .custom_flags(libc::O_NONBLOCK | libc::O_CLOEXEC)
         .open(path)
-        .map_err(|e| open_fault(&e))?;
+        .map_err(open_fault)?;
     let meta = file.metadata().map_err(unreadable)?;
     check_regular(&meta)?;
     let (bytes, hash) = read_all(&file, &meta)?;
@@ -193,16 +193,22 @@ fn read_all(file: &File, meta: &Metadata) -> Result<(Vec<u8>, Hash), Fault> {
 }
 
 fn unreadable(error: io::Error) -> Fault {
-    Fault::Unreadable { because: error.to_string() }
+    let because = error.to_string();
+    if is_shortage(&error) { Fault::Shortage { because } } else { Fault::Unreadable { because } }
 }
 
-fn open_fault(error: &io::Error) -> Fault {
+/// The process or the machine has no file or no memory left.
+pub(crate) fn is_shortage(error: &io::Error) -> bool {
+    matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE | libc::ENOMEM))
+}
+
+fn open_fault(error: io::Error) -> Fault {
     match error.raw_os_error() {
         Some(libc::ENOENT) => Fault::Vanished,
         Some(libc::ELOOP) => Fault::Symlink,
         Some(libc::EXDEV) => Fault::SymlinkLeadsOut,
         Some(libc::ENXIO) => Fault::NotRegular { kind: "a socket" },
-        _ => Fault::Unreadable { because: error.to_string() },
+        _ => unreadable(error),
     }
 }
 
@@ -219,6 +225,6 @@ mod tests {
         let opened = PluginDir::open(dir.path()).unwrap();
         let open = |name: &str| opened.open_no_follow(&CString::new(name).unwrap(), libc::O_RDONLY);
         assert!(open("a.so").is_ok());
-        assert_eq!(open_fault(&open("b.so").unwrap_err()), Fault::Symlink);
+        assert_eq!(open_fault(open("b.so").unwrap_err()), Fault::Symlink);
     }
 }

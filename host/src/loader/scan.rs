@@ -2,7 +2,7 @@
 //!
 //! Invariant: a file whose signature did not change is not opened again, but for a library that was missing
 //! then, and a file that is still being written (young, and not seen closed) is not opened yet: it keeps its
-//! last outcome, or stays invisible.
+//! last outcome, or stays invisible. What the process has no files or memory left to look at stays as it was.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::catalog::Finding;
-use super::file::{PluginDir, Signature};
+use super::file::{PluginDir, Signature, is_shortage};
 use super::{Fault, ListedPlugin, Trust, inspect, libraries};
 
 /// A file without a close event counts once its size and mtime did not change for this long.
@@ -60,6 +60,16 @@ impl Scanner {
                 Err(error) => {
                     if self.lost.insert(path.clone()) {
                         log::warn!("plugin directory {} cannot be read: {error}", path.display());
+                    }
+                    if is_shortage(&error) {
+                        // Of the process, which says nothing about what lies there.
+                        scan.unsettled = true;
+                        for (file, seen) in self.seen.iter().filter(|(file, _)| file.parent() == Some(path)) {
+                            present.insert(file.clone());
+                            let finding = seen.outcome.clone();
+                            let finding = finding.map(|outcome| Finding { file: file.clone(), outcome });
+                            scan.findings.extend(finding);
+                        }
                     }
                     continue;
                 }
@@ -116,7 +126,7 @@ impl Scanner {
             return Look::Unsettled(seen.outcome.clone());
         }
         let mut outcome = read(&|warning| log::warn!("plugin {}: {warning}", file.display()));
-        if matches!(outcome, Err(Fault::ChangedWhileRead)) {
+        if matches!(outcome, Err(Fault::ChangedWhileRead | Fault::Shortage { .. })) {
             seen.since = Instant::now();
             return Look::Unsettled(seen.outcome.clone());
         }

@@ -1,22 +1,25 @@
 //! One child: spawned with its standard input as the tie, asked to end by closing it, and what it says over it.
 //!
 //! Invariant: it is waited for by its handle (a pidfd where the kernel has them), never by its number, so nobody else is
-//! ever taken for it. Nothing it prints passes through this process: it can wait for no reader.
+//! ever taken for it. What it started, and left in its group, ends with it. Nothing it prints passes through this process: it can
+//! wait for no reader.
 
 use std::ffi::OsString;
 use std::fs::File;
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use serde_json::Value;
 use tokio::io::AsyncReadExt;
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::process::Command;
+use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
@@ -96,7 +99,7 @@ impl Child {
 
     /// Waits for its end. May be called again when it was given up before.
     pub(super) async fn ended(&mut self) -> Exit {
-        let exit = match self.process.wait().await {
+        let exit = match collected(&mut self.process).await {
             Ok(status) => status.into(),
             Err(e) => Exit::NotStarted(format!("nobody knows what became of it: {e}")),
         };
@@ -119,7 +122,7 @@ impl Child {
         tokio::select! {
             biased;
             said = &mut self.said => return said.ok(),
-            _ = self.process.wait() => {}
+            _ = collected(&mut self.process) => {}
         }
         tokio::time::timeout(LAST_WORD, &mut self.said).await.ok()?.ok()
     }
@@ -142,6 +145,38 @@ impl Child {
             Err(_) => Exit::Stuck(why),
         }
     }
+}
+
+/// Waits for the end of a child, and ends what is left of its group.
+async fn collected(child: &mut tokio::process::Child) -> std::io::Result<ExitStatus> {
+    if let Some(leader) = child.id().and_then(group)
+        && ends(leader).await
+    {
+        // Not collected yet, so the number of its group is nobody else's. It is there itself, if nobody else is.
+        let _ = kill_process_group(leader, Signal::KILL);
+    }
+    child.wait().await
+}
+
+/// Waits for the end of a child without collecting it; false where that cannot be.
+async fn ends(child: Pid) -> bool {
+    let Ok(mut ended) = signal(SignalKind::child()) else { return false };
+    let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+    loop {
+        match waitid(WaitId::Pid(child), look) {
+            Ok(None) => {}
+            Ok(Some(_)) => return true,
+            Err(_) => return false,
+        }
+        if ended.recv().await.is_none() {
+            return false;
+        }
+    }
+}
+
+/// The group that a child leads.
+fn group(pid: u32) -> Option<Pid> {
+    i32::try_from(pid).ok().and_then(Pid::from_raw)
 }
 
 /// The program that runs here, also when another one lies in its place by now: they might not understand each other.

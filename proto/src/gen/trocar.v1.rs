@@ -769,6 +769,9 @@ pub struct Process {
     /// What takes a place here without an LCM, e.g. "Python 3.11.7"; empty = an ordinary process.
     #[prost(string, tag = "10")]
     pub guest: ::prost::alloc::string::String,
+    /// True: nothing new can be made or connected in it, as the warnings say; what runs there goes on.
+    #[prost(bool, tag = "11")]
+    pub unfit: bool,
 }
 /// One file of a plugin directory.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4659,6 +4662,9 @@ pub struct Inventory {
     /// What the process itself is warned of.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// True: nothing new can be made or connected in it.
+    #[prost(bool, tag = "6")]
+    pub unfit: bool,
 }
 /// How the half of a connection to another process stands.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -5074,6 +5080,9 @@ pub struct ProcessWarnings {
     /// In sentences; none = nothing any more.
     #[prost(string, repeated, tag = "1")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// True: nothing new can be made or connected in it.
+    #[prost(bool, tag = "2")]
+    pub unfit: bool,
 }
 /// What the plugin directories offer.
 #[derive(Clone, PartialEq, ::prost::Message)]

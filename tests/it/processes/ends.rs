@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number};
 
 use super::TWO;
-use super::system::{System, children, gone, is_gcm, kill, listening, pid, running_in};
+use super::system::{System, children, gone, is_gcm, kill, listening, pid, running, running_in};
 
 /// One process, whose policy and components are these.
 fn one(policy: &str, components: &str) -> String {
@@ -68,6 +68,59 @@ fn one_that_holds_a_component_that_does_not_come_back_is_killed() {
     assert!(last_exit(&after).starts_with("held right/c, which did not come back for 0.5 s"), "{after}");
     let actuator = system.grpc.component("right/c");
     assert_eq!(actuator["stopReason"], "STOP_REASON_RESTARTED", "{actuator}");
+}
+
+#[test]
+fn one_that_may_open_no_more_files_is_told_and_replaced_and_its_classes_stay() {
+    let file = one(r#"{ "unheard_s": 0.5 }"#, r#""right/s": { "class": "sine" }"#).replacen(
+        r#""processes": {"#,
+        r#""processes": { "left": { "plugins": ["plugins"], "restart": "never" },"#,
+        1,
+    );
+    let system = System::up(&file, &[]);
+    let before = [system.host("left"), system.host("right")];
+    for process in &before {
+        let pid = pid(process).to_string();
+        let done = Command::new("prlimit").args(["--pid", &pid, "--nofile=8:"]).status();
+        assert!(done.is_ok_and(|status| status.success()), "prlimit {pid}");
+    }
+    system.await_back("right", &before[1]);
+    let right = system.host("right");
+    assert!(last_exit(&right).starts_with("was unfit for 0.5 s (nearly all of the 8 files"), "{right}");
+    assert_eq!(right["unfit"], Value::Null, "{right}");
+    let left = eventually("the one that is never put down is told", || match system.host("left") {
+        left if left["unfit"] == true => Ok(left),
+        left => Err(left.to_string()),
+    });
+    assert!(left["warnings"][0].as_str().is_some_and(|said| said.contains("ulimit -n")), "{left}");
+    // Both look at their plugin directory again.
+    system.world.drop_in(&Built::plugin("filters"));
+    let classes = |process: &str| {
+        system.grpc.ok("GcmService/Describe", json!({ "path": process }))["classes"].to_string()
+    };
+    eventually("the one that may reads it", || match classes("right") {
+        all if all.contains("filters") => Ok(()),
+        all => Err(all),
+    });
+    assert!(classes("left").contains("sine"), "what it cannot read is gone: {}", classes("left"));
+}
+
+#[test]
+fn what_a_process_has_started_ends_with_it() {
+    let system = System::up(&one("\"on_failure\"", r#""right/doom": { "class": "doom" }"#), &[]);
+    let before = system.host("right");
+    system
+        .grpc
+        .ok("InteractService/Invoke", json!({ "path": "right/doom/ctl/strike", "json": 8, "send": true }));
+    system.await_back("right", &before);
+    assert!(
+        last_exit(&system.host("right")).starts_with("was killed by SIGABRT"),
+        "{}",
+        system.host("right")
+    );
+    let litter = ["sleep".to_owned(), format!("8{}", pid(&before))];
+    let left = running(|arguments| arguments.starts_with(&litter));
+    assert!(left.is_empty(), "{left:?} of {litter:?}");
 }
 
 #[test]

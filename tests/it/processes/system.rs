@@ -136,9 +136,14 @@ pub(crate) fn gone(pid: u64) -> bool {
 /// Processes that keep their state in a directory.
 pub(crate) fn running_in(home: &Path) -> Vec<u64> {
     let home = home.to_string_lossy();
+    running(|arguments| arguments.iter().any(|arg| arg.contains(&*home)))
+}
+
+/// Processes of the machine that were started with such arguments, the program's name first.
+pub(crate) fn running(are: impl Fn(&[String]) -> bool) -> Vec<u64> {
     let all = std::fs::read_dir("/proc").unwrap().flatten();
     let pids = all.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    pids.filter(|pid| command_line(*pid).iter().any(|arg| arg.contains(&*home)) && !gone(*pid)).collect()
+    pids.filter(|pid| are(&command_line(*pid)) && !gone(*pid)).collect()
 }
 
 pub(crate) fn is_gcm(pid: u64) -> bool {

@@ -231,7 +231,7 @@ pub(crate) fn process(classes: Vec<ClassInfo>) -> Process {
         classes: classes.into_iter().map(Arc::new).collect(),
         last_exit: String::new(),
         restarts: 0,
-        warnings: Vec::new(),
+        warnings: Warnings::default(),
         guest: String::new(),
     }
 }

@@ -1,4 +1,5 @@
-//! Which processes live but are of no use: unheard for too long, or holding a component that does not come back.
+//! Which processes live but are of no use: unheard for too long, unfit for anything new, or holding a component that does not
+//! come back.
 //!
 //! Invariant: pure; it is said of one incarnation only, and of what moves something only where its policy says so.
 
@@ -22,6 +23,8 @@ enum Wrong {
     Lost,
     /// This component does not come back.
     Hangs(String),
+    /// It can do nothing new, and says why.
+    Unfit(String),
 }
 
 /// Since when what is wrong is wrong.
@@ -72,6 +75,7 @@ impl Wrong {
         match self {
             Wrong::Lost => format!("was not heard for {limit} s"),
             Wrong::Hangs(path) => format!("held {path}, which did not come back for {limit} s,"),
+            Wrong::Unfit(why) => format!("was unfit for {limit} s ({why})"),
         }
     }
 }
@@ -83,7 +87,8 @@ fn wrong(standing: &Standing, name: &str, pid: u32) -> Option<Wrong> {
         "LOST" => Some(Wrong::Lost),
         "ATTACHED" => {
             let hangs = standing.within(name).find(|c| c.health == "UNRESPONSIVE");
-            hangs.map(|c| Wrong::Hangs(c.path.clone()))
+            let unfit = || process.warnings.last().filter(|_| process.unfit);
+            hangs.map(|c| Wrong::Hangs(c.path.clone())).or_else(|| unfit().cloned().map(Wrong::Unfit))
         }
         _ => None,
     }
@@ -125,6 +130,22 @@ mod tests {
             let (over, _) = patience.look(&running(7), &lost, &usual(), now + Unheard::USUAL);
             assert!(over[0].pid == 7 && over[0].why.starts_with(said), "{over:?}");
         }
+    }
+
+    #[test]
+    fn one_that_can_do_nothing_new_is_put_down_and_says_why() {
+        let (mut patience, now) = (Patience::default(), Instant::now());
+        let mut full = standing("ATTACHED", "OK", "sensor");
+        for process in full.processes.values_mut() {
+            process.warnings = vec!["it uses much memory".into(), "all its files are in use".into()];
+        }
+        assert_eq!(patience.look(&running(7), &full, &usual(), now), (Vec::new(), None), "it is only warned");
+        full.processes.values_mut().for_each(|process| process.unfit = true);
+        patience.look(&running(7), &full, &usual(), now);
+        let (over, _) = patience.look(&running(7), &full, &usual(), now + Unheard::USUAL);
+        assert_eq!(over[0].why, "was unfit for 10 s (all its files are in use)");
+        let actuator = Standing { ..full.clone() };
+        assert!(is_so(&actuator, &over[0]));
     }
 
     #[test]

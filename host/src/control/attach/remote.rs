@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
-use trocar_model::{Change, ComponentId, Name, Phase, Refusal, StepTimes};
+use trocar_model::{Change, ComponentId, Name, Phase, Refusal, StepTimes, Warnings};
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
@@ -234,7 +234,9 @@ fn news_in(news: v1::News) -> Result<News, Refusal> {
         news::News::Catalog(catalog) => News::Catalog(convert::classes_in(catalog.classes)?),
         news::News::Log(line) => News::Log(convert::line_in(line)),
         news::News::Proxy(half) => News::Half(convert::half_in(half)?),
-        news::News::Warnings(told) => News::Warnings(told.warnings),
+        news::News::Warnings(told) => {
+            News::Warnings(Warnings { sentences: told.warnings, unfit: told.unfit })
+        }
     })
 }
 

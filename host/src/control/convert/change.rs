@@ -8,6 +8,7 @@ use serde_json::Value;
 use trocar_links::Card;
 use trocar_model::{
     Change, Component, ComponentId, Connection, ConnectionId, Phase, PortId, Refusal, State, StepTimes, Verb,
+    Warnings,
 };
 use trocar_proto::v1;
 
@@ -241,7 +242,8 @@ pub(crate) fn inventory_out(inventory: &Inventory) -> v1::Inventory {
         components: inventory.components.iter().map(super::report).collect(),
         classes: inventory.classes.iter().map(|c| class(c)).collect(),
         proxies: inventory.halves.iter().map(half).collect(),
-        warnings: inventory.warnings.clone(),
+        warnings: inventory.warnings.sentences.clone(),
+        unfit: inventory.warnings.unfit,
     }
 }
 
@@ -251,7 +253,7 @@ pub(crate) fn inventory_in(inventory: v1::Inventory) -> Result<Inventory, Refusa
         components: inventory.components.into_iter().map(report_in).collect::<Result<_, _>>()?,
         classes: classes_in(inventory.classes)?,
         halves: inventory.proxies.into_iter().map(half_in).collect::<Result<_, _>>()?,
-        warnings: inventory.warnings,
+        warnings: Warnings { sentences: inventory.warnings, unfit: inventory.unfit },
     })
 }
 

@@ -27,8 +27,9 @@ pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
         classes: p.classes.iter().map(|c| c.full_name()).collect(),
         last_exit: p.last_exit.clone(),
         restarts: p.restarts,
-        warnings: p.warnings.clone(),
+        warnings: p.warnings.sentences.clone(),
         guest: p.guest.clone(),
+        unfit: p.warnings.unfit,
     }
 }
 

@@ -11,6 +11,7 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
+use trocar_model::Warnings;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
@@ -190,7 +191,9 @@ fn news_out(next: News) -> v1::AttachRequest {
         }
         News::Log(line) => news::News::Log(convert::line(line)),
         News::Half(half) => news::News::Proxy(convert::half(&half)),
-        News::Warnings(warnings) => news::News::Warnings(v1::ProcessWarnings { warnings }),
+        News::Warnings(Warnings { sentences, unfit }) => {
+            news::News::Warnings(v1::ProcessWarnings { warnings: sentences, unfit })
+        }
     };
     message(attach_request::Message::News(v1::News { news: Some(next) }))
 }
