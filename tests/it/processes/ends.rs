@@ -87,7 +87,7 @@ fn one_that_may_open_no_more_files_is_told_and_replaced_and_its_classes_stay() {
     system.await_back("right", &before[1]);
     let right = system.host("right");
     assert!(last_exit(&right).starts_with("was unfit for 0.5 s (nearly all of the 8 files"), "{right}");
-    assert_eq!(right["unfit"], Value::Null, "{right}");
+    assert_eq!(right["unfit"], false, "{right}");
     let left = eventually("the one that is never put down is told", || match system.host("left") {
         left if left["unfit"] == true => Ok(left),
         left => Err(left.to_string()),
