@@ -251,10 +251,10 @@ fn missing(should: &[ComponentId], listed: &SystemView) -> BTreeSet<ComponentId>
     should.iter().filter(lost).cloned().collect()
 }
 
-/// What of all makes those that are missing and connects those that were made again, and no Start. A connection whose other end
-/// is missing too comes with that one.
+/// What of all makes those that are missing, completes those that an earlier attempt has left half made, and connects both, and
+/// no Start. A connection whose other end is missing too comes with that one.
 fn of_missing(
-    mut all: Vec<Request>,
+    all: Vec<Request>,
     missing: &BTreeSet<ComponentId>,
     remade: &BTreeSet<ComponentId>,
     listed: &SystemView,
@@ -263,19 +263,28 @@ fn of_missing(
         let path = id.to_string();
         missing.contains(id) || listed.components.iter().any(|c| c.path == path)
     };
-    let concerned = |request: &Request| match request {
-        Request::Create { id, .. } => missing.contains(id),
-        Request::Connect { client, server, .. } => {
+    // Made, and not configured: what was begun could not be taken back.
+    let is_half = |id: &ComponentId| {
+        let path = id.to_string();
+        remade.contains(id) && listed.components.iter().any(|c| c.path == path && c.state == "CREATED")
+    };
+    let concerned = |request: Request| match request {
+        Request::Create { ref id, .. } if missing.contains(id) => Some(request),
+        Request::Create { id, config, .. } if is_half(&id) => {
+            let patch = config.unwrap_or_else(|| serde_json::json!({}));
+            Some(Request::Configure { id, patch, execution: None })
+        }
+        Request::Connect { ref client, ref server, .. } => {
             let (from, to) = (client.to_string(), server.to_string());
             let ends = [&client.component, &server.component];
-            ends.iter().any(|id| remade.contains(*id))
+            let wanted = ends.iter().any(|id| remade.contains(*id))
                 && ends.iter().all(|id| there(id))
-                && !listed.connections.iter().any(|c| c.client == from && c.server == to)
+                && !listed.connections.iter().any(|c| c.client == from && c.server == to);
+            wanted.then_some(request)
         }
-        _ => false,
+        _ => None,
     };
-    all.retain(concerned);
-    all
+    all.into_iter().filter_map(concerned).collect()
 }
 
 #[cfg(test)]
@@ -352,6 +361,24 @@ mod tests {
         let known = ConnectionView { client: "a/x/far".into(), server: "b/z/o".into(), ..Default::default() };
         more.connections.push(known);
         assert_eq!(kinds(&more), [true, false], "which may be there already");
+    }
+
+    #[test]
+    fn what_an_earlier_attempt_has_left_half_made_is_completed() {
+        let (file, none) = (file(), BTreeSet::new());
+        let remade: BTreeSet<ComponentId> =
+            ["a/x", "a/y"].map(|path| ComponentId::parse(path).unwrap()).into();
+        let listed = SystemView {
+            components: [component("a/x", "CREATED", "none"), component("a/y", "READY", "none")].into(),
+            ..SystemView::default()
+        };
+        let asked = of_missing(file.requests(), &none, &remade, &listed);
+        let [Request::Configure { id, .. }, Request::Connect { client, .. }] = &asked[..] else {
+            panic!("{asked:?}")
+        };
+        assert_eq!((id.to_string(), client.to_string()), ("a/x".to_owned(), "a/x/i".to_owned()));
+        let foreign = of_missing(file.requests(), &none, &none, &listed);
+        assert!(foreign.is_empty(), "somebody else's is left as it is: {foreign:?}");
     }
 
     #[test]
