@@ -1,7 +1,8 @@
 //! Processes for single components: who can make them, and which are wanted.
 //!
-//! Invariant: what is wanted is one list, told whole to its supervisors at every change. A process that was wanted for a request
-//! that failed, or whose component was removed, is taken from it again, so none is left behind.
+//! Invariant: what is wanted is one list, told whole to its supervisors at every change. A process that was
+//! wanted for a request that failed, or whose component was removed, is taken from it again, so none is left
+//! behind.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -45,7 +46,7 @@ pub(super) struct Isolation {
     /// Those that listen, by number: beside what they can make others.
     listening: BTreeMap<u64, BTreeSet<Name>>,
     newest: u64,
-    /// How often each process was asked to be started again.
+    /// Processes that somebody wanted started again, with how often.
     restarts: BTreeMap<Name, u64>,
 }
 
@@ -56,12 +57,12 @@ impl Isolation {
     }
 }
 
-/// What a supervisor is asked.
+/// A supervisor's orders.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
     /// All it is to keep for isolated components.
     pub apart: Vec<Apart>,
-    /// Those it is to start again now.
+    /// Processes it is to start again now.
     pub restart: Vec<Name>,
 }
 
@@ -71,7 +72,7 @@ pub struct Supervising {
     number: u64,
     all: watch::Receiver<Isolation>,
     told: Option<Vec<Apart>>,
-    /// Of `Isolation::restarts`: what was told, or asked before it was there.
+    /// The restarts that were told it, or asked before it was there.
     restarted: BTreeMap<Name, u64>,
 }
 
@@ -109,7 +110,8 @@ impl Drop for Supervising {
 }
 
 impl Gcm {
-    /// Takes a supervisor in. What it keeps for a GCM before this one is wanted; what it keeps for this one is known better here.
+    /// Takes a supervisor in. What it keeps for a GCM before this one is wanted; what it keeps for this one
+    /// is known better here.
     pub fn supervise(&self, who: Supervisor) -> Supervising {
         let (mut number, mut restarted) = (0, BTreeMap::new());
         self.inner.isolation.send_modify(|all| {
@@ -185,13 +187,22 @@ impl Gcm {
         format!("nothing was heard of it within {within:.1} s{}", ended.unwrap_or_default())
     }
 
-    /// Has its supervisor end a process, if it runs, and start it again; waits until it is there with its components.
+    /// Has its supervisor end a process, if it runs, and start it again; waits until it is there with its
+    /// components.
     ///
     /// # Errors
     /// PROCESS_NOT_FOUND; NOT_SUPERVISED; PROCESS_NOT_UP, with how it ended.
     pub async fn restart(&self, process: &Name, deadline: Instant) -> Result<Arc<SystemGraph>, Refusal> {
         let mut graphs = self.watch();
         let before = graphs.borrow_and_update().process(process)?.clone();
+        let kept_by_none = {
+            let all = self.inner.isolation.borrow();
+            let kept = all.listening.values().any(|homes| all.keeps(homes, process));
+            (!kept).then(|| all.listening.values().flatten().cloned().collect())
+        };
+        if let Some(known) = kept_by_none {
+            return Err(Refusal::NotSupervised { process: process.clone(), known });
+        }
         // It stops everything when it ends in order; what ran before that is to run again.
         self.edit_if(|graph| {
             lock(&self.inner.sessions).wanted.of(graph, process);
@@ -200,7 +211,7 @@ impl Gcm {
         let restarted = self.have_restarted(process, &before, &mut graphs, deadline).await;
         let goes_on = |p: &Process| p.state == ProcessState::Attached && p.epoch == before.epoch;
         if restarted.is_err() && self.graph().processes.get(process).is_some_and(goes_on) {
-            lock(&self.inner.sessions).wanted.here(process, &[]);
+            lock(&self.inner.sessions).wanted.stays(process);
         }
         restarted
     }
@@ -213,18 +224,9 @@ impl Gcm {
         deadline: Instant,
     ) -> Result<Arc<SystemGraph>, Refusal> {
         let began = Instant::now();
-        let mut known = None;
-        self.inner.isolation.send_if_modified(|all| {
-            if all.listening.values().any(|homes| all.keeps(homes, process)) {
-                *all.restarts.entry(process.clone()).or_default() += 1;
-                return true;
-            }
-            known = Some(all.listening.values().flatten().cloned().collect());
-            false
+        self.inner.isolation.send_modify(|all| {
+            *all.restarts.entry(process.clone()).or_default() += 1;
         });
-        if let Some(known) = known {
-            return Err(Refusal::NotSupervised { process: process.clone(), known });
-        }
         log::info!("process {process} is to be started again");
         let settled = |p: &Process| match p.state {
             ProcessState::Attached => p.epoch != before.epoch,
@@ -283,7 +285,8 @@ impl Gcm {
         }
     }
 
-    /// Removes an isolated component whose process is away, by ending that. `None`: nothing of the kind is asked.
+    /// Removes an isolated component whose process is away, by ending that. `None`: nothing of the kind is
+    /// asked.
     ///
     /// # Errors
     /// RevisionConflict; ProcessLost when its supervisor does not answer.

@@ -1,8 +1,8 @@
-//! What is taken away of processes that have ended: a component that keeps its process from coming back, or a process with
-//! all that was in it. It is done in the graph alone, since nobody is there to be asked.
+//! Processes that have ended: a component that keeps one from coming back is taken out of it, or all of it is
+//! forgotten. It is done in the graph alone, since nobody is there to be asked.
 //!
-//! Invariant: no change is carried out here for a process that could still do otherwise: it is FAILED, its supervisor saw it end,
-//! or the request is to forget it.
+//! Invariant: no change is carried out here for a process that could still do otherwise: it is FAILED, its
+//! supervisor saw it end and no other incarnation is here, or the request is to forget it.
 
 use std::sync::Arc;
 
@@ -14,30 +14,22 @@ use super::Gcm;
 use super::far::awaited;
 use super::fate::dismiss;
 use super::manager::lock;
+use super::sessions::Sessions;
 
-/// It is known that nothing of it runs.
-fn has_ended(process: &Process) -> bool {
+/// It is known that nothing of it runs. RESTARTING is one, too, that is here and gets its components back.
+fn has_ended(process: &Process, is_here: bool) -> bool {
     match process.state {
+        _ if is_here => false,
         ProcessState::Failed | ProcessState::Restarting => true,
         ProcessState::Lost => !process.last_exit.is_empty(),
         ProcessState::Attached => false,
     }
 }
 
-/// All of them take something away of processes that have ended.
-pub(super) fn only_takes_away(graph: &SystemGraph, requests: &[Request]) -> bool {
-    let takes = |request: &Request| match request {
-        Request::Forget { .. } => true,
-        Request::Remove { id, .. } => graph.processes.get(&id.process).is_some_and(has_ended),
-        _ => false,
-    };
-    !requests.is_empty() && requests.iter().all(takes)
-}
-
-/// What they do to the graph.
+/// The plan of requests that only take something away.
 ///
 /// # Errors
-/// What a plan refuses, but for the processes being away.
+/// Every refusal of a plan, but for the processes being away.
 pub(super) fn plan_away(graph: &SystemGraph, requests: &[Request]) -> Result<Plan, Refusal> {
     let mut as_if_here = graph.clone();
     for request in requests {
@@ -51,6 +43,20 @@ pub(super) fn plan_away(graph: &SystemGraph, requests: &[Request]) -> Result<Pla
 }
 
 impl Gcm {
+    /// All of them take something away of processes that have ended.
+    pub(super) fn only_takes_away(&self, graph: &SystemGraph, requests: &[Request]) -> bool {
+        let sessions = lock(&self.inner.sessions);
+        let ended = |name: &Name| {
+            graph.processes.get(name).is_some_and(|p| has_ended(p, sessions.holder(name).is_some()))
+        };
+        let takes = |request: &Request| match request {
+            Request::Forget { .. } => true,
+            Request::Remove { id, .. } => ended(&id.process),
+            _ => false,
+        };
+        !requests.is_empty() && requests.iter().all(takes)
+    }
+
     /// Enters such a plan.
     ///
     /// # Errors
@@ -66,7 +72,7 @@ impl Gcm {
             .collect();
         self.edit_if(|graph| {
             let mut sessions = lock(&self.inner.sessions);
-            back = requests.iter().find_map(|request| came_back(graph, request));
+            back = requests.iter().find_map(|request| came_back(graph, &sessions, request));
             if back.is_some() {
                 return false;
             }
@@ -97,14 +103,17 @@ impl Gcm {
     }
 }
 
-fn came_back(graph: &SystemGraph, request: &Request) -> Option<Refusal> {
-    let (process, may_go): (&Name, fn(&Process) -> bool) = match request {
-        Request::Forget { process } => {
-            (process, |p| matches!(p.state, ProcessState::Lost | ProcessState::Failed))
-        }
-        Request::Remove { id, .. } => (&id.process, has_ended),
+fn came_back(graph: &SystemGraph, sessions: &Sessions, request: &Request) -> Option<Refusal> {
+    let (process, forgets) = match request {
+        Request::Forget { process } => (process, true),
+        Request::Remove { id, .. } => (&id.process, false),
         _ => return None,
     };
-    let there = graph.processes.get(process).filter(|there| !may_go(there))?;
-    Some(Refusal::ProcessRuns { process: process.clone(), state: there.state, pid: there.pid })
+    let there = graph.processes.get(process)?;
+    let may_go = match there.state {
+        ProcessState::Lost | ProcessState::Failed if forgets => true,
+        _ => !forgets && has_ended(there, sessions.holder(process).is_some()),
+    };
+    let runs = || Refusal::ProcessRuns { process: process.clone(), state: there.state, pid: there.pid };
+    (!may_go).then(runs)
 }

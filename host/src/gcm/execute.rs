@@ -12,7 +12,7 @@ use trocar_model::{
 };
 
 use super::apart::asked_apart;
-use super::away::{only_takes_away, plan_away};
+use super::away::plan_away;
 use super::claims::Planned;
 use super::generated::first_part;
 use super::manager::lock;
@@ -125,7 +125,8 @@ impl Gcm {
         if let Some(done) = self.remove_away(requests, options).await? {
             return Ok(done);
         }
-        if !options.validate_only {
+        let is_expected = options.expected_revision.is_none_or(|r| r == self.graph().revision);
+        if is_expected && !options.validate_only {
             self.bring_back(requests, deadline).await?;
         }
         let forced = self.give_way(requests, options.validate_only)?;
@@ -138,7 +139,7 @@ impl Gcm {
             {
                 return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
             }
-            away.store(only_takes_away(graph, requests), Ordering::Relaxed);
+            away.store(self.only_takes_away(graph, requests), Ordering::Relaxed);
             if away.load(Ordering::Relaxed) {
                 return plan_away(graph, requests).map(Planned::from);
             }

@@ -87,8 +87,8 @@ impl Answers {
 
 type Hash = [u8; 32];
 
-/// The hash of what the requests say; two that say the same in another order of keys are the same, since maps are
-/// sorted.
+/// The hash of what the requests say; two that say the same in another order of keys are the same, since maps
+/// are sorted.
 fn hash(requests: &[Request]) -> Hash {
     struct Hashing(Sha256);
     impl Write for Hashing {

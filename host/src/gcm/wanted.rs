@@ -60,6 +60,11 @@ impl Wanted {
         }
     }
 
+    /// The process was to be started again and was not; what was stopped is kept in mind.
+    pub(super) fn stays(&mut self, process: &Name) {
+        self.states.retain(|id, state| id.process != *process || *state == REQUESTED);
+    }
+
     /// What was to be stopped and is seen otherwise.
     pub(super) fn owed(&self, graph: &SystemGraph, process: &Name) -> Vec<(ComponentId, State)> {
         let stopped = self.states.iter().filter(|(id, to)| id.process == *process && **to == REQUESTED);

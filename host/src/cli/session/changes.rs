@@ -88,15 +88,7 @@ impl Session {
                 ..v1::RemoveRequest::default()
             })),
         };
-        let ask = v1::ApplyRequest {
-            steps: paths.iter().map(one).collect(),
-            validate_only: m.dry_run,
-            expected_revision: m.expected_revision,
-            ..v1::ApplyRequest::default()
-        };
-        let a =
-            self.client().await?.gcm.apply(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
-        Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
+        self.all_or_none(paths.iter().map(one).collect(), m).await
     }
 
     /// Takes all of these processes off the list, or none.
@@ -111,8 +103,12 @@ impl Session {
                 ..v1::ForgetRequest::default()
             })),
         };
+        self.all_or_none(processes.iter().map(one).collect(), m).await
+    }
+
+    async fn all_or_none(&self, steps: Vec<v1::Step>, m: &MutationArgs) -> Result<Outcome, Failure> {
         let ask = v1::ApplyRequest {
-            steps: processes.iter().map(one).collect(),
+            steps,
             validate_only: m.dry_run,
             expected_revision: m.expected_revision,
             ..v1::ApplyRequest::default()

@@ -125,6 +125,33 @@ async fn a_component_is_taken_out_of_a_process_that_has_ended_and_of_no_other() 
     assert_eq!((again.state("far/b"), again.state("far/c")), (None, Some(State::Ready)));
 }
 
+#[tokio::test]
+async fn nothing_is_taken_in_the_graph_alone_out_of_a_process_that_gets_its_components_back() {
+    let (gcm, _lcm, _) = lost().await;
+    gcm.told(&told(Fate::Restarting, 1));
+    let request = [remove("far/c", true)];
+    assert!(gcm.only_takes_away(&gcm.graph(), &request), "nobody is there");
+    let again = FakeLcm::new("far");
+    again.hold("Create far/b");
+    register(&gcm, Registration { pid: 8, ..who("far") }, again.clone()).await.unwrap();
+    assert_eq!(gcm.graph().processes[&name("far")].state, ProcessState::Restarting);
+    assert!(!gcm.only_takes_away(&gcm.graph(), &request), "it may have the component by now");
+}
+
+#[tokio::test]
+async fn a_reset_for_another_revision_starts_no_process_again() {
+    let (gcm, _lcm, _) = lost().await;
+    gcm.told(&told(Fate::Failed, 3));
+    let mut supervising = gcm.supervise(supervisor(&["far"]));
+    assert_eq!(supervising.next().await, Wanted::default());
+    let reset = Request::Reset { targets: vec![Target::parse("far/c").unwrap()] };
+    let options = ExecuteOptions { expected_revision: Some(99), ..ExecuteOptions::default() };
+    let refused = gcm.execute(vec![reset], options).await.unwrap_err();
+    assert_eq!(refused.reason(), "REVISION_CONFLICT");
+    let nothing = tokio::time::timeout(Duration::ZERO, supervising.next()).await;
+    assert!(nothing.is_err(), "{nothing:?}");
+}
+
 /// Does what it is asked once: the process comes back, or fails anew.
 async fn obey(gcm: Gcm, mut supervising: Supervising, comes_back: bool) {
     while !supervising.next().await.restart.contains(&name("far")) {}
