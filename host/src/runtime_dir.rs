@@ -79,8 +79,8 @@ impl RuntimeDir {
         Ok(())
     }
 
-    /// Whether this user alone can have put there what lies in it. Without a home directory it lies in the temporary
-    /// one, where anybody may have been first.
+    /// Whether this user alone can have put there what lies in it. Without a home directory it lies in the
+    /// temporary one, where anybody may have been first.
     ///
     /// # Errors
     /// There is none, or it is somebody else's, or others can write it.
@@ -99,14 +99,14 @@ impl RuntimeDir {
         Err(io::Error::new(io::ErrorKind::PermissionDenied, why))
     }
 
-    /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names the
-    /// network, too.
+    /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names
+    /// the network, too.
     pub(crate) fn door(&self, addr: SocketAddr, door: Door) -> PathBuf {
         self.0.join(format!("{}.{}", std::process::id(), tail(addr, door)))
     }
 
-    /// The name by which clients find the socket beside the port `addr`, whichever process has it: it stays the same
-    /// for those that connect again.
+    /// The name by which clients find the socket beside the port `addr`, whichever process has it: it stays
+    /// the same for those that connect again.
     pub(crate) fn way(&self, addr: SocketAddr, door: Door) -> PathBuf {
         self.0.join(format!("{WAY}{}", tail(addr, door)))
     }
@@ -124,7 +124,8 @@ impl RuntimeDir {
         fs::rename(&new, self.way(addr, door))
     }
 
-    /// Leads nobody to the socket of this process any more, and removes it. One that another process has is left.
+    /// Leads nobody to the socket of this process any more, and removes it. One that another process has is
+    /// left.
     pub(crate) fn close(&self, addr: SocketAddr, door: Door) {
         let (own, way) = (self.door(addr, door), self.way(addr, door));
         if fs::read_link(&way).is_ok_and(|to| Some(to.as_os_str()) == own.file_name()) {

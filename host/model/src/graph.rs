@@ -60,7 +60,7 @@ pub struct Process {
     pub guest: String,
 }
 
-/// What a process itself is warned of, such as its memory.
+/// Warnings of a process itself, such as of its memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Warnings {
     pub sentences: Vec<String>,

@@ -12,8 +12,8 @@ use super::{out, units};
 /// Longer than a process is given to end in order, and to come back.
 const WITHIN: Duration = Duration::from_secs(30);
 
-/// Ends a process that `trocar up` keeps and starts it again, also one that is FAILED. What moves something comes back
-/// STOPPED.
+/// Ends a process that `trocar up` keeps and starts it again, also one that is FAILED. What moves something
+/// comes back STOPPED.
 #[derive(Args, Debug)]
 pub(super) struct RestartArgs {
     /// Name of the process.

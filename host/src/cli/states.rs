@@ -1,6 +1,7 @@
 //! `trocar start|stop|resume|reset|rm`: what changes a component's state.
 //!
-//! Invariant: `stop --all` reaches every process it can, with or without a GCM, before it reports the first failure.
+//! Invariant: `stop --all` reaches every process it can, with or without a GCM, before it reports the first
+//! failure.
 
 use clap::Args;
 
@@ -34,7 +35,8 @@ pub(super) struct StopArgs {
     /// Components or globs: host/robot, host/**, '*/robot'.
     #[arg(value_name = "PATH", required_unless_present = "all")]
     paths: Vec<String>,
-    /// Everything, also when no GCM answers (then: every process of this user on this machine). A software stop.
+    /// Everything, also when no GCM answers (then: every process of this user on this machine). A software
+    /// stop.
     #[arg(long, conflicts_with = "paths")]
     all: bool,
     #[command(flatten)]
@@ -55,8 +57,8 @@ pub(super) struct ResetArgs {
     of: PathArgs,
 }
 
-/// Removes components; one that is ACTIVE is stopped first, and what it moves made safe. All or nothing. A process that
-/// has ended goes with all that was in it, as by `trocar forget`.
+/// Removes components; one that is ACTIVE is stopped first, and what it moves made safe. All or nothing. A
+/// process that has ended goes with all that was in it, as by `trocar forget`.
 #[derive(Args, Debug)]
 pub(super) struct RmArgs {
     #[command(flatten)]
@@ -108,7 +110,8 @@ async fn verb(session: &Session, verb: Verb, paths: &[String], mutation: &Mutati
     show(session, &outcome, mutation.dry_run, "nothing to do")
 }
 
-/// Asks every process of this user on this machine by its own socket. `why` is what the GCM answered, if anything.
+/// Asks every process of this user on this machine by its own socket. `why` is what the GCM answered, if
+/// anything.
 async fn stop_without_gcm(session: &Session, why: Failure) -> Done {
     let answers = announce::stop_everything().await;
     if answers.is_empty() {

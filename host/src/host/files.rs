@@ -1,4 +1,4 @@
-//! How many files this process may still open: without any, it takes part in nothing new, and is said to be unfit.
+//! Files this process may still open: without any, it takes part in nothing new, and is said to be unfit.
 //!
 //! Invariant: a look opens no file; the list it reads was opened at the beginning.
 
@@ -56,7 +56,7 @@ fn count(list: &mut Dir) -> Option<u64> {
     Some(all)
 }
 
-/// What there is to warn of from now on; `None`: as before.
+/// The warning from now on; `None`: as before.
 fn judge(told: &mut bool, open: u64, limit: u64) -> Option<Option<String>> {
     let beyond = open + if *told { BACK } else { NONE } > limit;
     if beyond == std::mem::replace(told, beyond) {

@@ -118,7 +118,7 @@ pub enum News {
     Warnings(Warnings),
 }
 
-/// What a process can be warned of, about itself; in the order in which that is told.
+/// A process can be warned of these about itself; in the order in which that is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Concern {
     Memory,

@@ -367,7 +367,7 @@ pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entr
     instance.as_running(Inside::Bind, || entered.bind(own.slots.table())).map_err(|e| ("bind", e))
 }
 
-/// What a new set may take over of the one before: nothing where handles to it are still held, or two threads
+/// The set whose ports a new one may take over: none where handles to it are still held, or two threads
 /// would have one port.
 fn still<'a>(instance: &Instance, before: &'a PortSet) -> Option<&'a PortSet> {
     (!instance.holds_on()).then_some(before)

@@ -1,7 +1,8 @@
 //! The thread a component runs on, or several components share: cycles, jobs, wakes.
 //!
-//! Invariant: component code runs only here (passive components and device callbacks excepted). A cycle takes no lock,
-//! allocates nothing and calls nothing of the OS but its own sleep and the wakes after the step; jobs run between cycles.
+//! Invariant: component code runs only here (passive components and device callbacks excepted). A cycle takes
+//! no lock, allocates nothing and calls nothing of the OS but its own sleep and the wakes after the step;
+//! jobs run between cycles.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, AtomicUsize, Ordering};
@@ -99,14 +100,16 @@ pub(super) struct Executor {
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
-/// Names of all executors' threads, of whichever LCM, by kernel id: a program may have several, with components of one name.
+/// Names of all executors' threads, of whichever LCM, by kernel id: a program may have several, with
+/// components of one name.
 static NAMES: Mutex<BTreeMap<i32, String>> = Mutex::new(BTreeMap::new());
 
 fn all_names() -> MutexGuard<'static, BTreeMap<i32, String>> {
     NAMES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Names of the threads of this process's executors, which threads bear that code on them starts without a name of their own.
+/// Names of the threads of this process's executors, which threads bear that code on them starts without a
+/// name of their own.
 pub(super) fn names() -> BTreeSet<String> {
     all_names().values().cloned().collect()
 }
@@ -178,7 +181,8 @@ impl Executor {
         self.tid.load(Ordering::Acquire)
     }
 
-    /// Runs `job` on the thread, between cycles. Once the thread has ended it is dropped, so that whoever waits for it hears.
+    /// Runs `job` on the thread, between cycles. Once the thread has ended it is dropped, so that whoever
+    /// waits for it hears.
     pub(super) fn submit(&self, job: impl FnOnce(&mut Crew) + Send + 'static) {
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
         if self.ended.load(Ordering::Relaxed) {

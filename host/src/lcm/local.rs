@@ -1,6 +1,7 @@
 //! The LCM of this process: makes, runs, wires and removes components.
 //!
-//! Invariant: no lock is held while component code runs or is waited for; every wait ends at the caller's deadline.
+//! Invariant: no lock is held while component code runs or is waited for; every wait ends at the caller's
+//! deadline.
 
 mod assemble;
 mod detail;
@@ -81,7 +82,8 @@ pub struct LocalLcm {
 struct Held {
     components: BTreeMap<ComponentId, Slot>,
     links: BTreeMap<u64, Arc<Wired>>,
-    /// Removed components in which something may still look at wires that were cut: those wires hold their peers.
+    /// Removed components in which something may still look at wires that were cut: those wires hold their
+    /// peers.
     leaving: Vec<Arc<Instance>>,
     /// It shuts down, or has: nothing is made here any more.
     closed: bool,
@@ -176,7 +178,8 @@ impl LocalLcm {
         &self.hub.process
     }
 
-    /// Lets components ask for dynamic component services, carried out by `services`, until the LCM shuts down.
+    /// Lets components ask for dynamic component services, carried out by `services`, until the LCM shuts
+    /// down.
     ///
     /// # Errors
     /// The machine gives no more threads.
@@ -200,8 +203,8 @@ impl LocalLcm {
         all
     }
 
-    /// Whether a component of the class may be made here, by this process's own list: a GCM may not have heard it
-    /// yet, or mean ill.
+    /// Whether a component of the class may be made here, by this process's own list: a GCM may not have
+    /// heard it yet, or mean ill.
     fn lets_in(&self, classes: &dyn Classes, class: &ClassInfo) -> Result<(), Refusal> {
         let offered = self.offered(classes);
         let same = |c: &&Arc<ClassInfo>| c.hash == class.hash && c.full_name() == class.full_name();
@@ -235,8 +238,8 @@ impl LocalLcm {
         let _ = self.hub.news.send(News::Warnings(warnings(&all)));
     }
 
-    /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not made. Bounded: what
-    /// does not come back in `within` is left.
+    /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not
+    /// made. Bounded: what does not come back in `within` is left.
     pub async fn shutdown(&self, within: Duration) {
         // A component that is stopped here cannot have another one started.
         self.hub.desk.close();
@@ -336,8 +339,8 @@ impl LocalLcm {
         self.inside_or(slot, entry, deadline, f, |_, _, _| ()).await
     }
 
-    /// As `inside`; when `f` comes back only after its caller has given up, `undo` takes back what it did, so that what was
-    /// answered stays true.
+    /// As `inside`; when `f` comes back only after its caller has given up, `undo` takes back what it did, so
+    /// that what was answered stays true.
     async fn inside_or<R: Send + 'static>(
         &self,
         slot: &Slot,

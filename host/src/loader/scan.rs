@@ -62,7 +62,7 @@ impl Scanner {
                         log::warn!("plugin directory {} cannot be read: {error}", path.display());
                     }
                     if is_shortage(&error) {
-                        // Of the process, which says nothing about what lies there.
+                        // The process is short of it, which says nothing about what lies there.
                         scan.unsettled = true;
                         for (file, seen) in self.seen.iter().filter(|(file, _)| file.parent() == Some(path)) {
                             present.insert(file.clone());

@@ -1,8 +1,9 @@
-//! One child: spawned with its standard input as the tie, asked to end by closing it, and what it says over it.
+//! One child: spawned with its standard input as the tie, asked to end by closing it, and what it says over
+//! it.
 //!
-//! Invariant: it is waited for by its handle (a pidfd where the kernel has them), never by its number, so nobody else is
-//! ever taken for it. What it started, and left in its group, ends with it. Nothing it prints passes through this process: it can
-//! wait for no reader.
+//! Invariant: it is waited for by its handle (a pidfd where the kernel has them), never by its number, so
+//! nobody else is ever taken for it. What it started, and left in its group, ends with it. Nothing it prints
+//! passes through this process: it can wait for no reader.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -127,7 +128,8 @@ impl Child {
         tokio::time::timeout(LAST_WORD, &mut self.said).await.ok()?.ok()
     }
 
-    /// Asks it to end, and kills it when it does not within its time. `why` it is to: `None`, as all have to some time.
+    /// Asks it to end, and kills it when it does not within its time. `why` it is to: `None`, as all have to
+    /// some time.
     pub(super) async fn end(&mut self, patience: Duration, why: Option<String>) -> Exit {
         drop(self.tie.take());
         let why = match (tokio::time::timeout(patience, self.ended()).await, why) {
@@ -152,7 +154,8 @@ async fn collected(child: &mut tokio::process::Child) -> std::io::Result<ExitSta
     if let Some(leader) = child.id().and_then(group)
         && ends(leader).await
     {
-        // Not collected yet, so the number of its group is nobody else's. It is there itself, if nobody else is.
+        // Not collected yet, so the number of its group is nobody else's. It is there itself, if nobody else
+        // is.
         let _ = kill_process_group(leader, Signal::KILL);
     }
     child.wait().await
@@ -179,7 +182,8 @@ fn group(pid: u32) -> Option<Pid> {
     i32::try_from(pid).ok().and_then(Pid::from_raw)
 }
 
-/// The program that runs here, also when another one lies in its place by now: they might not understand each other.
+/// The program that runs here, also when another one lies in its place by now: they might not understand each
+/// other.
 fn this_program() -> std::io::Result<PathBuf> {
     let path = std::env::current_exe()?;
     let replaced = path.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");

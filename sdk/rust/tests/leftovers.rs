@@ -1,5 +1,5 @@
-//! Things safe code may do with what belongs to a component: keep it beyond its end, or exchange its lists. The
-//! host is asked to keep what is still held, and only then; a command never becomes another list's.
+//! Things safe code may do with what belongs to a component: keep it beyond its end, or exchange its lists.
+//! The host is asked to keep what is still held, and only then; a command never becomes another list's.
 #![allow(clippy::unwrap_used)]
 
 mod little_host;

@@ -1,6 +1,8 @@
-//! Processes that are not started again by themselves: brought back by somebody, relieved of what ends them, or forgotten.
+//! Processes that are not started again by themselves: brought back by somebody, relieved of what ends them,
+//! or forgotten.
 //!
-//! Promise: nobody has to take a system down for one process; what moves something comes back STOPPED here, too.
+//! Promise: nobody has to take a system down for one process; what moves something comes back STOPPED here,
+//! too.
 
 use trocar_tests::{HostProcess, eventually, number};
 

@@ -1,7 +1,8 @@
-//! Remove: refused while something depends on the component, unless forced. Forget: all of a process that has ended.
+//! Remove: refused while something depends on the component, unless forced. Forget: all of a process that has
+//! ended.
 //!
-//! Invariant: a component is stopped before its connections are taken away, so that it stops on request and does not
-//! first lose its peers; no connection outlives one of its ends.
+//! Invariant: a component is stopped before its connections are taken away, so that it stops on request and
+//! does not first lose its peers; no connection outlives one of its ends.
 
 use super::{Planner, host_of};
 use crate::{Change, ComponentId, Connection, Name, ProcessState, Refusal, State, Verb};

@@ -1,8 +1,8 @@
-//! State of the whole process that any code in it may change: its locale, what new files are closed to, what signals
-//! do, its standard streams.
+//! State of the whole process that any code in it may change: its locale, what new files are closed to, what
+//! signals do, its standard streams.
 //!
-//! Invariant: looked at by system calls, so never from a step; only what differs is put back, and nothing of this program's
-//! own counts as another's doing.
+//! Invariant: looked at by system calls, so never from a step; only what differs is put back, and nothing of
+//! this program's own counts as another's doing.
 
 use std::ffi::{CStr, CString, c_int, c_void};
 use std::mem::{MaybeUninit, zeroed};
@@ -124,7 +124,8 @@ fn handler(signal: c_int) -> libc::sigaction {
 fn is_ours(handler: usize) -> bool {
     let of = |address: *const c_void| {
         let mut found = MaybeUninit::<libc::Dl_info>::uninit();
-        // SAFETY: the room is a whole Dl_info, which is written when the answer is not 0; any address may be asked for.
+        // SAFETY: the room is a whole Dl_info, which is written when the answer is not 0; any address may be
+        // asked for.
         (unsafe { libc::dladdr(address, found.as_mut_ptr()) } != 0)
             // SAFETY: written, by the answer.
             .then(|| unsafe { found.assume_init() }.dli_fbase)
@@ -136,7 +137,8 @@ fn is_ours(handler: usize) -> bool {
         && of(handler as *const c_void) == own
 }
 
-/// Opens what takes everything and gives nothing at a closed number, so that no file of somebody comes to lie there.
+/// Opens what takes everything and gives nothing at a closed number, so that no file of somebody comes to lie
+/// there.
 fn open_nothing(fd: c_int) -> bool {
     // SAFETY: a constant text; the file is ours until it is at its number.
     unsafe {

@@ -1,6 +1,8 @@
-//! The LCM of an attached process: each call is an order with a number, and waits for the answer with that number.
+//! The LCM of an attached process: each call is an order with a number, and waits for the answer with that
+//! number.
 //!
-//! Invariant: no call outlives its deadline or the stream; an order that nobody waits for any more is forgotten.
+//! Invariant: no call outlives its deadline or the stream; an order that nobody waits for any more is
+//! forgotten.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -184,8 +186,8 @@ fn lock(link: &Mutex<Option<Link>>) -> MutexGuard<'_, Option<Link>> {
     link.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Gives a feed up as soon as nobody takes from it any more, also one that is only asked for. Its own sender does not outlive
-/// the feed, or the receiver would never end.
+/// Gives a feed up as soon as nobody takes from it any more, also one that is only asked for. Its own sender
+/// does not outlive the feed, or the receiver would never end.
 async fn mind(
     link: Arc<Mutex<Option<Link>>>,
     id: u64,

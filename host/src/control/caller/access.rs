@@ -53,7 +53,8 @@ pub(in crate::control) struct Access {
     pub(in crate::control) tokens: Option<RuntimeDir>,
     /// A caller cannot fill the log.
     pub(in crate::control) refused: Mutex<Seldom>,
-    /// Requests of callers who only read that are open at once, whoever they are: the host has others to hear.
+    /// Requests of callers who only read that are open at once, whoever they are: the host has others to
+    /// hear.
     pub(in crate::control) readers: Arc<Semaphore>,
 }
 
@@ -128,8 +129,8 @@ pub(in crate::control) async fn known(
     next.run(request).await
 }
 
-/// Stands before the services: refuses such a caller every method that is not listed, whatever the request says of
-/// itself. The services ask neither for a verb nor for a kind of content.
+/// Stands before the services: refuses such a caller every method that is not listed, whatever the request
+/// says of itself. The services ask neither for a verb nor for a kind of content.
 pub(in crate::control) async fn only_reads(
     State(access): State<Arc<Access>>,
     request: Request,

@@ -1,4 +1,5 @@
-//! The user whose program is at the other end of a TCP connection of this machine: the kernel knows, and is asked.
+//! The user whose program is at the other end of a TCP connection of this machine: the kernel knows, and is
+//! asked.
 //!
 //! Invariant: a user is told only of a socket that is in use now and stayed in use while it was asked about.
 //! A socket that its program has closed belongs to nobody (the kernel then says user 0), and a connection

@@ -124,8 +124,8 @@ impl AsyncWrite for Connection {
     }
 }
 
-/// The head of a first question as far as it has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a fixed
-/// text that holds one.
+/// The head of a first question as far as it has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a
+/// fixed text that holds one.
 #[derive(Debug, Default)]
 struct Head {
     heard: usize,

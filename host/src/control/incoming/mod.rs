@@ -107,7 +107,8 @@ impl Incoming {
         let peer = match peer {
             Ok(peer) => peer,
             Err(e) => {
-                // A caller is judged when there is a file to ask the kernel by, and not as somebody else before.
+                // A caller is judged when there is a file to ask the kernel by, and not as somebody else
+                // before.
                 self.held = is_short_of_files(&e).then_some(stream);
                 return Poll::Ready(Err(e));
             }

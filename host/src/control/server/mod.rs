@@ -94,8 +94,9 @@ impl Edge {
         }
     }
 
-    /// Live figures of these components and connections; what cannot be had in time is a warning, not a failure. No
-    /// process is asked that has none of them, and those that are, side by side: a silent one costs the others nothing.
+    /// Live figures of these components and connections; what cannot be had in time is a warning, not a
+    /// failure. No process is asked that has none of them, and those that are, side by side: a silent one
+    /// costs the others nothing.
     async fn figures(&self, ids: &[ComponentId], shown: &[&Connection], deadline: Instant) -> Figures {
         let deadline = deadline.min(Instant::now() + FIGURES);
         let mut asking = JoinSet::new();

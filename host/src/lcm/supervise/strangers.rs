@@ -1,7 +1,7 @@
 //! Threads of this process that the host did not start, and whose code did.
 //!
-//! Invariant: a thread is told by its number in the kernel and when it began, never by its name alone. A look costs
-//! by the number of threads; a look that finds that nobody has started one since costs nothing more.
+//! Invariant: a thread is told by its number in the kernel and when it began, never by its name alone. A look
+//! costs by the number of threads; a look that finds that nobody has started one since costs nothing more.
 
 #[cfg(test)]
 mod tests;
@@ -15,10 +15,10 @@ use super::super::executor;
 use super::hygiene::is_own_process;
 use super::roster::Ward;
 
-/// How often the list of threads is read at most after the first time.
+/// The list of threads is read so often at most after the first time.
 const LISTS: usize = 16;
-/// Numbers of threads that began at about the same time are less than this apart; where they are more, the kernel has
-/// come to its highest number and begun anew.
+/// Numbers of threads that began at about the same time are less than this apart; where they are more, the
+/// kernel has come to its highest number and begun anew.
 const NEAR: i32 = 1 << 14;
 /// Times that are so near, ticks, are not told apart: a thread has its number a moment before it begins.
 const TICKS: u64 = 1;
@@ -55,7 +55,8 @@ impl Moment {
     }
 }
 
-/// The number that the kernel gave last to a thread or process; it gives them upwards, and begins anew at the top.
+/// The number that the kernel gave last to a thread or process; it gives them upwards, and begins anew at the
+/// top.
 fn last_number() -> Option<i32> {
     let text = fs::read_to_string("/proc/loadavg").ok()?;
     text.split_ascii_whitespace().nth(4)?.parse().ok().filter(|last| *last > 0)
@@ -70,7 +71,7 @@ pub(super) struct Stranger {
     began: u64,
 }
 
-/// Those of one moment.
+/// All of them at one moment.
 pub(in crate::lcm) struct Strangers {
     threads: Vec<Stranger>,
     executors: BTreeSet<String>,
@@ -89,20 +90,20 @@ impl Strangers {
         Strangers { threads: threads.collect(), executors: executor::names() }
     }
 
-    /// Those that came after a moment.
+    /// All that came after a moment.
     pub(super) fn since(&self, moment: Moment) -> impl Iterator<Item = &Stranger> {
         self.threads.iter().filter(move |thread| moment.is_before(thread.tid, thread.began))
     }
 
-    /// Names of those that were started by the component's own code: they bear the name of its thread, as new threads do,
-    /// or came into being during one of its entries. What was there before it was made is not its own: it may be of one
-    /// removed that had its name.
+    /// Names of those that were started by the component's own code: they bear the name of its thread, as new
+    /// threads do, or came into being during one of its entries. What was there before it was made is not its
+    /// own: it may be of one removed that had its name.
     pub(in crate::lcm) fn left_behind(&self, ward: &Ward) -> Vec<String> {
         self.of(ward).map(|thread| thread.name.clone()).collect()
     }
 
-    /// One of those that `stop` should have ended still runs, as far as can be told: what was started by `create` or
-    /// `configure` may be for `destroy` to end.
+    /// One of those that `stop` should have ended still runs, as far as can be told: what was started by
+    /// `create` or `configure` may be for `destroy` to end.
     pub(in crate::lcm) fn outlast_stop(&self, ward: &Ward) -> bool {
         self.of(ward).any(|thread| !ward.instance.lasts(thread.tid))
     }
@@ -121,7 +122,7 @@ impl Strangers {
     }
 }
 
-/// Where another program embeds a host, threads of its own runtime come and go, which nobody has named.
+/// A program that embeds a host has threads of its own runtime, which nobody has named.
 fn is_of_program(name: &str) -> bool {
     // Tests run beside each other: a thread of another one, named by its path, is nobody's here.
     #[cfg(test)]
@@ -131,9 +132,9 @@ fn is_of_program(name: &str) -> bool {
     !is_own_process() && name.starts_with("tokio")
 }
 
-/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one out for
-/// each that ends before the reader's place meanwhile; then the next list lacks that one, so that two that are the same
-/// are whole.
+/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one
+/// out for each that ends before the reader's place meanwhile; then the next list lacks that one, so that two
+/// that are the same are whole.
 fn threads() -> BTreeSet<i32> {
     let listed = || -> BTreeSet<i32> {
         let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
@@ -149,7 +150,8 @@ fn threads() -> BTreeSet<i32> {
         all.extend(&next);
         last = next;
     }
-    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too few.
+    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too
+    // few.
     all
 }
 
@@ -165,14 +167,14 @@ thread_local! {
     static LOOKS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
 }
 
-/// How many words this thread has asked for.
+/// Words that this thread has asked for.
 #[cfg(test)]
 fn looks() -> u64 {
     LOOKS.with(std::cell::Cell::get)
 }
 
-/// When a thread of this process began, ticks since boot, so that a number given again can be told apart; 0 when it is
-/// gone.
+/// When a thread of this process began, ticks since boot, so that a number given again can be told apart; 0
+/// when it is gone.
 fn began(tid: i32) -> u64 {
     let text = word(tid, "stat");
     // The name before the last parenthesis may hold anything; the 20th word after it is the time.

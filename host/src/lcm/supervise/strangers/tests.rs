@@ -1,4 +1,5 @@
-//! Whose a thread is: by its number and its beginning, whatever its name is, and without a look at those of the host.
+//! Whose a thread is: by its number and its beginning, whatever its name is, and without a look at those of
+//! the host.
 #![allow(clippy::unwrap_used)]
 
 use std::env;
@@ -73,8 +74,8 @@ fn numbers_that_begin_anew_and_clocks_that_are_coarse_change_nothing() {
     assert!(!at(None).is_still_so(), "where the kernel does not say, nothing is sure");
 }
 
-/// Else a thread that was there before an entry counts as made by it, and who "made" it is kept for ever when it is
-/// removed.
+/// Else a thread that was there before an entry counts as made by it, and who "made" it is kept for ever when
+/// it is removed.
 #[test]
 fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
     for round in 0..400 {
