@@ -91,6 +91,14 @@ template <class A = None, class R = None> class Function {
   public:
     // Never waits: the way from step.
     trocar_outcome send(const A &arg = {}) { return ask(arg, nullptr, nullptr); }
+    // Likewise, and it never runs if it was not begun within deadline_ns (0: its connection and server say how long).
+    trocar_outcome send(const A &arg, uint64_t deadline_ns) {
+        trocar_call_opts opts = {};
+        opts.struct_size = sizeof opts;
+        opts.mode = TROCAR_MODE_SEND;
+        opts.deadline_ns = deadline_ns;
+        return ask(arg, nullptr, &opts);
+    }
     // Waits for the result, at most deadline_ns (0 = the connection's own, never more than an hour).
     trocar_outcome call(const A &arg, R &ret, uint64_t deadline_ns = 0) {
         trocar_call_opts opts = {};

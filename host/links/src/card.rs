@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// How memory shared by two processes is laid out; both must have the same.
-pub const LAYOUT: u32 = 2;
+/// How memory shared by two processes is laid out and what its words mean; both must have the same.
+pub const LAYOUT: u32 = 3;
 
 /// Bytes of a name on a card.
 const MOST_NAME: usize = 128;

@@ -29,7 +29,7 @@ pub struct EntryHead {
     pub index: u32,
     /// Token of the reply cell, 0 = no reply wanted.
     pub reply: u64,
-    /// When it was pushed, ns of the monotonic clock.
+    /// When it was pushed, or until when it may be begun, as `kind` says; ns of the monotonic clock.
     pub stamp_ns: u64,
 }
 

@@ -14,9 +14,11 @@ use trocar_rt::reply::ReplyPool;
 use super::boundary::RangeCheck;
 use super::instance::Instance;
 
-/// Kinds of mailbox entries.
+/// Kinds of mailbox entries. A command whose goal grows old as its connection and its server's class say.
 pub(super) const ENTRY_COMMAND: u32 = 0;
 pub(super) const ENTRY_EVENT: u32 = 1;
+/// A command that says itself until when it may be begun.
+pub(super) const ENTRY_DUE: u32 = 2;
 
 /// How often one connection's losses are told at most, ns.
 const TELL_NS: u64 = 1_000_000_000;
@@ -195,10 +197,14 @@ impl Inbox {
 
     #[inline(never)]
     fn is_as_agreed(&self, head: EntryHead, payload: &[u8]) -> bool {
-        let kind = if self.events { ENTRY_EVENT } else { ENTRY_COMMAND };
         let Some(check) = self.checks.get(head.index as usize) else { return false };
         let in_range = || check.range.as_ref().is_none_or(|range| range.holds_in(payload));
-        head.kind == kind && payload.len() == check.bytes && in_range()
+        let is_kind = match head.kind {
+            ENTRY_EVENT => self.events,
+            ENTRY_COMMAND | ENTRY_DUE => !self.events,
+            _ => false,
+        };
+        is_kind && payload.len() == check.bytes && in_range()
     }
 
     /// Takes nothing more; answers everything still queued with `outcome`, unexecuted.

@@ -10,7 +10,7 @@ use crate::stubs;
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
 use core::time::Duration;
-use trocar_plugin_api::abi::{CallOpts, ErrBuf, EventSlot, FnSlot, MODE_CALL};
+use trocar_plugin_api::abi::{CallOpts, ErrBuf, EventSlot, FnSlot, MODE_CALL, MODE_SEND};
 use trocar_plugin_api::desc::TypeDesc;
 
 /// What the derive asks a function field.
@@ -55,6 +55,18 @@ impl<A: Value, R: Value> Function<A, R> {
         }
     }
 
+    /// As [`Function::send`], and it never runs if it was not begun within `deadline`: its connection counts it then.
+    /// Zero: its connection and its server's class say how long its goal is right.
+    #[inline]
+    pub fn send_within(&self, arg: A, deadline: Duration) -> Outcome {
+        let mut opts = options(MODE_SEND, deadline, core::ptr::null_mut());
+        // SAFETY: as in `send`; the options live through the call.
+        unsafe {
+            let slot = &*self.slot;
+            Outcome::from((slot.call)(slot.ctx, arg.ptr(), core::ptr::null_mut(), &mut opts))
+        }
+    }
+
     /// Waits for the result, at most until the connection's deadline (1 s unless set).
     ///
     /// # Errors
@@ -80,6 +92,18 @@ impl<A: Value, R: Value> Function<A, R> {
     }
 }
 
+fn options(mode: u32, deadline: Duration, err: *mut ErrBuf) -> CallOpts {
+    CallOpts {
+        struct_size: size_of::<CallOpts>() as u32,
+        mode,
+        deadline_ns: u64::try_from(deadline.as_nanos()).unwrap_or(u64::MAX),
+        err,
+        stamp_ns: 0,
+        may_still_run: 0,
+        reserved: 0,
+    }
+}
+
 /// One call that waits, with room for the peer's sentence.
 pub(crate) fn waiting(
     deadline: Duration,
@@ -88,15 +112,7 @@ pub(crate) fn waiting(
     // Written only by a call that fails: to clear it would cost as much as the call.
     let mut text = [MaybeUninit::<u8>::uninit(); 256];
     let mut err = ErrBuf { ptr: text.as_mut_ptr().cast(), cap: text.len(), len: 0 };
-    let mut opts = CallOpts {
-        struct_size: size_of::<CallOpts>() as u32,
-        mode: MODE_CALL,
-        deadline_ns: u64::try_from(deadline.as_nanos()).unwrap_or(u64::MAX),
-        err: &mut err,
-        stamp_ns: 0,
-        may_still_run: 0,
-        reserved: 0,
-    };
+    let mut opts = options(MODE_CALL, deadline, &mut err);
     let outcome = call(&mut opts);
     if outcome == Outcome::Executed {
         return Ok(());

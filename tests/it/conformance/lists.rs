@@ -38,6 +38,7 @@ macro_rules! cases {
                     a_full_queue_gives_up_its_oldest_where_the_command_says_so,
                     a_call_that_was_not_begun_by_its_deadline_never_runs,
                     a_goal_that_was_sent_and_waited_longer_than_its_connection_allows_never_runs,
+                    a_command_that_was_sent_with_a_deadline_of_its_own_never_runs_after_it,
                     a_call_without_any_deadline_ends_all_the_same,
                     a_command_that_panics_has_failed_and_puts_only_its_server_in_fault,
                 }

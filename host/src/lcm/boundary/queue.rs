@@ -11,7 +11,7 @@ use trocar_rt::os;
 use trocar_rt::reply::{Reply, ReplyPool};
 
 use super::super::context;
-use super::super::inbox::ENTRY_COMMAND;
+use super::super::inbox::{ENTRY_COMMAND, ENTRY_DUE};
 use super::super::pending;
 use super::call::write_err;
 
@@ -56,8 +56,8 @@ pub(in crate::lcm) fn replaced(replies: &ReplyPool, token: u64) {
     }
 }
 
-/// Queues a call and, in the mode that asks for it, waits for the answer. `arg` and `ret` have the lane's sizes. Real-time unless it
-/// waits.
+/// Queues a call and, in the mode that asks for it, waits for the answer, `deadline_ns` from now at most. `arg` and
+/// `ret` have the lane's sizes. Real-time unless it waits.
 pub(super) fn queue(
     to: &impl Destination,
     lane: &Lane,
@@ -77,9 +77,14 @@ pub(super) fn queue(
         None
     };
     let reply = ticket.as_ref().map_or(0, |t| t.token());
-    // A waiting caller has its own deadline; the server judges the age of a command that was only sent.
-    let stamp_ns = if lane.ages && reply == 0 { context::about_now_ns() } else { 0 };
-    let head = EntryHead { kind: ENTRY_COMMAND, index: lane.index, reply, stamp_ns };
+    let says_when = opts.as_ref().is_some_and(|o| o.deadline_ns > 0);
+    let (kind, stamp_ns) = if ticket.is_some() || says_when {
+        (ENTRY_DUE, os::now_ns().saturating_add(deadline_ns))
+    } else {
+        // The server judges the age of what says nothing of it.
+        (ENTRY_COMMAND, if lane.ages { context::about_now_ns() } else { 0 })
+    };
+    let head = EntryHead { kind, index: lane.index, reply, stamp_ns };
     let payload: &[u8] = if lane.arg_bytes == 0 {
         &[]
     } else {
@@ -106,7 +111,7 @@ pub(super) fn queue(
     }
     let ret_bytes = lane.ret_bytes;
     let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
-    let reply = ticket.wait(os::now_ns().saturating_add(deadline_ns), |value, text| {
+    let reply = ticket.wait(stamp_ns, |value, text| {
         if ret_bytes > 0 {
             // SAFETY: `ret` has room for the result type; reply cells are made at least that large.
             unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), ret, ret_bytes.min(value.len())) };

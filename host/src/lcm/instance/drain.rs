@@ -15,7 +15,7 @@ use super::super::boundary::{
     EntryError, as_bytes, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
 };
 use super::super::dynamic::Goal;
-use super::super::inbox::{ENTRY_EVENT, Inbox};
+use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
 use super::super::supervise::Entry;
 use super::super::{context, pending};
 use super::{Entered, Instance, Misuse};
@@ -121,10 +121,13 @@ impl Instance {
         }
     }
 
-    /// Whether a command that was only sent has waited longer than its goal is right. Carrying it out would move
+    /// Whether a command has waited longer than it says, or than its goal is right. Carrying it out would move
     /// a device by a wish from before a standstill. Real-time.
     fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32) -> bool {
-        // Without a time, or with a reply, nothing ages here.
+        if head.kind == ENTRY_DUE {
+            return os::now_ns() > head.stamp_ns;
+        }
+        // Without a time nothing ages.
         if head.stamp_ns == 0 {
             return false;
         }

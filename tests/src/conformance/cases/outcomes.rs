@@ -155,19 +155,54 @@ pub fn a_goal_that_was_sent_and_waited_longer_than_its_connection_allows_never_r
         for call in sent {
             assert_eq!(lab.perform(call).only(), Outcome::Queued);
         }
-        let since = Instant::now();
-        eventually("the goal is too old", || {
-            let waited = since.elapsed();
-            if waited.as_nanos() > 2 * u128::from(deadline_ns) { Ok(()) } else { Err(format!("{waited:?}")) }
-        });
+        lasts(2 * deadline_ns);
     });
     // A command without numbers, such as one that stops a device, is right however long it waited.
     lab.await_count("server", "pokes", |n| n == 1);
     assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
     assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]), "the old goal was carried out");
+    await_unexecuted(&lab, 1);
+}
+
+pub fn a_command_that_was_sent_with_a_deadline_of_its_own_never_runs_after_it(way: &Way) {
+    let lab = Lab::running(way);
+    if way.deployment.inline() {
+        // Nothing waits there.
+        assert_eq!(lab.perform(Call::send(Function::Write, 9.0).within_ms(20)).only(), Outcome::Executed);
+        return;
+    }
+    lab.occupied(|| {
+        let sent = [
+            Call::send(Function::Write, 9.0).within_ms(20),
+            Call::send(Function::Poke, 0.0).within_ms(20),
+            Call::send(Function::Poke, 0.0).within_ms(600_000),
+        ];
+        for call in sent {
+            assert_eq!(lab.perform(call).only(), Outcome::Queued);
+        }
+        lasts(40_000_000);
+    });
+    lab.await_count("server", "pokes", |n| n > 0);
+    assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
+    let row = lab.row("server");
+    assert_eq!((&row["seen"], &row["pokes"]), (&serde_json::json!([1.0]), &serde_json::json!(1)), "{row}");
+    await_unexecuted(&lab, 2);
+}
+
+/// Comes back when so many ns have passed.
+fn lasts(ns: u64) {
+    let since = Instant::now();
+    eventually("time passes", || {
+        let waited = since.elapsed();
+        if waited.as_nanos() > u128::from(ns) { Ok(()) } else { Err(format!("{waited:?}")) }
+    });
+}
+
+/// The connections count so many commands that were taken and never ran.
+fn await_unexecuted(lab: &Lab, n: u64) {
     eventually("the connection counts it", || {
         let never_ran: u64 = lab.links().iter().map(|l| l.unexecuted).sum();
-        if never_ran == 1 { Ok(()) } else { Err(never_ran) }
+        if never_ran == n { Ok(()) } else { Err(never_ran) }
     });
 }
 

@@ -7,7 +7,11 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use trocar_model::{ConnectOptions, Execution, Verb};
 use trocar_plugin_api::abi::*;
+use trocar_rt::mailbox::{EntryHead, Overflow, Push};
+use trocar_rt::os;
+use trocar_rt::reply::Reply;
 
+use super::super::super::inbox::ENTRY_DUE;
 use super::puppet::*;
 use super::world::*;
 
@@ -224,6 +228,33 @@ fn a_caller_is_answered_when_its_server_is_removed_or_its_connection_cut_in_the_
     world.remove("server");
     world.cut(&connection);
     assert_eq!(client.ask(TWICE, 3).outcome, UNBOUND);
+}
+
+/// After a standstill of the machine the server's thread may come first: its caller has not given up yet.
+#[test]
+fn a_call_whose_deadline_has_passed_is_not_begun_although_its_caller_still_waits() {
+    let world = World::new("overdue");
+    let client = world.active("client", &client(false), on_signal(), Script::default());
+    let (script, heard, go) = held_up();
+    world.active("server", &server(), on_signal(), script);
+    world.connect("client/peer", "server/ctl");
+    assert_eq!(client.send(POKE, 0), QUEUED);
+    heard.recv().unwrap();
+    let inbox = world.instance("server").queues()[0].clone();
+    let ask = |until_ns: u64| {
+        let ticket = inbox.replies.acquire().unwrap();
+        let head =
+            EntryHead { kind: ENTRY_DUE, index: TWICE as u32, reply: ticket.token(), stamp_ns: until_ns };
+        assert_eq!(inbox.mailbox.push(head, &7u64.to_ne_bytes(), Overflow::Reject), Push::Queued);
+        ticket
+    };
+    let later_ns = os::now_ns() + 60_000_000_000;
+    let (overdue, in_time) = (ask(os::now_ns() - 1), ask(later_ns));
+    (0..2).for_each(|_| go.send(()).unwrap());
+    for (ticket, outcome) in [(overdue, DEADLINE), (in_time, EXECUTED)] {
+        let reply = ticket.wait(later_ns, |_, _| ());
+        assert!(matches!(reply, Reply::Done(o) if o == outcome), "{reply:?} instead of {outcome}");
+    }
 }
 
 /// Its caller saw it ACTIVE, then it was stopped and what was queued was answered, and only then the caller came to the queue.
