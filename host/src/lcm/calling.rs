@@ -18,8 +18,8 @@ use super::api::{Invoke, Payload, Reply};
 use super::boundary::{Answer, DEFAULT_DEADLINE_NS, FnBinding, REPLACED, Reader, within_ns};
 use super::connect;
 use super::dynamic::PortSet;
-use super::external::{misfit, wrong_kind};
 use super::instance::Instance;
+use super::outside::{misfit, wrong_kind};
 use super::reading::{self, Asked};
 
 /// So long after its deadline a call from outside that still runs is left alone.

@@ -36,11 +36,11 @@ use super::classes::Classes;
 use super::connect::Wired;
 use super::cycle::Follow;
 use super::executor::Executor;
-use super::external;
 use super::far::Here;
 use super::hub::Hub;
 use super::instance::{Entered, Instance, Loss};
 use super::order::Place;
+use super::outside::{self, Outside};
 use super::realtime::Memory;
 use super::services::Services;
 use super::supervise::{Entry, Manners, Roster, Watchdog};
@@ -76,6 +76,7 @@ pub struct LocalLcm {
     watchdog: Watchdog,
     follower: Follower,
     carriers: Arc<Carriers>,
+    pub(super) outside: Outside,
 }
 
 #[derive(Default)]
@@ -151,6 +152,7 @@ impl LocalLcm {
             follower: Follower::new(hub.ports.clone()),
             roster,
             memory,
+            outside: Outside::default(),
             hub,
         });
         let (hub, weak) = (lcm.hub.clone(), Arc::downgrade(&lcm));
@@ -475,11 +477,11 @@ impl Lcm for LocalLcm {
         frame: bool,
         deadline: Instant,
     ) -> Result<Sample, Refusal> {
-        external::read(self, &path, when, frame, deadline).await
+        outside::read(self, &path, when, frame, deadline).await
     }
 
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
-        external::subscribe(self, selections)
+        outside::subscribe(self, selections)
     }
 
     async fn phases(

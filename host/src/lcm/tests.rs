@@ -14,6 +14,7 @@ mod going;
 mod governed;
 mod leaving;
 mod manners;
+mod outside;
 mod passive;
 mod phases;
 mod premises;

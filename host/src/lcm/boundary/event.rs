@@ -106,6 +106,11 @@ impl EventCell {
         self.sinks.reclaim()
     }
 
+    #[cfg(test)]
+    pub(in crate::lcm) fn listeners(&self) -> usize {
+        self.sinks.enter().all.len()
+    }
+
     /// Adds or removes observers; managers only.
     pub(in crate::lcm) fn edit(&self, f: impl FnOnce(&mut Vec<Arc<EventSink>>)) {
         self.change(|sinks| f(&mut sinks.all));

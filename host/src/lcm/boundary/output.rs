@@ -193,6 +193,16 @@ impl OutCell {
         });
     }
 
+    /// Whether it still gives what is written to this link.
+    pub(in crate::lcm) fn has(&self, link: &Arc<OutLink>) -> bool {
+        self.outs.enter().links.iter().any(|l| Arc::ptr_eq(l, link))
+    }
+
+    #[cfg(test)]
+    pub(in crate::lcm) fn readers(&self) -> usize {
+        self.outs.enter().links.len()
+    }
+
     fn edit(&self, f: impl FnOnce(&mut Outs)) {
         let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
         let now = self.outs.enter();

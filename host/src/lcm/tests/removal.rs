@@ -9,7 +9,7 @@ use super::super::boundary::fake::{Device, Own};
 use super::standing::Held;
 use super::*;
 
-fn destroy(world: &World, name: &str) -> Change {
+pub(super) fn destroy(world: &World, name: &str) -> Change {
     let info = class(ctl(), Safety::None);
     let component = Box::new(Component {
         ports: Arc::new(info.ports.clone()),

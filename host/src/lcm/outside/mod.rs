@@ -1,0 +1,42 @@
+//! What the outside sees: a state row or an output read once, events, states and outputs followed.
+//!
+//! Invariant: costs the component one push into a bounded queue for each output and event that anybody looks at, one more where
+//! frames are wanted as well, however many look; whoever reads too slowly loses items, counted.
+
+mod event;
+mod follow;
+mod output;
+mod read;
+mod shared;
+
+use serde_json::Value;
+use trocar_model::{MemberId, Refusal, Type, ValueError, decode};
+
+use super::instance::Instance;
+pub(super) use follow::subscribe;
+pub(super) use read::read;
+use shared::Shared;
+
+/// What somebody outside looks at now.
+#[derive(Default)]
+pub(super) struct Outside {
+    outputs: Shared<(u32, String, bool), output::SharedOutput>,
+    events: Shared<(u32, MemberId), event::SharedEvent>,
+}
+
+/// The bytes of a value come from the plugin, and so does what is wrong with them.
+pub(super) fn misfit(instance: &Instance, e: &ValueError) -> String {
+    format!("its class {} made a value that does not fit the type: {e}", instance.info.full_name())
+}
+
+fn not_shown(instance: &Instance, entry: &'static str, e: &ValueError) -> Refusal {
+    Refusal::ComponentRefused { id: instance.id.clone(), entry, text: misfit(instance, e) }
+}
+
+fn shown(instance: &Instance, entry: &'static str, ty: &Type, bytes: &[u8]) -> Result<Value, Refusal> {
+    decode(ty, bytes).map_err(|e| not_shown(instance, entry, &e))
+}
+
+pub(super) fn wrong_kind(member: &MemberId, is: String, wanted: &str) -> Refusal {
+    Refusal::WrongKind { member: member.clone(), is, wanted: wanted.to_owned() }
+}
