@@ -207,7 +207,7 @@ impl Session {
         &self,
         from: u64,
     ) -> Result<Follow<'_, v1::WatchResponse, ChangeView>, Failure> {
-        let ask = v1::WatchRequest { from_revision: from };
+        let ask = v1::WatchRequest { from_revision: from, page_size: 0 };
         let stream = self.client().await?.gcm.watch(ask).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(Follow { session: self, stream, view: convert::change })
     }

@@ -2553,6 +2553,12 @@ pub struct ListRequest {
     /// deadline comes. Empty = it answers at once.
     #[prost(string, tag = "4")]
     pub unless_etag: ::prost::alloc::string::String,
+    /// At most so many processes, components, connections and classes together; 0 = everything in one answer.
+    #[prost(int32, tag = "5")]
+    pub page_size: i32,
+    /// The `next_page_token` of the answer before, whose path and classes were the same; empty = the first page.
+    #[prost(string, tag = "6")]
+    pub page_token: ::prost::alloc::string::String,
 }
 /// Answers List.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -2581,6 +2587,10 @@ pub struct ListResponse {
     /// Stands for the processes, components and connections above without their figures: equal where they are equal, for this GCM.
     #[prost(string, tag = "8")]
     pub etag: ::prost::alloc::string::String,
+    /// Where the next page begins; empty = this is the last. What is there while all pages are asked for is on one of them; equal
+    /// etags say that nothing changed meanwhile.
+    #[prost(string, tag = "9")]
+    pub next_page_token: ::prost::alloc::string::String,
 }
 /// Asks for Describe.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -2811,6 +2821,9 @@ pub struct WatchRequest {
     /// The revision the caller has seen; when it is still the present one no snapshot is sent first.
     #[prost(uint64, tag = "1")]
     pub from_revision: u64,
+    /// At most so many processes, components, connections and removals in one message; 0 = each snapshot and delta in one.
+    #[prost(int32, tag = "2")]
+    pub page_size: i32,
 }
 /// One message of Watch.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -2850,6 +2863,9 @@ pub struct Snapshot {
     /// The connections.
     #[prost(message, repeated, tag = "3")]
     pub connections: ::prost::alloc::vec::Vec<Connection>,
+    /// True: the next message goes on with it, and the revision is reached with the last one.
+    #[prost(bool, tag = "4")]
+    pub more: bool,
 }
 /// What is different from the message before.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -2872,6 +2888,9 @@ pub struct Delta {
     /// Numbers of connections that are gone.
     #[prost(uint64, repeated, tag = "6")]
     pub removed_connections: ::prost::alloc::vec::Vec<u64>,
+    /// True: the next message goes on with it, and the revision is reached with the last one.
+    #[prost(bool, tag = "7")]
+    pub more: bool,
 }
 /// Generated client implementations.
 pub mod gcm_service_client {

@@ -1,14 +1,18 @@
 //! GcmService: one thin method per RPC.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tonic::{Request, Response, Status};
-use trocar_model::{Change, ComponentId, Connection, Name, Refusal, Request as Asked, SystemGraph};
+use trocar_model::{
+    Change, ClassInfo, ComponentId, Connection, Name, Refusal, Request as Asked, SystemGraph,
+};
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_server::GcmService;
 
 use super::list::{Listed, listed};
+use super::page::Pages;
 use super::part::{narrow, split};
 use super::wait::{Awaited, Wait};
 use super::watch::{WatchStream, watch};
@@ -297,21 +301,20 @@ impl GcmService for Edge {
         let until = deadline(&request);
         let r = request.into_inner();
         let gcm = self.gcm()?;
+        let pages = Pages::of(&r).map_err(refuse)?;
         let listed = listed(gcm.watch(), &r, until - room(until), self.closing.clone()).await;
-        let Listed { whole, part, etag } = listed.map_err(refuse)?;
+        let Listed { whole, mut part, etag } = listed.map_err(refuse)?;
+        let mut classes = if r.classes { classes(&part) } else { Vec::new() };
+        let next_page_token = pages.cut(&mut part, &mut classes);
         let ids: Vec<ComponentId> = part.components.keys().cloned().collect();
         let shown: Vec<&Connection> = part.connections.values().collect();
         let figures = if r.brief { Figures::default() } else { self.figures(&ids, &shown, until).await };
-        let mut answer = v1::ListResponse { etag, ..convert::list(&whole, &part, gcm.term(), &figures) };
-        if r.classes {
-            let mut seen = BTreeSet::new();
-            let classes = part.processes.values().flat_map(|p| &p.classes);
-            answer.classes = classes
-                .filter(|c| seen.insert((c.full_name(), c.hash.clone())))
-                .map(|c| convert::class(c))
-                .collect();
-        }
-        Ok(Response::new(answer))
+        Ok(Response::new(v1::ListResponse {
+            etag,
+            next_page_token,
+            classes: classes.iter().map(|c| convert::class(c)).collect(),
+            ..convert::list(&whole, &part, gcm.term(), &figures)
+        }))
     }
 
     async fn describe(
@@ -398,8 +401,20 @@ impl GcmService for Edge {
 
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Result<Response<WatchStream>, Status> {
         let gcm = self.gcm()?;
-        Ok(Response::new(watch(gcm.watch(), gcm.term(), request.into_inner().from_revision)))
+        let v1::WatchRequest { from_revision, page_size } = request.into_inner();
+        let size = page_size.try_into().map_err(|_| {
+            let why = "it is negative; 0 means each in one message".into();
+            refuse(Refusal::ArgumentInvalid { what: "Watch".into(), why, field: "page_size".into() })
+        })?;
+        Ok(Response::new(watch(gcm.watch(), gcm.term(), from_revision, size)))
     }
+}
+
+/// Each class once that these processes offer.
+fn classes(part: &SystemGraph) -> Vec<Arc<ClassInfo>> {
+    let mut seen = BTreeSet::new();
+    let all = part.processes.values().flat_map(|p| &p.classes);
+    all.filter(|c| seen.insert((c.full_name(), c.hash.clone()))).cloned().collect()
 }
 
 fn connections(graph: &SystemGraph, shown: &[&Connection], figures: &Figures) -> Vec<v1::Connection> {

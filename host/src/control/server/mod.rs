@@ -5,6 +5,7 @@ mod guest;
 mod interact;
 mod list;
 mod logs;
+mod page;
 mod part;
 mod past;
 mod plugin;

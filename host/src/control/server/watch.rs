@@ -12,18 +12,30 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 use trocar_model::{Connection, SystemGraph};
 use trocar_proto::v1;
+use trocar_proto::v1::watch_response::News;
 
+use super::page;
 use crate::control::convert;
 
 pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
 
-/// A watcher that knows revision `from` already gets no snapshot when nothing is newer.
-pub(super) fn watch(mut graphs: watch::Receiver<Arc<SystemGraph>>, term: u64, from: u64) -> WatchStream {
+/// A watcher that knows revision `from` already gets no snapshot when nothing is newer; messages have `size` items at most,
+/// 0 = any number.
+pub(super) fn watch(
+    mut graphs: watch::Receiver<Arc<SystemGraph>>,
+    term: u64,
+    from: u64,
+    size: usize,
+) -> WatchStream {
     let (tell, told) = mpsc::channel(4);
     tokio::spawn(async move {
         let mut seen = graphs.borrow_and_update().clone();
-        if (from == 0 || from != seen.revision) && tell.send(Ok(snapshot(&seen, term))).await.is_err() {
-            return;
+        if from == 0 || from != seen.revision {
+            for news in snapshots(&seen, size) {
+                if tell.send(Ok(message(&seen, term, news))).await.is_err() {
+                    return;
+                }
+            }
         }
         loop {
             tokio::select! {
@@ -34,10 +46,10 @@ pub(super) fn watch(mut graphs: watch::Receiver<Arc<SystemGraph>>, term: u64, fr
             // An accepted change is told by its revision even when the news of it came before.
             let changed = delta(&seen, &now);
             if changed.is_some() || now.revision != seen.revision {
-                let delta = changed.unwrap_or_default();
-                let news = Some(v1::watch_response::News::Delta(delta));
-                if tell.send(Ok(v1::WatchResponse { revision: now.revision, term, news })).await.is_err() {
-                    return;
+                for delta in page::deltas(changed.unwrap_or_default(), size) {
+                    if tell.send(Ok(message(&now, term, News::Delta(delta)))).await.is_err() {
+                        return;
+                    }
                 }
             }
             seen = now;
@@ -46,15 +58,19 @@ pub(super) fn watch(mut graphs: watch::Receiver<Arc<SystemGraph>>, term: u64, fr
     Box::pin(ReceiverStream::new(told))
 }
 
-fn snapshot(graph: &SystemGraph, term: u64) -> v1::WatchResponse {
-    let list = convert::list(graph, graph, term, &convert::Figures::default());
-    let snapshot = v1::Snapshot {
+fn message(graph: &SystemGraph, term: u64, news: News) -> v1::WatchResponse {
+    v1::WatchResponse { revision: graph.revision, term, news: Some(news) }
+}
+
+fn snapshots(graph: &SystemGraph, size: usize) -> impl Iterator<Item = News> {
+    let list = convert::list(graph, graph, 0, &convert::Figures::default());
+    let whole = v1::Snapshot {
         processes: list.processes,
         components: list.components,
         connections: list.connections,
+        more: false,
     };
-    let news = Some(v1::watch_response::News::Snapshot(snapshot));
-    v1::WatchResponse { revision: graph.revision, term, news }
+    page::snapshots(whole, size).into_iter().map(News::Snapshot)
 }
 
 fn delta(before: &SystemGraph, after: &SystemGraph) -> Option<v1::Delta> {
@@ -66,6 +82,7 @@ fn delta(before: &SystemGraph, after: &SystemGraph) -> Option<v1::Delta> {
         removed_processes: removed(&before.processes, p).map(ToString::to_string).collect(),
         removed_components: removed(&before.components, c).map(ToString::to_string).collect(),
         removed_connections: removed(&before.connections, l).map(|id| id.0).collect(),
+        more: false,
     };
     (delta != v1::Delta::default()).then_some(delta)
 }

@@ -1,6 +1,7 @@
 //! What the port serves besides the methods: reflection, health, streams, logs, and where it may listen.
 
 use tokio_stream::StreamExt;
+use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
@@ -99,6 +100,92 @@ async fn a_watcher_gets_a_snapshot_and_then_what_changes() {
         panic!("then only what changed");
     };
     assert_eq!(delta.removed_components, ["host/a"]);
+}
+
+/// Names of everything in an answer of List.
+fn names(answer: &v1::ListResponse) -> Vec<String> {
+    let processes = answer.processes.iter().map(|p| p.name.clone());
+    let components = answer.components.iter().map(|c| c.path.clone());
+    let connections = answer.connections.iter().map(|c| format!("connection {}", c.id));
+    let classes = answer.classes.iter().map(|c| format!("class {}", c.name));
+    processes.chain(components).chain(connections).chain(classes).collect()
+}
+
+#[tokio::test]
+async fn a_list_in_pages_has_everything_once_also_when_something_is_made_or_goes_meanwhile() {
+    let s = System::start().await;
+    let mut gcm = s.gcm();
+    for name in ["a", "b", "c", "d", "e"] {
+        gcm.create(create(&format!("host/{name}"))).await.unwrap();
+    }
+    let ask = |page_size, page_token: &str| v1::ListRequest {
+        classes: true,
+        page_size,
+        page_token: page_token.into(),
+        ..Default::default()
+    };
+    let whole = gcm.list(ask(0, "")).await.unwrap().into_inner();
+    assert!(whole.next_page_token.is_empty() && names(&whole).len() > 6);
+    for size in [1, 2, 3, 100] {
+        let (mut token, mut all) = (String::new(), Vec::new());
+        loop {
+            let page = gcm.list(ask(size, &token)).await.unwrap().into_inner();
+            let here = names(&page);
+            assert!(!here.is_empty() && here.len() <= size as usize, "{here:?}");
+            assert_eq!(page.etag, whole.etag, "nothing has changed");
+            all.extend(here);
+            token = page.next_page_token;
+            if token.is_empty() {
+                break;
+            }
+        }
+        assert_eq!(all, names(&whole), "pages of {size}");
+    }
+    // The process, a and b; then b goes and one comes in front of it.
+    let first = gcm.list(ask(3, "")).await.unwrap().into_inner();
+    gcm.remove(v1::RemoveRequest { path: "host/b".into(), ..Default::default() }).await.unwrap();
+    gcm.create(create("host/aa")).await.unwrap();
+    let rest = gcm.list(ask(100, &first.next_page_token)).await.unwrap().into_inner();
+    assert_eq!(names(&rest)[..3], ["host/c", "host/d", "host/e"]);
+    assert_ne!(rest.etag, first.etag, "who cares sees that it changed");
+
+    let other = v1::ListRequest { path: "host/**".into(), ..ask(3, &first.next_page_token) };
+    let waits = v1::ListRequest { unless_etag: "x".into(), ..ask(3, &first.next_page_token) };
+    for refused in [other, waits, ask(3, "nothing of ours"), ask(-1, "")] {
+        let status = gcm.list(refused.clone()).await.expect_err("it goes on with no answer of that kind");
+        assert_eq!(status.code(), Code::InvalidArgument, "{refused:?}: {status}");
+    }
+}
+
+#[tokio::test]
+async fn a_watcher_gets_its_snapshot_and_its_deltas_in_pages_if_it_asks_for_them() {
+    use v1::watch_response::News;
+    let s = System::start().await;
+    let mut gcm = s.gcm();
+    for name in ["a", "b", "c"] {
+        gcm.create(create(&format!("host/{name}"))).await.unwrap();
+    }
+    let mut watch =
+        gcm.watch(v1::WatchRequest { from_revision: 0, page_size: 2 }).await.unwrap().into_inner();
+    let mut components = Vec::new();
+    loop {
+        let Some(News::Snapshot(page)) = watch.message().await.unwrap().unwrap().news else {
+            panic!("first the whole graph")
+        };
+        assert!(page.processes.len() + page.components.len() + page.connections.len() <= 2, "{page:?}");
+        components.extend(page.components.into_iter().map(|c| c.path));
+        if !page.more {
+            break;
+        }
+    }
+    assert_eq!(components, ["host/a", "host/b", "host/c"]);
+    gcm.remove(v1::RemoveRequest { path: "host/b".into(), ..Default::default() }).await.unwrap();
+    let Some(News::Delta(delta)) = watch.message().await.unwrap().unwrap().news else {
+        panic!("then what changes")
+    };
+    assert_eq!((delta.removed_components, delta.more), (vec!["host/b".to_owned()], false));
+    let refused = gcm.watch(v1::WatchRequest { from_revision: 0, page_size: -1 }).await;
+    assert_eq!(refused.expect_err("no such size").code(), Code::InvalidArgument);
 }
 
 #[tokio::test]
