@@ -1,10 +1,14 @@
 //! Numbers that are never reused: the term of this GCM and the epochs of processes, durable when there is a state folder.
+//!
+//! Invariant: where what was counted cannot be read, the count goes on from the time of day in seconds, which one that began
+//! at 0 does not reach.
 
 use std::fmt;
 use std::fs;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +38,16 @@ struct Kept {
     next_epoch: u64,
 }
 
+impl Kept {
+    fn by_time() -> Kept {
+        let s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        Kept { term: s, next_epoch: s }
+    }
+}
+
+/// No process has counted so far ahead of its GCM.
+const AHEAD: u64 = 1 << 32;
+
 pub(super) struct Ids {
     file: Option<PathBuf>,
     kept: Mutex<Kept>,
@@ -46,8 +60,12 @@ impl Ids {
         let mut kept = Kept::default();
         if let Some(file) = &file {
             kept = match fs::read(file) {
-                Ok(text) => serde_json::from_slice(&text)
-                    .map_err(|e| IdsError { file: file.clone(), error: io::Error::other(e) })?,
+                Ok(text) => serde_json::from_slice(&text).unwrap_or_else(|error| {
+                    let kept = Kept::by_time();
+                    let (file, term) = (file.display(), kept.term);
+                    log::warn!("{file} is damaged ({error}), perhaps the disk was full: the count goes on from {term}");
+                    kept
+                }),
                 Err(e) if e.kind() == io::ErrorKind::NotFound => Kept::default(),
                 Err(error) => return Err(IdsError { file: file.clone(), error }),
             };
@@ -71,6 +89,12 @@ impl Ids {
         Ok(next.next_epoch)
     }
 
+    /// Whether some GCM may have given this number out; else a caller made it up, and to count on from it would soon end.
+    pub(super) fn may_be(&self, epoch: u64) -> bool {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        epoch != 0 && epoch <= kept.next_epoch.saturating_add(AHEAD)
+    }
+
     /// A number that was given out before, by this GCM or one before it, and is kept from now on, too.
     pub(super) fn not_below(&self, epoch: u64) -> Result<u64, IdsError> {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
@@ -87,8 +111,42 @@ impl Ids {
         let temporary = file.with_extension("json.new");
         let done = serde_json::to_vec(&kept)
             .map_err(io::Error::other)
-            .and_then(|text| fs::write(&temporary, text))
+            .and_then(|text| {
+                let mut new = fs::File::create(&temporary)?;
+                // Whole on the disk before it takes the other's place.
+                new.write_all(&text).and_then(|()| new.sync_data())
+            })
             .and_then(|()| fs::rename(&temporary, file));
         done.map_err(|error| IdsError { file: file.clone(), error })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn numbers_go_on_where_the_file_is_damaged_and_none_is_given_twice() {
+        let state = tempfile::tempdir().unwrap();
+        let first = Ids::open(Some(state.path())).unwrap();
+        let (term, epoch) = (first.term(), first.next_epoch().unwrap());
+        drop(first);
+        for damage in ["", "{", "{}", "\0\0\0\0"] {
+            fs::write(state.path().join("gcm.json"), damage).unwrap();
+            let then = Ids::open(Some(state.path())).unwrap();
+            assert!(then.term() > term && then.next_epoch().unwrap() > epoch, "after {damage:?}");
+        }
+    }
+
+    #[test]
+    fn a_number_that_nobody_gave_out_is_not_counted_on_from() {
+        let ids = Ids::open(None).unwrap();
+        assert!(!ids.may_be(0) && !ids.may_be(u64::MAX) && !ids.may_be(1 << 40));
+        let by_time = Kept::by_time().next_epoch;
+        assert!(ids.may_be(by_time), "one that a GCM with a damaged file gave out");
+        ids.not_below(by_time).unwrap();
+        assert_eq!(ids.next_epoch().unwrap(), by_time + 1);
     }
 }

@@ -288,7 +288,7 @@ impl Gcm {
         };
         let ids = &self.inner.ids;
         let taken = || sessions.last.iter().any(|(name, (_, epoch))| *name != who.process && *epoch == known);
-        let epoch = if known == 0 || taken() { ids.next_epoch() } else { ids.not_below(known) };
+        let epoch = if taken() || !ids.may_be(known) { ids.next_epoch() } else { ids.not_below(known) };
         let epoch = epoch.map_err(|e| Refusal::Internal { text: e.to_string() })?;
         sessions.newest += 1;
         let session = sessions.newest;

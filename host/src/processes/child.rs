@@ -6,8 +6,9 @@
 //! passes through this process: it can wait for no reader.
 
 use std::ffi::OsString;
-use std::fs::File;
+use std::fs::{DirBuilder, File};
 use std::os::fd::OwnedFd;
+use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
@@ -85,6 +86,10 @@ impl Child {
         }
         let (ours, its) = UnixStream::pair()?;
         ours.set_nonblocking(true)?;
+        // Somebody may have emptied the state directory.
+        if let Some(place) = program.output.parent() {
+            DirBuilder::new().recursive(true).mode(0o700).create(place)?;
+        }
         let output = File::options().create(true).append(true).open(&program.output)?;
         // Its own group: Ctrl-C is for whoever keeps it, who then ends all in order.
         command.process_group(0).stdin(Stdio::from(OwnedFd::from(its)));

@@ -124,6 +124,16 @@ fn what_a_process_has_started_ends_with_it() {
 }
 
 #[test]
+fn a_process_comes_back_although_its_state_directory_was_removed() {
+    let two = System::up(TWO, &[]);
+    let before = two.host("right");
+    std::fs::remove_dir_all(two.world.path("xdg-state")).unwrap();
+    kill("-KILL", pid(&before));
+    two.await_back("right", &before);
+    assert_eq!(two.grpc.state("right/s"), "ACTIVE");
+}
+
+#[test]
 fn one_that_hangs_before_it_serves_is_killed_and_counts_as_failed() {
     let policy = r#"{ "max": 1000, "backoff_ms": 1, "start_within_s": 10 }"#;
     let system = System::up(&one(policy, r#""right/s": { "class": "sine" }"#), &[]);
