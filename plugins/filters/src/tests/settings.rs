@@ -6,14 +6,14 @@ use proptest::prelude::*;
 
 use super::*;
 
+/// Kinds of a biquad that let a constant through, and all, with whether they do.
+const THROUGH: &[(&str, bool)] = &[("low_pass", true), ("notch", true)];
+const ALL: &[(&str, bool)] =
+    &[("low_pass", true), ("notch", true), ("high_pass", false), ("band_pass", false)];
+
 /// Settings of a biquad, and whether they let a constant through.
-fn biquads() -> impl Strategy<Value = (String, bool)> {
-    let kinds = prop::sample::select(vec![
-        ("low_pass", true),
-        ("notch", true),
-        ("high_pass", false),
-        ("band_pass", false),
-    ]);
+fn biquads(kinds: &'static [(&'static str, bool)]) -> impl Strategy<Value = (String, bool)> {
+    let kinds = prop::sample::select(kinds);
     // Up to nearly half of the rate, 1 kHz, evenly over the decades.
     let (hz, q) = ((-2.0..2.698f64).prop_map(|e| 10f64.powf(e)), (-1.3..2.0f64).prop_map(|e| 10f64.powf(e)));
     (kinds, hz, q).prop_map(|((kind, through), hz, q)| {
@@ -83,16 +83,14 @@ fn passes<C: Class, T: Payload>(
 proptest! {
     #[test]
     fn a_biquad_lets_a_constant_through_whatever_it_is_set_to(
-        (from, _) in biquads().prop_filter("it stops what is constant", |b| b.1),
-        (to, _) in biquads().prop_filter("it stops what is constant", |b| b.1),
-        constant in -1e6..1e6f64,
+        (from, _) in biquads(THROUGH), (to, _) in biquads(THROUGH), constant in -1e6..1e6f64,
     ) {
         passes::<Biquad, Scalar>([&from, &to], "filtered", constant, |s| s.value)?;
     }
 
     #[test]
     fn a_biquad_between_any_settings_leads_a_constant_without_a_jump_to_what_becomes_of_it(
-        (from, through) in biquads(), (to, still) in biquads(), constant in -1e6..1e6f64,
+        (from, through) in biquads(ALL), (to, still) in biquads(ALL), constant in -1e6..1e6f64,
     ) {
         let [before, after] = changed::<Biquad, Scalar>([&from, &to], "filtered", &[constant; 80], |s| s.value);
         let [is, becomes] = [through, still].map(|through| if through { constant } else { 0.0 });
@@ -109,7 +107,7 @@ proptest! {
 
     #[test]
     fn noise_comes_out_of_a_changed_biquad_no_larger_than_the_designs_can_make_it(
-        (from, _) in biquads(), (to, _) in biquads(), seed: u64,
+        (from, _) in biquads(ALL), (to, _) in biquads(ALL), seed: u64,
     ) {
         let mut random = fastrand::Rng::with_seed(seed);
         let noise: Vec<f64> = (0..2000).map(|_| 2.0 * random.f64() - 1.0).collect();
