@@ -3,6 +3,7 @@
 //! Invariant: a full disk or a closed stderr never stops the program; the level that is recorded is never coarser than
 //! the one shown.
 
+use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -24,12 +25,15 @@ const EARLY: usize = 200;
 
 static LOGGER: Logger = Logger {
     shown: Mutex::new(LevelFilter::Warn),
+    kept: Mutex::new(None),
     file: Mutex::new(None),
     readers: Mutex::new(Readers::Early(Vec::new())),
 };
 
 struct Logger {
     shown: Mutex<LevelFilter>,
+    /// Where they are kept instead of stderr, while a screen is drawn there.
+    kept: Mutex<Option<Kept>>,
     file: Mutex<Option<Rotating>>,
     readers: Mutex<Readers>,
 }
@@ -84,6 +88,50 @@ pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + 'static) {
     *readers = Readers::Told(Box::new(tell));
 }
 
+/// Lines that a screen shows; the newest ones.
+#[derive(Clone, Default)]
+pub(super) struct Kept {
+    pub(super) newest: VecDeque<String>,
+    /// How many there were.
+    pub(super) all: usize,
+}
+
+impl Kept {
+    fn push(&mut self, line: &str) {
+        self.all += 1;
+        if self.newest.len() == EARLY {
+            self.newest.pop_front();
+        }
+        self.newest.push_back(line.trim_end().to_owned());
+    }
+}
+
+/// While it lives, what would be shown on stderr is kept for a screen; afterwards it is shown there.
+pub(super) struct Diverted(());
+
+impl Diverted {
+    pub(super) fn begin() -> Diverted {
+        *LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(Kept::default());
+        Diverted(())
+    }
+
+    pub(super) fn kept(&self) -> Kept {
+        LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
+    }
+}
+
+impl Drop for Diverted {
+    fn drop(&mut self) {
+        let kept = LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+        let mut text = String::new();
+        if kept.all > kept.newest.len() {
+            text = format!("{} lines before these:\n", kept.all - kept.newest.len());
+        }
+        kept.newest.iter().for_each(|line| text.push_str(&format!("{line}\n")));
+        let _ = std::io::stderr().write_all(text.as_bytes());
+    }
+}
+
 impl Rotating {
     fn open(path: PathBuf) -> std::io::Result<Self> {
         let file = File::options().create(true).append(true).open(&path)?;
@@ -117,7 +165,10 @@ impl Log for Logger {
         let said = record.args().to_string();
         let line = format!("{}Z {:5} {}\n", clock(now), record.level(), paragraph(&said));
         if record.level() <= *self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
-            let _ = std::io::stderr().write_all(line.as_bytes());
+            match self.kept.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+                Some(kept) => kept.push(&line),
+                None => _ = std::io::stderr().write_all(line.as_bytes()),
+            }
         }
         if let Some(file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
             let _ = file.write(&line);

@@ -36,6 +36,7 @@ mod recording;
 mod restart;
 mod run;
 mod schema;
+mod screen;
 mod session;
 mod states;
 mod style;

@@ -168,6 +168,13 @@ fn say_running(host: &Host, file: &SystemFile, session: &Session) {
     out::text(&hints(&addr, None));
 }
 
+/// A call by grpcurl, to paste; in two lines, so that a terminal of 80 columns shows all of it.
+pub(super) fn invocation(addr: &str, command: &str) -> String {
+    format!(
+        "  grpcurl -plaintext -d '{{\"path\":\"{command}\"}}' \\\n    {addr} trocar.v1.InteractService/Invoke\n"
+    )
+}
+
 /// Lines to paste. `command` is a read command to call, if one is known.
 pub(super) fn hints(addr: &str, command: Option<&str>) -> String {
     let gcm = if addr == session::DEFAULT_GCM { String::new() } else { format!(" --gcm {addr}") };
@@ -176,9 +183,7 @@ pub(super) fn hints(addr: &str, command: Option<&str>) -> String {
         "  viewer {viewer}\n  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n"
     );
     if let Some(command) = command {
-        text.push_str(&format!(
-            "  grpcurl -plaintext -d '{{\"path\":\"{command}\"}}' {addr} trocar.v1.InteractService/Invoke\n"
-        ));
+        text.push_str(&invocation(addr, command));
     }
     text.push_str("Ctrl-C stops it, devices safe first.\n");
     text

@@ -91,7 +91,8 @@ pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> R
         Ok::<_, Failure>((a, Reading::now(session).await?))
     };
     let (robot, system) = tokio::try_join!(robot, system)?;
-    Ok(Report::between(&robot, &system, parts))
+    let steps = Steps::between(&robot.0, &robot.1);
+    Ok(Report::of(steps, &system.0, &system.1, parts))
 }
 
 /// The time of a look: the middle of two times, between which it was taken.
@@ -151,13 +152,13 @@ async fn after_step(session: &Session, robot: &str) -> Result<Robot, Failure> {
 }
 
 /// All counters at one moment.
-struct Reading {
+pub(super) struct Reading {
     moment: Moment,
     all: SystemView,
 }
 
 impl Reading {
-    async fn now(session: &Session) -> Result<Reading, Failure> {
+    pub(super) async fn now(session: &Session) -> Result<Reading, Failure> {
         let begun = Instant::now();
         let all = session.list().await?;
         Ok(Reading { moment: Moment::within(begun, Instant::now()), all })
@@ -166,6 +167,10 @@ impl Reading {
     fn stats(&self, path: &str) -> StatsView {
         let found = self.all.components.iter().find(|c| c.path == path);
         found.map(|c| c.stats.clone()).unwrap_or_default()
+    }
+
+    fn robot(&self, parts: &Parts) -> Robot {
+        Robot { moment: self.moment, stats: self.stats(&parts.robot) }
     }
 
     /// Lost on the way of the video.
@@ -204,8 +209,12 @@ impl Steps {
 }
 
 impl Report {
-    fn between(robot: &(Robot, Robot), system: &(Reading, Reading), parts: &Parts) -> Report {
-        let (a, b) = system;
+    /// What was reached between two looks, of which none was taken right after a step of the robot.
+    pub(super) fn between(a: &Reading, b: &Reading, parts: &Parts) -> Report {
+        Report::of(Steps::between(&a.robot(parts), &b.robot(parts)), a, b, parts)
+    }
+
+    fn of(robot: Steps, a: &Reading, b: &Reading, parts: &Parts) -> Report {
         let (seconds, unsure_s) = a.moment.until(&b.moment);
         let left_out = since(a.stats(&parts.source).skipped, b.stats(&parts.source).skipped);
         let end = b.end(parts);
@@ -215,7 +224,7 @@ impl Report {
             seconds,
             unsure_s,
             processes: b.all.processes.len(),
-            robot: Steps::between(&robot.0, &robot.1),
+            robot,
             video: Video {
                 pairs,
                 rate_hz: if seconds > 0.0 { pairs as f64 / seconds } else { 0.0 },

@@ -5,9 +5,10 @@
 
 mod acting;
 mod behavior;
+mod face;
+mod head;
 mod layout;
 mod measure;
-mod screen;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -17,9 +18,10 @@ use serde::Serialize;
 
 use self::acting::Acting;
 use self::behavior::Behavior;
+use self::face::Face;
+use self::head::Head;
 use self::layout::Layout;
-use self::measure::{Parts, Report, measure};
-use self::screen::Screen;
+use self::measure::{Parts, Reading, Report, measure};
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::up::programs::{self, Launch};
@@ -117,11 +119,13 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
     let done = match run::bring_up(&host, file, &mut stop).await {
         Ok(true) => {
             let addr = hosting::address(&host);
-            show.begin(&format!(", listening on {addr}"), &addr).await;
-            let done = tokio::select! {
-                done = show.run(&addr) => done,
-                () = stop.asked() => Ok(Exit::Ok),
+            let head = show.begin(&format!(", listening on {addr}"), &addr).await;
+            let from = show.look(&addr).await;
+            let ended = tokio::select! {
+                ended = show.run(&addr, &head) => ended,
+                () = stop.asked() => Ok(None),
             };
+            let done = show.over(ended, &addr, from).await;
             show.rest(&addr).await;
             done
         }
@@ -147,14 +151,17 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
             for warning in &up.warnings {
                 out::complain("warning", warning);
             }
-            show.begin(&format!(" in {} processes, GCM {}", file.processes.len(), up.addr), &up.addr).await;
+            let how = format!(" in {} processes, GCM {}", file.processes.len(), up.addr);
+            let head = show.begin(&how, &up.addr).await;
+            let from = show.look(&up.addr).await;
             // On a terminal the table says it.
             let voice = (!style::interactive()).then(|| up::voice("demo"));
-            let done = tokio::select! {
+            let ended = tokio::select! {
                 never = system.keep(file, voice.as_ref()) => match never {},
-                done = show.run(&up.addr) => done,
-                () = stop.asked() => Ok(Exit::Ok),
+                ended = show.run(&up.addr, &head) => ended,
+                () = stop.asked() => Ok(None),
             };
+            let done = show.over(ended, &up.addr, from).await;
             show.rest(&up.addr).await;
             done
         }
@@ -176,26 +183,29 @@ struct Show<'a> {
 }
 
 impl Show<'_> {
-    async fn begin(&self, how: &str, addr: &str) {
-        if self.session.json() {
-            if self.seconds.is_none() && self.pictures.is_none() {
-                out::line(
-                    &serde_json::json!({ "listening": addr, "viewer": hosting::viewer(addr) }).to_string(),
-                );
-            }
-            return;
+    /// What there is to see and to try.
+    async fn begin(&self, how: &str, addr: &str) -> Head {
+        if self.session.json() && self.seconds.is_none() && self.pictures.is_none() {
+            out::line(&serde_json::json!({ "listening": addr, "viewer": hosting::viewer(addr) }).to_string());
         }
-        out::line(&format!("trocar demo {} is running{how}", self.behavior.name()));
         let asking = Session::new(Some(addr.to_owned()), false);
         let (display, port) = DISPLAY;
-        if let Ok(row) = asking.read(display, None).await
-            && let Some(port) = row.value[port].as_u64().filter(|port| *port > 0)
-        {
-            out::line(&format!("  the surgeon's picture: http://127.0.0.1:{port}/"));
+        let picture = match asking.read(display, None).await {
+            Ok(row) => row.value[port].as_u64().filter(|port| *port > 0),
+            Err(_) => None,
+        };
+        Head {
+            title: format!("trocar demo {} is running{how}", self.behavior.name()),
+            picture: picture.map(|port| format!("http://127.0.0.1:{port}/")),
+            addr: addr.to_owned(),
+            command: format!("{}/{}", self.layout.place(self.behavior.leader()), self.behavior.command()),
         }
-        let command = format!("{}/{}", self.layout.place(self.behavior.leader()), self.behavior.command());
-        out::text(&run::hints(addr, Some(&command)));
-        out::line("");
+    }
+
+    /// From where what is reached is counted, for people.
+    async fn look(&self, addr: &str) -> Option<Reading> {
+        let asking = Session::new(Some(addr.to_owned()), false);
+        if self.session.json() { None } else { Reading::now(&asking).await.ok() }
     }
 
     fn parts(&self) -> Parts {
@@ -208,24 +218,38 @@ impl Show<'_> {
         }
     }
 
-    /// Until it has measured for as long as it was to, and the pictures are there.
-    async fn run(&self, addr: &str) -> Done {
+    /// Until it has measured for as long as it was to, and the pictures are there; `None` where somebody had enough before.
+    async fn run(&self, addr: &str, head: &Head) -> Result<Option<Ended>, Failure> {
         let asking = Session::new(Some(addr.to_owned()), false);
         let acting = Acting::new(&asking, self.behavior, self.layout);
-        let mut screen = Screen::new(&asking, self.session.json());
-        let (report, written) = tokio::select! {
-            never = screen.keep() => match never {},
+        let mut face = Face::open(&asking, self.session.json(), head.for_a_screen(), &head.lines());
+        tokio::select! {
+            () = face.keep() => Ok(None),
             never = acting.keep() => match never {},
-            ended = self.end(&asking, &acting) => ended?,
-        };
-        let report = report.map(|report| report.with(acting.scanned()));
-        if self.session.json() {
-            return self.session.print_json(&Ended { report, pictures: written });
+            ended = self.end(&asking, &acting) => {
+                let (report, pictures) = ended?;
+                Ok(Some(Ended { report: report.map(|report| report.with(acting.scanned())), pictures }))
+            }
         }
-        if let Some(report) = report {
+    }
+
+    /// Says what came of it; of one that was ended by somebody, what it reached since `from`.
+    async fn over(&self, ended: Result<Option<Ended>, Failure>, addr: &str, from: Option<Reading>) -> Done {
+        let ended = ended?;
+        if self.session.json() {
+            return ended.map_or(Ok(Exit::Ok), |ended| self.session.print_json(&ended));
+        }
+        let Some(ended) = ended else {
+            let asking = Session::new(Some(addr.to_owned()), false);
+            if let (Some(from), Ok(to)) = (from, Reading::now(&asking).await) {
+                out::text(&Report::between(&from, &to, &self.parts()).summary());
+            }
+            return Ok(Exit::Ok);
+        };
+        if let Some(report) = &ended.report {
             out::text(&report.summary());
         }
-        for path in written {
+        for path in &ended.pictures {
             out::line(&path.display().to_string());
         }
         Ok(Exit::Ok)

@@ -5,7 +5,6 @@
 //! each interval.
 
 pub(super) mod rates;
-mod screen;
 
 use std::time::{Duration, Instant};
 
@@ -13,8 +12,8 @@ use clap::{Args, ValueEnum};
 use tokio::time::MissedTickBehavior;
 
 use self::rates::{Figures, between};
-use self::screen::{Key, Screen};
 use super::failure::{Done, Exit, Failure};
+use super::screen::{self, Key, Screen};
 use super::session::Session;
 use super::view::SystemView;
 use super::{out, style, units};
@@ -185,7 +184,8 @@ fn print(shown: &Shown, screen: Option<&mut Screen>, session: &Session) -> Resul
         let said = format!("no newer figures: {}", out::harmless(trouble));
         text.push_str(&(style::paint(&said, style::BAD, style::stdout()) + "\n"));
     }
-    text.push_str(&shown.figures.render(style::stdout()));
+    let columns = screen.size().1;
+    text.push_str(&shown.figures.render_in(columns, style::stdout()));
     screen.draw(&text);
     Ok(())
 }

@@ -14,7 +14,7 @@ use crate::cli::{style, units};
 pub(in crate::cli) struct Figures {
     pub(super) revision: u64,
     /// Over which rates are averaged.
-    pub(super) seconds: f64,
+    pub(in crate::cli) seconds: f64,
     pub(super) processes: Vec<ProcessRow>,
     pub(super) components: Vec<ComponentRow>,
     pub(super) connections: Vec<ConnectionRow>,
@@ -248,9 +248,17 @@ impl Figures {
 
     /// Three tables; those without rows are left out.
     pub(in crate::cli) fn render(&self, colour: bool) -> String {
+        self.render_in(usize::MAX, colour)
+    }
+
+    /// In so many columns, of which the last ones are left out where they do not fit.
+    pub(in crate::cli) fn render_in(&self, columns: usize, colour: bool) -> String {
         let parts = [self.process_table(), self.component_table(), self.connection_table()];
-        let shown: Vec<String> =
-            parts.iter().filter(|t| !t.is_empty()).map(|t| t.render(0, colour)).collect();
+        let shown: Vec<String> = parts
+            .into_iter()
+            .filter(|t| !t.is_empty())
+            .map(|t| t.within(columns).render(0, colour))
+            .collect();
         shown.join("\n")
     }
 

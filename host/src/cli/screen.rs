@@ -54,11 +54,16 @@ impl Screen {
         Some(Screen { before, keys })
     }
 
-    pub(super) fn draw(&mut self, text: &str) {
-        let (rows, columns) = match termios::tcgetwinsize(std::io::stdout()) {
+    /// Rows and columns.
+    pub(super) fn size(&self) -> (usize, usize) {
+        match termios::tcgetwinsize(std::io::stdout()) {
             Ok(size) if size.ws_row > 0 && size.ws_col > 0 => (size.ws_row.into(), size.ws_col.into()),
             _ => (24, 80),
-        };
+        }
+    }
+
+    pub(super) fn draw(&mut self, text: &str) {
+        let (rows, columns) = self.size();
         write(&format!("\x1b[H{}\x1b[J", fitted(text, rows, columns)));
     }
 }
@@ -112,14 +117,19 @@ fn write(text: &str) {
 
 /// What fits, each line cleared to its end. Colours take no room, and end with their line.
 fn fitted(text: &str, rows: usize, columns: usize) -> String {
-    let lines: Vec<&str> = text.lines().collect();
+    let lines = clipped(text, rows, "");
+    lines.iter().map(|line| cut(line, columns) + "\x1b[K").collect::<Vec<_>>().join("\r\n")
+}
+
+/// So many lines of a text; where it has more, the last one says how many, and where they are seen.
+pub(super) fn clipped(text: &str, rows: usize, elsewhere: &str) -> Vec<String> {
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     let hidden = lines.len().saturating_sub(rows);
-    let kept = if hidden > 0 { rows.saturating_sub(1) } else { lines.len() };
-    let mut out: Vec<String> = lines[..kept].iter().map(|line| cut(line, columns) + "\x1b[K").collect();
     if hidden > 0 {
-        out.push(cut(&format!("… {} more lines", hidden + 1), columns) + "\x1b[K");
+        lines.truncate(rows.saturating_sub(1));
+        lines.push(format!("… {} more lines{elsewhere}", hidden + 1));
     }
-    out.join("\r\n")
+    lines
 }
 
 fn cut(line: &str, columns: usize) -> String {

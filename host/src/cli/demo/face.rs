@@ -1,0 +1,176 @@
+//! How a running demo looks: a screen on a terminal, one table below the other elsewhere, nothing beside `--json`.
+//!
+//! Invariant: on a screen the addresses and the commands to try stay in view, warnings have lines of their own below the
+//! table, and only the table gives way where there is no room.
+
+use std::time::{Duration, Instant};
+
+use crate::cli::logging::{Diverted, Kept};
+use crate::cli::screen::{self, Key, Screen, clipped};
+use crate::cli::session::Session;
+use crate::cli::top::rates::{Figures, between};
+use crate::cli::{out, style};
+
+/// Lines of warnings that are in view.
+const WARNINGS: usize = 3;
+/// Rows of the table that stay, however much is warned of.
+const LEAST: usize = 4;
+
+pub(super) struct Face<'a> {
+    session: &'a Session,
+    kind: Kind,
+}
+
+enum Kind {
+    Silent,
+    /// A table each second; whether one was there before.
+    Tables(bool),
+    /// With what stays on top.
+    Screen(Option<Screen>, Diverted, String),
+}
+
+impl<'a> Face<'a> {
+    /// `head` is what stays in view on a screen, and `lines` what is printed first elsewhere.
+    pub(super) fn open(session: &'a Session, silent: bool, head: String, lines: &str) -> Self {
+        if silent {
+            return Self { session, kind: Kind::Silent };
+        }
+        let kind = match Screen::open() {
+            Some(screen) => Kind::Screen(Some(screen), Diverted::begin(), head),
+            None => {
+                out::text(lines);
+                Kind::Tables(false)
+            }
+        };
+        Self { session, kind }
+    }
+
+    /// Draws each second, until somebody at a screen wants no more. While the GCM does not answer there are no figures.
+    pub(super) async fn keep(&mut self) {
+        if matches!(self.kind, Kind::Silent) {
+            return std::future::pending().await;
+        }
+        let mut before = None;
+        let mut second = tokio::time::interval(Duration::from_secs(1));
+        loop {
+            tokio::select! {
+                _ = second.tick() => {}
+                key = self.key() => match key {
+                    Key::Quit => return,
+                    Key::Sort | Key::Reverse | Key::Pause => continue,
+                },
+            }
+            let answer = self.session.list().await;
+            let now = Instant::now();
+            match (answer, before.take()) {
+                (Ok(list), None) => {
+                    self.draw(&between(&list, &list, 0.0));
+                    before = Some((now, list));
+                }
+                (Ok(list), Some((at, old))) => {
+                    self.draw(&between(&old, &list, (now - at).as_secs_f64()));
+                    before = Some((now, list));
+                }
+                (Err(failure), old) => {
+                    self.say(&format!("no newer figures: {}", out::harmless(&failure.message)));
+                    before = old;
+                }
+            }
+        }
+    }
+
+    async fn key(&mut self) -> Key {
+        match &mut self.kind {
+            Kind::Screen(screen, ..) => screen::next(screen).await,
+            Kind::Silent | Kind::Tables(_) => std::future::pending().await,
+        }
+    }
+
+    fn draw(&mut self, figures: &Figures) {
+        match &mut self.kind {
+            Kind::Silent => {}
+            // There are no rates in a first look.
+            Kind::Tables(_) if figures.seconds == 0.0 => {}
+            Kind::Tables(one) => {
+                let gap = if std::mem::replace(one, true) { "\n" } else { "" };
+                out::text(&format!("{gap}{}", figures.render(style::stdout())));
+            }
+            Kind::Screen(Some(screen), warnings, head) => {
+                let (rows, columns) = screen.size();
+                let table = figures.render_in(columns, style::stdout());
+                screen.draw(&laid_out(head, &table, &warnings.kept(), rows));
+            }
+            Kind::Screen(None, ..) => {}
+        }
+    }
+
+    fn say(&mut self, text: &str) {
+        match &mut self.kind {
+            Kind::Silent => {}
+            Kind::Tables(_) => out::line(text),
+            Kind::Screen(Some(screen), warnings, head) => {
+                let rows = screen.size().0;
+                screen.draw(&laid_out(head, text, &warnings.kept(), rows));
+            }
+            Kind::Screen(None, ..) => {}
+        }
+    }
+}
+
+impl Drop for Face<'_> {
+    /// The screen goes first: what was warned of is seen after it.
+    fn drop(&mut self) {
+        if let Kind::Screen(screen, ..) = &mut self.kind {
+            *screen = None;
+        }
+    }
+}
+
+/// So many lines: what stays, the table, and below it the last warnings.
+fn laid_out(head: &str, table: &str, kept: &Kept, rows: usize) -> String {
+    let head: Vec<&str> = head.lines().collect();
+    let room = rows.saturating_sub(head.len() + 1);
+    let warned = kept.newest.len().min(WARNINGS).min(room.saturating_sub(LEAST));
+    let title = usize::from(warned > 0);
+    let shown = clipped(table, room - warned - title, ": trocar top");
+    let mut lines: Vec<String> = head.into_iter().map(str::to_owned).collect();
+    lines.push(String::new());
+    lines.extend(shown);
+    if warned > 0 {
+        let many =
+            if kept.all == 1 { "1 warning:".to_owned() } else { format!("{} warnings, the last:", kept.all) };
+        lines.push(style::paint(&many, style::WARN, style::stdout()));
+        lines.extend(kept.newest.iter().skip(kept.newest.len() - warned).cloned());
+    }
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(n: usize) -> Kept {
+        Kept { newest: (1..=n).map(|i| format!("warning {i}")).collect(), all: n }
+    }
+
+    fn table(n: usize) -> String {
+        (1..=n).map(|i| format!("row {i}\n")).collect()
+    }
+
+    #[test]
+    fn the_head_and_the_last_warnings_stay_in_view_and_the_table_gives_way() {
+        let text = laid_out("head\naddress", &table(30), &kept(5), 12);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 12);
+        assert_eq!(lines[..4], ["head", "address", "", "row 1"]);
+        assert_eq!(
+            lines[7..],
+            ["… 26 more lines: trocar top", "5 warnings, the last:", "warning 3", "warning 4", "warning 5"]
+        );
+        let quiet = laid_out("head", "row 1\nrow 2", &kept(0), 24);
+        assert_eq!(quiet, "head\n\nrow 1\nrow 2");
+        for rows in 0..12 {
+            laid_out("head\naddress", &table(30), &kept(5), rows);
+        }
+    }
+}
