@@ -8,6 +8,7 @@ pub mod abi;
 #[cfg(feature = "manifest")]
 pub mod contracts;
 pub mod desc;
+pub mod environment;
 #[cfg(feature = "layout")]
 pub mod layout;
 pub mod limits;

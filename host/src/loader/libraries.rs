@@ -5,6 +5,8 @@
 
 use std::path::Path;
 
+use trocar_plugin_api::environment::var_at_start;
+
 /// The linker's cache of libraries outside its default directories.
 const CACHE: &str = "/etc/ld.so.cache";
 const CACHE_MAGIC: &[u8] = b"glibc-ld.so.cache1.1";
@@ -24,7 +26,8 @@ pub(crate) fn is_available(soname: &str) -> bool {
     if DEFAULT_DIRS.iter().any(|dir| Path::new(dir).join(soname).exists()) {
         return true;
     }
-    let extra = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
+    // The linker has read it when this process began.
+    let extra = var_at_start("LD_LIBRARY_PATH").unwrap_or_default();
     if std::env::split_paths(&extra).any(|dir| dir.join(soname).exists()) {
         return true;
     }

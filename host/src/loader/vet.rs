@@ -13,6 +13,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use trocar_plugin_api::environment;
 use trocar_rt::house;
 
 use super::error::Stage;
@@ -55,7 +56,9 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
     let replaced = exe.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
     let exe = if replaced { Path::new("/proc/self/exe") } else { exe };
     let failed = |e: io::Error| Fault::VetFailed { because: format!("{}: {e}", exe.display()) };
-    let mut child = Command::new(exe)
+    let mut program = Command::new(exe);
+    environment::give_to(&mut program);
+    let mut child = program
         .arg(VET_ARG)
         .arg(file)
         .stdin(Stdio::null())

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
+use trocar_sdk::environment;
 use trocar_sdk::prelude::log;
 
 use crate::feed::{Giver, Source, Stop};
@@ -184,6 +185,7 @@ impl Drop for Running {
 /// The program as a group of its own that does not outlive this process.
 fn tied(program: &Path, arguments: &[String]) -> Command {
     let mut command = Command::new("/bin/sh");
+    environment::give_to(&mut command);
     command.args(["-c", TIED, "sh"]).arg(program).args(arguments);
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).process_group(0);
     command
@@ -199,7 +201,7 @@ fn find(program: &str) -> std::io::Result<PathBuf> {
     if program.contains('/') {
         return is_there(Path::new(program)).map(|()| program.into());
     }
-    let paths = std::env::var_os("PATH").unwrap_or_default();
+    let paths = environment::var_at_start("PATH").unwrap_or_default();
     let mut all = std::env::split_paths(&paths).map(|folder| folder.join(program));
     // The system's own words for it.
     all.find(|path| is_there(path).is_ok()).ok_or_else(|| rustix::io::Errno::NOENT.into())

@@ -55,6 +55,7 @@ pub use safe::{MakeSafe, SafeFromAnyThread};
 pub use serde_json;
 pub use services::{ServiceReply, Services};
 pub use trocar_plugin_api::abi::StaticPlugin;
+pub use trocar_plugin_api::environment;
 pub use trocar_plugin_api::rate::RateLimit;
 pub use trocar_sdk_derive::{Component, Config, Payload, handles, provides};
 pub use values::{Flag, List, Stamp, Text};
