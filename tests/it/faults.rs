@@ -15,7 +15,7 @@ use trocar_tests::{Grpcurl, HostProcess, World, eventually};
 struct Scene {
     grpc: Grpcurl,
     host: HostProcess,
-    _world: World,
+    world: World,
 }
 
 impl Scene {
@@ -25,7 +25,7 @@ impl Scene {
         let host = HostProcess::start(&world);
         let grpc = host.grpcurl();
         grpc.await_class("host", "chaos");
-        Self { grpc, host, _world: world }
+        Self { grpc, host, world }
     }
 
     /// A host with a running component, `host/s`, beside which others may fail.

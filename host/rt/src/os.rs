@@ -2,6 +2,8 @@
 //!
 //! Time is ns of CLOCK_MONOTONIC everywhere; a deadline is absolute on that clock.
 
+mod descriptors;
+mod environment;
 mod forked;
 mod household;
 mod manners;
@@ -10,6 +12,8 @@ use std::fmt;
 use std::sync::atomic::AtomicU32;
 
 pub use crate::sync::Scope;
+pub use descriptors::{Descriptor, Lasting};
+pub use environment::Environment;
 pub use forked::{Unshared, unshared};
 pub use household::Household;
 pub use manners::{Hygiene, reset_rounding, rounding, set_sigmask, thread_hygiene};

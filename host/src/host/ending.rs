@@ -14,7 +14,7 @@ use trocar_rt::house;
 
 use super::{HostError, StateDir};
 use crate::control::Server;
-use crate::lcm::LocalLcm;
+use crate::lcm::{LocalLcm, let_go_of_descriptors};
 use crate::loader::WatchHandle;
 
 /// How long components may take to stand still at the end.
@@ -88,6 +88,12 @@ impl Ending {
         let _ = self.ended.clone().wait_for(|ended| *ended).await;
     }
 
+    /// As [`Ending::end`], where the runtime cannot be counted on; open calls of the port are cut.
+    pub(super) async fn end_without_runtime(&self) {
+        let _ = self.order.send(How::Abrupt);
+        let _ = self.ended.clone().wait_for(|ended| *ended).await;
+    }
+
     /// As `end`, for a thread that may be one of a runtime's, and not for ever.
     pub(super) fn end_now(&mut self) {
         let _ = self.order.send(How::Abrupt);
@@ -102,6 +108,7 @@ impl Ending {
 }
 
 async fn end(running: &Mutex<Running>, how: How) {
+    let_go_of_descriptors();
     let (lcm, uplink, server, watch, announced, state) = {
         let mut r = running.lock().unwrap_or_else(PoisonError::into_inner);
         let r = &mut *r;

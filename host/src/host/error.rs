@@ -61,6 +61,10 @@ pub enum HostError {
         addr: String,
         because: String,
     },
+    /// Code in the process has closed what it cannot do without.
+    Doomed {
+        because: String,
+    },
     /// The GCM does not take this process, or a process of its name runs at its address.
     Refused(Refusal),
 }
@@ -89,6 +93,7 @@ impl HostError {
             HostError::NoVetting { .. } => "NO_VETTING",
             HostError::Listen { .. } => "LISTEN",
             HostError::NoGcm { .. } => "NO_GCM",
+            HostError::Doomed { .. } => "DESCRIPTORS_CLOSED",
             HostError::Refused(refusal) => refusal.reason(),
         }
     }
@@ -123,6 +128,11 @@ impl HostError {
             HostError::Listen { help, .. } => help.clone(),
             HostError::NoGcm { .. } => {
                 "start it first: `trocar gcm`, or leave --gcm out: this host embeds one".into()
+            }
+            HostError::Doomed { .. } => {
+                "start it again; let the component close only what it opened itself (no closefrom, no second close), or \
+                 give it a process of its own (\"isolated\": true)"
+                    .into()
             }
             HostError::Refused(refusal) => refusal.help(),
         }
@@ -167,6 +177,7 @@ impl fmt::Display for HostError {
             }
             HostError::Listen { because, .. } => f.write_str(because),
             HostError::NoGcm { addr, because } => write!(f, "no GCM answers at {addr}: {because}"),
+            HostError::Doomed { because } => write!(f, "the process cannot go on: {because}"),
             HostError::Refused(refusal) => write!(f, "{refusal}"),
         }
     }

@@ -3,6 +3,7 @@
 //! Invariant: start makes everything or nothing, and each part is in the hands of what ends it before the next one is made;
 //! the end makes devices safe before it closes the port, so that a caller can see it happen.
 
+use std::future::pending;
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
@@ -17,7 +18,7 @@ use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
-use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, stop_active};
+use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, keep_descriptors, stop_active};
 use crate::loader::{CatalogChange, PluginEntry, PluginError};
 use crate::runtime_dir::RuntimeDir;
 
@@ -129,13 +130,11 @@ impl Host {
             })
         });
         self.serve(config, lcm.clone()).await?;
-        offer_services(config, &lcm, self.gcm.as_ref())?;
-        self.ending.running().announced = announce(config.name.as_str(), self.gcm.clone(), lcm);
-        Ok(())
+        offer_services(config, &lcm, self.gcm.as_ref())
     }
 
     async fn serve(&mut self, config: &HostConfig, lcm: Arc<LocalLcm>) -> Result<(), HostError> {
-        let local: Arc<dyn Lcm> = lcm;
+        let local: Arc<dyn Lcm> = lcm.clone();
         self.managed_by = config.gcm.clone();
         if config.gcm.is_none() {
             self.gcm = Some(start_gcm(&self.state).await?);
@@ -152,6 +151,9 @@ impl Host {
             .await?;
         }
         let endpoint = self.addr.map(|addr| addr.to_string()).unwrap_or_default();
+        self.ending.running().announced = announce(config.name.as_str(), self.gcm.clone(), lcm);
+        // From here on the GCM makes components.
+        keep_descriptors();
         let registration = Registration::new(config.name.clone(), endpoint);
         match (&self.gcm, &config.gcm) {
             (Some(gcm), _) => {
@@ -235,19 +237,29 @@ impl Host {
         self.ending.has_ended()
     }
 
-    /// Ends when the process is asked to end, or when the GCM it attached to sends it away for good.
+    /// Ends when the process is asked to end, when the GCM it attached to sends it away for good, or when it cannot go on.
     ///
     /// # Errors
-    /// Why the GCM sent it away.
+    /// Why the GCM sent it away, or why it cannot go on.
     pub async fn until_asked_to_stop(&mut self, stop: &mut StopRequest) -> Result<(), HostError> {
-        match &mut self.uplink {
-            None => stop.asked().await,
-            Some(uplink) => tokio::select! {
-                () = stop.asked() => {}
-                refusal = uplink.refused() => return Err(refusal.into()),
-            },
+        let (lcm, uplink) = (self.lcm.as_ref(), self.uplink.as_mut());
+        let doomed = async {
+            match lcm {
+                Some(lcm) => lcm.doomed().await,
+                None => pending().await,
+            }
+        };
+        let refused = async {
+            match uplink {
+                Some(uplink) => uplink.refused().await,
+                None => pending().await,
+            }
+        };
+        tokio::select! {
+            () = stop.asked() => Ok(()),
+            because = doomed => Err(HostError::Doomed { because }),
+            refusal = refused => Err(refusal.into()),
         }
-        Ok(())
     }
 
     /// Stops components, devices safe first, then everything else; comes back when that is done, after 5 s and a little more
@@ -256,7 +268,10 @@ impl Host {
     ///
     /// Dropping the host does the same and blocks the thread meanwhile, but cuts open calls of the port.
     pub async fn shutdown(&self) {
-        self.ending.end().await;
+        match &self.lcm {
+            Some(lcm) if lcm.is_doomed() => self.ending.end_without_runtime().await,
+            _ => self.ending.end().await,
+        }
     }
 }
 

@@ -122,13 +122,15 @@ pub enum News {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Concern {
     Memory,
-    /// Makes it unfit.
+    /// Makes it unfit, as the next one does.
     Files,
+    /// Some that it listens at, or watches files with, were closed.
+    Descriptors,
 }
 
 /// As it is told.
 pub(super) fn warnings(of: &BTreeMap<Concern, String>) -> Warnings {
-    Warnings { sentences: of.values().cloned().collect(), unfit: of.contains_key(&Concern::Files) }
+    Warnings { sentences: of.values().cloned().collect(), unfit: of.keys().any(|of| *of >= Concern::Files) }
 }
 
 /// How the half of a connection to another process stands.

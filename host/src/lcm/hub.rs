@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::sync::broadcast;
+use tokio::sync::{broadcast, watch};
 use trocar_model::Name;
 use trocar_rt::wake::Waker;
 
-use super::api::{Concern, News};
+use super::api::{self, Concern, News};
 use super::instance::Instance;
 use super::logs::LogRing;
 use super::reading::Readers;
@@ -35,6 +35,8 @@ pub(super) struct Hub {
     pub(super) reports: AtomicU64,
     /// What the process itself is warned of.
     pub(super) warnings: Mutex<BTreeMap<Concern, String>>,
+    /// Why the process cannot go on.
+    pub(super) doom: watch::Sender<Option<String>>,
 }
 
 impl Hub {
@@ -50,7 +52,19 @@ impl Hub {
             graveyard: Mutex::new(Vec::new()),
             reports: AtomicU64::new(0),
             warnings: Mutex::default(),
+            doom: watch::Sender::new(None),
         })
+    }
+
+    /// Warns of the process itself from now on; nothing: not of this any more.
+    pub(super) fn warn(&self, of: Concern, warning: Option<String>) {
+        let mut all = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        match warning {
+            Some(warning) => _ = all.insert(of, warning),
+            None => _ = all.remove(&of),
+        }
+        // Nobody listening is fine: the inventory has it.
+        let _ = self.news.send(News::Warnings(api::warnings(&all)));
     }
 
     /// Keeps a component for ever, on purpose, and says so.

@@ -231,13 +231,22 @@ impl LocalLcm {
 
     /// Warns of the process itself from now on; nothing: not of this any more.
     pub fn warn(&self, of: Concern, warning: Option<String>) {
-        let mut all = self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner);
-        match warning {
-            Some(warning) => _ = all.insert(of, warning),
-            None => _ = all.remove(&of),
+        self.hub.warn(of, warning);
+    }
+
+    /// Comes back with why when the process cannot go on and is to end.
+    pub async fn doomed(&self) -> String {
+        let mut doom = self.hub.doom.subscribe();
+        match doom.wait_for(Option::is_some).await {
+            Ok(why) => why.clone().unwrap_or_default(),
+            // The one who would say it lives as long as this.
+            Err(_) => std::future::pending().await,
         }
-        // Nobody listening is fine: the inventory has it.
-        let _ = self.hub.news.send(News::Warnings(warnings(&all)));
+    }
+
+    /// [`LocalLcm::doomed`] comes back at once.
+    pub fn is_doomed(&self) -> bool {
+        self.hub.doom.borrow().is_some()
     }
 
     /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not

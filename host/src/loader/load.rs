@@ -14,7 +14,7 @@ use trocar_plugin_api::abi::{ClassTable, LOG_ERROR, PluginTable, STATUS_OK};
 use trocar_plugin_api::layout::{AbiHeader, LAYOUT_SYMBOL, LibHeader};
 use trocar_plugin_api::manifest::{Class, Manifest};
 use trocar_plugin_api::{ENTRY_SYMBOL, EntryFn, layout};
-use trocar_rt::os;
+use trocar_rt::os::{self, Environment};
 
 use super::error::Stage;
 use super::host_table::{self, LogFn};
@@ -157,7 +157,9 @@ pub(crate) fn has_loaded_since(moment: Moment) -> bool {
 pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {
     let _loading = Loading::begin();
     let place = std::env::current_dir().ok();
+    let environment = Environment::look();
     let loaded = load_here(path, hash, manifest, log);
+    tell_environment(&manifest.name, environment);
     if let Some(place) = place
         && std::env::current_dir().ok().as_ref() != Some(&place)
     {
@@ -171,6 +173,15 @@ pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> 
         );
     }
     loaded
+}
+
+/// What a library sets for itself alone while it is loaded is set for everybody.
+fn tell_environment(plugin: &str, before: Option<Environment>) {
+    if let (Some(before), Some(now)) = (before, Environment::look())
+        && let Some(said) = now.said_since(&before)
+    {
+        log::warn!("plugin {plugin}: it changed {said} (while it was loaded)");
+    }
 }
 
 fn load_here(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {

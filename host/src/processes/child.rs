@@ -12,8 +12,8 @@ use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
@@ -62,14 +62,22 @@ pub(super) enum Said {
     Refused(Value),
 }
 
+/// What a child says at its end.
+#[derive(Default)]
+struct LastWords {
+    /// It ends because somebody asked it to.
+    farewell: AtomicBool,
+    /// It served, and ends for this.
+    why: OnceLock<String>,
+}
+
 /// A running child; let go when dropped, and then ends by itself.
 pub(super) struct Child {
     process: tokio::process::Child,
     tie: Option<OwnedWriteHalf>,
     pub(super) pid: u32,
     said: oneshot::Receiver<Said>,
-    /// It said that it ends because somebody asked it to.
-    farewell: Arc<AtomicBool>,
+    last: Arc<LastWords>,
     hearing: Option<JoinHandle<()>>,
 }
 
@@ -97,10 +105,10 @@ impl Child {
         let process = command.spawn()?;
         let (from, tie) = tokio::net::UnixStream::from_std(ours)?.into_split();
         let (tell, said) = oneshot::channel();
-        let farewell = Arc::new(AtomicBool::new(false));
-        let hearing = Some(tokio::spawn(hear(from, tell, farewell.clone())));
+        let last = Arc::new(LastWords::default());
+        let hearing = Some(tokio::spawn(hear(from, tell, last.clone())));
         let pid = process.id().unwrap_or_default();
-        Ok(Child { process, tie: Some(tie), pid, said, farewell, hearing })
+        Ok(Child { process, tie: Some(tie), pid, said, last, hearing })
     }
 
     /// Waits for its end. May be called again when it was given up before.
@@ -115,12 +123,15 @@ impl Child {
         {
             self.hearing = None;
         }
-        exit
+        match (exit, self.last.why.get()) {
+            (Exit::Code(code), Some(why)) => Exit::Because { code, why: why.clone() },
+            (exit, _) => exit,
+        }
     }
 
     /// Somebody asked it to end, and it did: a plugin that ends the process says nothing.
     pub(super) fn said_farewell(&self) -> bool {
-        self.farewell.load(Ordering::Acquire)
+        self.last.farewell.load(Ordering::Acquire)
     }
 
     /// What it says first; `None` when it ends, or closes its standard input, without a word.
@@ -195,8 +206,8 @@ fn this_program() -> std::io::Result<PathBuf> {
     Ok(if replaced { PathBuf::from("/proc/self/exe") } else { path })
 }
 
-/// Takes what it says: where it serves or why it does not, and at its end that somebody asked for that.
-async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, farewell: Arc<AtomicBool>) {
+/// Takes what it says: where it serves or why it does not, and at its end that somebody asked for that, or why it is.
+async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, last: Arc<LastWords>) {
     let (mut tell, mut line, mut chunk) = (Some(tell), Vec::new(), vec![0; 4096]);
     while let Ok(n @ 1..) = from.read(&mut chunk).await {
         for byte in &chunk[..n] {
@@ -204,11 +215,15 @@ async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, farewell: Ar
                 b'\n' => {
                     match (understood(&line), tell.take()) {
                         (Some(Word::Farewell), teller) => {
-                            farewell.store(true, Ordering::Release);
+                            last.farewell.store(true, Ordering::Release);
                             tell = teller;
                         }
                         // Whoever waited may have given up.
                         (Some(Word::First(said)), Some(teller)) => _ = teller.send(said),
+                        (Some(Word::First(Said::Refused(why))), None) => {
+                            // One end has one reason.
+                            let _ = last.why.set(why["message"].as_str().unwrap_or_default().to_owned());
+                        }
                         (_, teller) => tell = teller,
                     }
                     line.clear();

@@ -8,6 +8,11 @@ use std::process::ExitStatus;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Exit {
     Code(i32),
+    /// It served, and said why it had to end.
+    Because {
+        code: i32,
+        why: String,
+    },
     Signal {
         number: i32,
         core: bool,
@@ -76,6 +81,7 @@ impl fmt::Display for Exit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Exit::Code(code) => write!(f, "ended with code {code}"),
+            Exit::Because { code, why } => write!(f, "ended with code {code}: {why}"),
             Exit::Signal { number, core } => {
                 match usize::try_from(number - 1).ok().and_then(|at| SIGNALS.get(at)) {
                     Some(name) => write!(f, "was killed by {name}")?,
@@ -98,6 +104,7 @@ mod tests {
     fn an_end_reads_as_a_person_would_say_it() {
         let exits = [
             Exit::Code(3),
+            Exit::Because { code: 1, why: "the process cannot go on".into() },
             Exit::from(ExitStatus::from_raw(11)),
             Exit::from(ExitStatus::from_raw(0x86)),
             Exit::from(ExitStatus::from_raw(9)),
@@ -109,6 +116,7 @@ mod tests {
         let said: Vec<String> = exits.iter().map(ToString::to_string).collect();
         let wanted = [
             "ended with code 3",
+            "ended with code 1: the process cannot go on",
             "was killed by SIGSEGV",
             "was killed by SIGABRT (core dumped)",
             "was killed by SIGKILL",

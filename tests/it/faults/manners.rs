@@ -4,7 +4,7 @@
 //! one; `counted/manners.rs` says that nobody else misses a cycle.
 
 use serde_json::{Value, json};
-use trocar_tests::{Stream, eventually};
+use trocar_tests::{Built, Stream, eventually};
 
 use super::Scene;
 
@@ -50,4 +50,21 @@ fn threads_of_one_that_is_removed_are_not_charged_to_the_next_of_its_name() {
     scene.provoke(json!({ "rude": "threads", "rude_in": "start" }));
     scene.grpc.stop("host/c");
     scene.await_warning("host/c", words);
+}
+
+#[test]
+fn whoever_changes_the_environment_is_named_with_the_variables() {
+    let scene = Scene::new();
+    scene.provoke(json!({ "rude": "environment", "rude_in": "start" }));
+    scene.await_warning("host/c", "start: it changed the environment of the process (LC_NUMERIC, PATH)");
+    let others = scene.grpc.component("host/s")["stats"]["warnings"].to_string();
+    assert!(!others.contains("environment"), "it did nothing: {others}");
+    // What the host starts has what the host was started with: a plugin that comes is tried out as ever.
+    scene.world.drop_in(&Built::plugin("filters"));
+    eventually("a plugin that comes later is offered", || {
+        let classes = scene.grpc.ok("GcmService/Describe", json!({ "path": "host" }))["classes"].to_string();
+        if classes.contains("filters") { Ok(()) } else { Err(classes) }
+    });
+    let said = scene.host.printed();
+    assert_eq!(said.matches("changed the environment").count(), 1, "told once: {said}");
 }

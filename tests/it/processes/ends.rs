@@ -105,6 +105,23 @@ fn one_that_may_open_no_more_files_is_told_and_replaced_and_its_classes_stay() {
     assert!(classes("left").contains("sine"), "what it cannot read is gone: {}", classes("left"));
 }
 
+/// A component that closes what is not its own, when it is told to.
+fn closer(what: &str) -> String {
+    format!(r#""right/c": {{ "class": "chaos", "config": {{ "rude": "{what}", "rude_in": "command" }} }}"#)
+}
+
+#[test]
+fn one_whose_sockets_were_closed_is_told_and_put_down_where_its_policy_says_so() {
+    let system = System::up(&one(r#"{ "unheard_s": 0.5 }"#, &closer("close_port")), &[]);
+    let before = system.host("right");
+    system.grpc.ok("InteractService/Invoke", json!({ "path": "right/c/ctl/poke", "send": true }));
+    system.await_back("right", &before);
+    let after = system.host("right");
+    let why = "was unfit for 0.5 s (right/c closed descriptors of the host (listening socket ";
+    assert!(last_exit(&after).starts_with(why), "{after}");
+    assert_eq!(after["unfit"], false, "{after}");
+}
+
 #[test]
 fn what_a_process_has_started_ends_with_it() {
     let system = System::up(&one("\"on_failure\"", r#""right/doom": { "class": "doom" }"#), &[]);

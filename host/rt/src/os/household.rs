@@ -1,11 +1,13 @@
 //! State of the whole process that any code in it may change: its locale, what new files are closed to, what
-//! signals do, its standard streams.
+//! signals do, its standard streams, its environment.
 //!
 //! Invariant: looked at by system calls, so never from a step; only what differs is put back, and nothing of
 //! this program's own counts as another's doing.
 
 use std::ffi::{CStr, CString, c_int, c_void};
 use std::mem::{MaybeUninit, zeroed};
+
+use super::Environment;
 
 /// Signals that have names; those above are for whoever takes them.
 const SIGNALS: [(c_int, &str); 20] = [
@@ -41,10 +43,11 @@ pub struct Household {
     handlers: [libc::sigaction; SIGNALS.len()],
     /// True for those that are open.
     streams: [bool; STREAMS.len()],
+    environment: Option<Environment>,
 }
 
 impl Household {
-    /// Some 25 system calls.
+    /// Some 30 system calls.
     pub fn look() -> Household {
         Household {
             locale: locale(),
@@ -52,7 +55,13 @@ impl Household {
             handlers: SIGNALS.map(|(signal, _)| handler(signal)),
             // SAFETY: asks for the flags of a number, which need not be open.
             streams: [0, 1, 2].map(|fd| unsafe { libc::fcntl(fd, libc::F_GETFD) } != -1),
+            environment: Environment::look(),
         }
+    }
+
+    /// From now on is as it is `now` what is told and never put back.
+    pub fn take_over(&mut self, now: &Household) {
+        self.environment.clone_from(&now.environment);
     }
 
     /// Puts back what `now` has changed since this, as far as that goes; says each thing that was.
@@ -89,6 +98,9 @@ impl Household {
                     if open_nothing(fd as c_int) { "which leads nowhere now" } else { "which stays closed" };
                 said.push(format!("the {name} of the process by closing it, {back}"));
             }
+        }
+        if let (Some(was), Some(is)) = (&self.environment, &now.environment) {
+            said.extend(is.said_since(was));
         }
         said
     }
@@ -166,7 +178,9 @@ mod tests {
         let said = before.put_back(&Household::look()).join("; ");
         assert!(said.contains("the umask of the process to 077, which was put back"), "{said}");
         assert!(said.contains("what SIGUSR2 does in the process, which was put back"), "{said}");
-        let after = Household::look();
+        let mut after = Household::look();
+        // A test beside this one changes it.
+        after.take_over(&before);
         assert_eq!((after.umask, handler(libc::SIGUSR2).sa_sigaction), (before.umask, libc::SIG_DFL));
         assert!(before.put_back(&after).is_empty(), "nothing is left to put back");
     }

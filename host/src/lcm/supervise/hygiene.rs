@@ -19,6 +19,7 @@ use trocar_rt::os::{self, Household, Hygiene};
 use crate::loader::{self, Moment};
 
 use super::super::instance::Instance;
+use super::descriptors;
 use super::roster::Ward;
 use super::strangers::{self, Strangers};
 use super::watch::{Entry, Misdeed};
@@ -108,6 +109,8 @@ pub(in crate::lcm) struct Manners {
     /// Its number while it is alone, and how the process stood then, where that is looked after.
     alone: Option<u64>,
     household: Option<Household>,
+    /// It is alone, and no descriptor of the host had been closed.
+    has_all: bool,
     loads: Moment,
     /// None while the component runs: its threads are not to wait for this look.
     threads: Option<strangers::Moment>,
@@ -122,6 +125,7 @@ impl Manners {
         let looked_after = alone.is_some() && household().is_some();
         Manners {
             alone,
+            has_all: looked_after && descriptors::are_all_there(),
             household: looked_after.then(Household::look),
             thread: os::thread_hygiene(),
             loads: loader::moment(),
@@ -146,11 +150,17 @@ impl Manners {
         }
         // Beside others nobody knows whose doing it was, or what another has put back meanwhile: the watchdog
         // looks then.
-        if VISITS.end(self.alone)
-            && !loader::has_loaded_since(self.loads)
-            && let Some(before) = &self.household
-        {
-            for said in before.put_back(&Household::look()) {
+        let was_alone = VISITS.end(self.alone) && !loader::has_loaded_since(self.loads);
+        if was_alone && self.has_all {
+            descriptors::settle(&instance.hub, &format!("{}: {entry}", instance.id));
+        }
+        if was_alone && let Some(before) = &self.household {
+            let now = Household::look();
+            let changes = before.put_back(&now);
+            if let Some(known) = household().as_mut().filter(|_| !changes.is_empty()) {
+                known.take_over(&now);
+            }
+            for said in changes {
                 instance.warn(&format!("{entry}: it changed {said}"));
             }
         }
@@ -206,6 +216,8 @@ impl Suspicion {
 #[derive(Default)]
 pub(super) struct Premises {
     household_ns: u64,
+    /// When that was, counted in loads.
+    loads: Option<Moment>,
     masks: Round,
     /// Until when somebody is suspected, ns; 0 = nobody is.
     suspected_ns: u64,
@@ -229,7 +241,8 @@ impl Premises {
         }
         if now_ns.saturating_sub(self.household_ns) >= ROUND_NS {
             self.household_ns = now_ns;
-            look_at_household(wards);
+            let loads = self.loads.replace(loader::moment());
+            look_at_household(wards, loads);
         }
         if suspects {
             self.suspected_ns = now_ns + SUSPECTED_NS;
@@ -268,17 +281,20 @@ impl Round {
 }
 
 /// Finds what steps, commands and threads of components have changed for everybody. What an entry that looks
-/// for itself does is left to it.
-fn look_at_household(wards: &[&Ward]) {
+/// for itself does is left to it; what stays as a load has left it was told by the loader.
+fn look_at_household(wards: &[&Ward], loads: Option<Moment>) {
     if household().is_none() {
         return;
     }
-    let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+    let before = minded(wards);
     let now = Household::look();
     if matches!(minding(wards, &before), Minding::Looks) {
         return;
     }
     let mut known = household();
+    if let Some(known) = known.as_mut().filter(|_| loads.is_none_or(loader::has_loaded_since)) {
+        known.take_over(&now);
+    }
     let changes =
         known.as_ref().filter(|_| !wards.is_empty()).map_or_else(Vec::new, |last| last.put_back(&now));
     *known = Some(if changes.is_empty() { now } else { Household::look() });
@@ -310,7 +326,7 @@ fn look_at_directory<'a>(
     are_all: impl FnOnce() -> bool,
     busy: impl FnOnce() -> Vec<&'a Ward>,
 ) -> Found {
-    let before: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+    let before = minded(wards);
     let moment = loader::moment();
     let Some((now, home)) = whereabouts().filter(|(now, home)| now != home) else { return Found::Settled };
     if loader::has_loaded_since(moment) || !are_all() {
@@ -331,7 +347,7 @@ fn look_at_directory<'a>(
 }
 
 /// Who looks after his manners himself.
-enum Minding<'a> {
+pub(super) enum Minding<'a> {
     Nobody,
     /// At least one who will come to it.
     Looks,
@@ -339,9 +355,14 @@ enum Minding<'a> {
     Hang(Vec<&'a Ward>),
 }
 
+/// The words of these now, for [`minding`].
+pub(super) fn minded(wards: &[&Ward]) -> Vec<u64> {
+    wards.iter().map(|w| w.instance.watch.minded()).collect()
+}
+
 /// Who does, or did since the words in `before` were taken.
-fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
-    let now: Vec<u64> = wards.iter().map(|w| w.instance.watch.minded()).collect();
+pub(super) fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
+    let now = minded(wards);
     let inside: Vec<&Ward> =
         wards.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
     if now != before || inside.iter().any(|w| w.instance.watch.health() != Health::Unresponsive) {
@@ -383,7 +404,7 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
 /// Looks at the signal mask of the thread of these, as the kernel shows it; true when several are suspected.
 fn mask(members: &[&Ward]) -> bool {
     let Some(executor) = members.first().map(|ward| &ward.executor) else { return false };
-    let before: Vec<u64> = members.iter().map(|w| w.instance.watch.minded()).collect();
+    let before = minded(members);
     let (Some(now), Some(own)) = (blocked(executor.tid()), executor.settings.hygiene()) else { return false };
     if now == own.sigmask {
         return false;

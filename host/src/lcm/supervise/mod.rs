@@ -3,6 +3,7 @@
 //! Invariant: the watchdog runs no component code and shares no lock with a thread that does.
 
 mod charge;
+mod descriptors;
 mod hygiene;
 mod roster;
 mod safe;
@@ -11,6 +12,7 @@ mod watch;
 mod watchdog;
 
 pub(super) use charge::LEAVE_NS;
+pub(crate) use descriptors::{keep as keep_descriptors, let_go as let_go_of_descriptors};
 pub(crate) use hygiene::own_process;
 pub(super) use hygiene::{Manners, Suspicion};
 pub(super) use roster::{Roster, Ward};

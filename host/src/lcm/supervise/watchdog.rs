@@ -15,6 +15,7 @@ use trocar_rt::{house, os};
 use super::super::context;
 use super::super::hub::Hub;
 use super::charge::Charge;
+use super::descriptors;
 use super::hygiene::{self, Premises};
 use super::roster::{Roster, Ward};
 use super::strangers::Strangers;
@@ -116,7 +117,7 @@ impl Rounds {
                 self.take(wards);
             }
             self.look(now_ns);
-            self.look_around(now_ns, roster);
+            self.look_around(hub, now_ns, roster);
             next_ns = self.next_ns(os::now_ns());
         }
     }
@@ -137,8 +138,9 @@ impl Rounds {
     }
 
     /// The process and its threads: what components should have left as it was.
-    fn look_around(&mut self, now_ns: u64, roster: &Roster) {
+    fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
         let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
+        descriptors::look(hub, &wards);
         let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
         let busy = || -> Vec<&Ward> {
             let those = |is: fn(&Charge) -> bool| self.charges.iter().filter(move |c| is(c)).map(|c| &c.ward);

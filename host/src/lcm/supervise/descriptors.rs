@@ -1,0 +1,82 @@
+//! Descriptors of the host that code in its process has closed: who did it is named, the process is told to be
+//! unfit, and ends where it would hear of nothing any more.
+//!
+//! Invariant: what was closed is told once; what the host closes itself, at its end, is nobody's doing.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use trocar_rt::os::{Descriptor, Lasting};
+
+use super::super::api::Concern;
+use super::super::hub::Hub;
+use super::hygiene::{self, Minding, is_own_process};
+use super::roster::Ward;
+
+/// Names of components that are told.
+const TOLD: usize = 8;
+
+fn lasting() -> MutexGuard<'static, Option<Lasting>> {
+    static LASTING: Mutex<Option<Lasting>> = Mutex::new(None);
+    LASTING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The host has all it needs and runs no component yet: from now on this is looked after. A program that
+/// embeds a host does what it likes with its own.
+pub(crate) fn keep() {
+    if is_own_process() {
+        *lasting() = Some(Lasting::list());
+    }
+}
+
+/// The host begins to end.
+pub(crate) fn let_go() {
+    *lasting() = None;
+}
+
+pub(super) fn are_all_there() -> bool {
+    lasting().as_ref().is_none_or(Lasting::are_all_there)
+}
+
+/// Says what is gone, if anything is, and what becomes of the process.
+pub(super) fn settle(hub: &Hub, who: &str) {
+    let gone = lasting().as_mut().map(Lasting::take_gone).unwrap_or_default();
+    if gone.is_empty() {
+        return;
+    }
+    let list: Vec<String> = gone.iter().map(ToString::to_string).collect();
+    let what = format!("{who} closed descriptors of the host ({})", list.join(", "));
+    if gone.iter().any(Descriptor::is_vital) {
+        let why = format!("{what}, without which it hears of nothing");
+        log::error!("{why}: it makes its devices safe and ends");
+        hub.doom.send_replace(Some(why));
+    } else {
+        let why = format!(
+            "{what}: it is not reached there any more, and a restart opens them again; close only what the component itself \
+             opened, and that once"
+        );
+        log::error!("{why}");
+        hub.warn(Concern::Descriptors, Some(why));
+    }
+}
+
+/// A look of the watchdog, at one descriptor in turn: all within a tenth of a second or so.
+pub(super) fn look(hub: &Hub, wards: &[&Ward]) {
+    let before = hygiene::minded(wards);
+    if lasting().as_mut().is_none_or(Lasting::is_next_there) {
+        return;
+    }
+    // Who looks after his manners himself comes to it.
+    if !matches!(hygiene::minding(wards, &before), Minding::Looks) {
+        settle(hub, &suspects(wards));
+    }
+}
+
+fn suspects(wards: &[&Ward]) -> String {
+    let names: Vec<String> = wards.iter().take(TOLD).map(|w| w.instance.id.to_string()).collect();
+    match (names.as_slice(), wards.len().saturating_sub(TOLD)) {
+        ([], _) => "code in this process".to_owned(),
+        ([one], _) => one.clone(),
+        (_, 0) => format!("one of {}", names.join(", ")),
+        (_, more) => format!("one of {} and {more} more", names.join(", ")),
+    }
+}
