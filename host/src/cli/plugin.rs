@@ -110,6 +110,7 @@ fn inspect(file: &Path, session: &Session) -> Done {
             "hash": seen.hash.to_string(),
             "machine": seen.machine,
             "needed": seen.needed,
+            "brings": seen.brought.iter().map(|(name, hash)| json!({ "name": name, "hash": hash.to_string() })).collect::<Vec<_>>(),
             "warnings": seen.warnings,
             "manifest": seen.manifest,
         }));
@@ -124,6 +125,9 @@ fn inspect(file: &Path, session: &Session) -> Done {
     out::text(&describe(&seen.manifest));
     if !seen.needed.is_empty() {
         out::say(&format!("needs {}", seen.needed.join(", ")));
+    }
+    for (name, hash) in &seen.brought {
+        out::line(&format!("brings {}  sha256 {hash}", out::harmless(name)));
     }
     for warning in &seen.warnings {
         out::say(&format!("warning: {warning}"));

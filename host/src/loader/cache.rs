@@ -1,8 +1,10 @@
-//! The only place the dynamic linker loads plugins from: `<state>/plugins/<sha256>/<name>.so`.
+//! The only place the dynamic linker loads plugins from: `<state>/plugins/<sha256>/<name>.so`, and beside it
+//! the libraries the plugin brings.
 //!
-//! Invariant: a path handed out holds exactly the bytes of that hash, is owned by this user, and nobody else
-//! can write it or a directory above it up to the cache's root. Files are made complete under another name,
-//! then renamed. Versions that nobody can ask for any more go.
+//! Invariant: a path handed out and the libraries beside it hold exactly the bytes of that hash, are owned by
+//! this user, and nobody else can write them or a directory above them up to the cache's root. Files are made
+//! complete under another name, then renamed. Of them the plugin alone is executable. Versions that nobody
+//! can ask for any more go.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -13,7 +15,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-use super::file::own_uid;
+use super::file::{is_plugin_name, own_uid};
+use super::listed::Content;
 use super::{Fault, Hash, StoreError};
 
 pub(crate) struct Cache {
@@ -51,16 +54,15 @@ impl Cache {
         Ok(Cache { root })
     }
 
-    /// The cached file of `hash`; written from `bytes` unless it is there already, whole and private.
-    pub(crate) fn put(&self, hash: &Hash, name: &str, bytes: &[u8]) -> Result<PathBuf, Fault> {
+    /// The cached file of `hash`; it and its libraries are written unless they are there already, whole and
+    /// private.
+    pub(crate) fn put(&self, hash: &Hash, name: &str, content: &Content) -> Result<PathBuf, Fault> {
         let dir = self.dir(hash);
-        let path = dir.join(format!("{name}.so"));
-        if is_whole(&path, bytes) {
-            return Ok(path);
+        for library in &content.brought {
+            keep(&dir.join(&library.name), &library.bytes, LIBRARY)?;
         }
-        let failed = |e: io::Error| Fault::Cache { path: path.clone(), because: e.to_string() };
-        private_dir(&dir).map_err(failed)?;
-        write_whole(&path, bytes, 0o500).map_err(failed)?;
+        let path = dir.join(format!("{name}.so"));
+        keep(&path, &content.bytes, PLUGIN)?;
         Ok(path)
     }
 
@@ -83,7 +85,7 @@ impl Cache {
         let rest = entries.filter_map(|entry| {
             let hash = Hash::parse(entry.file_name().to_str()?)?;
             let made = entry.metadata().ok()?.modified().ok()?;
-            (!keep.contains(&hash)).then(|| (library_in(&entry.path()), made, entry.path()))
+            (!keep.contains(&hash)).then(|| (plugin_in(&entry.path()), made, entry.path()))
         });
         let mut rest: Vec<_> = rest.collect();
         rest.sort();
@@ -110,10 +112,27 @@ fn verdict_name() -> String {
     format!("vetted-{}-{ABI_MAJOR}.{ABI_MINOR}-{RULES}", env!("CARGO_PKG_VERSION"))
 }
 
-/// Name of the library that lies there.
-fn library_in(dir: &Path) -> Option<OsString> {
-    let names = fs::read_dir(dir).ok()?.flatten().map(|entry| entry.file_name());
-    names.filter(|name| name.as_encoded_bytes().ends_with(b".so")).min()
+/// Modes of a plugin's copy and of the libraries it brings: they tell the one from the others.
+const PLUGIN: u32 = 0o500;
+const LIBRARY: u32 = 0o400;
+
+/// Name of the plugin that lies there.
+fn plugin_in(dir: &Path) -> Option<OsString> {
+    let entries = fs::read_dir(dir).ok()?.flatten();
+    let is_plugin = |entry: &fs::DirEntry| entry.metadata().is_ok_and(|meta| meta.mode() & 0o100 != 0);
+    entries.filter(is_plugin).map(|entry| entry.file_name()).find(|name| is_plugin_name(name))
+}
+
+/// Writes a file unless it is there already, whole and private.
+fn keep(path: &Path, bytes: &[u8], mode: u32) -> Result<(), Fault> {
+    if is_whole(path, bytes) {
+        return Ok(());
+    }
+    let write = || {
+        path.parent().map_or(Ok(()), private_dir)?;
+        write_whole(path, bytes, mode)
+    };
+    write().map_err(|e| Fault::Cache { path: path.into(), because: e.to_string() })
 }
 
 fn private_dir(path: &Path) -> io::Result<()> {

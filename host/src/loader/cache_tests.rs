@@ -3,6 +3,10 @@
 
 use super::*;
 
+fn content() -> Content {
+    Content::of(b"bytes", &[("libvendor.so.1", b"of a vendor")])
+}
+
 #[test]
 fn a_cache_open_to_others_is_closed() {
     let state = tempfile::tempdir().unwrap();
@@ -43,12 +47,12 @@ fn old_versions_go_but_for_those_that_are_kept_and_the_last_one() {
     let day = |n: u64| std::time::SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(n * 86_400);
     let versions: Vec<Hash> = (0..6u8).map(|n| Hash::of(&[n])).collect();
     for (n, hash) in versions.iter().enumerate() {
-        cache.put(hash, "sine", b"bytes").unwrap();
+        cache.put(hash, "sine", &content()).unwrap();
         cache.set_vetted(hash);
         File::open(cache.dir(hash)).unwrap().set_modified(day(n as u64)).unwrap();
     }
     let other = Hash::of(b"of another plugin");
-    cache.put(&other, "cosine", b"bytes").unwrap();
+    cache.put(&other, "cosine", &content()).unwrap();
     File::open(cache.dir(&other)).unwrap().set_modified(day(0)).unwrap();
     fs::write(cache.root.join("what-a-person-left"), "").unwrap();
     cache.prune(&[versions[1], versions[5]].into());
@@ -67,8 +71,8 @@ fn nothing_temporary_is_left_behind() {
     let state = tempfile::tempdir().unwrap();
     let cache = Cache::open(state.path()).unwrap();
     let hash = Hash::of(b"bytes");
-    let path = cache.put(&hash, "sine", b"bytes").unwrap();
-    assert_eq!(cache.put(&hash, "sine", b"bytes").unwrap(), path);
+    let path = cache.put(&hash, "sine", &content()).unwrap();
+    assert_eq!(cache.put(&hash, "sine", &content()).unwrap(), path);
     cache.set_vetted(&hash);
     assert!(cache.is_vetted(&hash));
     let names: Vec<_> =

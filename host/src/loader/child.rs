@@ -10,8 +10,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use super::error::Stage;
+use super::inspect_file;
+use super::load::{self, Libraries};
 use super::vet::{BEGIN_LIMIT, PREFIX, VET_LIMIT, stage_word};
-use super::{inspect_file, load};
 
 /// Entry point of the hidden subcommand. Exit code 0 when nothing is wrong with the file.
 pub fn vet_main(path: &Path) -> ExitCode {
@@ -31,7 +32,9 @@ pub fn vet_main(path: &Path) -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
-    let verdict = load::try_out(path, &inspection.manifest, |stage: Stage| say(stage_word(stage)));
+    let libraries = Libraries { needed: inspection.needed, brought: inspection.brought };
+    let stage = |stage: Stage| say(stage_word(stage));
+    let verdict = load::try_out(path, &inspection.manifest, &libraries, stage);
     let code = match verdict {
         Ok(()) => {
             say("ok");

@@ -12,8 +12,10 @@ pub(crate) struct Elf<'a> {
     pub(crate) note: Option<&'a [u8]>,
     /// Libraries by DT_NEEDED, in order.
     pub(crate) needed: Vec<&'a str>,
-    /// DT_RPATH and DT_RUNPATH.
-    pub(crate) run_paths: Vec<&'a str>,
+    /// DT_RPATH: for itself and for what the libraries it needs look for.
+    pub(crate) rpaths: Vec<&'a str>,
+    /// DT_RUNPATH: for itself alone; then DT_RPATH does not count.
+    pub(crate) runpaths: Vec<&'a str>,
     /// Names `_Unwind_RaiseException`: it can unwind a panic.
     pub(crate) unwinds: bool,
     /// The first symbol with binding STB_GNU_UNIQUE that is not the C++ library's own.
@@ -108,6 +110,15 @@ impl<'a> Elf<'a> {
         Ok(elf)
     }
 
+    /// What is to be said about symbols that all versions of the library share.
+    pub(crate) fn unique_warning(&self) -> Option<String> {
+        let symbol = self.unique_symbol?;
+        Some(format!(
+            "exports unique symbols (`{symbol}`), which all its versions would share: build it with \
+             -fvisibility=hidden, or with g++ -fno-gnu-unique; it cannot be unloaded"
+        ))
+    }
+
     /// Reads the dynamic section and returns its DT_FLAGS_1.
     fn read_dynamic(
         &mut self,
@@ -141,7 +152,8 @@ impl<'a> Elf<'a> {
         for (tag, value) in entries {
             let list = match tag {
                 DT_NEEDED => &mut self.needed,
-                DT_RPATH | DT_RUNPATH => &mut self.run_paths,
+                DT_RPATH => &mut self.rpaths,
+                DT_RUNPATH => &mut self.runpaths,
                 _ => continue,
             };
             if list.len() == MAX_NEEDED {

@@ -77,6 +77,21 @@ pub enum Fault {
     LibraryByPath {
         name: String,
     },
+    /// A library that the plugin brings is not acceptable.
+    Library {
+        name: String,
+        fault: Box<Fault>,
+    },
+    /// A brought library is called as the plugin's copy in the cache.
+    NameOfTheCopy,
+    TooManyLibraries {
+        limit: usize,
+    },
+    /// Another file is in the process under the name of a needed library.
+    OtherLibrary {
+        name: String,
+        loaded: String,
+    },
     NoNote,
     BadManifest {
         because: String,
@@ -202,12 +217,21 @@ impl Fault {
             | Fault::Symlink
             | Fault::SymlinkLeadsOut
             | Fault::NotAllowed { .. } => "PLUGIN_UNTRUSTED",
+            Fault::Library { fault, .. } => fault.reason(),
             _ => "PLUGIN_BAD_FILE",
         }
     }
 }
 
 impl Fault {
+    /// What is wrong, without the library that it is wrong with.
+    pub(super) fn root(&self) -> &Fault {
+        match self {
+            Fault::Library { fault, .. } => fault.root(),
+            fault => fault,
+        }
+    }
+
     /// The file itself is at fault: the same bytes come to the same again, whatever the system has then. A
     /// crash, a hang or an exit may be for want of a licence, a device or a service, which is there the next
     /// time.
@@ -281,7 +305,7 @@ impl fmt::Display for Fault {
             }
             Fault::TooLarge { size, limit } => write!(
                 f,
-                "is {} MiB long, a plugin may have {} MiB: strip it or check what was copied",
+                "is {} MiB long, a plugin may have {} MiB with the libraries it brings: strip it or check what was copied",
                 size >> 20,
                 limit >> 20
             ),
@@ -310,15 +334,36 @@ impl fmt::Display for Fault {
             Fault::NotALibrary { kind } => {
                 write!(f, "is {kind}, not a shared library: link it with -shared")
             }
+            Fault::RunPath { path } if path.is_empty() => write!(
+                f,
+                "carries an empty library search path, which is the working directory: link it with \
+                 -Wl,-rpath,'$ORIGIN' alone, or without -rpath"
+            ),
             Fault::RunPath { path } => write!(
                 f,
-                "carries the library search path `{path}`: link it without -rpath, and put its libraries where the system looks \
-                 (a directory in /etc/ld.so.conf.d, then ldconfig)"
+                "carries the library search path `{path}`: put its libraries into the plugin's own directory (not below it) and link \
+                 it with -Wl,-rpath,'$ORIGIN', or put them where the system looks (a directory in /etc/ld.so.conf.d, then ldconfig)"
+            ),
+            Fault::Library { name, fault } => write!(f, "brings the library `{name}`, which {fault}"),
+            Fault::NameOfTheCopy => write!(
+                f,
+                "has the name that the plugin itself has in the cache: give the library another name (-Wl,-soname), or the plugin"
+            ),
+            Fault::TooManyLibraries { limit } => write!(
+                f,
+                "brings more than {limit} libraries: install them where the system looks (a directory in /etc/ld.so.conf.d, then \
+                 ldconfig)"
+            ),
+            Fault::OtherLibrary { name, loaded } => write!(
+                f,
+                "needs another `{name}` than this process has loaded already ({loaded}), and the dynamic linker keeps one of each \
+                 name: give all plugins the same file, let its components run in a process of their own (\"isolation\"), or restart \
+                 the host where that is the library of a former version"
             ),
             Fault::MissingLibrary { name } => write!(
                 f,
-                "needs the library `{name}`, which this system does not have: install it, or link it statically{}. It is looked \
-                 for again every 2 s; one beside the plugin is not found, for plugins are loaded from a cache",
+                "needs the library `{name}`, which is not found: install it, link it statically, or put it beside the plugin and link \
+                 that with -Wl,-rpath,'$ORIGIN'{}. It is looked for again every 2 s",
                 if libraries::is_secured() {
                     ". This program has file capabilities or another user's rights, so LD_LIBRARY_PATH does not count: name the \
                      directory in /etc/ld.so.conf.d, then ldconfig"

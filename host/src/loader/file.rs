@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use super::trust::Ownership;
 use super::{Fault, Hash, Trust};
 
-/// Larger plugin files are refused, bytes.
+/// A plugin with all the libraries it brings may have no more, bytes.
 pub(crate) const SIZE_LIMIT: u64 = 256 << 20;
 
 /// A plugin file in memory.
@@ -52,6 +52,11 @@ impl Signature {
             changed_ns: ns(meta.ctime(), meta.ctime_nsec()),
         }
     }
+
+    /// None where there is no file.
+    pub(crate) fn at(path: &Path) -> Option<Signature> {
+        std::fs::metadata(path).ok().as_ref().map(Signature::of)
+    }
 }
 
 impl PluginDir {
@@ -78,11 +83,11 @@ impl PluginDir {
         Ok(names)
     }
 
-    /// Reads `name`; refuses what is not a regular file of bounded size that `trust` takes.
-    pub(crate) fn read(&self, name: &OsStr, trust: &Trust) -> Result<FileBytes, Fault> {
+    /// Reads `name`; refuses what is not a regular file of at most `room` bytes that `trust` takes.
+    pub(crate) fn read(&self, name: &OsStr, trust: &Trust, room: u64) -> Result<FileBytes, Fault> {
         let file = self.open_beneath(name, trust).map_err(open_fault)?;
         let meta = file.metadata().map_err(unreadable)?;
-        check_regular(&meta)?;
+        check_regular(&meta, room)?;
         let warnings = trust.judge_owner(Ownership {
             uid: meta.uid(),
             mode: meta.mode() & 0o7777,
@@ -136,14 +141,14 @@ impl PluginDir {
 }
 
 /// Reads one file for a person who names it: links are followed and nobody's ownership is judged.
-pub(crate) fn read_named(path: &Path) -> Result<FileBytes, Fault> {
+pub(crate) fn read_named(path: &Path, room: u64) -> Result<FileBytes, Fault> {
     let file = std::fs::OpenOptions::new()
         .read(true)
         .custom_flags(libc::O_NONBLOCK | libc::O_CLOEXEC)
         .open(path)
         .map_err(open_fault)?;
     let meta = file.metadata().map_err(unreadable)?;
-    check_regular(&meta)?;
+    check_regular(&meta, room)?;
     let (bytes, hash) = read_all(&file, &meta)?;
     Ok(FileBytes { bytes, hash, warnings: Vec::new() })
 }
@@ -153,13 +158,20 @@ pub(crate) fn is_plugin_name(name: &OsStr) -> bool {
     !name.starts_with(b".") && name.ends_with(b".so")
 }
 
+/// Names a library may have that a plugin brings: `libvendor.so`, `libvendor.so.1`. No other file of the
+/// cache is called so.
+pub(crate) fn is_library_name(name: &OsStr) -> bool {
+    let bytes = name.as_bytes();
+    is_plugin_name(name) || (!bytes.starts_with(b".") && bytes.windows(4).any(|part| part == b".so."))
+}
+
 /// The user this process acts as.
 pub(crate) fn own_uid() -> u32 {
     // SAFETY: geteuid has no preconditions and cannot fail.
     unsafe { libc::geteuid() }
 }
 
-fn check_regular(meta: &Metadata) -> Result<(), Fault> {
+fn check_regular(meta: &Metadata, room: u64) -> Result<(), Fault> {
     let kind = meta.file_type();
     if !kind.is_file() {
         let kind = match () {
@@ -170,7 +182,7 @@ fn check_regular(meta: &Metadata) -> Result<(), Fault> {
         };
         return Err(Fault::NotRegular { kind });
     }
-    if meta.len() > SIZE_LIMIT {
+    if meta.len() > room {
         return Err(Fault::TooLarge { size: meta.len(), limit: SIZE_LIMIT });
     }
     Ok(())

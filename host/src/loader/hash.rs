@@ -1,6 +1,7 @@
-//! The sha256 of a file: the identity of a plugin's bytes.
+//! The sha256 of a file, or of a plugin with the libraries it brings: the identity of what is loaded.
 //!
-//! Invariant: trust, cache, vetting verdicts and loaded libraries are keyed by this and by nothing a file can claim.
+//! Invariant: trust, cache, vetting verdicts and loaded libraries are keyed by this and by nothing a file can
+//! claim.
 
 use std::fmt;
 
@@ -15,6 +16,19 @@ impl Hash {
         let mut out = [0; 32];
         out.copy_from_slice(&Sha256::digest(bytes));
         Hash(out)
+    }
+
+    /// Of a plugin with the libraries it brings, in any order: another one when any of them is another.
+    /// Without libraries it is that of the file.
+    pub(crate) fn with(self, brought: &[(&str, Hash)]) -> Hash {
+        if brought.is_empty() {
+            return self;
+        }
+        let mut brought = brought.to_vec();
+        brought.sort_unstable();
+        let line = |(name, hash): &(&str, Hash)| format!("{hash} {} {name}\n", name.len());
+        let libraries: String = brought.iter().map(line).collect();
+        Hash::of(format!("{self}\n{libraries}").as_bytes())
     }
 
     /// Parses 64 hex digits of either case.

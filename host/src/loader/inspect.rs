@@ -1,13 +1,16 @@
 //! Everything that can be said about a plugin file without running a byte of it.
 //!
-//! Invariant: pure over the file's bytes, except for the question which libraries this system has.
+//! Invariant: pure over the bytes of the file and of the libraries it brings, except for the question which
+//! libraries this system has.
 
 use std::path::{Path, PathBuf};
 
 use trocar_plugin_api::manifest::Manifest;
 
+use super::beside::{self, Brought, ReadBeside};
 use super::elf::{self, Elf};
-use super::{Fault, Hash, PluginError, file, libraries, manifest};
+use super::file::{self, SIZE_LIMIT};
+use super::{Fault, Hash, PluginError, manifest};
 
 /// What `trocar plugin inspect` shows.
 #[derive(Clone, Debug)]
@@ -18,17 +21,19 @@ pub struct Inspection {
     pub hash: Hash,
     pub machine: &'static str,
     pub manifest: Manifest,
-    /// Libraries it needs, all present on this system.
+    /// Libraries it needs, all beside it or on this system.
     pub needed: Vec<String>,
+    /// Libraries beside it that are taken into the cache with it, each under its name.
+    pub brought: Vec<(String, Hash)>,
     /// What is not wrong enough to refuse it.
     pub warnings: Vec<String>,
 }
 
 /// What the bytes say.
-#[derive(Clone, Debug)]
 pub(crate) struct Facts {
     pub(crate) manifest: Manifest,
     pub(crate) needed: Vec<String>,
+    pub(crate) brought: Vec<Brought>,
     pub(crate) warnings: Vec<String>,
 }
 
@@ -38,8 +43,9 @@ pub(crate) struct Facts {
 /// The same sentence the file would be refused with in a plugin directory.
 pub fn inspect_file(path: &Path) -> Result<Inspection, PluginError> {
     let refused = |fault| PluginError::Refused { file: path.to_path_buf(), fault };
-    let read = file::read_named(path).map_err(refused)?;
-    let facts = inspect_bytes(&read.bytes).map_err(refused)?;
+    let read = file::read_named(path, SIZE_LIMIT).map_err(refused)?;
+    let mut beside = |name: &str, room| file::read_named(&path.with_file_name(name), room);
+    let facts = inspect_bytes(&read.bytes, &mut beside).map_err(refused)?;
     Ok(Inspection {
         file: path.to_path_buf(),
         size: read.bytes.len() as u64,
@@ -47,39 +53,23 @@ pub fn inspect_file(path: &Path) -> Result<Inspection, PluginError> {
         machine: elf::own_machine(),
         manifest: facts.manifest,
         needed: facts.needed,
+        brought: facts.brought.into_iter().map(|library| (library.name, library.hash)).collect(),
         warnings: facts.warnings,
     })
 }
 
-/// ELF, needed libraries, note, manifest.
-pub(crate) fn inspect_bytes(bytes: &[u8]) -> Result<Facts, Fault> {
+/// ELF, note, manifest, needed libraries; `beside` reads those that lie beside the file.
+pub(crate) fn inspect_bytes(bytes: &[u8], beside: &mut ReadBeside) -> Result<Facts, Fault> {
     let elf = Elf::parse(bytes)?;
     let note = elf.note.ok_or(Fault::NoNote)?;
     let (manifest, mut warnings) = manifest::read_warned(note)?;
     if manifest.panic == "unwind" && !elf.unwinds {
         return Err(Fault::PanicAbort);
     }
-    if let Some(path) = elf.run_paths.iter().flat_map(|p| p.split(':')).find(|p| !is_origin(p)) {
-        return Err(Fault::RunPath { path: path.to_string() });
-    }
-    for name in &elf.needed {
-        if name.contains('/') {
-            return Err(Fault::LibraryByPath { name: name.to_string() });
-        }
-        if !libraries::is_available(name) {
-            return Err(Fault::MissingLibrary { name: name.to_string() });
-        }
-    }
-    if let Some(symbol) = elf.unique_symbol {
-        warnings.push(format!(
-            "exports unique symbols (`{symbol}`), which all its versions would share: build it with \
-             -fvisibility=hidden, or with g++ -fno-gnu-unique; it cannot be unloaded"
-        ));
-    }
-    Ok(Facts { manifest, needed: elf.needed.iter().map(ToString::to_string).collect(), warnings })
-}
-
-/// `$ORIGIN` alone: it points into the cache, where no other library lies.
-fn is_origin(path: &str) -> bool {
-    matches!(path, "" | "$ORIGIN" | "${ORIGIN}" | "$ORIGIN/" | "${ORIGIN}/")
+    let own = format!("{}.so", manifest.name);
+    let brought = beside::collect(&elf, &own, SIZE_LIMIT.saturating_sub(bytes.len() as u64), beside)?;
+    warnings.extend(elf.unique_warning());
+    warnings.extend(brought.iter().flat_map(|library| library.warnings.clone()));
+    let needed = elf.needed.iter().map(ToString::to_string).collect();
+    Ok(Facts { manifest, needed, brought, warnings })
 }

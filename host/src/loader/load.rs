@@ -19,7 +19,7 @@ use trocar_rt::os::{self, Environment};
 use super::error::Stage;
 use super::host_table::{self, LogFn};
 use super::table::{check_table, complete};
-use super::{Fault, Hash};
+use super::{Fault, Hash, ListedPlugin, resident};
 
 /// A library that is in this process, and stays.
 pub struct LoadedPlugin {
@@ -69,6 +69,10 @@ pub(crate) enum LoadFault {
     MissingLibrary {
         name: String,
     },
+    OtherLibrary {
+        name: String,
+        loaded: String,
+    },
     DlOpen {
         because: String,
     },
@@ -92,6 +96,7 @@ impl From<LoadFault> for Fault {
         match fault {
             LoadFault::UndefinedSymbol { symbol } => Fault::UndefinedSymbol { symbol },
             LoadFault::MissingLibrary { name } => Fault::MissingLibrary { name },
+            LoadFault::OtherLibrary { name, loaded } => Fault::OtherLibrary { name, loaded },
             LoadFault::DlOpen { because } => Fault::DlOpen { because },
             LoadFault::NoEntry => Fault::NoEntry,
             LoadFault::Layout { difference } => Fault::Layout { difference },
@@ -99,6 +104,14 @@ impl From<LoadFault> for Fault {
             LoadFault::Init { status, said } => Fault::Init { status, said },
         }
     }
+}
+
+/// The names of libraries that have to stand for the right ones before a plugin is opened.
+pub(crate) struct Libraries {
+    /// What it needs.
+    pub(crate) needed: Vec<String>,
+    /// What it brings.
+    pub(crate) brought: Vec<(String, Hash)>,
 }
 
 /// A library that was opened and whose entry agrees with its manifest.
@@ -154,12 +167,17 @@ pub(crate) fn has_loaded_since(moment: Moment) -> bool {
 }
 
 /// Loads a vetted cache file into the host and calls its `init`.
-pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {
+pub(crate) fn load(
+    path: &Path,
+    plugin: &ListedPlugin,
+    libraries: &Libraries,
+    log: LogFn,
+) -> Result<LoadedPlugin, Fault> {
     let _loading = Loading::begin();
     let place = std::env::current_dir().ok();
     let environment = Environment::look();
-    let loaded = load_here(path, hash, manifest, log);
-    tell_environment(&manifest.name, environment);
+    let loaded = load_here(path, plugin, libraries, log);
+    tell_environment(&plugin.manifest.name, environment);
     if let Some(place) = place
         && std::env::current_dir().ok().as_ref() != Some(&place)
     {
@@ -167,7 +185,7 @@ pub(crate) fn load(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> 
             Ok(()) => "which was put back".to_owned(),
             Err(e) => format!("which could not be put back to {}: {e}", place.display()),
         };
-        let plugin = &manifest.name;
+        let plugin = plugin.name();
         log::warn!(
             "plugin {plugin}: it changed the working directory of the process while it was loaded, {put_back}"
         );
@@ -184,13 +202,26 @@ fn tell_environment(plugin: &str, before: Option<Environment>) {
     }
 }
 
-fn load_here(path: &Path, hash: Hash, manifest: &Manifest, log: LogFn) -> Result<LoadedPlugin, Fault> {
+fn load_here(
+    path: &Path,
+    plugin: &ListedPlugin,
+    libraries: &Libraries,
+    log: LogFn,
+) -> Result<LoadedPlugin, Fault> {
+    let ListedPlugin { manifest, hash, .. } = plugin;
+    resident::check(libraries, path.parent().and_then(Path::parent))?;
     let opened = open(path, manifest, false, |_| ())?;
     // From here on the code has run; unmapping it is never safe again.
     let library = ManuallyDrop::new(opened.library);
     // SAFETY: `open` checked table and classes, which live as long as the library, and that stays.
     let classes = unsafe { settle_in(opened.table, &opened.classes, &manifest.name, log, 0) }?;
-    Ok(LoadedPlugin { manifest: manifest.clone(), hash, file: path.into(), classes, _library: library })
+    Ok(LoadedPlugin {
+        manifest: manifest.clone(),
+        hash: *hash,
+        file: path.into(),
+        classes,
+        _library: library,
+    })
 }
 
 /// Calls `init` and completes the class tables.
@@ -236,8 +267,10 @@ fn note(_plugin: &str, level: u32, _target: &str, message: &str) {
 pub(crate) fn try_out(
     path: &Path,
     manifest: &Manifest,
+    libraries: &Libraries,
     mut stage: impl FnMut(Stage),
 ) -> Result<(), LoadFault> {
+    resident::check(libraries, None)?;
     let opened = open(path, manifest, true, &mut stage)?;
     let _stays_mapped = ManuallyDrop::new(opened.library);
     stage(Stage::Init);

@@ -1,16 +1,18 @@
 //! Looks at the plugin directories and reads what is new in them.
 //!
-//! Invariant: a file whose signature did not change is not opened again, but for a library that was missing
-//! then, and a file that is still being written (young, and not seen closed) is not opened yet: it keeps its
-//! last outcome, or stays invisible. What the process has no files or memory left to look at stays as it was.
+//! Invariant: a file is opened again only when its signature changed, that of a library beside it which it
+//! needs, or when one is there that was missing; a file that is still being written (young, and not seen
+//! closed) is not opened yet: it keeps its last outcome, or stays invisible. What the process has no files or
+//! memory left to look at stays as it was.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::catalog::Finding;
-use super::file::{PluginDir, Signature, is_shortage};
+use super::file::{PluginDir, SIZE_LIMIT, Signature, is_shortage};
 use super::{Fault, ListedPlugin, Trust, inspect, libraries};
 
 /// A file without a close event counts once its size and mtime did not change for this long.
@@ -28,11 +30,16 @@ pub(crate) struct Scanner {
 
 struct Seen {
     signature: Signature,
+    /// What was looked for in its directory when it was read, and found.
+    beside: Beside,
     since: Instant,
     outcome: Option<Result<Arc<ListedPlugin>, Fault>>,
     /// The outcome belongs to this signature.
     current: bool,
 }
+
+/// Files, and what they were; none where there was no file.
+type Beside = Vec<(PathBuf, Option<Signature>)>;
 
 /// One look at all directories.
 pub(crate) struct Scan {
@@ -77,10 +84,10 @@ impl Scanner {
             self.lost.remove(path);
             for name in names {
                 let file = path.join(&name);
-                let read = |warn: &dyn Fn(&str)| look_into(&dir, &name, &file, trust, warn);
-                let settle = match () {
-                    () if closed.contains(&file) => Duration::ZERO,
-                    () if writing.contains(&file) => SETTLE_WHILE_WRITTEN,
+                let read = |beside: &mut Beside| look_into(&dir, &name, &file, trust, beside);
+                let settle = |file: &Path| match () {
+                    () if closed.contains(file) => Duration::ZERO,
+                    () if writing.contains(file) => SETTLE_WHILE_WRITTEN,
                     () => SETTLE,
                 };
                 match self.look(&file, settle, read) {
@@ -98,10 +105,16 @@ impl Scanner {
             }
         }
         self.seen.retain(|file, _| present.contains(file));
+        leave_out_brought(&mut scan.findings);
         scan
     }
 
-    fn look(&mut self, file: &Path, settle: Duration, read: impl FnOnce(&dyn Fn(&str)) -> Outcome) -> Look {
+    fn look(
+        &mut self,
+        file: &Path,
+        settle: impl Fn(&Path) -> Duration,
+        read: impl FnOnce(&mut Beside) -> Outcome,
+    ) -> Look {
         // A link whose target cannot be reached still gets its sentence: ask the link itself then.
         let Ok(meta) = std::fs::metadata(file).or_else(|_| std::fs::symlink_metadata(file)) else {
             return Look::Gone;
@@ -109,27 +122,46 @@ impl Scanner {
         let signature = Signature::of(&meta);
         let seen = self.seen.entry(file.to_path_buf()).or_insert_with(|| Seen {
             signature,
+            beside: Vec::new(),
             since: Instant::now(),
             outcome: None,
             current: false,
         });
-        if seen.signature != signature {
-            *seen = Seen { signature, since: Instant::now(), current: false, outcome: seen.outcome.take() };
+        let beside: Beside =
+            seen.beside.iter().map(|(file, _)| (file.clone(), Signature::at(file))).collect();
+        if seen.signature != signature || seen.beside != beside {
+            let outcome = seen.outcome.take();
+            *seen = Seen { signature, beside, since: Instant::now(), current: false, outcome };
         }
         // The thing it was refused for may be there now, without a change of the file.
-        let is_mended = matches!(&seen.outcome, Some(Err(Fault::MissingLibrary { name })) if libraries::is_available(name));
+        let is_mended = match &seen.outcome {
+            Some(Err(fault)) => {
+                matches!(fault.root(), Fault::MissingLibrary { name } if libraries::is_available(name))
+            }
+            _ => false,
+        };
         if let (true, false, Some(outcome)) = (seen.current, is_mended, &seen.outcome) {
             return Look::Outcome(outcome.clone());
         }
-        let settled = !meta.is_file() || age(&signature) >= settle || seen.since.elapsed() >= settle;
-        if !settled {
+        let is_settled = |file: &Path, signature: &Signature| {
+            let settle = settle(file);
+            age(signature) >= settle || seen.since.elapsed() >= settle
+        };
+        let mut others = seen.beside.iter().filter_map(|(file, signature)| Some((file, signature.as_ref()?)));
+        if meta.is_file()
+            && !(is_settled(file, &signature) && others.all(|(file, signature)| is_settled(file, signature)))
+        {
             return Look::Unsettled(seen.outcome.clone());
         }
-        let mut outcome = read(&|warning| log::warn!("plugin {}: {warning}", file.display()));
-        if matches!(outcome, Err(Fault::ChangedWhileRead | Fault::Shortage { .. })) {
+        let mut beside = Vec::new();
+        let mut outcome = read(&mut beside);
+        if let Err(fault) = &outcome
+            && matches!(fault.root(), Fault::ChangedWhileRead | Fault::Shortage { .. })
+        {
             seen.since = Instant::now();
             return Look::Unsettled(seen.outcome.clone());
         }
+        seen.beside = beside;
         if let (Ok(new), Some(Ok(old))) = (&outcome, &seen.outcome)
             && new.hash == old.hash
             && new.warnings == old.warnings
@@ -150,19 +182,28 @@ enum Look {
     Gone,
 }
 
-fn look_into(
-    dir: &PluginDir,
-    name: &std::ffi::OsStr,
-    file: &Path,
-    trust: &Trust,
-    warn: &dyn Fn(&str),
-) -> Outcome {
-    let read = dir.read(name, trust)?;
-    let facts = inspect::inspect_bytes(&read.bytes)?;
-    let mut warnings = read.warnings;
-    warnings.extend(facts.warnings);
-    warnings.iter().for_each(|w| warn(w));
-    Ok(Arc::new(ListedPlugin::new(facts.manifest, file, read.hash, read.bytes, warnings)))
+fn look_into(dir: &PluginDir, name: &OsStr, file: &Path, trust: &Trust, looked_for: &mut Beside) -> Outcome {
+    let read = dir.read(name, trust, SIZE_LIMIT)?;
+    let mut beside = |name: &str, room| {
+        let library = file.with_file_name(name);
+        let signature = Signature::at(&library);
+        looked_for.push((library, signature));
+        dir.read(name.as_ref(), trust, room)
+    };
+    let facts = inspect::inspect_bytes(&read.bytes, &mut beside)?;
+    let plugin = ListedPlugin::new(file, read, facts);
+    plugin.warnings.iter().for_each(|warning| log::warn!("plugin {}: {warning}", file.display()));
+    Ok(Arc::new(plugin))
+}
+
+/// A library that a plugin brings is no plugin, and nobody takes it for one.
+fn leave_out_brought(findings: &mut Vec<Finding>) {
+    let plugins = findings.iter().filter_map(|finding| finding.outcome.as_ref().ok());
+    let brought = |plugin: &Arc<ListedPlugin>| -> Vec<PathBuf> {
+        plugin.brought.iter().map(|name| plugin.file.with_file_name(name)).collect()
+    };
+    let brought: BTreeSet<PathBuf> = plugins.flat_map(brought).collect();
+    findings.retain(|f| !(matches!(f.outcome, Err(Fault::NoNote)) && brought.contains(&f.file)));
 }
 
 /// Time since the last write by the clock of this machine; zero when that lies in the future.

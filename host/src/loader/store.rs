@@ -8,10 +8,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::Duration;
 
-use trocar_plugin_api::manifest::{Class, Manifest};
-
 use super::cache::Cache;
 use super::host_table::{LogFn, log_to_crate};
+use super::listed::{ClassRef, ListedPlugin};
 use super::load::{self, LoadedClass, LoadedPlugin};
 use super::scan::{SETTLE, Scanner};
 use super::vet::{self, VET_LIMIT};
@@ -59,60 +58,6 @@ type Slot = Arc<Mutex<Option<Arc<LoadedPlugin>>>>;
 pub(super) struct Observer {
     pub(super) id: u64,
     pub(super) tell: Box<dyn Fn(&CatalogChange) + Send>,
-}
-
-/// A plugin whose file was taken; none of its code has run.
-pub struct ListedPlugin {
-    pub manifest: Manifest,
-    pub hash: Hash,
-    pub file: PathBuf,
-    /// Bytes.
-    pub size: u64,
-    pub warnings: Vec<String>,
-    /// Kept until the plugin is loaded, then the cache has them.
-    content: Mutex<Option<Arc<Vec<u8>>>>,
-}
-
-/// A class of a listed plugin.
-#[derive(Clone, Debug)]
-pub struct ClassRef {
-    pub plugin: Arc<ListedPlugin>,
-    index: usize,
-}
-
-impl ClassRef {
-    /// `plugin/class`.
-    pub fn full_name(&self) -> String {
-        format!("{}/{}", self.plugin.name(), self.class().name)
-    }
-
-    pub fn class(&self) -> &Class {
-        &self.plugin.manifest.classes[self.index]
-    }
-}
-
-impl ListedPlugin {
-    pub(crate) fn new(
-        manifest: Manifest,
-        file: &Path,
-        hash: Hash,
-        bytes: Vec<u8>,
-        warnings: Vec<String>,
-    ) -> ListedPlugin {
-        let size = bytes.len() as u64;
-        let content = Mutex::new(Some(Arc::new(bytes)));
-        ListedPlugin { manifest, hash, file: file.into(), size, warnings, content }
-    }
-
-    pub fn name(&self) -> &str {
-        &self.manifest.name
-    }
-}
-
-impl std::fmt::Debug for ListedPlugin {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} {} ({})", self.name(), self.manifest.version, self.hash.short())
-    }
 }
 
 impl PluginStore {
@@ -189,8 +134,7 @@ impl PluginStore {
     /// Every available class, in the order of [`PluginStore::list`].
     pub fn classes(&self) -> Vec<ClassRef> {
         let of = |plugin: &Arc<ListedPlugin>| {
-            let refs =
-                (0..plugin.manifest.classes.len()).map(|index| ClassRef { plugin: plugin.clone(), index });
+            let refs = (0..plugin.manifest.classes.len()).map(|index| ClassRef::new(plugin.clone(), index));
             refs.collect::<Vec<_>>()
         };
         self.entries().iter().filter_map(PluginEntry::listed).flat_map(of).collect()
@@ -256,11 +200,11 @@ impl PluginStore {
             None => {
                 let loaded = Arc::new(self.load_plugin(plugin).map_err(refused)?);
                 *slot = Some(loaded.clone());
-                *lock(&plugin.content) = None;
+                plugin.drop_content();
                 loaded
             }
         };
-        loaded.class(class.index).ok_or_else(|| {
+        loaded.class(class.index()).ok_or_else(|| {
             refused(Fault::EntryDiffers { what: format!("class `{}` is not there", class.class().name) })
         })
     }
@@ -284,13 +228,13 @@ impl PluginStore {
     }
 
     fn try_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
-        let Some(bytes) = lock(&plugin.content).clone() else { return Err(Fault::Vanished) };
-        let path = self.cache.put(&plugin.hash, plugin.name(), &bytes)?;
+        let content = plugin.content().ok_or(Fault::Vanished)?;
+        let path = self.cache.put(&plugin.hash, plugin.name(), &content)?;
         if !self.cache.is_vetted(&plugin.hash) {
             vet::vet(&self.config.host_exe, &path, self.vet_limit)?;
             self.cache.set_vetted(&plugin.hash);
         }
-        load::load(&path, plugin.hash, &plugin.manifest, self.config.log)
+        load::load(&path, plugin, &content.libraries(), self.config.log)
     }
 
     /// A file that came back with content that is loaded already needs no bytes in memory.
@@ -299,7 +243,7 @@ impl PluginStore {
             let slot = lock(&self.loaded).get(&plugin.hash).cloned();
             let loaded = slot.is_some_and(|slot| slot.try_lock().is_ok_and(|s| s.is_some()));
             if loaded {
-                *lock(&plugin.content) = None;
+                plugin.drop_content();
             }
         }
     }

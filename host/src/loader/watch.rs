@@ -16,7 +16,7 @@ use notify::event::{AccessKind, AccessMode, EventKind, ModifyKind, RenameMode};
 use notify::{RecommendedWatcher, RecursiveMode, Watcher};
 use trocar_rt::house;
 
-use super::file::is_plugin_name;
+use super::file::is_library_name;
 use super::scan::SETTLE;
 use super::store::{Observer, lock};
 use super::{CatalogChange, PluginStore};
@@ -128,7 +128,7 @@ impl Watching {
         }
         let removed = matches!(event.kind, EventKind::Remove(_));
         for path in &event.paths {
-            if !path.file_name().is_some_and(is_plugin_name) {
+            if !path.file_name().is_some_and(is_library_name) {
                 // The directory itself went away, or was replaced.
                 if removed && self.watched.iter().any(|(dir, _)| dir == path) {
                     self.look_soon();

@@ -32,7 +32,7 @@ fn a_text_file_is_refused() {
 fn every_truncation_is_refused() {
     let whole = probe();
     for len in 1..whole.len() {
-        let fault = inspect::inspect_bytes(&whole[..len]).err();
+        let fault = facts_of(&whole[..len]).err();
         assert!(matches!(fault, Some(Fault::Truncated { .. })), "{len} of {} bytes: {fault:?}", whole.len());
     }
     said(&fault_of(&whole[..whole.len() / 2]), &["truncated", "copy it again, completely"]);
@@ -120,7 +120,7 @@ fn a_run_path_other_than_origin_is_refused() {
         Source { flags, ..Source::default() }.build()
     };
     said(&fault_of(&with("/tmp/evil")), &["search path `/tmp/evil`"]);
-    assert!(inspect::inspect_bytes(&with("$ORIGIN")).is_ok());
+    assert!(facts_of(&with("$ORIGIN")).is_ok());
 }
 
 #[test]

@@ -195,6 +195,6 @@ fn a_unique_symbol_is_a_warning_that_names_it() {
     let code =
         "__asm__(\".pushsection .bss\\n.globl shared_by_all\\n.type shared_by_all, @gnu_unique_object\\n\"
                 \".size shared_by_all, 8\\nshared_by_all: .zero 8\\n.popsection\\n\");";
-    let facts = inspect::inspect_bytes(&Source { code, ..Source::default() }.build()).unwrap();
+    let facts = facts_of(&Source { code, ..Source::default() }.build()).unwrap();
     assert!(facts.warnings[0].contains("`shared_by_all`"), "{:?}", facts.warnings);
 }

@@ -20,7 +20,7 @@ proptest! {
         if let Some(cut) = cut {
             bytes.truncate(cut.index(bytes.len()));
         }
-        let _ = inspect::inspect_bytes(&bytes);
+        let _ = facts_of(&bytes);
     }
 
     #[test]
@@ -31,7 +31,7 @@ proptest! {
         for (word, value) in words {
             bytes[16 + word * 4..][..8].copy_from_slice(&value.to_le_bytes());
         }
-        let _ = inspect::inspect_bytes(&bytes);
+        let _ = facts_of(&bytes);
     }
 
     #[test]

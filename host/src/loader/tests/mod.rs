@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod bad_files;
+mod brought;
 mod good_files;
 mod hostile;
 mod tables;
@@ -165,6 +166,11 @@ pub(super) fn compile(file: &Path, source: &str, out: &Path, flags: &[String]) {
         .output()
         .expect("a C compiler named cc");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+}
+
+/// What the bytes say where nothing lies beside them.
+pub(super) fn facts_of(bytes: &[u8]) -> Result<inspect::Facts, Fault> {
+    inspect::inspect_bytes(bytes, &mut |_, _| Err(Fault::Vanished))
 }
 
 /// The plain probe, compiled once.
