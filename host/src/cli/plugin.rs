@@ -1,8 +1,9 @@
-//! `trocar plugin ls|inspect|check|new`.
+//! `trocar plugin ls|reload|inspect|check|new`.
 //!
 //! Invariant: `inspect` runs no byte of the file it looks at.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -11,6 +12,7 @@ use trocar_plugin_api::manifest::{Class, Manifest};
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::table::Table;
+use super::view::PluginView;
 use super::{out, plugin_check, plugin_new, style};
 use crate::loader::{self, Inspection, PluginError};
 
@@ -29,6 +31,17 @@ enum What {
         #[arg(default_value = "", hide_default_value = true)]
         process: String,
     },
+    /// Has hosts look at plugin files again, now, also at those that crashed, hung or were refused when they
+    /// were tried: what was found out about them is forgotten. What is loaded stays.
+    Reload {
+        /// The plugin, or its file; all files when left out. One that is named is tried although it was not
+        /// yet.
+        #[arg(value_name = "PLUGIN|FILE", default_value = "", hide_default_value = true)]
+        name: String,
+        /// Only this process.
+        #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true)]
+        process: String,
+    },
     /// Shows what a plugin file offers, without running a byte of it.
     Inspect {
         /// The .so file.
@@ -41,6 +54,7 @@ enum What {
 pub(super) async fn run(args: PluginArgs, session: &Session) -> Done {
     match args.what {
         What::Ls { process } => ls(&process, session).await,
+        What::Reload { name, process } => reload(&name, &process, session).await,
         What::Inspect { file } => inspect(&file, session),
         What::Check(args) => plugin_check::run(&args, session),
         What::New(args) => plugin_new::run(&args, session),
@@ -52,6 +66,31 @@ async fn ls(process: &str, session: &Session) -> Done {
     if session.json() {
         return session.print_json(&plugins);
     }
+    show(&plugins);
+    Ok(Exit::Ok)
+}
+
+/// Each file may be tried for seconds.
+const RELOAD: Duration = Duration::from_secs(60);
+
+async fn reload(name: &str, process: &str, session: &Session) -> Done {
+    // A host knows its files by their own paths.
+    let name = name.rsplit('/').next().unwrap_or(name);
+    let (plugins, warnings) = session.recheck(name, process, RELOAD).await?;
+    let refused = !name.is_empty() && plugins.iter().any(|plugin| !plugin.refused.is_empty());
+    let exit = if refused { Exit::Refused } else { Exit::Ok };
+    if session.json() {
+        session.print_json(&json!({ "plugins": plugins, "warnings": warnings }))?;
+        return Ok(exit);
+    }
+    show(&plugins);
+    for warning in &warnings {
+        out::say(&format!("warning: {}", out::harmless(warning)));
+    }
+    Ok(exit)
+}
+
+fn show(plugins: &[PluginView]) {
     let colour = style::stdout();
     let mut table = Table::new(&["PROCESS", "PLUGIN", "VERSION", "ABI", "LOADED", "CLASSES", "FILE"]);
     for p in plugins.iter().filter(|p| p.refused.is_empty()) {
@@ -60,7 +99,7 @@ async fn ls(process: &str, session: &Session) -> Done {
         table.row(cells.map(Clone::clone));
     }
     out::text(&if table.is_empty() { "no plugin is listed\n".to_owned() } else { table.render(0, colour) });
-    for p in &plugins {
+    for p in plugins {
         for warning in &p.warnings {
             out::line(&format!(
                 "{}: {}: {}",
@@ -78,7 +117,6 @@ async fn ls(process: &str, session: &Session) -> Done {
             ));
         }
     }
-    Ok(Exit::Ok)
 }
 
 /// What a file offers, none of it run.

@@ -190,6 +190,20 @@ impl Session {
         Ok(a.get_ref().plugins.iter().map(convert::plugin).collect())
     }
 
+    /// Plugins called so after another look at them, and what is to be said beside.
+    pub(super) async fn recheck(
+        &self,
+        name: &str,
+        process: &str,
+        within: Duration,
+    ) -> Result<(Vec<PluginView>, Vec<String>), Failure> {
+        let ask = v1::RecheckRequest { name: name.to_owned(), process: process.to_owned() };
+        let mut ask = tonic::Request::new(ask);
+        ask.set_timeout(within);
+        let a = self.client().await?.plugin.recheck(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok((a.plugins.iter().map(convert::plugin).collect(), a.warnings))
+    }
+
     pub(super) async fn subscribe(
         &self,
         paths: &[String],

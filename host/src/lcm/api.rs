@@ -62,6 +62,13 @@ pub trait Lcm: Send + Sync {
     /// The plugins its directories hold, refused ones too.
     async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal>;
 
+    /// Looks at plugin files again, those of this name or all (see
+    /// [`Classes::recheck`](super::classes::Classes)), and lists them. Where there are no plugin directories,
+    /// nothing is looked at.
+    async fn recheck(&self, name: &str, _deadline: Instant) -> Result<Vec<PluginInfo>, Refusal> {
+        Ok(self.plugins().await?.into_iter().filter(|plugin| plugin.is_called(name)).collect())
+    }
+
     /// Everything it has: sent at registration and after a gap in the news.
     async fn inventory(&self) -> Result<Inventory, Refusal>;
 
@@ -390,6 +397,13 @@ pub struct PluginInfo {
     /// Reason code and sentence when refused; empty otherwise.
     pub refused_reason: String,
     pub refused: String,
+}
+
+impl PluginInfo {
+    /// It is the plugin, or the file, of this name; every one where the name is empty.
+    pub fn is_called(&self, name: &str) -> bool {
+        name.is_empty() || self.name == name || self.file.rsplit('/').next() == Some(name)
+    }
 }
 
 #[cfg(test)]

@@ -25,6 +25,10 @@ pub trait Classes: Send + Sync {
         None
     }
 
+    /// Looks again at the files of this plugin's or file's name, at all where it is empty, as if nothing was
+    /// known of them. Blocks for as long as trying them takes; what is loaded stays.
+    fn recheck(&self, _name: &str) {}
+
     /// The files behind the classes, refused ones too.
     fn plugins(&self) -> Vec<PluginInfo>;
 }

@@ -520,6 +520,18 @@ impl Lcm for LocalLcm {
         Ok(self.classes.as_ref().map_or_else(Vec::new, |c| c.plugins()))
     }
 
+    async fn recheck(&self, name: &str, _deadline: Instant) -> Result<Vec<PluginInfo>, Refusal> {
+        let Some(classes) = self.classes.clone() else { return Ok(Vec::new()) };
+        let name = name.to_owned();
+        let looking = move || {
+            classes.recheck(&name);
+            classes.plugins().into_iter().filter(|plugin| plugin.is_called(&name)).collect()
+        };
+        tokio::task::spawn_blocking(looking)
+            .await
+            .map_err(|e| Refusal::Internal { text: format!("plugins were not looked at again: {e}") })
+    }
+
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         let components = self.held().components.values().map(|s| s.instance.report(true)).collect();
         Ok(Inventory {

@@ -127,6 +127,10 @@ impl Classes for Both {
         if hash.is_empty() { self.linked.present(name, hash) } else { self.files.present(name, hash) }
     }
 
+    fn recheck(&self, name: &str) {
+        self.files.recheck(name);
+    }
+
     fn plugins(&self) -> Vec<PluginInfo> {
         let mut all = self.linked.plugins();
         all.extend(self.files.plugins().into_iter().map(|mut info| {

@@ -23,8 +23,6 @@ pub struct StoreClasses {
     store: Arc<PluginStore>,
     converted: Mutex<HashMap<Hash, Arc<Converted>>>,
     loaded: Mutex<Vec<Hash>>,
-    /// Files whose code was tried and refused (reason code, sentence): the vetting child did not survive them, or so.
-    failed: Mutex<HashMap<Hash, (String, String)>>,
 }
 
 impl StoreClasses {
@@ -34,7 +32,6 @@ impl StoreClasses {
             store,
             converted: Mutex::new(HashMap::new()),
             loaded: Mutex::new(Vec::new()),
-            failed: Mutex::new(HashMap::new()),
         })
     }
 
@@ -69,9 +66,8 @@ impl StoreClasses {
                 info.warnings = plugin.warnings.clone();
                 info.loaded =
                     self.loaded.lock().unwrap_or_else(PoisonError::into_inner).contains(&plugin.hash);
-                let failed = self.failed.lock().unwrap_or_else(PoisonError::into_inner);
-                if let Some((reason, text)) = failed.get(&plugin.hash) {
-                    (info.refused_reason, info.refused) = (reason.clone(), text.clone());
+                if let Some(error) = self.store.failure(plugin) {
+                    (info.refused_reason, info.refused) = (error.reason().into(), error.to_string());
                 }
                 if let Err(contradiction) = &*self.converted(plugin) {
                     info.refused_reason = "PLUGIN_BAD_FILE".into();
@@ -99,15 +95,7 @@ impl Classes for StoreClasses {
                 text: format!("{full_name} changed on disk while it was being created: ask again"),
             });
         }
-        let loaded = match self.store.load(&found) {
-            Ok(loaded) => loaded,
-            Err(error) => {
-                let told = (error.reason().to_owned(), error.to_string());
-                self.failed.lock().unwrap_or_else(PoisonError::into_inner).insert(found.plugin.hash, told);
-                return Err(refusal(error));
-            }
-        };
-        self.failed.lock().unwrap_or_else(PoisonError::into_inner).remove(&found.plugin.hash);
+        let loaded = self.store.load(&found).map_err(refusal)?;
         let mut hashes = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
         if !hashes.contains(&found.plugin.hash) {
             hashes.push(found.plugin.hash);
@@ -126,6 +114,10 @@ impl Classes for StoreClasses {
         // Another file of that name may be there by now: then this one is as good as gone.
         let found = self.load(&class).ok()?;
         Some((class, found))
+    }
+
+    fn recheck(&self, name: &str) {
+        self.store.recheck(name);
     }
 
     fn plugins(&self) -> Vec<PluginInfo> {

@@ -78,6 +78,11 @@ impl Cache {
         }
     }
 
+    /// Forgets the verdict on `hash`; true when there was one.
+    pub(crate) fn forget(&self, hash: &Hash) -> bool {
+        fs::remove_file(self.dir(hash).join(verdict_name())).is_ok()
+    }
+
     /// Removes what is neither in `keep` nor the newest of the rest of its name: going back to the version
     /// before costs nothing.
     pub(crate) fn prune(&self, keep: &BTreeSet<Hash>) {

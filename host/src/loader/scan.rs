@@ -13,6 +13,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::catalog::Finding;
 use super::file::{PluginDir, SIZE_LIMIT, Signature, is_shortage};
+use super::store::is_called;
 use super::{Fault, ListedPlugin, Trust, inspect, libraries};
 
 /// A file without a close event counts once its size and mtime did not change for this long.
@@ -107,6 +108,16 @@ impl Scanner {
         self.seen.retain(|file, _| present.contains(file));
         leave_out_brought(&mut scan.findings);
         scan
+    }
+
+    /// Files of this name, or whose plugin has it, are read again at the next look; all where it is empty.
+    pub(crate) fn forget(&mut self, name: &str) {
+        for (file, seen) in &mut self.seen {
+            let plugin = seen.outcome.as_ref().and_then(|outcome| outcome.as_ref().ok());
+            if is_called(name, file, plugin.map(|plugin| plugin.name())) {
+                seen.current = false;
+            }
+        }
     }
 
     fn look(

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use super::cache::Cache;
 use super::host_table::{LogFn, log_to_crate};
-use super::listed::{ClassRef, ListedPlugin};
+use super::listed::{ClassRef, Content, ListedPlugin};
 use super::load::{self, LoadedClass, LoadedPlugin};
 use super::scan::{SETTLE, Scanner};
 use super::vet::{self, VET_LIMIT};
@@ -46,7 +46,8 @@ pub struct PluginStore {
     entries: RwLock<Arc<Vec<PluginEntry>>>,
     /// One slot per file content, so that a slow plugin does not hold up another.
     loaded: Mutex<HashMap<Hash, Slot>>,
-    /// What was wrong with a content's code: said again at once, not tried again, as long as it is listed.
+    /// What was wrong with a content's code when it was tried last, as long as it is listed. What the file
+    /// itself does wrong is said again at once and not tried again.
     failed: Mutex<HashMap<Hash, Fault>>,
     pub(super) observers: Mutex<Vec<Observer>>,
     /// Files seen to be written and not yet closed.
@@ -101,6 +102,37 @@ impl PluginStore {
                 return;
             }
             std::thread::sleep(SETTLE);
+        }
+    }
+
+    /// Looks again at the files of this plugin's or file's name, at all where it is empty, as if nothing was
+    /// known of them; those that were tried before, or are named, are tried anew in the child process. Waits
+    /// for that. What is loaded stays. Not for an observer, as [`PluginStore::rescan`].
+    pub fn recheck(&self, name: &str) {
+        lock(&self.scanner).forget(name);
+        self.rescan();
+        for plugin in self.entries().iter().filter_map(PluginEntry::listed) {
+            if is_called(name, &plugin.file, Some(plugin.name())) {
+                self.try_again(plugin, !name.is_empty());
+            }
+        }
+    }
+
+    /// What came of the plugin's code when it was tried last, if that was nothing good.
+    pub fn failure(&self, plugin: &ListedPlugin) -> Option<PluginError> {
+        let fault = lock(&self.failed).get(&plugin.hash).cloned()?;
+        Some(PluginError::Refused { file: plugin.file.clone(), fault })
+    }
+
+    fn try_again(&self, plugin: &ListedPlugin, unasked_too: bool) {
+        let slot = lock(&self.loaded).entry(plugin.hash).or_default().clone();
+        let slot = lock(&slot);
+        if slot.is_some() {
+            return;
+        }
+        let was_tried = lock(&self.failed).remove(&plugin.hash).is_some() | self.cache.forget(&plugin.hash);
+        if was_tried || unasked_too {
+            self.noting(plugin, self.vetted(plugin).map(drop)).ok();
         }
     }
 
@@ -217,24 +249,33 @@ impl PluginStore {
 
     /// Once at a time for each content: the caller holds its slot.
     fn load_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
-        if let Some(fault) = lock(&self.failed).get(&plugin.hash) {
+        if let Some(fault) = lock(&self.failed).get(&plugin.hash).filter(|fault| fault.is_of_the_file()) {
             return Err(fault.clone());
         }
-        self.try_plugin(plugin).inspect_err(|fault| {
-            if fault.is_of_the_file() {
-                lock(&self.failed).insert(plugin.hash, fault.clone());
-            }
-        })
+        let load = |(path, content): (PathBuf, Arc<Content>)| {
+            load::load(&path, plugin, &content.libraries(), self.config.log)
+        };
+        self.noting(plugin, self.vetted(plugin).and_then(load))
     }
 
-    fn try_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
+    /// The copy in the cache, with what went into it, that a child process has come back from.
+    fn vetted(&self, plugin: &ListedPlugin) -> Result<(PathBuf, Arc<Content>), Fault> {
         let content = plugin.content().ok_or(Fault::Vanished)?;
         let path = self.cache.put(&plugin.hash, plugin.name(), &content)?;
         if !self.cache.is_vetted(&plugin.hash) {
             vet::vet(&self.config.host_exe, &path, self.vet_limit)?;
             self.cache.set_vetted(&plugin.hash);
         }
-        load::load(&path, plugin, &content.libraries(), self.config.log)
+        Ok((path, content))
+    }
+
+    /// Keeps what came of a plugin's code.
+    fn noting<T>(&self, plugin: &ListedPlugin, outcome: Result<T, Fault>) -> Result<T, Fault> {
+        match &outcome {
+            Ok(_) => drop(lock(&self.failed).remove(&plugin.hash)),
+            Err(fault) => drop(lock(&self.failed).insert(plugin.hash, fault.clone())),
+        }
+        outcome
     }
 
     /// A file that came back with content that is loaded already needs no bytes in memory.
@@ -266,6 +307,11 @@ impl PluginStore {
 /// A panic of one caller leaves the data whole: every update is a single assignment.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A file, or its plugin, is meant by a name; every one by an empty name.
+pub(super) fn is_called(name: &str, file: &Path, plugin: Option<&str>) -> bool {
+    name.is_empty() || plugin == Some(name) || file.file_name().is_some_and(|own| own == name)
 }
 
 fn check_dir(dir: &Path) -> Result<(), StoreError> {

@@ -413,7 +413,7 @@ pub struct ClassInfo {
     /// The plugin's version.
     #[prost(string, tag = "2")]
     pub version: ::prost::alloc::string::String,
-    /// sha256 of the plugin file, hex; empty for classes linked into the host.
+    /// sha256 of the plugin file, hex, or one over it and the libraries it brings; empty for classes linked into the host.
     #[prost(string, tag = "3")]
     pub hash: ::prost::alloc::string::String,
     /// The class's name; "plugin/class" is always unique.
@@ -788,7 +788,7 @@ pub struct Plugin {
     /// Its version.
     #[prost(string, tag = "4")]
     pub version: ::prost::alloc::string::String,
-    /// sha256 of the file, hex.
+    /// sha256 of the file, hex, or one over it and the libraries it brings.
     #[prost(string, tag = "5")]
     pub hash: ::prost::alloc::string::String,
     /// The ABI it speaks, e.g. "1.0".
@@ -4772,7 +4772,7 @@ pub struct Order {
     #[prost(uint64, tag = "2")]
     pub deadline_ns: u64,
     /// What to do.
-    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13")]
+    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14")]
     pub order: ::core::option::Option<order::Order>,
 }
 /// Nested message and enum types in `Order`.
@@ -4813,6 +4813,9 @@ pub mod order {
         /// Step at these phases.
         #[prost(message, tag = "13")]
         Phases(super::PhasesOrder),
+        /// Look at plugin files again; the answer lists them.
+        #[prost(message, tag = "14")]
+        Recheck(super::RecheckOrder),
     }
 }
 /// The places in their periods of components that were given no phase by anybody. The answer tells what steps take.
@@ -4902,6 +4905,13 @@ pub struct LinksOrder {}
 /// Asks for the plugins.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct PluginsOrder {}
+/// Has plugin files looked at again.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct RecheckOrder {
+    /// The plugin's name, or its file's; empty = every file.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+}
 /// Asks for everything there is.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct InventoryOrder {}
@@ -5789,6 +5799,29 @@ pub struct ReloadResponse {
     #[prost(message, optional, tag = "2")]
     pub plugin: ::core::option::Option<Plugin>,
 }
+/// Asks for Recheck.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct RecheckRequest {
+    /// The plugin's name, or its file's; empty = every file. One that is named is tried although it was not yet.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    /// Only this process; empty = all.
+    #[prost(string, tag = "2")]
+    pub process: ::prost::alloc::string::String,
+}
+/// Answers Recheck.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct RecheckResponse {
+    /// Revision of the graph.
+    #[prost(uint64, tag = "1")]
+    pub revision: u64,
+    /// The files that were meant, as they stand now.
+    #[prost(message, repeated, tag = "2")]
+    pub plugins: ::prost::alloc::vec::Vec<Plugin>,
+    /// Processes that did not answer, and why.
+    #[prost(string, repeated, tag = "3")]
+    pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
 /// Generated client implementations.
 pub mod plugin_service_client {
     #![allow(
@@ -5986,6 +6019,32 @@ pub mod plugin_service_client {
                 .insert(GrpcMethod::new("trocar.v1.PluginService", "Reload"));
             self.inner.unary(req, path, codec).await
         }
+        /// Looks at files of the plugin directories again, now. What was found out about them is forgotten; those that were tried and are
+        /// not loaded are tried again in a child process. What runs is not touched.
+        pub async fn recheck(
+            &mut self,
+            request: impl tonic::IntoRequest<super::RecheckRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::RecheckResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.PluginService/Recheck",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.PluginService", "Recheck"));
+            self.inner.unary(req, path, codec).await
+        }
     }
 }
 /// Generated server implementations.
@@ -6032,6 +6091,12 @@ pub mod plugin_service_server {
             &self,
             request: tonic::Request<super::ReloadRequest>,
         ) -> std::result::Result<tonic::Response<super::ReloadResponse>, tonic::Status>;
+        /// Looks at files of the plugin directories again, now. What was found out about them is forgotten; those that were tried and are
+        /// not loaded are tried again in a child process. What runs is not touched.
+        async fn recheck(
+            &self,
+            request: tonic::Request<super::RecheckRequest>,
+        ) -> std::result::Result<tonic::Response<super::RecheckResponse>, tonic::Status>;
     }
     /// Plugins of the processes.
     #[derive(Debug)]
@@ -6319,6 +6384,51 @@ pub mod plugin_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = ReloadSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.PluginService/Recheck" => {
+                    #[allow(non_camel_case_types)]
+                    struct RecheckSvc<T: PluginService>(pub Arc<T>);
+                    impl<
+                        T: PluginService,
+                    > tonic::server::UnaryService<super::RecheckRequest>
+                    for RecheckSvc<T> {
+                        type Response = super::RecheckResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::RecheckRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as PluginService>::recheck(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = RecheckSvc(inner);
                         let codec = tonic_prost::ProstCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(

@@ -348,6 +348,14 @@ impl Lcm for RemoteLcm {
         }
     }
 
+    async fn recheck(&self, name: &str, deadline: Instant) -> Result<Vec<PluginInfo>, Refusal> {
+        let order = O::Recheck(v1::RecheckOrder { name: name.into() });
+        match self.ask(order, deadline, "another look at its plugins").await? {
+            A::Plugins(plugins) => Ok(plugins.plugins.into_iter().map(convert::plugin_in).collect()),
+            _ => wrong(),
+        }
+    }
+
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         match self.question(O::Inventory(v1::InventoryOrder {}), "its inventory").await? {
             A::Inventory(inventory) => convert::inventory_in(inventory),

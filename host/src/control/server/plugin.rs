@@ -5,16 +5,19 @@ use trocar_model::{Name, Refusal};
 use trocar_proto::v1;
 use trocar_proto::v1::plugin_service_server::PluginService;
 
+use super::gcm::identity;
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};
 use crate::lcm::PluginInfo;
 
 impl Edge {
-    /// Plugins of one process, or of all; processes that do not answer are warnings when all were asked.
+    /// Plugins of one process, or of all, those called `again` after another look at them; processes that do
+    /// not answer are warnings when all were asked.
     async fn plugins(
         &self,
         process: &str,
+        again: Option<&str>,
         until: std::time::Instant,
     ) -> Result<(Vec<PluginInfo>, Vec<String>), Status> {
         let processes =
@@ -22,7 +25,13 @@ impl Edge {
         let until = until - room(until);
         let (mut plugins, mut warnings) = (Vec::new(), Vec::new());
         for name in processes {
-            let asked = async { self.lcm(&name)?.plugins().await };
+            let asked = async {
+                let lcm = self.lcm(&name)?;
+                match again {
+                    Some(called) => lcm.recheck(called, until).await,
+                    None => lcm.plugins().await,
+                }
+            };
             let refusal = match tokio::time::timeout_at(until.into(), asked).await {
                 Ok(Ok(found)) => {
                     plugins.extend(found);
@@ -51,7 +60,7 @@ impl PluginService for Edge {
         request: Request<v1::ListPluginsRequest>,
     ) -> Result<Response<v1::ListPluginsResponse>, Status> {
         let until = deadline(&request);
-        let (plugins, warnings) = self.plugins(&request.into_inner().process, until).await?;
+        let (plugins, warnings) = self.plugins(&request.into_inner().process, None, until).await?;
         Ok(Response::new(v1::ListPluginsResponse {
             revision: self.revision(),
             plugins: plugins.into_iter().map(convert::plugin).collect(),
@@ -65,13 +74,9 @@ impl PluginService for Edge {
     ) -> Result<Response<v1::DescribePluginResponse>, Status> {
         let until = deadline(&request);
         let r = request.into_inner();
-        let (plugins, _) = self.plugins(&r.process, until).await?;
-        let by_name = |p: &&PluginInfo| p.name == r.name || p.file.rsplit('/').next() == Some(&r.name);
-        let Some(found) = plugins.iter().find(by_name).cloned() else {
-            return Err(refuse(Refusal::PluginNotFound {
-                name: r.name,
-                known: plugins.into_iter().map(|p| p.name).filter(|n| !n.is_empty()).collect(),
-            }));
+        let (plugins, _) = self.plugins(&r.process, None, until).await?;
+        let Some(found) = plugins.iter().find(|p| !r.name.is_empty() && p.is_called(&r.name)).cloned() else {
+            return Err(refuse(not_found(r.name, plugins)));
         };
         let graph = self.gcm()?.graph();
         let classes = graph.processes.values().flat_map(|p| &p.classes);
@@ -94,4 +99,33 @@ impl PluginService for Edge {
     async fn reload(&self, _: Request<v1::ReloadRequest>) -> Result<Response<v1::ReloadResponse>, Status> {
         Err(not_built("Reload", "copy the new file over the old one, then remove and create the component"))
     }
+
+    async fn recheck(
+        &self,
+        request: Request<v1::RecheckRequest>,
+    ) -> Result<Response<v1::RecheckResponse>, Status> {
+        let (until, who) = (deadline(&request), identity(&request));
+        let r = request.into_inner();
+        let answer = self.plugins(&r.process, Some(&r.name), until).await;
+        let outcome = answer.as_ref().map_or_else(
+            |status| status.message().to_owned(),
+            |(plugins, _)| format!("{} files looked at", plugins.len()),
+        );
+        log::info!(target: "audit", "{who} asked {{\"recheck\":{{\"process\":\"{}\",\"name\":{:?}}}}}: {outcome}", r.process, r.name);
+        let (plugins, warnings) = answer?;
+        if plugins.is_empty() && !r.name.is_empty() && warnings.is_empty() {
+            let (known, _) = self.plugins(&r.process, None, until).await?;
+            return Err(refuse(not_found(r.name, known)));
+        }
+        Ok(Response::new(v1::RecheckResponse {
+            revision: self.revision(),
+            plugins: plugins.into_iter().map(convert::plugin).collect(),
+            warnings,
+        }))
+    }
+}
+
+fn not_found(name: String, known: Vec<PluginInfo>) -> Refusal {
+    let known = known.into_iter().map(|plugin| plugin.name).filter(|name| !name.is_empty()).collect();
+    Refusal::PluginNotFound { name, known }
 }

@@ -85,6 +85,10 @@ async fn an_attached_process_does_what_one_of_the_gcms_own_does() {
     assert_eq!(list.connections[0].carrier, "inline");
     let plugins = s.plugin().list_plugins(v1::ListPluginsRequest { process: "gui".into() }).await.unwrap();
     assert_eq!(plugins.into_inner().plugins[0].process, "gui");
+    let again = |name: &str| v1::RecheckRequest { name: name.into(), process: String::new() };
+    let looked_at = s.plugin().recheck(again("libtoy.so")).await.unwrap().into_inner();
+    assert!(looked_at.plugins.iter().any(|plugin| plugin.process == "gui"), "{looked_at:?}");
+    assert_eq!(reason(&s.plugin().recheck(again("tyo")).await.unwrap_err()), "PLUGIN_NOT_FOUND");
     lcm.become_state("gui/a", State::Fault, "the cable is out");
     let graph = until(&s.gcm, "the fault", |g| g.components[&id("gui/a")].state == State::Fault).await;
     assert_eq!(graph.components[&id("gui/a")].fault, "the cable is out");

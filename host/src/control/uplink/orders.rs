@@ -152,6 +152,9 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
         O::Plugins(_) => A::Plugins(v1::Plugins {
             plugins: lcm.plugins().await?.into_iter().map(convert::plugin).collect(),
         }),
+        O::Recheck(order) => A::Plugins(v1::Plugins {
+            plugins: lcm.recheck(&order.name, deadline).await?.into_iter().map(convert::plugin).collect(),
+        }),
         O::Phases(order) => {
             let given = convert::phases_in(order)?;
             A::Steps(convert::steps_out(lcm.phases(given, deadline).await?))

@@ -141,3 +141,31 @@ fn what_crashed_is_tried_again_when_it_is_asked_for_and_its_words_are_told() {
     // Once more in the host itself.
     assert_eq!(std::fs::read(&tries).unwrap().len(), 4);
 }
+
+#[test]
+fn another_look_forgets_verdicts_good_and_bad_and_tries_again_at_once() {
+    let world = World::new();
+    let licence = world.beside("licence");
+    let entry = format!("if (access(\"{}\", R_OK) != 0) abort()", licence.display());
+    world.put("x.so", &built("", &entry, ""));
+    let store = world.open();
+    let class = || store.class("probe/c").unwrap();
+    let failure = || store.failure(&class().plugin).map(|e| e.to_string());
+    store.recheck("");
+    assert_eq!(failure(), None, "what was never tried is not tried unless it is named");
+    store.recheck("probe");
+    assert!(failure().unwrap().contains("crashes while its entry is called"));
+    store.recheck("of-another-name.so");
+    assert!(failure().is_some());
+    std::fs::write(&licence, "").unwrap();
+    store.recheck("x.so");
+    assert_eq!(failure(), None, "what it wants is there");
+    std::fs::remove_file(&licence).unwrap();
+    store.recheck("");
+    assert!(failure().is_some(), "a good verdict outlived its reason");
+    std::fs::write(&licence, "").unwrap();
+    assert!(store.load(&class()).is_ok());
+    std::fs::remove_file(&licence).unwrap();
+    store.recheck("probe");
+    assert_eq!(failure(), None, "what is loaded stays");
+}
