@@ -5,6 +5,7 @@
 
 mod details;
 mod examples;
+mod help;
 mod text;
 
 pub use examples::errors_markdown;
@@ -261,9 +262,14 @@ pub enum Refusal {
         state: State,
         after_ns: u64,
     },
+    /// It, or a component of it, was not done before the deadline.
     LcmTimeout {
         process: Name,
         what: String,
+    },
+    /// Another request had what this one needs until its deadline; nothing was begun.
+    Busy {
+        doing: String,
     },
     Unbound {
         member: MemberId,

@@ -273,7 +273,7 @@ impl Gcm {
     /// The right to do what `plan` makes of the graph.
     ///
     /// # Errors
-    /// What `plan` refuses; LcmTimeout when others took all the time.
+    /// What `plan` refuses; Busy when others took all the time.
     pub(super) async fn claim_part<P: Into<Planned>>(
         &self,
         requests: &[Request],
@@ -294,7 +294,7 @@ impl Gcm {
                 Err(behind) => behind,
             };
             if tokio::time::timeout_at(deadline.into(), news.changed()).await.is_err() {
-                return Err(self.busy(requests, &behind));
+                return Err(Refusal::Busy { doing: behind });
             }
         }
     }

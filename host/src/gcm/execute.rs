@@ -97,7 +97,7 @@ impl Gcm {
                 match given {
                     Ok(Ok(answer)) => answer.clone().unwrap_or_else(|| Err(given_up())),
                     Ok(Err(_)) => Err(given_up()),
-                    Err(_) => Err(self.busy(&requests, "the same request")),
+                    Err(_) => Err(Refusal::Busy { doing: "the same request".into() }),
                 }
             }
             Known::Other => Err(Refusal::ArgumentInvalid {
@@ -194,16 +194,6 @@ impl Gcm {
         }
         done.revision = self.accepted();
         Ok(done)
-    }
-
-    /// Another request took all the time this one had.
-    pub(super) fn busy(&self, requests: &[Request], doing: &str) -> Refusal {
-        let what = format!("its turn: {doing} is still being carried out");
-        let named = requests.iter().find_map(process_of);
-        match named.or_else(|| self.graph().processes.keys().next().cloned()) {
-            Some(process) => Refusal::LcmTimeout { process, what },
-            None => Refusal::Internal { text: what },
-        }
     }
 
     /// One more accepted request.
@@ -317,29 +307,6 @@ fn bereft<'p>(graph: &'p SystemGraph, plan: &'p Plan) -> impl Iterator<Item = (C
 
 fn given_up() -> Refusal {
     Refusal::Internal { text: "the request with this request_id was given up without an answer".into() }
-}
-
-/// A process the request names, for the sentence.
-fn process_of(request: &Request) -> Option<Name> {
-    use trocar_model::{Target, Which};
-    match request {
-        Request::Create { id, .. } | Request::Remove { id, .. } | Request::Configure { id, .. } => {
-            Some(id.process.clone())
-        }
-        Request::CreateApart { home, .. } => Some(home.clone()),
-        Request::Forget { process } => Some(process.clone()),
-        Request::Start { targets }
-        | Request::Stop { targets }
-        | Request::Resume { targets }
-        | Request::Reset { targets } => targets.iter().find_map(|t| match t {
-            Target::One(id) => Some(id.process.clone()),
-            Target::Glob(_) => None,
-        }),
-        Request::Connect { client, .. } | Request::Disconnect { which: Which::Pair { client, .. } } => {
-            Some(client.component.process.clone())
-        }
-        Request::Disconnect { which: Which::Id(_) } => None,
-    }
 }
 
 /// The component whose LCM carries the change out.

@@ -61,7 +61,7 @@ impl Gcm {
         while !waiting.is_empty() {
             let made = match first_part(&self.graph(), waiting) {
                 Ok((plan, first)) if !carrying.widens(&plan, first == waiting.len()) => {
-                    Err(self.busy(waiting, "another request"))
+                    Err(Refusal::Busy { doing: "another request".into() })
                 }
                 Ok((plan, first)) => {
                     let mut more = Executed { plan, ..Executed::default() };

@@ -219,7 +219,7 @@ async fn an_lcm_that_hangs_costs_a_caller_no_more_than_its_deadline() {
     });
     lcm.hangs("Create host/a").await;
     let waiting = gcm.execute(vec![create("host/a")], within(10)).await.unwrap_err();
-    assert_eq!(waiting.reason(), "LCM_TIMEOUT", "{waiting}");
+    assert_eq!(waiting.reason(), "BUSY", "{waiting}");
     assert!(waiting.to_string().contains("Create host/a is still being carried out"), "{waiting}");
     let hung = first.await.unwrap().unwrap_err();
     assert_eq!(hung, Refusal::LcmTimeout { process: name("host"), what: "Create host/a".into() });

@@ -88,6 +88,7 @@ impl Refusal {
             Refusal::EventNotSeen { .. } => (DeadlineExceeded, "EVENT_NOT_SEEN"),
             Refusal::NoSample { .. } => (DeadlineExceeded, "NO_SAMPLE"),
             Refusal::LcmTimeout { .. } => (DeadlineExceeded, "LCM_TIMEOUT"),
+            Refusal::Busy { .. } => (DeadlineExceeded, "BUSY"),
             Refusal::Unbound { .. } => (FailedPrecondition, "UNBOUND"),
             Refusal::Disabled { .. } => (FailedPrecondition, "DISABLED"),
             Refusal::NotActive { .. } => (FailedPrecondition, "NOT_ACTIVE"),
@@ -195,6 +196,7 @@ impl Refusal {
                 m.put("port", port).put("state", state).put("after_ns", after_ns)
             }
             LcmTimeout { process, what } => m.put("process", process).put("what", what),
+            Busy { doing } => m.put("doing", doing),
             Unbound { member }
             | Disabled { member }
             | WouldBlock { member }

@@ -195,6 +195,7 @@ fn changing() -> Vec<Refusal> {
         },
         Refusal::NoSample { port: port("host/sensor/force"), state: State::Ready, after_ns: 2_000_000_000 },
         Refusal::LcmTimeout { process: name("host"), what: "Start host/robot".into() },
+        Refusal::Busy { doing: "Start host/robot".into() },
     ]
 }
 

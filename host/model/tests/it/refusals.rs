@@ -141,10 +141,10 @@ fn the_page_of_errors_is_what_the_code_says() {
 #[test]
 fn help_names_only_what_helps_there() {
     let argument = |field: &str| {
-        let (what, why) = ("Create host/s".into(), "it is wrong".into());
+        let (what, why) = ("host/s/ctl/write".into(), "it is wrong".into());
         Refusal::ArgumentInvalid { what, why, field: field.into() }.help()
     };
-    assert!(argument("json").contains("trocar describe"));
+    assert!(argument("json").contains("`trocar describe host/s/ctl/write`"));
     assert!(argument("execution.priority").contains("trocar create --help"));
     assert!(argument("level").len() < 40, "{}", argument("level"));
 
@@ -168,7 +168,7 @@ fn an_output_without_a_sample_says_how_its_component_stands_and_what_sets_it_goi
     assert_eq!(text, "output `host/s/value` gave no sample within 2 s; its component is READY");
     assert!(ready.help().ends_with("`trocar start host/s`."), "{}", ready.help());
     assert!(none(State::Stopped(StopReason::Requested)).help().ends_with("`trocar resume host/s`."));
-    assert!(none(State::Fault).help().ends_with("`trocar reset host/s`."));
+    assert!(none(State::Fault).help().ends_with("`trocar reset host/s`, `trocar start host/s`."));
 }
 
 #[test]

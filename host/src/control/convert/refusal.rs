@@ -81,6 +81,7 @@ refusals! {
     EventNotSeen { member, state, after_ns }
     NoSample { port, state, after_ns }
     LcmTimeout { process, what }
+    Busy { doing }
     Unbound { member }
     Disabled { member }
     NotActive { member, state }
