@@ -99,6 +99,7 @@ impl Failure {
     /// Led back to its place in a system file.
     pub(super) fn at(mut self, place: &Problem) -> Self {
         self.message = format!("{}:{}:{}: {}", place.file, place.line, place.column, self.message);
+        self.help.clone_from(&place.help);
         let (line, column) = (place.line.to_string(), place.column.to_string());
         for (key, value) in
             [("file", &place.file), ("line", &line), ("column", &column), ("pointer", &place.pointer)]

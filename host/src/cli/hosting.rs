@@ -257,7 +257,9 @@ impl From<HostError> for Failure {
     fn from(e: HostError) -> Self {
         match &e {
             HostError::Refused(refusal) => Failure::from(refusal),
-            HostError::NoGcm { addr, because } => Failure::no_gcm(addr, because),
+            HostError::NoGcm { addr, because } => {
+                Failure { help: e.help(), ..Failure::no_gcm(addr, because) }
+            }
             _ => Failure::local(e.reason(), e.to_string(), e.help()),
         }
     }

@@ -146,6 +146,8 @@ fn inspect(file: &Path, session: &Session) -> Done {
             "file": seen.file,
             "bytes": seen.size,
             "hash": seen.hash.to_string(),
+            "owner": seen.owner,
+            "mode": format!("{:04o}", seen.mode),
             "machine": seen.machine,
             "needed": seen.needed,
             "brings": seen.brought.iter().map(|(name, hash)| json!({ "name": name, "hash": hash.to_string() })).collect::<Vec<_>>(),
@@ -154,10 +156,12 @@ fn inspect(file: &Path, session: &Session) -> Done {
         }));
     }
     out::line(&format!(
-        "{}  {} KiB  {}",
+        "{}  {} KiB  {}  owner {}, mode {:04o}",
         out::harmless(&seen.file.display().to_string()),
         seen.size.div_ceil(1024),
-        seen.machine
+        seen.machine,
+        seen.owner,
+        seen.mode
     ));
     out::line(&format!("sha256 {}", seen.hash));
     out::text(&describe(&seen.manifest));

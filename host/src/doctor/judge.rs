@@ -90,7 +90,8 @@ fn priority(f: &Facts) -> Finding {
             format!("SCHED_FIFO refused ({text}); limit {}", amount(f.limits.rt_priority, |n| n.to_string())),
             "components with a priority run with normal scheduling: any busy program makes them late",
             "put `@realtime - rtprio 95` into /etc/security/limits.d/realtime.conf, add the user to group realtime and log \
-             in again; or `setcap cap_sys_nice+ep` on the executable; for a service: LimitRTPRIO=95",
+             in again; or `setcap cap_sys_nice+ep` on the executable, for which LD_LIBRARY_PATH does not count then: libraries of plugins \
+             need their directory in /etc/ld.so.conf.d; for a service: LimitRTPRIO=95",
         ),
     }
 }

@@ -126,8 +126,8 @@ impl HostError {
                     .into()
             }
             HostError::Listen { help, .. } => help.clone(),
-            HostError::NoGcm { .. } => {
-                "start it first: `trocar gcm`, or leave --gcm out: this host embeds one".into()
+            HostError::NoGcm { addr, .. } => {
+                format!("start it first: `trocar gcm --listen {addr}`, or leave --gcm out: this host embeds one")
             }
             HostError::Doomed { .. } => {
                 "start it again; let the component close only what it opened itself (no closefrom, no second close), or \

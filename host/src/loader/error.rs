@@ -365,8 +365,8 @@ impl fmt::Display for Fault {
                 "needs the library `{name}`, which is not found: install it, link it statically, or put it beside the plugin and link \
                  that with -Wl,-rpath,'$ORIGIN'{}. It is looked for again every 2 s",
                 if libraries::is_secured() {
-                    ". This program has file capabilities or another user's rights, so LD_LIBRARY_PATH does not count: name the \
-                     directory in /etc/ld.so.conf.d, then ldconfig"
+                    ". LD_LIBRARY_PATH does not count, since this program has file capabilities or another user's rights; name the \
+                     directory in /etc/ld.so.conf.d, then run ldconfig"
                 } else {
                     ""
                 }
@@ -416,7 +416,8 @@ impl fmt::Display for Fault {
             }
             Fault::NotAllowed { hash, list } => write!(
                 f,
-                "is not in the allow list {}: if you trust it, add its sha256 {hash}",
+                "is not in the allow list {}: if you trust it, add its sha256 {hash} there and restart the host, which reads the \
+                 list when it starts",
                 list.display()
             ),
             Fault::UndefinedSymbol { symbol } => write!(
@@ -430,7 +431,10 @@ impl fmt::Display for Fault {
                  Restart the host; where one version is refused, build it with -ftls-model=global-dynamic, or start the host with \
                  GLIBC_TUNABLES=glibc.rtld.optional_static_tls=16384"
             ),
-            Fault::DlOpen { because } => write!(f, "cannot be loaded: {because}"),
+            Fault::DlOpen { because } => write!(
+                f,
+                "cannot be loaded ({because}): correct what the dynamic linker says; `trocar plugin check FILE` tries it again"
+            ),
             Fault::NoEntry => write!(
                 f,
                 "has a manifest but does not export `trocar_plugin_v1`: export it (visibility default), then rebuild"
@@ -464,16 +468,25 @@ impl fmt::Display for Fault {
                     Words(said)
                 )
             }
-            Fault::VetFailed { because } => write!(f, "could not be tried in a child process: {because}"),
+            Fault::VetFailed { because } => write!(
+                f,
+                "could not be tried in a child process ({because}): see that the program is still there and may start processes \
+                 (`ulimit -u`), then ask again"
+            ),
             Fault::Cache { path, because } => write!(
                 f,
                 "cannot be copied to the plugin cache {}: {because}: free or repair the state directory",
                 path.display()
             ),
             Fault::Init { status, said } if said.is_empty() => {
-                write!(f, "refuses to work: its init answers {status}; the log has what it said, if anything")
+                write!(
+                    f,
+                    "refuses to work (its init answers {status}): see what it said in the log, then ask again"
+                )
             }
-            Fault::Init { said, .. } => write!(f, "refuses to work: {said}"),
+            Fault::Init { said, .. } => {
+                write!(f, "refuses to work (\"{said}\"): give it what it lacks, then ask again")
+            }
         }
     }
 }

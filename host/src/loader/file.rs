@@ -21,6 +21,10 @@ pub(crate) const SIZE_LIMIT: u64 = 256 << 20;
 pub(crate) struct FileBytes {
     pub(crate) bytes: Vec<u8>,
     pub(crate) hash: Hash,
+    /// User id.
+    pub(crate) owner: u32,
+    /// Permission bits.
+    pub(crate) mode: u32,
     pub(crate) warnings: Vec<String>,
 }
 
@@ -95,7 +99,7 @@ impl PluginDir {
         })?;
         let (bytes, hash) = read_all(&file, &meta)?;
         trust.judge_hash(&hash)?;
-        Ok(FileBytes { bytes, hash, warnings })
+        Ok(FileBytes { bytes, hash, owner: meta.uid(), mode: meta.mode() & 0o7777, warnings })
     }
 
     fn open_beneath(&self, name: &OsStr, trust: &Trust) -> io::Result<File> {
@@ -150,7 +154,7 @@ pub(crate) fn read_named(path: &Path, room: u64) -> Result<FileBytes, Fault> {
     let meta = file.metadata().map_err(unreadable)?;
     check_regular(&meta, room)?;
     let (bytes, hash) = read_all(&file, &meta)?;
-    Ok(FileBytes { bytes, hash, warnings: Vec::new() })
+    Ok(FileBytes { bytes, hash, owner: meta.uid(), mode: meta.mode() & 0o7777, warnings: Vec::new() })
 }
 
 pub(crate) fn is_plugin_name(name: &OsStr) -> bool {

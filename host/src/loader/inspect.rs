@@ -19,6 +19,10 @@ pub struct Inspection {
     /// Bytes.
     pub size: u64,
     pub hash: Hash,
+    /// User id of its owner.
+    pub owner: u32,
+    /// Permission bits.
+    pub mode: u32,
     pub machine: &'static str,
     pub manifest: Manifest,
     /// Libraries it needs, all beside it or on this system.
@@ -50,6 +54,8 @@ pub fn inspect_file(path: &Path) -> Result<Inspection, PluginError> {
         file: path.to_path_buf(),
         size: read.bytes.len() as u64,
         hash: read.hash,
+        owner: read.owner,
+        mode: read.mode,
         machine: elf::own_machine(),
         manifest: facts.manifest,
         needed: facts.needed,

@@ -14,7 +14,8 @@ impl SystemFile {
     pub fn locate(&self, refusal: &Refusal) -> Option<Problem> {
         let pointer = self.pointer_of(refusal)?;
         let at = self.document.root.nearest_to(&pointer).at;
-        Some(self.document.problem(at, &pointer, refusal.to_string(), refusal.help()))
+        let help = in_a_file(refusal.reason(), &pointer).map_or_else(|| refusal.help(), str::to_owned);
+        Some(self.document.problem(at, &pointer, refusal.to_string(), help))
     }
 
     fn pointer_of(&self, refusal: &Refusal) -> Option<String> {
@@ -78,6 +79,7 @@ impl SystemFile {
     ) -> Option<Problem> {
         let pointer = self.pointer_told(reason, values)?;
         let at = self.document.root.nearest_to(&pointer).at;
+        let help = in_a_file(reason, &pointer).unwrap_or(help);
         Some(self.document.problem(at, &pointer, message.to_owned(), help.to_owned()))
     }
 
@@ -119,5 +121,22 @@ impl SystemFile {
     /// What the file calls a component.
     fn written<'a>(&'a self, id: &'a ComponentId) -> &'a ComponentId {
         self.components.iter().find(|c| c.id == *id).map_or(id, |c| &c.written)
+    }
+}
+
+/// What to do about a refusal where a file says what is wanted: it is the file that is changed, there is no request with options.
+fn in_a_file(reason: &str, pointer: &str) -> Option<&'static str> {
+    match reason {
+        "ALREADY_CONNECTED" => Some(
+            "Leave one of the client's connections out, an input or required interface takes one server; of a system that is up \
+             already, `trocar disconnect CLIENT` first.",
+        ),
+        "UNCONNECTED" => {
+            Some("Write a connection for each of them, or declare the end optional in the class.")
+        }
+        "ARGUMENT_INVALID" if pointer.starts_with("/connections/") || pointer.contains("/execution") => {
+            Some("Correct it in the file; `trocar schema system` prints what belongs in it.")
+        }
+        _ => None,
     }
 }

@@ -379,3 +379,21 @@ fn a_refusal_from_the_wire_is_led_back_to_its_place() {
     assert_eq!(told("INTERFACE_NOT_FOUND", &[("port", "right/gray/raw")]).unwrap(), "/connections/1");
     assert_eq!(told("LCM_TIMEOUT", &[("process", "right")]), None);
 }
+
+#[test]
+fn a_refusal_that_is_led_back_to_a_file_tells_what_to_change_in_the_file() {
+    let file = parse(THREE).unwrap();
+    let first = &file.connections[0];
+    let (client, server) = (first.client.clone(), first.server.clone());
+    let values =
+        [("client", client.to_string()), ("server", server.to_string())].map(|(k, v)| (k.to_owned(), v));
+    let refusal = Refusal::AlreadyConnected { client, server };
+    let told = file.locate_told(refusal.reason(), "no", &refusal.help(), &values.into()).unwrap();
+    for place in [file.locate(&refusal).unwrap(), told] {
+        assert!(!place.help.contains("--replace"), "a file has no such option: {}", place.help);
+        assert!(place.help.contains("Leave one of the client's connections out"), "{}", place.help);
+    }
+    let (what, field) = (format!("Connect {}", first.client), "options.carrier".to_owned());
+    let place = file.locate(&Refusal::ArgumentInvalid { what, why: "no carrier".into(), field }).unwrap();
+    assert!(place.help.contains("trocar schema system"), "{}", place.help);
+}

@@ -112,7 +112,7 @@ fn an_init_that_crashes_hangs_or_refuses_is_found_in_the_child() {
     refused(&built("", "", "return 5"), &["its init answers 5"]);
     let says = r#"static const char why[] = "no licence"; host->log(host->ctx, 1, (trocar_bytes){0, 0}, \
         (trocar_bytes){(const uint8_t *)why, sizeof why - 1}); return 5"#;
-    refused(&built("", "", says), &["refuses to work: no licence"]);
+    refused(&built("", "", says), &["refuses to work (\"no licence\")"]);
     let mut world = World::new();
     world.vet_limit = Duration::from_millis(1500);
     world.put("x.so", &built("", "", "for (;;) pause()"));
