@@ -3,6 +3,9 @@
 //! Invariant: a change of the surface is a change of that file: `TROCAR_BLESS=1 cargo test -p trocar --test cli_surface`.
 #![allow(clippy::unwrap_used)]
 
+#[path = "cli_surface/advice.rs"]
+mod advice;
+
 use std::fmt::Write as _;
 use std::path::Path;
 
