@@ -162,7 +162,8 @@ impl Refusal {
                 `ulimit -u` and of its container; `trocar doctor` shows them."
                 .into(),
             InUse { id, .. } => format!(
-                "Disconnect or remove those first; to remove it all the same, `trocar rm --force {id}` disconnects and stops them."
+                "Disconnect those connections (`trocar disconnect ID`) and remove what runs in its thread; or remove it all the same: \
+                 `trocar rm --force {id}`."
             ),
             PluginAbi { .. } => "Rebuild the plugin with the trocar-sdk of this host's version.".into(),
             PluginUntrusted { .. } => "Do what the sentence says, or start the host with another trust mode (`--trust`); \

@@ -242,7 +242,7 @@ impl Display for Refusal {
             }
             Unconnected { id, verb, ports } => {
                 let verb = verb.to_string().to_lowercase();
-                write!(f, "`{id}` cannot {verb}: not connected {} {}", is_are(ports.len()), list(ports))
+                write!(f, "`{id}` cannot {verb}: {} {} not connected", list(ports), is_are(ports.len()))
             }
             ConfigInvalid { id, violations } => {
                 let messages = violations.iter().take(MOST).map(|v| v.message.as_str());
