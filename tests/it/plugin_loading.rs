@@ -9,6 +9,8 @@ mod bad_files;
 mod counted;
 #[path = "plugin_loading/hardware.rs"]
 mod hardware;
+#[path = "plugin_loading/helps.rs"]
+mod helps;
 
 use std::fs;
 

@@ -11,6 +11,8 @@ mod detached;
 mod ends;
 #[path = "processes/given_up.rs"]
 mod given_up;
+#[path = "processes/helps.rs"]
+mod helps;
 #[path = "processes/isolated.rs"]
 mod isolated;
 #[path = "processes/refusals.rs"]

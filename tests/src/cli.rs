@@ -55,22 +55,32 @@ impl Trocar {
 
     pub fn run<S: AsRef<OsStr>>(&self, args: &[S]) -> Output {
         let mut command = Command::new(Built::trocar());
-        command.args(args).current_dir(&self.dir).stdin(Stdio::null());
+        command.args(args);
+        let typed = args.iter().map(|a| a.as_ref().to_string_lossy().into_owned());
+        self.ran(command, format!("trocar {}", typed.collect::<Vec<_>>().join(" ")))
+    }
+
+    /// A line as a person types it in a shell, where `trocar` is the built one.
+    pub fn types(&self, line: &str) -> Output {
+        let mut command = Command::new("sh");
+        let path = std::env::var("PATH").unwrap_or_default();
+        command.args(["-c", line]).env("PATH", format!("{}:{path}", Built::dir().display()));
+        self.ran(command, line.to_owned())
+    }
+
+    fn ran(&self, mut command: Command, line: String) -> Output {
+        command.current_dir(&self.dir).stdin(Stdio::null());
         command.env("XDG_STATE_HOME", &self.state_home).env_remove("TROCAR_GCM").env("NO_COLOR", "1");
         if let Some(gcm) = &self.gcm {
             command.env("TROCAR_GCM", gcm);
         }
         (self.prepare)(&mut command);
-        let output = command.output().unwrap_or_else(|e| panic!("cannot start trocar: {e}"));
+        let output = command.output().unwrap_or_else(|e| panic!("cannot start `{line}`: {e}"));
         Output {
             code: output.status.code().unwrap_or(-1),
             stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
             stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
-            line: args
-                .iter()
-                .map(|a| a.as_ref().to_string_lossy().into_owned())
-                .collect::<Vec<_>>()
-                .join(" "),
+            line,
         }
     }
 }
@@ -82,12 +92,7 @@ impl Output {
     /// With the command line and all it printed.
     #[track_caller]
     pub fn ends_with(self, code: i32) -> Self {
-        assert!(
-            self.code == code,
-            "`trocar {}` ended with {}, expected {code}\n{self:#?}",
-            self.line,
-            self.code
-        );
+        assert!(self.code == code, "`{}` ended with {}, expected {code}\n{self:#?}", self.line, self.code);
         self
     }
 
@@ -98,11 +103,7 @@ impl Output {
     #[track_caller]
     pub fn says(self, text: &str) -> Self {
         let all = format!("{}{}", self.stdout, self.stderr).to_lowercase();
-        assert!(
-            all.contains(&text.to_lowercase()),
-            "`trocar {}` does not say {text:?}\n{self:#?}",
-            self.line
-        );
+        assert!(all.contains(&text.to_lowercase()), "`{}` does not say {text:?}\n{self:#?}", self.line);
         self
     }
 
@@ -114,6 +115,6 @@ impl Output {
     #[track_caller]
     pub fn json(&self) -> Value {
         serde_json::from_str(&self.stdout)
-            .unwrap_or_else(|e| panic!("`trocar {}` did not print JSON: {e}\n{self:#?}", self.line))
+            .unwrap_or_else(|e| panic!("`{}` did not print JSON: {e}\n{self:#?}", self.line))
     }
 }

@@ -99,6 +99,12 @@ impl HostProcess {
         &self.address
     }
 
+    /// What it was called when it was started here.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     #[must_use]
     pub fn grpcurl(&self) -> Grpcurl {
         Grpcurl::new(&self.address)

@@ -4,6 +4,7 @@
 //! through [`eventually`].
 #![forbid(unsafe_code)]
 
+mod advice;
 mod built;
 mod cli;
 pub mod conformance;
@@ -17,6 +18,7 @@ mod system;
 mod watchdog;
 mod world;
 
+pub use advice::Told;
 pub use built::{Built, repository};
 pub use cli::{Output, Trocar};
 pub use cycles::Bystander;

@@ -6,11 +6,12 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::panic::{self, AssertUnwindSafe};
 
-use serde_json::{Value, json};
-use trocar_tests::{Built, Failure, Grpcurl, HostProcess, World, eventually, replace_in, repository};
+use serde_json::json;
+use trocar_tests::{Built, Failure, eventually, replace_in, repository};
+
+use super::stage::Stage;
 
 /// Reasons that no single call to one host can be answered with in this version.
 const NOT_YET: &[(&str, &str)] = &[
@@ -25,6 +26,7 @@ const NOT_YET: &[(&str, &str)] = &[
         "UNREACHABLE",
         "it needs two processes that cannot share memory, or have none: hostile/elsewhere.rs, hostile/limits.rs",
     ),
+    ("BUSY", "it needs a request that is under way: helps.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
     ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
@@ -34,73 +36,6 @@ const NOT_YET: &[(&str, &str)] = &[
     ("NO_THREAD", "it needs a machine that is out of threads"),
     ("PEER_LOST", "it needs a caller who is waiting: a_caller_whose_component_is_taken_away_gets_an_answer"),
 ];
-
-/// A host with the plugins that the rows of a group need.
-struct Stage {
-    grpc: Grpcurl,
-    world: World,
-    _host: HostProcess,
-}
-
-impl Stage {
-    fn new(plugins: &[&str]) -> Self {
-        let world = World::with_plugins(plugins);
-        let host = HostProcess::start(&world);
-        let stage = Self { grpc: host.grpcurl(), world, _host: host };
-        eventually("the plugins are listed", || {
-            let listed = stage.grpc.plugins().len();
-            if listed >= plugins.len() { Ok(()) } else { Err(format!("{listed} of {}", plugins.len())) }
-        });
-        stage
-    }
-
-    /// Creates components, `name` and class.
-    fn with(&self, components: &[(&str, &str)]) -> &Self {
-        for (name, class) in components {
-            self.grpc.create(&format!("host/{name}"), class, json!({}));
-        }
-        self
-    }
-
-    fn started(&self, name: &str) -> &Self {
-        self.grpc.start(&format!("host/{name}"));
-        self
-    }
-
-    fn connected(&self, client: &str, server: &str) -> &Self {
-        self.grpc.connect(&format!("host/{client}"), &format!("host/{server}"));
-        self
-    }
-
-    fn refuses(&self, method: &str, body: Value) -> Failure {
-        self.grpc.refused(method, body)
-    }
-
-    fn refuses_connect(&self, client: &str, server: &str) -> Failure {
-        let body = json!({ "client": format!("host/{client}"), "server": format!("host/{server}") });
-        self.refuses("GcmService/Connect", body)
-    }
-
-    fn refuses_invoke(&self, path: &str, arg: Value) -> Failure {
-        self.refuses("InteractService/Invoke", json!({ "path": path, "json": arg, "deadline": "30s" }))
-    }
-
-    /// The refusal of a Create whose class `name` would have been in this refused file.
-    fn refuses_create_of_file(&self, name: &str, bytes: &[u8], mode: u32) -> Failure {
-        let file = format!("libtrocar_{name}.so");
-        let written = self.world.write(&format!("plugins/{file}"), bytes);
-        fs::set_permissions(&written, fs::Permissions::from_mode(mode)).unwrap();
-        eventually(&format!("{file} is listed as refused"), || {
-            let listed = self.grpc.plugins();
-            let is_it = |p: &&Value| p["file"].as_str().is_some_and(|path| path.ends_with(&file));
-            match listed.iter().find(is_it) {
-                Some(p) if p["refusedReason"].as_str().is_some_and(|reason| !reason.is_empty()) => Ok(()),
-                _ => Err(format!("{listed:?}")),
-            }
-        });
-        self.refuses("GcmService/Create", json!({ "path": format!("host/{name}"), "class": name }))
-    }
-}
 
 /// A row: its name, code, reason, words that must be in the sentence, and how it is met.
 struct Row {

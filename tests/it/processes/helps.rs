@@ -1,0 +1,55 @@
+//! What refusals say to do where it takes a supervisor or a second program, done.
+//!
+//! Promise: after doing what the help says, what was refused is answered.
+
+use serde_json::json;
+use trocar_tests::{HostProcess, Told, Trocar, World, eventually};
+
+use super::TWO;
+use super::system::System;
+
+#[test]
+fn what_a_supervisor_gave_up_or_never_had_is_brought_back_as_the_help_says() {
+    let policy = "\"right\": { \"restart\": { \"within_s\": 1000 },";
+    let two = System::up(&TWO.replacen("\"right\": {", policy, 1), &[]);
+    two.kill_until_failed("right");
+    let start = json!({ "path": "right/off" });
+    let told = Told::by(&two.grpc.refused("GcmService/Start", start.clone()));
+    assert_eq!(told.reason, "PROCESS_LOST", "{told:?}");
+    told.looked(&two.trocar());
+    told.typed(&two.trocar(), "trocar restart", &[]);
+    two.grpc.ok("GcmService/Start", start);
+
+    let args =
+        ["host", "--name", "alone", "--listen", "127.0.0.1:0", "--json", "--gcm", two.process.address()];
+    let _alone = HostProcess::spawn(&two.world, "alone", &args.map(Into::into));
+    two.grpc.await_class("alone", "sine");
+    let isolated =
+        |process: &str| json!({ "process": process, "name": "x", "class": "sine", "isolation": "process" });
+    let told = Told::by(&two.grpc.refused("GcmService/Create", isolated("alone")));
+    assert_eq!(told.reason, "NOT_SUPERVISED", "{told:?}");
+    assert!(told.help.contains("create the component without isolation"), "{told:?}");
+    two.grpc.create("alone/x", "sine", json!({}));
+    let made = two.grpc.ok("GcmService/Create", isolated(told.value("known").split(',').next().unwrap()));
+    assert_eq!(made["path"], "left.x/x", "one that has a supervisor gets it: {made}");
+}
+
+#[test]
+fn a_host_whose_name_is_taken_starts_beside_the_other_or_after_it_as_the_help_says() {
+    let world = World::with_plugins(&["sine"]);
+    let mut first = HostProcess::start(&world);
+    let address = first.address().to_owned();
+    let plugins = world.plugins().display().to_string();
+    let taken = ["--json", "host", "--listen", &address, "--plugins", &plugins];
+    let refused = Trocar::new(&world).run(&taken);
+    let told = Told::on_the_terminal(&refused.ends_with(1));
+    assert_eq!(told.reason, "PROCESS_EXISTS", "{told:?}");
+    let beside = told.command("--listen", &[]);
+    let words = ["host", "--plugins", &plugins].into_iter().chain(beside.split(' '));
+    let beside = HostProcess::spawn(&world, "beside", &words.map(Into::into).collect::<Vec<_>>());
+    drop(beside);
+    told.typed(&Trocar::new(&world), "kill", &[]);
+    eventually("it has ended", || if first.is_alive() { Err("it runs") } else { Ok(()) });
+    let words = ["host", "--listen", &address, "--plugins", &plugins];
+    drop(HostProcess::spawn(&world, "after", &words.map(Into::into)));
+}
