@@ -18,6 +18,7 @@ mod plain;
 pub mod processes;
 mod runtime_dir;
 pub mod system_file;
+mod threads;
 #[cfg(test)]
 #[path = "../../tests/src/watchdog.rs"]
 #[allow(unreachable_pub, reason = "it is public where it lies")]

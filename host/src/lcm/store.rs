@@ -22,17 +22,11 @@ pub struct StoreClasses {
     process: Name,
     store: Arc<PluginStore>,
     converted: Mutex<HashMap<Hash, Arc<Converted>>>,
-    loaded: Mutex<Vec<Hash>>,
 }
 
 impl StoreClasses {
     pub fn new(process: Name, store: Arc<PluginStore>) -> Arc<StoreClasses> {
-        Arc::new(StoreClasses {
-            process,
-            store,
-            converted: Mutex::new(HashMap::new()),
-            loaded: Mutex::new(Vec::new()),
-        })
+        Arc::new(StoreClasses { process, store, converted: Mutex::new(HashMap::new()) })
     }
 
     fn converted(&self, plugin: &ListedPlugin) -> Arc<Converted> {
@@ -64,8 +58,7 @@ impl StoreClasses {
                 info.doc = manifest.doc.clone();
                 info.classes = manifest.classes.iter().map(|c| c.name.clone()).collect();
                 info.warnings = plugin.warnings.clone();
-                info.loaded =
-                    self.loaded.lock().unwrap_or_else(PoisonError::into_inner).contains(&plugin.hash);
+                info.loaded = self.store.is_loaded(&plugin.hash);
                 if let Some(error) = self.store.failure(plugin) {
                     (info.refused_reason, info.refused) = (error.reason().into(), error.to_string());
                 }
@@ -96,17 +89,11 @@ impl Classes for StoreClasses {
             });
         }
         let loaded = self.store.load(&found).map_err(refusal)?;
-        let mut hashes = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
-        if !hashes.contains(&found.plugin.hash) {
-            hashes.push(found.plugin.hash);
-        }
         Ok(boundary::loaded_class(loaded))
     }
 
     fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
-        let wanted = |found: &&Hash| found.to_string() == hash;
-        let loaded =
-            self.loaded.lock().unwrap_or_else(PoisonError::into_inner).iter().find(wanted).copied()?;
+        let loaded = Hash::parse(hash).filter(|hash| self.store.is_loaded(hash))?;
         let plugins = self.store.list();
         let plugin = plugins.iter().filter_map(PluginEntry::listed).find(|plugin| plugin.hash == loaded)?;
         let classes = self.converted(plugin).as_ref().clone().ok()?;

@@ -16,20 +16,23 @@ use trocar_plugin_api::manifest::{Class, Manifest};
 use trocar_plugin_api::{ENTRY_SYMBOL, EntryFn, layout};
 use trocar_rt::os::{self, Environment};
 
+use super::closing::Others;
 use super::error::Stage;
 use super::host_table::{self, LogFn};
 use super::table::{check_table, complete};
 use super::{Fault, Hash, ListedPlugin, resident};
 
-/// A library that is in this process, and stays.
+/// A library that is in this process. It stays, unless its manifest says `unload` and nothing of it is left.
 pub struct LoadedPlugin {
     pub manifest: Manifest,
     pub hash: Hash,
     /// The cache file it was loaded from.
     pub file: PathBuf,
     classes: Vec<&'static ClassTable>,
-    /// Never closed: its threads, thread-locals and exit handlers may outlive every instance.
-    _library: ManuallyDrop<Library>,
+    /// Not closed by being dropped: its threads, thread-locals and exit handlers may outlive every instance.
+    library: ManuallyDrop<Library>,
+    /// Threads that were there before it was loaded; of a library that may go.
+    pub(super) others: Option<Others>,
 }
 
 /// A class whose instances can be created.
@@ -52,6 +55,24 @@ unsafe impl Send for LoadedClass {}
 unsafe impl Sync for LoadedClass {}
 
 impl LoadedPlugin {
+    /// Takes the library out of the process. Its exit handlers run here.
+    ///
+    /// # Safety
+    /// `self` is what [`closing::last`](super::closing::last) gave: nobody has a class of it, and no thread
+    /// runs that it may have started.
+    pub(super) unsafe fn close(self) {
+        let _loading = Loading::begin();
+        let name = self.manifest.name;
+        // The class tables are copies that stay. Whoever calls through one holds this plugin beside it: a
+        // `LoadedClass` in each instance, and in the rows of one of another process; so nobody is inside or
+        // can come. What is left in thread-locals with destructors is counted by glibc, which then keeps the
+        // library.
+        match ManuallyDrop::into_inner(self.library).close() {
+            Ok(()) => log::info!("plugin {name}: its library {} was closed", self.hash.short()),
+            Err(error) => log::warn!("plugin {name}: its library cannot be closed: {error}"),
+        }
+    }
+
     pub(crate) fn class(self: &Arc<Self>, index: usize) -> Option<LoadedClass> {
         let table = *self.classes.get(index)?;
         let class = self.manifest.classes.get(index)?.clone();
@@ -210,18 +231,13 @@ fn load_here(
 ) -> Result<LoadedPlugin, Fault> {
     let ListedPlugin { manifest, hash, .. } = plugin;
     resident::check(libraries, path.parent().and_then(Path::parent))?;
+    let others = manifest.unload.then(Others::now);
     let opened = open(path, manifest, false, |_| ())?;
-    // From here on the code has run; unmapping it is never safe again.
+    // From here on the code has run; it is unmapped by `close` alone.
     let library = ManuallyDrop::new(opened.library);
-    // SAFETY: `open` checked table and classes, which live as long as the library, and that stays.
+    // SAFETY: `open` checked table and classes, which live as long as the library: until `close`.
     let classes = unsafe { settle_in(opened.table, &opened.classes, &manifest.name, log, 0) }?;
-    Ok(LoadedPlugin {
-        manifest: manifest.clone(),
-        hash: *hash,
-        file: path.into(),
-        classes,
-        _library: library,
-    })
+    Ok(LoadedPlugin { manifest: manifest.clone(), hash: *hash, file: path.into(), classes, library, others })
 }
 
 /// Calls `init` and completes the class tables.
@@ -242,7 +258,7 @@ pub(super) unsafe fn settle_in(
 }
 
 /// # Safety
-/// `table` came out of [`check_table`] and lives as long as the process. Once for each plugin.
+/// `table` came out of [`check_table`], and its library is open. Once for each plugin.
 unsafe fn call_init(table: *const PluginTable, name: &str, log: LogFn, flags: u32) -> Result<(), LoadFault> {
     // SAFETY: `check_table` proved that the table reaches beyond `init`.
     let Some(init) = (unsafe { (&raw const (*table).init).read() }) else { return Ok(()) };

@@ -7,6 +7,7 @@ mod beside;
 mod cache;
 mod catalog;
 mod child;
+mod closing;
 mod elf;
 mod error;
 mod file;

@@ -14,7 +14,7 @@ use super::listed::{ClassRef, Content, ListedPlugin};
 use super::load::{self, LoadedClass, LoadedPlugin};
 use super::scan::{SETTLE, Scanner};
 use super::vet::{self, VET_LIMIT};
-use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog};
+use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog, closing};
 
 /// Where plugins come from and what is done with them.
 #[derive(Clone, Debug)]
@@ -46,6 +46,8 @@ pub struct PluginStore {
     entries: RwLock<Arc<Vec<PluginEntry>>>,
     /// One slot per file content, so that a slow plugin does not hold up another.
     loaded: Mutex<HashMap<Hash, Slot>>,
+    /// Contents whose code is in the process.
+    present: Mutex<BTreeSet<Hash>>,
     /// What was wrong with a content's code when it was tried last, as long as it is listed. What the file
     /// itself does wrong is said again at once and not tried again.
     failed: Mutex<HashMap<Hash, Fault>>,
@@ -82,6 +84,7 @@ impl PluginStore {
             scanner: Mutex::default(),
             entries: RwLock::default(),
             loaded: Mutex::default(),
+            present: Mutex::default(),
             failed: Mutex::default(),
             observers: Mutex::default(),
             writing: Mutex::default(),
@@ -148,6 +151,7 @@ impl PluginStore {
         let listed: BTreeSet<Hash> = after.iter().filter_map(PluginEntry::listed).map(|p| p.hash).collect();
         lock(&self.failed).retain(|hash, _| listed.contains(hash));
         *self.entries.write().unwrap_or_else(PoisonError::into_inner) = after;
+        self.close_unused(&listed);
         if !changes.is_empty() {
             self.prune(listed);
         }
@@ -232,6 +236,7 @@ impl PluginStore {
             None => {
                 let loaded = Arc::new(self.load_plugin(plugin).map_err(refused)?);
                 *slot = Some(loaded.clone());
+                lock(&self.present).insert(plugin.hash);
                 plugin.drop_content();
                 loaded
             }
@@ -243,8 +248,7 @@ impl PluginStore {
 
     /// True when the code of this file content is in the process.
     pub fn is_loaded(&self, hash: &Hash) -> bool {
-        let slot = lock(&self.loaded).get(hash).cloned();
-        slot.is_some_and(|slot| lock(&slot).is_some())
+        lock(&self.present).contains(hash)
     }
 
     /// Once at a time for each content: the caller holds its slot.
@@ -276,6 +280,27 @@ impl PluginStore {
             Err(fault) => drop(lock(&self.failed).insert(plugin.hash, fault.clone())),
         }
         outcome
+    }
+
+    /// Takes those libraries out of the process that say so and of which nothing is left. The caller has the
+    /// scanner, so that no file of theirs is listed meanwhile.
+    fn close_unused(&self, listed: &BTreeSet<Hash>) {
+        let slots = lock(&self.loaded);
+        let unlisted = slots.iter().filter(|(hash, _)| !listed.contains(hash));
+        let unlisted: Vec<(Hash, Slot)> = unlisted.map(|(hash, slot)| (*hash, slot.clone())).collect();
+        drop(slots);
+        for (hash, slot) in unlisted {
+            let Ok(mut slot) = slot.try_lock() else { continue };
+            match slot.take().map(closing::last) {
+                Some(Ok(plugin)) => {
+                    lock(&self.present).remove(&hash);
+                    // SAFETY: as `closing::last` gave it.
+                    unsafe { plugin.close() };
+                }
+                Some(Err(kept)) => *slot = Some(kept),
+                None => {}
+            }
+        }
     }
 
     /// A file that came back with content that is loaded already needs no bytes in memory.

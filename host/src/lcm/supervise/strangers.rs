@@ -14,9 +14,8 @@ use trocar_rt::{house, os};
 use super::super::executor;
 use super::hygiene::is_own_process;
 use super::roster::Ward;
+use crate::threads;
 
-/// The list of threads is read so often at most after the first time.
-const LISTS: usize = 16;
 /// Numbers of threads that began at about the same time are less than this apart; where they are more, the
 /// kernel has come to its highest number and begun anew.
 const NEAR: i32 = 1 << 14;
@@ -81,7 +80,7 @@ impl Strangers {
     /// Looks. Not real-time.
     pub(in crate::lcm) fn look() -> Strangers {
         let mut own = house::threads();
-        let listed = threads();
+        let listed = threads::list();
         // One that has come or gone meanwhile is on one of both lists.
         own.extend(house::threads());
         let unknown = listed.into_iter().filter(|tid| !own.contains(tid));
@@ -132,34 +131,10 @@ fn is_of_program(name: &str) -> bool {
     !is_own_process() && name.starts_with("tokio")
 }
 
-/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one
-/// out for each that ends before the reader's place meanwhile; then the next list lacks that one, so that two
-/// that are the same are whole.
-fn threads() -> BTreeSet<i32> {
-    let listed = || -> BTreeSet<i32> {
-        let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-        tasks.filter_map(|t| t.file_name().to_str()?.parse().ok()).collect()
-    };
-    let mut last = listed();
-    let mut all = last.clone();
-    for _ in 0..LISTS {
-        let next = listed();
-        if next == last {
-            return next;
-        }
-        all.extend(&next);
-        last = next;
-    }
-    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too
-    // few.
-    all
-}
-
-/// A word of the kernel about a thread of this process; empty when that is gone.
-fn word(tid: i32, what: &str) -> String {
-    #[cfg(test)]
-    LOOKS.with(|looks| looks.set(looks.get() + 1));
-    fs::read_to_string(format!("/proc/self/task/{tid}/{what}")).unwrap_or_default()
+/// Words of the kernel that this thread has asked for.
+#[cfg(test)]
+fn looks() -> u64 {
+    LOOKS.with(std::cell::Cell::get)
 }
 
 #[cfg(test)]
@@ -167,22 +142,14 @@ thread_local! {
     static LOOKS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
 }
 
-/// Words that this thread has asked for.
-#[cfg(test)]
-fn looks() -> u64 {
-    LOOKS.with(std::cell::Cell::get)
-}
-
-/// When a thread of this process began, ticks since boot, so that a number given again can be told apart; 0
-/// when it is gone.
 fn began(tid: i32) -> u64 {
-    let text = word(tid, "stat");
-    // The name before the last parenthesis may hold anything; the 20th word after it is the time.
-    let after = text.rfind(')').map_or("", |at| &text[at + 1..]);
-    after.split_ascii_whitespace().nth(19).and_then(|word| word.parse().ok()).unwrap_or(0)
+    #[cfg(test)]
+    LOOKS.with(|looks| looks.set(looks.get() + 1));
+    threads::began(tid)
 }
 
-/// Name of a thread of this process; empty when it is gone.
 fn name(tid: i32) -> String {
-    word(tid, "comm").trim_end().to_owned()
+    #[cfg(test)]
+    LOOKS.with(|looks| looks.set(looks.get() + 1));
+    threads::name(tid)
 }

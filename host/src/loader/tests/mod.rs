@@ -7,6 +7,7 @@ mod bad_files;
 mod brought;
 mod good_files;
 mod hostile;
+mod leaving;
 mod tables;
 mod watching;
 
