@@ -11,6 +11,10 @@ mod counted;
 mod hardware;
 #[path = "plugin_loading/helps.rs"]
 mod helps;
+#[path = "plugin_loading/leaving.rs"]
+mod leaving;
+#[path = "plugin_loading/reasons.rs"]
+mod reasons;
 
 use std::fs;
 

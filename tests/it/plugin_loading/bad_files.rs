@@ -4,7 +4,7 @@
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::json;
@@ -186,21 +186,26 @@ fn the_dev_mode_takes_a_group_writable_file_with_a_warning() {
     assert!(listed["warnings"].to_string().contains("group"), "{listed}");
 }
 
+/// A good C++ plugin with more code in it, compiled in the world's directory; none without a compiler.
+pub(super) fn filter_with(world: &World, name: &str, extra: &str, more: &[&str]) -> Option<PathBuf> {
+    let source = repository().join("tests/fixtures/plugins/cpp_filter/cpp_filter.cpp");
+    let header = repository().join("sdk/c");
+    let (extra, out) = (world.write("extra.cpp", extra), world.path(name));
+    let mut command = Command::new(std::env::var_os("CXX").unwrap_or_else(|| "g++".into()));
+    command.args(["-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-I"]).arg(header).arg("-o").arg(&out);
+    let made = command.arg(source).arg(extra).args(more).current_dir(world.path("")).output().ok()?;
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    Some(out)
+}
+
 /// What only running the file shows is found in the vetting child, at the first Create.
 #[track_caller]
 fn refused_when_created(extra: &str, more: &[&str], prepare: impl FnOnce(&World), words: &[&str]) {
     let world = World::new();
-    let source = repository().join("tests/fixtures/plugins/cpp_filter/cpp_filter.cpp");
-    let header = repository().join("sdk/c");
-    let (extra, out) = (world.write("extra.cpp", extra), world.path("bad.so"));
     prepare(&world);
-    let mut command = Command::new(std::env::var_os("CXX").unwrap_or_else(|| "g++".into()));
-    command.args(["-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-I"]).arg(header).arg("-o").arg(&out);
-    command.arg(source).arg(extra).args(more).current_dir(world.path(""));
-    match command.output() {
-        Err(_) => return skip("a plugin that misbehaves when loaded is made with a C++ compiler"),
-        Ok(made) => assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr)),
-    }
+    let Some(out) = filter_with(&world, "bad.so", extra, more) else {
+        return skip("a plugin that misbehaves when loaded is made with a C++ compiler");
+    };
     let host = HostProcess::start(&world);
     let grpc = host.grpcurl();
     world.drop_in(&out);
@@ -256,7 +261,7 @@ fn a_missing_library_is_named() {
 }
 
 /// Compiles a few lines of C in the world's directory.
-fn compile(world: &World, source: &str, args: &[&str]) {
+pub(super) fn compile(world: &World, source: &str, args: &[&str]) {
     let file = world.write("made.c", source);
     let made = Command::new("cc").arg(file).args(args).current_dir(world.path("")).output();
     let made = made.unwrap_or_else(|e| panic!("cc: {e}"));
