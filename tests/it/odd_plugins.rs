@@ -8,7 +8,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use serde_json::{Value, json};
-use trocar_tests::{Failure, Grpcurl, HostProcess, Trocar, World, eventually, repository, skip};
+use trocar_tests::{Failure, Grpcurl, HostProcess, Trocar, World, eventually, number, repository, skip};
 
 /// What a terminal would obey in the plugin's words, as it must be shown.
 const SHOWN: &str = "\\u{1b}[2J\\u{1b}[31mgone";
@@ -215,4 +215,26 @@ fn a_pool_of_more_frames_than_there_may_be_is_refused_with_the_limit() {
     }
     assert_eq!(scene.enter("start", &json!({ "slots": 4096 })).map(|f| f.to_string()), None);
     assert_eq!(scene.grpc.state("host/o"), "ACTIVE");
+}
+
+#[test]
+fn handles_kept_in_statics_are_refused_counted_and_named_when_their_component_is_gone() {
+    let Some(scene) = Scene::new() else { return };
+    assert_eq!(scene.enter("start", &json!({ "keeps": true, "slots": 4 })).map(|f| f.to_string()), None);
+    let late = json!({ "path": "host/late", "class": "odd", "config": { "late": true } });
+    scene.grpc.ok("GcmService/Create", late);
+    scene.grpc.start("host/late");
+    scene.remove();
+    let call = || scene.grpc.invoke("host/late/ctl/count", Value::Null);
+    for times in ["1 so far", "10 so far", "100 so far"] {
+        // Until the host's side of the one that is gone is, too, its handles may still do something.
+        eventually(times, || {
+            let answer = call();
+            let said = scene.host.printed();
+            let words = "host/o is removed, and its code still uses its ports or its host handle: refused, ";
+            if said.contains(&format!("{words}{times}")) { Ok(()) } else { Err(format!("{answer} {said}")) }
+        });
+    }
+    assert_eq!(number(&call()), 0, "each was refused");
+    assert_eq!(scene.grpc.state("host/late"), "ACTIVE");
 }

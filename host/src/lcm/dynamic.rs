@@ -32,7 +32,7 @@ const EXTERNAL_REPLIES: usize = 16;
 /// One description of an instance and everything made for it.
 pub(super) struct PortSet {
     pub(super) ports: Arc<Ports>,
-    pub(super) slots: Slots,
+    pub(super) slots: Arc<Slots>,
     /// ABI ids of the commands, in order; those of the system interface come last.
     pub(super) commands: Vec<Arc<Position>>,
     /// ABI ids of the handlers, in order.
@@ -54,7 +54,7 @@ impl PortSet {
     /// # Errors
     /// There is no memory for the frames of an output.
     pub(super) fn new(ports: Ports, before: Option<&PortSet>) -> Result<PortSet, NoRoom> {
-        let slots = Slots::new(&ports, before.map(|b| (&*b.ports, &b.slots)))?;
+        let slots = Arc::new(Slots::new(&ports, before.map(|b| (&*b.ports, &*b.slots)))?);
         let mut commands = Vec::new();
         for interface in &ports.provided {
             for new in &interface.commands {
@@ -273,6 +273,12 @@ impl Described {
     /// True once after each change at the component's own wish.
     pub(super) fn changed_by_itself(&self) -> bool {
         std::mem::take(&mut self.life().untold)
+    }
+
+    /// The slots of all its sets that there still are.
+    pub(super) fn all_slots(&self) -> Vec<Arc<Slots>> {
+        let kept = self.life().kept.clone();
+        kept.iter().chain([&self.now()]).map(|set| set.slots.clone()).collect()
     }
 
     pub(super) fn reclaim(&self) -> usize {

@@ -9,6 +9,7 @@ use trocar_model::Name;
 use trocar_rt::wake::Waker;
 
 use super::api::{self, Concern, News};
+use super::boundary::AllRemains;
 use super::instance::Instance;
 use super::logs::LogRing;
 use super::reading::Readers;
@@ -31,6 +32,8 @@ pub(super) struct Hub {
     pub(super) ports: Arc<Waker>,
     /// Removed components whose code may still use what the host gave them: kept until the process ends.
     graveyard: Mutex<Vec<Arc<Instance>>>,
+    /// What those that were removed leave.
+    pub(super) remains: AllRemains,
     /// Reports made so far.
     pub(super) reports: AtomicU64,
     /// What the process itself is warned of.
@@ -50,6 +53,7 @@ impl Hub {
             watch: Arc::new(Waker::new()),
             ports: Arc::new(Waker::new()),
             graveyard: Mutex::new(Vec::new()),
+            remains: AllRemains::default(),
             reports: AtomicU64::new(0),
             warnings: Mutex::default(),
             doom: watch::Sender::new(None),

@@ -310,7 +310,7 @@ pub(super) struct Instance {
     executor: ExecutorId,
     waker: Arc<Waker>,
     host: Arc<HostContext>,
-    host_table: SharedTable,
+    host_table: Arc<SharedTable>,
     pub(super) hub: Arc<Hub>,
     /// Keeps the library mapped.
     _class: LoadedClass,
@@ -336,7 +336,7 @@ impl Instance {
         let terms = Terms::of(execution, executor);
         let described = Described::new(ports.clone())?;
         let now = described.now();
-        let host = HostContext::new(number, &hub);
+        let host = HostContext::new(number, id.clone(), &hub);
         let instance = Arc::new(Instance {
             number,
             object: Object::new(
@@ -576,5 +576,11 @@ impl Instance {
     /// Where a restarted or failed component stands after `stop`.
     pub(super) fn stopped(&self, reason: StopReason) {
         self.set_state(State::Stopped(reason), "");
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        self.hub.remains.take(&self.host, self.host_table.clone(), self.described.all_slots());
     }
 }

@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <string>
+#include <thread>
 #include <unistd.h>
 
 // JSON's own escapes: after the manifest is read these are the characters themselves.
@@ -24,6 +25,8 @@ R"json("config":{"type":"object","additionalProperties":false,"required":[],"pro
 "\"in\":{\"type\":\"string\",\"description\":\"setting " LIE "\",\"default\":\"\"},"
 R"json("status":{"type":"integer","description":"What the entry answers","minimum":-1000,"maximum":1000,"default":0},
  "lies":{"type":"boolean","description":"Its reason is one a terminal would obey","default":false},
+ "keeps":{"type":"boolean","description":"Its handles stay in statics","default":false},
+ "late":{"type":"boolean","description":"count uses what another one kept","default":false},
  "slots":{"type":"integer","description":"Frames reserved by start","minimum":0,"maximum":100000,"default":0}}},
 "inputs":[],
 "outputs":[{"name":"image","type":{"frame":{"ref":"Header"},"format":"image","max_bytes":0}}],
@@ -46,8 +49,27 @@ struct Odd {
     const trocar_out *image = nullptr;
     std::string in;
     long status = 0, slots = 0;
-    bool lies = false;
+    bool lies = false, keeps = false, late = false;
 };
+
+// What one of them was given, also when it is gone.
+const trocar_host *kept_host = nullptr;
+const trocar_out *kept_image = nullptr;
+
+// Uses it from a thread that no component is known to have: 0 when each use was refused.
+int64_t use_kept() {
+    int64_t taken = 0;
+    std::thread late([&taken] {
+        for (int i = 0; i < 5; i++) {
+            trocar_loan loan = {};
+            loan.struct_size = sizeof loan;
+            taken += kept_image->loan(kept_image->ctx, &loan) != TROCAR_UNBOUND;
+            taken += kept_host->callback_enter(kept_host->ctx) != TROCAR_NOT_ACTIVE;
+        }
+    });
+    late.join();
+    return taken;
+}
 
 Odd &of(void *self) { return *static_cast<Odd *>(self); }
 
@@ -93,6 +115,8 @@ trocar_status configure(void *self, trocar_bytes json, trocar_err *err) {
     c.status = std::atol(value(text, "status").c_str());
     c.slots = std::atol(value(text, "slots").c_str());
     c.lies = value(text, "lies") == "true";
+    c.keeps = value(text, "keeps") == "true";
+    c.late = value(text, "late") == "true";
     return in_entry(self, "configure", err);
 }
 
@@ -103,6 +127,10 @@ trocar_status bind(void *self, const trocar_ports *ports, trocar_err *) {
 
 trocar_status start(void *self, trocar_err *err) {
     Odd &c = of(self);
+    if (c.keeps) {
+        kept_host = c.host;
+        kept_image = c.image;
+    }
     if (c.slots != 0) {
         const trocar_outcome outcome = c.image->reserve(c.image->ctx, 64, static_cast<uint32_t>(c.slots));
         if (outcome != TROCAR_EXECUTED) {
@@ -118,8 +146,8 @@ trocar_status make_safe(void *self, trocar_err *err) { return in_entry(self, "ma
 trocar_status step(void *self, const trocar_tick *, trocar_err *err) { return in_entry(self, "step", err); }
 
 trocar_status command(void *self, uint32_t, const void *, void *ret, trocar_err *err) {
-    const int64_t one = 1;
-    if (ret != nullptr) std::memcpy(ret, &one, sizeof one);
+    const int64_t answer = of(self).late ? use_kept() : 1;
+    if (ret != nullptr) std::memcpy(ret, &answer, sizeof answer);
     return in_entry(self, "command", err);
 }
 

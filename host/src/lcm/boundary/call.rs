@@ -21,6 +21,7 @@ use super::super::inbox::{Inbox, Position};
 use super::super::instance::{Entered, Instance, Misuse};
 use super::entry::Unexplained;
 use super::far::{FarCommand, FarRead};
+use super::host_table::HostContext;
 use super::options;
 use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
@@ -52,17 +53,26 @@ struct Bound {
     to: FnBinding,
     /// The command's description as manifest JSON; empty while unbound.
     described: String,
+    /// The component whose function it was is gone.
+    gone: Option<Arc<HostContext>>,
 }
 
 impl FnCell {
     pub(super) fn unbound() -> Self {
-        let bound = Bound { to: FnBinding::Unbound, described: String::new() };
+        let bound = Bound { to: FnBinding::Unbound, described: String::new(), gone: None };
         FnCell { binding: BindingCell::new(Box::new(bound)) }
+    }
+
+    /// Its component is gone.
+    pub(super) fn retire(&self, gone: &Arc<HostContext>) {
+        let bound = Bound { to: FnBinding::Unbound, described: String::new(), gone: Some(gone.clone()) };
+        self.binding.swap(Box::new(bound));
+        self.binding.reclaim();
     }
 
     /// Swaps what stands behind the function; managers only.
     pub(in crate::lcm) fn bind(&self, to: FnBinding, described: String) {
-        self.binding.swap(Box::new(Bound { to, described }));
+        self.binding.swap(Box::new(Bound { to, described, gone: None }));
     }
 
     pub(in crate::lcm) fn unbind(&self) {
@@ -94,12 +104,13 @@ impl FnCell {
             return unsafe { options::with(opts, |opts| self.call_counted(arg, ret, opts)) };
         };
         // SAFETY: as in `send`.
-        match unsafe { self.binding.peek() }.map(|bound| &bound.to) {
+        let bound = unsafe { self.binding.peek() };
+        match bound.map(|bound| &bound.to) {
             Some(FnBinding::Read(target)) => target.call(arg, ret, Some(opts)),
             Some(FnBinding::Command(target)) => target.call_with(arg, ret, opts),
             Some(FnBinding::FarCommand(target)) => target.call(arg, ret, Some(opts)),
             Some(FnBinding::FarRead(target)) => target.call(arg, ret, Some(opts)),
-            Some(FnBinding::Unbound) => UNBOUND,
+            Some(FnBinding::Unbound) => bound.map_or(UNBOUND, Bound::unbound),
             None => self.call_counted(arg, ret, Some(opts)),
         }
     }
@@ -111,10 +122,17 @@ impl FnCell {
 }
 
 impl Bound {
+    fn unbound(&self) -> Outcome {
+        if let Some(gone) = &self.gone {
+            gone.note_late();
+        }
+        UNBOUND
+    }
+
     #[inline(always)]
     fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
         match &self.to {
-            FnBinding::Unbound => UNBOUND,
+            FnBinding::Unbound => self.unbound(),
             FnBinding::Command(target) => target.call(arg, ret, opts),
             FnBinding::Read(target) => target.call(arg, ret, opts),
             FnBinding::FarCommand(target) => target.call(arg, ret, opts),
@@ -166,7 +184,7 @@ pub(super) unsafe extern "C" fn call_bytes(
         };
         let place = if ret_len == 0 { std::ptr::null_mut() } else { ret.cast() };
         match &binding.to {
-            FnBinding::Unbound => UNBOUND,
+            FnBinding::Unbound => binding.unbound(),
             FnBinding::Command(target) if fits(target.lane.arg_bytes, target.lane.ret_bytes, !waits) => {
                 target.call(arg.ptr, place, opts)
             }

@@ -15,6 +15,7 @@ use super::super::context;
 use super::super::inbox::{ENTRY_EVENT, Inbox, Position};
 use super::super::instance::Instance;
 use super::super::pending;
+use super::host_table::HostContext;
 use super::tap::EventTap;
 use super::told;
 
@@ -63,6 +64,8 @@ struct Sinks {
     all: Vec<Arc<EventSink>>,
     /// Told of it as well, which its sender does not notice.
     tap: Option<EventTap>,
+    /// The component whose event it was is gone.
+    gone: Option<Arc<HostContext>>,
 }
 
 /// Host cell behind an event slot.
@@ -94,7 +97,7 @@ impl EventCell {
             if let Some(tap) = &sinks.tap {
                 tap.tell(payload);
             }
-            give(&sinks.all, payload)
+            if sinks.all.is_empty() { sinks.unbound() } else { give(&sinks.all, payload) }
         })
     }
 
@@ -119,6 +122,12 @@ impl EventCell {
     /// It is told to this tap from now on; managers only.
     pub(in crate::lcm) fn set_tap(&self, tap: Option<EventTap>) {
         self.change(|sinks| sinks.tap = tap);
+    }
+
+    /// Its component is gone.
+    pub(super) fn retire(&self, gone: &Arc<HostContext>) {
+        self.change(|sinks| *sinks = Sinks { gone: Some(gone.clone()), ..Sinks::default() });
+        self.sinks.reclaim();
     }
 
     fn change(&self, f: impl FnOnce(&mut Sinks)) {
@@ -184,11 +193,18 @@ impl Handler {
     }
 }
 
+impl Sinks {
+    /// What an event comes to that nobody wants.
+    fn unbound(&self) -> Outcome {
+        if let Some(gone) = &self.gone {
+            gone.note_late();
+        }
+        UNBOUND
+    }
+}
+
 /// Gives an event to everybody who wants it.
 fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
-    if sinks.is_empty() {
-        return UNBOUND;
-    }
     let mut outcome = EXECUTED;
     let mut told_ns = None;
     for sink in sinks.iter() {

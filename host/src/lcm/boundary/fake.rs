@@ -60,10 +60,14 @@ pub(in crate::lcm) fn set_umask(mask: u32) {
 const ROW: usize = crate::lcm::system::MAX_BYTES;
 
 /// What an instance was given by the host.
+#[derive(Clone, Copy)]
 pub(in crate::lcm) struct Own {
     host: *const HostTable,
     ports: *const Ports,
 }
+
+// SAFETY: as what code in C keeps in a static: slots and table may be called from any thread, after the instance, too.
+unsafe impl Send for Own {}
 
 impl Own {
     /// Writes a plain value to an output.

@@ -3,8 +3,11 @@
 //! Invariant: every function here may be called from any thread of the plugin and never waits.
 
 use std::ffi::c_void;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::io::Write;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
+
+use trocar_model::ComponentId;
 
 use trocar_plugin_api::abi::{
     ABI_MAJOR, ABI_MINOR, Bytes, HostTable, KEEP, Keep, NOT_ACTIVE, Outcome, PARALLEL, QUEUED,
@@ -14,7 +17,7 @@ use trocar_rt::os;
 use super::super::context;
 use super::super::hub::Hub;
 use super::super::instance::Instance;
-use super::super::logs::LogRing;
+use super::super::logs::{self, LogRing};
 use super::super::services::{Account, Desk};
 use super::parallel;
 
@@ -22,23 +25,28 @@ use super::parallel;
 pub(in crate::lcm) struct HostContext {
     /// The component's number.
     pub(in crate::lcm) number: u32,
+    id: ComponentId,
     pub(in crate::lcm) logs: Arc<LogRing>,
     pub(in crate::lcm) instance: OnceLock<Weak<Instance>>,
     pub(in crate::lcm) account: Account,
     desk: Arc<Desk>,
     /// Its code holds something of what it was given, and for how long nobody knows.
     held: AtomicBool,
+    /// How often its code used what it was given after it was gone.
+    late: AtomicU64,
 }
 
 impl HostContext {
-    pub(in crate::lcm) fn new(number: u32, hub: &Hub) -> Arc<Self> {
+    pub(in crate::lcm) fn new(number: u32, id: ComponentId, hub: &Hub) -> Arc<Self> {
         Arc::new(Self {
             number,
+            id,
             logs: hub.logs.clone(),
             instance: OnceLock::new(),
             account: Account::default(),
             desk: hub.desk.clone(),
             held: AtomicBool::new(false),
+            late: AtomicU64::new(0),
         })
     }
 
@@ -47,9 +55,46 @@ impl HostContext {
         self.held.load(Ordering::Acquire)
     }
 
-    /// The table for this context, which must outlive it.
-    pub(in crate::lcm) fn shared_table(self: &Arc<Self>) -> SharedTable {
-        SharedTable(HostTable {
+    /// Its component is gone.
+    pub(super) fn leave(&self) {
+        self.desk.leave(self.number);
+    }
+
+    /// Its component is gone, and code of it has used what it was given: counted, and said at the first time, the tenth, the
+    /// hundredth. Any thread; real-time.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn note_late(&self) {
+        let times = self.late.fetch_add(1, Ordering::Relaxed) + 1;
+        if times != 10u64.pow(times.ilog10()) {
+            return;
+        }
+        let mut said = [0; 400];
+        let room = said.len();
+        let mut rest = said.as_mut_slice();
+        // A longer text is cut.
+        let _ = write!(
+            rest,
+            "{} is removed, and its code still uses its ports or its host handle: refused, {times} so far; end its threads in \
+             stop or destroy, and keep no handle in a static",
+            self.id
+        );
+        let len = room - rest.len();
+        self.logs.push(self.number, log::Level::Warn as u32, logs::HOST.as_bytes(), &said[..len]);
+    }
+
+    /// Its instance; `None`, and that is noted, when it is gone.
+    fn instance(&self) -> Option<Arc<Instance>> {
+        let instance = self.instance.get().and_then(Weak::upgrade);
+        if instance.is_none() {
+            self.note_late();
+        }
+        instance
+    }
+
+    /// The table for this context, which it keeps.
+    pub(in crate::lcm) fn shared_table(self: &Arc<Self>) -> Arc<SharedTable> {
+        let table = HostTable {
             struct_size: size_of::<HostTable>() as u32,
             flags: 0,
             abi_major: ABI_MAJOR,
@@ -62,18 +107,13 @@ impl HostContext {
             callback_leave,
             extension,
             ports_changed,
-        })
+        };
+        Arc::new(SharedTable(table, self.clone()))
     }
 }
 
-impl Drop for HostContext {
-    fn drop(&mut self) {
-        self.desk.leave(self.number);
-    }
-}
-
-/// A host table kept beside the context it points to.
-pub(in crate::lcm) struct SharedTable(HostTable);
+/// A host table, with the context it points to.
+pub(in crate::lcm) struct SharedTable(HostTable, #[expect(dead_code, reason = "held")] Arc<HostContext>);
 
 // SAFETY: the table is immutable and its context is a `HostContext`, which is Sync.
 unsafe impl Send for SharedTable {}
@@ -88,7 +128,7 @@ impl SharedTable {
 
 /// `ctx` is the `HostContext` whose table the function stands in.
 fn context_of<'a>(ctx: *mut c_void) -> &'a HostContext {
-    // SAFETY: the context lives as long as its instance.
+    // SAFETY: the context lives as long as its table, and that as long as the host takes calls of its component.
     unsafe { &*ctx.cast::<HostContext>() }
 }
 
@@ -123,15 +163,14 @@ pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
 /// A dynamic component service; see `services.rs`.
 unsafe extern "C" fn service(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome {
     let host = context_of(ctx);
-    match host.instance.get().and_then(Weak::upgrade) {
+    match host.instance() {
         Some(instance) => host.desk.ask(&instance, token, text(&request)),
         None => NOT_ACTIVE,
     }
 }
 
 unsafe extern "C" fn callback_enter(ctx: *mut c_void) -> Outcome {
-    let instance = context_of(ctx).instance.get().and_then(Weak::upgrade);
-    instance.map_or(NOT_ACTIVE, |instance| instance.callback_enter())
+    context_of(ctx).instance().map_or(NOT_ACTIVE, |instance| instance.callback_enter())
 }
 
 unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
@@ -142,7 +181,7 @@ unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
 
 /// The component's ports are to be others: it is described and bound again on its own thread, between two steps.
 unsafe extern "C" fn ports_changed(ctx: *mut c_void) -> Outcome {
-    match context_of(ctx).instance.get().and_then(Weak::upgrade) {
+    match context_of(ctx).instance() {
         Some(instance) => {
             instance.described.wish();
             instance.look_at_ports();

@@ -5,8 +5,8 @@
 
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use trocar_model::CopyRun;
 use trocar_plugin_api::abi::{
@@ -22,6 +22,7 @@ use trocar_rt::stream::{Sample, StreamReader};
 use trocar_rt::timing::Histogram;
 
 use super::super::context;
+use super::host_table::HostContext;
 use super::output::OutCell;
 
 /// Number of the next link of this process; never given twice, as an address would be.
@@ -173,6 +174,8 @@ pub(in crate::lcm) struct InCell {
     held: UnsafeCell<Option<Arc<InLink>>>,
     /// Links it showed from before, for a manager to drop: the component's thread frees no memory.
     left: LeftList<InLink>,
+    /// The component whose input it was is gone.
+    gone: OnceLock<Arc<HostContext>>,
 }
 
 // SAFETY: `held` is used only by the component's thread, one at a time.
@@ -186,7 +189,25 @@ impl InCell {
             link: BindingCell::new(Box::new(None)),
             held: UnsafeCell::new(None),
             left: LeftList::default(),
+            gone: OnceLock::new(),
         }
+    }
+
+    /// Its component is gone: what it showed goes back.
+    pub(super) fn retire(&self, gone: &Arc<HostContext>) {
+        let _ = self.gone.set(gone.clone());
+        self.link.swap(Box::new(None));
+        // SAFETY: the component's thread has done its last for it, and nobody else may look at samples of an input.
+        drop(unsafe { &mut *self.held.get() }.take());
+        self.reclaim();
+    }
+
+    #[cold]
+    fn unbound(&self) -> i32 {
+        if let Some(gone) = self.gone.get() {
+            gone.note_late();
+        }
+        IN_UNBOUND
     }
 
     /// Puts a link behind the input, or none; managers only.
@@ -254,7 +275,7 @@ impl InCell {
         if let Some(left) = left {
             self.left.leave(left);
         }
-        let Some(link) = held.as_ref() else { return IN_UNBOUND };
+        let Some(link) = held.as_ref() else { return self.unbound() };
         // SAFETY: component's thread only.
         let reader = unsafe { &mut *link.reader.get() };
         let Some(sample) = pick(reader) else { return IN_EMPTY };

@@ -26,6 +26,7 @@ mod ports;
 mod queue;
 mod range;
 mod read;
+mod remains;
 pub(super) mod same;
 mod tap;
 #[cfg(test)]
@@ -50,6 +51,7 @@ pub(super) use ports::{NoRoom, Slots};
 pub(super) use queue::{Lane, REPLACED, replaced};
 pub(super) use range::RangeCheck;
 pub(super) use read::{ReadTarget, Reader, read_published};
+pub(super) use remains::AllRemains;
 pub(super) use same::{same_input, same_output, same_provided, same_required};
 pub(super) use tap::{CommandTap, EventTap, plain_outcome};
 

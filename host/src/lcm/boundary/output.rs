@@ -20,6 +20,7 @@ use trocar_rt::wake::Waker;
 use super::super::context;
 use super::super::instance::{Instance, Misuse};
 use super::super::pending;
+use super::host_table::HostContext;
 use super::input::InCell;
 use super::{late, told};
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
@@ -90,6 +91,8 @@ pub(in crate::lcm) struct Outs {
     /// The same as manifest JSON, empty while unconnected.
     described: Arc<str>,
     links: Vec<Arc<OutLink>>,
+    /// The component whose output it was is gone; then its shape is unknown.
+    gone: Option<Arc<HostContext>>,
 }
 
 /// The pools of one output.
@@ -135,6 +138,7 @@ impl OutCell {
             ty: (!untyped).then(|| ty.clone()),
             described: "".into(),
             links: Vec::new(),
+            gone: None,
         };
         OutCell {
             outs: BindingCell::new(Box::new(outs)),
@@ -211,6 +215,7 @@ impl OutCell {
             ty: now.ty.clone(),
             described: now.described.clone(),
             links: now.links.clone(),
+            gone: now.gone.clone(),
         };
         drop(now);
         f(&mut outs);
@@ -220,6 +225,24 @@ impl OutCell {
     pub(super) fn reclaim(&self) -> usize {
         self.drop_pools();
         self.outs.reclaim() + self.pools.reclaim() + self.inputs.reclaim()
+    }
+
+    /// Its component is gone. Frames that are out keep their pool.
+    pub(super) fn retire(&self, gone: &Arc<HostContext>) {
+        self.edit(|outs| {
+            *outs = Outs {
+                shape: Shape::of(&PortType::Any),
+                ty: None,
+                described: "".into(),
+                links: Vec::new(),
+                gone: Some(gone.clone()),
+            };
+        });
+        let one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
+        self.pools.swap(Box::default());
+        drop(one);
+        self.know(Vec::new());
+        self.reclaim();
     }
 
     /// (Re)makes the pool; not from `step`.
@@ -411,6 +434,20 @@ impl Outs {
         }
     }
 
+    /// What a write comes to while there is no type.
+    #[cold]
+    fn unbound(&self) -> Outcome {
+        if let Some(gone) = &self.gone {
+            gone.note_late();
+        }
+        UNBOUND
+    }
+
+    /// Its component is.
+    fn is_gone(&self) -> bool {
+        self.gone.is_some()
+    }
+
     #[inline]
     pub(super) fn is_unread(&self) -> bool {
         self.links.is_empty()
@@ -545,7 +582,7 @@ impl OutCell {
     /// Publishes a frame that some input holds; its header must be the output's.
     pub(super) fn forward_frame(&self, frame: Frame, stamp_ns: u64) -> Outcome {
         self.outs.look(|outs| match &outs.shape {
-            shape if shape.unknown => UNBOUND,
+            shape if shape.unknown => outs.unbound(),
             shape if shape.frame && frame.header().len() == shape.bytes => {
                 self.publish(outs, frame, stamp_ns)
             }
@@ -556,7 +593,7 @@ impl OutCell {
     /// Publishes a plain sample that some input holds.
     pub(super) fn forward_plain(&self, value: &[u8], stamp_ns: u64) -> Outcome {
         self.outs.look(|outs| match &outs.shape {
-            shape if shape.unknown => UNBOUND,
+            shape if shape.unknown => outs.unbound(),
             shape if !shape.frame && value.len() == shape.bytes => self.publish_plain(outs, value, stamp_ns),
             _ => INVALID_ARGUMENT,
         })

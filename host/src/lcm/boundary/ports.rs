@@ -14,6 +14,7 @@ use trocar_rt::pool::{self, FramePool};
 
 use super::call::{self, FnCell};
 use super::event::{self, EventCell};
+use super::host_table::HostContext;
 use super::input::{self, InCell};
 use super::output::{self, OutCell};
 use super::same::{self, same_input, same_output};
@@ -271,6 +272,19 @@ impl Slots {
             events: pointers.events.as_ptr(),
         });
         Slots { outputs, inputs, functions, events, table, _pointers: pointers }
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.outputs.len() + self.inputs.len() + self.functions.len() + self.events.len()
+    }
+
+    /// Their component, whose host context this is, is gone: nothing stands behind them any more.
+    pub(super) fn retire(&self, gone: &Arc<HostContext>) {
+        self.outputs.iter().for_each(|p| p.cell.retire(gone));
+        self.inputs.iter().for_each(|p| p.cell.retire(gone));
+        self.functions.iter().for_each(|p| p.cell.retire(gone));
+        self.events.iter().for_each(|p| p.cell.retire(gone));
     }
 
     pub(in crate::lcm) fn table(&self) -> *const Ports {

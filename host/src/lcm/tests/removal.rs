@@ -3,8 +3,9 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use trocar_plugin_api::abi::Tick;
+use trocar_plugin_api::abi::{NOT_ACTIVE, Tick, UNBOUND};
 
+use super::super::api::News;
 use super::super::boundary::fake::{Device, Own};
 use super::standing::Held;
 use super::*;
@@ -211,6 +212,48 @@ async fn a_port_to_which_handles_are_left_is_not_that_of_the_instance_made_anew(
         assert_eq!(report.lost_connections, lost, "{report:?}");
         world.end().await;
     }
+}
+
+/// Keeps what it is given in a place of its own, as code in C does in a static.
+#[derive(Default)]
+struct Hoards(std::sync::Mutex<Option<Own>>);
+
+impl Behaviour for Hoards {
+    fn step(&self, _: &Tick, own: &Own) -> Result<(), String> {
+        *self.0.lock().unwrap() = Some(*own);
+        Ok(())
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn handles_that_code_keeps_when_its_component_is_gone_are_refused_counted_and_named() {
+    let world = World::new("rm_hoards");
+    let mut news = world.lcm.news();
+    let hoards = Arc::new(Hoards::default());
+    let ports =
+        Ports { outputs: plain(true, true).outputs, inputs: plain(true, true).inputs, ..requires_ctl() };
+    world.create_as("c", class(ports, Safety::None), periodic(1000), hoards.clone()).await;
+    world.start("c").await;
+    eventually("it has stepped", || hoards.0.lock().unwrap().is_some()).await;
+    let gone = Arc::downgrade(&world.lcm.instance(&world.id("c")).unwrap());
+    world.apply(destroy(&world, "c")).await.unwrap();
+    eventually("the host's side of it gone", || gone.upgrade().is_none()).await;
+    let own = hoards.0.lock().unwrap().unwrap();
+    let late = std::thread::spawn(move || {
+        let ten = (0..7).map(|_| own.send(0)).chain([own.write(0, &1)]);
+        (ten.collect::<Vec<_>>(), own.take(0), own.device().enter(), own.device().ports_changed())
+    });
+    assert_eq!(late.join().unwrap(), (vec![UNBOUND; 8], None, NOT_ACTIVE, NOT_ACTIVE));
+    for times in ["1 so far", "10 so far"] {
+        let said = loop {
+            match news.recv().await.unwrap() {
+                News::Log(line) if line.message.contains("still uses its ports") => break line.message,
+                _ => {}
+            }
+        };
+        assert!(said.starts_with("rm_hoards/c is removed") && said.contains(times), "{said}");
+    }
+    world.end().await;
 }
 
 /// Starts a thread and leaves it running until the test lets go.

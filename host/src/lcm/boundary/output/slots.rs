@@ -6,13 +6,13 @@ use std::ffi::c_void;
 use std::sync::atomic::Ordering;
 
 use trocar_plugin_api::abi::{
-    Bytes, EXECUTED, EXHAUSTED, FAILED, INVALID_ARGUMENT, Loan, Outcome, SampleView, Sink, Status, UNBOUND,
+    Bytes, EXECUTED, EXHAUSTED, FAILED, INVALID_ARGUMENT, Loan, Outcome, SampleView, Sink, Status,
     WOULD_BLOCK,
 };
 
 use super::super::super::context;
 use super::super::input;
-use super::OutCell;
+use super::{OutCell, Outs};
 
 /// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as the
 /// instance that owns the slots. Pointers handed over live for the call.
@@ -29,7 +29,7 @@ pub(in crate::lcm::boundary) unsafe extern "C" fn write(
     let cell = out_cell(ctx);
     cell.outs.look(|outs| {
         if outs.shape.unknown {
-            return UNBOUND;
+            return outs.unbound();
         }
         if outs.shape.frame {
             return INVALID_ARGUMENT;
@@ -80,7 +80,7 @@ pub(in crate::lcm::boundary) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *
         lent()
     }) else {
         cell.exhausted.fetch_add(1, Ordering::Relaxed);
-        return EXHAUSTED;
+        return cell.outs.look(|outs| if outs.is_gone() { outs.unbound() } else { EXHAUSTED });
     };
     let lent = Loan {
         struct_size: size_of::<Loan>() as u32,
@@ -151,7 +151,7 @@ pub(in crate::lcm::boundary) unsafe extern "C" fn reserve(
         return FAILED;
     }
     if shape.unknown {
-        return UNBOUND;
+        return cell.outs.look(Outs::unbound);
     }
     let asked = format!("a pool of {slots} frames of {max_bytes} bytes cannot be made");
     if slots > MOST_SLOTS {
