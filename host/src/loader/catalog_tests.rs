@@ -13,8 +13,8 @@ fn plugin(file: &str, name: &str, content: &[u8]) -> Finding {
     let text = format!(r#"{{"trocar":1,"abi":[1,0],"name":"{name}","version":"1.0.0","classes":[]}}"#);
     let manifest = Manifest::parse(text.as_bytes()).unwrap();
     let facts = Facts { manifest, needed: Vec::new(), brought: Vec::new(), warnings: Vec::new() };
-    let read =
-        FileBytes { bytes: content.to_vec(), hash: crate::loader::Hash::of(content), warnings: Vec::new() };
+    let hash = crate::loader::Hash::of(content);
+    let read = FileBytes { bytes: content.to_vec(), hash, owner: 0, mode: 0o644, warnings: Vec::new() };
     let listed = ListedPlugin::new(Path::new(file), read, facts);
     Finding { file: file.into(), outcome: Ok(Arc::new(listed)) }
 }
