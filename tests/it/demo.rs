@@ -5,6 +5,7 @@
 //! was done in pictures, and stops cleanly; a process of it that is killed comes back.
 
 mod counted;
+mod terminal;
 mod timed;
 
 use std::collections::BTreeSet;

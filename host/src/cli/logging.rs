@@ -114,10 +114,11 @@ impl Diverted {
         *LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(Kept::default());
         Diverted(())
     }
+}
 
-    pub(super) fn kept(&self) -> Kept {
-        LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
-    }
+/// What is kept for a screen now.
+pub(super) fn kept() -> Kept {
+    LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
 }
 
 impl Drop for Diverted {

@@ -37,10 +37,14 @@ pub(super) struct Screen {
 }
 
 impl Screen {
+    /// Standard output is a terminal a person looks at.
+    pub(super) fn is_possible() -> bool {
+        std::io::stdout().is_terminal() && std::env::var_os("TERM").is_some_and(|term| term != "dumb")
+    }
+
     /// `None`: standard output is no terminal a person looks at.
     pub(super) fn open() -> Option<Screen> {
-        let out = std::io::stdout();
-        if !out.is_terminal() || std::env::var_os("TERM").is_none_or(|term| term == "dumb") {
+        if !Screen::is_possible() {
             return None;
         }
         let (tell, keys) = mpsc::unbounded_channel();
@@ -52,6 +56,14 @@ impl Screen {
         }
         write("\x1b[?1049h\x1b[?25l");
         Some(Screen { before, keys })
+    }
+
+    /// The next key; never where none come from here.
+    pub(super) async fn key(&mut self) -> Key {
+        match self.keys.recv().await {
+            Some(key) => key,
+            None => std::future::pending().await,
+        }
     }
 
     /// Rows and columns.
@@ -80,12 +92,10 @@ impl Drop for Screen {
 
 /// The next key; never without a screen.
 pub(super) async fn next(screen: &mut Option<Screen>) -> Key {
-    if let Some(screen) = screen
-        && let Some(key) = screen.keys.recv().await
-    {
-        return key;
+    match screen {
+        Some(screen) => screen.key().await,
+        None => std::future::pending().await,
     }
-    std::future::pending().await
 }
 
 /// Keys come at once and are not shown; Ctrl-C still ends the program. Answers how it was.

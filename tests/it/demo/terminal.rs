@@ -60,14 +60,14 @@ impl Terminal {
         assert!(self.child.wait().unwrap().success());
         let shown = self.shown.clone();
         self.reading.join().unwrap();
-        let all = shown.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        all
+        shown.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
 /// What was drawn last, without colours.
 fn last_drawn(written: &str) -> Vec<String> {
-    let drawn = written.split("\x1b[J").rev().nth(1).and_then(|frame| frame.rsplit_once("\x1b[H"));
+    let whole = written.rsplit_once("\x1b[J").map_or("", |(whole, _)| whole);
+    let drawn = whole.rsplit_once("\x1b[H");
     drawn.map_or_else(Vec::new, |(_, frame)| frame.split("\r\n").map(plain).collect())
 }
 

@@ -5,8 +5,8 @@
 
 use std::time::{Duration, Instant};
 
-use crate::cli::logging::{Diverted, Kept};
-use crate::cli::screen::{self, Key, Screen, clipped};
+use crate::cli::logging::{self, Kept};
+use crate::cli::screen::{Key, Screen, clipped};
 use crate::cli::session::Session;
 use crate::cli::top::rates::{Figures, between};
 use crate::cli::{out, style};
@@ -26,7 +26,7 @@ enum Kind {
     /// A table each second; whether one was there before.
     Tables(bool),
     /// With what stays on top.
-    Screen(Option<Screen>, Diverted, String),
+    Screen(Screen, String),
 }
 
 impl<'a> Face<'a> {
@@ -36,7 +36,7 @@ impl<'a> Face<'a> {
             return Self { session, kind: Kind::Silent };
         }
         let kind = match Screen::open() {
-            Some(screen) => Kind::Screen(Some(screen), Diverted::begin(), head),
+            Some(screen) => Kind::Screen(screen, head),
             None => {
                 out::text(lines);
                 Kind::Tables(false)
@@ -81,7 +81,7 @@ impl<'a> Face<'a> {
 
     async fn key(&mut self) -> Key {
         match &mut self.kind {
-            Kind::Screen(screen, ..) => screen::next(screen).await,
+            Kind::Screen(screen, _) => screen.key().await,
             Kind::Silent | Kind::Tables(_) => std::future::pending().await,
         }
     }
@@ -95,12 +95,11 @@ impl<'a> Face<'a> {
                 let gap = if std::mem::replace(one, true) { "\n" } else { "" };
                 out::text(&format!("{gap}{}", figures.render(style::stdout())));
             }
-            Kind::Screen(Some(screen), warnings, head) => {
+            Kind::Screen(screen, head) => {
                 let (rows, columns) = screen.size();
                 let table = figures.render_in(columns, style::stdout());
-                screen.draw(&laid_out(head, &table, &warnings.kept(), rows));
+                screen.draw(&laid_out(head, &table, &logging::kept(), rows));
             }
-            Kind::Screen(None, ..) => {}
         }
     }
 
@@ -108,20 +107,10 @@ impl<'a> Face<'a> {
         match &mut self.kind {
             Kind::Silent => {}
             Kind::Tables(_) => out::line(text),
-            Kind::Screen(Some(screen), warnings, head) => {
+            Kind::Screen(screen, head) => {
                 let rows = screen.size().0;
-                screen.draw(&laid_out(head, text, &warnings.kept(), rows));
+                screen.draw(&laid_out(head, text, &logging::kept(), rows));
             }
-            Kind::Screen(None, ..) => {}
-        }
-    }
-}
-
-impl Drop for Face<'_> {
-    /// The screen goes first: what was warned of is seen after it.
-    fn drop(&mut self) {
-        if let Kind::Screen(screen, ..) = &mut self.kind {
-            *screen = None;
         }
     }
 }

@@ -10,6 +10,7 @@ mod head;
 mod layout;
 mod measure;
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -23,6 +24,8 @@ use self::head::Head;
 use self::layout::Layout;
 use self::measure::{Parts, Reading, Report, measure};
 use super::failure::{Done, Exit, Failure};
+use super::logging::Diverted;
+use super::screen::Screen;
 use super::session::Session;
 use super::up::programs::{self, Launch};
 use super::up::{self, System};
@@ -98,11 +101,13 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
         ));
     }
     logging::install(log::LevelFilter::Warn);
+    let warnings = (Screen::is_possible() && !session.json()).then(Diverted::begin);
     let (behavior, layout) = (args.behavior, Layout::of(args.processes));
     let pictures = args.pictures.map(|dir| acting::directory(&dir, behavior, layout)).transpose()?;
     let file = layout.file("demo.json", behavior.system())?;
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
-    let show = Show { seconds: args.seconds, pictures, session, behavior, layout, port: args.port };
+    let (seconds, port, warnings) = (args.seconds, args.port, Cell::new(warnings));
+    let show = Show { seconds, pictures, session, behavior, layout, port, warnings };
     if layout.processes() == 1 {
         in_one(&file, plugins, args.listen, &show).await
     } else {
@@ -180,6 +185,8 @@ struct Show<'a> {
     behavior: Behavior,
     layout: Layout,
     port: hosting::PortArgs,
+    /// While a screen shows them.
+    warnings: Cell<Option<Diverted>>,
 }
 
 impl Show<'_> {
@@ -235,6 +242,7 @@ impl Show<'_> {
 
     /// Says what came of it; of one that was ended by somebody, what it reached since `from`.
     async fn over(&self, ended: Result<Option<Ended>, Failure>, addr: &str, from: Option<Reading>) -> Done {
+        drop(self.warnings.take());
         let ended = ended?;
         if self.session.json() {
             return ended.map_or(Ok(Exit::Ok), |ended| self.session.print_json(&ended));
