@@ -6,6 +6,7 @@
 use std::fmt;
 use std::fs;
 use std::io::{self, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -112,6 +113,10 @@ impl Ids {
         let done = serde_json::to_vec(&kept)
             .map_err(io::Error::other)
             .and_then(|text| {
+                // Somebody may have emptied the state directory.
+                if let Some(place) = file.parent() {
+                    fs::DirBuilder::new().recursive(true).mode(0o700).create(place)?;
+                }
                 let mut new = fs::File::create(&temporary)?;
                 // Whole on the disk before it takes the other's place.
                 new.write_all(&text).and_then(|()| new.sync_data())

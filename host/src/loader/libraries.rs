@@ -27,8 +27,9 @@ pub(crate) fn is_available(soname: &str) -> bool {
         return true;
     }
     // The linker has read it when this process began.
-    let extra = var_at_start("LD_LIBRARY_PATH").unwrap_or_default();
-    if std::env::split_paths(&extra).any(|dir| dir.join(soname).exists()) {
+    let extra = var_at_start("LD_LIBRARY_PATH").filter(|paths| !paths.is_empty());
+    // An empty path among others is the working directory, an empty variable is none.
+    if extra.is_some_and(|paths| std::env::split_paths(&paths).any(|dir| dir.join(soname).exists())) {
         return true;
     }
     match std::fs::read(CACHE) {

@@ -8,6 +8,7 @@ use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
 
 use rustix::fs::{Mode, OFlags};
 use rustix::process::{Pid, Signal, kill_process};
@@ -19,7 +20,15 @@ use trocar_tests::{Built, World, eventually};
 struct Terminal {
     child: Child,
     shown: Arc<Mutex<String>>,
-    reading: std::thread::JoinHandle<()>,
+    reading: Option<JoinHandle<()>>,
+}
+
+impl Drop for Terminal {
+    /// A test that fails leaves nothing running.
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
 }
 
 impl Terminal {
@@ -37,7 +46,7 @@ impl Terminal {
         let child = command.spawn().unwrap();
         let shown = Arc::new(Mutex::new(String::new()));
         let into = shown.clone();
-        let reading = std::thread::spawn(move || {
+        let reading = thread::spawn(move || {
             let (mut from, mut piece) = (File::from(ours), [0; 4096]);
             // It fails when nobody holds the other end any more.
             while let Ok(read @ 1..) = from.read(&mut piece) {
@@ -45,7 +54,7 @@ impl Terminal {
                 into.lock().unwrap_or_else(PoisonError::into_inner).push_str(&text);
             }
         });
-        Terminal { child, shown, reading }
+        Terminal { child, shown, reading: Some(reading) }
     }
 
     /// All that was written so far, escapes included.
@@ -58,9 +67,8 @@ impl Terminal {
         let pid = Pid::from_child(&self.child);
         kill_process(pid, Signal::INT).unwrap();
         assert!(self.child.wait().unwrap().success());
-        let shown = self.shown.clone();
-        self.reading.join().unwrap();
-        shown.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.reading.take().unwrap().join().unwrap();
+        self.written()
     }
 }
 
@@ -85,8 +93,12 @@ fn at_a_terminal_of_80_columns_what_to_try_stays_in_view_and_what_was_reached_st
     let demo = Terminal::run(&world, &["demo", "--listen", "127.0.0.1:0"], 24, 80);
     let drawn = eventually("rates are drawn", || {
         let drawn = last_drawn(&demo.written());
-        let row = drawn.iter().find(|line| line.starts_with("host/robot "));
-        if row.is_some_and(|row| row.contains("Hz")) { Ok(drawn) } else { Err(demo.written()) }
+        let row = drawn.iter().find(|line| line.starts_with("host/ascan "));
+        if row.is_some_and(|row| row.contains("Hz") && !row.contains(" 0 Hz")) {
+            Ok(drawn)
+        } else {
+            Err(demo.written())
+        }
     });
     let text = drawn.join("\n");
     assert!(drawn.len() <= 24 && drawn.iter().all(|line| line.chars().count() <= 80), "{text}");

@@ -76,9 +76,9 @@ fn a_library_stays_as_long_as_a_thread_of_it_runs() {
     grpc.ok("GcmService/Remove", json!({ "path": "host/f", "force": true }));
     fs::remove_file(world.plugins().join("leaving.so")).unwrap();
     // Each new class proves that the host has looked, and could have closed it.
-    for other in ["sine", "example"] {
-        world.drop_in(&Built::plugin(other));
-        grpc.await_class("host", other);
+    for (plugin, class) in [("sine", "sine"), ("example", "Server")] {
+        world.drop_in(&Built::plugin(plugin));
+        grpc.await_class("host", class);
     }
     assert_eq!(mapped(&host).len(), 1, "{}", host.printed());
 }

@@ -107,7 +107,7 @@ fn a_host_that_was_named_by_mistake_leaves_the_list() {
         lost if lost["state"] == "PROCESS_STATE_LOST" => Ok(()),
         other => Err(other.to_string()),
     });
-    two.trocar().run(&["restart", "lfet"]).ends_with(1).says("nobody is there who keeps process `lfet`");
+    two.trocar().run(&["restart", "lfet"]).ends_with(1).says("process `lfet` has no supervisor");
     two.trocar().run(&["rm", "lfet"]).ends_with(0);
     let list = two.list();
     assert!(!list.to_string().contains("lfet"), "{list}");

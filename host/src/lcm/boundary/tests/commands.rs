@@ -250,6 +250,7 @@ fn a_call_whose_deadline_has_passed_is_not_begun_although_its_caller_still_waits
     };
     let later_ns = os::now_ns() + 60_000_000_000;
     let (overdue, in_time) = (ask(os::now_ns() - 1), ask(later_ns));
+    world.instance("server").signal();
     (0..2).for_each(|_| go.send(()).unwrap());
     for (ticket, outcome) in [(overdue, DEADLINE), (in_time, EXECUTED)] {
         let reply = ticket.wait(later_ns, |_, _| ());
