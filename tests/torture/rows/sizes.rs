@@ -175,15 +175,20 @@ impl Stranger {
         })
     }
 
-    /// The whole greeting: from then on it is a process like any other.
-    fn greets(&self) -> Result<(), String> {
+    /// The first words of a greeting, and the answer to them.
+    fn says_hello(&self, layout: u64) -> Result<(String, Option<OwnedFd>), String> {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").map_err(|e| e.to_string())?;
         let card = json!({
-            "process": "guest", "instance": "0123456789abcdef", "boot": boot.trim(), "layout": 2,
+            "process": "guest", "instance": "0123456789abcdef", "boot": boot.trim(), "layout": layout,
             "uid": rustix::process::geteuid().as_raw(), "socket": "/nowhere/links.sock",
         });
         self.say(format!("g{}", json!({ "Hello": { "version": 1, "card": card } })).as_bytes());
-        let (heard, page) = self.hears()?;
+        self.hears()
+    }
+
+    /// The whole greeting: from then on it is a process like any other.
+    fn greets(&self, layout: u64) -> Result<(), String> {
+        let (heard, page) = self.says_hello(layout)?;
         let page = page.ok_or(format!("no page came along: {heard}"))?;
         let mut nonce = [0; 16];
         rustix::io::pread(&page, &mut nonce, NONCE_AT).map_err(|e| e.to_string())?;
@@ -206,6 +211,14 @@ impl Stranger {
     }
 }
 
+/// The layout of shared memory of the process at a socket: it says it to a stranger of another one.
+fn layout_of(socket: &Path) -> Result<u64, String> {
+    let (heard, _) = Stranger::at(socket)?.says_hello(0)?;
+    let said = heard.split("in version 0, this process in ").nth(1);
+    let number = said.and_then(|rest| rest.split(':').next()).and_then(|number| number.parse().ok());
+    number.ok_or(format!("another layout was answered {heard:?}"))
+}
+
 /// Strangers, and one that greets as it should and then says too much. Answers how many there were.
 fn at_the_socket(socket: &Path, rounds: u64) -> Result<usize, String> {
     let length = (1_u32 << 30).to_le_bytes();
@@ -215,6 +228,7 @@ fn at_the_socket(socket: &Path, rounds: u64) -> Result<usize, String> {
         (&[&length[..], b"hello"].concat(), "nothing of ours"),
         (&vec![b'['; MOST + 20_000], "more than"),
     ];
+    let layout = layout_of(socket)?;
     let mut tried = 0;
     for _ in 0..rounds {
         for (bytes, why) in said {
@@ -229,7 +243,7 @@ fn at_the_socket(socket: &Path, rounds: u64) -> Result<usize, String> {
         let late = [&[&b"d\0"[..], &length, b"{}"].concat()[..], &vec![b'd'; MOST + 20_000]];
         for bytes in late {
             let guest = Stranger::at(socket)?;
-            guest.greets()?;
+            guest.greets(layout)?;
             guest.say(bytes);
             guest.ends()?;
             tried += 1;
