@@ -318,8 +318,9 @@ pub const MODE_CALL: u32 = 1;
 pub struct CallOpts {
     pub struct_size: u32,
     pub mode: u32,
-    /// Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. What is only
-    /// sent and not begun by then never runs; with 0 the connection and the server's class say how long its goal is right.
+    /// Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. What
+    /// is only sent and not begun by then never runs; with 0 the connection and the server's class say how
+    /// long its goal is right.
     pub deadline_ns: u64,
     /// Where the reason goes; may be null.
     pub err: *mut ErrBuf,

@@ -7,7 +7,7 @@ use std::ffi::{OsStr, OsString};
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::process::Command;
 
-/// Where the kernel keeps it.
+/// The file in which the kernel keeps it.
 const STARTED_WITH: &str = "/proc/self/environ";
 
 /// The variables at the start of this process; `None` where /proc is not to be read. Reads a file.

@@ -211,8 +211,9 @@ typedef struct trocar_in {
 typedef struct trocar_call_opts {
     uint32_t struct_size;
     uint32_t mode;
-    /* Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. What is only
-       sent and not begun by then never runs; with 0 the connection and the server's class say how long its goal is right. */
+    /* Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour.
+       A command that is only sent and not begun by then never runs; with 0 the connection and the server's class
+       say how long its goal is right. */
     uint64_t deadline_ns;
     /* Where the reason goes; may be null. */
     trocar_err *err;

@@ -91,7 +91,8 @@ template <class A = None, class R = None> class Function {
   public:
     // Never waits: the way from step.
     trocar_outcome send(const A &arg = {}) { return ask(arg, nullptr, nullptr); }
-    // Likewise, and it never runs if it was not begun within deadline_ns (0: its connection and server say how long).
+    // Likewise, and it never runs if it was not begun within deadline_ns (0: its connection and server say
+    // how long).
     trocar_outcome send(const A &arg, uint64_t deadline_ns) {
         trocar_call_opts opts = {};
         opts.struct_size = sizeof opts;

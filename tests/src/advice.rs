@@ -1,6 +1,7 @@
-//! What a refusal says to do, and doing it.
+//! The help of a refusal, and following it.
 //!
-//! Invariant: a command is taken from the help itself: one that is not in it, or does not work, fails its test.
+//! Invariant: a command is taken from the help itself: one that is not in it, or does not work, fails its
+//! test.
 
 use serde_json::Value;
 
@@ -17,7 +18,7 @@ const LOOKS: [&str; 7] = [
     "trocar schema",
 ];
 
-/// What a refusal said.
+/// The words of a refusal.
 #[derive(Clone, Debug)]
 pub struct Told {
     pub reason: String,
@@ -103,7 +104,7 @@ impl Told {
     }
 }
 
-/// What stands between backticks.
+/// The texts between backticks.
 fn in_backticks(text: &str) -> Vec<String> {
     text.split('`').skip(1).step_by(2).map(str::to_owned).collect()
 }

@@ -99,7 +99,7 @@ impl HostProcess {
         &self.address
     }
 
-    /// What it was called when it was started here.
+    /// The name it was started by here.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name

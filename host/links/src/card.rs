@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// How memory shared by two processes is laid out and what its words mean; both must have the same.
+/// Layout of memory that two processes share, and the meaning of its words; both must have the same.
 pub const LAYOUT: u32 = 3;
 
 /// Bytes of a name on a card.

@@ -32,7 +32,7 @@ static LOGGER: Logger = Logger {
 
 struct Logger {
     shown: Mutex<LevelFilter>,
-    /// Where they are kept instead of stderr, while a screen is drawn there.
+    /// The place of lines instead of stderr, while a screen is drawn there.
     kept: Mutex<Option<Kept>>,
     file: Mutex<Option<Rotating>>,
     readers: Mutex<Readers>,
@@ -92,7 +92,7 @@ pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + 'static) {
 #[derive(Clone, Default)]
 pub(super) struct Kept {
     pub(super) newest: VecDeque<String>,
-    /// How many there were.
+    /// Number of all there were.
     pub(super) all: usize,
 }
 
@@ -116,7 +116,7 @@ impl Diverted {
     }
 }
 
-/// What is kept for a screen now.
+/// The lines that are kept for a screen now.
 pub(super) fn kept() -> Kept {
     LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
 }

@@ -273,7 +273,7 @@ impl Gcm {
     /// The right to do what `plan` makes of the graph.
     ///
     /// # Errors
-    /// What `plan` refuses; Busy when others took all the time.
+    /// The refusals of `plan`; Busy when others took all the time.
     pub(super) async fn claim_part<P: Into<Planned>>(
         &self,
         requests: &[Request],

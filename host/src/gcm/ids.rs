@@ -1,7 +1,7 @@
 //! Numbers that are never reused: the term of this GCM and the epochs of processes, durable when there is a state folder.
 //!
-//! Invariant: where what was counted cannot be read, the count goes on from the time of day in seconds, which one that began
-//! at 0 does not reach.
+//! Invariant: where what was counted cannot be read, the count goes on from the time of day in seconds, which
+//! one that began at 0 does not reach.
 
 use std::fmt;
 use std::fs;
@@ -90,7 +90,8 @@ impl Ids {
         Ok(next.next_epoch)
     }
 
-    /// Whether some GCM may have given this number out; else a caller made it up, and to count on from it would soon end.
+    /// Whether some GCM may have given this number out; else a caller made it up, and to count on from it
+    /// would soon end.
     pub(super) fn may_be(&self, epoch: u64) -> bool {
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         epoch != 0 && epoch <= kept.next_epoch.saturating_add(AHEAD)

@@ -237,7 +237,8 @@ impl Host {
         self.ending.has_ended()
     }
 
-    /// Ends when the process is asked to end, when the GCM it attached to sends it away for good, or when it cannot go on.
+    /// Ends when the process is asked to end, when the GCM it attached to sends it away for good, or when it
+    /// cannot go on.
     ///
     /// # Errors
     /// Why the GCM sent it away, or why it cannot go on.

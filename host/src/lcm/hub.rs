@@ -32,7 +32,7 @@ pub(super) struct Hub {
     pub(super) ports: Arc<Waker>,
     /// Removed components whose code may still use what the host gave them: kept until the process ends.
     graveyard: Mutex<Vec<Arc<Instance>>>,
-    /// What those that were removed leave.
+    /// The remains of removed components.
     pub(super) remains: AllRemains,
     /// Reports made so far.
     pub(super) reports: AtomicU64,

@@ -13,7 +13,7 @@ use super::{Fault, Hash, libraries};
 
 /// A library beside a plugin, read and judged.
 pub(crate) struct Brought {
-    /// What it is needed as.
+    /// The name it is needed by.
     pub(crate) name: String,
     pub(crate) hash: Hash,
     pub(crate) bytes: Vec<u8>,
@@ -100,12 +100,12 @@ fn missing(want: Want) -> Fault {
     want.by.map_or(fault.clone(), |by| of(&by, fault))
 }
 
-/// What a library needs, and whether the linker looks for it beside the library.
+/// The needs of a library, and whether the linker looks for them beside it.
 fn wants(elf: &Elf, by: Option<&str>, inherited: bool) -> Result<Vec<Want>, Fault> {
     let has_runpath = !elf.runpaths.is_empty();
     let by_runpath = leads_beside(&elf.runpaths)?;
     let by_rpath = leads_beside(&elf.rpaths)?;
-    // Where a library says DT_RUNPATH, no DT_RPATH counts for it, its own or of those who need it.
+    // A library's DT_RUNPATH makes every DT_RPATH void for it, its own and of those who need it.
     let inherited = !has_runpath && (by_rpath || inherited);
     let want = |name: &&str| match name.contains('/') {
         true => Err(Fault::LibraryByPath { name: name.to_string() }),

@@ -1,4 +1,4 @@
-//! Which libraries a plugin brings, from hand-made search paths.
+//! The libraries a plugin brings, from hand-made search paths.
 #![allow(clippy::unwrap_used)]
 
 use super::*;

@@ -110,7 +110,7 @@ impl<'a> Elf<'a> {
         Ok(elf)
     }
 
-    /// What is to be said about symbols that all versions of the library share.
+    /// A warning about symbols that all versions of the library share.
     pub(crate) fn unique_warning(&self) -> Option<String> {
         let symbol = self.unique_symbol?;
         Some(format!(

@@ -224,7 +224,7 @@ impl Fault {
 }
 
 impl Fault {
-    /// What is wrong, without the library that it is wrong with.
+    /// The fault alone, without the library that has it.
     pub(super) fn root(&self) -> &Fault {
         match self {
             Fault::Library { fault, .. } => fault.root(),

@@ -18,8 +18,8 @@ impl Hash {
         Hash(out)
     }
 
-    /// Of a plugin with the libraries it brings, in any order: another one when any of them is another.
-    /// Without libraries it is that of the file.
+    /// The hash of a plugin with the libraries it brings, in any order: another one when any of them is
+    /// another. Without libraries it is that of the file.
     pub(crate) fn with(self, brought: &[(&str, Hash)]) -> Hash {
         if brought.is_empty() {
             return self;

@@ -30,7 +30,7 @@ pub struct ListedPlugin {
     content: Mutex<Option<Arc<Content>>>,
 }
 
-/// What goes into the cache.
+/// The bytes that go into the cache.
 pub(crate) struct Content {
     pub(crate) bytes: Vec<u8>,
     pub(crate) brought: Vec<Brought>,

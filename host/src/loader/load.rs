@@ -129,9 +129,9 @@ impl From<LoadFault> for Fault {
 
 /// The names of libraries that have to stand for the right ones before a plugin is opened.
 pub(crate) struct Libraries {
-    /// What it needs.
+    /// Names of the libraries it needs.
     pub(crate) needed: Vec<String>,
-    /// What it brings.
+    /// Libraries it brings.
     pub(crate) brought: Vec<(String, Hash)>,
 }
 
@@ -214,7 +214,7 @@ pub(crate) fn load(
     loaded
 }
 
-/// What a library sets for itself alone while it is loaded is set for everybody.
+/// A variable that a library sets for itself while it is loaded is set for everybody.
 fn tell_environment(plugin: &str, before: Option<Environment>) {
     if let (Some(before), Some(now)) = (before, Environment::look())
         && let Some(said) = now.said_since(&before)

@@ -1,4 +1,4 @@
-//! What the dynamic linker has in this process under the name of a library.
+//! The file that the dynamic linker has in this process under the name of a library.
 //!
 //! Invariant: glibc knows a library by the name it was needed as and by its DT_SONAME, whatever its path and
 //! however local it was opened: who needs a name that is there already gets that one. So a plugin is loaded

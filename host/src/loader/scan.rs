@@ -31,7 +31,7 @@ pub(crate) struct Scanner {
 
 struct Seen {
     signature: Signature,
-    /// What was looked for in its directory when it was read, and found.
+    /// Files that were looked for in its directory when it was read, and found.
     beside: Beside,
     since: Instant,
     outcome: Option<Result<Arc<ListedPlugin>, Fault>>,

@@ -48,8 +48,8 @@ pub struct PluginStore {
     loaded: Mutex<HashMap<Hash, Slot>>,
     /// Contents whose code is in the process.
     present: Mutex<BTreeSet<Hash>>,
-    /// What was wrong with a content's code when it was tried last, as long as it is listed. What the file
-    /// itself does wrong is said again at once and not tried again.
+    /// The fault of a content's code when it was tried last, as long as it is listed. A fault of the file
+    /// itself is said again at once, and the file not tried again.
     failed: Mutex<HashMap<Hash, Fault>>,
     pub(super) observers: Mutex<Vec<Observer>>,
     /// Files seen to be written and not yet closed.
@@ -121,7 +121,7 @@ impl PluginStore {
         }
     }
 
-    /// What came of the plugin's code when it was tried last, if that was nothing good.
+    /// The fault of the plugin's code when it was tried last, if there was one.
     pub fn failure(&self, plugin: &ListedPlugin) -> Option<PluginError> {
         let fault = lock(&self.failed).get(&plugin.hash).cloned()?;
         Some(PluginError::Refused { file: plugin.file.clone(), fault })

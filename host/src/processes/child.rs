@@ -62,7 +62,7 @@ pub(super) enum Said {
     Refused(Value),
 }
 
-/// What a child says at its end.
+/// The last words of a child.
 #[derive(Default)]
 struct LastWords {
     /// It ends because somebody asked it to.
@@ -206,7 +206,8 @@ fn this_program() -> std::io::Result<PathBuf> {
     Ok(if replaced { PathBuf::from("/proc/self/exe") } else { path })
 }
 
-/// Takes what it says: where it serves or why it does not, and at its end that somebody asked for that, or why it is.
+/// Takes what it says: where it serves or why it does not, and at its end that somebody asked for that, or
+/// why it is.
 async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, last: Arc<LastWords>) {
     let (mut tell, mut line, mut chunk) = (Some(tell), Vec::new(), vec![0; 4096]);
     while let Ok(n @ 1..) = from.read(&mut chunk).await {

@@ -124,7 +124,8 @@ impl SystemFile {
     }
 }
 
-/// What to do about a refusal where a file says what is wanted: it is the file that is changed, there is no request with options.
+/// The help of a refusal where a file says what is wanted: the file is changed, there is no request with
+/// options.
 fn in_a_file(reason: &str, pointer: &str) -> Option<&'static str> {
     match reason {
         "ALREADY_CONNECTED" => Some(

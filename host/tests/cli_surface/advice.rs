@@ -1,13 +1,13 @@
-//! What texts of the program tell a person to type, against the command line there is.
+//! The commands that texts of the program tell a person to type, against the command line there is.
 //!
-//! Invariant: every command and option in backticks in the sources is one that clap takes; words in capitals and holes of a
-//! format stand for a value.
+//! Invariant: every command and option in backticks in the sources is one that clap takes; words in capitals
+//! and holes of a format stand for a value.
 
 use std::path::{Path, PathBuf};
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
-/// Where texts for people are written.
+/// Places of texts for people.
 const SOURCES: [&str; 3] = ["src", "model/src", "links/src"];
 
 #[test]
@@ -96,7 +96,8 @@ fn one_line(text: &str) -> String {
     lines.collect::<Vec<_>>().join(" ").replace("\\\"", "\"")
 }
 
-/// The words as a shell parts them, with values for what stands for one; what follows another command is left out.
+/// The words as a shell parts them, with values for what stands for one; what follows another command is left
+/// out.
 fn words(command: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut quoted = false;

@@ -55,8 +55,8 @@ impl<A: Value, R: Value> Function<A, R> {
         }
     }
 
-    /// As [`Function::send`], and it never runs if it was not begun within `deadline`: its connection counts it then.
-    /// Zero: its connection and its server's class say how long its goal is right.
+    /// As [`Function::send`], and it never runs if it was not begun within `deadline`: its connection counts
+    /// it then. Zero: its connection and its server's class say how long its goal is right.
     #[inline]
     pub fn send_within(&self, arg: A, deadline: Duration) -> Outcome {
         let mut opts = options(MODE_SEND, deadline, core::ptr::null_mut());

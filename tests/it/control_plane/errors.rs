@@ -6,12 +6,11 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::panic::{self, AssertUnwindSafe};
 
 use serde_json::json;
 use trocar_tests::{Built, Failure, eventually, replace_in, repository};
 
-use super::stage::Stage;
+use super::stage::{Stage, play_all};
 
 /// Reasons that no single call to one host can be answered with in this version.
 const NOT_YET: &[(&str, &str)] = &[
@@ -62,19 +61,10 @@ macro_rules! groups {
     };
 }
 
-/// Plays all rows, whatever becomes of one of them.
 fn play(plugins: &[&str], rows: &[Row]) {
     let stage = Stage::new(plugins);
-    let mut failed = Vec::new();
-    for Row { name, code, reason, words, met } in rows {
-        let played = AssertUnwindSafe(|| check(&met(&stage), code, reason, words));
-        if let Err(why) = panic::catch_unwind(played) {
-            let text = why.downcast_ref::<String>().map(String::as_str);
-            let text = text.or(why.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
-            failed.push(format!("-- {name}: {text}"));
-        }
-    }
-    assert!(failed.is_empty(), "{} of {} rows failed:\n{}", failed.len(), rows.len(), failed.join("\n"));
+    let each = |row: &Row| check(&(row.met)(&stage), row.code, row.reason, row.words);
+    play_all(rows, |row| row.name, each);
 }
 
 #[track_caller]

@@ -1,17 +1,18 @@
-//! The help of every refusal, followed: after doing what it says, what was refused is answered, or what it promises is seen.
+//! The help of every refusal, followed: after doing what it says, what was refused is answered, or what it
+//! promises is seen.
 //!
-//! Invariant: every reason of `docs/errors.md` is a row here or named below with why its help cannot be followed by a test.
-//! Commands come out of the help that was answered ([`Told`]); those that only look are typed in every row.
+//! Invariant: every reason of `docs/errors.md` is a row here or named below with why its help cannot be
+//! followed by a test. Commands come out of the help that was answered ([`Told`]); those that only look are
+//! typed in every row.
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::panic::{self, AssertUnwindSafe};
 use std::thread;
 
 use serde_json::{Value, json};
 use trocar_tests::{Built, Told, eventually, repository};
 
-use super::stage::Stage;
+use super::stage::{Stage, play_all};
 
 /// Reasons whose help is followed elsewhere, or by nobody who is a test.
 const ELSEWHERE: &[(&str, &str)] = &[
@@ -106,19 +107,9 @@ macro_rules! groups {
     };
 }
 
-/// Plays all rows, whatever becomes of one of them.
 fn play(plugins: &[&str], rows: &[Row]) {
     let stage = Stage::new(plugins);
-    let mut failed = Vec::new();
-    for row in rows {
-        let played = AssertUnwindSafe(|| follow(&stage, row));
-        if let Err(why) = panic::catch_unwind(played) {
-            let text = why.downcast_ref::<String>().map(String::as_str);
-            let text = text.or(why.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
-            failed.push(format!("-- {}: {text}", row.name));
-        }
-    }
-    assert!(failed.is_empty(), "{} of {} rows failed:\n{}", failed.len(), rows.len(), failed.join("\n"));
+    play_all(rows, |row| row.name, |row| follow(&stage, row));
 }
 
 fn follow(stage: &Stage, row: &Row) {

@@ -4,6 +4,7 @@
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
+use std::panic::{self, AssertUnwindSafe};
 use std::sync::Mutex;
 
 use serde_json::{Value, json};
@@ -102,7 +103,7 @@ impl Stage {
         self
     }
 
-    /// Where one of them listens.
+    /// The address of one of them.
     pub(super) fn address_of(&self, name: &str) -> String {
         let others = self.others.lock().unwrap();
         let found = others.iter().find(|other| other.name() == name);
@@ -129,4 +130,17 @@ impl Stage {
             if lost { Ok(()) } else { Err(list) }
         });
     }
+}
+
+/// Plays all rows, whatever becomes of one of them.
+pub(super) fn play_all<R>(rows: &[R], name: impl Fn(&R) -> &'static str, play: impl Fn(&R)) {
+    let mut failed = Vec::new();
+    for row in rows {
+        if let Err(why) = panic::catch_unwind(AssertUnwindSafe(|| play(row))) {
+            let text = why.downcast_ref::<String>().map(String::as_str);
+            let text = text.or(why.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
+            failed.push(format!("-- {}: {text}", name(row)));
+        }
+    }
+    assert!(failed.is_empty(), "{} of {} rows failed:\n{}", failed.len(), rows.len(), failed.join("\n"));
 }

@@ -59,7 +59,7 @@ fn whoever_changes_the_environment_is_named_with_the_variables() {
     scene.await_warning("host/c", "start: it changed the environment of the process (LC_NUMERIC, PATH)");
     let others = scene.grpc.component("host/s")["stats"]["warnings"].to_string();
     assert!(!others.contains("environment"), "it did nothing: {others}");
-    // What the host starts has what the host was started with: a plugin that comes is tried out as ever.
+    // A program the host starts has what the host was started with: a plugin that comes is tried out as ever.
     scene.world.drop_in(&Built::plugin("filters"));
     eventually("a plugin that comes later is offered", || {
         let classes = scene.grpc.ok("GcmService/Describe", json!({ "path": "host" }))["classes"].to_string();

@@ -52,7 +52,7 @@ struct Odd {
     bool lies = false, keeps = false, late = false;
 };
 
-// What one of them was given, also when it is gone.
+// The slots of one of them, also when it is gone.
 const trocar_host *kept_host = nullptr;
 const trocar_out *kept_image = nullptr;
 

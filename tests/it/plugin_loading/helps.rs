@@ -1,4 +1,4 @@
-//! What the sentence of a refused plugin file says to do, done: then the file is taken.
+//! The sentence of a refused plugin file, followed: then the file is taken.
 //!
 //! Invariant: a row does what the sentence says and nothing else; its file is gone before the next row.
 

@@ -52,7 +52,7 @@ fn a_version_that_was_replaced_leaves_the_process_with_its_last_component() {
         left if left.is_disjoint(&old) => Ok(()),
         left => Err(format!("{left:?}\n{}", host.printed())),
     });
-    // What is listed stays, so that the next component finds it.
+    // A listed version stays, so that the next component finds it.
     grpc.ok("GcmService/Remove", json!({ "path": "host/g" }));
     assert_eq!(mapped(&host).len(), 1);
     fs::remove_file(world.plugins().join("leaving.so")).unwrap();

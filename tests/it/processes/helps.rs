@@ -1,4 +1,4 @@
-//! What refusals say to do where it takes a supervisor or a second program, done.
+//! Helps that take a supervisor or a second program, followed.
 //!
 //! Promise: after doing what the help says, what was refused is answered.
 

@@ -1,13 +1,13 @@
-//! What to do about a refusal.
+//! The help of a refusal.
 //!
-//! Invariant: doing what it says helps. A command in backticks can be typed as it stands, words in capitals replaced; tests
-//! type them (`host/tests/cli_surface.rs`, `tests/it/control_plane/helps.rs`).
+//! Invariant: doing what it says helps. A command in backticks can be typed as it stands, words in capitals
+//! replaced; tests type them (`host/tests/cli_surface.rs`, `tests/it/control_plane/helps.rs`).
 
 use super::text::ADAPTABLE;
 use crate::{ComponentId, MemberId, Name, ProcessState, Refusal, State, Verb};
 
 impl Refusal {
-    /// What to do about it, as one or two whole sentences.
+    /// The help, as one or two whole sentences.
     pub fn help(&self) -> String {
         use Refusal::*;
         match self {
@@ -249,12 +249,12 @@ impl Refusal {
     }
 }
 
-/// How a process is started by hand under a GCM that is there.
+/// The command that starts a process by hand under a GCM that is there.
 fn by_hand(process: &Name) -> String {
     format!("trocar host --name {process} --gcm ADDR --listen 127.0.0.1:0 --plugins DIR")
 }
 
-/// What makes a component ACTIVE that stands so.
+/// The command that makes a component ACTIVE that stands so.
 fn activate(id: &ComponentId, state: State) -> String {
     match state {
         State::Created => {
@@ -266,7 +266,8 @@ fn activate(id: &ComponentId, state: State) -> String {
     }
 }
 
-/// What to do about an argument, by the field it is in: only a command's argument has limits that its class declares.
+/// The help for an argument, by the field it is in: only a command's argument has limits that its class
+/// declares.
 fn argument_help(what: &str, field: &str) -> String {
     match field.split('.').next().unwrap_or_default() {
         "json" | "encoded" if MemberId::parse(what).is_ok() => {

@@ -1,14 +1,15 @@
 //! Descriptors that this program keeps open as long as it runs: what its runtimes wait at, the sockets it
 //! listens at, what it watches directories with.
 //!
-//! Invariant: a check opens and reads nothing, since a number that was closed is given to whatever is opened next.
+//! Invariant: a check opens and reads nothing, since a number that was closed is given to whatever is opened
+//! next.
 
 use std::fmt;
 use std::fs;
 use std::mem::MaybeUninit;
 use std::os::fd::RawFd;
 
-/// What a descriptor is for.
+/// The purpose of a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Epoll,
@@ -18,7 +19,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// Of a descriptor that /proc lists as this; `None` for one that may be closed at any time.
+    /// The kind of a descriptor that /proc lists as this; `None` for one that may be closed at any time.
     fn of(fd: RawFd, listed: &str) -> Option<Kind> {
         match listed {
             "anon_inode:[eventpoll]" => Some(Kind::Epoll),
@@ -70,7 +71,7 @@ pub struct Lasting {
 }
 
 impl Lasting {
-    /// Those that are open now. Reads /proc.
+    /// Descriptors that are open now. Reads /proc.
     pub fn list() -> Lasting {
         let listed = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
         let all = listed.filter_map(|entry| {
@@ -92,7 +93,7 @@ impl Lasting {
         self.all.iter().all(Descriptor::is_there)
     }
 
-    /// Those that are gone, once. A system call for each.
+    /// Descriptors that are gone, once. A system call for each.
     pub fn take_gone(&mut self) -> Vec<Descriptor> {
         let (there, gone) = self.all.iter().partition(|d| d.is_there());
         self.all = there;

@@ -50,7 +50,7 @@ impl Environment {
         Some(Environment { texts })
     }
 
-    /// What was changed since, in words; `None` when nothing was.
+    /// The changes since then, in words; `None` when there are none.
     pub fn said_since(&self, before: &Environment) -> Option<String> {
         let names = self.changed_since(before);
         (!names.is_empty()).then(|| {
@@ -111,7 +111,7 @@ fn variable(at: usize) -> Option<(String, Vec<u8>)> {
     is_name.then(|| (name.to_owned(), value))
 }
 
-/// What lies from here to the end of the page, as the kernel reads it; nothing where there is no memory.
+/// The bytes from here to the end of the page, as the kernel reads them; none where there is no memory.
 fn to_end_of_page(at: usize) -> Vec<u8> {
     let mut block = vec![0; PAGE - at % PAGE];
     let own = libc::iovec { iov_base: block.as_mut_ptr().cast(), iov_len: block.len() };

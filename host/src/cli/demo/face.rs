@@ -1,7 +1,8 @@
-//! How a running demo looks: a screen on a terminal, one table below the other elsewhere, nothing beside `--json`.
+//! The looks of a running demo: a screen on a terminal, one table below the other elsewhere, nothing beside
+//! `--json`.
 //!
-//! Invariant: on a screen the addresses and the commands to try stay in view, warnings have lines of their own below the
-//! table, and only the table gives way where there is no room.
+//! Invariant: on a screen the addresses and the commands to try stay in view, warnings have lines of their
+//! own below the table, and only the table gives way where there is no room.
 
 use std::time::{Duration, Instant};
 
@@ -45,7 +46,8 @@ impl<'a> Face<'a> {
         Self { session, kind }
     }
 
-    /// Draws each second, until somebody at a screen wants no more. While the GCM does not answer there are no figures.
+    /// Draws each second, until somebody at a screen wants no more. While the GCM does not answer there are
+    /// no figures.
     pub(super) async fn keep(&mut self) {
         if matches!(self.kind, Kind::Silent) {
             return std::future::pending().await;

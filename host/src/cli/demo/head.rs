@@ -1,10 +1,10 @@
-//! What a running demo says first: where it is seen, and what to try.
+//! The first words of a running demo: where it is seen, and what to try.
 
 use crate::cli::{hosting, run, session};
 
 pub(super) struct Head {
     pub(super) title: String,
-    /// Where the surgeon's picture is.
+    /// Address of the surgeon's picture.
     pub(super) picture: Option<String>,
     pub(super) addr: String,
     /// A read command to call.

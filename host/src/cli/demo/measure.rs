@@ -209,7 +209,7 @@ impl Steps {
 }
 
 impl Report {
-    /// What was reached between two looks, of which none was taken right after a step of the robot.
+    /// The report between two looks, of which none was taken right after a step of the robot.
     pub(super) fn between(a: &Reading, b: &Reading, parts: &Parts) -> Report {
         Report::of(Steps::between(&a.robot(parts), &b.robot(parts)), a, b, parts)
     }

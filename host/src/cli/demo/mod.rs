@@ -190,7 +190,7 @@ struct Show<'a> {
 }
 
 impl Show<'_> {
-    /// What there is to see and to try.
+    /// The head: what there is to see and to try.
     async fn begin(&self, how: &str, addr: &str) -> Head {
         if self.session.json() && self.seconds.is_none() && self.pictures.is_none() {
             out::line(&serde_json::json!({ "listening": addr, "viewer": hosting::viewer(addr) }).to_string());
@@ -225,7 +225,8 @@ impl Show<'_> {
         }
     }
 
-    /// Until it has measured for as long as it was to, and the pictures are there; `None` where somebody had enough before.
+    /// Until it has measured for as long as it was to, and the pictures are there; `None` where somebody had
+    /// enough before.
     async fn run(&self, addr: &str, head: &Head) -> Result<Option<Ended>, Failure> {
         let asking = Session::new(Some(addr.to_owned()), false);
         let acting = Acting::new(&asking, self.behavior, self.layout);

@@ -117,8 +117,8 @@ fn is_anew(before: &SystemView, now: &SystemView, path: &str) -> bool {
     epoch(before).is_some() && epoch(before) != epoch(now)
 }
 
-fn rate(count: u64, seconds: f64) -> f64 {
-    if seconds > 0.0 { count as f64 / seconds } else { 0.0 }
+fn rate(count: u64, seconds: f64) -> Option<f64> {
+    (seconds > 0.0).then(|| count as f64 / seconds)
 }
 
 fn component(before: &SystemView, now: &SystemView, c: &ComponentView, seconds: f64) -> ComponentRow {
@@ -150,7 +150,7 @@ fn component(before: &SystemView, now: &SystemView, c: &ComponentView, seconds: 
     };
     let old = old.map(|o| o.stats.clone()).unwrap_or_default();
     ComponentRow {
-        rate_hz: Some(rate(since(old.executed, s.executed), seconds)),
+        rate_hz: rate(since(old.executed, s.executed), seconds),
         skipped_now: since(old.skipped, s.skipped),
         overruns_now: since(old.overruns, s.overruns),
         ..row
@@ -185,8 +185,8 @@ fn connection(before: &SystemView, now: &SystemView, c: &ConnectionView, seconds
     };
     let old = old.cloned().unwrap_or_default();
     ConnectionRow {
-        rate_hz: Some(rate(since(old.passed, c.passed), seconds)),
-        bytes_per_s: Some(rate(since(old.bytes, c.bytes), seconds)),
+        rate_hz: rate(since(old.passed, c.passed), seconds),
+        bytes_per_s: rate(since(old.bytes, c.bytes), seconds),
         dropped_now: since(old.dropped, c.dropped),
         rejected_now: since(old.rejected, c.rejected),
         failed_now: since(old.failed, c.failed),

@@ -251,8 +251,8 @@ fn missing(should: &[ComponentId], listed: &SystemView) -> BTreeSet<ComponentId>
     should.iter().filter(lost).cloned().collect()
 }
 
-/// Requests that make what is missing, complete what an earlier attempt has left half made, and connect both; no
-/// Start. A connection whose other end is missing too comes with that one.
+/// Requests that make what is missing, complete what an earlier attempt has left half made, and connect both;
+/// no Start. A connection whose other end is missing too comes with that one.
 fn of_missing(
     all: Vec<Request>,
     missing: &BTreeSet<ComponentId>,

@@ -1,4 +1,4 @@
-//! Which processes live but are of no use: unheard for too long, unfit for anything new, or holding a
+//! Processes that live but are of no use: unheard for too long, unfit for anything new, or holding a
 //! component that does not come back.
 //!
 //! Invariant: pure; it is said of one incarnation only, and of what moves something only where its policy

@@ -1,7 +1,7 @@
 //! Pages: an answer of List, or news of Watch, in parts of a size the caller chose.
 //!
-//! Invariant: a page begins behind the last name of the one before, so that whatever is there all the time is on one of them,
-//! also when the graph changes between two.
+//! Invariant: a page begins behind the last name of the one before, so that whatever is there all the time is
+//! on one of them, also when the graph changes between two.
 
 use std::collections::BTreeSet;
 use std::collections::hash_map::DefaultHasher;
@@ -23,11 +23,11 @@ enum Place {
     Class(String, String),
 }
 
-/// What a List asks for, as far as its pages belong together.
+/// The part of a List's question that its pages share.
 pub(super) struct Pages {
     size: usize,
     after: Option<Place>,
-    /// Of what is asked.
+    /// Hash of what is asked.
     of: u64,
 }
 
@@ -68,6 +68,9 @@ impl Pages {
 
     /// Leaves this page of `part` and `classes`; the token of the next one, empty after the last.
     pub(super) fn cut(&self, part: &mut SystemGraph, classes: &mut Vec<Arc<ClassInfo>>) -> String {
+        if self.size == 0 && self.after.is_none() {
+            return String::new();
+        }
         let all: BTreeSet<Place> = (part.processes.keys().map(|name| Place::Process(name.to_string())))
             .chain(part.components.keys().map(|id| Place::Component(id.to_string())))
             .chain(part.connections.keys().map(|id| Place::Connection(id.0)))
@@ -111,46 +114,45 @@ fn read(token: &str) -> Option<(u64, Place)> {
 }
 
 /// The whole graph in snapshots of so many items; 0 = in one.
-pub(super) fn snapshots(mut whole: v1::Snapshot, size: usize) -> Vec<v1::Snapshot> {
-    paged(size, |room| {
-        let mut page = v1::Snapshot {
-            processes: take(&mut whole.processes, room),
-            components: take(&mut whole.components, room),
-            connections: take(&mut whole.connections, room),
-            more: false,
-        };
-        page.more = whole != v1::Snapshot::default();
-        let more = page.more;
-        (page, more)
-    })
+pub(super) fn snapshots(whole: v1::Snapshot, size: usize) -> Vec<v1::Snapshot> {
+    let cut = |whole: &mut v1::Snapshot, room: &mut usize| v1::Snapshot {
+        processes: take(&mut whole.processes, room),
+        components: take(&mut whole.components, room),
+        connections: take(&mut whole.connections, room),
+        more: false,
+    };
+    paged(whole, size, cut, |page| &mut page.more)
 }
 
-/// What is different in deltas of so many items; 0 = in one.
-pub(super) fn deltas(mut whole: v1::Delta, size: usize) -> Vec<v1::Delta> {
-    paged(size, |room| {
-        let mut page = v1::Delta {
-            processes: take(&mut whole.processes, room),
-            components: take(&mut whole.components, room),
-            connections: take(&mut whole.connections, room),
-            removed_connections: take(&mut whole.removed_connections, room),
-            removed_components: take(&mut whole.removed_components, room),
-            removed_processes: take(&mut whole.removed_processes, room),
-            more: false,
-        };
-        page.more = whole != v1::Delta::default();
-        let more = page.more;
-        (page, more)
-    })
+/// The difference in deltas of so many items; 0 = in one.
+pub(super) fn deltas(whole: v1::Delta, size: usize) -> Vec<v1::Delta> {
+    let cut = |whole: &mut v1::Delta, room: &mut usize| v1::Delta {
+        processes: take(&mut whole.processes, room),
+        components: take(&mut whole.components, room),
+        connections: take(&mut whole.connections, room),
+        removed_connections: take(&mut whole.removed_connections, room),
+        removed_components: take(&mut whole.removed_components, room),
+        removed_processes: take(&mut whole.removed_processes, room),
+        more: false,
+    };
+    paged(whole, size, cut, |page| &mut page.more)
 }
 
-/// Pages until one says that no more come; there is always one.
-fn paged<T>(size: usize, mut next: impl FnMut(&mut usize) -> (T, bool)) -> Vec<T> {
+/// Pages that `cut` takes out of the whole; all but the last one say that more come. There is always one.
+fn paged<T: Default + PartialEq>(
+    mut whole: T,
+    size: usize,
+    cut: impl Fn(&mut T, &mut usize) -> T,
+    more: impl Fn(&mut T) -> &mut bool,
+) -> Vec<T> {
     let mut pages = Vec::new();
     loop {
         let mut room = if size == 0 { usize::MAX } else { size };
-        let (page, more) = next(&mut room);
+        let mut page = cut(&mut whole, &mut room);
+        let is_last = whole == T::default();
+        *more(&mut page) = !is_last;
         pages.push(page);
-        if !more {
+        if is_last {
             return pages;
         }
     }

@@ -19,8 +19,8 @@ use crate::control::convert;
 
 pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
 
-/// A watcher that knows revision `from` already gets no snapshot when nothing is newer; messages have `size` items at most,
-/// 0 = any number.
+/// A watcher that knows revision `from` already gets no snapshot when nothing is newer; messages have `size`
+/// items at most, 0 = any number.
 pub(super) fn watch(
     mut graphs: watch::Receiver<Arc<SystemGraph>>,
     term: u64,

@@ -68,7 +68,7 @@ impl CommandTarget {
         send: bool,
         deadline_ns: u64,
     ) -> Answer {
-        // How long a request may wait for its answer says nothing of what is only sent.
+        // The time a request may wait for its answer says nothing of what is only sent.
         let (mode, deadline_ns) = if send { (MODE_SEND, 0) } else { (MODE_CALL, deadline_ns) };
         answer(arg, ret_bytes, mode, deadline_ns, |arg, ret, opts| self.call(arg, ret, Some(opts)))
     }

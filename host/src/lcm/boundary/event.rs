@@ -194,7 +194,7 @@ impl Handler {
 }
 
 impl Sinks {
-    /// What an event comes to that nobody wants.
+    /// The outcome of an event that nobody wants.
     fn unbound(&self) -> Outcome {
         if let Some(gone) = &self.gone {
             gone.note_late();

@@ -66,7 +66,8 @@ pub(in crate::lcm) struct Own {
     ports: *const Ports,
 }
 
-// SAFETY: as what code in C keeps in a static: slots and table may be called from any thread, after the instance, too.
+// SAFETY: as what code in C keeps in a static: slots and table may be called from any thread, after the
+// instance, too.
 unsafe impl Send for Own {}
 
 impl Own {

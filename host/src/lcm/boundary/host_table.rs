@@ -32,7 +32,7 @@ pub(in crate::lcm) struct HostContext {
     desk: Arc<Desk>,
     /// Its code holds something of what it was given, and for how long nobody knows.
     held: AtomicBool,
-    /// How often its code used what it was given after it was gone.
+    /// Uses by its code, after it was gone, of what it had been given.
     late: AtomicU64,
 }
 
@@ -60,8 +60,8 @@ impl HostContext {
         self.desk.leave(self.number);
     }
 
-    /// Its component is gone, and code of it has used what it was given: counted, and said at the first time, the tenth, the
-    /// hundredth. Any thread; real-time.
+    /// Its component is gone, and code of it has used what it was given: counted, and said at the first time,
+    /// the tenth, the hundredth. Any thread; real-time.
     #[cold]
     #[inline(never)]
     pub(super) fn note_late(&self) {
@@ -128,7 +128,8 @@ impl SharedTable {
 
 /// `ctx` is the `HostContext` whose table the function stands in.
 fn context_of<'a>(ctx: *mut c_void) -> &'a HostContext {
-    // SAFETY: the context lives as long as its table, and that as long as the host takes calls of its component.
+    // SAFETY: the context lives as long as its table, and that as long as the host takes calls of its
+    // component.
     unsafe { &*ctx.cast::<HostContext>() }
 }
 

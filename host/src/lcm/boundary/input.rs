@@ -197,7 +197,8 @@ impl InCell {
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         let _ = self.gone.set(gone.clone());
         self.link.swap(Box::new(None));
-        // SAFETY: the component's thread has done its last for it, and nobody else may look at samples of an input.
+        // SAFETY: the component's thread has done its last for it, and nobody else may look at samples of an
+        // input.
         drop(unsafe { &mut *self.held.get() }.take());
         self.reclaim();
     }

@@ -2,17 +2,18 @@
 //!
 //! Invariant: an output never waits for a reader; every write counts, read or not, so a gap at a reader is what it missed.
 
+mod pools;
 mod slots;
 
-use std::io::{self, Write};
+use std::io::Write;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::PortType;
-use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Loan, Outcome, UNBOUND};
+use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Outcome, UNBOUND};
 use trocar_rt::cell::BindingCell;
-use trocar_rt::os::{self, OsError};
-use trocar_rt::pool::{Frame, FrameMut, FramePool, PoolFile};
+use trocar_rt::os;
+use trocar_rt::pool::Frame;
 use trocar_rt::segment::Word;
 use trocar_rt::stream::{Meta, StreamWriter};
 use trocar_rt::wake::Waker;
@@ -23,6 +24,7 @@ use super::super::pending;
 use super::host_table::HostContext;
 use super::input::InCell;
 use super::{late, told};
+use pools::Pools;
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
 
 /// A stamp may be so much ahead of this machine's clock, ns: the translation of a device's time has such an
@@ -93,16 +95,6 @@ pub(in crate::lcm) struct Outs {
     links: Vec<Arc<OutLink>>,
     /// The component whose output it was is gone; then its shape is unknown.
     gone: Option<Arc<HostContext>>,
-}
-
-/// The pools of one output.
-#[derive(Clone, Default)]
-struct Pools {
-    lends: Option<Arc<FramePool>>,
-    /// Counts the pools before the one that lends.
-    number: u64,
-    /// Those before it, of which frames may still be out.
-    earlier: Vec<Arc<FramePool>>,
 }
 
 /// Host cell behind an output slot.
@@ -245,92 +237,9 @@ impl OutCell {
         self.reclaim();
     }
 
-    /// (Re)makes the pool; not from `step`.
-    ///
-    /// # Errors
-    /// There is no memory for it.
-    pub(super) fn make_pool(&self, max_bytes: usize, slots: u32) -> io::Result<()> {
-        let pool = FramePool::new(slots, self.shape().bytes, max_bytes)?;
-        self.change_pool(Some(pool));
-        Ok(())
-    }
-
-    /// Says of the component whose code runs here, and whose output this is, that it got no pool.
-    fn tell_refused(&self, asked: &str) {
-        let told = super::running(|instance| {
-            let set = instance.described.now();
-            let name = set.slots.output_of(self).map_or("an output", |i| set.ports.outputs[i].name.as_str());
-            instance.warn(&format!("{name}: {asked}"));
-        });
-        if told.is_none() {
-            log::error!("{asked}");
-        }
-    }
-
-    /// Another pool, or none, lends from now on. The one before stays at least until the next [`OutCell::reclaim`].
-    fn change_pool(&self, lends: Option<Arc<FramePool>>) {
-        let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
-        let Pools { lends: before, number, mut earlier } = self.pools.enter().clone();
-        earlier.extend(before);
-        self.pools.swap(Box::new(Pools { lends, number: number + 1, earlier }));
-    }
-
-    /// The memory of all its pools, for readers in another process.
-    pub(in crate::lcm) fn pool_files(&self) -> Vec<Arc<PoolFile>> {
-        let pools = self.pools.enter();
-        pools.lends.iter().chain(&pools.earlier).filter_map(|pool| pool.file()).cloned().collect()
-    }
-
-    /// Drops earlier pools whose frames have all come back.
-    fn drop_pools(&self) {
-        let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut pools = self.pools.enter().clone();
-        let all = pools.earlier.len();
-        pools.earlier.retain(|p| p.stats().free < p.stats().slots);
-        if pools.earlier.len() < all {
-            self.pools.swap(Box::new(pools));
-        }
-    }
-
-    /// Locks the pool it lends from into memory, once; why it could not. Managers only.
-    pub(super) fn lock_pool(&self) -> Option<OsError> {
-        let Pools { lends, number, .. } = self.pools.enter().clone();
-        let pool = lends?;
-        if self.locked.swap(number, Ordering::Relaxed) == number {
-            return None;
-        }
-        pool.lock_memory().err()
-    }
-
     /// The inputs whose samples may be passed on through it; managers only.
     pub(super) fn know(&self, inputs: Vec<Arc<InCell>>) {
         self.inputs.swap(Box::new(inputs));
-    }
-
-    /// The frame of a loan that comes back; `None` when it is no loan of this output, or has come back already.
-    fn take_back(&self, loan: *mut Loan) -> Option<FrameMut> {
-        if !slots::is_whole(loan) {
-            return None;
-        }
-        // SAFETY: whole, and lent for the call.
-        let token = std::mem::take(unsafe { &mut (*loan).token });
-        self.pools.look(|pools| {
-            pools.lends.iter().chain(&pools.earlier).any(|p| p.is_descriptor(token)).then(|| {
-                // SAFETY: the number of a slot of a pool that is alive here; whether it is still good is asked there.
-                unsafe { FrameMut::from_raw(token) }
-            })
-        })?
-    }
-
-    /// What of its pool is lent now; `None` without a pool.
-    #[cfg(test)]
-    pub(in crate::lcm) fn pool(&self) -> Option<trocar_rt::PoolStats> {
-        self.pools.enter().lends.as_ref().map(|pool| pool.stats())
-    }
-
-    /// Frames a loan was refused for, by whichever pool.
-    pub(in crate::lcm) fn exhausted(&self) -> u64 {
-        self.exhausted.load(Ordering::Relaxed)
     }
 
     /// Bytes of so many of its samples: frames, which have any length, by the mean of all that were written.
@@ -434,7 +343,7 @@ impl Outs {
         }
     }
 
-    /// What a write comes to while there is no type.
+    /// The outcome of a write while there is no type.
     #[cold]
     fn unbound(&self) -> Outcome {
         if let Some(gone) = &self.gone {

@@ -274,7 +274,7 @@ impl Slots {
         Slots { outputs, inputs, functions, events, table, _pointers: pointers }
     }
 
-    /// How many there are.
+    /// Number of its ports.
     pub(super) fn count(&self) -> usize {
         self.outputs.len() + self.inputs.len() + self.functions.len() + self.events.len()
     }

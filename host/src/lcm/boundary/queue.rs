@@ -56,8 +56,8 @@ pub(in crate::lcm) fn replaced(replies: &ReplyPool, token: u64) {
     }
 }
 
-/// Queues a call and, in the mode that asks for it, waits for the answer, `deadline_ns` from now at most. `arg` and
-/// `ret` have the lane's sizes. Real-time unless it waits.
+/// Queues a call and, in the mode that asks for it, waits for the answer, `deadline_ns` from now at most.
+/// `arg` and `ret` have the lane's sizes. Real-time unless it waits.
 pub(super) fn queue(
     to: &impl Destination,
     lane: &Lane,

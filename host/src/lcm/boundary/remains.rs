@@ -1,5 +1,6 @@
-//! What a component that is gone was given by the host, kept for a while: a handle that its code still holds, in
-//! a static or a thread, is answered that nobody is connected instead of leading to memory of others.
+//! Things that the host gave to a component that is gone, kept for a while: a handle that its code still
+//! holds, in a static or a thread, is answered that nobody is connected instead of leading to memory of
+//! others.
 //!
 //! Invariant: what is kept holds nothing of others: no connection, no frame, no sample.
 
@@ -9,7 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::host_table::{HostContext, SharedTable};
 use super::ports::Slots;
 
-/// Ports that are kept, those of the system interface included: the oldest make room. See ADR 0026 for what they cost.
+/// Ports that are kept, those of the system interface included: the oldest make room. See ADR 0026 for what
+/// they cost.
 const MOST_PORTS: usize = 16_384;
 
 /// The host table and the ports of one component.
@@ -24,7 +26,7 @@ impl Remains {
     }
 }
 
-/// Those that went last.
+/// Remains of the components that went last.
 #[derive(Default)]
 pub(in crate::lcm) struct AllRemains(Mutex<VecDeque<Remains>>);
 

@@ -121,8 +121,8 @@ impl Instance {
         }
     }
 
-    /// Whether a command has waited longer than it says, or than its goal is right. Carrying it out would move
-    /// a device by a wish from before a standstill. Real-time.
+    /// Whether a command has waited longer than it says, or than its goal is right. Carrying it out would
+    /// move a device by a wish from before a standstill. Real-time.
     fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32) -> bool {
         if head.kind == ENTRY_DUE {
             return os::now_ns() > head.stamp_ns;

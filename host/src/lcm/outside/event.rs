@@ -18,7 +18,7 @@ use super::{misfit, wrong_kind};
 const DEPTH: usize = 256;
 /// Events that may wait for one who reads slowly.
 const WAITING: usize = 1024;
-/// How often the queue is looked at.
+/// Time between two looks at the queue.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// One who listens to an event.
@@ -74,8 +74,8 @@ impl Event {
         Ok(Event { told, first, last: first, is_over, _shared: shared })
     }
 
-    /// The next event, its number since this one listens, and how many were left out before it; `None` when nothing more
-    /// can come. Given up in the middle, it loses none.
+    /// The next event, its number since this one listens, and how many were left out before it; `None` when
+    /// nothing more can come. Given up in the middle, it loses none.
     pub(super) async fn next(&mut self) -> Option<(Arc<Heard>, u64, u64)> {
         while !self.is_over {
             match self.told.recv().await {
@@ -114,7 +114,7 @@ impl SharedEvent {
         Ok(shared)
     }
 
-    /// What is sent from now on, after the event of this number.
+    /// The events from now on, after the one of this number.
     fn listen(&self) -> (u64, broadcast::Receiver<Option<Arc<Heard>>>) {
         let mut drained = self.drained.lock().unwrap_or_else(PoisonError::into_inner);
         self.empty(&mut drained);
@@ -178,7 +178,7 @@ async fn keep_draining(shared: Weak<SharedEvent>) {
     }
 }
 
-/// Where an event is sent from now, and the type of its payload.
+/// The cell an event is sent from now, and the type of its payload.
 fn event_of(instance: &Instance, member: &MemberId) -> Result<(Arc<EventCell>, Option<Type>), Refusal> {
     let set = instance.described.now();
     let ports = &set.ports;

@@ -25,7 +25,7 @@ const LONGEST_PAUSE: Duration = Duration::from_millis(33);
 /// Pictures per second of one output, Hz: nobody sees more.
 const MOST_PICTURES_HZ: f64 = 60.0;
 
-/// What one selection follows.
+/// The thing that one selection follows.
 enum Feed {
     State {
         instance: Arc<Instance>,

@@ -1,7 +1,8 @@
-//! What the outside sees: a state row or an output read once, events, states and outputs followed.
+//! The view from outside: a state row or an output read once, events, states and outputs followed.
 //!
-//! Invariant: costs the component one push into a bounded queue for each output and event that anybody looks at, one more where
-//! frames are wanted as well, however many look; whoever reads too slowly loses items, counted.
+//! Invariant: costs the component one push into a bounded queue for each output and event that anybody looks
+//! at, one more where frames are wanted as well, however many look; whoever reads too slowly loses items,
+//! counted.
 
 mod event;
 mod follow;
@@ -17,7 +18,7 @@ pub(super) use follow::subscribe;
 pub(super) use read::read;
 use shared::Shared;
 
-/// What somebody outside looks at now.
+/// Everything that somebody outside looks at now.
 #[derive(Default)]
 pub(super) struct Outside {
     outputs: Shared<(u32, String, bool), output::SharedOutput>,

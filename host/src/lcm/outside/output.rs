@@ -1,6 +1,7 @@
 //! An output as all who look from outside see it: one reader, whose samples they share.
 //!
-//! Invariant: a frame is held only while it is copied or scaled, for all who want it; never by a thread that steps.
+//! Invariant: a frame is held only while it is copied or scaled, for all who want it; never by a thread that
+//! steps.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -25,7 +26,7 @@ const MOST_FRAME_BYTES: usize = 24 << 20;
 /// Outputs whose pictures are made at once: a page full of them takes no more of the machine than this.
 static MAKING: Semaphore = Semaphore::const_new(2);
 
-/// What somebody wants of a sample.
+/// A part of a sample that somebody wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Want {
     Value,
@@ -46,17 +47,17 @@ pub(super) struct Output {
     last_seq: u64,
 }
 
-/// The output, read once for all who look at it. Those who want frames have a reader of their own, which is looked at by
-/// their rates alone.
+/// The output, read once for all who look at it. Those who want frames have a reader of their own, which is
+/// looked at by their rates alone.
 pub(super) struct SharedOutput {
     pub(super) instance: Arc<Instance>,
-    /// Of the port.
+    /// Name of the port.
     name: String,
     cell: Arc<OutCell>,
     ty: Type,
     link: Arc<OutLink>,
     of_frames: bool,
-    /// What is wanted of each sample, and by how many.
+    /// Parts of each sample that are wanted, and by how many.
     wants: Mutex<BTreeMap<Want, usize>>,
     reader: Arc<tokio::sync::Mutex<Reader>>,
 }
@@ -74,7 +75,7 @@ pub(super) struct Shown {
     pub(super) value: Result<Value, Refusal>,
     encoded: Vec<u8>,
     pub(super) frame_bytes: u64,
-    /// Where somebody wanted it.
+    /// There if somebody wanted it.
     frame: Option<Vec<u8>>,
     /// JPEGs by their width, where somebody wanted one; empty where the frame is no image.
     pictures: BTreeMap<u32, Vec<u8>>,
@@ -104,7 +105,8 @@ impl Output {
         &self.shared
     }
 
-    /// The newest sample it was not given yet, and how many were left out before it. `None` when the process ends.
+    /// The newest sample it was not given yet, and how many were left out before it. `None` when the process
+    /// ends.
     pub(super) async fn newest(&mut self) -> Option<Option<(Arc<Shown>, u64)>> {
         let newest = self.shared.look().await?;
         let is_new = |shown: &Arc<Shown>| {
@@ -163,8 +165,8 @@ impl SharedOutput {
         self.wants.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The newest sample that anybody has looked at. Pictures are made on a thread for such work: they take milliseconds, and
-    /// other followers share this one. `None` when the process ends.
+    /// The newest sample that anybody has looked at. Pictures are made on a thread for such work: they take
+    /// milliseconds, and other followers share this one. `None` when the process ends.
     async fn look(self: &Arc<Self>) -> Option<Option<Arc<Shown>>> {
         let mut reader = self.reader.clone().lock_owned().await;
         if !reader.stream.latest().is_some_and(|sample| sample.fresh) {
@@ -278,7 +280,7 @@ fn cell_of(instance: &Instance, port: &PortId) -> Result<Arc<OutCell>, Refusal> 
     })
 }
 
-/// What the port of that name is, where it is one but no output.
+/// The kind of the port of that name, if it is one but no output.
 fn no_output(ports: &Ports, name: &str) -> Option<&'static str> {
     if ports.inputs.iter().any(|p| p.name == name) {
         Some("an input")

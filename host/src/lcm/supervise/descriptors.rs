@@ -1,5 +1,5 @@
-//! Descriptors of the host that code in its process has closed: who did it is named, the process is told to be
-//! unfit, and ends where it would hear of nothing any more.
+//! Descriptors of the host that code in its process has closed: who did it is named, the process is told to
+//! be unfit, and ends where it would hear of nothing any more.
 //!
 //! Invariant: what was closed is told once; what the host closes itself, at its end, is nobody's doing.
 
@@ -65,7 +65,7 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward]) {
     if lasting().as_mut().is_none_or(Lasting::is_next_there) {
         return;
     }
-    // Who looks after his manners himself comes to it.
+    // An entry that looks after its manners itself comes to it.
     if !matches!(hygiene::minding(wards, &before), Minding::Looks) {
         settle(hub, &suspects(wards));
     }

@@ -1,4 +1,5 @@
-//! Those who look from outside: each gets what there is, at its own pace, and the component pushes once for all of them.
+//! Followers from outside: each gets what there is, at its own pace, and the component pushes once for all of
+//! them.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -169,7 +169,7 @@ pub(super) fn compile(file: &Path, source: &str, out: &Path, flags: &[String]) {
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
 }
 
-/// What the bytes say where nothing lies beside them.
+/// The facts of bytes that have nothing beside them.
 pub(super) fn facts_of(bytes: &[u8]) -> Result<inspect::Facts, Fault> {
     inspect::inspect_bytes(bytes, &mut |_, _| Err(Fault::Vanished))
 }

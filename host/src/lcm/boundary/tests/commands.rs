@@ -72,6 +72,26 @@ fn held_up() -> (Script, mpsc::Receiver<()>, mpsc::Sender<()>) {
     (Script { command: Some(Box::new(command)), ..Script::default() }, heard, go)
 }
 
+/// A client, and a server that it has just occupied with a POKE.
+struct Busy {
+    world: World,
+    client: &'static Stage,
+    go: mpsc::Sender<()>,
+}
+
+impl Busy {
+    fn new(process: &'static str) -> Busy {
+        let world = World::new(process);
+        let client = world.active("client", &client(false), on_signal(), Script::default());
+        let (script, heard, go) = held_up();
+        world.active("server", &server(), on_signal(), script);
+        world.connect("client/peer", "server/ctl");
+        assert_eq!(client.send(POKE, 0), QUEUED);
+        heard.recv().unwrap();
+        Busy { world, client, go }
+    }
+}
+
 #[test]
 fn without_a_connection_every_call_is_unbound_and_after_a_cut_again() {
     let world = World::new("unbound");
@@ -233,13 +253,7 @@ fn a_caller_is_answered_when_its_server_is_removed_or_its_connection_cut_in_the_
 /// After a standstill of the machine the server's thread may come first: its caller has not given up yet.
 #[test]
 fn a_call_whose_deadline_has_passed_is_not_begun_although_its_caller_still_waits() {
-    let world = World::new("overdue");
-    let client = world.active("client", &client(false), on_signal(), Script::default());
-    let (script, heard, go) = held_up();
-    world.active("server", &server(), on_signal(), script);
-    world.connect("client/peer", "server/ctl");
-    assert_eq!(client.send(POKE, 0), QUEUED);
-    heard.recv().unwrap();
+    let Busy { world, go, .. } = &Busy::new("overdue");
     let inbox = world.instance("server").queues()[0].clone();
     let ask = |until_ns: u64| {
         let ticket = inbox.replies.acquire().unwrap();
@@ -261,13 +275,7 @@ fn a_call_whose_deadline_has_passed_is_not_begun_although_its_caller_still_waits
 /// Its caller saw it ACTIVE, then it was stopped and what was queued was answered, and only then the caller came to the queue.
 #[test]
 fn a_call_that_comes_to_the_queue_after_its_server_was_stopped_is_answered_although_its_thread_is_held_up() {
-    let world = World::new("overtaken");
-    let client = world.active("client", &client(false), on_signal(), Script::default());
-    let (script, heard, go) = held_up();
-    world.active("server", &server(), on_signal(), script);
-    world.connect("client/peer", "server/ctl");
-    assert_eq!(client.send(POKE, 0), QUEUED);
-    heard.recv().unwrap();
+    let Busy { world, client, go, .. } = &Busy::new("overtaken");
     std::thread::scope(|scope| {
         let waiting = scope.spawn(|| client.ask(TWICE, 1));
         let queue = || world.instance("server").queues().iter().any(|i| !i.mailbox.is_empty());
