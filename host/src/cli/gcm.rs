@@ -10,7 +10,7 @@ use serde_json::json;
 use super::failure::{Done, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
-use crate::host::{Host, StateChoice, state_home};
+use crate::host::{Host, StateChoice, say_to_keeper, state_home};
 
 const EXAMPLES: &str = "\
 Example:
@@ -37,7 +37,7 @@ pub(super) struct GcmArgs {
 }
 
 pub(super) async fn run(args: GcmArgs, session: &Session) -> Done {
-    args.tie.heard(serve(args, session).await)
+    hosting::heard(serve(args, session).await)
 }
 
 async fn serve(args: GcmArgs, session: &Session) -> Done {
@@ -60,7 +60,7 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
             "state": host.state_dir().path(),
             "viewer": hosting::viewer(&hosting::address(&host)),
         });
-        args.tie.say(&line.to_string());
+        say_to_keeper(&line.to_string());
         out::line(&line.to_string());
     } else {
         out::line(&format!("gcm listening on {}", hosting::address(&host)));

@@ -2,11 +2,13 @@
 //!
 //! Invariant: the first line on stdout says where it listens; it ends on Ctrl-C with its devices safe.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::json;
 use trocar_model::{Name, Refusal};
+use trocar_rt::os;
 
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
@@ -121,25 +123,18 @@ impl Tie {
         }
         Ok(stop)
     }
+}
 
-    /// Says a line to whoever keeps this process, beside what it prints: plugins may print before that.
-    pub(super) fn say(self, line: &str) {
-        if self.tied {
-            say_to_keeper(line);
-        }
+/// Says to whoever keeps this process why it does not run, or not any more.
+pub(super) fn heard(done: Done) -> Done {
+    if let Err(failure) = &done {
+        say_to_keeper(&out::json(&failure.to_json().to_string()));
     }
-
-    /// Says to whoever keeps this process why it does not run.
-    pub(super) fn heard(self, done: Done) -> Done {
-        if let Err(failure) = &done {
-            self.say(&out::json(&failure.to_json().to_string()));
-        }
-        done
-    }
+    done
 }
 
 pub(super) async fn run(args: HostArgs, session: &Session) -> Done {
-    args.tie.heard(serve(args, session).await)
+    heard(serve(args, session).await)
 }
 
 async fn serve(args: HostArgs, session: &Session) -> Done {
@@ -168,8 +163,20 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
     };
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
-    say_listening(&config, &host, args.tie, session);
+    say_listening(&config, &host, session);
     until_stopped(host, stop).await
+}
+
+/// Ends this process, which cannot go on: says why to people and to whoever keeps it. No runtime is left that
+/// could be counted on.
+pub(super) fn end_broken(why: &str) {
+    let help = "start it again. A component must close only what it opened itself (no closefrom, no second close); one that \
+                does not is kept apart by \"isolated\": true. Where a thread broke down, trocar has a fault: report it";
+    let failure = Failure::local("BROKEN", format!("the process cannot go on: {why}"), help);
+    // Readers of the log hear by a runtime. A closed stderr changes nothing.
+    let _ = writeln!(std::io::stderr(), "error: {}\n help: {}", failure.message, failure.help);
+    say_to_keeper(&out::json(&failure.to_json().to_string()));
+    os::end_at_once(1);
 }
 
 /// clap's parser of a process name.
@@ -230,7 +237,7 @@ pub(super) fn viewer(gcm: &str) -> String {
     format!("http://{gcm}/")
 }
 
-fn say_listening(config: &HostConfig, host: &Host, tie: Tie, session: &Session) {
+fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
     let dirs: Vec<String> = config.plugins.iter().map(|d| d.display().to_string()).collect();
     if session.json() {
         let line = json!({
@@ -242,7 +249,7 @@ fn say_listening(config: &HostConfig, host: &Host, tie: Tie, session: &Session) 
             "gcm": config.gcm,
             "viewer": viewer(config.gcm.as_deref().unwrap_or(&address(host))),
         });
-        tie.say(&line.to_string());
+        say_to_keeper(&line.to_string());
         out::line(&line.to_string());
         return;
     }

@@ -88,12 +88,6 @@ impl Ending {
         let _ = self.ended.clone().wait_for(|ended| *ended).await;
     }
 
-    /// As [`Ending::end`], where the runtime cannot be counted on; open calls of the port are cut.
-    pub(super) async fn end_without_runtime(&self) {
-        let _ = self.order.send(How::Abrupt);
-        let _ = self.ended.clone().wait_for(|ended| *ended).await;
-    }
-
     /// As `end`, for a thread that may be one of a runtime's, and not for ever.
     pub(super) fn end_now(&mut self) {
         let _ = self.order.send(How::Abrupt);

@@ -61,10 +61,6 @@ pub enum HostError {
         addr: String,
         because: String,
     },
-    /// Code in the process has closed what it cannot do without.
-    Doomed {
-        because: String,
-    },
     /// The GCM does not take this process, or a process of its name runs at its address.
     Refused(Refusal),
 }
@@ -93,7 +89,6 @@ impl HostError {
             HostError::NoVetting { .. } => "NO_VETTING",
             HostError::Listen { .. } => "LISTEN",
             HostError::NoGcm { .. } => "NO_GCM",
-            HostError::Doomed { .. } => "DESCRIPTORS_CLOSED",
             HostError::Refused(refusal) => refusal.reason(),
         }
     }
@@ -128,11 +123,6 @@ impl HostError {
             HostError::Listen { help, .. } => help.clone(),
             HostError::NoGcm { addr, .. } => {
                 format!("start it first: `trocar gcm --listen {addr}`, or leave --gcm out: this host embeds one")
-            }
-            HostError::Doomed { .. } => {
-                "start it again; let the component close only what it opened itself (no closefrom, no second close), or \
-                 give it a process of its own (\"isolated\": true)"
-                    .into()
             }
             HostError::Refused(refusal) => refusal.help(),
         }
@@ -177,7 +167,6 @@ impl fmt::Display for HostError {
             }
             HostError::Listen { because, .. } => f.write_str(because),
             HostError::NoGcm { addr, because } => write!(f, "no GCM answers at {addr}: {because}"),
-            HostError::Doomed { because } => write!(f, "the process cannot go on: {because}"),
             HostError::Refused(refusal) => write!(f, "{refusal}"),
         }
     }

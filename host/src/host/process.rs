@@ -237,19 +237,12 @@ impl Host {
         self.ending.has_ended()
     }
 
-    /// Ends when the process is asked to end, when the GCM it attached to sends it away for good, or when it
-    /// cannot go on.
+    /// Ends when the process is asked to end, or when the GCM it attached to sends it away for good.
     ///
     /// # Errors
-    /// Why the GCM sent it away, or why it cannot go on.
+    /// Why the GCM sent it away.
     pub async fn until_asked_to_stop(&mut self, stop: &mut StopRequest) -> Result<(), HostError> {
-        let (lcm, uplink) = (self.lcm.as_ref(), self.uplink.as_mut());
-        let doomed = async {
-            match lcm {
-                Some(lcm) => lcm.doomed().await,
-                None => pending().await,
-            }
-        };
+        let uplink = self.uplink.as_mut();
         let refused = async {
             match uplink {
                 Some(uplink) => uplink.refused().await,
@@ -258,7 +251,6 @@ impl Host {
         };
         tokio::select! {
             () = stop.asked() => Ok(()),
-            because = doomed => Err(HostError::Doomed { because }),
             refusal = refused => Err(refusal.into()),
         }
     }
@@ -269,10 +261,7 @@ impl Host {
     ///
     /// Dropping the host does the same and blocks the thread meanwhile, but cuts open calls of the port.
     pub async fn shutdown(&self) {
-        match &self.lcm {
-            Some(lcm) if lcm.is_doomed() => self.ending.end_without_runtime().await,
-            _ => self.ending.end().await,
-        }
+        self.ending.end().await;
     }
 }
 

@@ -18,13 +18,14 @@ const INTERRUPTED: i32 = 130;
 /// How long a process may take to end once whoever keeps it is gone; then it is cut off.
 const ORPHANED: Duration = Duration::from_secs(20);
 
+/// Standard input leads to whoever keeps this process, and hears what it says.
+static TIED: AtomicBool = AtomicBool::new(false);
+
 /// Whether somebody asked this process to end.
 #[derive(Clone, Debug)]
 pub struct StopRequest {
     tell: Arc<watch::Sender<bool>>,
     asked: watch::Receiver<bool>,
-    /// Whoever keeps this process hears what it says.
-    tied: Arc<AtomicBool>,
 }
 
 impl StopRequest {
@@ -35,20 +36,16 @@ impl StopRequest {
         let (tell, asked) = watch::channel(false);
         let tell = Arc::new(tell);
         let teller = tell.clone();
-        let tied = Arc::new(AtomicBool::new(false));
-        let is_tied = tied.clone();
         tokio::spawn(async move {
             next(&mut signals).await;
-            if is_tied.load(Ordering::Acquire) {
-                // Whoever ends without this word was asked by nobody.
-                say_to_keeper("{\"ending\":true}");
-            }
+            // Whoever ends without this word was asked by nobody.
+            say_to_keeper("{\"ending\":true}");
             // Kept open until the end, whoever listens.
             teller.send_replace(true);
             next(&mut signals).await;
             std::process::exit(INTERRUPTED);
         });
-        Self { tell, asked, tied }
+        Self { tell, asked }
     }
 
     /// Also asks when standard input is closed: the kernel does that when whoever holds its other end is gone, however
@@ -57,7 +54,7 @@ impl StopRequest {
     /// # Errors
     /// The machine gives no more threads.
     pub fn tie_to_stdin(&self) -> std::io::Result<()> {
-        self.tied.store(true, Ordering::Release);
+        TIED.store(true, Ordering::Release);
         let tell = self.tell.clone();
         let wait = move || {
             while comes(&mut std::io::stdin().lock()) {}
@@ -94,6 +91,9 @@ impl StopRequest {
 
 /// Says a line to whoever keeps this process, over the tie. Where that is none, or only read from, nobody hears it.
 pub fn say_to_keeper(line: &str) {
+    if !TIED.load(Ordering::Acquire) {
+        return;
+    }
     let (stdin, line) = (std::io::stdin(), format!("{line}\n"));
     let mut left = line.as_bytes();
     while !left.is_empty() {

@@ -133,6 +133,8 @@ pub enum Concern {
     Files,
     /// Some that it listens at, or watches files with, were closed.
     Descriptors,
+    /// A thread of the host broke down.
+    Broken,
 }
 
 /// As it is told.

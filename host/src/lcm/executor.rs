@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, AtomicUsize, Ordering}
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
-use trocar_model::{Execution, ExecutionModel};
+use trocar_model::{Execution, ExecutionModel, State};
 use trocar_rt::executor::{Bells, Clock, Pacer};
 use trocar_rt::wake::{MOST_BELLS, Waker};
 use trocar_rt::{house, os};
@@ -18,6 +18,7 @@ use super::context::{self, ExecutorId};
 use super::cycle::{self, Member};
 use super::instance::Instance;
 use super::realtime::{self, Memory, Settings};
+use super::supervise::{breakdown, undaunted};
 
 pub(super) use trocar_rt::executor::Pace;
 
@@ -172,7 +173,10 @@ impl Executor {
             mine.tid.store(named.0, Ordering::Release);
             mine.settings.settle(&name, &execution);
             mine.settings.lock(&memory);
-            mine.run(Crew { members: Vec::new(), bells: Rung::default(), pacer: Pacer::new(pace) });
+            let mut crew = Crew { members: Vec::new(), bells: Rung::default(), pacer: Pacer::new(pace) };
+            if let Some(panic) = breakdown(|| mine.run(&mut crew)) {
+                mine.abandon(&crew.members, &panic);
+            }
         })?;
         Ok(executor)
     }
@@ -239,15 +243,15 @@ impl Executor {
         self.waker.notify();
     }
 
-    fn run(&self, mut crew: Crew) {
+    fn run(&self, crew: &mut Crew) {
         loop {
-            self.run_jobs(&mut crew);
+            self.run_jobs(crew);
             if self.stop.load(Ordering::Acquire) && self.ends() {
                 // Threads of the team end before this one.
                 context::set_team(None);
                 return;
             }
-            let Crew { members, bells, pacer } = &mut crew;
+            let Crew { members, bells, pacer } = &mut *crew;
             bells.hear();
             let clock = Bells { own: &self.waker, bells: &bells.bells };
             // Who looks by itself is not woken by other processes either.
@@ -277,6 +281,33 @@ impl Executor {
                     clock.wait(None);
                 }
             }
+        }
+    }
+
+    /// The thread broke down outside of its members, by a fault of the host: they are made safe and run no
+    /// more.
+    fn abandon(&self, members: &[Member], panic: &str) {
+        let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        self.ended.store(true, Ordering::Relaxed);
+        let left = std::mem::take(&mut *jobs);
+        drop(jobs);
+        let why = format!("the thread {} of the host broke down: {panic}", self.name);
+        context::set_stepping(false);
+        for member in members {
+            let instance = &member.instance;
+            instance.object.let_go();
+            undaunted(|| _ = instance.set_state_from(State::Active, State::Fault, &why));
+            instance.watch.owe_safe();
+            undaunted(|| {
+                if let Some(mut entered) = instance.object.try_enter() {
+                    instance.pay_safe(&mut entered);
+                }
+            });
+        }
+        // Who waits for a job hears that nobody will do it.
+        undaunted(|| drop(left));
+        if let Some(member) = members.first() {
+            member.instance.hub.broke_down(why);
         }
     }
 

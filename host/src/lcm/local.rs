@@ -234,21 +234,6 @@ impl LocalLcm {
         self.hub.warn(of, warning);
     }
 
-    /// Comes back with why when the process cannot go on and is to end.
-    pub async fn doomed(&self) -> String {
-        let mut doom = self.hub.doom.subscribe();
-        match doom.wait_for(Option::is_some).await {
-            Ok(why) => why.clone().unwrap_or_default(),
-            // The one who would say it lives as long as this.
-            Err(_) => std::future::pending().await,
-        }
-    }
-
-    /// [`LocalLcm::doomed`] comes back at once.
-    pub fn is_doomed(&self) -> bool {
-        self.hub.doom.borrow().is_some()
-    }
-
     /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not
     /// made. Bounded: what does not come back in `within` is left.
     pub async fn shutdown(&self, within: Duration) {

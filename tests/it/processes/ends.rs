@@ -123,6 +123,34 @@ fn one_whose_sockets_were_closed_is_told_and_put_down_where_its_policy_says_so()
 }
 
 #[test]
+fn one_that_can_hear_of_nothing_any_more_makes_its_devices_safe_and_says_why_it_ends() {
+    let device = r#""right/d": { "class": "device" }"#;
+    let idle =
+        closer("close_all").replace("\"config\"", "\"start\": false, \"config\"").replace("command", "start");
+    for (entry, components) in [("command", closer("close_all")), ("start", idle)] {
+        let system = System::up(&one("\"on_failure\"", &format!("{components}, {device}")), &[]);
+        let before = system.host("right");
+        // It may be gone before it answers.
+        let _ = match entry {
+            "start" => system.grpc.call("GcmService/Start", json!({ "path": "right/c" })),
+            _ => system
+                .grpc
+                .call("InteractService/Invoke", json!({ "path": "right/c/ctl/poke", "send": true })),
+        };
+        system.await_back("right", &before);
+        let mark = format!("make_safe {}", pid(&before));
+        let marks = std::fs::read_to_string(system.world.path("device-marks")).unwrap_or_default();
+        assert!(marks.lines().any(|line| line == mark), "{entry}: {marks}");
+        let after = system.host("right");
+        let why = last_exit(&after);
+        assert!(why.starts_with("ended with code 1: the process cannot go on: "), "{entry}: {after}");
+        for part in ["right/c", " closed descriptors of the host (", "epoll"] {
+            assert!(why.contains(part), "{entry}: {part}: {after}");
+        }
+    }
+}
+
+#[test]
 fn what_a_process_has_started_ends_with_it() {
     let system = System::up(&one("\"on_failure\"", r#""right/doom": { "class": "doom" }"#), &[]);
     let before = system.host("right");

@@ -46,9 +46,8 @@ pub(super) fn settle(hub: &Hub, who: &str) {
     let list: Vec<String> = gone.iter().map(ToString::to_string).collect();
     let what = format!("{who} closed descriptors of the host ({})", list.join(", "));
     if gone.iter().any(Descriptor::is_vital) {
-        let why = format!("{what}, without which it hears of nothing");
-        log::error!("{why}: it makes its devices safe and ends");
-        hub.doom.send_replace(Some(why));
+        // Logged at the end: a line of the log wakes a runtime.
+        hub.doom(format!("{what}, without which it hears of nothing"));
     } else {
         let why = format!(
             "{what}: it is not reached there any more, and a restart opens them again; close only what the component itself \
@@ -68,6 +67,13 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward]) {
     // An entry that looks after its manners itself comes to it.
     if !matches!(hygiene::minding(wards, &before), Minding::Looks) {
         settle(hub, &suspects(wards));
+    }
+}
+
+/// Where a thread of the host broke down, it may have been by this.
+pub(super) fn look_at_all(hub: &Hub, wards: &[Ward]) {
+    if !are_all_there() {
+        settle(hub, &suspects(&wards.iter().collect::<Vec<_>>()));
     }
 }
 

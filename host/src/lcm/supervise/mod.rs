@@ -5,6 +5,7 @@
 mod charge;
 mod descriptors;
 mod hygiene;
+mod last;
 mod roster;
 mod safe;
 mod strangers;
@@ -15,6 +16,7 @@ pub(super) use charge::LEAVE_NS;
 pub(crate) use descriptors::{keep as keep_descriptors, let_go as let_go_of_descriptors};
 pub(crate) use hygiene::own_process;
 pub(super) use hygiene::{Manners, Suspicion};
+pub(super) use last::{breakdown, undaunted};
 pub(super) use roster::{Roster, Ward};
 pub(super) use safe::give_up;
 pub(super) use strangers::{Moment, Strangers};

@@ -49,6 +49,10 @@ impl Roster {
         wards.iter().all(|w| known.contains(&w.instance.number))
     }
 
+    pub(super) fn all(&self) -> Vec<Ward> {
+        self.wards.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     /// The list, when it is another edition than `seen`, which is brought up to date.
     pub(super) fn news(&self, seen: &mut u64) -> Option<Vec<Ward>> {
         let edition = self.edition.load(Ordering::Acquire);
@@ -56,6 +60,6 @@ impl Roster {
             return None;
         }
         *seen = edition;
-        Some(self.wards.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        Some(self.all())
     }
 }

@@ -17,6 +17,7 @@ use super::super::hub::Hub;
 use super::charge::Charge;
 use super::descriptors;
 use super::hygiene::{self, Premises};
+use super::last::{self, breakdown};
 use super::roster::{Roster, Ward};
 use super::strangers::Strangers;
 
@@ -46,7 +47,7 @@ impl Watchdog {
         let stop = Arc::new(AtomicBool::new(false));
         let (asked, shared) = (stop.clone(), hub.clone());
         let thread = house::spawn(thread::Builder::new().name("trocar-watchdog".into()), move || {
-            context::deferred(|| Rounds::default().run(&shared, &roster, &asked))
+            context::deferred(|| keep_looking(&shared, &roster, &asked))
         })?;
         Ok(Watchdog { hub, stop, thread: Mutex::new(Some(thread)) })
     }
@@ -68,6 +69,25 @@ impl Drop for Watchdog {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
         self.hub.watch.notify();
+    }
+}
+
+/// Looks until `stop`, also after a breakdown in a program that goes on then.
+fn keep_looking(hub: &Hub, roster: &Roster, stop: &AtomicBool) {
+    loop {
+        if let Some(panic) = breakdown(|| Rounds::default().run(hub, roster, stop)) {
+            hub.broke_down(format!("its watchdog broke down: {panic}"));
+        }
+        if !hub.is_doomed() {
+            return;
+        }
+        let wards = roster.all();
+        descriptors::look_at_all(hub, &wards);
+        if let Some(why) = hub.take_doom() {
+            last::end(hub, &wards, why);
+        }
+        // Should it break down in each look, it does so at its usual pace.
+        hub.watch.wait(Some(os::now_ns() + LOOK_NS.1));
     }
 }
 
@@ -108,7 +128,7 @@ impl Rounds {
         let mut next_ns = os::now_ns();
         loop {
             hub.watch.wait(Some(next_ns));
-            if stop.load(Ordering::Acquire) {
+            if stop.load(Ordering::Acquire) || hub.is_doomed() {
                 return;
             }
             let now_ns = os::now_ns();

@@ -119,6 +119,29 @@ async fn an_actuator_whose_thread_is_held_by_another_is_given_up_as_one_that_han
     world.end().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn actuators_of_a_thread_that_broke_down_are_made_safe_on_it_and_nobody_waits_for_it() {
+    let world = World::new("f_broke");
+    let [near, far] = [Arc::new(Arm { panics: true, ..Arm::default() }), Arc::new(Arm::default())];
+    world.create_as("near", arm_class(false), periodic(1000), near.clone()).await;
+    let inside = inside(ExecutionModel::ExecOut, &world.id("near"));
+    world.create_as("far", arm_class(false), inside, far.clone()).await;
+    for name in ["far", "near"] {
+        world.start(name).await;
+    }
+    let executor = world.lcm.executor_of(&world.lcm.instance(&world.id("near")).unwrap()).unwrap();
+    executor.submit(|_| panic!("as no job should"));
+    for name in ["near", "far"] {
+        let report = world.eventually("FAULT", name, |r| r.state == State::Fault).await;
+        let why = format!("the thread {} of the host broke down: as no job should", executor.name);
+        assert!(report.fault.starts_with(&why), "{report:?}");
+    }
+    eventually("made safe", || near.made_safe() == 1 && far.made_safe() == 1).await;
+    let refused = world.run("far", Verb::Reset).await.unwrap_err();
+    assert!(refused.to_string().contains("far"), "{refused}");
+    world.end().await;
+}
+
 /// A gate that moves something.
 struct Passive(Arc<Gate>, Arc<Arm>);
 
