@@ -3,6 +3,8 @@
 //! Invariant: only its user can read or enter it; what killed processes left is swept away by the next one,
 //! and nothing else is.
 
+mod placed;
+
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
@@ -12,6 +14,8 @@ use std::path::{Path, PathBuf};
 use rustix::fs::OFlags;
 use rustix::process::geteuid;
 use rustix::rand::{GetRandomFlags, getrandom};
+
+pub(crate) use placed::Placed;
 
 /// Beginning of the names that lead to sockets.
 const WAY: &str = "at-";

@@ -1,11 +1,14 @@
 //! Sockets below a path of any length: a socket's own address has room for 108 bytes only.
 
+use std::fs::DirBuilder;
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 
 use rustix::fs::{Mode, OFlags};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
+use trocar_rt::os;
 
 /// Connections that may wait to be accepted.
 const BACKLOG: i32 = 128;
@@ -25,6 +28,19 @@ fn with_address<R>(path: &Path, f: impl FnOnce(&SocketAddrUnix) -> rustix::io::R
     let address =
         SocketAddrUnix::new(&short).map_err(|_| wrong("the name of a socket has 80 bytes at most"))?;
     Ok(f(&address)?)
+}
+
+/// Somebody has removed the file of a socket that listens.
+pub(crate) fn is_gone(path: &Path) -> bool {
+    path.symlink_metadata().is_err_and(|e| e.kind() == io::ErrorKind::NotFound)
+}
+
+/// Listens at `path` as [`listen`], by a socket that listened before, and makes the folder where that is gone.
+pub(crate) fn listen_anew(socket: &mut OwnedFd, path: &Path) -> io::Result<()> {
+    if let Some(folder) = path.parent() {
+        DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    }
+    os::replace(socket, listen(path)?)
 }
 
 /// Listens at `path`, in place of whoever did before: the caller owns the folder.

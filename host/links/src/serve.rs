@@ -3,6 +3,7 @@
 //! Invariant: it never waits for one process, and nothing a stranger does costs more than one greeting's time and room.
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,6 +33,8 @@ const REDIAL_NS: u64 = 20_000_000;
 const REFUSED_NS: u64 = 1_000_000_000;
 /// Pause of listening where the process may open no more files, ns.
 const NO_FILES_NS: u64 = 100_000_000;
+/// Time between two looks at the place where it listens, ns.
+const PLACE_NS: u64 = 1_000_000_000;
 /// Messages one session may have read at once: others wait as well.
 const AT_ONCE: usize = 16;
 
@@ -42,6 +45,8 @@ pub(crate) struct Server<H> {
     spare: Option<OwnedFd>,
     /// No look at the listener before, ns.
     listen_ns: u64,
+    /// When the listener's place is looked at next, ns.
+    place_ns: u64,
     shared: Arc<Shared>,
     handler: H,
     ends: Vec<End>,
@@ -57,6 +62,7 @@ pub(crate) struct Server<H> {
     turned_away: Seldom,
     unheard: Seldom,
     no_files: Seldom,
+    no_place: Seldom,
 }
 
 struct Want {
@@ -99,6 +105,7 @@ impl<H: Handler> Server<H> {
             spare: None,
             listener,
             listen_ns: 0,
+            place_ns: now_ns() + PLACE_NS,
             shared,
             handler,
             ends: Vec::new(),
@@ -109,6 +116,7 @@ impl<H: Handler> Server<H> {
             turned_away: Seldom::default(),
             unheard: Seldom::default(),
             no_files: Seldom::default(),
+            no_place: Seldom::default(),
         }
     }
 
@@ -116,6 +124,7 @@ impl<H: Handler> Server<H> {
         while self.answer() {
             let now = now_ns();
             self.spare_a_file();
+            self.keep_place(now);
             self.dial(now);
             self.look_at_hearts(now);
             let ready = self.wait(now_ns());
@@ -202,7 +211,7 @@ impl<H: Handler> Server<H> {
         let wants = self.wants.values().filter(|want| !want.busy).map(|want| want.next_ns);
         let beat = self.is_live().then_some(self.beat_ns + BEAT_NS);
         let listen = (now < self.listen_ns).then_some(self.listen_ns);
-        greetings.chain(wants).chain(beat).chain(listen).min()
+        greetings.chain(wants).chain(beat).chain(listen).chain([self.place_ns]).min()
     }
 
     fn is_live(&self) -> bool {
@@ -287,7 +296,25 @@ impl<H: Handler> Server<H> {
 
     fn spare_a_file(&mut self) {
         if self.spare.is_none() {
-            self.spare = rustix::io::fcntl_dupfd_cloexec(&self.listener, 0).ok();
+            // Of a file that may be closed at any time: see `trocar_rt::os::Lasting`.
+            self.spare = File::open("/dev/null").map(OwnedFd::from).ok();
+        }
+    }
+
+    /// Processes find each other by the path of a socket: where somebody has removed it, as whoever empties a
+    /// state directory does, this one would be found by none that comes later.
+    fn keep_place(&mut self, now: u64) {
+        if now < self.place_ns {
+            return;
+        }
+        self.place_ns = now + PLACE_NS;
+        let path = &self.card.socket;
+        if !address::is_gone(path) {
+            return;
+        }
+        match address::listen_anew(&mut self.listener, path) {
+            Ok(()) => log::warn!("{} was removed, and was made again", path.display()),
+            Err(e) => self.no_place.warn(now, &format!("no other process can reach this one: {e}")),
         }
     }
 

@@ -12,7 +12,7 @@ use std::fmt;
 use std::sync::atomic::AtomicU32;
 
 pub use crate::sync::Scope;
-pub use descriptors::{Descriptor, Lasting};
+pub use descriptors::{Descriptor, Lasting, replace};
 pub use environment::Environment;
 pub use forked::{Unshared, unshared};
 pub use household::Household;

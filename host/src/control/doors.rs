@@ -19,7 +19,7 @@ use trocar_rt::house;
 use super::caller::own_user;
 use super::incoming::Incoming;
 use super::serve::{GRACE, transport};
-use crate::runtime_dir::{Door, RuntimeDir};
+use crate::runtime_dir::{Door, Placed, RuntimeDir};
 
 /// The sockets of one port; removed when they are dropped.
 pub(super) struct Doors {
@@ -43,26 +43,35 @@ impl Doors {
     }
 
     fn listen(&mut self, routes: &Routes, closing: &watch::Receiver<()>) -> io::Result<()> {
-        self.dir.prepare()?;
-        let stop = self.bind(Door::Stop)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let stop = {
+            let _here = runtime.enter();
+            self.place(Door::Stop)?
+        };
         let serving = serve(stop, routes.clone(), closing.clone());
         // The thread ends with its socket; a call that hangs does not keep the process.
         house::spawn(thread::Builder::new().name("trocar-stop".into()), move || runtime.block_on(serving))?;
-        let calls = self.bind(Door::Calls)?;
+        let calls = self.place(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
         Ok(())
     }
 
-    fn bind(&self, door: Door) -> io::Result<UnixListener> {
-        let path = self.dir.door(self.addr, door);
-        // A process id comes again: what lies here belongs to nobody alive.
-        let _ = std::fs::remove_file(&path);
-        let listener = UnixListener::bind(&path)?;
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))?;
-        listener.set_nonblocking(true)?;
-        self.dir.lead(self.addr, door)?;
-        Ok(listener)
+    /// On the runtime that serves it.
+    fn place(&self, door: Door) -> io::Result<Placed> {
+        let (dir, addr) = (self.dir.clone(), self.addr);
+        let path = dir.door(addr, door);
+        let at = path.clone();
+        let bind = move || {
+            dir.prepare()?;
+            // A process id comes again: what lies here belongs to nobody alive.
+            let _ = std::fs::remove_file(&at);
+            let listener = UnixListener::bind(&at)?;
+            std::fs::set_permissions(&at, std::fs::Permissions::from_mode(0o600))?;
+            listener.set_nonblocking(true)?;
+            dir.lead(addr, door)?;
+            Ok(listener)
+        };
+        Placed::new(path, bind)
     }
 
     /// Takes no more calls; open ones end with the port's.
@@ -83,10 +92,10 @@ impl Drop for Doors {
     }
 }
 
-async fn serve(listener: UnixListener, routes: Routes, mut closing: watch::Receiver<()>) {
+async fn serve(listener: Placed, routes: Routes, mut closing: watch::Receiver<()>) {
     let mut over = closing.clone();
     let served = async {
-        let incoming = Incoming::unix(tokio::net::UnixListener::from_std(listener)?, own_user());
+        let incoming = Incoming::unix(listener, own_user());
         let closed = async move {
             // Its sender only ever goes.
             let _ = closing.changed().await;

@@ -4,27 +4,23 @@
 //! user can ask.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::future::poll_fn;
+use std::os::unix::net::UnixListener;
+use std::path::Path;
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{UnixListener, UnixStream};
-use trocar_rt::os::{Unshared, unshared};
+use tokio::net::UnixStream;
 
 use super::HostError;
-use crate::runtime_dir::{RuntimeDir, pid_of};
+use crate::runtime_dir::{Placed, RuntimeDir, pid_of};
 
 /// How long a process may take to stop its components.
 const PATIENCE: Duration = Duration::from_secs(5);
 const STOP: &str = "stop\n";
 
 /// This process's socket; removed on drop.
-#[derive(Debug)]
-pub(super) struct Announcement {
-    path: PathBuf,
-    _unshared: Unshared,
-    listener: UnixListener,
-}
+pub(super) struct Announcement(Placed);
 
 /// What one process answered.
 #[derive(Clone, Debug)]
@@ -56,23 +52,28 @@ impl Announcement {
             dir: dir.path().to_owned(),
             because: e.to_string(),
         };
-        dir.prepare().map_err(failed)?;
-        let path = dir.path().join(format!("{}.{instance}.sock", std::process::id()));
-        // A process id comes again: what lies here belongs to nobody alive.
-        let _ = fs::remove_file(&path);
-        let listener = UnixListener::bind(&path).map_err(failed)?;
-        Ok(Self { path, _unshared: unshared(&listener), listener })
+        let (own, path) = (dir.clone(), dir.path().join(format!("{}.{instance}.sock", std::process::id())));
+        let at = path.clone();
+        let bind = move || {
+            own.prepare()?;
+            // A process id comes again: what lies here belongs to nobody alive.
+            let _ = fs::remove_file(&at);
+            let listener = UnixListener::bind(&at)?;
+            listener.set_nonblocking(true)?;
+            Ok(listener)
+        };
+        Placed::new(path, bind).map(Self).map_err(failed)
     }
 
     /// Serves requests for ever: each one runs `stop`, whose words go back to the asker.
-    pub(super) async fn serve<F, S>(&self, stop: S)
+    pub(super) async fn serve<F, S>(mut self, stop: S)
     where
         S: Fn() -> F + Clone + Send + 'static,
         F: Future<Output = Result<String, String>> + Send,
     {
         loop {
-            match self.listener.accept().await {
-                Ok((stream, _)) => {
+            match poll_fn(|cx| self.0.poll_accept(cx)).await {
+                Ok(stream) => {
                     let stop = stop.clone();
                     tokio::spawn(async move { answer(stream, stop).await });
                 }
@@ -99,7 +100,7 @@ async fn answer<F: Future<Output = Result<String, String>>>(mut stream: UnixStre
 
 impl Drop for Announcement {
     fn drop(&mut self) {
-        let _ = fs::remove_file(&self.path);
+        let _ = fs::remove_file(self.0.path());
     }
 }
 

@@ -185,6 +185,21 @@ fn what_an_end_and_the_gcm_lost_together_is_connected_again_from_the_file() {
 }
 
 #[test]
+fn a_process_whose_state_directory_was_removed_is_found_by_one_that_comes_back() {
+    let two = pair();
+    let clients = ["right/client/Required", "right/e/sample"];
+    let before = clients.map(|client| await_linked(&two.grpc, client, 0));
+    let right = two.host("right");
+    std::fs::remove_dir_all(two.world.path("xdg-state")).unwrap();
+    kill("-KILL", pid(&right));
+    for (client, before) in clients.iter().zip(&before) {
+        await_linked(&two.grpc, client, epoch(before));
+        await_flow(&two.grpc, client);
+    }
+    assert_eq!(two.host("left")["unfit"], false, "its own socket was taken for one that a component closed");
+}
+
+#[test]
 fn a_process_that_comes_back_at_another_place_is_found_there() {
     let world = World::with_plugins(&PLUGINS);
     let gcm = HostProcess::start_gcm(&world);

@@ -4,10 +4,13 @@
 //! Invariant: a check opens and reads nothing, since a number that was closed is given to whatever is opened
 //! next.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
+use std::io;
 use std::mem::MaybeUninit;
-use std::os::fd::RawFd;
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The purpose of a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +45,10 @@ pub struct Descriptor {
 
 impl Descriptor {
     fn is_there(&self) -> bool {
-        file(self.fd) == Some(self.file)
+        // Held meanwhile: a change by this program is seen whole.
+        let replaced = replaced();
+        let now = file(self.fd);
+        now == Some(self.file) || now.is_some() && replaced.get(&self.fd).copied() == now
     }
 
     /// Without it a runtime of this program hears of nothing any more.
@@ -61,6 +67,29 @@ impl fmt::Display for Descriptor {
         };
         write!(f, "{kind} {}", self.fd)
     }
+}
+
+/// Files that this program itself has put in the place of lasting ones, by their numbers.
+static REPLACED: Mutex<BTreeMap<RawFd, (u64, u64)>> = Mutex::new(BTreeMap::new());
+
+fn replaced() -> MutexGuard<'static, BTreeMap<RawFd, (u64, u64)>> {
+    REPLACED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Puts `new` in the place of `old`, which keeps its number and counts as there.
+///
+/// # Errors
+/// The kernel puts nothing in its place.
+pub fn replace(old: &mut OwnedFd, new: OwnedFd) -> io::Result<()> {
+    let mut replaced = replaced();
+    // SAFETY: both are open, and stay owned by these two, whatever they stand for.
+    if unsafe { libc::dup3(new.as_raw_fd(), old.as_raw_fd(), libc::O_CLOEXEC) } < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    if let Some(file) = file(old.as_raw_fd()) {
+        replaced.insert(old.as_raw_fd(), file);
+    }
+    Ok(())
 }
 
 /// The lasting descriptors of a program.

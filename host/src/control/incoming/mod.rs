@@ -16,7 +16,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use rustix::io::{Errno, fcntl_dupfd_cloexec};
-use tokio::net::{TcpListener, TcpStream, UnixListener};
+use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{Sleep, sleep};
 use trocar_links::Seldom;
 use trocar_rt::os::{Unshared, now_ns, unshared};
@@ -25,6 +25,7 @@ pub(super) use self::connection::Connection;
 use self::connection::Stream;
 use self::seats::Seats;
 use super::caller::Peer;
+use crate::runtime_dir::Placed;
 
 /// Pause of letting callers in where the process may open no more files.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -37,14 +38,14 @@ const SPARE: usize = 4;
 enum Listener {
     Tcp(TcpListener),
     /// Files that give way to callers.
-    Unix(UnixListener, Vec<File>),
+    Unix(Placed, Vec<File>),
 }
 
 /// Connections without Nagle's delay. Where there is no file or no memory for one, its caller waits in the
 /// kernel's queue and is let in as soon as there is: to hang up on it would tell it nothing either, and cost
 /// it the call.
 pub(super) struct Incoming {
-    _unshared: Unshared,
+    _unshared: Option<Unshared>,
     listener: Listener,
     /// The user whose programs are no guests.
     user: u32,
@@ -61,7 +62,7 @@ impl Incoming {
         Incoming::new(Listener::Tcp(listener), user)
     }
 
-    pub(super) fn unix(listener: UnixListener, user: u32) -> Incoming {
+    pub(super) fn unix(listener: Placed, user: u32) -> Incoming {
         let mut incoming = Incoming::new(Listener::Unix(listener, Vec::new()), user);
         incoming.provide();
         incoming
@@ -71,8 +72,9 @@ impl Incoming {
         let seats = Arc::default();
         let (nobody, guests) = (Seldom::default(), Seldom::default());
         let _unshared = match &listener {
-            Listener::Tcp(listener) => unshared(listener),
-            Listener::Unix(listener, _) => unshared(listener),
+            Listener::Tcp(listener) => Some(unshared(listener)),
+            // Looks after that by itself.
+            Listener::Unix(..) => None,
         };
         Incoming { _unshared, listener, user, seats, held: None, pause: None, nobody, guests }
     }
@@ -91,7 +93,7 @@ impl Incoming {
     fn poll_stream(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<(Stream, Peer)>> {
         let stream = match &mut self.listener {
             Listener::Unix(listener, _) => {
-                let (stream, _) = ready!(listener.poll_accept(cx))?;
+                let stream = ready!(listener.poll_accept(cx))?;
                 let peer = Peer::of_unix(&stream);
                 return Poll::Ready(Ok((Stream::Unix(stream), peer)));
             }

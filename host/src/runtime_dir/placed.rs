@@ -1,0 +1,119 @@
+//! A socket that listens at a place of the runtime directory, and is put there again where somebody has removed
+//! it, as whoever empties the directory does.
+//!
+//! Invariant: it has one descriptor as long as it lives; what lies at its place by now, and is another's, stays.
+//! Whoever owns it takes its file away at the end.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixListener as Plain;
+use std::path::{Path, PathBuf};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::net::{UnixListener, UnixStream};
+use tokio::time::{Interval, MissedTickBehavior, interval};
+use trocar_rt::os::{self, Unshared, unshared};
+
+/// Time between two looks at its place.
+const LOOK: Duration = Duration::from_secs(1);
+
+pub(crate) struct Placed {
+    path: PathBuf,
+    _unshared: Unshared,
+    /// Taken only while another one is put in its place.
+    listener: Option<UnixListener>,
+    /// Binds one at `path`, without blocking.
+    bind: Box<dyn Fn() -> io::Result<Plain> + Send + Sync>,
+    looks: Interval,
+}
+
+impl Placed {
+    /// Binds it; on the runtime that waits for its callers.
+    ///
+    /// # Errors
+    /// Those of `bind`, and of a runtime without network.
+    pub(crate) fn new(
+        path: PathBuf,
+        bind: impl Fn() -> io::Result<Plain> + Send + Sync + 'static,
+    ) -> io::Result<Placed> {
+        let listener = UnixListener::from_std(bind()?)?;
+        let mut looks = interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let _unshared = unshared(&listener);
+        Ok(Placed { path, _unshared, listener: Some(listener), bind: Box::new(bind), looks })
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(crate) fn poll_accept(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<UnixStream>> {
+        while self.looks.poll_tick(cx).is_ready() {
+            self.look();
+        }
+        match &self.listener {
+            Some(listener) => listener.poll_accept(cx).map_ok(|(stream, _)| stream),
+            // Its place is looked at again.
+            None => Poll::Pending,
+        }
+    }
+
+    fn look(&mut self) {
+        let is_gone = self.path.symlink_metadata().is_err_and(|e| e.kind() == io::ErrorKind::NotFound);
+        if !is_gone {
+            return;
+        }
+        match self.put() {
+            Ok(()) => log::warn!("{} was removed, and was made again", self.path.display()),
+            // Looked at again, and nobody misses it who does not look there.
+            Err(e) => log::debug!("{} was removed: {e}", self.path.display()),
+        }
+    }
+
+    fn put(&mut self) -> io::Result<()> {
+        let new = (self.bind)()?;
+        let listener = match self.listener.take() {
+            Some(listener) => {
+                let mut socket = OwnedFd::from(listener.into_std()?);
+                os::replace(&mut socket, new.into())?;
+                Plain::from(socket)
+            }
+            None => new,
+        };
+        self.listener = Some(UnixListener::from_std(listener)?);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::future::poll_fn;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_socket_that_was_removed_is_there_again_and_one_of_another_stays() {
+        let temp = tempfile::tempdir().unwrap();
+        let path = temp.path().join("run/one.sock");
+        let place = path.clone();
+        let bind = move || {
+            std::fs::create_dir_all(place.parent().unwrap())?;
+            let listener = Plain::bind(&place)?;
+            listener.set_nonblocking(true)?;
+            Ok(listener)
+        };
+        let mut placed = Placed::new(path.clone(), bind).unwrap();
+        std::fs::remove_dir_all(temp.path().join("run")).unwrap();
+        placed.look();
+        let _caller = UnixStream::connect(&path).await.unwrap();
+        poll_fn(|cx| placed.poll_accept(cx)).await.unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let other = Plain::bind(&path).unwrap();
+        other.set_nonblocking(true).unwrap();
+        placed.look();
+        let _caller = UnixStream::connect(&path).await.unwrap();
+        assert!(other.accept().is_ok(), "whoever listens there now still does");
+    }
+}
