@@ -4,6 +4,7 @@
 //! Invariant: a thread is on the list before it runs anything of this program's, and until that is over.
 
 use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::{io, thread};
 
@@ -42,6 +43,14 @@ pub fn spawn<T: Send + 'static>(
         let _listed = Listed::here();
         run()
     })
+}
+
+/// Runs what a thread is for; the words of its panic, if it broke down.
+pub fn breakdown(run: impl FnOnce()) -> Option<String> {
+    let panic = catch_unwind(AssertUnwindSafe(run)).err()?;
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+    Some(text.unwrap_or_else(|| "a panic without words".to_owned()))
 }
 
 /// On the list as long as this lives, a panic of the thread included.

@@ -219,7 +219,8 @@ fn ask(question: impl Future<Output = Done>) -> Done {
 
 /// Runs a process that holds components; it handles its own signals.
 fn process(main: impl Future<Output = Done>) -> Done {
-    crate::lcm::own_process(hosting::end_broken);
+    crate::lcm::own_process();
+    crate::lcm::ends_by(hosting::end_broken);
     block_on(tokio::runtime::Builder::new_multi_thread(), main)
 }
 

@@ -18,7 +18,7 @@ use super::context::{self, ExecutorId};
 use super::cycle::{self, Member};
 use super::instance::Instance;
 use super::realtime::{self, Memory, Settings};
-use super::supervise::{breakdown, undaunted};
+use super::supervise::cannot_go_on;
 
 pub(super) use trocar_rt::executor::Pace;
 
@@ -174,7 +174,7 @@ impl Executor {
             mine.settings.settle(&name, &execution);
             mine.settings.lock(&memory);
             let mut crew = Crew { members: Vec::new(), bells: Rung::default(), pacer: Pacer::new(pace) };
-            if let Some(panic) = breakdown(|| mine.run(&mut crew)) {
+            if let Some(panic) = house::breakdown(|| mine.run(&mut crew)) {
                 mine.abandon(&crew.members, &panic);
             }
         })?;
@@ -293,21 +293,18 @@ impl Executor {
         drop(jobs);
         let why = format!("the thread {} of the host broke down: {panic}", self.name);
         context::set_stepping(false);
-        for member in members {
-            let instance = &member.instance;
+        for Member { instance, .. } in members {
             instance.object.let_go();
-            undaunted(|| _ = instance.set_state_from(State::Active, State::Fault, &why));
+            instance.set_state_from(State::Active, State::Fault, &why);
             instance.watch.owe_safe();
-            undaunted(|| {
-                if let Some(mut entered) = instance.object.try_enter() {
-                    instance.pay_safe(&mut entered);
-                }
-            });
+            if let Some(mut entered) = instance.object.try_enter() {
+                instance.pay_safe(&mut entered);
+            }
         }
         // Who waits for a job hears that nobody will do it.
-        undaunted(|| drop(left));
+        drop(left);
         if let Some(member) = members.first() {
-            member.instance.hub.broke_down(why);
+            cannot_go_on(&member.instance.hub, why);
         }
     }
 

@@ -38,8 +38,6 @@ pub(super) struct Hub {
     pub(super) reports: AtomicU64,
     /// What the process itself is warned of.
     pub(super) warnings: Mutex<BTreeMap<Concern, String>>,
-    /// Why the process cannot go on, until the watchdog comes to it.
-    doom: Mutex<Option<String>>,
 }
 
 impl Hub {
@@ -56,28 +54,7 @@ impl Hub {
             remains: AllRemains::default(),
             reports: AtomicU64::new(0),
             warnings: Mutex::default(),
-            doom: Mutex::default(),
         })
-    }
-
-    /// The process cannot go on: the watchdog makes its devices safe and ends it. Wakes no runtime.
-    pub(super) fn doom(&self, why: String) {
-        *self.doom.lock().unwrap_or_else(PoisonError::into_inner) = Some(why);
-        self.watch.notify();
-    }
-
-    /// As [`Hub::doom`], when a thread of the host broke down; another cause that is known is said instead.
-    pub(super) fn broke_down(&self, why: String) {
-        self.doom.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
-        self.watch.notify();
-    }
-
-    pub(super) fn is_doomed(&self) -> bool {
-        self.doom.lock().unwrap_or_else(PoisonError::into_inner).is_some()
-    }
-
-    pub(super) fn take_doom(&self) -> Option<String> {
-        self.doom.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
     /// Warns of the process itself from now on; nothing: not of this any more.

@@ -461,6 +461,16 @@ impl Instance {
         done.inspect_err(|e| self.not_made_safe("make_safe", e))
     }
 
+    /// Does what is owed without a word, where nobody could hear it any more; on its own thread.
+    pub(super) fn make_safe_silently(&self) {
+        if self.watch.owes_safe()
+            && let Some(mut entered) = self.object.try_enter()
+        {
+            let _ = self.as_running(Entry::MakeSafe, || entered.make_safe());
+            self.watch.takes_owed_safe();
+        }
+    }
+
     pub(super) fn reclaim(&self) -> usize {
         self.described.reclaim() + self.inboxes.reclaim() + self.faces.reclaim()
     }

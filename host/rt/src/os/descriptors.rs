@@ -122,6 +122,11 @@ impl Lasting {
         self.all.iter().all(Descriptor::is_there)
     }
 
+    /// A system call for each that a runtime cannot do without.
+    pub fn are_vital_there(&self) -> bool {
+        self.all.iter().filter(|d| d.is_vital()).all(Descriptor::is_there)
+    }
+
     /// Descriptors that are gone, once. A system call for each.
     pub fn take_gone(&mut self) -> Vec<Descriptor> {
         let (there, gone) = self.all.iter().partition(|d| d.is_there());

@@ -50,7 +50,7 @@ impl Instance {
     }
 
     /// Sets state and fault text without a word; answers how it stood, for [`Instance::tell_change`].
-    pub(super) fn shut(&self, state: State, fault: &str) -> (State, String) {
+    pub(in crate::lcm) fn shut(&self, state: State, fault: &str) -> (State, String) {
         // State and reason change together: whoever comes second writes both.
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.gate.swap(pack(state), Ordering::SeqCst);

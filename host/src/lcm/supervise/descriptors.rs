@@ -10,6 +10,7 @@ use trocar_rt::os::{Descriptor, Lasting};
 use super::super::api::Concern;
 use super::super::hub::Hub;
 use super::hygiene::{self, Minding, is_own_process};
+use super::last;
 use super::roster::Ward;
 
 /// Names of components that are told.
@@ -37,25 +38,39 @@ pub(super) fn are_all_there() -> bool {
     lasting().as_ref().is_none_or(Lasting::are_all_there)
 }
 
+/// What no runtime can do without is there.
+pub(super) fn are_vital_there() -> bool {
+    lasting().as_ref().is_none_or(Lasting::are_vital_there)
+}
+
 /// Says what is gone, if anything is, and what becomes of the process.
 pub(super) fn settle(hub: &Hub, who: &str) {
-    let gone = lasting().as_mut().map(Lasting::take_gone).unwrap_or_default();
-    if gone.is_empty() {
-        return;
+    let Some((what, is_vital)) = gone(who) else { return };
+    if is_vital {
+        return last::cannot_go_on(hub, what);
     }
+    let why = format!(
+        "{what}: it is not reached there any more, and a restart opens them again; close only what the component itself \
+         opened, and that once"
+    );
+    log::error!("{why}");
+    hub.warn(Concern::Descriptors, Some(why));
+}
+
+/// What is gone, once, as the doing of one of these.
+pub(super) fn what_is_gone(wards: &[&Ward]) -> Option<String> {
+    gone(&suspects(wards)).map(|(what, _)| what)
+}
+
+/// What is gone, once, and whether the process can do without it.
+fn gone(who: &str) -> Option<(String, bool)> {
+    let gone = lasting().as_mut().map(Lasting::take_gone).filter(|gone| !gone.is_empty())?;
     let list: Vec<String> = gone.iter().map(ToString::to_string).collect();
     let what = format!("{who} closed descriptors of the host ({})", list.join(", "));
-    if gone.iter().any(Descriptor::is_vital) {
-        // Logged at the end: a line of the log wakes a runtime.
-        hub.doom(format!("{what}, without which it hears of nothing"));
-    } else {
-        let why = format!(
-            "{what}: it is not reached there any more, and a restart opens them again; close only what the component itself \
-             opened, and that once"
-        );
-        log::error!("{why}");
-        hub.warn(Concern::Descriptors, Some(why));
-    }
+    Some(match gone.iter().any(Descriptor::is_vital) {
+        true => (format!("{what}, without which it hears of nothing"), true),
+        false => (what, false),
+    })
 }
 
 /// A look of the watchdog, at one descriptor in turn: all within a tenth of a second or so.
@@ -67,13 +82,6 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward]) {
     // An entry that looks after its manners itself comes to it.
     if !matches!(hygiene::minding(wards, &before), Minding::Looks) {
         settle(hub, &suspects(wards));
-    }
-}
-
-/// Where a thread of the host broke down, it may have been by this.
-pub(super) fn look_at_all(hub: &Hub, wards: &[Ward]) {
-    if !are_all_there() {
-        settle(hub, &suspects(&wards.iter().collect::<Vec<_>>()));
     }
 }
 

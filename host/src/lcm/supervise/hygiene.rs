@@ -20,7 +20,6 @@ use crate::loader::{self, Moment};
 
 use super::super::instance::Instance;
 use super::descriptors;
-use super::last;
 use super::roster::Ward;
 use super::strangers::{self, Strangers};
 use super::watch::{Entry, Misdeed};
@@ -49,10 +48,8 @@ pub(super) fn settle() {
 }
 
 /// This process is a host and nothing else: from now on its locale, umask, signal handlers and standard
-/// streams are looked after, and it ends by `end` when it cannot go on. A program that embeds a host changes
-/// them as it likes.
-pub(crate) fn own_process(end: last::End) {
-    last::ends_by(end);
+/// streams are looked after. A program that embeds a host changes them as it likes.
+pub(crate) fn own_process() {
     household().get_or_insert_with(Household::look);
 }
 

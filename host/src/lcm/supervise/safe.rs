@@ -6,7 +6,7 @@
 //! is back.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
@@ -25,31 +25,17 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What moves something and does not come on is made safe as soon as anybody can; its state was set before.
 pub(in crate::lcm) fn give_up(ward: &Ward) {
-    if ward.instance.watch.owe_safe() {
-        // Nobody waits for what will not be run.
-        ward.instance.refuse_queued(NOT_ACTIVE);
-        begin(ward, &channel().0);
-    }
-}
-
-/// As [`give_up`], and leaves everything else. The answer is closed when all is done that can be.
-pub(super) fn hurry(ward: &Ward) -> Receiver<()> {
-    let (underway, done) = channel();
-    if ward.instance.watch.owe_safe() {
-        begin(ward, &underway);
-    }
-    done
-}
-
-/// Has it made safe, by whichever thread comes to it; `underway` is held meanwhile.
-fn begin(ward: &Ward, underway: &Sender<()>) {
     let instance = &ward.instance;
-    if instance.info.safe_from_any_thread {
-        make_safe_outside(instance, underway.clone());
+    if !instance.watch.owe_safe() {
+        return;
     }
-    let (stuck, underway) = (instance.clone(), underway.clone());
+    // Nobody waits for what will not be run.
+    instance.refuse_queued(NOT_ACTIVE);
+    if instance.info.safe_from_any_thread {
+        make_safe_outside(instance);
+    }
+    let stuck = instance.clone();
     ward.executor.submit(move |_| {
-        let _underway = underway;
         match stuck.object.try_enter() {
             Some(mut entered) => stuck.pay_safe(&mut entered),
             // Inside it in a thread of its own, somebody's: that one pays when it looks at the mark on leaving.
@@ -59,15 +45,13 @@ fn begin(ward: &Ward, underway: &Sender<()>) {
 }
 
 /// Calls `make_safe` from a new thread.
-fn make_safe_outside(instance: &Arc<Instance>, underway: Sender<()>) {
+fn make_safe_outside(instance: &Arc<Instance>) {
     let (stuck, made) = (instance.clone(), instance.account().made());
     let (comes_back, ends) = channel::<()>();
     let spawned = house::spawn(thread::Builder::new().name("trocar-safe".into()), move || {
         // Dropped when it is over.
         let _comes_back = comes_back;
-        let made_safe = stuck.object.make_safe_from_outside();
-        drop(underway);
-        match made_safe {
+        match stuck.object.make_safe_from_outside() {
             Ok(()) => {
                 let told = "it was made safe from another thread";
                 log::error!("{}: {told}", stuck.id);

@@ -229,6 +229,10 @@ impl Watch {
         !self.owes_safe.swap(true, Ordering::AcqRel)
     }
 
+    pub(in crate::lcm) fn owes_safe(&self) -> bool {
+        self.owes_safe.load(Ordering::Acquire)
+    }
+
     /// True once after each [`Watch::owe_safe`]; a plain load while nothing is owed.
     pub(in crate::lcm) fn takes_owed_safe(&self) -> bool {
         self.owes_safe.load(Ordering::Relaxed) && self.owes_safe.swap(false, Ordering::AcqRel)

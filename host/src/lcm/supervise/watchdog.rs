@@ -17,7 +17,7 @@ use super::super::hub::Hub;
 use super::charge::Charge;
 use super::descriptors;
 use super::hygiene::{self, Premises};
-use super::last::{self, breakdown};
+use super::last;
 use super::roster::{Roster, Ward};
 use super::strangers::Strangers;
 
@@ -44,6 +44,7 @@ impl Watchdog {
     /// The machine gives no more threads.
     pub(in crate::lcm) fn start(hub: Arc<Hub>, roster: Arc<Roster>) -> std::io::Result<Watchdog> {
         hygiene::settle();
+        last::keep(&roster);
         let stop = Arc::new(AtomicBool::new(false));
         let (asked, shared) = (stop.clone(), hub.clone());
         let thread = house::spawn(thread::Builder::new().name("trocar-watchdog".into()), move || {
@@ -74,18 +75,8 @@ impl Drop for Watchdog {
 
 /// Looks until `stop`, also after a breakdown in a program that goes on then.
 fn keep_looking(hub: &Hub, roster: &Roster, stop: &AtomicBool) {
-    loop {
-        if let Some(panic) = breakdown(|| Rounds::default().run(hub, roster, stop)) {
-            hub.broke_down(format!("its watchdog broke down: {panic}"));
-        }
-        if !hub.is_doomed() {
-            return;
-        }
-        let wards = roster.all();
-        descriptors::look_at_all(hub, &wards);
-        if let Some(why) = hub.take_doom() {
-            last::end(hub, &wards, why);
-        }
+    while let Some(panic) = house::breakdown(|| Rounds::default().run(hub, roster, stop)) {
+        last::cannot_go_on(hub, format!("its watchdog broke down: {panic}"));
         // Should it break down in each look, it does so at its usual pace.
         hub.watch.wait(Some(os::now_ns() + LOOK_NS.1));
     }
@@ -128,7 +119,7 @@ impl Rounds {
         let mut next_ns = os::now_ns();
         loop {
             hub.watch.wait(Some(next_ns));
-            if stop.load(Ordering::Acquire) || hub.is_doomed() {
+            if stop.load(Ordering::Acquire) {
                 return;
             }
             let now_ns = os::now_ns();

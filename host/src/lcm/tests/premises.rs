@@ -152,7 +152,7 @@ async fn the_process_whose_umask_is_changed() {
     assert_eq!((umask().as_str(), world.report("theirs").await.warnings), ("0077", Vec::new()));
     world.end().await;
     set_umask(0o022);
-    crate::lcm::own_process(|_| ());
+    crate::lcm::own_process();
     for (entry, says) in [("start", "start: it changed the umask"), ("command", "it changed the umask")] {
         let world = World::new("p_mask");
         let info = class(ctl(), Safety::None);
