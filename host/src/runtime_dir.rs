@@ -15,7 +15,7 @@ use rustix::fs::OFlags;
 use rustix::process::geteuid;
 use rustix::rand::{GetRandomFlags, getrandom};
 
-pub(crate) use placed::Placed;
+pub(crate) use placed::{Place, Placed};
 
 /// Beginning of the names that lead to sockets.
 const WAY: &str = "at-";

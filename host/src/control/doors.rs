@@ -19,7 +19,7 @@ use trocar_rt::house;
 use super::caller::own_user;
 use super::incoming::Incoming;
 use super::serve::{GRACE, transport};
-use crate::runtime_dir::{Door, Placed, RuntimeDir};
+use crate::runtime_dir::{Door, Place, RuntimeDir};
 
 /// The sockets of one port; removed when they are dropped.
 pub(super) struct Doors {
@@ -43,21 +43,15 @@ impl Doors {
     }
 
     fn listen(&mut self, routes: &Routes, closing: &watch::Receiver<()>) -> io::Result<()> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let stop = {
-            let _here = runtime.enter();
-            self.place(Door::Stop)?
-        };
-        let serving = serve(stop, routes.clone(), closing.clone());
+        let serving = serve(self.place(Door::Stop)?, routes.clone(), closing.clone());
         // The thread ends with its socket; a call that hangs does not keep the process.
-        house::spawn(thread::Builder::new().name("trocar-stop".into()), move || runtime.block_on(serving))?;
+        house::spawn(thread::Builder::new().name("trocar-stop".into()), move || alone(serving))?;
         let calls = self.place(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
         Ok(())
     }
 
-    /// On the runtime that serves it.
-    fn place(&self, door: Door) -> io::Result<Placed> {
+    fn place(&self, door: Door) -> io::Result<Place> {
         let (dir, addr) = (self.dir.clone(), self.addr);
         let path = dir.door(addr, door);
         let at = path.clone();
@@ -67,11 +61,10 @@ impl Doors {
             let _ = std::fs::remove_file(&at);
             let listener = UnixListener::bind(&at)?;
             std::fs::set_permissions(&at, std::fs::Permissions::from_mode(0o600))?;
-            listener.set_nonblocking(true)?;
             dir.lead(addr, door)?;
             Ok(listener)
         };
-        Placed::new(path, bind)
+        Place::new(path, bind)
     }
 
     /// Takes no more calls; open ones end with the port's.
@@ -92,10 +85,18 @@ impl Drop for Doors {
     }
 }
 
-async fn serve(listener: Placed, routes: Routes, mut closing: watch::Receiver<()>) {
+/// Serves on this thread, by a runtime of its own: one that was made elsewhere could not be dropped there.
+fn alone(serving: impl Future<Output = ()>) {
+    match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+        Ok(runtime) => runtime.block_on(serving),
+        Err(e) => log::error!("Stop has no socket of its own, as no runtime is to be had for it: {e}"),
+    }
+}
+
+async fn serve(place: Place, routes: Routes, mut closing: watch::Receiver<()>) {
     let mut over = closing.clone();
     let served = async {
-        let incoming = Incoming::unix(listener, own_user());
+        let incoming = Incoming::unix(place.wait()?, own_user());
         let closed = async move {
             // Its sender only ever goes.
             let _ = closing.changed().await;
@@ -115,5 +116,22 @@ async fn serve(listener: Placed, routes: Routes, mut closing: watch::Receiver<()
             }
         }
         () = cut => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[tokio::test]
+    async fn a_port_beside_which_no_socket_has_room_is_opened_all_the_same() {
+        let temp = tempfile::tempdir().unwrap();
+        // An address of a socket has 108 bytes.
+        let dir = RuntimeDir::at(temp.path().join("x".repeat(120)));
+        let addr = "127.0.0.1:50551".parse().unwrap();
+        let doors = Doors::open(&dir, addr, &Routes::default());
+        assert!(doors.calls.is_none());
+        assert!(!dir.door(addr, Door::Stop).exists());
     }
 }

@@ -13,7 +13,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::UnixStream;
 
 use super::HostError;
-use crate::runtime_dir::{Placed, RuntimeDir, pid_of};
+use crate::runtime_dir::{Place, Placed, RuntimeDir, pid_of};
 
 /// How long a process may take to stop its components.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -58,11 +58,9 @@ impl Announcement {
             own.prepare()?;
             // A process id comes again: what lies here belongs to nobody alive.
             let _ = fs::remove_file(&at);
-            let listener = UnixListener::bind(&at)?;
-            listener.set_nonblocking(true)?;
-            Ok(listener)
+            UnixListener::bind(&at)
         };
-        Placed::new(path, bind).map(Self).map_err(failed)
+        Place::new(path, bind).and_then(Place::wait).map(Self).map_err(failed)
     }
 
     /// Serves requests for ever: each one runs `stop`, whose words go back to the asker.

@@ -18,32 +18,54 @@ use trocar_rt::os::{self, Unshared, unshared};
 /// Time between two looks at its place.
 const LOOK: Duration = Duration::from_secs(1);
 
+/// Binds a socket at its place.
+type Bind = Box<dyn Fn() -> io::Result<Plain> + Send + Sync>;
+
+/// One that listens, and that no runtime waits at yet.
+pub(crate) struct Place {
+    path: PathBuf,
+    listener: Plain,
+    bind: Bind,
+}
+
+impl Place {
+    /// Binds it at `path`.
+    ///
+    /// # Errors
+    /// Those of `bind`.
+    pub(crate) fn new(
+        path: PathBuf,
+        bind: impl Fn() -> io::Result<Plain> + Send + Sync + 'static,
+    ) -> io::Result<Place> {
+        Ok(Place { path, listener: bind()?, bind: Box::new(bind) })
+    }
+
+    /// On the runtime that waits for its callers.
+    ///
+    /// # Errors
+    /// A runtime without network.
+    pub(crate) fn wait(self) -> io::Result<Placed> {
+        let Place { path, listener, bind } = self;
+        listener.set_nonblocking(true)?;
+        let listener = UnixListener::from_std(listener)?;
+        let mut looks = interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let _unshared = unshared(&listener);
+        Ok(Placed { path, _unshared, listener: Some(listener), bind, looks })
+    }
+}
+
+/// One whose callers a runtime waits for.
 pub(crate) struct Placed {
     path: PathBuf,
     _unshared: Unshared,
     /// Taken only while another one is put in its place.
     listener: Option<UnixListener>,
-    /// Binds one at `path`, without blocking.
-    bind: Box<dyn Fn() -> io::Result<Plain> + Send + Sync>,
+    bind: Bind,
     looks: Interval,
 }
 
 impl Placed {
-    /// Binds it; on the runtime that waits for its callers.
-    ///
-    /// # Errors
-    /// Those of `bind`, and of a runtime without network.
-    pub(crate) fn new(
-        path: PathBuf,
-        bind: impl Fn() -> io::Result<Plain> + Send + Sync + 'static,
-    ) -> io::Result<Placed> {
-        let listener = UnixListener::from_std(bind()?)?;
-        let mut looks = interval(LOOK);
-        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let _unshared = unshared(&listener);
-        Ok(Placed { path, _unshared, listener: Some(listener), bind: Box::new(bind), looks })
-    }
-
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -73,6 +95,7 @@ impl Placed {
 
     fn put(&mut self) -> io::Result<()> {
         let new = (self.bind)()?;
+        new.set_nonblocking(true)?;
         let listener = match self.listener.take() {
             Some(listener) => {
                 let mut socket = OwnedFd::from(listener.into_std()?);
@@ -100,11 +123,9 @@ mod tests {
         let place = path.clone();
         let bind = move || {
             std::fs::create_dir_all(place.parent().unwrap())?;
-            let listener = Plain::bind(&place)?;
-            listener.set_nonblocking(true)?;
-            Ok(listener)
+            Plain::bind(&place)
         };
-        let mut placed = Placed::new(path.clone(), bind).unwrap();
+        let mut placed = Place::new(path.clone(), bind).unwrap().wait().unwrap();
         std::fs::remove_dir_all(temp.path().join("run")).unwrap();
         placed.look();
         let _caller = UnixStream::connect(&path).await.unwrap();
