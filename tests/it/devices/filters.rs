@@ -80,7 +80,8 @@ fn all_filters_run_behind_each_other_and_behind_a_robot() {
     let at = [0, 1, 2].map(|i| tip["position"][i].as_f64().unwrap());
     assert!((at[0] - 1.0).abs() < 1e-5 && at[1].abs() < 1e-5 && (at[2] - 0.12).abs() < 1e-5, "{tip}");
     for (name, _) in FILTERS {
-        assert!(site.row(&format!("host/{name}"))["rejected"].as_u64().unwrap_or(0) == 0, "{name}");
+        let row = site.row(&format!("host/{name}"));
+        assert!(row["rejected"].as_u64().unwrap_or(0) == 0, "{name}: {row}");
     }
 }
 
