@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use log::{Level, LevelFilter, Log, Metadata, Record};
@@ -41,13 +41,19 @@ struct Logger {
 /// Where lines go for those who ask with `trocar logs`; until that is known they are kept.
 enum Readers {
     Early(Vec<LogLine>),
-    Told(Box<dyn Fn(LogLine) + Send>),
+    Told(Arc<dyn Fn(LogLine) + Send + Sync>),
 }
 
-impl Readers {
-    fn tell(&mut self, line: LogLine) {
-        match self {
-            Readers::Told(tell) => tell(line),
+impl Logger {
+    /// Outside the lock: whoever is told may be one that does not come back.
+    fn tell(&self, line: LogLine) {
+        let mut readers = self.readers.lock().unwrap_or_else(PoisonError::into_inner);
+        match &mut *readers {
+            Readers::Told(told) => {
+                let told = told.clone();
+                drop(readers);
+                told(line);
+            }
             Readers::Early(kept) if kept.len() < EARLY => kept.push(line),
             Readers::Early(_) => {}
         }
@@ -80,12 +86,12 @@ pub(super) fn to_file(dir: &Path) {
 }
 
 /// From now on the process's own lines can be read like those of its components; those since the start, too.
-pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + 'static) {
+pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + Sync + 'static) {
     let mut readers = LOGGER.readers.lock().unwrap_or_else(PoisonError::into_inner);
     if let Readers::Early(kept) = &mut *readers {
         std::mem::take(kept).into_iter().for_each(&tell);
     }
-    *readers = Readers::Told(Box::new(tell));
+    *readers = Readers::Told(Arc::new(tell));
 }
 
 /// Lines that a screen shows; the newest ones.
@@ -183,7 +189,7 @@ impl Log for Logger {
                 target: record.target().to_owned(),
                 message: said,
             };
-            self.readers.lock().unwrap_or_else(PoisonError::into_inner).tell(line);
+            self.tell(line);
         }
     }
 

@@ -89,7 +89,11 @@ impl Placed {
         match self.put() {
             Ok(()) => log::warn!("{} was removed, and was made again", self.path.display()),
             // Looked at again, and nobody misses it who does not look there.
-            Err(e) => log::debug!("{} was removed: {e}", self.path.display()),
+            Err(e) => {
+                log::debug!("{} was removed: {e}", self.path.display());
+                // What is half made would be taken for one that listens.
+                let _ = std::fs::remove_file(&self.path);
+            }
         }
     }
 

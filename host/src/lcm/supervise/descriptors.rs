@@ -3,6 +3,7 @@
 //!
 //! Invariant: what was closed is told once; what the host closes itself, at its end, is nobody's doing.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use trocar_rt::os::{Descriptor, Lasting};
@@ -15,6 +16,9 @@ use super::roster::Ward;
 
 /// Names of components that are told.
 const TOLD: usize = 8;
+
+/// A runtime of this process has lost what it waits at.
+static DEAF: AtomicBool = AtomicBool::new(false);
 
 fn lasting() -> MutexGuard<'static, Option<Lasting>> {
     static LASTING: Mutex<Option<Lasting>> = Mutex::new(None);
@@ -38,9 +42,10 @@ pub(super) fn are_all_there() -> bool {
     lasting().as_ref().is_none_or(Lasting::are_all_there)
 }
 
-/// What no runtime can do without is there.
+/// What no runtime can do without was there always.
 pub(super) fn are_vital_there() -> bool {
-    lasting().as_ref().is_none_or(Lasting::are_vital_there)
+    let lasting = lasting();
+    !DEAF.load(Ordering::Acquire) && lasting.as_ref().is_none_or(Lasting::are_vital_there)
 }
 
 /// Says what is gone, if anything is, and what becomes of the process.
@@ -64,7 +69,13 @@ pub(super) fn what_is_gone(wards: &[&Ward]) -> Option<String> {
 
 /// What is gone, once, and whether the process can do without it.
 fn gone(who: &str) -> Option<(String, bool)> {
-    let gone = lasting().as_mut().map(Lasting::take_gone).filter(|gone| !gone.is_empty())?;
+    let mut lasting = lasting();
+    let gone = lasting.as_mut().map(Lasting::take_gone).filter(|gone| !gone.is_empty())?;
+    if gone.iter().any(Descriptor::is_vital) {
+        // Under the lock: from now on they are on no list.
+        DEAF.store(true, Ordering::Release);
+    }
+    drop(lasting);
     let list: Vec<String> = gone.iter().map(ToString::to_string).collect();
     let what = format!("{who} closed descriptors of the host ({})", list.join(", "));
     Some(match gone.iter().any(Descriptor::is_vital) {

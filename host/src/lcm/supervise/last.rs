@@ -134,9 +134,10 @@ fn end(why: &str) -> ! {
     std::process::abort();
 }
 
-/// Takes it out of service when it moves something now.
+/// Takes it out of service when it moves something now, or is about to.
 fn cease(instance: &Instance, why: &str) {
-    if instance.is_actuator() && instance.is_active() {
+    let begins = || instance.watch.busy().is_some_and(|b| matches!(b.entry, Entry::Start | Entry::Resume));
+    if instance.is_actuator() && (instance.is_active() || begins()) {
         // Nobody hears how it stood.
         let _ = instance.shut(State::Fault, why);
         instance.watch.owe_safe();
