@@ -31,11 +31,11 @@ fn with_address<R>(path: &Path, f: impl FnOnce(&SocketAddrUnix) -> rustix::io::R
 }
 
 /// Somebody has removed the file of a socket that listens.
-pub(crate) fn is_gone(path: &Path) -> bool {
+pub fn is_gone(path: &Path) -> bool {
     path.symlink_metadata().is_err_and(|e| e.kind() == io::ErrorKind::NotFound)
 }
 
-/// Listens at `path` as [`listen`], by a socket that listened before, and makes the folder where that is gone.
+/// Listens at `path` as [`listen`], by a socket that listened before; makes the folder where that is gone.
 pub(crate) fn listen_anew(socket: &mut OwnedFd, path: &Path) -> io::Result<()> {
     if let Some(folder) = path.parent() {
         DirBuilder::new().recursive(true).mode(0o700).create(folder)?;

@@ -23,6 +23,7 @@ mod watch;
 #[allow(unreachable_pub, reason = "it is public where it lies")]
 mod watchdog;
 
+pub use address::is_gone;
 pub use card::{Card, LAYOUT, Unreachable};
 pub use door::Seldom;
 pub use links::{Handler, Links};

@@ -296,7 +296,7 @@ impl<H: Handler> Server<H> {
 
     fn spare_a_file(&mut self) {
         if self.spare.is_none() {
-            // Of a file that may be closed at any time: see `trocar_rt::os::Lasting`.
+            // No second number of the listener: that one would count as lasting (`trocar_rt::os::Lasting`).
             self.spare = File::open("/dev/null").map(OwnedFd::from).ok();
         }
     }

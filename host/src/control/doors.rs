@@ -9,8 +9,10 @@ use std::io;
 use std::net::SocketAddr;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixListener;
+use std::sync::mpsc;
 use std::thread;
 
+use tokio::runtime::Runtime;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tonic::service::Routes;
@@ -44,8 +46,13 @@ impl Doors {
 
     fn listen(&mut self, routes: &Routes, closing: &watch::Receiver<()>) -> io::Result<()> {
         let serving = serve(self.place(Door::Stop)?, routes.clone(), closing.clone());
+        let (lend, lent) = mpsc::channel::<Runtime>();
         // The thread ends with its socket; a call that hangs does not keep the process.
-        house::spawn(thread::Builder::new().name("trocar-stop".into()), move || alone(serving))?;
+        let alone = move || lent.recv().map(|runtime| runtime.block_on(serving));
+        house::spawn(thread::Builder::new().name("trocar-stop".into()), alone)?;
+        // Made here, so that its descriptors are there when the host counts what it has; dropped on the thread
+        // alone, as none may be inside another one.
+        let _ = lend.send(tokio::runtime::Builder::new_current_thread().enable_all().build()?);
         let calls = self.place(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
         Ok(())
@@ -57,8 +64,6 @@ impl Doors {
         let at = path.clone();
         let bind = move || {
             dir.prepare()?;
-            // A process id comes again: what lies here belongs to nobody alive.
-            let _ = std::fs::remove_file(&at);
             let listener = UnixListener::bind(&at)?;
             std::fs::set_permissions(&at, std::fs::Permissions::from_mode(0o600))?;
             dir.lead(addr, door)?;
@@ -82,14 +87,6 @@ impl Drop for Doors {
         if let Some(calls) = &self.calls {
             calls.abort();
         }
-    }
-}
-
-/// Serves on this thread, by a runtime of its own: one that was made elsewhere could not be dropped there.
-fn alone(serving: impl Future<Output = ()>) {
-    match tokio::runtime::Builder::new_current_thread().enable_all().build() {
-        Ok(runtime) => runtime.block_on(serving),
-        Err(e) => log::error!("Stop has no socket of its own, as no runtime is to be had for it: {e}"),
     }
 }
 

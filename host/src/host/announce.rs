@@ -56,8 +56,6 @@ impl Announcement {
         let at = path.clone();
         let bind = move || {
             own.prepare()?;
-            // A process id comes again: what lies here belongs to nobody alive.
-            let _ = fs::remove_file(&at);
             UnixListener::bind(&at)
         };
         Place::new(path, bind).and_then(Place::wait).map(Self).map_err(failed)

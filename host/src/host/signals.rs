@@ -38,7 +38,7 @@ impl StopRequest {
         let teller = tell.clone();
         tokio::spawn(async move {
             next(&mut signals).await;
-            // Whoever ends without this word was asked by nobody.
+            // A process that ends without this word was asked by nobody.
             say_to_keeper("{\"ending\":true}");
             // Kept open until the end, whoever listens.
             teller.send_replace(true);

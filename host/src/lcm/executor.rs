@@ -295,13 +295,14 @@ impl Executor {
         context::set_stepping(false);
         for Member { instance, .. } in members {
             instance.object.let_go();
-            instance.set_state_from(State::Active, State::Fault, &why);
-            instance.watch.owe_safe();
+            if instance.set_state_from(State::Active, State::Fault, &why) {
+                instance.watch.owe_safe();
+            }
             if let Some(mut entered) = instance.object.try_enter() {
                 instance.pay_safe(&mut entered);
             }
         }
-        // Who waits for a job hears that nobody will do it.
+        // A caller that waits for a job hears that nobody will do it.
         drop(left);
         if let Some(member) = members.first() {
             cannot_go_on(&member.instance.hub, why);

@@ -1,8 +1,8 @@
-//! A socket that listens at a place of the runtime directory, and is put there again where somebody has removed
-//! it, as whoever empties the directory does.
+//! A socket that listens at a place of the runtime directory, and is put there again where somebody has
+//! removed it, as whoever empties the directory does.
 //!
-//! Invariant: it has one descriptor as long as it lives; what lies at its place by now, and is another's, stays.
-//! Whoever owns it takes its file away at the end.
+//! Invariant: it has one descriptor as long as it lives. A socket that another program has put at its place
+//! meanwhile stays. Its owner takes its file away at the end.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -29,7 +29,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// Binds it at `path`.
+    /// Binds it at `path`, in place of what a killed process of this number has left.
     ///
     /// # Errors
     /// Those of `bind`.
@@ -37,6 +37,8 @@ impl Place {
         path: PathBuf,
         bind: impl Fn() -> io::Result<Plain> + Send + Sync + 'static,
     ) -> io::Result<Place> {
+        // A process id comes again: what lies here belongs to nobody alive.
+        let _ = std::fs::remove_file(&path);
         Ok(Place { path, listener: bind()?, bind: Box::new(bind) })
     }
 
@@ -82,16 +84,16 @@ impl Placed {
     }
 
     fn look(&mut self) {
-        let is_gone = self.path.symlink_metadata().is_err_and(|e| e.kind() == io::ErrorKind::NotFound);
-        if !is_gone {
+        if !trocar_links::is_gone(&self.path) {
             return;
         }
         match self.put() {
             Ok(()) => log::warn!("{} was removed, and was made again", self.path.display()),
-            // Looked at again, and nobody misses it who does not look there.
+            Err(e) if e.kind() == io::ErrorKind::AddrInUse => {}
+            // Tried again at the next look; nobody misses it who does not look there.
             Err(e) => {
                 log::debug!("{} was removed: {e}", self.path.display());
-                // What is half made would be taken for one that listens.
+                // One that is half made would be taken for one that listens.
                 let _ = std::fs::remove_file(&self.path);
             }
         }

@@ -413,8 +413,8 @@ pub struct ClassInfo {
     /// The plugin's version.
     #[prost(string, tag = "2")]
     pub version: ::prost::alloc::string::String,
-    /// sha256 of the plugin file, hex, or one over it and the libraries it brings; empty for classes linked into
-    /// the host.
+    /// sha256 of the plugin file, hex, or one over it and the libraries it brings; empty for classes
+    /// linked into the host.
     #[prost(string, tag = "3")]
     pub hash: ::prost::alloc::string::String,
     /// The class's name; "plugin/class" is always unique.
@@ -2588,8 +2588,8 @@ pub struct ListResponse {
     /// Stands for the processes, components and connections above without their figures: equal where they are equal, for this GCM.
     #[prost(string, tag = "8")]
     pub etag: ::prost::alloc::string::String,
-    /// The place where the next page begins; empty = this is the last. A thing that is there while all pages are
-    /// asked for is on one of them; equal etags say that nothing changed meanwhile.
+    /// The place where the next page begins; empty = this is the last. A thing that is there while all
+    /// pages are asked for is on one of them; equal etags say that nothing changed meanwhile.
     #[prost(string, tag = "9")]
     pub next_page_token: ::prost::alloc::string::String,
 }
@@ -6021,9 +6021,9 @@ pub mod plugin_service_client {
                 .insert(GrpcMethod::new("trocar.v1.PluginService", "Reload"));
             self.inner.unary(req, path, codec).await
         }
-        /// Looks at files of the plugin directories again, now. All that was found out about them is forgotten, and
-        /// a file that was tried and is not loaded is tried in a child process once more. Nothing that runs
-        /// is touched.
+        /// Looks at files of the plugin directories again, now. All that was found out about them is
+        /// forgotten, and a file that was tried and is not loaded is tried in a child process once more.
+        /// Nothing that runs is touched.
         pub async fn recheck(
             &mut self,
             request: impl tonic::IntoRequest<super::RecheckRequest>,
@@ -6094,9 +6094,9 @@ pub mod plugin_service_server {
             &self,
             request: tonic::Request<super::ReloadRequest>,
         ) -> std::result::Result<tonic::Response<super::ReloadResponse>, tonic::Status>;
-        /// Looks at files of the plugin directories again, now. All that was found out about them is forgotten, and
-        /// a file that was tried and is not loaded is tried in a child process once more. Nothing that runs
-        /// is touched.
+        /// Looks at files of the plugin directories again, now. All that was found out about them is
+        /// forgotten, and a file that was tried and is not loaded is tried in a child process once more.
+        /// Nothing that runs is touched.
         async fn recheck(
             &self,
             request: tonic::Request<super::RecheckRequest>,

@@ -192,6 +192,21 @@ mod tests {
     }
 
     #[test]
+    fn one_that_the_program_replaces_by_itself_is_there_until_it_is_closed() -> io::Result<()> {
+        let mut listener = OwnedFd::from(TcpListener::bind("127.0.0.1:0")?);
+        let number = listener.as_raw_fd();
+        let mut lasting = only([number, number]);
+        replace(&mut listener, TcpListener::bind("127.0.0.1:0")?.into())?;
+        assert!(listener.as_raw_fd() == number && listens(number));
+        assert!(lasting.are_all_there() && lasting.take_gone().is_empty());
+        let other = fs::File::open("/dev/null")?;
+        // SAFETY: both numbers are open and owned by this test.
+        assert!(unsafe { libc::dup2(other.as_raw_fd(), number) } == number);
+        assert_eq!(lasting.take_gone().len(), 1, "another one has replaced it");
+        Ok(())
+    }
+
+    #[test]
     fn what_a_program_opens_and_closes_as_it_goes_is_not_on_the_list()
     -> Result<(), Box<dyn std::error::Error>> {
         let listener = TcpListener::bind("127.0.0.1:0")?;

@@ -42,7 +42,7 @@ pub(super) fn are_all_there() -> bool {
     lasting().as_ref().is_none_or(Lasting::are_all_there)
 }
 
-/// What no runtime can do without was there always.
+/// Everything that no runtime can do without has been there all the time.
 pub(super) fn are_vital_there() -> bool {
     let lasting = lasting();
     !DEAF.load(Ordering::Acquire) && lasting.as_ref().is_none_or(Lasting::are_vital_there)
@@ -62,12 +62,12 @@ pub(super) fn settle(hub: &Hub, who: &str) {
     hub.warn(Concern::Descriptors, Some(why));
 }
 
-/// What is gone, once, as the doing of one of these.
+/// A sentence on what is gone, once, as the doing of one of these.
 pub(super) fn what_is_gone(wards: &[&Ward]) -> Option<String> {
     gone(&suspects(wards)).map(|(what, _)| what)
 }
 
-/// What is gone, once, and whether the process can do without it.
+/// A sentence on what is gone, once; true where the process cannot do without it.
 fn gone(who: &str) -> Option<(String, bool)> {
     let mut lasting = lasting();
     let gone = lasting.as_mut().map(Lasting::take_gone).filter(|gone| !gone.is_empty())?;

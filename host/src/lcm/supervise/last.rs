@@ -23,7 +23,7 @@ use super::descriptors;
 use super::roster::{Roster, Ward};
 use super::watch::Entry;
 
-/// How long devices may take to come to their safe condition.
+/// Time that devices may take to come to their safe condition.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Pause between two looks at them.
 const LOOK: Duration = Duration::from_millis(1);
@@ -117,7 +117,7 @@ fn begin(why: String) {
 fn stand(why: &str) {
     let wards = wards();
     wards.iter().for_each(|ward| cease(&ward.instance, why));
-    // Those that others have begun with, too.
+    // All that are owed it, also those that somebody has begun with.
     wards.iter().filter(|ward| ward.instance.watch.owes_safe()).for_each(have_it_made_safe);
     let until = Instant::now() + PATIENCE;
     while wards.iter().any(|ward| is_underway(&ward.instance)) && Instant::now() < until {

@@ -122,6 +122,7 @@ async fn an_actuator_whose_thread_is_held_by_another_is_given_up_as_one_that_han
 #[tokio::test(flavor = "multi_thread")]
 async fn actuators_of_a_thread_that_broke_down_are_made_safe_on_it_and_nobody_waits_for_it() {
     let world = World::new("f_broke");
+    let mut news = world.lcm.news();
     let [near, far] = [Arc::new(Arm { panics: true, ..Arm::default() }), Arc::new(Arm::default())];
     world.create_as("near", arm_class(false), periodic(1000), near.clone()).await;
     let inside = inside(ExecutionModel::ExecOut, &world.id("near"));
@@ -137,6 +138,13 @@ async fn actuators_of_a_thread_that_broke_down_are_made_safe_on_it_and_nobody_wa
         assert!(report.fault.starts_with(&why), "{report:?}");
     }
     eventually("made safe", || near.made_safe() == 1 && far.made_safe() == 1).await;
+    // A program that embeds the host goes on, and is told.
+    let told = loop {
+        if let News::Warnings(told) = news.recv().await.unwrap() {
+            break told;
+        }
+    };
+    assert!(told.unfit && told.sentences[0].contains("broke down: as no job should"), "{told:?}");
     let refused = world.run("far", Verb::Reset).await.unwrap_err();
     assert!(refused.to_string().contains("far"), "{refused}");
     world.end().await;

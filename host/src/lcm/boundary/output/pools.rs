@@ -1,6 +1,6 @@
 //! The frame pools of an output: where the frames of its loans come from.
 //!
-//! Invariant: a pool stays as long as a frame of it is out; one lends, those before it only wait for their frames.
+//! Invariant: a pool stays as long as a frame of it is out; one lends, the others only wait for their frames.
 
 use std::io;
 use std::sync::atomic::Ordering;
@@ -19,7 +19,7 @@ pub(super) struct Pools {
     pub(super) lends: Option<Arc<FramePool>>,
     /// Counts the pools before the one that lends.
     number: u64,
-    /// Those before it, of which frames may still be out.
+    /// Pools before it, of which frames may still be out.
     pub(super) earlier: Vec<Arc<FramePool>>,
 }
 
@@ -46,7 +46,8 @@ impl OutCell {
         }
     }
 
-    /// Another pool, or none, lends from now on. The one before stays at least until the next [`OutCell::reclaim`].
+    /// Another pool, or none, lends from now on. The one before stays at least until the next
+    /// [`OutCell::reclaim`].
     pub(super) fn change_pool(&self, lends: Option<Arc<FramePool>>) {
         let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
         let Pools { lends: before, number, mut earlier } = self.pools.enter().clone();
@@ -81,7 +82,7 @@ impl OutCell {
         pool.lock_memory().err()
     }
 
-    /// The frame of a loan that comes back; `None` when it is no loan of this output, or has come back already.
+    /// The frame of a loan that comes back; `None` when it is no loan of this output, or came back already.
     pub(super) fn take_back(&self, loan: *mut Loan) -> Option<FrameMut> {
         if !slots::is_whole(loan) {
             return None;
@@ -90,13 +91,13 @@ impl OutCell {
         let token = std::mem::take(unsafe { &mut (*loan).token });
         self.pools.look(|pools| {
             pools.lends.iter().chain(&pools.earlier).any(|p| p.is_descriptor(token)).then(|| {
-                // SAFETY: the number of a slot of a pool that is alive here; whether it is still good is asked there.
+                // SAFETY: the number of a slot of a pool that is alive here; that one asks whether it is still good.
                 unsafe { FrameMut::from_raw(token) }
             })
         })?
     }
 
-    /// What of its pool is lent now; `None` without a pool.
+    /// The part of its pool that is lent now; `None` without a pool.
     #[cfg(test)]
     pub(in crate::lcm) fn pool(&self) -> Option<trocar_rt::PoolStats> {
         self.pools.enter().lends.as_ref().map(|pool| pool.stats())
