@@ -50,8 +50,8 @@ impl Doors {
         // The thread ends with its socket; a call that hangs does not keep the process.
         let alone = move || lent.recv().map(|runtime| runtime.block_on(serving));
         house::spawn(thread::Builder::new().name("trocar-stop".into()), alone)?;
-        // Made here, so that its descriptors are there when the host counts what it has; dropped on the thread
-        // alone, as none may be inside another one.
+        // Made here, so that its descriptors are there when the host counts what it has; dropped on the
+        // thread alone, as none may be inside another one.
         let _ = lend.send(tokio::runtime::Builder::new_current_thread().enable_all().build()?);
         let calls = self.place(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));

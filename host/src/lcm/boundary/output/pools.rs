@@ -91,7 +91,7 @@ impl OutCell {
         let token = std::mem::take(unsafe { &mut (*loan).token });
         self.pools.look(|pools| {
             pools.lends.iter().chain(&pools.earlier).any(|p| p.is_descriptor(token)).then(|| {
-                // SAFETY: the number of a slot of a pool that is alive here; that one asks whether it is still good.
+                // SAFETY: the number of a slot of a pool that is alive here, which asks whether it is good.
                 unsafe { FrameMut::from_raw(token) }
             })
         })?
