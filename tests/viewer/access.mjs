@@ -72,7 +72,7 @@ async function every_view(world, scheme) {
   await page.locator('[data-create]').waitFor();
   await look('create without a class');
   await page.locator('[data-create]').getByLabel('Class').selectOption('recorder/recorder');
-  await page.locator('[data-create] details').evaluate((e) => { e.open = true; });
+  await page.locator('[data-create] [data-part=configuration]').evaluate((e) => { e.open = true; });
   await page.locator('[data-create] [id^="new/"]').first().waitFor();
   await page.locator('[data-create]').getByLabel('jpeg_quality', { exact: true }).fill('101');
   await look('create');

@@ -38,7 +38,7 @@ export async function a_component_is_created_with_what_was_changed_of_its_config
   await page.locator('[data-class="sine/sine"]').click();
   const form = page.locator('[data-create]');
   is(await form.getByLabel('Name').inputValue(), 'sine2', 'a name that is free');
-  await form.locator('details').evaluate((e) => { e.open = true; });
+  await form.locator('[data-part=configuration]').evaluate((e) => { e.open = true; });
   const field = form.getByLabel(/^frequency_hz/);
   is(Number(await field.inputValue()), usual.frequency_hz, 'what it is without a change');
   const make = page.getByRole('button', { name: 'Create', exact: true });

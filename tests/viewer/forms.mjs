@@ -52,6 +52,46 @@ export async function a_configuration_is_a_form_and_what_is_refused_says_why(wor
   await eventually('it is configured', async () => (await grpcurl(host.addr, 'GcmService/GetState', { path: 'host/sine' })).component.config.frequency_hz === 2.5);
 }
 
+export async function how_it_runs_is_chosen_among_what_its_class_is_made_for(world) {
+  const host = await world.host();
+  const page = await world.viewer(host.addr);
+  const executionOf = async (p) => (await grpcurl(host.addr, 'GcmService/GetState', { path: p })).component.execution;
+  await page.getByRole('button', { name: 'Palette' }).click();
+  await page.locator('[data-class="eyerobot/eyerobot"]').click();
+  const form = page.locator('[data-create]');
+  const part = form.locator('[data-part=execution]');
+  const limits = (await grpcurl(host.addr, 'GcmService/Describe', { class: 'eyerobot/eyerobot' })).class.executionLimits;
+  const hz = (period) => 1 / Number(period.slice(0, -1));
+  const [slowest, fastest] = [limits.maxPeriod, limits.minPeriod].map(hz);
+  is(await part.locator('summary small').innerText(), `${limits.models.join(', ')}, ${slowest} … ${fastest} Hz`, 'what it is made for');
+  await part.locator('summary').click();
+  const model = part.getByLabel('model', { exact: true });
+  is(await model.locator('option').allInnerTexts(), limits.models, 'what may be chosen');
+  is(await model.locator('option:checked').innerText(), 'periodic', 'what it is without a change');
+  const rate = part.getByLabel('rate_hz', { exact: true });
+  await rate.fill('3');
+  is(await part.locator('[data-wrong="run/rate_hz"]').innerText(), `3 is below ${slowest} Hz`, 'at the field');
+  // Refused in the server's words; the form stays as it is.
+  const make = page.getByRole('button', { name: 'Create', exact: true });
+  await make.click();
+  await form.locator('.refusal', { hasText: `${slowest}` }).waitFor();
+  is((await grpcurl(host.addr, 'GcmService/List', {})).components ?? [], [], 'components');
+  await rate.fill('500');
+  await make.click();
+  await form.waitFor({ state: 'detached' });
+  const runs = async () => { const e = await executionOf('host/eyerobot'); return [e.model, e.period ? hz(e.period) : e.rateHz]; };
+  is(await runs(), ['periodic', 500], 'how it runs');
+
+  await menu(page, 'host/eyerobot', 'Configure…');
+  const present = page.locator('[data-configure="host/eyerobot"] [data-part=execution]');
+  await present.locator('summary').click();
+  is(await present.getByLabel('rate_hz', { exact: true }).inputValue(), '500', 'how it runs now');
+  await present.getByLabel('rate_hz', { exact: true }).fill('2000');
+  await page.getByRole('button', { name: 'Configure', exact: true }).click();
+  await eventually('it runs so', async () => (await runs())[1] === 2000);
+  holds(await page.getByRole('button', { name: 'Configure', exact: true }).isDisabled(), 'there is nothing more to send');
+}
+
 const configOf = async (addr, p) => (await grpcurl(addr, 'GcmService/GetState', { path: p })).component.config;
 
 export async function of_a_large_form_only_what_was_changed_is_sent(world) {
@@ -221,8 +261,8 @@ export async function what_is_touched_is_as_large_as_a_finger_in_every_view(worl
   await page.locator('[data-class="sine/sine"]').waitFor();
   await look('palette', 20);
   await page.locator('[data-class="recorder/recorder"]').tap();
-  await page.locator('[data-create] summary').waitFor();
-  await page.locator('[data-create] details').evaluate((e) => { e.open = true; });
+  await page.locator('[data-create] [data-part=configuration] summary').waitFor();
+  await page.locator('[data-create] [data-part=configuration]').evaluate((e) => { e.open = true; });
   await look('create', 20);
   await page.getByRole('button', { name: 'Cancel' }).tap();
   await page.getByRole('button', { name: 'Palette' }).tap();
