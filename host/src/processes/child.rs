@@ -2,8 +2,8 @@
 //! it.
 //!
 //! Invariant: it is waited for by its handle (a pidfd where the kernel has them), never by its number, so
-//! nobody else is ever taken for it. What it started, and left in its group, ends with it. Nothing it prints
-//! passes through this process: it can wait for no reader.
+//! nobody else is ever taken for it. What it started ends with it: what has stayed in its group, or has its
+//! mark. Nothing it prints passes through this process: it can wait for no reader.
 
 use std::ffi::OsString;
 use std::fs::{DirBuilder, File};
@@ -25,6 +25,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
+use super::offspring::Mark;
 use super::{Exit, Policy};
 
 /// What a child shows of its log; all of it is in its state directory.
@@ -76,6 +77,7 @@ pub(super) struct Child {
     process: tokio::process::Child,
     tie: Option<OwnedWriteHalf>,
     pub(super) pid: u32,
+    mark: Mark,
     said: oneshot::Receiver<Said>,
     last: Arc<LastWords>,
     hearing: Option<JoinHandle<()>>,
@@ -89,6 +91,9 @@ impl Child {
             command.env(LEVEL, "warn");
         }
         command.envs(program.env.iter().map(|(name, value)| (name, value)));
+        let mark = Mark::new();
+        let (name, value) = mark.variable();
+        command.env(name, value);
         if let Some(folder) = &program.folder {
             command.current_dir(folder);
         }
@@ -108,12 +113,12 @@ impl Child {
         let last = Arc::new(LastWords::default());
         let hearing = Some(tokio::spawn(hear(from, tell, last.clone())));
         let pid = process.id().unwrap_or_default();
-        Ok(Child { process, tie: Some(tie), pid, said, last, hearing })
+        Ok(Child { process, tie: Some(tie), pid, mark, said, last, hearing })
     }
 
     /// Waits for its end. May be called again when it was given up before.
     pub(super) async fn ended(&mut self) -> Exit {
-        let exit = match collected(&mut self.process).await {
+        let exit = match collected(&mut self.process, &self.mark).await {
             Ok(status) => status.into(),
             Err(e) => Exit::NotStarted(format!("nobody knows what became of it: {e}")),
         };
@@ -139,7 +144,7 @@ impl Child {
         tokio::select! {
             biased;
             said = &mut self.said => return said.ok(),
-            _ = collected(&mut self.process) => {}
+            _ = collected(&mut self.process, &self.mark) => {}
         }
         tokio::time::timeout(LAST_WORD, &mut self.said).await.ok()?.ok()
     }
@@ -165,14 +170,19 @@ impl Child {
     }
 }
 
-/// Waits for the end of a child, and ends what is left of its group.
-async fn collected(child: &mut tokio::process::Child) -> std::io::Result<ExitStatus> {
+/// Waits for the end of a child, and ends what is left of what it started.
+async fn collected(child: &mut tokio::process::Child, mark: &Mark) -> std::io::Result<ExitStatus> {
     if let Some(leader) = child.id().and_then(group)
         && ends(leader).await
     {
         // Not collected yet, so the number of its group is nobody else's. It is there itself, if nobody else
         // is.
         let _ = kill_process_group(leader, Signal::KILL);
+        let mark = mark.clone();
+        let killed = tokio::task::spawn_blocking(move || mark.kill_all()).await;
+        if let Err(e) = killed {
+            log::error!("what process {} has left behind was not looked for: {e}", child.id().unwrap_or(0));
+        }
     }
     child.wait().await
 }

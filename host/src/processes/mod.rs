@@ -7,6 +7,7 @@ mod child;
 mod door;
 mod exit;
 mod keeper;
+mod offspring;
 mod policy;
 mod supervisor;
 
