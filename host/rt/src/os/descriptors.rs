@@ -117,6 +117,11 @@ impl Lasting {
         self.all.get(self.next).is_none_or(Descriptor::is_there)
     }
 
+    /// All have been looked at, and the first is the next.
+    pub fn is_round(&self) -> bool {
+        self.next + 1 >= self.all.len()
+    }
+
     /// A system call for each.
     pub fn are_all_there(&self) -> bool {
         self.all.iter().all(Descriptor::is_there)

@@ -8,6 +8,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use trocar_rt::os::{Descriptor, Lasting};
 
+use crate::loader::{self, Moment};
+
 use super::super::api::Concern;
 use super::super::hub::Hub;
 use super::hygiene::{self, Minding, is_own_process};
@@ -23,6 +25,21 @@ static DEAF: AtomicBool = AtomicBool::new(false);
 fn lasting() -> MutexGuard<'static, Option<Lasting>> {
     static LASTING: Mutex<Option<Lasting>> = Mutex::new(None);
     LASTING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// When the watchdog began with the first descriptor, counted in loads: the time before, and this time.
+#[derive(Default)]
+pub(super) struct Turns([Option<Moment>; 2]);
+
+impl Turns {
+    fn begin(&mut self) {
+        self.0 = [self.0[1], Some(loader::moment())];
+    }
+
+    /// A plugin was being loaded since the look at which the descriptor was there.
+    fn had_a_load(&self) -> bool {
+        self.0[0].or(self.0[1]).is_some_and(loader::has_loaded_since)
+    }
 }
 
 /// The host has all it needs and runs no component yet: from now on this is looked after. A program that
@@ -85,17 +102,25 @@ fn gone(who: &str) -> Option<(String, bool)> {
 }
 
 /// A look of the watchdog, at one descriptor in turn: all within a tenth of a second or so.
-pub(super) fn look(hub: &Hub, wards: &[&Ward]) {
+pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) {
     let before = hygiene::minded(wards);
-    if lasting().as_mut().is_none_or(Lasting::is_next_there) {
-        return;
-    }
+    let is_there = match lasting().as_mut() {
+        Some(lasting) => {
+            if lasting.is_round() {
+                turns.begin();
+            }
+            lasting.is_next_there()
+        }
+        None => true,
+    };
     // An entry that looks after its manners itself comes to it.
-    if !matches!(hygiene::minding(wards, &before), Minding::Looks) {
-        settle(hub, &suspects(wards));
+    if !is_there && !matches!(hygiene::minding(wards, &before), Minding::Looks) {
+        let who = suspects(wards);
+        settle(hub, &if turns.had_a_load() { format!("a plugin that was being loaded, or {who},") } else { who });
     }
 }
 
+/// A thread of a component may have done it outside of its entries, so all are named.
 fn suspects(wards: &[&Ward]) -> String {
     let names: Vec<String> = wards.iter().take(TOLD).map(|w| w.instance.id.to_string()).collect();
     match (names.as_slice(), wards.len().saturating_sub(TOLD)) {

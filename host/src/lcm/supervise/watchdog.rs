@@ -112,6 +112,7 @@ struct Rounds {
     late: Lateness,
     priority: u8,
     premises: Premises,
+    turns: descriptors::Turns,
 }
 
 impl Rounds {
@@ -151,7 +152,7 @@ impl Rounds {
     /// The process and its threads: what components should have left as it was.
     fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
         let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
-        descriptors::look(hub, &wards);
+        descriptors::look(hub, &wards, &mut self.turns);
         let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
         let busy = || -> Vec<&Ward> {
             let those = |is: fn(&Charge) -> bool| self.charges.iter().filter(move |c| is(c)).map(|c| &c.ward);
