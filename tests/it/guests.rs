@@ -1,7 +1,7 @@
 //! Guests: shells and pages that take a place in the graph from outside, through GuestService.
 //!
 //! Promise: a guest, its required interfaces and its connections are seen by everybody like any others, disturb nobody, and go with its
-//! stream.
+//! stream; so does a component that a caller holds.
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, Stream, World, eventually};
@@ -132,6 +132,47 @@ fn a_disconnect_takes_the_interface_with_it_and_a_removal_ends_the_place() {
     site.grpc.ok("GcmService/Remove", json!({ "path": "ire/shell", "force": true }));
     stream.ended("its place was taken away");
     eventually("the guest has left", || if site.has_process("ire") { Err("it is there") } else { Ok(()) });
+}
+
+fn goes_with_its_holder(site: &Site) {
+    let has = |path: &str| named(&site.list()["components"], "path", path).is_some();
+    let hold = || hold_of(site, "host/mine");
+    // Before it is there, so that it is left behind at no time.
+    let mut first = hold();
+    site.grpc.create("host/mine", "Server", json!({}));
+    site.grpc.start("host/mine");
+    let second = hold();
+    first.ended("another call holds it");
+    assert!(has("host/mine"));
+    drop(second);
+    eventually("it went with its holder", || if has("host/mine") { Err("it is there") } else { Ok(()) });
+    assert!(has("host/server"), "nobody was disturbed");
+
+    // Removed by somebody, it is held no more, and one of its name is somebody else's.
+    let mut held = hold();
+    site.grpc.create("host/mine", "Server", json!({}));
+    site.grpc.ok("GcmService/Remove", json!({ "path": "host/mine" }));
+    held.ended("it was removed");
+    site.grpc.create("host/mine", "Server", json!({}));
+    drop(held);
+    drop(hold_of(site, "host/other"));
+    assert!(has("host/mine"));
+}
+
+fn hold_of(site: &Site, component: &str) -> Stream {
+    let mut stream = site.grpc.stream("GuestService/Hold", &json!({ "component": component }));
+    stream.until("it is held", |item| item["component"] == component);
+    stream
+}
+
+#[test]
+fn a_component_that_is_held_goes_with_its_holder() {
+    goes_with_its_holder(&Site::new());
+}
+
+#[test]
+fn a_component_that_a_gcm_elsewhere_holds_goes_with_its_holder() {
+    goes_with_its_holder(&Site::attached());
 }
 
 #[test]

@@ -77,6 +77,30 @@ def test_who_does_not_wait_for_a_manager_is_told_what_stays_behind():
         assert contiguous(messages(world.dir / "a.mcap")[0]["/host/sine/value"])
 
 
+def test_a_record_that_is_killed_takes_its_recorder_with_it_and_leaves_a_whole_file():
+    with World(["sine"]) as world:
+        with recording(world) as (process, _):
+            killed(process)
+            eventually("its recorder is gone", lambda: recorders(world) == [])
+        info = world.json("info", "a.mcap")
+        assert info["whole"] and info["messages"] > 100, info
+
+
+def test_a_recorder_outlives_its_manager_and_is_held_at_the_next_one():
+    with World(["sine"], managed=True) as world:
+        with recording(world) as (process, said):
+            # In order: it lets go of what it holds.
+            world.manager.terminate()
+            world.manager.wait()
+            eventually("it says that nobody answers", lambda: "recording goes on without it" in said())
+            world.manage(world.env["TROCAR_GCM"])
+            eventually("it says that it is back", lambda: "it answers again" in said() or process.poll() is not None)
+            assert len(recorders(world)) == 1, (recorders(world), said())
+            killed(process)
+            eventually("its recorder is gone", lambda: recorders(world) == [])
+        assert contiguous(messages(world.dir / "a.mcap")[0]["/host/sine/value"])
+
+
 def test_where_the_process_is_gone_the_file_is_named_and_read():
     with World(["sine"]) as world:
         with recording(world) as (process, said):

@@ -10,6 +10,7 @@ use std::time::Duration;
 use tonic_types::StatusExt;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
+use trocar_proto::v1::guest_service_client::GuestServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 
@@ -27,6 +28,7 @@ const LARGEST: usize = 256 << 20;
 pub(super) struct Client {
     pub(super) attach: AttachServiceClient<Tokened>,
     pub(super) gcm: GcmServiceClient<Tokened>,
+    pub(super) guest: GuestServiceClient<Tokened>,
     pub(super) interact: InteractServiceClient<Tokened>,
     pub(super) plugin: PluginServiceClient<Tokened>,
 }
@@ -59,6 +61,7 @@ impl Client {
         Ok(Self {
             attach: AttachServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
             gcm: GcmServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
+            guest: GuestServiceClient::new(channel.clone()),
             interact: InteractServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
             plugin: PluginServiceClient::new(channel).max_decoding_message_size(LARGEST),
         })

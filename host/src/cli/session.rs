@@ -3,6 +3,7 @@
 //! Invariant: connects once, at the first question; every failure is told with the address that was asked.
 
 mod changes;
+pub(super) mod holding;
 pub(super) mod recording;
 mod system;
 

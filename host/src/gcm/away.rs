@@ -95,6 +95,11 @@ impl Gcm {
         if let Some(refusal) = back {
             return Err(refusal);
         }
+        for change in &plan.changes {
+            if let Change::Destroy { id, .. } = change {
+                lock(&self.inner.holds).removed(id);
+            }
+        }
         self.not_wanted(&forgotten.into_iter().cloned().collect());
         // Their other halves.
         self.cut_off(cut);

@@ -275,6 +275,9 @@ impl Gcm {
                 stand_by(graph, &report.id, known);
             }
         });
+        if let Change::Destroy { id, .. } = change {
+            lock(&self.inner.holds).removed(id);
+        }
         self.cut_off(loose);
         Ok(report)
     }

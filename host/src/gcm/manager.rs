@@ -12,6 +12,7 @@ use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 
 use super::apart::Isolation;
 use super::claims::Claims;
+use super::holds::Holds;
 use super::ids::{Ids, IdsError};
 use super::lines::Lines;
 use super::requests::Answers;
@@ -46,6 +47,7 @@ pub(super) struct Inner {
     /// Everything that changes the graph but Stop.
     pub(super) claims: Claims,
     pub(super) answers: Mutex<Answers>,
+    pub(super) holds: Mutex<Holds>,
     /// The processes for isolated components.
     pub(super) isolation: watch::Sender<Isolation>,
     lines: Arc<Lines>,
@@ -66,6 +68,7 @@ impl Gcm {
                 sessions: Mutex::default(),
                 claims: Claims::default(),
                 answers: Mutex::default(),
+                holds: Mutex::default(),
                 isolation: watch::Sender::new(Isolation::default()),
                 lines: Arc::default(),
             }),

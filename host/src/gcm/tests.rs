@@ -6,6 +6,7 @@ mod away;
 mod between;
 mod hanging;
 mod hearing;
+mod holding;
 mod interrupted;
 mod keeping_stopped;
 mod phases;

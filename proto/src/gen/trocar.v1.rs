@@ -6549,6 +6549,20 @@ pub struct RequireResponse {
     #[prost(message, optional, tag = "4")]
     pub provided: ::core::option::Option<ProvidedInterface>,
 }
+/// Asks for Hold.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct HoldRequest {
+    /// Path of the component; it need not be there yet.
+    #[prost(string, tag = "1")]
+    pub component: ::prost::alloc::string::String,
+}
+/// The component is held; sent once, and nothing follows until the stream ends.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct HoldResponse {
+    /// Path of the component.
+    #[prost(string, tag = "1")]
+    pub component: ::prost::alloc::string::String,
+}
 /// Generated client implementations.
 pub mod guest_service_client {
     #![allow(
@@ -6682,6 +6696,34 @@ pub mod guest_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GuestService", "Require"));
             self.inner.unary(req, path, codec).await
         }
+        /// Ties a component to this call: when the caller ends it, dies or cannot be reached any more, the component is stopped and
+        /// removed, as by Remove with force. It is held before it is created, so that nothing is left behind whenever the caller dies.
+        /// A later Hold of the same component takes it over, and this one ends; it ends as well when the component is removed. A GCM
+        /// that ends lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
+        pub async fn hold(
+            &mut self,
+            request: impl tonic::IntoRequest<super::HoldRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::HoldResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GuestService/Hold",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.GuestService", "Hold"));
+            self.inner.server_streaming(req, path, codec).await
+        }
     }
 }
 /// Generated server implementations.
@@ -6715,6 +6757,20 @@ pub mod guest_service_server {
             &self,
             request: tonic::Request<super::RequireRequest>,
         ) -> std::result::Result<tonic::Response<super::RequireResponse>, tonic::Status>;
+        /// Server streaming response type for the Hold method.
+        type HoldStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::HoldResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Ties a component to this call: when the caller ends it, dies or cannot be reached any more, the component is stopped and
+        /// removed, as by Remove with force. It is held before it is created, so that nothing is left behind whenever the caller dies.
+        /// A later Hold of the same component takes it over, and this one ends; it ends as well when the component is removed. A GCM
+        /// that ends lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
+        async fn hold(
+            &self,
+            request: tonic::Request<super::HoldRequest>,
+        ) -> std::result::Result<tonic::Response<Self::HoldStream>, tonic::Status>;
     }
     /// The guests of a system.
     #[derive(Debug)]
@@ -6880,6 +6936,52 @@ pub mod guest_service_server {
                                 max_encoding_message_size,
                             );
                         let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.GuestService/Hold" => {
+                    #[allow(non_camel_case_types)]
+                    struct HoldSvc<T: GuestService>(pub Arc<T>);
+                    impl<
+                        T: GuestService,
+                    > tonic::server::ServerStreamingService<super::HoldRequest>
+                    for HoldSvc<T> {
+                        type Response = super::HoldResponse;
+                        type ResponseStream = T::HoldStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::HoldRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GuestService>::hold(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = HoldSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
                         Ok(res)
                     };
                     Box::pin(fut)

@@ -1,6 +1,6 @@
 //! `trocar record PATTERN… -o F`: a recorder made for one recording, and taken away at its end.
 //!
-//! Invariant: whatever ends it (time, Ctrl-C, a closed terminal, a full disk), the file is closed first and no component stays behind.
+//! Invariant: whatever ends it (time, Ctrl-C, a closed terminal, a full disk, SIGKILL), the file is closed first and no component stays behind.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -133,6 +133,8 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     };
     // Before there is anything to be left behind.
     let mut ends = Ends::listen();
+    // Whatever ends this program, SIGKILL too, ends its recorder.
+    let _held = session.hold(&path).await?;
     let created = session.create(&create).await?;
     // Its thread may not have been given what was asked for.
     created.warnings.iter().for_each(|text| out::complain("warning", text));

@@ -1,6 +1,7 @@
-//! GuestService: places in the graph for those that call from outside.
+//! GuestService: places in the graph for those that call from outside, and components that end with a caller.
 //!
-//! Invariant: a guest's place lasts exactly as long as its Join stream.
+//! Invariant: a guest's place lasts exactly as long as its Join stream, and a held component no longer than its Hold stream, unless
+//! this port closes first.
 
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -40,6 +41,32 @@ impl GuestService for Edge {
             tokio::select! {
                 () = tell.closed() => {}
                 () = joined.ended() => {}
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(told)))
+    }
+
+    type HoldStream = ReceiverStream<Result<v1::HoldResponse, Status>>;
+
+    async fn hold(&self, request: Request<v1::HoldRequest>) -> Result<Response<Self::HoldStream>, Status> {
+        let identity = identity(&request);
+        let component = ComponentId::parse(&request.into_inner().component).map_err(refuse)?;
+        let mut held = self.gcm()?.hold(component, identity).map_err(refuse)?;
+        let mut closing = self.closing.clone();
+        let (tell, told) = mpsc::channel(2);
+        let first = v1::HoldResponse { component: held.component.to_string() };
+        tokio::spawn(async move {
+            // Who is gone already is seen next.
+            let _ = tell.send(Ok(first)).await;
+            tokio::select! {
+                biased;
+                // Cut by this port, not by the caller.
+                _ = closing.changed() => {
+                    held.let_go();
+                    let _ = tell.try_send(Err(Status::unavailable("the GCM ends: hold it again at the next one")));
+                }
+                () = held.over() => {}
+                () = tell.closed() => held.end().await,
             }
         });
         Ok(Response::new(ReceiverStream::new(told)))

@@ -13,6 +13,7 @@ from typing import Any
 
 from . import _proto, _values
 from ._errors import TrocarError, invalid
+from ._hold import Hold
 from ._paths import globbed, nearest, path_of
 
 _CLASS = "recorder/recorder"
@@ -29,6 +30,7 @@ class Recording:
     ``start()``) begins the file, the end of the block (or ``stop()``) closes it and takes the recorder away. ``path`` is the file as the
     recorder's process sees it, ``topics`` what is recorded, ``result`` the figures of the finished file, ``read()`` the file itself.
     ``component`` is the recorder; empty = it is gone. While the GCM is gone it goes on recording, and ``stop()`` works once that is back.
+    It ends with this process, a kill included: its file is closed and the recorder removed.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Recording:
         self.result: Any = None
         self.component = ""
         self._running = False
+        self._held: Hold | None = None
         wanted = [patterns] if isinstance(patterns, str) else list(patterns)
         self._depths = _matching(session, wanted)
         self.topics = list(self._depths)
@@ -78,8 +81,14 @@ class Recording:
         create = _proto.message("CreateRequest")(**{"class": _CLASS}, path=component)
         create.execution.CopyFrom(execution)
         create.config.CopyFrom(_values.to_wire_struct(config, "config"))
+        # Whatever ends this process ends the recorder.
+        self._held = Hold(session, component)
         # Its inputs are there once it is configured, so it is made first; whatever fails then takes it away again.
-        created = session._wire.call("GcmService/Create", create, 10.0)
+        try:
+            created = session._wire.call("GcmService/Create", create, 10.0)
+        except BaseException:
+            self._held.end()
+            raise
         self.component = component
         session._recordings.add(self)
         session._seen(created.revision)
@@ -185,6 +194,8 @@ class Recording:
                 if e.reason != "COMPONENT_NOT_FOUND":
                     raise self._left_behind(e) from None
         self.component, self._running = "", False
+        if self._held is not None:
+            self._held.end()
         self._session._recordings.discard(self)
 
     def _left_behind(self, e: TrocarError) -> TrocarError:

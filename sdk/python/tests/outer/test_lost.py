@@ -1,6 +1,10 @@
 """Promise: a GCM that goes and comes back is told of, found again, and the session is in the graph with all it had."""
 
+import os
+import pathlib
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -187,6 +191,30 @@ def test_a_recorder_that_somebody_else_removed_is_over_and_its_file_is_whole(sit
     ire.remove(rec.component, force=True)
     rec.close()
     assert rec.component == "" and not ire._recordings
+    file = trocar.read(tmp_path / "trial.mcap")
+    assert file.complete and len(file["/ProcessServer/robot/tip"]) > 5, file
+
+
+RECORDING = """
+import sys, trocar
+ire = trocar.connect(sys.argv[1])
+print(ire.record("trial", ["ProcessServer/robot"], directory=sys.argv[2]).start().component, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_python_that_is_killed_takes_its_recorder_with_it_and_leaves_a_whole_file(site, robot, tmp_path):
+    ire, _ = robot
+    package = str(pathlib.Path(trocar.__file__).parents[1])
+    child = subprocess.Popen([sys.executable, "-c", RECORDING, site.address, str(tmp_path)], stdin=subprocess.PIPE,
+                             stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": package})  # fmt: skip
+    with child:
+        component = child.stdout.readline().strip()
+        eventually("it is seen", lambda: recorders(ire) == [component])
+        reaches("messages are written", lambda: ire.call(f"{component}/ctl/status")["messages"], 51)
+        child.kill()
+        child.wait()
+    eventually("its recorder is gone", lambda: recorders(ire) == [])
     file = trocar.read(tmp_path / "trial.mcap")
     assert file.complete and len(file["/ProcessServer/robot/tip"]) > 5, file
 

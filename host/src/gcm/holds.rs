@@ -1,0 +1,105 @@
+//! Components that go with the program that made them: a recorder whose `trocar record` was killed.
+//!
+//! Invariant: a component has one holder, the last that asked. What is removed by anybody else is held no more, so a later component
+//! of its name is never removed for an earlier one.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use trocar_model::{ComponentId, Refusal, Request};
+
+use super::manager::lock;
+use super::{ExecuteOptions, Gcm};
+
+/// Most components that are held; each costs little, but a script that holds in a loop should be told.
+const MOST: usize = 1024;
+/// How often it is tried again to remove a component that could not be, such as one whose process is lost.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// The holds there are; a hold whose sender is gone is over.
+#[derive(Default)]
+pub(super) struct Holds(BTreeMap<ComponentId, watch::Sender<()>>);
+
+impl Holds {
+    /// The component was removed.
+    pub(super) fn removed(&mut self, id: &ComponentId) {
+        self.0.remove(id);
+    }
+}
+
+/// A component that is held, until it is removed or somebody else holds it; ended by [`Held::end`] or [`Held::let_go`].
+pub struct Held {
+    gcm: Gcm,
+    pub component: ComponentId,
+    identity: String,
+    over: watch::Receiver<()>,
+}
+
+impl Gcm {
+    /// Holds a component, which need not be there yet. `identity`: who asks, for the audit line of its removal.
+    ///
+    /// # Errors
+    /// There are too many holds.
+    pub fn hold(&self, component: ComponentId, identity: String) -> Result<Held, Refusal> {
+        let (sender, over) = watch::channel(());
+        let mut holds = lock(&self.inner.holds);
+        if holds.0.len() >= MOST && !holds.0.contains_key(&component) {
+            return Err(Refusal::ArgumentInvalid {
+                what: "Hold".into(),
+                why: format!(
+                    "{MOST} components are held in this system, which is the most: end some of those calls"
+                ),
+                field: "component".into(),
+            });
+        }
+        // The one before is over by that.
+        holds.0.insert(component.clone(), sender);
+        Ok(Held { gcm: self.clone(), component, identity, over })
+    }
+}
+
+impl Held {
+    /// Returns when there is nothing to be held any more: the component was removed, or another call holds it.
+    pub async fn over(&mut self) {
+        // Nothing is ever sent.
+        let _ = self.over.changed().await;
+    }
+
+    /// The holder goes and the component stays.
+    pub fn let_go(self) {
+        if self.is_over() {
+            return;
+        }
+        lock(&self.gcm.inner.holds).removed(&self.component);
+    }
+
+    /// The holder has gone: the component is stopped and removed, now or as soon as its process lets it.
+    pub async fn end(mut self) {
+        let mut said = false;
+        while !self.is_over() {
+            let remove = Request::Remove { id: self.component.clone(), force: true };
+            let identity = format!("{}, whose hold has ended,", self.identity);
+            let options = ExecuteOptions { identity, ..ExecuteOptions::default() };
+            match self.gcm.execute(vec![remove], options).await {
+                Ok(_) => log::info!("{} is removed: its holder has gone", self.component),
+                Err(Refusal::ComponentNotFound { .. } | Refusal::ProcessNotFound { .. }) => {}
+                Err(refusal) => {
+                    if !std::mem::replace(&mut said, true) {
+                        log::warn!(
+                            "{}: its holder has gone, and it cannot be removed yet: {refusal}",
+                            self.component
+                        );
+                    }
+                    let _ = tokio::time::timeout(AGAIN, self.over()).await;
+                    continue;
+                }
+            }
+            return self.let_go();
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.over.has_changed().is_err()
+    }
+}
