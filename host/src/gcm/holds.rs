@@ -1,7 +1,7 @@
 //! Components that go with the program that made them: a recorder whose `trocar record` was killed.
 //!
-//! Invariant: a component has one holder, the last that asked. What is removed by anybody else is held no more, so a later component
-//! of its name is never removed for an earlier one.
+//! Invariant: a component has one holder, the last that asked. What is removed by anybody else is held no
+//! more, so a later component of its name is never removed for an earlier one.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use super::{ExecuteOptions, Gcm};
 
 /// Most components that are held; each costs little, but a script that holds in a loop should be told.
 const MOST: usize = 1024;
-/// How often it is tried again to remove a component that could not be, such as one whose process is lost.
+/// Pause before a removal that failed is tried again, for one because the process is lost.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// The holds there are; a hold whose sender is gone is over.
@@ -28,7 +28,8 @@ impl Holds {
     }
 }
 
-/// A component that is held, until it is removed or somebody else holds it; ended by [`Held::end`] or [`Held::let_go`].
+/// A component that is held, until it is removed or somebody else holds it; ended by [`Held::end`] or
+/// [`Held::let_go`].
 pub struct Held {
     gcm: Gcm,
     pub component: ComponentId,
@@ -37,7 +38,8 @@ pub struct Held {
 }
 
 impl Gcm {
-    /// Holds a component, which need not be there yet. `identity`: who asks, for the audit line of its removal.
+    /// Holds a component, which need not be there yet. `identity`: who asks, for the audit line of its
+    /// removal.
     ///
     /// # Errors
     /// There are too many holds.
@@ -60,7 +62,8 @@ impl Gcm {
 }
 
 impl Held {
-    /// Returns when there is nothing to be held any more: the component was removed, or another call holds it.
+    /// Returns when there is nothing to be held any more: the component was removed, or another call holds
+    /// it.
     pub async fn over(&mut self) {
         // Nothing is ever sent.
         let _ = self.over.changed().await;
@@ -68,10 +71,11 @@ impl Held {
 
     /// The holder goes and the component stays.
     pub fn let_go(self) {
-        if self.is_over() {
-            return;
+        let mut holds = lock(&self.gcm.inner.holds);
+        // Under the lock: nobody else holds it now.
+        if !self.is_over() {
+            holds.removed(&self.component);
         }
-        lock(&self.gcm.inner.holds).removed(&self.component);
     }
 
     /// The holder has gone: the component is stopped and removed, now or as soon as its process lets it.

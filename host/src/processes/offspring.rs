@@ -1,7 +1,7 @@
-//! What a child started and left behind, found by a mark in its environment: in its group, or in a session of its own.
+//! Programs that a child started and left behind, in whatever session: found by a mark in their environment.
 //!
-//! Invariant: only what has this child's mark is killed, through a handle that was there before the mark was read, so never somebody
-//! who got the number of one that ended.
+//! Invariant: only what has this child's mark is killed, through a handle that was there before the mark was
+//! read, so never somebody who got the number of one that ended.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -33,7 +33,8 @@ impl Mark {
         (VARIABLE, &self.0)
     }
 
-    /// Kills all that has this mark, and what that starts meanwhile. Reads files: not for a thread that others wait for.
+    /// Kills all that has this mark, and what that starts meanwhile. Reads files: not for a thread that
+    /// others wait for.
     pub(super) fn kill_all(&self) {
         for _ in 0..LOOKS {
             let killed = pids().filter(|pid| self.kills(*pid)).count();
@@ -45,7 +46,7 @@ impl Mark {
     }
 
     fn kills(&self, pid: Pid) -> bool {
-        // What is gone, or somebody else's, cannot be opened or read.
+        // One that is gone, or another user's, cannot be opened or read.
         let Ok(handle) = pidfd_open(pid, PidfdFlags::empty()) else { return false };
         let environment = fs::read(format!("/proc/{}/environ", pid.as_raw_nonzero())).unwrap_or_default();
         self.is_in(&environment) && pidfd_send_signal(&handle, Signal::KILL).is_ok()

@@ -1,6 +1,7 @@
 //! `trocar record PATTERN… -o F`: a recorder made for one recording, and taken away at its end.
 //!
-//! Invariant: whatever ends it (time, Ctrl-C, a closed terminal, a full disk, SIGKILL), the file is closed first and no component stays behind.
+//! Invariant: whatever ends it (time, Ctrl-C, a closed terminal, a full disk, SIGKILL), the file is closed
+//! first and no component stays behind.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

@@ -13,7 +13,7 @@ use super::Session;
 use crate::cli::failure::Failure;
 use crate::control::Tokened;
 
-/// How often a manager that is away is asked.
+/// Pause before a manager that is away is asked again.
 const AGAIN: Duration = Duration::from_millis(200);
 
 /// Holds until it is dropped.
@@ -28,7 +28,8 @@ impl Drop for Holding {
 }
 
 impl Session {
-    /// Ties a component, which is created after this, to the life of this program. A manager that knows no Hold leaves it without.
+    /// Ties a component, which is created after this, to the life of this program. A manager that knows no
+    /// Hold leaves it without.
     pub(in crate::cli) async fn hold(&self, path: &str) -> Result<Holding, Failure> {
         let mut guest = self.client().await?.guest;
         let first = match hold(&mut guest, path).await {
@@ -50,7 +51,8 @@ async fn hold(guest: &mut GuestServiceClient<Tokened>, path: &str) -> Result<Hel
     }
 }
 
-/// Holds as long as there is something to be held: then the call ends in order. A manager that ends breaks it, and is asked again.
+/// Holds as long as there is something to be held: then the call ends in order. A manager that ends breaks
+/// it, and is asked again.
 async fn stay(mut guest: GuestServiceClient<Tokened>, mut held: Held, path: String) {
     loop {
         let ended = loop {

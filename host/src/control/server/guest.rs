@@ -1,7 +1,7 @@
 //! GuestService: places in the graph for those that call from outside, and components that end with a caller.
 //!
-//! Invariant: a guest's place lasts exactly as long as its Join stream, and a held component no longer than its Hold stream, unless
-//! this port closes first.
+//! Invariant: a guest's place lasts exactly as long as its Join stream, and a held component no longer than
+//! its Hold stream, unless this port closes first.
 
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -56,7 +56,7 @@ impl GuestService for Edge {
         let (tell, told) = mpsc::channel(2);
         let first = v1::HoldResponse { component: held.component.to_string() };
         tokio::spawn(async move {
-            // Who is gone already is seen next.
+            // A caller that is gone already is seen next.
             let _ = tell.send(Ok(first)).await;
             tokio::select! {
                 biased;

@@ -116,7 +116,10 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) {
     // An entry that looks after its manners itself comes to it.
     if !is_there && !matches!(hygiene::minding(wards, &before), Minding::Looks) {
         let who = suspects(wards);
-        settle(hub, &if turns.had_a_load() { format!("a plugin that was being loaded, or {who},") } else { who });
+        settle(
+            hub,
+            &if turns.had_a_load() { format!("a plugin that was being loaded, or {who},") } else { who },
+        );
     }
 }
 

@@ -1,4 +1,4 @@
-/// How a component runs, as a form: what its class is made for, and what it does where nothing is said.
+/// A component's execution as a form: the choices its class is made for, and its default.
 ///
 /// Invariant: nothing here decides what is sent; the server judges.
 import type { ClassInfo, Execution } from '../gen/trocar/v1/types_pb';
@@ -6,14 +6,14 @@ import type { Schema, Values } from './schema';
 
 type Duration = { seconds: bigint; nanos: number };
 
-/// Where a class names none: all there are.
+/// All there are, for a class that names none.
 const MODELS = ['periodic', 'continuous', 'on_signal', 'on_callback', 'exec_in', 'exec_out', 'stream', 'none'];
 
 const hertz = (period?: Duration) => (period ? rounded(1 / (Number(period.seconds) + period.nanos * 1e-9)) : undefined);
 /// A period of whole ns is the rate that somebody wrote.
 const rounded = (hz: number) => Number(hz.toPrecision(9));
 
-/// What such an execution is in the form.
+/// Such an execution as values of the form.
 export function valuesOf(e?: Execution): Values {
   const rate = e?.rateHz ?? hertz(e?.period);
   return { model: e?.model ?? '', ...(rate === undefined ? {} : { rate_hz: rate }), ...(e?.inside ? { inside: e.inside } : {}), ...(e?.streamOf ? { stream_of: e.streamOf } : {}) };
@@ -34,7 +34,7 @@ export function formOf(info?: ClassInfo): Schema {
   };
 }
 
-/// What was changed, as it is sent; undefined: nothing.
+/// A change of the form as it is sent; undefined: nothing was changed.
 export function changeOf(change: unknown): Partial<Pick<Execution, 'model' | 'rateHz' | 'inside' | 'streamOf'>> | undefined {
   if (!change) return undefined;
   const { model, rate_hz, inside, stream_of } = change as Record<string, string | number | null | undefined>;
