@@ -2,6 +2,7 @@
 //!
 //! Promise: every mistake gets one clear sentence with the remedy and the right exit code, and leaves nothing half made.
 
+mod check;
 mod doctor;
 mod not_started;
 mod plugins;

@@ -5,6 +5,7 @@
 //! `gcm`, `run`, `demo`).
 
 mod call;
+mod check;
 mod client;
 mod completions;
 mod configure;
@@ -28,6 +29,7 @@ mod logs;
 mod ls;
 mod mutation;
 mod named;
+mod offline;
 mod out;
 mod plugin;
 mod plugin_check;
@@ -87,8 +89,8 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse
 /// it in a clear sentence, and do not offer it.
-const ASK_NO_GCM: [&str; 10] =
-    ["demo", "run", "gcm", "down", "info", "export", "doctor", "token", "completions", "schema"];
+const ASK_NO_GCM: [&str; 11] =
+    ["demo", "run", "gcm", "down", "check", "info", "export", "doctor", "token", "completions", "schema"];
 const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 
 /// Flags every subcommand takes.
@@ -109,6 +111,7 @@ enum Command {
     Run(run::RunArgs),
     Up(up::UpArgs),
     Down(down::DownArgs),
+    Check(check::CheckArgs),
     Host(hosting::HostArgs),
     Gcm(gcm::GcmArgs),
     Ls(ls::LsArgs),
@@ -172,6 +175,7 @@ fn dispatch(cli: Cli) -> Done {
         Command::Run(args) => process(run::run(args, &session)),
         Command::Up(args) => process(up::run(args, &session)),
         Command::Down(args) => ask(down::run(args, &session)),
+        Command::Check(args) => check::run(&args, &session),
         Command::Host(args) => process(hosting::run(args, &session)),
         Command::Gcm(args) => process(gcm::run(args, &session)),
         Command::Ls(args) => ask(ls::run(args, &session)),

@@ -12,11 +12,10 @@ use trocar_model::Refusal;
 use super::failure::{Done, Exit, Failure};
 use super::named::FileArgs;
 use super::session::Session;
-use super::{hosting, logging, out, session};
+use super::{check, hosting, logging, offline, out, session};
 use crate::gcm::ExecuteOptions;
 use crate::host::{Host, HostConfig, StopRequest};
-use crate::loader::{AllowList, Trust};
-use crate::system_file::{SystemFile, TrustSpec};
+use crate::system_file::SystemFile;
 
 /// How long a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
@@ -38,6 +37,9 @@ pub(super) struct RunArgs {
     /// End by itself after this many seconds.
     #[arg(long, value_name = "N")]
     seconds: Option<u64>,
+    /// Print what would be done, and do nothing.
+    #[arg(long)]
+    dry_run: bool,
     #[command(flatten)]
     port: hosting::PortArgs,
 }
@@ -48,6 +50,9 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
             "`trocar run` has a GCM of its own",
             "leave --gcm out; --listen sets its address",
         ));
+    }
+    if args.dry_run {
+        return check::dry_run(&args.named, session);
     }
     logging::install(log::LevelFilter::Warn);
     let file = args.named.read()?;
@@ -104,13 +109,7 @@ pub(super) fn config(
     let process = file.single_process()?;
     let plugins = hosting::plugins_of(process, base, plugins);
     let plugins = plugins.into_iter().map(|dir| std::path::absolute(&dir).unwrap_or(dir)).collect();
-    let trust = match &process.trust {
-        TrustSpec::Dev => Trust::Dev,
-        TrustSpec::AllowList(list) => {
-            let list = AllowList::read(&base.join(list)).map_err(crate::host::HostError::Store)?;
-            Trust::AllowList(list)
-        }
-    };
+    let trust = offline::trust(process, base)?;
     Ok(HostConfig {
         plugins,
         listen: Some(listen),

@@ -40,7 +40,8 @@ pub(super) fn rate_of_period(period_ns: u64) -> String {
 
 /// So many of something that is called by a regular word: "1 output", "2 outputs".
 pub(super) fn count(n: u64, one: &str) -> String {
-    format!("{n} {one}{}", if n == 1 { "" } else { "s" })
+    let more = if one.ends_with('s') { "es" } else { "s" };
+    format!("{n} {one}{}", if n == 1 { "" } else { more })
 }
 
 /// A part of one.

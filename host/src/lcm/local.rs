@@ -20,8 +20,7 @@ use std::time::{Duration, Instant};
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_model::{
-    Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Phase, Programs, Refusal, StepTimes,
-    Verb,
+    Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Phase, Refusal, StepTimes, Verb,
 };
 use trocar_rt::{house, os};
 
@@ -43,6 +42,7 @@ use super::order::Place;
 use super::outside::{self, Outside};
 use super::realtime::Memory;
 use super::services::Services;
+use super::store::governed;
 use super::supervise::{Entry, Manners, Roster, Watchdog};
 use super::system;
 
@@ -198,11 +198,7 @@ impl LocalLcm {
 
     /// Classes as this process offers them.
     fn offered(&self, classes: &dyn Classes) -> Vec<Arc<ClassInfo>> {
-        let mut all = classes.catalog();
-        for class in all.iter_mut().filter(|c| c.programs == Programs::Allowed && !self.allow_exec) {
-            *class = Arc::new(ClassInfo { programs: Programs::Refused, ..(**class).clone() });
-        }
-        all
+        classes.catalog().into_iter().map(|class| governed(class, self.allow_exec)).collect()
     }
 
     /// Whether a component of the class may be made here, by this process's own list: a GCM may not have
@@ -214,11 +210,7 @@ impl LocalLcm {
             return own.is_let_into(&self.hub.process);
         }
         // Its file has gone, and its code is here still.
-        let programs = match class.programs {
-            Programs::Allowed if !self.allow_exec => Programs::Refused,
-            programs => programs,
-        };
-        ClassInfo { programs, ..class.clone() }.is_let_into(&self.hub.process)
+        governed(Arc::new(class.clone()), self.allow_exec).is_let_into(&self.hub.process)
     }
 
     /// Tells everyone that the plugin directories offer something else now.

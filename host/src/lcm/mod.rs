@@ -49,4 +49,5 @@ pub use services::{ReplyTo, Services};
 pub use static_classes::{LINKED_IN, StaticClasses};
 pub use stopping::{Stopped, stop_active};
 pub use store::StoreClasses;
+pub(crate) use store::offered;
 pub(crate) use supervise::{ends_by, keep_descriptors, let_go_of_descriptors, own_process};

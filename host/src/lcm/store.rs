@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use trocar_model::{ClassInfo, Name, Refusal};
+use trocar_model::{ClassInfo, Name, Programs, Refusal};
 
 use super::api::PluginInfo;
 use super::boundary;
@@ -109,6 +109,25 @@ impl Classes for StoreClasses {
 
     fn plugins(&self) -> Vec<PluginInfo> {
         self.store.list().iter().map(|entry| self.info(entry)).collect()
+    }
+}
+
+/// The classes that a process with these plugins would offer.
+pub(crate) fn offered(plugins: &[PluginEntry], allow_exec: bool) -> Vec<Arc<ClassInfo>> {
+    let listed = plugins.iter().filter_map(PluginEntry::listed);
+    let classes = |plugin: &Arc<ListedPlugin>| {
+        convert::classes(&plugin.manifest, &plugin.hash.to_string()).unwrap_or_default()
+    };
+    listed.flat_map(classes).map(|class| governed(class, allow_exec)).collect()
+}
+
+/// The class as a process offers it that lets its components start programs, or does not.
+pub(super) fn governed(class: Arc<ClassInfo>, allow_exec: bool) -> Arc<ClassInfo> {
+    match class.programs {
+        Programs::Allowed if !allow_exec => {
+            Arc::new(ClassInfo { programs: Programs::Refused, ..(*class).clone() })
+        }
+        _ => class,
     }
 }
 

@@ -40,7 +40,7 @@ pub use listed::{ClassRef, ListedPlugin};
 pub(crate) use load::Loading;
 pub use load::{LoadedClass, LoadedPlugin};
 pub(crate) use load::{Moment, has_loaded_since, moment};
-pub use store::{PluginStore, PluginStoreConfig};
+pub use store::{PluginStore, PluginStoreConfig, look};
 pub use trust::{AllowList, Trust};
 pub use vet::{VET_ARG, try_file};
 pub use watch::WatchHandle;

@@ -63,6 +63,23 @@ pub(super) struct Observer {
     pub(super) tell: Box<dyn Fn(&CatalogChange) + Send>,
 }
 
+/// All that looks like a plugin in these directories, at one look: nothing is tried, and nothing kept.
+///
+/// # Errors
+/// A directory that is missing, no directory, unreadable.
+pub fn look(dirs: &[PathBuf], trust: &Trust) -> Result<Vec<PluginEntry>, StoreError> {
+    dirs.iter().try_for_each(|dir| check_dir(dir))?;
+    let (mut scanner, none) = (Scanner::default(), BTreeSet::new());
+    let mut scan = scanner.scan(dirs, trust, &none, &none);
+    for _ in 0..2 {
+        if scan.unsettled {
+            std::thread::sleep(SETTLE);
+            scan = scanner.scan(dirs, trust, &none, &none);
+        }
+    }
+    Ok(catalog::assemble(&[], scan.findings))
+}
+
 impl PluginStore {
     /// Checks the directories and takes the first look into them.
     ///

@@ -1,6 +1,10 @@
 //! Reads typed values out of positioned JSON and words the refusals.
 //!
-//! Invariant: every refusal names the place of the value it is about, what was found and what is accepted.
+//! Invariant: every refusal names the place of the value it is about, what was found and what is accepted. One
+//! problem hides no other: whoever reads a part notes it in [`Found`] and goes on with the next.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
 
 use trocar_model::nearest;
 
@@ -55,6 +59,47 @@ fn syntax_help(text: &str, line: usize) -> String {
     }
 }
 
+/// Most problems that are listed: each costs a walk to its place.
+const MOST: usize = 100;
+
+/// The problems of a document that were met, [`MOST`] at most.
+#[derive(Debug, Default)]
+pub(super) struct Found(RefCell<Vec<Problem>>);
+
+impl Found {
+    pub(super) fn note(&self, problem: Problem) {
+        if !self.is_full() {
+            self.0.borrow_mut().push(problem);
+        }
+    }
+
+    /// No more are listed: whatever is read now is read for nothing.
+    pub(super) fn is_full(&self) -> bool {
+        self.0.borrow().len() >= MOST
+    }
+
+    /// What was read; `None` where that is a problem.
+    pub(super) fn take<T>(&self, read: Result<T, Problem>) -> Option<T> {
+        read.map_err(|problem| self.note(problem)).ok()
+    }
+
+    /// The same of a part that may be left out; a problem counts as left out.
+    pub(super) fn may<T>(&self, read: Option<Result<T, Problem>>) -> Option<T> {
+        self.take(read.transpose()).flatten()
+    }
+
+    /// In the order of the file.
+    pub(super) fn all(self) -> Vec<Problem> {
+        let mut all = self.0.into_inner();
+        all.sort_by_key(|problem| (problem.line, problem.column));
+        all
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.borrow().is_empty()
+    }
+}
+
 /// One value of a document and the pointer to it.
 #[derive(Clone, Debug)]
 pub(super) struct Cursor<'a> {
@@ -80,39 +125,48 @@ impl<'a> Cursor<'a> {
         )
     }
 
-    /// The entries of a map whose keys the user chooses; duplicates refused, comments left out.
-    pub(super) fn entries(&self, what: &str) -> Result<Vec<(&'a Key, Cursor<'a>)>, Problem> {
+    /// The entries of a map whose keys the user chooses; duplicates are noted, comments left out.
+    pub(super) fn entries(&self, what: &str, found: &Found) -> Vec<(&'a Key, Cursor<'a>)> {
         let Kind::Object(fields) = &self.node.kind else {
-            return Err(self.wanted(&format!("{what} (an object)")));
+            found.note(self.wanted(&format!("{what} (an object)")));
+            return Vec::new();
         };
         let mut entries: Vec<(&Key, Cursor<'_>)> = Vec::with_capacity(fields.len());
-        for (key, node) in fields.iter().filter(|(k, _)| k.text != COMMENT) {
-            if let Some((first, _)) = entries.iter().find(|(k, _)| k.text == key.text) {
-                let (line, column) = line_column(&self.doc.text, first.at);
-                return Err(self.key_problem(
-                    key,
-                    format!("duplicate key {:?}: it is already at line {line}, column {column}", key.text),
-                    "keep one of the two",
-                ));
+        let mut places = HashMap::with_capacity(fields.len());
+        for (key, node) in fields.iter().filter(|(k, _)| k.text != COMMENT).take_while(|_| !found.is_full()) {
+            let first = *places.entry(key.text.as_str()).or_insert(key.at);
+            if first == key.at {
+                entries.push((key, Cursor { doc: self.doc, node, pointer: join(&self.pointer, &key.text) }));
+                continue;
             }
-            entries.push((key, Cursor { doc: self.doc, node, pointer: join(&self.pointer, &key.text) }));
+            let (line, column) = line_column(&self.doc.text, first);
+            found.note(self.key_problem(
+                key,
+                format!("duplicate key {:?}: it is already at line {line}, column {column}", key.text),
+                "keep one of the two",
+            ));
         }
-        Ok(entries)
+        entries
     }
 
-    /// The fields of an object that has only these keys.
-    pub(super) fn fields(&self, what: &str, known: &[&str]) -> Result<Fields<'a>, Problem> {
-        let entries = self.entries(what)?;
-        for (key, _) in &entries {
-            if !known.contains(&key.text.as_str()) {
-                return Err(self.key_problem(
+    /// The fields of an object that has only these keys; others are noted.
+    pub(super) fn fields(&self, what: &str, known: &[&str], found: &Found) -> Fields<'a> {
+        let mut entries = self.entries(what, found);
+        let mut meant = Vec::new();
+        entries.retain(|(key, _)| {
+            let is_known = known.contains(&key.text.as_str());
+            if !is_known && !found.is_full() {
+                meant.extend(nearest(&key.text, known.iter().copied()).map(str::to_owned));
+                found.note(self.key_problem(
                     key,
                     format!("unknown key {:?} in {what}", key.text),
                     did_you_mean(&key.text, known.iter().copied()),
                 ));
             }
-        }
-        Ok(Fields { parent: self.clone(), what: what.to_owned(), entries })
+            is_known
+        });
+        let is_object = matches!(self.node.kind, Kind::Object(_));
+        Fields { parent: self.clone(), what: what.to_owned(), is_object, meant, entries }
     }
 
     pub(super) fn text(&self) -> Result<&'a str, Problem> {
@@ -188,6 +242,10 @@ impl<'a> Cursor<'a> {
 pub(super) struct Fields<'a> {
     parent: Cursor<'a>,
     what: String,
+    /// Else that was noted, and nothing of it can be missed.
+    is_object: bool,
+    /// Keys that others, which are unknown, seem to mean.
+    meant: Vec<String>,
     entries: Vec<(&'a Key, Cursor<'a>)>,
 }
 
@@ -196,23 +254,24 @@ impl<'a> Fields<'a> {
         self.entries.iter().find(|(k, _)| k.text == key).map(|(_, v)| v)
     }
 
-    pub(super) fn need(&self, key: &str) -> Result<&Cursor<'a>, Problem> {
-        self.get(key).ok_or_else(|| {
-            self.parent.problem(
+    /// A field without which there is nothing to be done; noted where it is missing.
+    pub(super) fn need(&self, key: &str, found: &Found) -> Option<&Cursor<'a>> {
+        let there = self.get(key);
+        if there.is_none() && self.is_object && !self.meant.iter().any(|meant| meant == key) {
+            found.note(self.parent.problem(
                 format!("{} has no {key:?}", self.what),
                 format!("add {key:?} (see `trocar schema system`)"),
-            )
-        })
+            ));
+        }
+        there
     }
 
-    /// Refuses the second of two keys that say the same thing.
-    pub(super) fn not_both(&self, one: &str, other: &str) -> Result<(), Problem> {
-        match (self.get(one), self.get(other)) {
-            (Some(_), Some(second)) => {
-                Err(second
-                    .problem(format!("{one:?} and {other:?} exclude each other"), "keep one of the two"))
-            }
-            _ => Ok(()),
+    /// Notes the second of two keys that say the same thing.
+    pub(super) fn not_both(&self, one: &str, other: &str, found: &Found) {
+        if let (Some(_), Some(second)) = (self.get(one), self.get(other)) {
+            found.note(
+                second.problem(format!("{one:?} and {other:?} exclude each other"), "keep one of the two"),
+            );
         }
     }
 }

@@ -5,8 +5,8 @@
 
 use trocar_model::ComponentId;
 
-use super::cursor::Document;
-use super::problem::{Problem, join};
+use super::cursor::{Document, Found};
+use super::problem::join;
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec};
 
 pub(super) fn isolate(
@@ -14,7 +14,8 @@ pub(super) fn isolate(
     processes: &mut Vec<ProcessSpec>,
     components: &mut [ComponentSpec],
     connections: &mut [ConnectionSpec],
-) -> Result<(), Problem> {
+    found: &Found,
+) {
     let wrong = |id: &ComponentId, key: &str, what: String, help: &str| {
         let pointer = join("/components", &id.to_string()) + key;
         let at = document.root.nearest_to(&pointer).at;
@@ -26,7 +27,7 @@ pub(super) fn isolate(
             let Some(owner) = owner else { continue };
             let lender = apart.iter().find(|id| id.to_string() == *owner);
             if c.isolated || lender.is_some() {
-                return Err(wrong(
+                found.note(wrong(
                     &c.id,
                     &format!("/execution/{key}"),
                     format!(
@@ -42,11 +43,13 @@ pub(super) fn isolate(
         let lives = id.apart().map_err(|e| {
             let what = format!("its own process cannot be called so: {e}");
             wrong(id, "/isolation", what, "give component or process a shorter name")
-        })?;
+        });
+        let Some(lives) = found.take(lives) else { continue };
         let name = &lives.process;
         if processes.iter().any(|p| p.name == *name) {
             let what = format!("its own process would be called {name}, and there is one of that name");
-            return Err(wrong(id, "/isolation", what, "give that process another name"));
+            found.note(wrong(id, "/isolation", what, "give that process another name"));
+            continue;
         }
         let Some(home) = processes.iter().find(|p| p.name == id.process).cloned() else { continue };
         processes.push(home.apart(&lives));
@@ -59,5 +62,4 @@ pub(super) fn isolate(
             }
         }
     }
-    Ok(())
 }

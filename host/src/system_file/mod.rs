@@ -5,6 +5,7 @@
 
 mod cursor;
 mod isolation;
+mod judge;
 mod overrides;
 mod place;
 mod problem;
@@ -23,17 +24,20 @@ use trocar_model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request
 use crate::host::MemoryBounds;
 use crate::processes::Policy;
 
+pub use judge::Judged;
 pub use overrides::BadSet;
 pub use problem::Problem;
 pub use schema::system_schema;
 
-use cursor::{COMMENT, Document};
+use cursor::{COMMENT, Document, Found};
 
 /// The first key that is twice in one object of a JSON text, anywhere in it; texts that are not JSON have none. Other
 /// readers take the last one silently, and a hidden setting is a wrong setting.
 pub fn duplicate_key(what: &str, text: &str) -> Option<Problem> {
     let document = Document::parse(what, text.to_owned()).ok()?;
-    read::no_duplicates(&document.cursor()).err()
+    let found = Found::default();
+    read::no_duplicates(&document.cursor(), &found);
+    found.all().into_iter().next()
 }
 
 /// Largest system file, bytes.
@@ -128,16 +132,27 @@ impl SystemFile {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// Unreadable, not UTF-8, not JSON, or not a system file: the first problem, with its place.
+    /// The first problem of [`SystemFile::check`].
     pub fn read(path: &Path) -> Result<Self, Problem> {
+        Self::check(path).map_err(first)
+    }
+
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Unreadable, not UTF-8, not JSON, or not a system file: all problems, in the order of the file, with their
+    /// places; a hundred at most.
+    pub fn check(path: &Path) -> Result<Self, Vec<Problem>> {
         let shown = path.display().to_string();
-        let whole = |what: String, help: &str| Problem {
-            file: shown.clone(),
-            line: 0,
-            column: 0,
-            pointer: String::new(),
-            what,
-            help: help.to_owned(),
+        let whole = |what: String, help: &str| {
+            vec![Problem {
+                file: shown.clone(),
+                line: 0,
+                column: 0,
+                pointer: String::new(),
+                what,
+                help: help.to_owned(),
+            }]
         };
         let mut bytes = Vec::new();
         let read =
@@ -155,7 +170,7 @@ impl SystemFile {
             let upto = e.utf8_error().valid_up_to();
             whole(format!("not UTF-8 text: byte {upto} is not valid"), "save the file as UTF-8")
         })?;
-        Self::parse(&shown, text)
+        Self::check_text(&shown, text)
     }
 
     /// Checks a text; `file` is the name used in problems.
@@ -163,7 +178,11 @@ impl SystemFile {
     /// # Errors
     /// As [`SystemFile::read`].
     pub fn parse(file: &str, text: String) -> Result<Self, Problem> {
-        read::system(Document::parse(file, text)?)
+        Self::check_text(file, text).map_err(first)
+    }
+
+    fn check_text(file: &str, text: String) -> Result<Self, Vec<Problem>> {
+        read::system(Document::parse(file, text).map_err(|problem| vec![problem])?)
     }
 
     /// Applies `process/component.key[.key]=value` to a component's configuration.
@@ -218,6 +237,11 @@ impl SystemFile {
             }
         }
     }
+}
+
+/// There is one where anything is wrong.
+fn first(mut problems: Vec<Problem>) -> Problem {
+    problems.swap_remove(0)
 }
 
 /// File order, but a component that runs in another's thread comes after that one. A cycle keeps file order: the model

@@ -110,8 +110,14 @@ impl SystemFile {
         }
     }
 
-    /// An option of a connection, of which its Connect was refused.
+    /// An option of a connection, of which its Connect was refused, or a setting of an execution, of which its
+    /// Create was.
     fn option(&self, what: &str, field: &str) -> Option<String> {
+        if let (Some(id), Some(setting)) = (what.strip_prefix("Create "), field.strip_prefix("execution.")) {
+            let id = ComponentId::parse(id).ok()?;
+            let spec = self.components.iter().find(|c| c.id == id)?;
+            return Some(join("/components", &spec.written.to_string()) + "/execution/" + setting);
+        }
         let (client, option) = (what.strip_prefix("Connect ")?, field.strip_prefix("options.")?);
         let at = self.connections.iter().position(|c| c.client.to_string() == client)?;
         let unit = if matches!(option, "max_age" | "deadline") { "_ms" } else { "" };

@@ -1,15 +1,17 @@
 //! Positioned JSON → `SystemFile`: one function per part of the file.
 //!
-//! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two.
+//! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two. Whatever
+//! is wrong is noted, and the rest is read all the same; a part with a problem is never used.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use trocar_model::{
-    ComponentId, ConnectOptions, Execution, ExecutionModel, Name, OnFailure, PortId, Queue, Wake,
+    ComponentId, ConnectOptions, Execution, ExecutionModel, OnFailure, PortId, Queue, Refusal, Wake,
 };
 
-use super::cursor::{Cursor, Document, did_you_mean};
+use super::cursor::{Cursor, Document, Found, did_you_mean};
 use super::isolation::isolate;
 use super::problem::Problem;
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
@@ -71,37 +73,54 @@ pub(super) const ISOLATIONS: &[(&str, bool)] = &[("none", false), ("process", tr
 const PATH_HELP: &str = "write process/component, e.g. \"host/robot\"";
 const PORT_HELP: &str = "write process/component/port, e.g. \"host/robot/arm\"";
 
-pub(super) fn system(document: Document) -> Result<SystemFile, Problem> {
-    let root = document.cursor();
-    let fields = root.fields("a system file", SYSTEM)?;
-    if let Some(schema) = fields.get("$schema") {
-        schema.text()?;
+/// The whole file, or all that is wrong with it.
+pub(super) fn system(document: Document) -> Result<SystemFile, Vec<Problem>> {
+    let found = Found::default();
+    let read = parts(&document, &found);
+    match read.filter(|_| found.is_empty()) {
+        Some((processes, components, connections)) => {
+            Ok(SystemFile { processes, components, connections, document })
+        }
+        None => Err(found.all()),
     }
-    let version = fields.need("version")?;
+}
+
+type Parts = (Vec<ProcessSpec>, Vec<ComponentSpec>, Vec<ConnectionSpec>);
+
+fn parts(document: &Document, found: &Found) -> Option<Parts> {
+    let root = document.cursor();
+    let fields = root.fields("a system file", SYSTEM, found);
+    if let Some(schema) = fields.get("$schema") {
+        found.take(schema.text());
+    }
+    let version = fields.need("version", found)?;
     if version.node.to_value() != serde_json::json!(1) {
-        return Err(version.problem(
+        // Another version means something else by the rest.
+        found.note(version.problem(
             format!("version is {}, this program reads version 1", version.node.describe()),
             "write \"version\": 1, or use a newer trocar",
         ));
+        return None;
     }
-    let listed = fields.get("processes").map(processes).transpose()?;
-    let written = fields.get("components").map(|c| components(c, listed.as_deref())).transpose()?;
-    let mut components = written.unwrap_or_default();
+    let listed = fields.get("processes").map(|part| processes(part, found));
+    let mut components =
+        fields.get("components").map_or_else(Vec::new, |c| components(c, listed.as_deref(), found));
     let mut connections =
-        fields.get("connections").map(|c| connections(c, &components)).transpose()?.unwrap_or_default();
+        fields.get("connections").map_or_else(Vec::new, |c| connections(c, &components, found));
     if let Some(scenarios) = fields.get("scenarios")
-        && let Some((key, _)) = scenarios.entries("scenarios")?.first()
+        && let Some((key, _)) = scenarios.entries("scenarios", found).first()
     {
-        return Err(scenarios.key_problem(
+        found.note(scenarios.key_problem(
             key,
             "scenarios are not part of this version",
             "leave \"scenarios\": {} empty for now",
         ));
     }
     let mut processes = listed.unwrap_or_else(|| implied_processes(&components));
-    isolate(&document, &mut processes, &mut components, &mut connections)?;
-    drop((fields, root));
-    Ok(SystemFile { processes, components, connections, document })
+    if found.is_empty() {
+        isolate(document, &mut processes, &mut components, &mut connections, found);
+    }
+    Some((processes, components, connections))
 }
 
 /// Without a `processes` part, the processes are those the components are in.
@@ -115,54 +134,56 @@ fn implied_processes(components: &[ComponentSpec]) -> Vec<ProcessSpec> {
     processes
 }
 
-fn processes(part: &Cursor<'_>) -> Result<Vec<ProcessSpec>, Problem> {
+fn processes(part: &Cursor<'_>, found: &Found) -> Vec<ProcessSpec> {
     let mut processes = Vec::new();
-    for (key, value) in part.entries("processes")? {
-        let name: Name = key.text.parse().map_err(|e| {
+    for (key, value) in part.entries("processes", found) {
+        let name = key.text.parse().map_err(|e: Refusal| {
             part.key_problem(
                 key,
-                format!("{e}"),
+                e.to_string(),
                 "a process name is letters, digits, '_', '-', '.', up to 63 characters",
             )
-        })?;
-        let fields = value.fields("a process", PROCESS)?;
-        let mut plugins = Vec::new();
-        if let Some(list) = fields.get("plugins") {
-            for item in list.list()? {
-                plugins.push(PathBuf::from(item.text()?));
-            }
-        }
-        let mut env: Vec<(String, String)> = Vec::new();
-        if let Some(part) = fields.get("env") {
-            for (key, value) in part.entries("env")? {
-                if key.text.is_empty() || key.text.contains(['=', '\0']) {
-                    let help = "write NAME: \"value\", without '=' in the name";
-                    return Err(part.key_problem(
-                        key,
-                        format!("{:?} is not the name of a variable", key.text),
-                        help,
-                    ));
-                }
-                let text = value.text()?;
-                if text.contains('\0') {
-                    return Err(value.problem("a value has no NUL character", "leave it out"));
-                }
-                env.push((key.text.clone(), text.to_owned()));
-            }
-        }
-        processes.push(ProcessSpec {
-            name,
-            plugins,
-            trust: fields.get("trust").map(trust).transpose()?.unwrap_or_default(),
-            listen: fields.get("listen").map(listen).transpose()?,
-            state: fields.get("state").map(Cursor::text).transpose()?.map(PathBuf::from),
-            env,
-            restart: fields.get("restart").map(restart).transpose()?.unwrap_or_default(),
-            memory: fields.get("memory").map(memory).transpose()?.unwrap_or_default(),
-            allow_exec: fields.get("allow_exec").map(Cursor::flag).transpose()?.unwrap_or_default(),
         });
+        let fields = value.fields("a process", PROCESS, found);
+        let plugins = fields.get("plugins").map_or_else(Vec::new, |list| texts(list, found));
+        let spec = |name| ProcessSpec {
+            name,
+            plugins: plugins.into_iter().map(PathBuf::from).collect(),
+            trust: found.may(fields.get("trust").map(trust)).unwrap_or_default(),
+            listen: found.may(fields.get("listen").map(listen)),
+            state: found.may(fields.get("state").map(Cursor::text)).map(PathBuf::from),
+            env: fields.get("env").map_or_else(Vec::new, |part| variables(part, found)),
+            restart: fields.get("restart").map_or_else(Policy::default, |part| restart(part, found)),
+            memory: found.may(fields.get("memory").map(|part| memory(part, found))).unwrap_or_default(),
+            allow_exec: found.may(fields.get("allow_exec").map(Cursor::flag)).unwrap_or_default(),
+        };
+        processes.extend(found.take(name).map(spec));
     }
-    Ok(processes)
+    processes
+}
+
+fn texts<'a>(list: &Cursor<'a>, found: &Found) -> Vec<&'a str> {
+    let items = found.take(list.list()).unwrap_or_default();
+    items.iter().filter_map(|item| found.take(item.text())).collect()
+}
+
+fn variables(part: &Cursor<'_>, found: &Found) -> Vec<(String, String)> {
+    let mut env = Vec::new();
+    for (key, value) in part.entries("env", found) {
+        if key.text.is_empty() || key.text.contains(['=', '\0']) {
+            let help = "write NAME: \"value\", without '=' in the name";
+            let what = format!("{:?} is not the name of a variable", key.text);
+            found.note(part.key_problem(key, what, help));
+        }
+        match found.take(value.text()) {
+            Some(text) if text.contains('\0') => {
+                found.note(value.problem("a value has no NUL character", "leave it out"));
+            }
+            Some(text) => env.push((key.text.clone(), text.to_owned())),
+            None => {}
+        }
+    }
+    env
 }
 
 fn listen(value: &Cursor<'_>) -> Result<String, Problem> {
@@ -179,36 +200,36 @@ fn listen(value: &Cursor<'_>) -> Result<String, Problem> {
     }
 }
 
-fn memory(value: &Cursor<'_>) -> Result<MemoryBounds, Problem> {
-    let fields = value.fields("the bounds of a process's memory", MEMORY)?;
+fn memory(value: &Cursor<'_>, found: &Found) -> Result<MemoryBounds, Problem> {
+    let fields = value.fields("the bounds of a process's memory", MEMORY, found);
     let mib = |key: &str| {
         let number = fields.get(key).map(|n| n.whole(1, u64::from(u32::MAX), "an amount of memory, MiB"));
-        Ok(number.transpose()?.map(|n| n as u32))
+        found.may(number).map(|n| n as u32)
     };
-    MemoryBounds::new(mib("warn_mib")?, mib("limit_mib")?)
+    MemoryBounds::new(mib("warn_mib"), mib("limit_mib"))
         .map_err(|why| value.problem(why, "write a warn_mib below limit_mib"))
 }
 
 /// `"never"`, `"on_failure"`, or how often and how soon.
-fn restart(value: &Cursor<'_>) -> Result<Policy, Problem> {
+fn restart(value: &Cursor<'_>, found: &Found) -> Policy {
     if let super::scan::Kind::Text(_) = value.node.kind {
-        return value.one_of(POLICIES);
+        return found.take(value.one_of(POLICIES)).unwrap_or_default();
     }
-    let fields = value.fields("a restart policy (or \"never\", \"on_failure\")", RESTART)?;
-    let time = |key: &str, unit: &str, ns: f64, default: Duration| -> Result<Duration, Problem> {
-        let given = fields.get(key).map(|v| v.positive(unit)).transpose()?;
-        Ok(given.map_or(default, |n| Duration::from_nanos((n * ns).min(1e17) as u64)))
+    let fields = value.fields("a restart policy (or \"never\", \"on_failure\")", RESTART, found);
+    let time = |key: &str, unit: &str, ns: f64, default: Duration| -> Duration {
+        let given = found.may(fields.get(key).map(|v| v.positive(unit)));
+        given.map_or(default, |n| Duration::from_nanos((n * ns).min(1e17) as u64))
     };
     let usual = Limits::DEFAULT;
-    let max = fields.get("max").map(|n| n.whole(0, 1000, "a number of restarts")).transpose()?;
-    Ok(Policy::OnFailure(Limits {
+    let max = found.may(fields.get("max").map(|n| n.whole(0, 1000, "a number of restarts")));
+    Policy::OnFailure(Limits {
         max: max.map_or(usual.max, |n| n as u32),
-        within: time("within_s", "s", 1e9, usual.within)?,
-        backoff: time("backoff_ms", "ms", 1e6, usual.backoff)?,
-        most_backoff: time("most_backoff_ms", "ms", 1e6, usual.most_backoff)?,
-        start_within: time("start_within_s", "s", 1e9, usual.start_within)?,
-        unheard: fields.get("unheard_s").map(unheard).transpose()?.unwrap_or(usual.unheard),
-    }))
+        within: time("within_s", "s", 1e9, usual.within),
+        backoff: time("backoff_ms", "ms", 1e6, usual.backoff),
+        most_backoff: time("most_backoff_ms", "ms", 1e6, usual.most_backoff),
+        start_within: time("start_within_s", "s", 1e9, usual.start_within),
+        unheard: found.may(fields.get("unheard_s").map(unheard)).unwrap_or(usual.unheard),
+    })
 }
 
 /// `"never"`, or a time, s.
@@ -241,160 +262,152 @@ fn trust(value: &Cursor<'_>) -> Result<TrustSpec, Problem> {
     }
 }
 
-fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>) -> Result<Vec<ComponentSpec>, Problem> {
+/// One that cannot be made has its name all the same: what connects it is no mistake.
+fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>, found: &Found) -> Vec<ComponentSpec> {
     let mut components = Vec::new();
-    for (key, value) in part.entries("components")? {
-        let id =
-            ComponentId::parse(&key.text).map_err(|e| part.key_problem(key, e.to_string(), PATH_HELP))?;
-        if let Some(known) = processes
+    for (key, value) in part.entries("components", found) {
+        if found.is_full() {
+            break;
+        }
+        let id = ComponentId::parse(&key.text).map_err(|e| part.key_problem(key, e.to_string(), PATH_HELP));
+        let id = found.take(id);
+        if let (Some(known), Some(id)) = (processes, &id)
             && known.iter().all(|p| p.name != id.process)
         {
-            return Err(part.key_problem(
+            found.note(part.key_problem(
                 key,
                 format!("process \"{}\" is not in \"processes\"", id.process),
                 did_you_mean(id.process.as_str(), known.iter().map(|p| p.name.as_str())),
             ));
         }
-        let fields = value.fields("a component", COMPONENT)?;
-        let config = fields.get("config").map(config).transpose()?;
-        components.push(ComponentSpec {
+        let fields = value.fields("a component", COMPONENT, found);
+        let class = fields.need("class", found).and_then(|class| found.take(class.text()));
+        let config = fields.get("config").map(|part| config(part, found));
+        let spec = |id: ComponentId| ComponentSpec {
             written: id.clone(),
             id,
-            resumes: fields.get("resume").map(|r| r.one_of(RESUMES)).transpose()?.unwrap_or(false),
-            isolated: fields.get("isolation").map(|i| i.one_of(ISOLATIONS)).transpose()?.unwrap_or(false),
-            class: fields.need("class")?.text()?.to_owned(),
+            resumes: found.may(fields.get("resume").map(|r| r.one_of(RESUMES))).unwrap_or(false),
+            isolated: found.may(fields.get("isolation").map(|i| i.one_of(ISOLATIONS))).unwrap_or(false),
+            class: class.unwrap_or_default().to_owned(),
             config,
-            execution: fields.get("execution").map(execution).transpose()?.unwrap_or_default(),
-            start: fields.get("start").map(Cursor::flag).transpose()?.unwrap_or(true),
-        });
+            execution: fields.get("execution").map_or_else(Execution::default, |e| execution(e, found)),
+            start: found.may(fields.get("start").map(Cursor::flag)).unwrap_or(true),
+        };
+        components.extend(id.map(spec));
     }
-    Ok(components)
+    components
 }
 
-/// Any object; duplicates are refused at every level because a hidden setting is a wrong setting.
-fn config(value: &Cursor<'_>) -> Result<serde_json::Value, Problem> {
-    value.entries("config")?;
-    no_duplicates(value)?;
-    Ok(value.node.to_value())
+/// Any object; duplicates are noted at every level because a hidden setting is a wrong setting.
+fn config(value: &Cursor<'_>, found: &Found) -> serde_json::Value {
+    if !matches!(value.node.kind, super::scan::Kind::Object(_)) {
+        value.entries("config", found);
+    }
+    no_duplicates(value, found);
+    value.node.to_value()
 }
 
-pub(super) fn no_duplicates(value: &Cursor<'_>) -> Result<(), Problem> {
+pub(super) fn no_duplicates(value: &Cursor<'_>, found: &Found) {
     match &value.node.kind {
         super::scan::Kind::Object(_) => {
-            for (_, inner) in value.entries("an object")? {
-                no_duplicates(&inner)?;
-            }
+            value.entries("an object", found).iter().for_each(|(_, inner)| no_duplicates(inner, found));
         }
         super::scan::Kind::List(_) => {
-            for inner in value.list()? {
-                no_duplicates(&inner)?;
-            }
+            found.take(value.list()).iter().flatten().for_each(|inner| no_duplicates(inner, found));
         }
         _ => {}
     }
-    Ok(())
 }
 
-fn execution(value: &Cursor<'_>) -> Result<Execution, Problem> {
-    let fields = value.fields("execution", EXECUTION)?;
-    fields.not_both("rate_hz", "period_us")?;
-    fields.not_both("stream_of", "inside")?;
-    let owner = |key: &str| -> Result<Option<String>, Problem> {
-        fields.get(key).map(|v| Ok(v.parsed(ComponentId::parse, PATH_HELP)?.to_string())).transpose()
+fn execution(value: &Cursor<'_>, found: &Found) -> Execution {
+    let fields = value.fields("execution", EXECUTION, found);
+    fields.not_both("rate_hz", "period_us", found);
+    fields.not_both("stream_of", "inside", found);
+    let owner = |key: &str| {
+        found.may(fields.get(key).map(|v| v.parsed(ComponentId::parse, PATH_HELP))).map(|id| id.to_string())
     };
-    let period_ns = match (fields.get("rate_hz"), fields.get("period_us")) {
-        (Some(rate), _) => Some((1e9 / rate.positive("Hz")?).round() as u64),
-        (_, Some(period)) => Some((period.positive("µs")? * 1e3).round() as u64),
-        _ => None,
+    let rate = found.may(fields.get("rate_hz").map(|rate| rate.positive("Hz")));
+    let period = found.may(fields.get("period_us").map(|period| period.positive("µs")));
+    let number = |key: &str, low: u64, high: u64, what: &str| {
+        found.may(fields.get(key).map(|n| n.whole(low, high, what))).map(|n| n as u32)
     };
-    let number = |key: &str, low: u64, high: u64, what: &str| -> Result<Option<u32>, Problem> {
-        Ok(fields.get(key).map(|n| n.whole(low, high, what)).transpose()?.map(|n| n as u32))
-    };
-    let mut cpus = Vec::new();
-    if let Some(list) = fields.get("cpus") {
-        for cpu in list.list()? {
-            cpus.push(cpu.whole(0, 4095, "a CPU number")? as usize);
-        }
-    }
-    Ok(Execution {
-        model: fields.get("model").map(|m| m.one_of(MODELS)).transpose()?,
-        period_ns,
-        phase_ns: fields
-            .get("phase_us")
-            .map(|p| p.not_negative("µs"))
-            .transpose()?
+    let cpus = fields.get("cpus").and_then(|list| found.take(list.list())).unwrap_or_default();
+    let cpus = cpus.iter().filter_map(|cpu| found.take(cpu.whole(0, 4095, "a CPU number")));
+    Execution {
+        model: found.may(fields.get("model").map(|m| m.one_of(MODELS))),
+        period_ns: rate.map(|hz| 1e9 / hz).or(period.map(|us| us * 1e3)).map(|ns| ns.round() as u64),
+        phase_ns: found
+            .may(fields.get("phase_us").map(|p| p.not_negative("µs")))
             .map(|us| (us * 1e3).round() as u64),
-        stream_of: owner("stream_of")?,
-        inside: owner("inside")?,
-        priority: fields
-            .get("priority")
-            .map(|p| p.whole(1, 99, "a SCHED_FIFO priority"))
-            .transpose()?
-            .map(|p| p as u8),
-        cpus,
-        catch_up: number("catch_up", 0, 1000, "a number of late periods")?,
-        threads: number("threads", 1, 64, "a number of threads")?,
-        max_step_ns: fields
-            .get("max_step_ms")
-            .map(|t| t.positive("ms"))
-            .transpose()?
+        stream_of: owner("stream_of"),
+        inside: owner("inside"),
+        priority: number("priority", 1, 99, "a SCHED_FIFO priority").map(|p| p as u8),
+        cpus: cpus.map(|cpu| cpu as usize).collect(),
+        catch_up: number("catch_up", 0, 1000, "a number of late periods"),
+        threads: number("threads", 1, 64, "a number of threads"),
+        max_step_ns: found
+            .may(fields.get("max_step_ms").map(|t| t.positive("ms")))
             .map(|ms| (ms * 1e6).round() as u64),
-        history: number("history", 3, 65_536, "a number of rows")?,
-        on_failure: fields.get("on_failure").map(|f| f.one_of(ON_FAILURE)).transpose()?,
-        wake: fields.get("wake").map(|w| w.one_of(WAKES)).transpose()?,
-    })
+        history: number("history", 3, 65_536, "a number of rows"),
+        on_failure: found.may(fields.get("on_failure").map(|f| f.one_of(ON_FAILURE))),
+        wake: found.may(fields.get("wake").map(|w| w.one_of(WAKES))),
+    }
 }
 
-fn connections(part: &Cursor<'_>, components: &[ComponentSpec]) -> Result<Vec<ConnectionSpec>, Problem> {
+fn connections(part: &Cursor<'_>, components: &[ComponentSpec], found: &Found) -> Vec<ConnectionSpec> {
+    let known: BTreeSet<String> = components.iter().map(|c| c.id.to_string()).collect();
+    let mut pairs = BTreeSet::new();
     let mut connections: Vec<ConnectionSpec> = Vec::new();
-    for value in part.list()? {
-        let fields = value.fields("a connection", CONNECTION)?;
-        let end = |key: &str| -> Result<PortId, Problem> {
-            let at = fields.need(key)?;
-            let port = at.parsed(PortId::parse, PORT_HELP)?;
-            if components.iter().any(|c| c.id == port.component) {
-                return Ok(port);
-            }
-            let known: Vec<String> = components.iter().map(|c| c.id.to_string()).collect();
-            Err(at.problem(
-                format!("component {} is not in this file", port.component),
-                did_you_mean(&port.component.to_string(), known.iter().map(String::as_str)),
-            ))
-        };
-        let (client, server) = (end("client")?, end("server")?);
-        if connections.iter().any(|c| c.client == client && c.server == server) {
-            return Err(value.problem(format!("{client} → {server} is listed twice"), "keep one of the two"));
+    for value in found.take(part.list()).unwrap_or_default() {
+        if found.is_full() {
+            break;
         }
-        let ms = |key: &str| -> Result<Option<u64>, Problem> {
-            Ok(fields.get(key).map(|v| v.positive("ms")).transpose()?.map(|ms| (ms * 1e6).round() as u64))
+        let fields = value.fields("a connection", CONNECTION, found);
+        let end = |key: &str| -> Option<PortId> {
+            let at = fields.need(key, found)?;
+            let port = found.take(at.parsed(PortId::parse, PORT_HELP))?;
+            let component = port.component.to_string();
+            if !known.contains(&component) {
+                found.note(at.problem(
+                    format!("component {component} is not in this file"),
+                    did_you_mean(&component, known.iter().map(String::as_str)),
+                ));
+            }
+            Some(port)
+        };
+        let (client, server) = (end("client"), end("server"));
+        let ms = |key: &str| -> Option<u64> {
+            found.may(fields.get(key).map(|v| v.positive("ms"))).map(|ms| (ms * 1e6).round() as u64)
         };
         let options = ConnectOptions {
-            queue: fields.get("queue").map(queue).transpose()?,
-            max_age_ns: ms("max_age_ms")?,
-            deadline_ns: ms("deadline_ms")?,
-            mailbox: fields
-                .get("mailbox")
-                .map(|m| m.whole(1, 65_536, "a mailbox depth"))
-                .transpose()?
+            queue: fields.get("queue").and_then(|part| queue(part, found)),
+            max_age_ns: ms("max_age_ms"),
+            deadline_ns: ms("deadline_ms"),
+            mailbox: found
+                .may(fields.get("mailbox").map(|m| m.whole(1, 65_536, "a mailbox depth")))
                 .map(|m| m as usize),
-            adapt: fields.get("adapt").map(Cursor::flag).transpose()?.unwrap_or(false),
-            delay: fields.get("delay").map(Cursor::flag).transpose()?.unwrap_or(false),
+            adapt: found.may(fields.get("adapt").map(Cursor::flag)).unwrap_or(false),
+            delay: found.may(fields.get("delay").map(Cursor::flag)).unwrap_or(false),
             replace: false,
-            carrier: fields.get("carrier").map(Cursor::text).transpose()?.unwrap_or_default().to_owned(),
+            carrier: found.may(fields.get("carrier").map(Cursor::text)).unwrap_or_default().to_owned(),
         };
+        let (Some(client), Some(server)) = (client, server) else { continue };
+        if !pairs.insert((client.to_string(), server.to_string())) {
+            found.note(value.problem(format!("{client} → {server} is listed twice"), "keep one of the two"));
+        }
         connections.push(ConnectionSpec { client, server, options });
     }
-    Ok(connections)
+    connections
 }
 
 /// `"latest"` or `{"fifo": N, "drop_oldest": false}`.
-fn queue(value: &Cursor<'_>) -> Result<Queue, Problem> {
+fn queue(value: &Cursor<'_>, found: &Found) -> Option<Queue> {
     if let super::scan::Kind::Text(_) = value.node.kind {
-        return value.one_of(&[("latest", Queue::Latest)]);
+        return found.take(value.one_of(&[("latest", Queue::Latest)]));
     }
-    let fields = value.fields("a queue (or the text \"latest\")", QUEUE)?;
-    Ok(Queue::Fifo {
-        depth: fields.need("fifo")?.whole(1, 65_536, "a queue depth in samples")? as usize,
-        drop_oldest: fields.get("drop_oldest").map(Cursor::flag).transpose()?.unwrap_or(false),
-    })
+    let fields = value.fields("a queue (or the text \"latest\")", QUEUE, found);
+    let depth = fields.need("fifo", found);
+    let depth = depth.and_then(|fifo| found.take(fifo.whole(1, 65_536, "a queue depth in samples")));
+    let drop_oldest = found.may(fields.get("drop_oldest").map(Cursor::flag)).unwrap_or(false);
+    Some(Queue::Fifo { depth: depth? as usize, drop_oldest })
 }

@@ -4,7 +4,10 @@
 use std::time::Duration;
 
 use serde_json::json;
-use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request, Wake};
+use trocar_model::{
+    ExecutionModel, OnFailure, Process, ProcessState, Queue, Refusal, Request, SystemGraph, Wake, Warnings,
+    plan_all,
+};
 
 use super::{Problem, SystemFile, system_schema};
 use crate::host::MemoryBounds;
@@ -83,6 +86,58 @@ fn values_arrive_in_the_models_units() {
     let log = &file.connections[1].options;
     assert_eq!(log.queue, Some(Queue::Fifo { depth: 4096, drop_oldest: false }));
     assert_eq!(log.max_age_ns, Some(2_500_000));
+}
+
+#[test]
+fn every_mistake_is_listed_in_the_order_of_the_file_and_none_for_another_ones_sake() {
+    let text = r#"{
+  "version": 1,
+  "processes": { "host": { "plugins": "plugins", "restart": { "max": -1 } }, "a b": {} },
+  "components": {
+    "host/robot": { "clas": "eyerobot", "execution": { "rate_hz": "fast", "period_us": 1, "cpus": ["a", 1] } },
+    "hst/sine":   { "class": "sine", "config": 7, "start": 0 },
+    "host/log":   [],
+    "host/log":   { "class": "recorder" }
+  },
+  "connections": [
+    { "client": "host/robot/arm", "server": "host/other/arm", "queue": {} },
+    { "client": "hst/sine/x" },
+    7
+  ],
+  "more": 1
+}"#;
+    let problems = SystemFile::check_text("system.json", text.to_owned()).unwrap_err();
+    let said: Vec<String> = problems.iter().map(|p| format!("{}: {}", p.pointer, p.what)).collect();
+    assert_eq!(
+        said,
+        [
+            "/processes/host/plugins: expected a list, found the text \"plugins\"",
+            "/processes/host/restart/max: expected a number of restarts, a whole number from 0 to 1000, found the number -1",
+            "/processes/a b: `a b` is not a path: character 2 is ' '; a name holds letters, digits, _ . -",
+            "/components/host~1robot/clas: unknown key \"clas\" in a component",
+            "/components/host~1robot/execution/rate_hz: expected a number above 0 Hz, found the text \"fast\"",
+            "/components/host~1robot/execution/period_us: \"rate_hz\" and \"period_us\" exclude each other",
+            "/components/host~1robot/execution/cpus/0: expected a CPU number, a whole number from 0 to 4095, found the text \"a\"",
+            "/components/hst~1sine: process \"hst\" is not in \"processes\"",
+            "/components/hst~1sine/config: expected config (an object), found the number 7",
+            "/components/hst~1sine/start: expected true or false, found the number 0",
+            "/components/host~1log: expected a component (an object), found a list",
+            "/components/host~1log: duplicate key \"host/log\": it is already at line 7, column 5",
+            "/connections/0/server: component host/other is not in this file",
+            "/connections/0/queue: a queue (or the text \"latest\") has no \"fifo\"",
+            "/connections/1: a connection has no \"server\"",
+            "/connections/2: expected a connection (an object), found the number 7",
+            "/more: unknown key \"more\" in a system file",
+        ]
+    );
+    assert!(problems.iter().all(|p| !p.help.is_empty()));
+}
+
+#[test]
+fn a_file_of_mistakes_is_read_in_no_time_and_a_hundred_are_listed() {
+    let many: Vec<String> = (0..200_000).map(|n| format!("\"k{n}\": 1")).collect();
+    let problems = SystemFile::check_text("system.json", format!("{{{}}}", many.join(","))).unwrap_err();
+    assert_eq!(problems.len(), 100);
 }
 
 #[test]
@@ -396,4 +451,94 @@ fn a_refusal_that_is_led_back_to_a_file_tells_what_to_change_in_the_file() {
     let (what, field) = (format!("Connect {}", first.client), "options.carrier".to_owned());
     let place = file.locate(&Refusal::ArgumentInvalid { what, why: "no carrier".into(), field }).unwrap();
     assert!(place.help.contains("trocar schema system"), "{}", place.help);
+}
+
+/// Processes whose plugins offer the class `arm`: an input, an output, a required and a provided interface.
+fn processes(names: &[&str]) -> SystemGraph {
+    let process = |name: &&str| {
+        let process = Process {
+            epoch: 1,
+            state: ProcessState::Attached,
+            endpoint: String::new(),
+            pid: 0,
+            classes: vec![crate::gcm::fake::class()],
+            last_exit: String::new(),
+            restarts: 0,
+            warnings: Warnings::default(),
+            guest: String::new(),
+        };
+        (name.parse().unwrap(), process)
+    };
+    let processes = names.iter().map(process).collect();
+    SystemGraph { processes, next_connection: 1, ..SystemGraph::default() }
+}
+
+const WIRED: &str = r#"{
+  "version": 1,
+  "components": {
+    "host/a": { "class": "arm" },
+    "host/b": { "class": "arm", "config": { "gain": 2 }, "execution": { "rate_hz": 500 } },
+    "host/c": { "class": "arm", "start": false }
+  },
+  "connections": [
+    { "client": "host/b/input", "server": "host/a/value" },
+    { "client": "host/c/robot", "server": "host/b/arm" }
+  ]
+}"#;
+
+#[test]
+fn what_is_right_is_told_as_the_plan_that_would_be_carried_out() {
+    let file = parse(WIRED).unwrap();
+    let judged = file.judge(&processes(&["host"]));
+    assert_eq!((judged.problems, judged.unknown.len()), (vec![], 0));
+    let whole = plan_all(&processes(&["host"]), &file.requests()).unwrap();
+    assert_eq!(judged.plan, whole);
+}
+
+#[test]
+fn every_refusal_is_listed_with_its_place_and_none_for_what_hangs_on_another() {
+    let wrong = [
+        (r#""host/a": { "class": "arm" }"#, r#""host/a": { "class": "leg" }"#),
+        (r#""gain": 2"#, r#""gain": -2"#),
+        (r#""start": false"#, r#""execution": { "rate_hz": 100000 }"#),
+        (
+            r#""connections": ["#,
+            r#""connections": [
+    { "client": "host/d/inputs", "server": "host/e/value" },
+    { "client": "host/d/robot", "server": "host/f/values" },"#,
+        ),
+        (
+            r#""components": {"#,
+            r#""components": {
+    "host/d": { "class": "arm" }, "host/e": { "class": "arm" },
+    "host/f": { "class": "arm", "config": { "gain": 1 } },"#,
+        ),
+    ];
+    let text = wrong.iter().fold(WIRED.to_owned(), |text, (part, by)| text.replacen(part, by, 1));
+    let judged = parse(&text).unwrap().judge(&processes(&["host"]));
+    let places: Vec<&str> = judged.problems.iter().map(|p| p.pointer.as_str()).collect();
+    assert_eq!(
+        places,
+        [
+            "/components/host~1a/class",
+            "/components/host~1b/config/gain",
+            "/components/host~1c/execution/rate_hz",
+            "/connections/0/client",
+        ],
+        "{:#?}",
+        judged.problems
+    );
+    assert!(judged.problems.iter().all(|p| p.line > 3 && !p.help.is_empty()), "{:#?}", judged.problems);
+    let unknown: Vec<String> = judged.unknown.iter().map(|(port, _)| port.to_string()).collect();
+    assert_eq!(unknown, ["host/f/values"], "its configuration may make it");
+    let done = crate::gcm::plan_lines(&judged.plan).join("; ");
+    assert!(done.contains("+ create host/f (toy/arm)") && !done.contains("host/a"), "{done}");
+}
+
+#[test]
+fn a_server_that_is_not_there_is_found_beside_a_client_that_nobody_knows_yet() {
+    let text = WIRED.replacen("host/b/input", "host/b/made", 1).replacen("host/a/value", "host/a/valeu", 1);
+    let judged = parse(&text).unwrap().judge(&processes(&["host"]));
+    let said: Vec<&str> = judged.problems.iter().map(|p| p.pointer.as_str()).collect();
+    assert_eq!(said, ["/connections/0/server"], "{:?}", judged.problems);
 }

@@ -34,7 +34,7 @@ use super::failure::{Done, Exit, Failure};
 use super::named::FileArgs;
 use super::session::{self, Session};
 use super::view::SystemView;
-use super::{hosting, logging};
+use super::{check, hosting, logging};
 use crate::gcm::{Fate, Told};
 use crate::host::{HostError, StateChoice, StateDir, StopRequest, state_home};
 use crate::processes::{Door, Phase, Program, Status, Supervisor, keep_short};
@@ -59,6 +59,9 @@ pub(super) struct UpArgs {
     /// Answer when everything is up, and leave it to `trocar down`.
     #[arg(long)]
     detach: bool,
+    /// Print what would be done, and do nothing.
+    #[arg(long, conflicts_with = "detach")]
+    dry_run: bool,
     #[command(flatten)]
     port: hosting::PortArgs,
     /// This is what --detach left running.
@@ -124,6 +127,9 @@ impl Up {
 }
 
 pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
+    if args.dry_run {
+        return check::dry_run(&args.named, session);
+    }
     let name = name_of(args.name.as_ref(), &args.named.file)?;
     let place = directory(&name);
     if args.detach {

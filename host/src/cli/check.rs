@@ -1,0 +1,146 @@
+//! `trocar check FILE`: everything that is wrong with a system file, and `--dry-run`: what it would do.
+//!
+//! Invariant: nothing is started and no byte of a plugin runs; what is said is what `run` and `up` would say,
+//! all at once.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::{Value, json};
+use trocar_model::Request;
+
+use super::failure::{Done, Exit, Failure};
+use super::named::FileArgs;
+use super::offline::Offline;
+use super::session::Session;
+use super::{out, style, units};
+use crate::gcm::plan_lines;
+use crate::system_file::{Judged, Problem, SystemFile};
+
+const EXAMPLES: &str = "\
+Example:
+  trocar check system.json
+Exit code 0: nothing is wrong; 1: something is. Nothing is started and no plugin runs.";
+
+/// Lists everything that is wrong with a system file, each with its place and what to do.
+///
+/// Syntax, names and values are judged first; where these are right, classes, configurations, ports and types,
+/// by the plugin directories of its processes.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct CheckArgs {
+    #[command(flatten)]
+    named: FileArgs,
+}
+
+pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
+    let file = match read(&args.named) {
+        Ok(file) => file,
+        Err(Bad::Settings(failure)) => return Err(failure),
+        Err(Bad::File(problems)) => return say(&args.named.file, &problems, &[], session),
+    };
+    let (judged, refused) = judged(&file, &args.named)?;
+    // A class that is not there may be one of theirs.
+    let notes = if judged.problems.is_empty() { unknown(&judged) } else { refused };
+    if !judged.problems.is_empty() {
+        return say(&args.named.file, &judged.problems, &notes, session);
+    }
+    if session.json() {
+        session.print_json(&json!({
+            "file": args.named.file, "problems": [], "notes": notes, "plan": plan_lines(&judged.plan),
+        }))?;
+        return Ok(Exit::Ok);
+    }
+    let word = style::paint("right", style::GOOD, style::stdout());
+    out::say(&format!(
+        "{} is {word}: {}, {}, {}",
+        args.named.file.display(),
+        units::count(file.processes.len() as u64, "process"),
+        units::count(file.components.len() as u64, "component"),
+        units::count(file.connections.len() as u64, "connection"),
+    ));
+    notes.iter().for_each(|note| out::complain("note", note));
+    Ok(Exit::Ok)
+}
+
+/// `--dry-run` of `run` and `up`: the plan, or all that is wrong.
+pub(super) fn dry_run(named: &FileArgs, session: &Session) -> Done {
+    let file = match read(named) {
+        Ok(file) => file,
+        Err(Bad::Settings(failure)) => return Err(failure),
+        Err(Bad::File(problems)) => return say(&named.file, &problems, &[], session),
+    };
+    let (judged, refused) = judged(&file, named)?;
+    if !judged.problems.is_empty() {
+        return say(&named.file, &judged.problems, &refused, session);
+    }
+    let (plan, notes) = (plan_lines(&judged.plan), unknown(&judged));
+    if session.json() {
+        session.print_json(&json!({ "file": named.file, "plan": plan, "notes": notes }))?;
+        return Ok(Exit::Ok);
+    }
+    plan.iter().for_each(|line| out::line(line));
+    notes.iter().for_each(|note| out::complain("note", note));
+    Ok(Exit::Ok)
+}
+
+enum Bad {
+    /// A setting of the command line.
+    Settings(Failure),
+    File(Vec<Problem>),
+}
+
+fn read(named: &FileArgs) -> Result<SystemFile, Bad> {
+    let mut file = SystemFile::check(&named.file).map_err(Bad::File)?;
+    for assignment in &named.sets {
+        file.set(assignment).map_err(|bad| Bad::Settings(bad.into()))?;
+    }
+    Ok(file)
+}
+
+fn judged(file: &SystemFile, named: &FileArgs) -> Result<(Judged, Vec<String>), Failure> {
+    let base: &Path = named.file.parent().unwrap_or(Path::new(""));
+    let given: &[PathBuf] = &named.plugins;
+    let offline = Offline::of(file, base, given)?;
+    Ok((file.judge(&offline.graph), offline.refused))
+}
+
+/// Connections whose ports nobody knows yet.
+fn unknown(judged: &Judged) -> Vec<String> {
+    let ends = judged.unknown.iter().filter_map(|(port, request)| match request {
+        Request::Connect { client, server, .. } => Some(format!(
+            "{server} → {client} is not judged: whether {port} is there is known once its component is configured"
+        )),
+        _ => None,
+    });
+    ends.collect()
+}
+
+fn say(file: &Path, problems: &[Problem], notes: &[String], session: &Session) -> Done {
+    if session.json() {
+        session.print_json(&json!({
+            "file": file,
+            "reason": "SYSTEM_FILE",
+            "problems": problems.iter().map(for_programs).collect::<Vec<_>>(),
+            "notes": notes,
+        }))?;
+        return Ok(Exit::Refused);
+    }
+    for problem in problems {
+        out::complain("error", &problem.to_string());
+        out::complain("help", &problem.help);
+    }
+    notes.iter().for_each(|note| out::complain("note", note));
+    out::say(&format!("{}: {}", file.display(), units::count(problems.len() as u64, "problem")));
+    Ok(Exit::Refused)
+}
+
+fn for_programs(problem: &Problem) -> Value {
+    json!({
+        "line": problem.line,
+        "column": problem.column,
+        "pointer": problem.pointer,
+        "message": problem.what,
+        "help": problem.help,
+    })
+}
