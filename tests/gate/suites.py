@@ -249,7 +249,7 @@ SUITES = [
     outer("demo", "the newcomer's first command", threads=1, counted=True, timed=True, heavy=True),
     outer("devices", "robot, OCT, video and filters from outside", heavy=True),
     outer("realtime", "threads, priorities, streams and queues", counted=True),
-    outer("faults", "components that panic, hang and misbehave", counted=True),
+    outer("faults", "components that panic, hang and misbehave", counted=True, timed=True),
     outer("hostile", "strangers, impostors and limits", counted=True),
     outer("links", "connections between processes"),
     outer("places", "components in processes of their own, by one word"),

@@ -12,8 +12,10 @@ mod stage;
 #[path = "control_plane/waiting.rs"]
 mod waiting;
 
+use std::cell::Cell;
+
 use serde_json::{Value, json};
-use trocar_tests::{Grpcurl, HostProcess, World, eventually, number};
+use trocar_tests::{Grpcurl, HostProcess, Told, World, eventually, number};
 
 const SERVICES: [&str; 4] =
     ["trocar.v1.GcmService", "trocar.v1.InteractService", "trocar.v1.PluginService", "grpc.health.v1.Health"];
@@ -212,6 +214,42 @@ fn subscribe_follows_outputs_at_the_rate_asked_for() {
     let second = stream.until("another sample", |item| item["kind"] == "ITEM_KIND_STREAM");
     assert!(number(&second["seq"]) > number(&first["seq"]), "{first} then {second}");
     assert!(number(&second["stampNs"]) > number(&first["stampNs"]), "{first} then {second}");
+}
+
+#[test]
+fn one_subscribe_follows_so_many_selections_and_refuses_one_more_with_what_to_do() {
+    const MOST: usize = 256;
+    let (_world, _host, grpc) = host_with(&["sine"]);
+    grpc.await_class("host", "sine");
+    grpc.create("host/s", "sine", json!({}));
+    let selecting = |n: usize| json!({ "selections": vec![json!({ "path": "host/s" }); n] });
+    let refused = grpc.refused("InteractService/Subscribe", selecting(MOST + 1));
+    assert_eq!(
+        (refused.code, refused.reason.as_str()),
+        ("INVALID_ARGUMENT", "ARGUMENT_INVALID"),
+        "{refused}"
+    );
+    assert_eq!(refused.violated_fields(), ["selections"], "{refused}");
+    let says = "it selects 257, and one Subscribe follows 256 at most: follow the rest by another";
+    assert!(refused.message.contains(says), "{refused}");
+    assert!(Told::by(&refused).help.contains("ask again"), "{refused:?}");
+
+    // Each selection begins with the present state, so that all are counted.
+    let follow = |n: usize| {
+        let mut stream = grpc.stream("InteractService/Subscribe", &selecting(n));
+        let seen = Cell::new(0);
+        stream.until(&format!("{n} states"), |item| {
+            assert_eq!(item["kind"], "ITEM_KIND_STATE", "{item}");
+            seen.set(seen.get() + 1);
+            seen.get() == n
+        });
+        stream
+    };
+    let most = follow(MOST);
+    let rest = follow(1);
+    drop(most);
+    let again = follow(MOST);
+    drop((rest, again));
 }
 
 #[test]

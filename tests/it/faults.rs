@@ -6,6 +6,7 @@ mod counted;
 mod hangs;
 mod manners;
 mod refusals;
+mod timed;
 mod ways;
 
 use serde_json::{Value, json};

@@ -2,6 +2,8 @@
 //!
 //! Promise: what it answers is judged, what it says is shown and never obeyed, and the process stays as it was.
 
+mod household;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -13,6 +13,8 @@ mod hardware;
 mod helps;
 #[path = "plugin_loading/leaving.rs"]
 mod leaving;
+#[path = "plugin_loading/linker.rs"]
+mod linker;
 #[path = "plugin_loading/reasons.rs"]
 mod reasons;
 

@@ -4,6 +4,7 @@
 //! but by what came before what.
 
 mod counted;
+mod made_for;
 mod models;
 mod phases;
 mod priority;

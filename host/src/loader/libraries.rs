@@ -26,8 +26,9 @@ pub(crate) fn is_available(soname: &str) -> bool {
     if DEFAULT_DIRS.iter().any(|dir| Path::new(dir).join(soname).exists()) {
         return true;
     }
-    // The linker has read it when this process began.
-    let extra = var_at_start("LD_LIBRARY_PATH").filter(|paths| !paths.is_empty());
+    // The linker read it when this process began, or ignored it, since the program is secured.
+    let extra = if is_secured() { None } else { var_at_start("LD_LIBRARY_PATH") };
+    let extra = extra.filter(|paths| !paths.is_empty());
     // An empty path among others is the working directory, an empty variable is none.
     if extra.is_some_and(|paths| std::env::split_paths(&paths).any(|dir| dir.join(soname).exists())) {
         return true;

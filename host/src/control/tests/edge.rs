@@ -1,11 +1,14 @@
 //! What the port serves besides the methods: reflection, health, streams, logs, and where it may listen.
 
+use std::pin::pin;
+
 use tokio_stream::StreamExt;
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
 use trocar_proto::v1;
+use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 
 use super::super::{PortRules, ServeConfig, ServeError, Server};
 use super::{System, connect, create, in_time, serve, start, stop};
@@ -228,6 +231,32 @@ async fn who_names_what_was_listed_is_answered_when_it_is_otherwise() {
     });
     let same = same.await.expect("it is answered before the call's deadline").into_inner();
     assert_eq!((same.etag, same.components.len()), (changed.etag, 1));
+}
+
+#[tokio::test]
+async fn what_a_connection_opens_beyond_its_limit_waits_until_one_of_its_streams_ends() {
+    const MOST: usize = 256;
+    let s = System::start().await;
+    let follow = async || {
+        let selections = vec![v1::Selection { path: "host/a".into(), ..Default::default() }];
+        s.interact().subscribe(v1::SubscribeRequest { selections }).await.unwrap().into_inner()
+    };
+    let mut open = Vec::new();
+    for _ in 0..MOST {
+        open.push(follow().await);
+    }
+    let mut beyond = pin!(follow());
+    // Another connection is answered meanwhile, again and again.
+    let mut other = GcmServiceClient::new(connect(&s.server).await);
+    for _ in 0..100 {
+        tokio::select! {
+            biased;
+            _ = &mut beyond => panic!("{} streams of one connection were opened", MOST + 1),
+            listed = other.list(v1::ListRequest::default()) => drop(listed.unwrap()),
+        }
+    }
+    drop(open.pop());
+    drop(beyond.await);
 }
 
 #[tokio::test]

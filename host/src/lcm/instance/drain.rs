@@ -38,6 +38,20 @@ const SERVO_NS: u64 = 10_000_000;
 /// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
 const ROUNDS: usize = 2;
 
+/// Longest wait of a goal that was only sent, ns; `None`: no limit. `said_ns` is the deadline of its connection
+/// and `period_ns` that of the component's own grid, 0 without one.
+fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> Option<u64> {
+    let periods_ns = GOAL_PERIODS * period_ns;
+    match goal {
+        Goal::None => None,
+        _ if said_ns > 0 => Some(said_ns),
+        _ if !is_actuator => None,
+        Goal::Numbers => Some(GOAL_NS.max(periods_ns)),
+        Goal::Servo if periods_ns > 0 => Some(SERVO_NS.max(periods_ns)),
+        Goal::Servo => Some(GOAL_NS),
+    }
+}
+
 impl Instance {
     /// Changes the list of queues; managers only.
     pub(in crate::lcm) fn edit_inboxes(&self, f: impl FnOnce(&mut Vec<Arc<Inbox>>)) {
@@ -132,16 +146,8 @@ impl Instance {
             return false;
         }
         let goal = self.described.look(|set| set.goals.get(command as usize).copied().unwrap_or_default());
-        let periods_ns = GOAL_PERIODS * self.period_ns();
-        let longest_ns = match goal {
-            Goal::None => return false,
-            _ if inbox.deadline_ns > 0 => inbox.deadline_ns,
-            _ if !self.is_actuator() => return false,
-            Goal::Numbers => GOAL_NS.max(periods_ns),
-            Goal::Servo if periods_ns > 0 => SERVO_NS.max(periods_ns),
-            Goal::Servo => GOAL_NS,
-        };
-        os::now_ns().saturating_sub(head.stamp_ns) > longest_ns
+        may_wait_ns(goal, inbox.deadline_ns, self.is_actuator(), self.period_ns())
+            .is_some_and(|longest_ns| os::now_ns().saturating_sub(head.stamp_ns) > longest_ns)
     }
 
     /// Counted; the watchdog tells of it. Real-time unless it panicked.
@@ -295,5 +301,41 @@ impl Instance {
     /// Leaves the mark that something is there for whoever is inside; true when nobody is any more.
     pub(super) fn leave_mark(&self) -> bool {
         self.signalled.leave(|| self.object.is_free())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Goal, may_wait_ns};
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_goal_waits_for_an_actuator_100_ms_and_one_of_a_stream_three_periods_unless_its_connection_says() {
+        use Goal::{None as Words, Numbers, Servo};
+        // Goal, deadline of its connection, whether it moves something, period; its longest wait. All in ms.
+        for (goal, said, actuator, period, longest) in [
+            (Numbers, 0, true, 0, Some(100)),
+            (Numbers, 0, true, 1, Some(100)),
+            (Numbers, 0, true, 33, Some(100)),
+            (Numbers, 0, true, 50, Some(150)),
+            (Servo, 0, true, 5, Some(15)),
+            (Servo, 0, true, 50, Some(150)),
+            // A machine without real-time threads is late by so much.
+            (Servo, 0, true, 1, Some(10)),
+            (Servo, 0, true, 0, Some(100)),
+            (Numbers, 20, true, 1, Some(20)),
+            (Servo, 20, true, 1, Some(20)),
+            (Servo, 500, false, 1, Some(500)),
+            (Numbers, 0, false, 1, None),
+            (Servo, 0, false, 1, None),
+            // A stop is right however late it comes.
+            (Words, 20, true, 1, None),
+            (Words, 0, true, 0, None),
+        ] {
+            let case = format!("{goal:?}, {said} ms said, actuator {actuator}, period {period} ms");
+            let answer = may_wait_ns(goal, said * MS, actuator, period * MS);
+            assert_eq!(answer, longest.map(|ms: u64| ms * MS), "{case}");
+        }
     }
 }

@@ -79,6 +79,8 @@ pub(in crate::lcm) struct Strangers {
 impl Strangers {
     /// Looks. Not real-time.
     pub(in crate::lcm) fn look() -> Strangers {
+        #[cfg(test)]
+        LISTS.with(|lists| lists.set(lists.get() + 1));
         let mut own = house::threads();
         let listed = threads::list();
         // One that has come or gone meanwhile is on one of both lists.
@@ -137,9 +139,16 @@ fn looks() -> u64 {
     LOOKS.with(std::cell::Cell::get)
 }
 
+/// Lists of all threads that this thread has asked for.
+#[cfg(test)]
+pub(super) fn lists() -> u64 {
+    LISTS.with(std::cell::Cell::get)
+}
+
 #[cfg(test)]
 thread_local! {
     static LOOKS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
+    static LISTS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
 }
 
 fn began(tid: i32) -> u64 {

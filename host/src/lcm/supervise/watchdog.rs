@@ -209,23 +209,4 @@ impl Rounds {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const MS: u64 = 1_000_000;
-
-    #[test]
-    fn a_pause_of_the_machine_is_nobody_s_doing_who_was_inside_during_it() {
-        let mut late = Lateness::default();
-        late.look(10 * MS, 10 * MS);
-        // Due at 15 ms, and the machine stood from 12 to 80 ms.
-        late.look(15 * MS, 80 * MS);
-        let whole = 65 * MS - WAKING_NS;
-        assert_eq!((late.now_ns, late.before_ns), (whole, 0));
-        assert_eq!(late.at(12 * MS, 80 * MS), 0, "all of it came afterwards");
-        assert_eq!(late.at(78 * MS, 80 * MS), whole - 2 * MS, "what began when it was nearly over");
-        assert_eq!(late.at(80 * MS, 80 * MS), whole);
-        late.look(85 * MS, 85 * MS);
-        assert_eq!(late.at(82 * MS, 85 * MS), whole, "what began when it was over");
-    }
-}
+mod tests;

@@ -8,8 +8,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use serde_json::{Value, json};
 use trocar_model::{Arg, Queue, StructType, TAPS, decode};
 use trocar_plugin_api::abi::Tick;
+use trocar_rt::mailbox::{EntryHead, Overflow, Push};
+use trocar_rt::os;
 
 use super::super::boundary::fake::Own;
+use super::super::inbox::ENTRY_COMMAND;
 use super::*;
 
 /// Takes samples of so many words that wait.
@@ -142,6 +145,57 @@ async fn each_command_is_told_with_its_argument_and_what_came_of_it() {
     assert_eq!(seen, want);
     let numbers: Vec<u64> = all.iter().map(|(_, seq)| *seq).collect();
     assert_eq!(numbers, [1, 2, 3, 4, 5], "what came before anybody listened is not counted");
+    world.end().await;
+}
+
+#[tokio::test]
+async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
+    // 50 Hz: three periods are less than what other goals may wait.
+    const PERIOD_NS: u64 = 20_000_000;
+    const GOAL_NS: u64 = 100_000_000;
+    const SET: u32 = 2;
+    const SERVO: u32 = 3;
+    let world = World::new("tap_late");
+    let taker = Arc::new(Taker::<3>::default());
+    let mut ports = settable();
+    let commands = &mut ports.provided[0].commands;
+    commands.push(Command { name: "servo_jp".into(), ..commands[SET as usize].clone() });
+    let info = class(ports, Safety::Actuator);
+    let told = tap(&info, TAPS[2]);
+    world.create_as("arm", info, periodic(50), Arc::new(Moody::default())).await;
+    let sink = class(any(), Safety::None);
+    world.create_as("taker", sink, model(ExecutionModel::OnSignal), taker.clone()).await;
+    for name in ["arm", "taker"] {
+        world.start(name).await;
+    }
+    world.connect(1, "taker/in", "arm/tap_commands", queue()).await;
+    let arm = world.lcm.instance(&world.id("arm")).unwrap();
+    let inbox = arm.described.now().external.clone();
+    let now_ns = os::now_ns();
+    // A stamp that is still to come: no goal is younger when it is taken, however late this machine is.
+    let young_ns = now_ns + 600_000_000_000;
+    for (index, sent_ns, value) in [
+        (SERVO, now_ns - 3 * PERIOD_NS - 1, 1u64),
+        (SET, now_ns - GOAL_NS - 1, 2),
+        (SERVO, young_ns, 3),
+        (SET, young_ns, 4),
+    ] {
+        let head = EntryHead { kind: ENTRY_COMMAND, index, reply: 0, stamp_ns: sent_ns };
+        assert_eq!(inbox.mailbox.push(head, &value.to_ne_bytes(), Overflow::Reject), Push::Queued);
+    }
+    arm.signal();
+    eventually("all are told", || taker.len() >= 4).await;
+    let seen: Vec<_> = taker.all().iter().map(|(bytes, _)| read(&told, bytes)).collect();
+    let want = [
+        ("ctl/servo_jp", "DEADLINE", 1),
+        ("ctl/set", "DEADLINE", 2),
+        ("ctl/servo_jp", "EXECUTED", 3),
+        ("ctl/set", "EXECUTED", 4),
+    ];
+    let want: Vec<_> =
+        want.into_iter().map(|(name, came, arg)| (name.to_owned(), json!(came), json!(arg))).collect();
+    assert_eq!(seen, want);
+    assert_eq!(inbox.unexecuted(), 2);
     world.end().await;
 }
 

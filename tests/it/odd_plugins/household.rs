@@ -1,0 +1,135 @@
+//! A plugin in C that changes the locale of the process, or closes its standard streams.
+//!
+//! Promise: each is put back, whichever entry did it, and named at the component that did it; the host and
+//! that component go on.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::{Value, json};
+use trocar_tests::{Grpcurl, HostProcess, World, eventually, repository, skip};
+
+const ENTRIES: [&str; 3] = ["start", "step", "command"];
+const STREAMS: [&str; 3] = ["standard input", "standard output", "standard error"];
+
+struct Scene {
+    host: HostProcess,
+    grpc: Grpcurl,
+    _world: World,
+}
+
+impl Scene {
+    /// A host that offers the plugin; `None` without a C compiler, and the test is then skipped by name.
+    fn new() -> Option<Self> {
+        let world = World::new();
+        let mut compiler = Command::new("cc");
+        compiler.args(["-std=c11", "-O1", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]);
+        compiler.args(["-fvisibility=hidden", "-I"]).arg(repository().join("sdk/c"));
+        compiler.arg("-o").arg(world.path("plugins/libtrocar_untidy.so"));
+        let made = compiler.arg(repository().join("tests/it/odd_plugins/untidy.c")).output();
+        let Ok(made) = made else {
+            skip("a plugin that changes its process is made with a C compiler");
+            return None;
+        };
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        let host = HostProcess::start(&world);
+        let grpc = host.grpcurl();
+        grpc.await_class("host", "untidy");
+        Some(Self { host, grpc, _world: world })
+    }
+
+    /// Makes `host/u`, which does this in that entry.
+    fn strikes(&self, does: &str, entry: &str) {
+        self.grpc.create("host/u", "untidy", json!({ "does": does, "entry": entry }));
+        self.grpc.start("host/u");
+        self.grpc.invoke("host/u/ctl/poke", Value::Null);
+    }
+
+    fn warnings(&self, path: &str) -> String {
+        self.grpc.component(path)["stats"]["warnings"].to_string()
+    }
+
+    fn await_named(&self, what: &str, words: &[&str]) -> String {
+        eventually(what, || match self.warnings("host/u") {
+            said if words.iter().all(|words| said.contains(words)) => Ok(said),
+            said => Err(said),
+        })
+    }
+
+    /// It runs; then it is taken away.
+    fn remove(&self) {
+        assert_eq!(self.grpc.state("host/u"), "ACTIVE", "it is named, not punished");
+        self.grpc.ok("GcmService/Remove", json!({ "path": "host/u", "force": true }));
+    }
+}
+
+#[test]
+fn a_locale_set_in_any_entry_is_put_back_and_its_setter_named_with_what_to_use_instead() {
+    let Some(scene) = Scene::new() else { return };
+    scene.strikes("nothing", "start");
+    let answers = |command: &str| scene.grpc.invoke(&format!("host/u/ctl/{command}"), Value::Null);
+    assert_eq!(answers("is_plain"), true, "the host itself has the locale C");
+    if answers("has_other") != true {
+        return skip("this machine has no locale but C");
+    }
+    scene.remove();
+    for (does, locale) in [("all", "to C.UTF-8, "), ("numeric", "LC_NUMERIC=C.UTF-8;")] {
+        for entry in ENTRIES {
+            let what = format!("{does} in {entry} is named");
+            scene.strikes(does, entry);
+            let words = ["it changed the locale of the process to ", "which was put back", "newlocale"];
+            let said = scene.await_named(&what, &words);
+            assert!(said.contains(locale), "{what} with what it was set to: {said}");
+            assert_eq!(said.contains("start: it changed"), entry == "start", "{what}: {said}");
+            assert_eq!(answers("is_plain"), true, "{what}, and put back: {said}");
+            scene.remove();
+        }
+    }
+}
+
+#[test]
+fn standard_streams_closed_in_any_entry_lead_nowhere_and_their_closer_is_named() {
+    let Some(scene) = Scene::new() else { return };
+    let opened = |fd: usize| fs::read_link(format!("/proc/{}/fd/{fd}", scene.host.pid()));
+    let before = opened(1).unwrap();
+    assert_ne!(before, Path::new("/dev/null"), "this harness reads what the host prints");
+    for entry in ENTRIES {
+        scene.strikes("streams", entry);
+        let words = STREAMS
+            .map(|stream| format!("the {stream} of the process by closing it, which leads nowhere now"));
+        let words = words.each_ref().map(String::as_str);
+        scene.await_named(&format!("who closed the streams in {entry} is named"), &words);
+        for (fd, stream) in STREAMS.iter().enumerate() {
+            let now = opened(fd).ok();
+            assert_eq!(now.as_deref(), Some(Path::new("/dev/null")), "the {stream}, closed in {entry}");
+        }
+        scene.remove();
+    }
+    assert_eq!(scene.grpc.ok("grpc.health.v1.Health/Check", json!({}))["status"], "SERVING");
+}
+
+#[test]
+fn a_locale_set_beside_other_components_is_put_back_and_said_in_the_log_unless_its_entry_was_alone() {
+    let Some(scene) = Scene::new() else { return };
+    scene.grpc.create("host/other", "untidy", json!({}));
+    scene.grpc.start("host/other");
+    if scene.grpc.invoke("host/other/ctl/has_other", Value::Null) != true {
+        return skip("this machine has no locale but C");
+    }
+    let is_plain = || scene.grpc.invoke("host/other/ctl/is_plain", Value::Null);
+    scene.strikes("all", "start");
+    scene.await_named("who changed it in start", &["start: it changed the locale of the process to C.UTF-8"]);
+    assert_eq!(is_plain(), true);
+    scene.remove();
+    // Steps of others run at any time: then the log says that it was one of them.
+    scene.strikes("all", "step");
+    let words = "code in this process, of one of 2 components or beside them, changed the locale of the process to C.UTF-8";
+    eventually("the log says it", || match scene.host.printed() {
+        said if said.contains(words) => Ok(()),
+        said => Err(said),
+    });
+    assert_eq!(is_plain(), true);
+    assert!(!scene.warnings("host/other").contains("locale"), "nobody is named by a guess");
+    scene.remove();
+}
