@@ -1,6 +1,7 @@
 //! InteractService: calls, reads, what is followed, logs.
 
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
@@ -23,6 +24,8 @@ type Lines = Pin<Box<dyn Stream<Item = Result<v1::LogsResponse, Status>> + Send>
 
 /// Most that one Subscribe follows: each is pushed to by the component's own thread.
 const SELECTIONS: usize = 256;
+/// Most that all callers of a port follow.
+pub(in crate::control) const FOLLOWED: usize = 16_384;
 /// Items one caller may have waiting.
 const WAITING: usize = 256;
 
@@ -120,6 +123,15 @@ impl InteractService for Edge {
                 field: "selections".into(),
             }));
         }
+        let count = selections.len() as u32;
+        let Ok(permits) = self.followed.clone().try_acquire_many_owned(count) else {
+            let said = format!(
+                "{FOLLOWED} outputs and events are followed at this port, which is the most: end some of those calls, or follow fewer"
+            );
+            return Err(Status::resource_exhausted(said));
+        };
+        // Given back when the last of its followers ends.
+        let permits = Arc::new(permits);
         let (tell, told) = mpsc::channel(WAITING);
         let mut feeds = Vec::new();
         for s in selections {
@@ -129,8 +141,9 @@ impl InteractService for Edge {
             feeds.push(lcm.subscribe(vec![selection]).await.map_err(refuse)?);
         }
         for mut feed in feeds {
-            let tell = tell.clone();
+            let (tell, permits) = (tell.clone(), permits.clone());
             tokio::spawn(async move {
+                let _held = permits;
                 loop {
                     let item = tokio::select! {
                         () = tell.closed() => return,

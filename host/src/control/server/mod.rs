@@ -12,10 +12,13 @@ mod plugin;
 mod wait;
 mod watch;
 
+pub(super) use interact::FOLLOWED;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use tokio::sync::Semaphore;
 use tokio::sync::watch::Receiver;
 use tokio::task::JoinSet;
 use tonic::{Extensions, Status};
@@ -43,6 +46,8 @@ pub(super) struct Edge {
     pub(super) managed_by: Option<String>,
     /// What was logged here: by every process of a GCM, by this one otherwise.
     pub(super) lines: Arc<Lines>,
+    /// What may still be followed here.
+    pub(super) followed: Arc<Semaphore>,
     /// Its sender goes when this port closes: calls that wait for something end then.
     pub(super) closing: Receiver<()>,
 }

@@ -5,11 +5,12 @@
 
 mod dynamic;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::{Map, Value, json};
 use tokio::runtime::Handle;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tonic::client::Grpc;
 use tonic::transport::Endpoint;
 use tonic::{Request, Status};
@@ -21,7 +22,7 @@ use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 use self::dynamic::Rpc;
 use super::attach::MAX_MESSAGE;
 use super::caller::{Tokened, with_token};
-use super::server::{Caller, Edge};
+use super::server::{Caller, Edge, FOLLOWED};
 use super::status::{code_name, status};
 use crate::gcm::Gcm;
 use crate::lcm::{ReplyTo, Services};
@@ -54,7 +55,8 @@ impl GcmServices {
     pub fn here(gcm: Gcm) -> GcmServices {
         let lines = gcm.lines().clone();
         let (open, closing) = watch::channel(());
-        let edge = Edge { gcm: Some(gcm), local: None, managed_by: None, lines, closing };
+        let followed = Arc::new(Semaphore::new(FOLLOWED));
+        let edge = Edge { gcm: Some(gcm), local: None, managed_by: None, lines, followed, closing };
         GcmServices { runtime: Handle::current(), way: Way::Here(edge), _open: open }
     }
 

@@ -260,6 +260,25 @@ async fn what_a_connection_opens_beyond_its_limit_waits_until_one_of_its_streams
 }
 
 #[tokio::test]
+async fn a_port_lets_so_much_be_followed_and_no_more_until_somebody_ends() {
+    const MOST: usize = 16_384;
+    const EACH: usize = 256;
+    let s = System::start().await;
+    let selection = v1::Selection { path: "host/a".into(), ..Default::default() };
+    let ask = |many: usize| v1::SubscribeRequest { selections: vec![selection.clone(); many] };
+    let mut open = Vec::new();
+    for _ in 0..MOST / EACH {
+        open.push(s.interact().subscribe(ask(EACH)).await.unwrap());
+    }
+    let refused = s.interact().subscribe(ask(1)).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted);
+    assert!(refused.message().contains("16384 outputs and events are followed"), "{refused}");
+    drop(open.pop());
+    // Asked again until the end of the other is seen.
+    in_time(async || s.interact().subscribe(ask(EACH)).await).await.unwrap();
+}
+
+#[tokio::test]
 async fn logs_are_kept_for_who_asks_later_and_end_unless_followed() {
     let s = System::start().await;
     let path = "host/a";
