@@ -144,8 +144,10 @@ class Screen:
         self.line(f"-- the end of {log}")
         try:
             with open(log, errors="replace") as file:
-                for line in file.read().splitlines()[-TAIL:]:
-                    self.line(f"   {line}")
+                # cargo's messages for programs would hide what it says to people.
+                lines = [line for line in file.read().splitlines() if not line.startswith('{"reason":')]
+            for line in lines[-TAIL:]:
+                self.line(f"   {line}")
         except OSError as error:
             self.line(f"   it cannot be read: {error}")
 

@@ -314,6 +314,20 @@ class TheTable(unittest.TestCase):
             self.assertEqual(building._package(package_id), name)
 
 
+class TheEndOfALog(unittest.TestCase):
+    def test_a_build_that_failed_shows_what_the_compiler_said_and_not_its_messages_for_programs(self):
+        out = io.StringIO()
+        with tempfile.NamedTemporaryFile("w", suffix=".log") as log:
+            log.write("error[E0063]: missing field\n")
+            log.write('{"reason":"compiler-artifact"}\n' * 100)
+            log.write("error: could not compile\n")
+            log.flush()
+            Screen(out).tail(log.name)
+        self.assertEqual(
+            out.getvalue().splitlines()[1:], ["   error[E0063]: missing field", "   error: could not compile"]
+        )
+
+
 class PlantedFaults(unittest.TestCase):
     """The list of planted.py, beside the sources of today."""
 
