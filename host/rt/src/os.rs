@@ -15,7 +15,7 @@ pub use crate::sync::Scope;
 pub use descriptors::{Descriptor, Lasting, replace};
 pub use environment::Environment;
 pub use forked::{Unshared, unshared};
-pub use household::Household;
+pub use household::{Household, keep_streams, standard_error};
 pub use manners::{Hygiene, reset_rounding, rounding, set_sigmask, thread_hygiene};
 
 /// Ns of CLOCK_MONOTONIC. Any thread, about 25 ns, no system call.

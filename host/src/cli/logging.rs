@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use log::{Level, LevelFilter, Log, Metadata, Record};
+use trocar_rt::os;
 
 use super::logs::clock;
 use super::out::paragraph;
@@ -135,7 +136,7 @@ impl Drop for Diverted {
             text = format!("{} lines before these:\n", kept.all - kept.newest.len());
         }
         kept.newest.iter().for_each(|line| text.push_str(&format!("{line}\n")));
-        let _ = std::io::stderr().write_all(text.as_bytes());
+        let _ = os::standard_error().write_all(text.as_bytes());
     }
 }
 
@@ -174,7 +175,7 @@ impl Log for Logger {
         if record.level() <= *self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
             match self.kept.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
                 Some(kept) => kept.push(&line),
-                None => _ = std::io::stderr().write_all(line.as_bytes()),
+                None => _ = os::standard_error().write_all(line.as_bytes()),
             }
         }
         if let Some(file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {

@@ -89,20 +89,20 @@ fn a_locale_set_in_any_entry_is_put_back_and_its_setter_named_with_what_to_use_i
 }
 
 #[test]
-fn standard_streams_closed_in_any_entry_lead_nowhere_and_their_closer_is_named() {
+fn standard_streams_closed_in_any_entry_are_put_back_and_their_closer_is_named() {
     let Some(scene) = Scene::new() else { return };
     let opened = |fd: usize| fs::read_link(format!("/proc/{}/fd/{fd}", scene.host.pid()));
-    let before = opened(1).unwrap();
-    assert_ne!(before, Path::new("/dev/null"), "this harness reads what the host prints");
+    let before = [0, 1, 2].map(|fd| opened(fd).unwrap());
+    assert_ne!(before[1], Path::new("/dev/null"), "this harness reads what the host prints");
     for entry in ENTRIES {
         scene.strikes("streams", entry);
-        let words = STREAMS
-            .map(|stream| format!("the {stream} of the process by closing it, which leads nowhere now"));
+        let words =
+            STREAMS.map(|stream| format!("the {stream} of the process by closing it, which was put back"));
         let words = words.each_ref().map(String::as_str);
         scene.await_named(&format!("who closed the streams in {entry} is named"), &words);
         for (fd, stream) in STREAMS.iter().enumerate() {
             let now = opened(fd).ok();
-            assert_eq!(now.as_deref(), Some(Path::new("/dev/null")), "the {stream}, closed in {entry}");
+            assert_eq!(now.as_ref(), Some(&before[fd]), "the {stream}, closed in {entry}");
         }
         scene.remove();
     }

@@ -5,7 +5,11 @@
 //! this program's own counts as another's doing.
 
 use std::ffi::{CStr, CString, c_int, c_void};
+use std::fs::File;
+use std::io::{self, Write};
 use std::mem::{MaybeUninit, zeroed};
+use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
+use std::sync::OnceLock;
 
 use super::Environment;
 
@@ -34,6 +38,46 @@ const SIGNALS: [(c_int, &str); 20] = [
 ];
 
 const STREAMS: [&str; 3] = ["standard input", "standard output", "standard error"];
+
+/// Copies of the standard streams, above their numbers.
+static KEPT: OnceLock<[Option<File>; STREAMS.len()]> = OnceLock::new();
+
+/// Keeps the standard streams as they are: what closes them takes nothing away from [`standard_error`], and
+/// they can be put back. Once; later calls change nothing.
+pub fn keep_streams() {
+    KEPT.get_or_init(|| [0, 1, 2].map(|fd| copy_from(fd, STREAMS.len() as c_int).map(File::from)));
+}
+
+/// A copy of an open descriptor, at the first free number from `least` on.
+fn copy_from(fd: c_int, least: c_int) -> Option<OwnedFd> {
+    // SAFETY: makes a new descriptor of one that need not be open, and closes none.
+    let copy = unsafe { libc::fcntl(fd, libc::F_DUPFD_CLOEXEC, least) };
+    // SAFETY: it is new, so nobody else's.
+    (copy >= 0).then(|| unsafe { OwnedFd::from_raw_fd(copy) })
+}
+
+/// Standard error as it was when it was kept, whatever has become of its number since.
+pub fn standard_error() -> impl Write {
+    enum Out {
+        Kept(&'static File),
+        Now(io::Stderr),
+    }
+    impl Write for Out {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            match self {
+                Out::Kept(file) => file.write(bytes),
+                Out::Now(stderr) => stderr.write(bytes),
+            }
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+    match KEPT.get() {
+        Some([.., Some(file)]) => Out::Kept(file),
+        _ => Out::Now(io::stderr()),
+    }
+}
 
 /// The state of the process at one moment.
 #[derive(Clone)]
@@ -94,8 +138,13 @@ impl Household {
         }
         for (fd, name) in STREAMS.iter().enumerate() {
             if self.streams[fd] && !now.streams[fd] {
-                let back =
-                    if open_nothing(fd as c_int) { "which leads nowhere now" } else { "which stays closed" };
+                let back = if reopen(fd) {
+                    "which was put back"
+                } else if open_nothing(fd as c_int) {
+                    "which leads nowhere now"
+                } else {
+                    "which stays closed"
+                };
                 said.push(format!("the {name} of the process by closing it, {back}"));
             }
         }
@@ -147,6 +196,23 @@ fn is_ours(handler: usize) -> bool {
         && handler != libc::SIG_IGN
         && own.is_some()
         && of(handler as *const c_void) == own
+}
+
+/// Puts a closed stream back as it was kept. False where there is no copy, or another file has the number by
+/// now.
+fn reopen(stream: usize) -> bool {
+    let Some(kept) = KEPT.get().and_then(|kept| kept[stream].as_ref()) else { return false };
+    match copy_from(kept.as_raw_fd(), stream as c_int) {
+        Some(copy) if copy.as_raw_fd() == stream as c_int => {
+            // Programs that are started take it over, as they do the stream itself.
+            // SAFETY: changes a flag of a descriptor that is open.
+            unsafe { libc::fcntl(copy.as_raw_fd(), libc::F_SETFD, 0) };
+            // It stays open under its number.
+            let _ = copy.into_raw_fd();
+            true
+        }
+        _ => false,
+    }
 }
 
 /// Opens what takes everything and gives nothing at a closed number, so that no file of somebody comes to lie

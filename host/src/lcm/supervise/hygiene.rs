@@ -50,6 +50,7 @@ pub(super) fn settle() {
 /// This process is a host and nothing else: from now on its locale, umask, signal handlers and standard
 /// streams are looked after. A program that embeds a host changes them as it likes.
 pub(crate) fn own_process() {
+    os::keep_streams();
     household().get_or_insert_with(Household::look);
 }
 
