@@ -91,7 +91,7 @@ pub struct BScan {
     /// Frames since Start that were no A-scans, or had a time that cannot be.
     #[state]
     refused_frames: u64,
-    /// Distances since Start that had no time, or one from ahead.
+    /// Distances since Start that had no time, one from ahead, or numbers that cannot be.
     #[state]
     refused_distances: u64,
     /// Readings of the robot's pose since Start that had a time from ahead, or no numbers.

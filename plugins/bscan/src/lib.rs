@@ -6,6 +6,8 @@
 pub mod ascans;
 mod bscan;
 pub mod depth;
+#[cfg(test)]
+mod finite_tests;
 pub mod image;
 pub mod line;
 mod mscan;

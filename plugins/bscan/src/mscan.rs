@@ -59,10 +59,10 @@ pub struct MScan {
     /// Frames since Start that were no A-scans, or had a time that cannot be.
     #[state]
     refused_frames: u64,
-    /// Distances since Start that had no time, or one from ahead.
+    /// Distances since Start that had no time, one from ahead, or numbers that cannot be.
     #[state]
     refused_distances: u64,
-    /// Poses of the robot since Start that had a time from ahead, or no numbers.
+    /// Poses of the robot since Start that had a time from ahead, or numbers that cannot be.
     #[state]
     refused_poses: u64,
     /// Images since Start for which there was no frame.

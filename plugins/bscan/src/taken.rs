@@ -16,6 +16,9 @@ const DISTANCES: usize = 256;
 /// How far a time may lie ahead of the step that takes it, s: as far as the tip's time line can be asked.
 pub const AHEAD_S: f64 = 0.005;
 
+/// No tip and no surface is measured further away, m, or faster, m/s.
+const MOST: f64 = 1000.0;
+
 /// Can something have been told at `now` that was so at `stamp`?
 pub fn can_be(stamp: Stamp, now: Stamp) -> bool {
     stamp.is_valid() && !stamp.is_ahead_of(now, AHEAD_S)
@@ -31,7 +34,7 @@ pub struct Track {
 impl Track {
     /// Where the tip is by the encoders, as it is told at `now`; false for what is no pose, or none that can be.
     pub fn tip_at(&mut self, pose: Pose, now: Stamp) -> bool {
-        let good = can_be(pose.stamp, now) && pose.position.iter().all(|p| p.is_finite());
+        let good = can_be(pose.stamp, now) && pose.position.iter().all(|p| p.abs() <= MOST);
         if good {
             self.poses.push(pose);
         }
@@ -40,7 +43,9 @@ impl Track {
 
     /// What was seen in one A-scan, as it is told at `now`; false where it cannot have been seen then.
     pub fn surface_at(&mut self, seen: Distance, now: Stamp) -> bool {
-        let good = can_be(seen.stamp, now);
+        // A velocity that is no number is not known.
+        let moves = seen.velocity.is_nan() || seen.velocity.abs() <= MOST;
+        let good = can_be(seen.stamp, now) && seen.distance.abs() <= MOST && moves;
         if good {
             self.distances.push(seen);
         }

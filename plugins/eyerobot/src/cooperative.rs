@@ -13,6 +13,9 @@ use guard::{Bounds, Guard};
 /// A robot that does not tell where it is for this long is not led, s.
 const ROBOT_LOST_S: f64 = 0.02;
 
+/// Nothing is measured further away, m: neither a tip from its base nor a surface from a tip.
+const FURTHEST_M: f64 = 1000.0;
+
 #[derive(Config)]
 struct CooperativeConfig {
     /// The tip is not led nearer to the surface that the input distance tells. An eye swings: a tip that stands here comes nearer by all
@@ -81,7 +84,8 @@ impl Cooperative {
     fn guard(&mut self, now: Stamp) -> bool {
         (self.surface, self.room) = (Flag::FALSE, 0.0);
         let Ok(pose) = self.measured_cp.call(()) else { return false };
-        if !pose.is_valid() || now.seconds_since(pose.stamp) > ROBOT_LOST_S {
+        let is_somewhere = pose.position.iter().all(|p| p.abs() <= FURTHEST_M);
+        if !pose.is_valid() || !is_somewhere || now.seconds_since(pose.stamp) > ROBOT_LOST_S {
             return false;
         }
         self.guard.tip_at(&pose);
@@ -122,8 +126,9 @@ impl Component for Cooperative {
             self.rejected += 1;
         }
         if let Ok(felt) = self.measured_cf.call(()) {
-            self.force =
-                if felt.is_valid() { felt.force.iter().map(|f| f * f).sum::<f64>().sqrt() } else { 0.0 };
+            let [x, y, z] = felt.force;
+            // Unlike a root of squares, finite for any force.
+            self.force = if felt.is_valid() { x.hypot(y).hypot(z).min(f64::MAX) } else { 0.0 };
         }
         Ok(())
     }

@@ -27,6 +27,8 @@ pub use robot::EyeRobot;
 pub use trocar_sdk::data::{FixtureKind, VirtualFixture};
 
 #[cfg(test)]
+mod finite_tests;
+#[cfg(test)]
 mod plant_tests;
 
 trocar_sdk::trocar_plugin!(EyeRobot, JointMover, Cooperative, FreeHand);

@@ -1,7 +1,9 @@
 //! Kalman filter of what moves at a nearly constant velocity: a number, or the position of a pose.
 //!
-//! Invariant: time is that of the samples' stamps: samples that are late or missing are no error, those that go back in time
-//! are left out. The prediction is an extrapolation of the estimate and never fed back.
+//! Invariant: time is that of the samples' stamps: samples that are late or missing are no error, those that go back in
+//! time are left out. The prediction is an extrapolation of the estimate and never fed back. With another `sigma` the
+//! estimate stays as sure beside a measurement as it was: a rate made of noise is not trusted more because noise counts
+//! for more. No variance is negative.
 use trocar_sdk::data::{CartesianState, Pose, Scalar, Twist};
 use trocar_sdk::prelude::*;
 
@@ -118,13 +120,15 @@ struct Track<const N: usize> {
     rate: [f64; N],
     /// Of value and rate: variance, covariance, variance.
     p: [f64; 3],
+    /// Variance of a measurement that `p` goes with.
+    r: f64,
     /// Of the last measurement taken; invalid before the first one.
     stamp: Stamp,
 }
 
 impl<const N: usize> Default for Track<N> {
     fn default() -> Self {
-        Track { at: [0.0; N], rate: [0.0; N], p: [0.0; 3], stamp: Stamp::INVALID }
+        Track { at: [0.0; N], rate: [0.0; N], p: [0.0; 3], r: 1.0, stamp: Stamp::INVALID }
     }
 }
 
@@ -140,10 +144,10 @@ impl<const N: usize> Track<N> {
         if !self.stamp.is_valid() || dt > cfg.forget_s {
             // Nothing is known of the rate: it may be what the acceleration makes of it until it is forgotten.
             let unknown = (cfg.acceleration * cfg.forget_s).max(r / (cfg.forget_s * cfg.forget_s));
-            *self = Track { at: z, rate: [0.0; N], p: [r, 0.0, 1e4 * unknown], stamp };
+            *self = Track { at: z, rate: [0.0; N], p: [r, 0.0, 1e4 * unknown], r, stamp };
             return Some([0.0; N]);
         }
-        let [a, b, c] = self.p;
+        let [a, b, c] = self.p.map(|p| p * (r / self.r));
         let q = cfg.acceleration;
         let p = [
             a + dt * (2.0 * b + dt * c) + q * dt * dt * dt / 3.0,
@@ -161,8 +165,10 @@ impl<const N: usize> Track<N> {
             self.at[i] = expected[i] + gain[0] * beside[i];
             self.rate[i] += gain[1] * beside[i];
         }
-        self.p = [p[0] - gain[0] * p[0], p[1] - gain[0] * p[1], p[2] - gain[1] * p[1]];
-        self.stamp = stamp;
+        // Differences of nearly equal numbers would become negative.
+        let both = (p[0] * p[2] - p[1] * p[1]).max(0.0);
+        self.p = [p[0] * r / s, p[1] * r / s, (both + p[2] * r) / s];
+        (self.r, self.stamp) = (r, stamp);
         Some(beside)
     }
 

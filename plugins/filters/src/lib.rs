@@ -38,7 +38,7 @@ mod low_pass;
 /// The plugin of a class and of all others in this crate.
 macro_rules! plugin_with {
     ($class:ty) => {
-        sdk::trocar_plugin!(
+        crate::plugin_of!(
             $class,
             crate::AddLatency,
             crate::Biquad,
@@ -51,6 +51,19 @@ macro_rules! plugin_with {
         );
     };
 }
+
+/// The plugin of these classes; its tests meet each of them in `of_each`.
+macro_rules! plugin_of {
+    ($($class:ty),+) => {
+        sdk::trocar_plugin!($($class),+);
+
+        #[cfg(test)]
+        pub(crate) fn of_each(law: &impl crate::tests::Law) {
+            $(law.of::<$class>();)+
+        }
+    };
+}
+pub(crate) use plugin_of;
 pub(crate) use plugin_with;
 
 pub use add_latency::AddLatency;

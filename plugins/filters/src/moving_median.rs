@@ -1,6 +1,8 @@
 //! The median of the last samples: removes spikes, keeps edges.
 //!
-//! Invariant: the output is always a number that came in; until the window is full, the median is of those that are there.
+//! Invariant: the output is always a number that came in; until the window is full, the median is of those that are
+//! there. With another length the window grows by one sample, or shrinks by two, with each sample that comes: the output
+//! does not jump.
 use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 
@@ -42,7 +44,7 @@ impl MovingMedian {
     /// Forgets the past.
     #[command]
     fn clear(&mut self) {
-        (self.of_value.seen, self.of_wrench.seen) = (0, 0);
+        (self.of_value.there, self.of_wrench.there) = (0, 0);
     }
 }
 
@@ -55,7 +57,6 @@ impl Component for MovingMedian {
             )
             .into());
         }
-        self.clear();
         Ok(())
     }
 
@@ -78,24 +79,33 @@ impl Component for MovingMedian {
 /// The last samples, number by number, the oldest overwritten.
 struct Window<const N: usize> {
     last: [[f64; MOST]; N],
-    seen: usize,
+    /// Place of the next one.
+    at: usize,
+    /// Those before it that are in the window.
+    there: usize,
 }
 
 impl<const N: usize> Default for Window<N> {
     fn default() -> Self {
-        Window { last: [[0.0; MOST]; N], seen: 0 }
+        Window { last: [[0.0; MOST]; N], at: 0, there: 0 }
     }
 }
 
 impl<const N: usize> Window<N> {
     /// Takes one sample of all numbers; their medians.
     fn each(&mut self, length: usize, mut numbers: [f64; N]) -> [f64; N] {
-        let at = self.seen % length;
-        self.seen += 1;
-        let there = self.seen.min(length);
+        self.there =
+            if self.there > length { length.max(self.there - 2) } else { length.min(self.there + 1) };
+        let (at, there) = (self.at, self.there);
+        self.at = (at + 1) % MOST;
+        // Samples of the window that lie at the end of the ring.
+        let before = (there - 1).saturating_sub(at);
         for (number, last) in numbers.iter_mut().zip(&mut self.last) {
             last[at] = *number;
-            let mut sorted = *last;
+            let mut sorted = [0.0; MOST];
+            let (newer, older) = sorted[..there].split_at_mut(there - before);
+            newer.copy_from_slice(&last[at + 1 - newer.len()..=at]);
+            older.copy_from_slice(&last[MOST - before..]);
             // Of an even number, the lower one of the two in the middle.
             let (_, median, _) = sorted[..there].select_nth_unstable_by((there - 1) / 2, f64::total_cmp);
             *number = *median;

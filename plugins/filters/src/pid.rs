@@ -70,8 +70,8 @@ pub struct Pid {
     cfg: PidConfig,
     #[host]
     host: Host,
-    /// Measurement behind the low-pass; none before the first one.
-    smoothed: Option<f64>,
+    /// Last measurement, and its slope behind the low-pass, per s; none before the first one.
+    moving: Option<(f64, f64)>,
     wanted: Held,
     is: Held,
 }
@@ -81,7 +81,7 @@ impl Pid {
     /// Forgets the past: integral and derivative begin anew.
     #[command]
     fn clear(&mut self) {
-        (self.integral, self.smoothed) = (0.0, None);
+        (self.integral, self.moving) = (0.0, None);
     }
     #[read]
     fn output(s: &PidState) -> f64 {
@@ -99,6 +99,12 @@ impl Component for Pid {
             return Err(
                 format!("safe: {safe} is not between lowest, {lowest}, and highest, {highest}").into()
             );
+        }
+        if self.controls.get() {
+            // New limits hold back the output, and the integral with it: it would have to wind back first.
+            let above = (self.integral.min(self.output) - highest).max(0.0);
+            let below = (self.integral.max(self.output) - lowest).min(0.0);
+            self.integral -= above + below;
         }
         Ok(())
     }
@@ -132,13 +138,16 @@ impl Component for Pid {
         self.controls = Flag::TRUE;
         let dt = t.period_s();
         self.error = wanted - is;
-        let before = self.smoothed.unwrap_or(is);
-        // Without a time constant it follows at once, in a cycle that took no time, too.
-        let follows = if self.cfg.smooth_s > 0.0 { dt / (dt + self.cfg.smooth_s) } else { 1.0 };
-        let smoothed = before + (is - before) * follows;
-        self.smoothed = Some(smoothed);
-        // Of the measurement and not of the error: a setpoint that jumps gives no kick.
-        let slope = if dt > 0.0 { (smoothed - before) / dt } else { 0.0 };
+        let (before, slope) = self.moving.unwrap_or((is, 0.0));
+        let smooth_s = self.cfg.smooth_s;
+        // The slope of the measurement and not of the error: a setpoint that jumps gives no kick. Another time constant
+        // gives none either, as the slope is smoothed. In no time, unsmoothed, the slope stays, and so does `before`.
+        let moving @ (_, slope) = if dt + smooth_s > 0.0 {
+            (is, (slope * smooth_s + (is - before)) / (dt + smooth_s))
+        } else {
+            (before, slope)
+        };
+        self.moving = Some(moving);
         let PidConfig { kp, ki, kd, lowest, highest, .. } = self.cfg;
         let others = kp * self.error - kd * slope;
         let more = self.integral + ki * self.error * dt;

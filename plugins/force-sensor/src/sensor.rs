@@ -19,6 +19,9 @@ const DRIFT_PERIOD_S: f64 = 600.0;
 
 const RATE_HZ: f64 = 1000.0;
 
+/// No force is larger, N: sums of such forces are finite.
+const LARGEST_N: f64 = 1e100;
+
 #[derive(Config)]
 struct ForceSensorConfig {
     /// Simulated world
@@ -110,7 +113,9 @@ impl ForceSensor {
         let t_s = now.ns() as f64 * 1e-9;
         let ForceSensorConfig { noise_n, drift_n_s, .. } = self.cfg;
         let errors = ForceErrors { noise_n, rate_hz: RATE_HZ, drift_n_s, drift_period_s: DRIFT_PERIOD_S };
-        Some(load(&world, self.site, &isometry, &linear, t_s) + errors.at(noise, t_s))
+        let load = load(&world, self.site, &isometry, &linear, t_s) + errors.at(noise, t_s);
+        // A tip that is nowhere, or faster than anything, feels nothing that can be told.
+        load.iter().all(|force| force.abs() <= LARGEST_N).then_some(load)
     }
 }
 

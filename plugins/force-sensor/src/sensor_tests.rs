@@ -4,8 +4,9 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use proptest::prelude::*;
 use trocar_sdk::data::{Pose, Twist};
-use trocar_sdk::testing::{Bench, assert_implements, contracts};
+use trocar_sdk::testing::{Bench, assert_implements, contracts, numbers};
 
 trocar_sdk::testing::count_allocations!();
 
@@ -173,4 +174,54 @@ fn the_worlds_to_choose_from_are_those_there_are() {
     let schema = format!("{{{}}}", field.schema);
     let schema: trocar_sdk::serde_json::Value = trocar_sdk::serde_json::from_str(&schema).unwrap();
     assert_eq!(schema["enum"], trocar_sdk::serde_json::json!(World::NAMES));
+}
+
+#[test]
+fn a_tip_that_turns_faster_than_anything_feels_nothing_that_can_be_told() {
+    let mut bench = Bench::<ForceSensor>::new("{}");
+    let stamp = bench.now();
+    let pose = Pose { stamp, position: [0.0, 0.0, surface()], ..Pose::default() };
+    let twist = Twist { stamp, linear: [0.0; 3], angular: [1e308, 1.0, 1.0] };
+    bench.push("tip", CartesianState { stamp, pose, twist, wrench: Wrench::default() });
+    bench.step(1);
+    assert_eq!((measured(&bench), bench.state().missed), (Wrench::default(), 1));
+}
+
+fn any_number() -> impl Strategy<Value = f64> {
+    let size = prop_oneof![4 => -6.0..1.0f64, 2 => -300.0..308.2f64, 1 => Just(154.5), 1 => Just(308.0)];
+    (size, any::<bool>()).prop_map(|(e, below)| 10f64.powf(e) * if below { -1.0 } else { 1.0 })
+}
+
+proptest! {
+    #[test]
+    fn a_force_is_a_number_wherever_the_tip_says_it_is_and_whenever_the_sensor_steps(
+        tips in prop::collection::vec(
+            (
+                prop::array::uniform3(any_number()),
+                prop::array::uniform6(any_number()),
+                prop::array::uniform4(-1.0..1.0f64),
+                -30_000_000..30_000_000i64,
+                prop::option::of((0..11u32).prop_map(|e| 10u64.pow(e))),
+            ),
+            1..40,
+        ),
+        world in prop::sample::select(World::NAMES.to_vec()), site in prop::sample::select(vec!["tip", "sclera"]),
+    ) {
+        let mut bench = Bench::<ForceSensor>::new(format!(r#"{{"world": "{world}", "site": "{site}"}}"#));
+        for (position, [a, b, c, d, e, f], turn, age_ns, pace) in tips {
+            let norm = turn.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let orientation = turn.map(|x| x / norm);
+            let stamp = Stamp::from_ns(bench.now().ns().saturating_add_signed(-age_ns / 3));
+            let pose = Pose { stamp, position, orientation };
+            let twist = Twist { stamp, linear: [a, b, c], angular: [d, e, f] };
+            bench.push("tip", CartesianState { stamp, pose, twist, wrench: Wrench::default() });
+            match pace {
+                None => bench.step(1),
+                Some(ns) => bench.step_after(ns).unwrap(),
+            }
+            let _ = bench.command::<(), ()>("bias", ());
+            let told = [numbers(&bench.state()), numbers(&bench.outputs::<Wrench>("wrench")[0])].concat();
+            prop_assert!(told.iter().all(|n| n.is_finite()), "{told:?} at {pose:?}, {twist:?}");
+        }
+    }
 }

@@ -86,10 +86,20 @@ impl Kalman {
         (measured_m - self.position_m, (self.covariance[0] + noises.measurement_m.powi(2)).sqrt())
     }
 
+    /// Goes on with measurements of another noise, as sure beside them as before: a velocity made of noise is not trusted
+    /// more because noise counts for more.
+    pub fn other_noise(&mut self, from: &Noises, to: &Noises) {
+        let part = (to.measurement_m / from.measurement_m).powi(2);
+        if part.is_finite() {
+            self.covariance = self.covariance.map(|c| c * part);
+        }
+    }
+
     /// Takes a measurement of the filter's own time.
     pub fn update(&mut self, measured_m: f64, noises: &Noises) {
         let [pp, pv, vv] = self.covariance;
-        let expected = pp + noises.measurement_m.powi(2);
+        let noise = noises.measurement_m.powi(2);
+        let expected = pp + noise;
         if expected.is_nan() || expected <= 0.0 {
             return;
         }
@@ -97,7 +107,9 @@ impl Kalman {
         let off = measured_m - self.position_m;
         self.position_m += gain_p * off;
         self.velocity_m_s += gain_v * off;
-        self.covariance = [pp * (1.0 - gain_p), pv * (1.0 - gain_p), vv - gain_v * pv];
+        // Differences of nearly equal numbers would become negative.
+        let both = (pp * vv - pv * pv).max(0.0);
+        self.covariance = [pp * noise / expected, pv * noise / expected, (both + vv * noise) / expected];
     }
 }
 
@@ -129,5 +141,37 @@ mod tests {
         filter.predict(1000, &noises);
         filter.predict(10, &noises);
         assert_eq!(filter, before);
+    }
+
+    #[test]
+    fn a_velocity_that_noise_has_made_is_not_gone_on_with_when_the_noise_is_put_right() {
+        let (small, large) = (Noises { measurement_m: 1e-8, ..Noises::default() }, Noises::default());
+        let mut filter = Kalman::at(0, 0.0, &small);
+        let mut state = 1u64;
+        for n in 1..8000u64 {
+            let noises = if n < 100 { &small } else { &large };
+            if n == 100 {
+                filter.other_noise(&small, &large);
+            }
+            filter.predict(n * 250_000, noises);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            filter.update(6e-6 * ((state >> 40) as f64 / (1u64 << 24) as f64 - 0.5), noises);
+            assert!(
+                filter.position_m().abs() < 6e-6,
+                "{:e} m at {n} out of noise within 3 µm",
+                filter.position_m()
+            );
+        }
+    }
+
+    #[test]
+    fn no_noise_makes_a_variance_negative() {
+        let exact = Noises { measurement_m: 1e-8, acceleration_m_s2: 1e-5 };
+        let mut filter = Kalman::at(0, 0.0, &Noises { measurement_m: 1e-3, acceleration_m_s2: 10.0 });
+        for n in 1..1000u64 {
+            filter.predict(n * n * 1000, &exact);
+            filter.update(1e-3, &exact);
+            assert!(filter.covariance[0] >= 0.0 && filter.covariance[2] >= 0.0, "{filter:?}");
+        }
     }
 }

@@ -111,6 +111,9 @@ impl Tracker {
 
     /// Other settings from the next A-scan on; what was followed stays.
     pub fn set(&mut self, settings: Settings) {
+        if let Some(filter) = &mut self.filter {
+            filter.other_noise(&self.settings.noises, &settings.noises);
+        }
         self.settings = settings;
     }
 

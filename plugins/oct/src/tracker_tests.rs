@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use proptest::prelude::*;
 use trocar_sdk::data::Pose;
-use trocar_sdk::testing::Bench;
+use trocar_sdk::testing::{Bench, numbers};
 
 const BIN_M: f64 = 3.5e-6;
 
@@ -136,4 +137,104 @@ fn tracking_allocates_nothing() {
     let mut bench = Bench::<SurfaceTracker>::new("{}");
     step(&mut bench, Some(500e-6));
     bench.assert_no_alloc(|bench| (0..10).for_each(|_| step(bench, Some(500e-6))));
+}
+
+/// Settings, all of them live.
+fn settings() -> impl Strategy<Value = String> {
+    let to =
+        |from: f64, to: f64| (from.log10()..=to.log10()).prop_map(move |e| 10f64.powf(e).clamp(from, to));
+    (
+        0.0..=0.01f64,
+        1.0..=2.0f64,
+        0.0..=40.0f64,
+        to(1e-8, 1e-3),
+        to(1e-5, 10.0),
+        to(1e-6, 1e-3),
+        to(1e-3, 1.0),
+        to(1e-3, 10.0),
+    )
+        .prop_map(|(depth, index, snr, measurement, acceleration, gate, patience, lost)| {
+            let rule =
+                format!(r#""min_depth_m": {depth}, "n_index": {index}, "snr_db": {snr}, "gate_m": {gate}"#);
+            let noise = format!(r#""measurement_m": {measurement}, "acceleration_m_s2": {acceleration}"#);
+            format!(r#"{{{rule}, {noise}, "patience_s": {patience}, "lost_after_s": {lost}}}"#)
+        })
+}
+
+/// Numbers of any size, mostly those that can be.
+fn any_number(usual: std::ops::Range<f64>) -> impl Strategy<Value = f64> {
+    let huge = (-300.0..308.2f64, any::<bool>())
+        .prop_map(|(e, below)| 10f64.powf(e) * if below { -1.0 } else { 1.0 });
+    prop_oneof![4 => usual, 1 => huge]
+}
+
+/// An A-scan: noise, and a peak that is where it mostly is, or elsewhere; heights of any size.
+fn a_scan() -> impl Strategy<Value = (u64, Option<usize>, f32, f32)> {
+    let elsewhere = prop_oneof![9 => Just(None), 1 => (0..64usize).prop_map(Some)];
+    let noise = prop_oneof![19 => 1.0..3.0f32, 1 => 1e30..3.4e38f32];
+    let peak = prop_oneof![19 => 30.0..100.0f32, 1 => 1e30..3.4e38f32];
+    (any::<u64>(), elsewhere, noise, peak)
+}
+
+fn bins((seed, elsewhere, noise, peak): (u64, Option<usize>, f32, f32), at: usize) -> Vec<u8> {
+    let random = trocar_phantom::noise::Noise::new(seed, 1).part(0);
+    let mut bins: Vec<f32> = (0..64).map(|n| noise * (2.0 * random.uniform(n) as f32 - 1.0)).collect();
+    bins[elsewhere.unwrap_or(at)] = peak;
+    bins.iter().flat_map(|bin| bin.to_ne_bytes()).collect()
+}
+
+proptest! {
+    /// Nothing is known of a surface that is not seen: its velocity is NaN, its deviation infinite.
+    #[test]
+    fn a_distance_is_made_of_numbers_whatever_scans_poses_and_settings_say(
+        parts in prop::collection::vec(
+            (
+                settings(),
+                (1..63usize, any_number(1e-7..1e-5), any_number(0.0..1e-3)),
+                prop::collection::vec(
+                    (
+                        a_scan(),
+                        prop::array::uniform3(any_number(-1e-6..1e-6)),
+                        prop_oneof![9 => Just((None, 0i64)), 1 => ((0..11u32).prop_map(Some), -3_000_000..3_000_000i64)],
+                    ),
+                    1..30,
+                ),
+            ),
+            1..4,
+        ),
+        has_robot: bool,
+    ) {
+        let mut bench = Bench::<SurfaceTracker>::new(&parts[0].0);
+        for (settings, (at, bin, first), scans) in &parts {
+            bench.configure(settings).unwrap();
+            for (scan, position, (pace, age_ns)) in scans {
+                let stamp = Stamp::from_ns(bench.now().ns().saturating_add_signed(-age_ns));
+                if has_robot {
+                    let measured_cp = Pose { stamp, position: *position, ..Pose::default() };
+                    bench.push("robot", ArmState { stamp, measured_cp, ..ArmState::default() });
+                }
+                let header = AScanHeader {
+                    stamp, lines: 1, samples: 64, format: SampleFormat::F32, bin: *bin, first: *first, ..AScanHeader::default()
+                };
+                bench.push_frame("ascan", header, &bins(*scan, *at));
+                bench.step_after(pace.map_or(250_000, |e| 10u64.pow(e))).unwrap();
+                let told = [
+                    bench.outputs::<Distance>("distance"),
+                    bench.events::<Distance>("surface_lost"),
+                    bench.events::<Distance>("surface_found"),
+                    vec![bench.state().last],
+                ];
+                for mut distance in told.concat() {
+                    if !distance.valid.get() && distance.distance == 0.0 {
+                        distance.sigma = 0.0;
+                    }
+                    if !has_robot || !distance.valid.get() && distance.distance == 0.0 {
+                        distance.velocity = 0.0;
+                    }
+                    let told = numbers(&distance);
+                    prop_assert!(told.iter().all(|n| n.is_finite()), "{distance:?}: {header:?}");
+                }
+            }
+        }
+    }
 }

@@ -69,6 +69,7 @@ trocar_plugin!(Sine);
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use proptest::prelude::*;
     use trocar_sdk::testing::Bench;
 
     #[test]
@@ -94,5 +95,35 @@ mod tests {
     fn a_frequency_above_half_the_rate_is_refused() {
         let refused = Bench::<Sine>::created().configure(r#"{"frequency_hz": 501}"#).unwrap_err();
         assert_eq!(refused.reason, "frequency_hz: 501 Hz is above 500 Hz");
+    }
+
+    /// Amplitude, frequency and phase. Other settings are another sine of the same time, so that its value may jump.
+    fn sines() -> impl Strategy<Value = (f64, f64, f64)> {
+        let any_size = || prop_oneof![-1e3..1e3f64, -1e300..1e300f64, Just(f64::MAX)];
+        (any_size(), 0.0..=500.0f64, any_size())
+    }
+
+    proptest! {
+        #[test]
+        fn a_value_is_a_number_within_the_amplitude_of_now_whatever_pace_and_settings(
+            parts in prop::collection::vec((sines(), prop::collection::vec(prop::option::of(0..17u32), 1..10)), 1..4),
+        ) {
+            let config = |(amplitude, hz, phase): (f64, f64, f64)| {
+                format!(r#"{{"amplitude": {amplitude:e}, "frequency_hz": {hz}, "phase_rad": {phase:e}}}"#)
+            };
+            let mut bench = Bench::<Sine>::new("{}");
+            for (set, paces) in parts {
+                bench.configure(config(set)).unwrap();
+                for pace in paces {
+                    match pace {
+                        None => bench.step(1),
+                        Some(e) => bench.step_after(if e == 0 { 0 } else { 10u64.pow(e) }).unwrap(),
+                    }
+                    let value = bench.outputs::<Scalar>("value")[0].value;
+                    prop_assert!(value.abs() <= set.0.abs(), "{value} of {set:?}");
+                    prop_assert_eq!(bench.state().latest.value, value);
+                }
+            }
+        }
     }
 }

@@ -1,7 +1,10 @@
 //! What robot and tracker tell of times that cannot be.
 #![allow(clippy::unwrap_used)]
 
-use trocar_sdk::data::{Distance, Pose};
+use std::cell::Cell;
+use std::rc::Rc;
+
+use trocar_sdk::data::{Distance, Pose, Twist};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
@@ -91,4 +94,26 @@ fn a_pose_from_ahead_is_counted_and_those_that_follow_are_taken() {
     // A robot that does not measure yet tells nothing wrong.
     tell(&mut bench, Stamp::INVALID);
     assert_eq!(bench.state().refused_poses, 3);
+}
+
+#[test]
+fn tips_and_surfaces_that_are_further_away_than_anything_are_counted_and_move_nothing() {
+    let mut bench = Bench::<BScan>::new("{}");
+    let pose: Rc<Cell<Pose>> = Rc::default();
+    let said = pose.clone();
+    bench.answer("robot/measured_cp", move |()| Ok(said.get()));
+    bench.answer("robot/operating_state", |()| Ok(ready()));
+    for n in 0..60 {
+        let stamp = bench.now();
+        let far = if n % 4 == 3 { 1e308 } else { 0.0 };
+        pose.set(Pose { stamp, position: [0.0, 0.0, far], ..Pose::default() });
+        bench.push("distance", Distance { distance: 0.5e-3 + far, ..distance(stamp) });
+        bench.step(1);
+        if n == 20 {
+            bench.command::<ScanRequest, ()>("scan/start", Rig::request()).unwrap();
+        }
+    }
+    let sent = bench.calls::<Twist>("axis/servo_cv");
+    assert!(sent.len() > 30 && sent.iter().all(|t| t.linear.iter().all(|v| v.abs() < 1e-2)), "{sent:?}");
+    assert_eq!((bench.state().refused_poses, bench.state().refused_distances), (15, 15));
 }

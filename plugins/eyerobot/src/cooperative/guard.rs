@@ -7,6 +7,7 @@ use trocar_oct_core::tip::{TipTravel, along, axis_of};
 use trocar_sdk::data::{Distance, FixtureKind, Pose, VirtualFixture};
 use trocar_sdk::prelude::*;
 
+use super::FURTHEST_M;
 use crate::fixture::STIFFEST_PER_S;
 
 /// A surface that was not seen for this long is not seen, s.
@@ -66,7 +67,7 @@ impl Guard {
 
     /// A distance from the tip to the surface; those that are not valid or of a time without poses say nothing.
     pub(super) fn distance(&mut self, told: &Distance) {
-        let is_one = told.valid.get() && told.distance.is_finite() && told.distance > 0.0;
+        let is_one = told.valid.get() && told.distance > 0.0 && told.distance <= FURTHEST_M;
         let Some(travel_m) = self.travel.at(told.stamp.ns()).filter(|_| is_one) else { return };
         let velocity_m_s =
             if told.velocity.is_finite() { told.velocity.clamp(-FASTEST_M_S, FASTEST_M_S) } else { 0.0 };

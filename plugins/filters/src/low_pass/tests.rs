@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use crate::tests::{Given, Row, ten_to, told};
+use proptest::prelude::*;
 use trocar_sdk::testing::Bench;
 
 fn force(z: f64) -> Force {
@@ -85,4 +87,40 @@ fn a_force_that_is_no_number_is_left_out_and_forgotten() {
         force,
         |bench| bench.state().rejected,
     );
+}
+
+impl Row for LowPass {
+    fn settings() -> BoxedStrategy<String> {
+        ten_to(-1.0, 2.6).prop_map(|hz| format!(r#"{{"cutoff_hz": {hz}}}"#)).boxed()
+    }
+    fn feed(bench: &mut Bench<Self>, given: &Given) {
+        let [x, y, z, ..] = given.numbers;
+        bench.push_at("raw", Force { stamp: given.stamp, f: [x, y, z] }, given.stamp);
+    }
+    fn told(bench: &mut Bench<Self>) -> Vec<f64> {
+        let filtered = told::<_, Force>(bench, "filtered");
+        [filtered, bench.events::<f64>("ctl/overload"), bench.calls::<f64>("hold")].concat()
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_output_goes_from_where_it_is_towards_what_comes_whatever_the_corner_becomes(
+        steps in prop::collection::vec((LowPass::settings(), -1e8..1e8f64, 0..10u32), 1..40),
+    ) {
+        let mut bench = Bench::<LowPass>::new(r#"{"limit": 1e9}"#);
+        let mut before = 0.0f64;
+        for (settings, x, decade) in steps {
+            bench.configure(settings.replace('}', r#", "limit": 1e9}"#)).unwrap();
+            bench.push("raw", force(x));
+            bench.step_after(10u64.pow(decade)).unwrap();
+            let y = bench.outputs::<Force>("filtered")[0].f[2];
+            let rounding = 1e-12 * (x.abs() + before.abs());
+            prop_assert!(
+                y >= before.min(x) - rounding && y <= before.max(x) + rounding,
+                "{before} became {y} at {x}"
+            );
+            before = y;
+        }
+    }
 }

@@ -95,3 +95,34 @@ fn the_position_of_a_pose_gets_a_velocity_and_its_orientation_passes() {
     }
     assert_eq!((last.pose.orientation, last.pose.stamp), (orientation, last.twist.stamp));
 }
+
+#[test]
+fn a_filter_that_took_noise_for_motion_does_not_go_on_with_it_when_sigma_is_put_right() {
+    let mut bench = Bench::<Kalman>::new(r#"{"sigma": 1e-6, "acceleration": 100}"#);
+    let mut random = fastrand::Rng::with_seed(5);
+    for n in 0..2000u64 {
+        if n == 500 {
+            bench.configure(r#"{"sigma": 1, "acceleration": 100}"#).unwrap();
+        }
+        let stamp = Stamp::from_ns(1 + n * 1_000_000);
+        bench.push("value", Scalar { stamp, value: 2.0 * random.f64() - 1.0 });
+        bench.step(1);
+    }
+    let out = bench.outputs::<Estimate>("estimate");
+    let most = out.iter().map(|e| e.value.abs()).fold(0.0, f64::max);
+    assert!(most < 2.0, "{most} out of noise within 1");
+    assert!(out[1900..].iter().all(|e| e.value.abs() < 0.5), "and it does filter in the end");
+}
+
+#[test]
+fn numbers_beside_which_a_measurement_has_no_noise_leave_no_variance_below_zero() {
+    let mut bench = Bench::<Kalman>::new(r#"{"sigma": 3e-12, "acceleration": 1}"#);
+    for (value, after_ns) in [(0.0, 1_000_000), (0.45, 10_000_000), (0.0, 1_000_000), (0.3, 1_000_000)] {
+        let stamp = bench.now();
+        bench.push("value", Scalar { stamp, value });
+        bench.step_after(after_ns).unwrap();
+        bench.configure(r#"{"sigma": 1, "acceleration": 1}"#).unwrap();
+    }
+    let out = bench.outputs::<Estimate>("estimate");
+    assert!(out.iter().all(|e| e.value.abs() < 1.0 && e.sigma > 0.0), "{out:?}");
+}

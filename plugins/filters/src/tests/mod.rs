@@ -5,14 +5,18 @@ mod add_latency;
 mod bad_samples;
 mod biquad;
 mod cartesian_transform;
+mod changes;
+mod finite;
 mod kalman;
 mod moving_median;
 mod pid;
 mod resampler;
+mod rows;
 mod settings;
 mod watchdog;
 
 pub(crate) use bad_samples::as_if_the_bad_ones_had_not_come;
+pub(crate) use rows::{Given, Law, Row, ten_to, told};
 
 use trocar_sdk::Class;
 use trocar_sdk::data::{Pose, Scalar, Wrench};

@@ -31,3 +31,16 @@ fn the_median_is_the_one_of_a_sorted_window() {
     );
     assert_eq!(refused::<MovingMedian>(r#"{"window": 103}"#), "window: 103 is above 101");
 }
+
+#[test]
+fn another_window_lets_no_spike_through() {
+    let mut bench = Bench::<MovingMedian>::new(r#"{"window": 5}"#);
+    through(&mut bench, 20, |_| 3.0);
+    for window in [7, 5, 3, 101, 5] {
+        bench.configure(format!(r#"{{"window": {window}}}"#)).unwrap();
+        let out = through(&mut bench, 20, |t| if t == 0.0 { 1e6 } else { 3.0 });
+        assert_eq!(out, [3.0; 20], "{window}");
+    }
+    bench.command::<(), ()>("clear", ()).unwrap();
+    assert_eq!(through(&mut bench, 1, |_| 8.0), [8.0], "the first one after clear");
+}

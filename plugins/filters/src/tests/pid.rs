@@ -123,3 +123,41 @@ fn bad_measurements_alone_are_controlled_by_until_the_last_good_one_is_too_old()
     }
     assert_eq!(bench.state().rejected, 119);
 }
+
+#[test]
+fn another_smoothing_of_a_measurement_that_stands_still_gives_no_kick() {
+    let config = |smooth: f64| {
+        format!(
+            r#"{{"kp": 0, "kd": 1, "smooth_s": {smooth}, "lowest": -1e6, "highest": 1e6, "max_age_s": 10}}"#
+        )
+    };
+    let mut bench = Bench::<Pid>::new(config(1.0));
+    let mut last = f64::INFINITY;
+    for (n, smooth) in [1.0, 1.0, 0.0, 1.0, 0.01].into_iter().enumerate() {
+        bench.configure(config(smooth)).unwrap();
+        bench.push("setpoint", scalar(0.0));
+        bench.push("measured", scalar(if n == 0 { 0.0 } else { 1.0 }));
+        bench.step(1);
+        let kick = bench.state().output.abs();
+        assert!(kick <= if n < 2 { 1.0 } else { last }, "{kick} at {n}");
+        last = kick;
+    }
+}
+
+#[test]
+fn an_integral_that_new_limits_hold_back_comes_off_them_at_once() {
+    let config = |limit: f64| {
+        format!(r#"{{"kp": 0, "ki": 100, "lowest": {}, "highest": {limit}, "max_age_s": 10}}"#, -limit)
+    };
+    let mut bench = Bench::<Pid>::new(config(10.0));
+    let output = |bench: &mut Bench<Pid>, setpoint: f64, steps: u64| {
+        bench.push("setpoint", scalar(setpoint));
+        bench.push("measured", scalar(0.0));
+        bench.step(steps);
+        bench.state().output
+    };
+    assert!((output(&mut bench, 1.0, 90) - 9.0).abs() < 1e-9);
+    bench.configure(config(1.0)).unwrap();
+    assert_eq!(output(&mut bench, 0.0, 1), 1.0);
+    assert!((output(&mut bench, -1.0, 1) - 0.9).abs() < 1e-9, "not after having wound back 8");
+}

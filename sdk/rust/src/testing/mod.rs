@@ -42,7 +42,7 @@
 //! |---|---|
 //! | let time pass | `step`, `late_step`, `skip`, `advance`, `now` |
 //! | feed inputs | `push`, `push_at`, `push_frame`; `share`, `lose`, `make_stale`, `connect_input` |
-//! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; `expect_outputs`, `expect_events`, `expect_calls` |
+//! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; `expect_outputs`, `expect_events`, `expect_calls`; [`numbers`] in them |
 //! | play the peers | `answer`, `emit`, `command`, `read`; `fail`, `overflow`, `exhaust`, `connect_output`, `connect_function`, `lose_peer` |
 //! | tie untyped ports | `connect_as`, `connect_as_frames`, `connect_as_command`; `push` and `answer` do so by themselves |
 //! | live through a life | `life`, `configure`, `start`, `stop`, `resume`, `make_safe`, `reset`, `snapshot`, `restore` |
@@ -66,6 +66,7 @@ mod limits;
 mod logs;
 mod manifest;
 mod member_cells;
+mod numbers;
 mod parallel;
 mod peers;
 mod services;
@@ -81,4 +82,5 @@ pub use bench::{Bench, Failure, Life};
 pub use logs::LogLine;
 pub(crate) use logs::keep;
 pub use manifest::{assert_implements, assert_implements_as, field_list};
+pub use numbers::numbers;
 pub use trocar_plugin_api::contracts;
