@@ -24,8 +24,8 @@ Exit code 0: nothing is wrong; 1: something is. Nothing is started and no plugin
 
 /// Lists everything that is wrong with a system file, each with its place and what to do.
 ///
-/// Syntax, names and values are judged first; where these are right, classes, configurations, ports and types,
-/// by the plugin directories of its processes.
+/// Syntax, names and values are judged first; where these are right, classes, configurations, ports and
+/// types, by the plugin directories of its processes.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct CheckArgs {

@@ -22,8 +22,8 @@ pub(super) struct Offline {
 }
 
 impl Offline {
-    /// The processes of `file`; relative paths are relative to `base`, `given` are plugin directories instead of the
-    /// file's.
+    /// The processes of `file`; relative paths are relative to `base`, `given` are plugin directories instead
+    /// of the file's.
     ///
     /// # Errors
     /// A plugin directory, or a list of hashes, that cannot be read.

@@ -1,7 +1,7 @@
 //! Reads typed values out of positioned JSON and words the refusals.
 //!
-//! Invariant: every refusal names the place of the value it is about, what was found and what is accepted. One
-//! problem hides no other: whoever reads a part notes it in [`Found`] and goes on with the next.
+//! Invariant: every refusal names the place of the value it is about, what was found and what is accepted.
+//! One problem hides no other: whoever reads a part notes it in [`Found`] and goes on with the next.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -78,7 +78,7 @@ impl Found {
         self.0.borrow().len() >= MOST
     }
 
-    /// What was read; `None` where that is a problem.
+    /// The value that was read; `None` where that is a problem.
     pub(super) fn take<T>(&self, read: Result<T, Problem>) -> Option<T> {
         read.map_err(|problem| self.note(problem)).ok()
     }

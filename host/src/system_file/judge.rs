@@ -1,7 +1,7 @@
 //! A system file against the classes there are: every request that would be refused, and what would be done.
 //!
-//! Invariant: pure. It is judged by the planner that carries requests out, so nothing is refused here that would
-//! be done, nor the other way; what hangs on something that was refused is not judged.
+//! Invariant: pure. It is judged by the planner that carries requests out, so nothing is refused here that
+//! would be done, nor the other way; what hangs on something that was refused is not judged.
 
 use std::collections::BTreeSet;
 
@@ -10,14 +10,15 @@ use trocar_model::{ComponentId, Plan, PortId, Refusal, Request, SystemGraph, Tar
 use super::SystemFile;
 use super::problem::Problem;
 
-/// What becomes of a file.
+/// The verdict on a file.
 #[derive(Clone, Debug, Default)]
 pub struct Judged {
     /// In the order of the file.
     pub problems: Vec<Problem>,
-    /// What would be done, as far as nothing is wrong.
+    /// Its plan, as far as nothing is wrong.
     pub plan: Plan,
-    /// Ports that a configuration may make, and their connections: nobody knows before the component is there.
+    /// Ports that a configuration may make, and their connections: nobody knows before the component is
+    /// there.
     pub unknown: Vec<(PortId, Request)>,
 }
 

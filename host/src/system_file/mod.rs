@@ -140,8 +140,8 @@ impl SystemFile {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// Unreadable, not UTF-8, not JSON, or not a system file: all problems, in the order of the file, with their
-    /// places; a hundred at most.
+    /// Unreadable, not UTF-8, not JSON, or not a system file: all problems, in the order of the file, with
+    /// their places; a hundred at most.
     pub fn check(path: &Path) -> Result<Self, Vec<Problem>> {
         let shown = path.display().to_string();
         let whole = |what: String, help: &str| {

@@ -110,8 +110,8 @@ impl SystemFile {
         }
     }
 
-    /// An option of a connection, of which its Connect was refused, or a setting of an execution, of which its
-    /// Create was.
+    /// An option of a connection, of which its Connect was refused, or a setting of an execution, of which
+    /// its Create was.
     fn option(&self, what: &str, field: &str) -> Option<String> {
         if let (Some(id), Some(setting)) = (what.strip_prefix("Create "), field.strip_prefix("execution.")) {
             let id = ComponentId::parse(id).ok()?;

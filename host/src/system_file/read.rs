@@ -1,7 +1,7 @@
 //! Positioned JSON → `SystemFile`: one function per part of the file.
 //!
-//! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two. Whatever
-//! is wrong is noted, and the rest is read all the same; a part with a problem is never used.
+//! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two.
+//! Whatever is wrong is noted, and the rest is read all the same; a part with a problem is never used.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;

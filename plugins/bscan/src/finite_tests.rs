@@ -55,7 +55,7 @@ proptest! {
         bench.answer("robot/measured_cp", move |()| Ok(said.get()));
         bench.answer("robot/operating_state", |()| Ok(ready()));
         for (settings, steps) in &parts {
-            // Those that leave a scan that runs no room are refused.
+            // Settings that leave a scan that runs no room are refused.
             let _ = bench.configure(settings);
             for (position, (distance, velocity), (late_ns, age_ns)) in steps {
                 let stamp = Stamp::from_ns(bench.now().ns().saturating_add_signed(-age_ns));

@@ -1,6 +1,7 @@
 //! Finite numbers in, finite numbers out: of every class of the plugin, by every execution it is made for.
 //!
-//! Invariant: peers and sensors say any number of any time. Commands to the arm are in `arm/anything_tests.rs`.
+//! Invariant: peers and sensors say any number of any time. Commands to the arm are in
+//! `arm/anything_tests.rs`.
 #![allow(clippy::unwrap_used)]
 
 use std::cell::Cell;
@@ -17,9 +18,9 @@ use crate::*;
 /// A cycle and the sample it finds.
 #[derive(Clone, Debug)]
 struct Cycle {
-    /// How late it is, or how long after the one before, ns.
+    /// Its lateness, or the time since the one before, ns.
     late_ns: u64,
-    /// How old the sample is, negative from ahead, ns; none without a stamp.
+    /// Age of the sample, negative from ahead, ns; none without a stamp.
     age_ns: Option<i64>,
     numbers: [f64; 6],
     /// x, y, z, w of an orientation.

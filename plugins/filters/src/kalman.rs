@@ -1,9 +1,9 @@
 //! Kalman filter of what moves at a nearly constant velocity: a number, or the position of a pose.
 //!
-//! Invariant: time is that of the samples' stamps: samples that are late or missing are no error, those that go back in
-//! time are left out. The prediction is an extrapolation of the estimate and never fed back. With another `sigma` the
-//! estimate stays as sure beside a measurement as it was: a rate made of noise is not trusted more because noise counts
-//! for more. No variance is negative.
+//! Invariant: time is that of the samples' stamps: samples that are late or missing are no error, those that
+//! go back in time are left out. The prediction is an extrapolation of the estimate and never fed back. With
+//! another `sigma` the estimate stays as sure beside a measurement as it was: a rate made of noise is not
+//! trusted more because noise counts for more. No variance is negative.
 use trocar_sdk::data::{CartesianState, Pose, Scalar, Twist};
 use trocar_sdk::prelude::*;
 

@@ -1,8 +1,8 @@
 //! The median of the last samples: removes spikes, keeps edges.
 //!
-//! Invariant: the output is always a number that came in; until the window is full, the median is of those that are
-//! there. With another length the window grows by one sample, or shrinks by two, with each sample that comes: the output
-//! does not jump.
+//! Invariant: the output is always a number that came in; until the window is full, the median is of those
+//! that are there. With another length the window grows by one sample, or shrinks by two, with each sample
+//! that comes: the output does not jump.
 use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 
@@ -81,7 +81,7 @@ struct Window<const N: usize> {
     last: [[f64; MOST]; N],
     /// Place of the next one.
     at: usize,
-    /// Those before it that are in the window.
+    /// Number of samples before it that are in the window.
     there: usize,
 }
 

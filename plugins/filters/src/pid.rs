@@ -140,8 +140,9 @@ impl Component for Pid {
         self.error = wanted - is;
         let (before, slope) = self.moving.unwrap_or((is, 0.0));
         let smooth_s = self.cfg.smooth_s;
-        // The slope of the measurement and not of the error: a setpoint that jumps gives no kick. Another time constant
-        // gives none either, as the slope is smoothed. In no time, unsmoothed, the slope stays, and so does `before`.
+        // The slope of the measurement and not of the error: a setpoint that jumps gives no kick. Another
+        // time constant gives none either, as the slope is smoothed. In no time, unsmoothed, the slope stays,
+        // and so does `before`.
         let moving @ (_, slope) = if dt + smooth_s > 0.0 {
             (is, (slope * smooth_s + (is - before)) / (dt + smooth_s))
         } else {

@@ -86,8 +86,8 @@ impl Kalman {
         (measured_m - self.position_m, (self.covariance[0] + noises.measurement_m.powi(2)).sqrt())
     }
 
-    /// Goes on with measurements of another noise, as sure beside them as before: a velocity made of noise is not trusted
-    /// more because noise counts for more.
+    /// Goes on with measurements of another noise, as sure beside them as before: a velocity made of noise is
+    /// not trusted more because noise counts for more.
     pub fn other_noise(&mut self, from: &Noises, to: &Noises) {
         let part = (to.measurement_m / from.measurement_m).powi(2);
         if part.is_finite() {

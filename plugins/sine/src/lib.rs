@@ -97,7 +97,8 @@ mod tests {
         assert_eq!(refused.reason, "frequency_hz: 501 Hz is above 500 Hz");
     }
 
-    /// Amplitude, frequency and phase. Other settings are another sine of the same time, so that its value may jump.
+    /// Amplitude, frequency and phase. Other settings are another sine of the same time, so that its value
+    /// may jump.
     fn sines() -> impl Strategy<Value = (f64, f64, f64)> {
         let any_size = || prop_oneof![-1e3..1e3f64, -1e300..1e300f64, Just(f64::MAX)];
         (any_size(), 0.0..=500.0f64, any_size())

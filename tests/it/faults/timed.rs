@@ -1,7 +1,7 @@
 //! The time until a hung actuator is seen beside hundreds of components that come to rest.
 //!
-//! Promise: at most 60 ms from the begin of the step it does not come back from, or as long as alone on the same
-//! machine. Both moments are stamps of the host's clock; only `./tests/run --times` runs these tests.
+//! Promise: at most 60 ms from the begin of the step it does not come back from, or as long as alone on the
+//! same machine. Both moments are stamps of the host's clock; only `./tests/run --times` runs these tests.
 
 use std::cell::Cell;
 
@@ -12,7 +12,7 @@ const STOPPED: usize = 400;
 /// Periods that an actuator runs before it hangs: the others are stopped meanwhile and come to rest 200 ms
 /// later, and one of these is beside it.
 const GOOD_STEPS: [u64; 12] = [5, 10, 15, 20, 24, 28, 32, 36, 40, 50, 60, 80];
-/// Of the actuator.
+/// Period of the actuator.
 const PERIOD_NS: u64 = 10_000_000;
 const SEEN_MS: f64 = 60.0;
 

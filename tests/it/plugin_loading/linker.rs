@@ -1,7 +1,7 @@
 //! Refusals of the dynamic linker for want of room or of a library, and their help, followed.
 //!
-//! Invariant: flags, variables and directories are taken from the sentence itself; `/etc` is changed in a mount
-//! namespace of the host alone.
+//! Invariant: flags, variables and directories are taken from the sentence itself; `/etc` is changed in a
+//! mount namespace of the host alone.
 
 use std::fs::{self, File};
 use std::os::unix::fs::{PermissionsExt, chown};

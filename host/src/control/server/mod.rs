@@ -46,7 +46,7 @@ pub(super) struct Edge {
     pub(super) managed_by: Option<String>,
     /// What was logged here: by every process of a GCM, by this one otherwise.
     pub(super) lines: Arc<Lines>,
-    /// What may still be followed here.
+    /// One permit for each output or event that may still be followed here.
     pub(super) followed: Arc<Semaphore>,
     /// Its sender goes when this port closes: calls that wait for something end then.
     pub(super) closing: Receiver<()>,

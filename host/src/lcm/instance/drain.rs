@@ -38,8 +38,8 @@ const SERVO_NS: u64 = 10_000_000;
 /// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
 const ROUNDS: usize = 2;
 
-/// Longest wait of a goal that was only sent, ns; `None`: no limit. `said_ns` is the deadline of its connection
-/// and `period_ns` that of the component's own grid, 0 without one.
+/// Longest wait of a goal that was only sent, ns; `None`: no limit. `said_ns` is the deadline of its
+/// connection and `period_ns` that of the component's own grid, 0 without one.
 fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> Option<u64> {
     let periods_ns = GOAL_PERIODS * period_ns;
     match goal {

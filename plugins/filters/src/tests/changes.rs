@@ -1,4 +1,5 @@
-//! Live settings that change while samples flow, class by class: what of the past goes on, and what may come out.
+//! Live settings that change while samples flow, class by class: what of the past goes on, and what may come
+//! out.
 //!
 //! Invariant: every class of the plugin has its line in the table, with a law for any settings and any noise.
 //!
@@ -63,8 +64,8 @@ fn run<C: Class>(bench: &mut Bench<C>, value: f64) {
 }
 
 proptest! {
-    /// A window that slides or grows moves its median by one place at most, one that shrinks by two by another one.
-    /// Neighbours in the window of such an input are 1 apart at most.
+    /// A window that slides or grows moves its median by one place at most, one that shrinks by two by
+    /// another one. Neighbours in the window of such an input are 1 apart at most.
     #[test]
     fn a_median_moves_at_most_twice_as_fast_as_its_input_whatever_becomes_of_its_window(
         parts in parts(MovingMedian::settings(), -1.0..=1.0f64),
@@ -85,8 +86,8 @@ proptest! {
         }
     }
 
-    /// The estimate is the end of the curve with the least squares. The squares of the curve 0 are 1 each at most, so the
-    /// root of their number is the most that a measurement is away from the better curve.
+    /// The estimate is the end of the curve with the least squares. The squares of the curve 0 are 1 each at
+    /// most, so the root of their number is the most that a measurement is away from the better curve.
     #[test]
     fn noise_does_not_run_away_in_a_kalman_filter_whatever_becomes_of_its_settings(
         parts in parts(Kalman::settings(), (-1.0..=1.0f64, prop_oneof![2 => Just(6), 1 => 0..11u32])),

@@ -1,7 +1,8 @@
 //! Finite numbers in, finite numbers out: of every class, by every execution it is made for.
 //!
-//! Invariant: the bench does what a host can do: steps late, left out, in the same instant or long after; stamps that
-//! repeat, go back, lie ahead or are none; settings that change. The table of classes is `rows.rs`.
+//! Invariant: the bench does what a host can do: steps late, left out, in the same instant or long after;
+//! stamps that repeat, go back, lie ahead or are none; settings that change. The table of classes is
+//! `rows.rs`.
 
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
@@ -11,14 +12,15 @@ use trocar_sdk::testing::numbers;
 use super::rows::turns;
 use super::*;
 
-/// How a step comes about.
+/// The way a step comes about.
 #[derive(Clone, Debug)]
 enum Pace {
     /// On the grid, so long after its deadline, ns: periodic, or in the step of another.
     Late(u64),
     /// On the grid, after so many that were left out.
     Behind(u64),
-    /// Without a grid, so long after the step before, ns: continuous, on a signal, on a callback, in a stream.
+    /// Without a grid, so long after the step before, ns: continuous, on a signal, on a callback, in a
+    /// stream.
     After(u64),
 }
 

@@ -1,6 +1,7 @@
 //! Each class of the plugin as a row: its settings, a way to feed it, and all numbers that come out of it.
 //!
-//! Invariant: a class that the plugin registers without a row here does not compile; each live setting is varied.
+//! Invariant: a class that the plugin registers without a row here does not compile; each live setting is
+//! varied.
 
 use proptest::prelude::*;
 use trocar_sdk::data::{CartesianState, Transform};
@@ -29,7 +30,7 @@ pub(crate) trait Row: Class {
     fn told(bench: &mut Bench<Self>) -> Vec<f64>;
 }
 
-/// What the inputs are given.
+/// Samples that the inputs are given.
 #[derive(Clone, Debug)]
 pub(crate) struct Given {
     pub(crate) stamp: Stamp,

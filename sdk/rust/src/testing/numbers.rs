@@ -5,7 +5,8 @@
 use crate::payload::{Payload, as_bytes};
 use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 
-/// All floating point numbers of a payload: of a sample, an event, or a [`Bench::state`](super::Bench::state).
+/// All floating point numbers of a payload: of a sample, an event, or a
+/// [`Bench::state`](super::Bench::state).
 ///
 /// ```
 /// use trocar_sdk::{prelude::*, testing::numbers};
