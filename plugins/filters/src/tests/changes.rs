@@ -6,12 +6,12 @@
 //! | class | a change of settings | law |
 //! |---|---|---|
 //! | `low_pass` | the output goes on from where it is | it lies between itself before and the input |
-//! | `biquad` | rests on its last output or input; a step fades | `settings.rs`: constants, continuity, noise |
-//! | `moving_median` | the window grows by 1, or shrinks by 2, a sample | an input; at most twice as fast as the input |
-//! | `kalman` | the estimate goes on, as sure beside a measurement as before | between expected and measured; no runaway |
-//! | `resampler` | only samples are remembered: another instant is asked for | the signal at the stamp it gives |
-//! | `pid` | integral and slope go on; gains act at once on the error | at rest nothing moves; no kick, no wind-up |
-//! | `cartesian_transform` | no memory: a pose jumps to where it is put now | as if it had always been set so |
+//! | `biquad` | it rests on its last output or input; a step fades | `settings.rs`: continuity, noise |
+//! | `moving_median` | the window grows by 1 or shrinks by 2 a sample | at most twice as fast as its input |
+//! | `kalman` | the estimate goes on, as sure as before | between expected and measured; no runaway |
+//! | `resampler` | only samples are remembered | the signal at the stamp it gives |
+//! | `pid` | integral and slope go on; gains act at once | at rest nothing moves; no kick, no wind-up |
+//! | `cartesian_transform` | no memory: poses jump to where they are put now | as if always set so |
 //! | `watchdog` | the age goes on beside another limit | lost exactly while the age is above it |
 //! | `add_latency` | samples under way keep their delay | all, in order, unaltered, none too early |
 

@@ -89,7 +89,7 @@ fn steps<C: Row>() -> impl Strategy<Value = Vec<Step>> {
     let sample = (when, prop::array::uniform6(any_number()), turn);
     let set = prop_oneof![4 => Just(None), 1 => C::settings().prop_map(Some)];
     let step = (paces::<C>(), prop::collection::vec(sample, 0..4), set);
-    prop::collection::vec(step.prop_map(|(pace, samples, set)| Step { pace, samples, set }), 1..16)
+    prop::collection::vec(step.prop_map(|(pace, samples, set)| Step { pace, samples, set }), 1..12)
 }
 
 /// Runs a class; an error names the first number that is none.

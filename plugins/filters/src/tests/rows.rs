@@ -30,7 +30,7 @@ pub(crate) trait Row: Class {
     fn told(bench: &mut Bench<Self>) -> Vec<f64>;
 }
 
-/// Samples that the inputs are given.
+/// One sample for each input.
 #[derive(Clone, Debug)]
 pub(crate) struct Given {
     pub(crate) stamp: Stamp,
