@@ -126,16 +126,30 @@ export async function a_view_that_was_moved_shows_all_of_it_again_when_asked(wor
   const page = await world.viewer(host.addr);
   await box(page, 'host/b').waitFor();
   await settled(page);
-  const view = () => page.locator('.svelte-flow__viewport').evaluate((e) => e.style.transform);
-  const fitted = await view();
+  /// How far the middle of the graph is from that of its area, px; where it stands in the middle, all of it is shown.
+  const aside = () => page.evaluate(() => {
+    const middle = (name) => {
+      const { x, y, width, height } = document.querySelector(name).getBoundingClientRect();
+      return [x + width / 2, y + height / 2];
+    };
+    const [[x, y], [to, down]] = ['.svelte-flow__node-process', '.svelte-flow'].map(middle);
+    return Math.round(Math.hypot(x - to, y - down));
+  });
+  await eventually('all of it is shown at first', async () => (await aside()) < 3);
   for (const button of ['fit view', 'Arrange']) {
     await page.mouse.move(750, 860);
     await page.mouse.down();
     await page.mouse.move(900, 700, { steps: 5 });
     await page.mouse.up();
-    await eventually('it is moved', async () => (await view()) !== fitted);
+    await eventually('it is moved', async () => (await aside()) > 100);
     await page.getByRole('button', { name: button, exact: true }).click();
-    await eventually(`${button} shows all of it`, async () => (await view()) === fitted);
+    await eventually(`${button} shows all of it`, async () => (await aside()) < 3);
+    // A window of another size shows all of it, too, as long as nobody moves it.
+    const { width, height } = page.viewportSize();
+    await page.setViewportSize({ width: width - 300, height });
+    await eventually(`${button}, and then a smaller window`, async () => (await aside()) < 3);
+    await page.setViewportSize({ width, height });
+    await eventually(`${button}, and then the window as before`, async () => (await aside()) < 3);
   }
 }
 
