@@ -43,7 +43,9 @@ pub use graph::{
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
 pub use phases::{Phase, StepTimes, phases, steps_matter};
-pub use plan::{Here, class_fault, host_of, made_of, open_ends, period_fault, plan, plan_all, restore};
+pub use plan::{
+    Here, Planning, class_fault, host_of, made_of, open_ends, period_fault, plan, plan_all, restore,
+};
 pub use proxy::{End, Proxy};
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};

@@ -34,37 +34,25 @@ pub(super) struct CheckArgs {
 }
 
 pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
-    let file = match read(&args.named) {
-        Ok(file) => file,
-        Err(Bad::Settings(failure)) => return Err(failure),
-        Err(Bad::File(problems)) => return say(&args.named.file, &problems, &[], session),
-    };
-    let (judged, refused) = judged(&file, &args.named)?;
-    // A class that is not there may be one of theirs.
-    let notes = if judged.problems.is_empty() { unknown(&judged) } else { refused };
-    if !judged.problems.is_empty() {
-        return say(&args.named.file, &judged.problems, &notes, session);
-    }
-    if session.json() {
-        session.print_json(&json!({
-            "file": args.named.file, "problems": [], "notes": notes, "plan": plan_lines(&judged.plan),
-        }))?;
-        return Ok(Exit::Ok);
-    }
-    let word = style::paint("right", style::GOOD, style::stdout());
-    out::say(&format!(
-        "{} is {word}: {}, {}, {}",
-        args.named.file.display(),
-        units::count(file.processes.len() as u64, "process"),
-        units::count(file.components.len() as u64, "component"),
-        units::count(file.connections.len() as u64, "connection"),
-    ));
-    notes.iter().for_each(|note| out::complain("note", note));
-    Ok(Exit::Ok)
+    answer(&args.named, session, |file, _| {
+        let word = style::paint("right", style::GOOD, style::stdout());
+        out::say(&format!(
+            "{} is {word}: {}, {}, {}",
+            args.named.file.display(),
+            units::count(file.processes.len() as u64, "process"),
+            units::count(file.components.len() as u64, "component"),
+            units::count(file.connections.len() as u64, "connection"),
+        ));
+    })
 }
 
 /// `--dry-run` of `run` and `up`: the plan, or all that is wrong.
 pub(super) fn dry_run(named: &FileArgs, session: &Session) -> Done {
+    answer(named, session, |_, plan| plan.iter().for_each(|line| out::line(line)))
+}
+
+/// Says all that is wrong; `right` tells people of a file that is right, and of its plan.
+fn answer(named: &FileArgs, session: &Session, right: impl FnOnce(&SystemFile, &[String])) -> Done {
     let file = match read(named) {
         Ok(file) => file,
         Err(Bad::Settings(failure)) => return Err(failure),
@@ -72,14 +60,15 @@ pub(super) fn dry_run(named: &FileArgs, session: &Session) -> Done {
     };
     let (judged, refused) = judged(&file, named)?;
     if !judged.problems.is_empty() {
+        // A class that is not there may be one of theirs.
         return say(&named.file, &judged.problems, &refused, session);
     }
     let (plan, notes) = (plan_lines(&judged.plan), unknown(&judged));
     if session.json() {
-        session.print_json(&json!({ "file": named.file, "plan": plan, "notes": notes }))?;
+        session.print_json(&json!({ "file": named.file, "problems": [], "notes": notes, "plan": plan }))?;
         return Ok(Exit::Ok);
     }
-    plan.iter().for_each(|line| out::line(line));
+    right(&file, &plan);
     notes.iter().for_each(|note| out::complain("note", note));
     Ok(Exit::Ok)
 }

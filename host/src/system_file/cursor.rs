@@ -60,7 +60,7 @@ fn syntax_help(text: &str, line: usize) -> String {
 }
 
 /// Most problems that are listed: each costs a walk to its place.
-const MOST: usize = 100;
+pub(super) const MOST: usize = 100;
 
 /// The problems of a document that were met, [`MOST`] at most.
 #[derive(Debug, Default)]

@@ -3,11 +3,12 @@
 //! Invariant: pure. It is judged by the planner that carries requests out, so nothing is refused here that
 //! would be done, nor the other way; what hangs on something that was refused is not judged.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
-use trocar_model::{ComponentId, Plan, PortId, Refusal, Request, SystemGraph, Target, host_of, plan};
+use trocar_model::{ComponentId, Plan, Planning, PortId, Refusal, Request, SystemGraph, Target, host_of};
 
 use super::SystemFile;
+use super::cursor::MOST;
 use super::problem::Problem;
 
 /// The verdict on a file.
@@ -23,47 +24,54 @@ pub struct Judged {
 }
 
 impl SystemFile {
-    /// Judges the file by the processes of `graph`, and what runs there already.
+    /// Judges the file by the processes of `graph`, and what runs there already. A hundred problems are listed,
+    /// at most.
     pub fn judge(&self, graph: &SystemGraph) -> Judged {
-        let (mut judged, mut graph) = (Judged::default(), graph.clone());
+        let (mut judged, mut planning) = (Judged::default(), Planning::of(graph));
         // Not there, since their Create was refused; and those that miss a connection for such a reason.
         let (mut absent, mut incomplete) = (BTreeSet::new(), BTreeSet::new());
-        for request in self.requests().into_iter().flat_map(one_by_one) {
-            let is_start = matches!(request, Request::Start { .. });
-            let hangs =
-                touched(&request).any(|id| absent.contains(&id) || is_start && incomplete.contains(&id));
-            if hangs {
-                incomplete.extend(client(&request).cloned());
+        let mut left: VecDeque<Request> = self.requests().into();
+        while let Some(request) = left.pop_front().filter(|_| judged.problems.len() < MOST) {
+            if let Some(targets) = several(&request) {
+                // Together, and one by one where that is refused: one that cannot start hides no other.
+                let mut complete = targets.clone();
+                complete.retain(|target| named(target).is_none_or(|id| !incomplete.contains(id)));
+                if planning.add(&Request::Start { targets: complete }).is_err() {
+                    left.extend(targets.into_iter().map(|target| Request::Start { targets: vec![target] }));
+                }
                 continue;
             }
-            let refusal = match plan(&graph, &request) {
-                Ok(done) => {
-                    graph.apply(&done);
-                    judged.plan.changes.extend(done.changes);
-                    judged.plan.skipped.extend(done.skipped);
-                    continue;
+            let is_start = matches!(request, Request::Start { .. });
+            if touched(&request).any(|id| absent.contains(&id) || is_start && incomplete.contains(&id)) {
+                incomplete.extend(client(&request).cloned());
+            } else if let Err(refusal) = planning.add(&request) {
+                if matches!(request, Request::Create { .. }) {
+                    absent.extend(client(&request).cloned());
                 }
-                Err(refusal) => refusal,
-            };
-            let of = if matches!(request, Request::Create { .. }) { &mut absent } else { &mut incomplete };
-            of.extend(client(&request).cloned());
-            match refusal {
-                Refusal::InterfaceNotFound { port, .. } if self.may_make(&port) => {
-                    // The other end may be wrong all the same.
-                    let other = self.no_server(&graph, &request).filter(|_| is_client(&port, &request));
-                    judged.problems.extend(other.map(|refusal| self.problem_of(&refusal)));
-                    judged.unknown.push((port, request));
-                }
-                Refusal::ConfigInvalid { id, violations } => {
-                    let alone =
-                        |violation| Refusal::ConfigInvalid { id: id.clone(), violations: vec![violation] };
-                    judged.problems.extend(violations.into_iter().map(|v| self.problem_of(&alone(v))));
-                }
-                refusal => judged.problems.push(self.problem_of(&refusal)),
+                incomplete.extend(client(&request).cloned());
+                self.refused(&mut judged, planning.graph(), request, refusal);
             }
         }
         judged.problems.sort_by_key(|problem| (problem.line, problem.column));
+        judged.plan = planning.plan();
         judged
+    }
+
+    fn refused(&self, judged: &mut Judged, graph: &SystemGraph, request: Request, refusal: Refusal) {
+        match refusal {
+            Refusal::InterfaceNotFound { port, .. } if self.may_make(&port) => {
+                // The other end may be wrong all the same.
+                let other = self.no_server(graph, &request).filter(|_| is_client(&port, &request));
+                judged.problems.extend(other.map(|refusal| self.problem_of(&refusal)));
+                judged.unknown.push((port, request));
+            }
+            Refusal::ConfigInvalid { id, violations } => {
+                let alone =
+                    |violation| Refusal::ConfigInvalid { id: id.clone(), violations: vec![violation] };
+                judged.problems.extend(violations.into_iter().map(|v| self.problem_of(&alone(v))));
+            }
+            refusal => judged.problems.push(self.problem_of(&refusal)),
+        }
     }
 
     /// Its component is given a configuration, which may make ports.
@@ -95,13 +103,18 @@ impl SystemFile {
     }
 }
 
-/// A Start of each component by itself: one that cannot start hides no other.
-fn one_by_one(request: Request) -> Vec<Request> {
+/// The targets of a Start, where they are several.
+fn several(request: &Request) -> Option<Vec<Target>> {
     match request {
-        Request::Start { targets } => {
-            targets.into_iter().map(|target| Request::Start { targets: vec![target] }).collect()
-        }
-        other => vec![other],
+        Request::Start { targets } if targets.len() > 1 => Some(targets.clone()),
+        _ => None,
+    }
+}
+
+fn named(target: &Target) -> Option<&ComponentId> {
+    match target {
+        Target::One(id) => Some(id),
+        Target::Glob(_) => None,
     }
 }
 
@@ -110,10 +123,7 @@ fn client(request: &Request) -> Option<&ComponentId> {
     match request {
         Request::Create { id, .. } => Some(id),
         Request::Connect { client, .. } => Some(&client.component),
-        Request::Start { targets } => targets.first().and_then(|target| match target {
-            Target::One(id) => Some(id),
-            Target::Glob(_) => None,
-        }),
+        Request::Start { targets } => targets.first().and_then(named),
         _ => None,
     }
 }

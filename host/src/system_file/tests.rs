@@ -496,6 +496,19 @@ fn what_is_right_is_told_as_the_plan_that_would_be_carried_out() {
 }
 
 #[test]
+fn a_file_of_many_components_is_judged_at_once_and_a_hundred_of_their_mistakes_are_listed() {
+    // Each plan by itself would copy the graph, ten thousand times ten thousand components.
+    let of = |class: &str| {
+        let all: Vec<String> =
+            (0..10_000).map(|n| format!(r#""host/c{n}": {{ "class": "{class}" }}"#)).collect();
+        parse(&format!(r#"{{ "version": 1, "components": {{ {} }} }}"#, all.join(","))).unwrap()
+    };
+    let right = of("arm").judge(&processes(&["host"]));
+    assert_eq!((right.problems.len(), right.plan.changes.len()), (0, 30_000));
+    assert_eq!(of("leg").judge(&processes(&["host"])).problems.len(), 100);
+}
+
+#[test]
 fn every_refusal_is_listed_with_its_place_and_none_for_what_hangs_on_another() {
     let wrong = [
         (r#""host/a": { "class": "arm" }"#, r#""host/a": { "class": "leg" }"#),

@@ -25,7 +25,7 @@ pub use run::open_ends;
 pub(crate) use tags::forbidden;
 pub use wire::made_of;
 
-use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph};
+use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph, inverse};
 
 /// What `request` would do to `graph`.
 ///
@@ -46,6 +46,41 @@ pub fn plan_all(graph: &SystemGraph, requests: &[Request]) -> Result<Plan, Refus
         planner.request(&requests[index])?;
     }
     Ok(planner.plan)
+}
+
+/// Requests planned one after another, each by what those before it lead to. One that is refused changes
+/// nothing, and hides no other.
+pub struct Planning(Planner);
+
+impl Planning {
+    pub fn of(graph: &SystemGraph) -> Planning {
+        Planning(Planner { graph: graph.clone(), plan: Plan::default() })
+    }
+
+    /// # Errors
+    /// The first check that fails.
+    pub fn add(&mut self, request: &Request) -> Result<(), Refusal> {
+        let (changes, skipped) = (self.0.plan.changes.len(), self.0.plan.skipped.len());
+        let number = self.0.graph.next_connection;
+        in_order(&self.0.graph, std::slice::from_ref(request))?;
+        self.0.request(request).inspect_err(|_| {
+            let changes = self.0.plan.changes.split_off(changes);
+            self.0.plan.skipped.truncate(skipped);
+            let undone = inverse(&Plan { changes, skipped: Vec::new() });
+            undone.changes.iter().for_each(|change| self.0.graph.carry_out(change));
+            self.0.graph.next_connection = number;
+        })
+    }
+
+    /// The graph as it will be.
+    pub fn graph(&self) -> &SystemGraph {
+        &self.0.graph
+    }
+
+    /// All that was not refused.
+    pub fn plan(self) -> Plan {
+        self.0.plan
+    }
 }
 
 /// The graph as it will be, and the changes that lead there.

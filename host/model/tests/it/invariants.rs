@@ -265,6 +265,25 @@ proptest! {
     }
 
     #[test]
+    fn requests_planned_one_after_another_come_to_what_each_of_them_does_alone(
+        start in any_graph(),
+        requests in prop::collection::vec(any_request(), 1..12),
+    ) {
+        let (mut planning, mut graph, mut changes) = (Planning::of(&start), start, Vec::new());
+        for request in &requests {
+            let alone = plan(&graph, request);
+            prop_assert_eq!(planning.add(request).err(), alone.as_ref().err().cloned());
+            if let Ok(plan) = alone {
+                graph.apply(&plan);
+                changes.extend(plan.changes);
+            }
+            let as_planned = SystemGraph { revision: graph.revision, ..planning.graph().clone() };
+            prop_assert_eq!(&as_planned, &graph);
+        }
+        prop_assert_eq!(planning.plan().changes, changes);
+    }
+
+    #[test]
     fn no_glob_moves_what_waits_for_a_name(steps in any_steps(), glob in prop::sample::select(GLOBS.to_vec())) {
         let mut graph = stage();
         for step in steps {
