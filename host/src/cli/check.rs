@@ -34,7 +34,7 @@ pub(super) struct CheckArgs {
 }
 
 pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
-    answer(&args.named, session, |file, _| {
+    answer(&args.named, Takes::Any, session, |file, _| {
         let word = style::paint("right", style::GOOD, style::stdout());
         out::say(&format!(
             "{} is {word}: {}, {}, {}",
@@ -46,19 +46,34 @@ pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
     })
 }
 
+/// The processes that a subcommand takes in a file.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Takes {
+    Any,
+    One,
+}
+
 /// `--dry-run` of `run` and `up`: the plan, or all that is wrong.
-pub(super) fn dry_run(named: &FileArgs, session: &Session) -> Done {
-    answer(named, session, |_, plan| plan.iter().for_each(|line| out::line(line)))
+pub(super) fn dry_run(named: &FileArgs, takes: Takes, session: &Session) -> Done {
+    answer(named, takes, session, |_, plan| plan.iter().for_each(|line| out::line(line)))
 }
 
 /// Says all that is wrong; `right` tells people of a file that is right, and of its plan.
-fn answer(named: &FileArgs, session: &Session, right: impl FnOnce(&SystemFile, &[String])) -> Done {
+fn answer(
+    named: &FileArgs,
+    takes: Takes,
+    session: &Session,
+    right: impl FnOnce(&SystemFile, &[String]),
+) -> Done {
     let file = match read(named) {
         Ok(file) => file,
         Err(Bad::Settings(failure)) => return Err(failure),
         Err(Bad::File(problems)) => return say(&named.file, &problems, &[], session),
     };
-    let (judged, refused) = judged(&file, named)?;
+    let (mut judged, refused) = judged(&file, named)?;
+    if takes == Takes::One {
+        judged.problems.extend(file.single_process().err());
+    }
     if !judged.problems.is_empty() {
         // A class that is not there may be one of theirs.
         return say(&named.file, &judged.problems, &refused, session);

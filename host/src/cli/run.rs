@@ -52,7 +52,7 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
         ));
     }
     if args.dry_run {
-        return check::dry_run(&args.named, session);
+        return check::dry_run(&args.named, check::Takes::One, session);
     }
     logging::install(log::LevelFilter::Warn);
     let file = args.named.read()?;

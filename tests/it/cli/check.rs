@@ -119,6 +119,9 @@ fn what_is_right_is_told_as_the_plan_and_nothing_is_left_behind() {
     ] {
         plan = plan.says(line);
     }
+    // As run would say, which takes one process.
+    let several = trocar.run(&["run", &file, "--dry-run"]).ends_with(REFUSED);
+    several.says("the file has 2 processes (host, other), `run` takes one");
     let settings = trocar.run(&["check", &file, "--set", "host/sine.frequency_hz=900"]).ends_with(REFUSED);
     settings.says("900 Hz is above 500 Hz");
     assert_eq!(listing(&world), before, "files came or went");

@@ -128,7 +128,7 @@ impl Up {
 
 pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     if args.dry_run {
-        return check::dry_run(&args.named, session);
+        return check::dry_run(&args.named, check::Takes::Any, session);
     }
     let name = name_of(args.name.as_ref(), &args.named.file)?;
     let place = directory(&name);
