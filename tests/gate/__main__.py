@@ -201,6 +201,10 @@ class Run:
         many = len(unsteady) > MOST_UNSTEADY
         for one in unsteady:
             self.screen.line(f"unsteady: {one.test} ({one.suite}), log: {one.log}")
+            for line in one.said:
+                self.screen.line(f"          {line}")
+        for line in results.reasons():
+            self.screen.line(line)
         if many:
             self.screen.line(
                 f"more than {MOST_UNSTEADY} unsteady tests are a fault of the change or of the tests: the run has failed"

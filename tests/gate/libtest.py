@@ -55,3 +55,25 @@ def read(text, status):
     elif not results:
         outcome.broken = "no test ran"
     return outcome
+
+
+# What a failure says that helps is short; the log has the rest.
+MOST_SAID = 8
+
+
+def said_of(text, test):
+    """The lines of a log that say why a test failed: its own output as libtest shows it, or every line that
+    begins with its name, or else every line that has it.
+    """
+    lines = text.splitlines()
+    heading = f"---- {test} stdout ----"
+    if heading in lines:
+        rest = lines[lines.index(heading) + 1 :]
+        end = next((at for at, line in enumerate(rest) if line.startswith("---- ") or line == "failures:"), None)
+        said = [line for line in rest[:end] if not line.startswith("note: run with")]
+    else:
+        others = [line for line in lines if not LINE.match(line)]
+        said = [line for line in others if line.startswith(f"{test}: ")] or [
+            line for line in others if test in line
+        ]
+    return [line.rstrip() for line in said if line.strip()][:MOST_SAID]

@@ -12,6 +12,8 @@ import os
 import shutil
 import threading
 
+import libtest
+
 # More unsteady tests than this in one run are a fault of the change or of the tests, not of the moment.
 MOST_UNSTEADY = 5
 
@@ -24,6 +26,7 @@ class Unsteady:
     part: str
     test: str
     log: str
+    said: list  # why it failed, in the lines of its log
 
 
 class Judge:
@@ -76,7 +79,8 @@ class Judge:
             kept = self.book.parent / "unsteady" / f"{now:%Y%m%dT%H%M%S}-{part.title}.log"
             kept.parent.mkdir(exist_ok=True)
             shutil.copyfile(log, kept)
-            self.unsteady.append(Unsteady(part.suite, part.title, test, str(kept)))
+            said = libtest.said_of(kept.read_text(errors="replace"), test)
+            self.unsteady.append(Unsteady(part.suite, part.title, test, str(kept), said))
             one, five, _ = self.load()
             with open(self.book, "a") as book:
                 book.write(

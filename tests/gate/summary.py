@@ -1,13 +1,15 @@
 """What people see: a line for each suite as it ends, at a terminal what runs now, and the closing counts.
 
 Invariant: the last line is "N passed, N failed, N skipped", and the line before it "N unsteady"; the end of a
-log is shown for failures only.
+log is shown for failures only, and what failed is said once more, with its reason, where a reader looks: at the end.
 """
 
 import json
 import re
 import shutil
 import threading
+
+import libtest
 
 TAIL = 60
 WIDTH = 21
@@ -28,6 +30,7 @@ class Suites:
         self.times = times  # suite -> seconds of the last run
         self.rows = {}
         self.left = {}  # suite -> its parts that have not ended
+        self.failures = []  # (name, lines that say why), in the order in which they were seen
         self.out = out
         self.lock = threading.Lock()
 
@@ -87,6 +90,8 @@ class Suites:
         for name in told[:40]:
             self.out.line(f"FAILED  {name}")
         self.out.tail(ran.log)
+        text = self.out.text(ran.log)
+        self.failures += [(name, libtest.said_of(text, name)) for name in told]
 
     def table(self):
         """Rows for people who compare runs."""
@@ -98,6 +103,13 @@ class Suites:
             lines.append(
                 f"{suite:<{WIDTH}} {row['passed']:>7} {row['failed']:>7} {row['skipped']:>8} {row['unsteady']:>9} {seconds:>6.0f} s {row['cpu']:>8.0f} s"
             )
+        return lines
+
+    def reasons(self):
+        """Each failed test once more, and why."""
+        lines = []
+        for name, said in self.failures:
+            lines += [f"FAILED  {name}", *(f"        {line}" for line in said)]
         return lines
 
     def unfinished(self):
@@ -140,16 +152,20 @@ class Screen:
             self.stream.write("\r\033[K")
             self.shown = False
 
-    def tail(self, log):
-        self.line(f"-- the end of {log}")
+    def text(self, log):
+        """A log, or why there is none."""
         try:
             with open(log, errors="replace") as file:
-                # cargo's messages for programs would hide what it says to people.
-                lines = [line for line in file.read().splitlines() if not line.startswith('{"reason":')]
-            for line in lines[-TAIL:]:
-                self.line(f"   {line}")
+                return file.read()
         except OSError as error:
-            self.line(f"   it cannot be read: {error}")
+            return f"it cannot be read: {error}"
+
+    def tail(self, log):
+        self.line(f"-- the end of {log}")
+        # cargo's messages for programs would hide what it says to people.
+        lines = [line for line in self.text(log).splitlines() if not line.startswith('{"reason":')]
+        for line in lines[-TAIL:]:
+            self.line(f"   {line}")
 
     def matching(self, log, pattern):
         """Figures of a suite, which it printed among other things."""

@@ -65,6 +65,28 @@ class WhatLibtestPrints(unittest.TestCase):
         )
 
 
+class WhyATestFailed(unittest.TestCase):
+    def test_libtest_shows_the_output_of_each_failed_test_by_itself(self):
+        log = (
+            "test a::b ... FAILED\ntest a::bc ... FAILED\n\nfailures:\n\n---- a::b stdout ----\n\n"
+            "thread 'a::b' panicked at x.rs:3:5:\nit is 4 and not 3\nnote: run with `RUST_BACKTRACE=1`\n\n"
+            "---- a::bc stdout ----\nother\n\nfailures:\n    a::b\n    a::bc\n"
+        )
+        self.assertEqual(
+            libtest.said_of(log, "a::b"), ["thread 'a::b' panicked at x.rs:3:5:", "it is 4 and not 3"]
+        )
+        self.assertEqual(libtest.said_of(log, "a::bc"), ["other"])
+
+    def test_a_suite_of_ours_says_it_in_lines_that_begin_with_the_name(self):
+        log = "test torture::x ... FAILED\nrow torture::x\ntorture::x: files: 3; allowed 0\ntorture::xy: other\n"
+        self.assertEqual(libtest.said_of(log, "torture::x"), ["torture::x: files: 3; allowed 0"])
+
+    def test_or_anywhere_in_a_line_and_little_of_it(self):
+        log = "test t ... FAILED\n" + "E  t is wrong\n" * 50
+        self.assertEqual(libtest.said_of(log, "t"), ["E  t is wrong"] * libtest.MOST_SAID)
+        self.assertEqual(libtest.said_of("", "t"), [])
+
+
 class Stage(unittest.TestCase):
     """Parts that are shell scripts in a directory of their own."""
 

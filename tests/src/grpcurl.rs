@@ -16,6 +16,16 @@ use crate::{Built, eventually};
 /// Generous: a watchdog, not a measurement. The server caps unary calls at 60 s.
 const WATCHDOG_S: u32 = 90;
 
+/// What may be asked twice: it changes nothing, or the second time no more than the first.
+const REPEATABLE: [&str; 6] = [
+    "GcmService/Configure",
+    "GcmService/Describe",
+    "GcmService/GetState",
+    "GcmService/List",
+    "InteractService/Read",
+    "PluginService/ListPlugins",
+];
+
 /// grpcurl, aimed at one address.
 #[derive(Clone)]
 pub struct Grpcurl {
@@ -56,13 +66,27 @@ impl Grpcurl {
         Err(Failure::read(method, &body, &output))
     }
 
-    /// A call that must succeed.
+    /// A call that must succeed, by processes that are heard.
     ///
     /// # Panics
     /// With the whole refusal otherwise.
+    #[track_caller]
     pub fn ok(&self, method: &str, body: Value) -> Value {
         let shown = body.to_string();
-        self.call(method, body).unwrap_or_else(|refused| panic!("{method} {shown} was refused: {refused}"))
+        let answer = match REPEATABLE.contains(&method) {
+            true => Self::when_heard(|| self.call(method, body.clone())),
+            false => self.call(method, body),
+        };
+        answer.unwrap_or_else(|refused| panic!("{method} {shown} was refused: {refused}"))
+    }
+
+    /// Asks again while a process is thought lost, as it may be for a moment on a busy machine.
+    #[track_caller]
+    fn when_heard(mut ask: impl FnMut() -> Result<Value, Failure>) -> Result<Value, Failure> {
+        eventually("the processes are heard", || match ask() {
+            Err(lost) if lost.reason == "PROCESS_LOST" => Err(lost),
+            answer => Ok(answer),
+        })
     }
 
     /// A call that must be refused.
@@ -77,16 +101,16 @@ impl Grpcurl {
         }
     }
 
-    /// The refusal by processes that are heard: on a busy machine one may be thought lost for a moment.
+    /// The refusal by processes that are heard.
     ///
     /// # Panics
     /// With the answer otherwise, or when one stays lost.
     #[track_caller]
     pub fn refused_when_heard(&self, method: &str, body: &Value) -> Failure {
-        eventually("the processes are heard", || match self.refused(method, body.clone()) {
-            lost if lost.reason == "PROCESS_LOST" => Err(lost),
-            refused => Ok(refused),
-        })
+        match Self::when_heard(|| self.call(method, body.clone())) {
+            Err(refused) => refused,
+            Ok(answer) => panic!("{method} {body} was not refused but answered {answer}"),
+        }
     }
 
     /// What a person sees on the terminal: standard output and error of the plain command.

@@ -33,7 +33,7 @@ struct Count {
 
 impl Count {
     fn of(rpc: &Rpc, path: &str) -> Result<Count, String> {
-        let stats = rpc.component(path)?.stats.unwrap_or_default();
+        let stats = rpc.stats(path)?;
         Ok(Count { elapsed: stats.executed + stats.skipped, skipped: stats.skipped })
     }
 }

@@ -139,7 +139,7 @@ impl<'a> Trial<'a> {
         let harmed = rig.own_port(victim)?;
         rig.mark("d/sink")?;
         for worst in ["source/ctl", "camera/ctl", "arm/ctl", "caller/run"] {
-            alive.invoke(&format!("{other}/{worst}/forget"), &Value::Null, Duration::from_secs(2))?;
+            alive.settle(&format!("{other}/{worst}/forget"), &Value::Null)?;
         }
         std::thread::sleep(Duration::from_micros(random.u64(0..BEAT_US)));
         self.witness.forget();

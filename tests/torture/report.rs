@@ -45,9 +45,9 @@ pub(crate) fn table(run: &Run, books: &[Book], left: &[&Row]) -> String {
     let how = if run.gate { format!("{how}, durations not judged") } else { how.to_owned() };
     let _ = writeln!(text, "seed {}, {how}, {seconds:.0} s", run.seed);
     for book in books {
-        // Once more where it is seen: the table is long.
+        // Once more where it is seen, and whole: the table is long, and its cells are short.
         for line in book.failing() {
-            let _ = writeln!(text, "torture::{}: {}", book.row, cell(&line.words()));
+            let _ = writeln!(text, "torture::{}: {}", book.row, flat(&line.words()));
         }
     }
     // As libtest says it, since `tests/run` counts by that.
@@ -79,8 +79,13 @@ fn not_run(books: &[Book], left: &[&Row]) -> Vec<String> {
     rows.chain(parts).collect()
 }
 
+/// Text in one line, as a cell and a reason are.
+fn flat(text: &str) -> String {
+    text.replace('\n', " ").replace('|', "/")
+}
+
 /// Text that stays in its cell.
 fn cell(text: &str) -> String {
-    let flat = text.replace('\n', " ").replace('|', "/");
+    let flat = flat(text);
     if flat.chars().count() <= 300 { flat } else { flat.chars().take(300).chain(['…']).collect() }
 }

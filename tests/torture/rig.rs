@@ -3,7 +3,6 @@
 //! Invariant: everything `a` has of `b`, `b` has of `a`, so that either may be the one that is harmed.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use serde_json::{Value, json};
 use trocar_proto::v1::{ListResponse, Process, ProcessState};
@@ -254,6 +253,6 @@ pub(crate) fn mark_at(rpc: &Rpc, sink: &str, at_ns: u64) -> Result<(), String> {
 /// The same by the command's own name.
 pub(crate) fn mark_by(rpc: &Rpc, command: &str, at_ns: u64) -> Result<(), String> {
     let mark = json!({ "at_ns": at_ns.to_string(), "late_limit": 0 });
-    rpc.invoke(command, &mark, Duration::from_secs(2))?;
+    rpc.settle(command, &mark)?;
     Ok(())
 }

@@ -15,11 +15,12 @@ use tonic_types::StatusExt;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::{
-    Component, ComponentState, ConfigureRequest, ConnectOptions, ConnectRequest, CreateRequest,
-    DisconnectRequest, Execution, GetStateRequest, InvokeRequest, ListRequest, ListResponse, ReadRequest,
-    RemoveRequest, ResetRequest, ResumeRequest, StartRequest, StopRequest,
+    Component, ComponentState, ComponentStats, ConfigureRequest, ConnectOptions, ConnectRequest,
+    CreateRequest, DisconnectRequest, Execution, GetStateRequest, InvokeRequest, ListRequest, ListResponse,
+    ReadRequest, RemoveRequest, ResetRequest, ResumeRequest, StartRequest, StopRequest,
 };
 
+use crate::clock::eventually;
 use crate::json::{from_wire, to_struct, to_wire};
 
 /// For every call.
@@ -56,6 +57,25 @@ impl From<Refused> for String {
 }
 
 pub(crate) type Answer<T> = Result<T, Refused>;
+
+impl Refused {
+    /// A busy machine alone may be the reason: a process is thought lost for a moment, a deadline goes by before what it bounds
+    /// has begun.
+    fn may_pass(&self) -> bool {
+        self.reason == "PROCESS_LOST" || self.code == Code::DeadlineExceeded
+    }
+}
+
+/// Asks until those who are to answer are heard: no row judges by how soon they are. Only for what may be asked twice.
+fn heard<T>(what: &str, mut ask: impl FnMut() -> Answer<T>) -> Answer<T> {
+    let settled = eventually(what, || match ask() {
+        Err(refused) if refused.may_pass() => Err(refused.to_string()),
+        answer => Ok(answer),
+    });
+    settled.unwrap_or_else(|message| {
+        Err(Refused { code: Code::DeadlineExceeded, reason: String::new(), message })
+    })
+}
 
 /// One server; it is dialled anew whenever it was lost.
 #[derive(Clone)]
@@ -97,13 +117,24 @@ impl Rpc {
     }
 
     fn listed(&self, request: ListRequest) -> Answer<ListResponse> {
-        done(async { self.gcm().list(request).await })
+        heard("the graph is listed", || done(async { self.gcm().list(request.clone()).await }))
     }
 
     pub(crate) fn component(&self, path: &str) -> Answer<Component> {
         let request = GetStateRequest { path: path.into() };
         let answer = done(async { self.gcm().get_state(request).await })?;
         Ok(answer.component.unwrap_or_default())
+    }
+
+    /// Its figures, which its process has to tell.
+    pub(crate) fn stats(&self, path: &str) -> Answer<ComponentStats> {
+        heard(&format!("figures of {path}"), || {
+            self.component(path)?.stats.ok_or_else(|| Refused {
+                code: Code::Unavailable,
+                reason: "PROCESS_LOST".into(),
+                message: format!("{path} is listed without figures"),
+            })
+        })
     }
 
     /// Its state, e.g. `ACTIVE`.
@@ -177,13 +208,18 @@ impl Rpc {
     /// The state row of a component, or the newest sample of an output.
     pub(crate) fn row(&self, path: &str) -> Answer<Value> {
         let request = ReadRequest { path: path.into(), ..ReadRequest::default() };
-        let answer = done(async { self.interact().read(request).await })?;
+        let answer = heard(path, || done(async { self.interact().read(request.clone()).await }))?;
         Ok(answer.json.map_or(Value::Null, from_wire))
     }
 
     /// Calls a command and answers its result.
     pub(crate) fn invoke(&self, path: &str, arg: &Value, within: Duration) -> Answer<Value> {
         self.invoked(path, arg, within, false)
+    }
+
+    /// Calls a command that may be carried out twice, until it was.
+    pub(crate) fn settle(&self, path: &str, arg: &Value) -> Answer<Value> {
+        heard(path, || self.invoke(path, arg, PATIENCE))
     }
 
     /// Has a command queued.

@@ -10,8 +10,24 @@ import time
 
 import pytest
 
+from trocar import TrocarError
+
 STANDSTILL_S = 60
 """A wait fails when what it observes has not changed for so long, whatever it takes in all."""
+
+
+def _heard(look):
+    """What ``look`` answered, and why not: an assertion does not hold yet, or a process is thought lost, as it may be for a moment
+    on a busy machine.
+    """
+    try:
+        return look(), None
+    except AssertionError as e:
+        return None, e
+    except TrocarError as e:
+        if e.reason != "PROCESS_LOST":
+            raise
+        return None, e
 
 
 class _Watchdog:
@@ -22,13 +38,10 @@ class _Watchdog:
 
     def look(self, look, progress):
         """What ``look`` answered where that is true, else nothing."""
-        try:
-            seen, problem = look(), None
-        except AssertionError as e:
-            seen, problem = None, e
+        seen, problem = _heard(look)
         if seen:
             return seen
-        now = (repr(problem or seen), repr(progress()) if progress else "")
+        now = (repr(problem or seen), repr(_heard(progress)) if progress else "")
         if now != self.last:
             self.last, self.since = now, time.monotonic()
         elif time.monotonic() - self.since > STANDSTILL_S:

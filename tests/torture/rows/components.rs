@@ -13,7 +13,7 @@ use crate::invariants::{Holdings, nothing_runs};
 use crate::json::number;
 use crate::procfs;
 use crate::program::Program;
-use crate::rpc::{NO_ANSWER, Rpc, state_name};
+use crate::rpc::{NO_ANSWER, PATIENCE, Rpc, state_name};
 use crate::run::{Row, Run, When};
 use crate::watching::Overruns;
 use crate::world::World;
@@ -294,7 +294,7 @@ fn overruns(run: &Run, book: &mut Book) -> Result<(), String> {
         let watched = Overruns::of(rpc, &path)?;
         for n in 1..=times {
             let period = Duration::from_secs_f64(1.0 / rate_hz);
-            rpc.invoke(&format!("{path}/ctl/slow"), &json!(1), Duration::from_secs(2))?;
+            rpc.invoke(&format!("{path}/ctl/slow"), &json!(1), PATIENCE)?;
             eventually("the slow step is over", || match number(&rpc.row(&path)?["late"]) {
                 late if late >= n => Ok(()),
                 late => Err(format!("{late} of {n}")),
@@ -312,7 +312,7 @@ fn overruns(run: &Run, book: &mut Book) -> Result<(), String> {
         let seldom = if (1..=at_most).contains(&told) { Ok(()) } else { Err(often) };
         book.check("overruns are told, at most once a second", times as usize, seldom);
         rpc.stop(&path)?;
-        let (row, stats) = (rpc.row(&path)?, rpc.component(&path)?.stats.unwrap_or_default());
+        let (row, stats) = (rpc.row(&path)?, rpc.stats(&path)?);
         // What it noted itself, and what it noted but for the moment between its clock and the host's.
         let (least, most) = (number(&row["late"]), number(&row["perhaps_late"]));
         let exact = (least..=most).contains(&stats.overruns);
@@ -461,7 +461,7 @@ fn rude(run: &Run, book: &mut Book) -> Result<(), String> {
         if now <= threads + rounds as usize { Ok(()) } else { Err(format!("{now}, before {threads}")) }
     });
     book.check("no thread but those that were left", rounds as usize, left);
-    let quiet = rpc.component("a/late")?.stats.unwrap_or_default().warnings;
+    let quiet = rpc.stats("a/late")?.warnings;
     // A directory is the whole process's: then all are named who stepped meanwhile.
     let strange = ["mask", "rounding", "threads"];
     let innocent = quiet.iter().all(|w| strange.iter().all(|word| !w.contains(word)));

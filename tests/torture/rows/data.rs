@@ -1,7 +1,6 @@
 //! Rows about data: takers that are slow, stand still or die, floods, and a machine that is wanted by others.
 
 use std::thread;
-use std::time::Duration;
 
 use serde_json::{Value, json};
 use trocar_proto::v1::Connection;
@@ -15,6 +14,7 @@ use crate::json::number;
 use crate::procfs;
 use crate::program::signal_to;
 use crate::rig::Rig;
+use crate::rpc::PATIENCE;
 use crate::run::{Row, Run, When};
 use crate::world::World;
 
@@ -66,7 +66,7 @@ struct Stretches {
 impl Stretches {
     /// One more stretch, `during` which frames are made.
     fn add(&mut self, rig: &Rig, during: impl FnOnce() -> Result<(), String>) -> Result<(), String> {
-        let costs = || rig.rpc.invoke("a/camera/ctl/costs", &Value::Null, Duration::from_secs(2));
+        let costs = || rig.rpc.invoke("a/camera/ctl/costs", &Value::Null, PATIENCE);
         let exhausted = || Ok::<_, String>(number(&rig.rpc.row("a/camera")?["exhausted"]));
         let (witness, before) = (Witness::start(), exhausted()?);
         // Forgets what was before.
@@ -344,8 +344,7 @@ fn commands(rig: &Rig, book: &mut Book, sender: &str, receiver: &str, ms: u64) -
     rig.rpc.connect(&client, &format!("{receiver}/ctl"), trocar_proto::v1::ConnectOptions::default())?;
     rig.rpc.stop(sender)?;
     let of = |key: &str| -> Result<u64, String> { Ok(number(&rig.rpc.row(sender)?[key])) };
-    let done =
-        || -> Result<u64, String> { Ok(rig.rpc.component(receiver)?.stats.unwrap_or_default().commands) };
+    let done = || -> Result<u64, String> { Ok(rig.rpc.stats(receiver)?.commands) };
     let (steps, turned_away, carried_out) = (of("steps")?, of("turned_away")?, done()?);
     rig.rpc.configure(sender, json!({ "flood": FLOOD }))?;
     rig.rpc.start(sender)?;

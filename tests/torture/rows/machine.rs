@@ -6,7 +6,6 @@ use std::io::{Seek, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
 
 use serde_json::{Value, json};
 use trocar_proto::v1::Execution;
@@ -17,7 +16,7 @@ use crate::clock::pause_ms;
 use crate::invariants::{Holdings, nothing_is_left};
 use crate::json::number;
 use crate::program::Program;
-use crate::rpc::Rpc;
+use crate::rpc::{PATIENCE, Rpc};
 use crate::run::{Row, Run, When};
 use crate::world::World;
 
@@ -103,8 +102,7 @@ struct Lateness {
 
 impl Lateness {
     fn of(rpc: &Rpc, path: &str) -> Result<Lateness, String> {
-        let figures: Value =
-            rpc.invoke(&format!("{path}/ctl/figures"), &Value::Null, Duration::from_secs(5))?;
+        let figures: Value = rpc.invoke(&format!("{path}/ctl/figures"), &Value::Null, PATIENCE)?;
         let us = |key: &str| number(&figures[key]) as f64 / 1e3;
         let granted = number(&figures["granted"]) == 1;
         Ok(Lateness {
@@ -152,12 +150,11 @@ fn hogs(run: &Run, book: &mut Book) -> Result<(), String> {
     Lateness::of(&rpc, "a/late")?;
     Lateness::of_all(&rpc, &bare)?;
     let held = Holdings::of(&[("a", host.pid())]);
-    let stats = |path: &str| rpc.component(path).map(|c| c.stats.unwrap_or_default());
     let ms = run.times(3_000, 60_000);
     pause_ms(ms / 2);
     Lateness::of(&rpc, "a/late")?.say("without hogs");
     Lateness::of_all(&rpc, &bare)?.iter().for_each(|one| one.say("without hogs, a bare thread"));
-    let before = stats("a/late")?;
+    let before = rpc.stats("a/late")?;
     {
         let _hogs = Hogs::begin(&world)?;
         pause_ms(ms);
@@ -166,7 +163,7 @@ fn hogs(run: &Run, book: &mut Book) -> Result<(), String> {
         let (ours, bare) = (Lateness::of(&rpc, "a/late")?, Lateness::of_all(&rpc, &bare)?);
         ours.say("with hogs");
         bare.iter().for_each(|one| one.say("with hogs, a bare thread"));
-        let after = stats("a/late")?;
+        let after = rpc.stats("a/late")?;
         if !after.realtime || !bare.iter().all(|one| one.granted) {
             book.leaves_out(
                 "real-time priorities, which this machine does not grant: all threads are ordinary",

@@ -246,9 +246,12 @@ def lost(ire):
 
 def goes_on(ire, steps):
     """Waits until the robot has done so many steps more; its newest row."""
-    end = int(ire.latest("robot/EyeRobot")["steps"]) + steps
-    reaches(f"the robot does {steps} steps", lambda: int(ire.latest("robot/EyeRobot")["steps"]), end)
-    return ire.latest("robot/EyeRobot")
+    def row():
+        return eventually("the robot's newest row", lambda: ire.latest("robot/EyeRobot"))
+
+    end = int(row()["steps"]) + steps
+    reaches(f"the robot does {steps} steps", lambda: int(row()["steps"]), end)
+    return row()
 
 
 def window(ire, server, follower):
