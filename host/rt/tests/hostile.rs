@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 
-use trocar_rt::mailbox::{EntryHead, Overflow};
+use trocar_rt::mailbox::{EntryHead, Overflow, Push};
 use trocar_rt::now_ns;
 use trocar_rt::pool::{FramePool, PoolFile};
 use trocar_rt::region::{Layout, Region};
@@ -156,6 +156,36 @@ fn words_that_change_under_every_look_crash_and_hang_nobody() {
         // Its process is given up: whatever its words said, nothing stays lent.
         drop(pools);
         assert_eq!(pool.stats().free, 8, "frames were lost ({queue:?}, file {raw})");
+    }
+}
+
+/// An entry that says it is longer than its place is cut to that: nothing beyond is read, and nothing written over.
+#[test]
+fn an_entry_longer_than_its_place_is_cut_to_it() {
+    const LENGTH: u64 = 24;
+    let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(64));
+    let lay = |layout: &mut Layout| writing(layout, QUEUES[0], &pools);
+    let lay_other = |layout: &mut Layout| reading(layout, QUEUES[0], &views);
+    let bytes = Layout::measure(lay);
+    let here = Region::shared(bytes).unwrap();
+    let (mail, ..) = lay(&mut Layout::fresh(&here));
+    let there = again(&here, bytes);
+    let (theirs, ..) = lay_other(&mut Layout::of_other_end(&there));
+    let hostile = again(&here, bytes);
+    let words = Layout::words(&hostile, bytes / 8);
+    let lengths = || -> Vec<usize> {
+        (0..words.len()).filter(|at| words[*at].load(Ordering::Relaxed) == LENGTH).collect()
+    };
+    // The smallest ones first: a place has room for those, so that a length that is believed is seen before it does harm.
+    for said in [LENGTH + 1, LENGTH + 8, 1 << 16, 1 << 40, u64::MAX] {
+        let before = lengths();
+        assert_eq!(mail.push(EntryHead::default(), &[7; LENGTH as usize], Overflow::Reject), Push::Queued);
+        let new: Vec<usize> = lengths().into_iter().filter(|at| !before.contains(at)).collect();
+        assert_eq!(new.len(), 1, "the length of the entry lies in the block");
+        words[new[0]].store(said, Ordering::Relaxed);
+        let (mut given, answer) = (Vec::new(), |_: EntryHead, payload: &[u8]| payload.to_vec());
+        theirs.drain(|head, payload| given.push(answer(head, payload)), |_| {});
+        assert_eq!(given, [vec![7; LENGTH as usize]], "of an entry that says {said} bytes");
     }
 }
 
