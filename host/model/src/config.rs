@@ -30,6 +30,54 @@ pub fn defaults(schema: &Value) -> Value {
     complete(schema, Value::Object(Map::new()))
 }
 
+/// `value` without what [`complete`] fills in: completed again, it is the same where it was complete.
+pub fn without_defaults(schema: &Value, value: &Value) -> Value {
+    if let Value::Array(items) = value {
+        let item = schema.get("items").unwrap_or(&Value::Null);
+        return Value::Array(items.iter().map(|value| without_defaults(item, value)).collect());
+    }
+    let (Some(properties), Value::Object(map)) = (properties(schema), value) else { return value.clone() };
+    let left = map.iter().filter_map(|(key, value)| {
+        let Some(sub) = properties.get(key) else { return Some((key.clone(), value.clone())) };
+        let filled = match sub.get("default") {
+            Some(default) => Some(complete(sub, default.clone())),
+            None => Some(defaults(sub)).filter(|v| v.as_object().is_some_and(|o| !o.is_empty())),
+        };
+        let is_default = filled.is_some_and(|filled| is_same(&filled, value));
+        (!is_default).then(|| (key.clone(), without_defaults(sub, value)))
+    });
+    Value::Object(left.collect())
+}
+
+/// Two settings that mean the same: 20 is 20.0, as JSON's numbers are.
+pub fn is_same(a: &Value, b: &Value) -> bool {
+    match (a, b) {
+        (Value::Number(x), Value::Number(y)) => {
+            x == y || (x.is_f64() != y.is_f64()) && x.as_f64() == y.as_f64()
+        }
+        (Value::Array(x), Value::Array(y)) => {
+            x.len() == y.len() && x.iter().zip(y).all(|(x, y)| is_same(x, y))
+        }
+        (Value::Object(x), Value::Object(y)) => {
+            x.len() == y.len() && x.iter().all(|(key, x)| y.get(key).is_some_and(|y| is_same(x, y)))
+        }
+        _ => a == b,
+    }
+}
+
+/// The merge patch that makes `to` of `from`.
+pub fn difference(from: &Value, to: &Value) -> Value {
+    let (Value::Object(from), Value::Object(to)) = (from, to) else { return to.clone() };
+    let gone = from.keys().filter(|key| !to.contains_key(*key)).map(|key| (key.clone(), Value::Null));
+    let is_there = |key: &String, value: &Value| from.get(key).is_some_and(|old| is_same(old, value));
+    let changed = to.iter().filter(|(key, value)| !is_there(key, value)).map(|(key, value)| {
+        // An object that was something else before has no part that could stay.
+        let old = from.get(key).filter(|old| old.is_object()).cloned();
+        (key.clone(), difference(&old.unwrap_or_else(|| Value::Object(Map::new())), value))
+    });
+    Value::Object(gone.chain(changed).collect())
+}
+
 /// `value` with every absent key that has a default filled in, also in nested objects, and with whole numbers that were
 /// written as texts, as those beyond 2^53 have to be, as the numbers they are.
 pub fn complete(schema: &Value, value: Value) -> Value {

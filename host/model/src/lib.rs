@@ -33,7 +33,8 @@ pub use class::{
     Tag, Wake,
 };
 pub use config::{
-    Violation, complete, defaults, live_only, live_settings, merge, schema_fault, unknown_nulls, validate,
+    Violation, complete, defaults, difference, is_same, live_only, live_settings, merge, schema_fault,
+    unknown_nulls, validate, without_defaults,
 };
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
 pub use copies::{CopyRun, MAX_COPIES};
@@ -44,7 +45,8 @@ pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
 pub use phases::{Phase, StepTimes, phases, steps_matter};
 pub use plan::{
-    Here, Planning, class_fault, host_of, made_of, open_ends, period_fault, plan, plan_all, restore,
+    Here, Planning, class_fault, default_max_age, host_of, least_execution, made_of, open_ends, period_fault,
+    plan, plan_all, restore,
 };
 pub use proxy::{End, Proxy};
 pub use refusal::{Code, Refusal, brief, errors_markdown};

@@ -74,6 +74,37 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
     }
 }
 
+/// The least that has to be asked of a class for an execution like `whole`: what the class has by itself is
+/// left out.
+pub fn least_execution(class: &Execution, whole: &Execution) -> Execution {
+    let mut asked = whole.clone();
+    for leave_out in LEAVING {
+        let mut less = asked.clone();
+        leave_out(&mut less);
+        if overlay(class, &less) == *whole {
+            asked = less;
+        }
+    }
+    asked
+}
+
+/// Takes out one setting each. A model that is left out brings others back, so it comes first.
+const LEAVING: [fn(&mut Execution); 13] = [
+    |e| e.model = None,
+    |e| e.stream_of = None,
+    |e| e.inside = None,
+    |e| e.period_ns = None,
+    |e| e.phase_ns = None,
+    |e| e.priority = None,
+    |e| e.cpus.clear(),
+    |e| e.catch_up = None,
+    |e| e.threads = None,
+    |e| e.max_step_ns = None,
+    |e| e.history = None,
+    |e| e.on_failure = None,
+    |e| e.wake = None,
+];
+
 /// The present execution with everything `asked` sets in its place. A model without a host means a thread of its own,
 /// but for exec_in and exec_out, which stay with the host they have.
 pub(super) fn change(class: &Execution, present: &Execution, asked: &Execution) -> Execution {

@@ -19,11 +19,11 @@ mod wire;
 use std::collections::BTreeMap;
 
 pub(crate) use circle::is_stream;
-pub use execution::{class_fault, period_fault};
+pub use execution::{class_fault, least_execution, period_fault};
 pub use restore::{Here, restore};
 pub use run::open_ends;
 pub(crate) use tags::forbidden;
-pub use wire::made_of;
+pub use wire::{default_max_age, made_of};
 
 use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph, inverse};
 

@@ -129,7 +129,7 @@ fn check_any(
 }
 
 /// The default of `max_age`: three periods, where an actuator takes samples that come on a grid; otherwise none.
-pub(super) fn default_max_age(graph: &SystemGraph, connection: &Connection) -> Option<u64> {
+pub fn default_max_age(graph: &SystemGraph, connection: &Connection) -> Option<u64> {
     let client = graph.components.get(&connection.client.component)?;
     if client.class.safety != Safety::Actuator || !is_stream(graph, connection) {
         return None;

@@ -76,6 +76,17 @@ fn defaults_are_filled_in_also_below_and_leave_out_what_has_none() {
 }
 
 #[test]
+fn what_the_schema_fills_in_is_left_out_also_below() {
+    let whole = complete(&schema(), json!({"port": "x", "limits": {"force": 3}, "cutoff_hz": 50.0}));
+    let least = without_defaults(&schema(), &whole);
+    assert_eq!(least, json!({"port": "x", "limits": {"force": 3}}), "50.0 is the default of 50");
+    assert!(is_same(&complete(&schema(), least), &whole));
+    assert_eq!(without_defaults(&schema(), &defaults(&schema())), json!({}));
+    let unknown = json!({"of_another_version": {"a": 1}});
+    assert_eq!(without_defaults(&schema(), &unknown), unknown);
+}
+
+#[test]
 fn a_merge_patch_follows_rfc_7396() {
     // The table of RFC 7396, appendix A, where both sides are objects or become one.
     let cases = [

@@ -151,6 +151,14 @@ fn any_request() -> impl Strategy<Value = Request> {
     ]
 }
 
+/// An object without null, as a configuration is.
+fn any_json() -> impl Strategy<Value = serde_json::Value> {
+    let leaf = prop::sample::select(vec![json!(1), json!(2.5), json!("x"), json!([1, 2]), json!({})]);
+    let object = |inner| prop::collection::btree_map("[a-c]", inner, 0..4);
+    let value = leaf.prop_recursive(3, 24, 4, move |inner| object(inner).prop_map(|m| json!(m)));
+    object(value.boxed()).prop_map(|m| json!(m))
+}
+
 /// What an LCM may report between two requests.
 fn any_report() -> impl Strategy<Value = (ComponentId, State)> {
     (any_id(), prop::sample::select(State::ALL.to_vec()))
@@ -281,6 +289,43 @@ proptest! {
             prop_assert_eq!(&as_planned, &graph);
         }
         prop_assert_eq!(planning.plan().changes, changes);
+    }
+
+    #[test]
+    fn what_is_left_of_a_component_without_its_defaults_makes_it_again(steps in any_steps()) {
+        let mut graph = stage();
+        for step in steps {
+            if let Step::Ask(request) = step
+                && let Ok(plan) = plan(&graph, &request)
+            {
+                graph.apply(&plan);
+            }
+        }
+        for (id, was) in &graph.components {
+            let class = &was.class;
+            let config = (was.state != State::Created)
+                .then(|| without_defaults(&class.config_schema, &was.config));
+            let execution = least_execution(&class.execution, &was.execution);
+            let anew = Request::Create { id: id.clone(), class: class.full_name(), config, execution };
+            let mut without = graph.clone();
+            without.components.remove(id);
+            without.connections.clear();
+            // Its thread may have gone with another component.
+            let gone = host_of(&was.execution).is_some_and(|host| !without.components.contains_key(&host));
+            let Ok(plan) = plan(&without, &anew) else {
+                prop_assert!(gone || was.state == State::Fault, "{id}: {:?}", plan(&without, &anew));
+                continue;
+            };
+            without.apply(&plan);
+            let again = &without.components[id];
+            prop_assert_eq!((&again.config, &again.execution), (&was.config, &was.execution), "{}", id);
+        }
+    }
+
+    #[test]
+    fn a_patch_of_the_difference_leads_there(from in any_json(), to in any_json()) {
+        prop_assert_eq!(merge(&from, &difference(&from, &to)), to.clone());
+        prop_assert_eq!(difference(&to, &to), if to.is_object() { json!({}) } else { to });
     }
 
     #[test]
