@@ -6,6 +6,7 @@ mod check;
 mod doctor;
 mod not_started;
 mod plugins;
+mod saving;
 mod taken;
 mod words;
 

@@ -38,7 +38,7 @@ pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
         let word = style::paint("right", style::GOOD, style::stdout());
         out::say(&format!(
             "{} is {word}: {}, {}, {}",
-            args.named.file.display(),
+            args.named.system.file.display(),
             units::count(file.processes.len() as u64, "process"),
             units::count(file.components.len() as u64, "component"),
             units::count(file.connections.len() as u64, "connection"),
@@ -68,7 +68,7 @@ fn answer(
     let file = match read(named) {
         Ok(file) => file,
         Err(Bad::Settings(failure)) => return Err(failure),
-        Err(Bad::File(problems)) => return say(&named.file, &problems, &[], session),
+        Err(Bad::File(problems)) => return say(&named.system.file, &problems, &[], session),
     };
     let (mut judged, refused) = judged(&file, named)?;
     if takes == Takes::One {
@@ -76,11 +76,13 @@ fn answer(
     }
     if !judged.problems.is_empty() {
         // A class that is not there may be one of theirs.
-        return say(&named.file, &judged.problems, &refused, session);
+        return say(&named.system.file, &judged.problems, &refused, session);
     }
     let (plan, notes) = (plan_lines(&judged.plan), unknown(&judged));
     if session.json() {
-        session.print_json(&json!({ "file": named.file, "problems": [], "notes": notes, "plan": plan }))?;
+        session.print_json(
+            &json!({ "file": named.system.file, "problems": [], "notes": notes, "plan": plan }),
+        )?;
         return Ok(Exit::Ok);
     }
     right(&file, &plan);
@@ -95,15 +97,15 @@ enum Bad {
 }
 
 fn read(named: &FileArgs) -> Result<SystemFile, Bad> {
-    let mut file = SystemFile::check(&named.file).map_err(Bad::File)?;
-    for assignment in &named.sets {
+    let mut file = SystemFile::check(&named.system.file).map_err(Bad::File)?;
+    for assignment in &named.system.sets {
         file.set(assignment).map_err(|bad| Bad::Settings(bad.into()))?;
     }
     Ok(file)
 }
 
 fn judged(file: &SystemFile, named: &FileArgs) -> Result<(Judged, Vec<String>), Failure> {
-    let base: &Path = named.file.parent().unwrap_or(Path::new(""));
+    let base: &Path = named.system.file.parent().unwrap_or(Path::new(""));
     let given: &[PathBuf] = &named.plugins;
     let offline = Offline::of(file, base, given)?;
     Ok((file.judge(&offline.graph), offline.refused))

@@ -4,6 +4,7 @@
 //! subcommand only asks over gRPC what anybody could ask, except those that are a process themselves (`host`,
 //! `gcm`, `run`, `demo`).
 
+mod apply;
 mod call;
 mod check;
 mod client;
@@ -37,6 +38,7 @@ mod plugin_new;
 mod recording;
 mod restart;
 mod run;
+mod save;
 mod schema;
 mod screen;
 mod session;
@@ -112,6 +114,9 @@ enum Command {
     Up(up::UpArgs),
     Down(down::DownArgs),
     Check(check::CheckArgs),
+    Save(save::SaveArgs),
+    Apply(apply::ApplyArgs),
+    Diff(apply::DiffArgs),
     Host(hosting::HostArgs),
     Gcm(gcm::GcmArgs),
     Ls(ls::LsArgs),
@@ -176,6 +181,9 @@ fn dispatch(cli: Cli) -> Done {
         Command::Up(args) => process(up::run(args, &session)),
         Command::Down(args) => ask(down::run(args, &session)),
         Command::Check(args) => check::run(&args, &session),
+        Command::Save(args) => ask(save::run(args, &session)),
+        Command::Apply(args) => ask(apply::apply(args, &session)),
+        Command::Diff(args) => ask(apply::diff(args, &session)),
         Command::Host(args) => process(hosting::run(args, &session)),
         Command::Gcm(args) => process(gcm::run(args, &session)),
         Command::Ls(args) => ask(ls::run(args, &session)),

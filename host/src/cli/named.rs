@@ -1,6 +1,8 @@
-//! The system file of `run` and `up`: which one, with what settings and plugins instead of its own.
+//! The system file of a subcommand: which one, with what settings, and for `run` and `up` plugins instead of
+//! its own.
 //!
-//! Invariant: both take the same flags and read the file in the same way, so what runs in one process comes up in several.
+//! Invariant: all take the same flags and read the file in the same way, so what runs in one process comes up
+//! in several, and is what `apply` and `diff` compare a system with.
 
 use std::path::PathBuf;
 
@@ -10,12 +12,18 @@ use super::failure::Failure;
 use crate::system_file::{BadSet, SystemFile};
 
 #[derive(Args, Debug)]
-pub(super) struct FileArgs {
+pub(super) struct SystemArgs {
     /// The system file (`trocar schema system` describes it).
     pub(super) file: PathBuf,
     /// Another value for one setting, JSON or plain text: process/component.key=value; may be given several times.
     #[arg(long = "set", value_name = "ASSIGNMENT")]
     pub(super) sets: Vec<String>,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct FileArgs {
+    #[command(flatten)]
+    pub(super) system: SystemArgs,
     /// Plugin directory instead of the file's; may be given several times [where neither: ./plugins, else where this program
     /// lies].
     #[arg(long, value_name = "DIR")]
@@ -25,11 +33,26 @@ pub(super) struct FileArgs {
 impl FileArgs {
     /// The file with its settings.
     pub(super) fn read(&self) -> Result<SystemFile, Failure> {
+        self.system.read()
+    }
+}
+
+impl SystemArgs {
+    /// The file with its settings.
+    pub(super) fn read(&self) -> Result<SystemFile, Failure> {
         let mut file = SystemFile::read(&self.file)?;
         for assignment in &self.sets {
             file.set(assignment)?;
         }
         Ok(file)
+    }
+}
+
+/// A refusal with the place in the file it comes from.
+pub(super) fn placed(file: &SystemFile, failure: Failure) -> Failure {
+    match file.locate_told(&failure.reason, &failure.message, &failure.help, &failure.metadata) {
+        Some(place) => failure.at(&place),
+        None => failure,
     }
 }
 

@@ -56,7 +56,7 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     }
     logging::install(log::LevelFilter::Warn);
     let file = args.named.read()?;
-    let folder = args.named.file.parent().unwrap_or(Path::new(""));
+    let folder = args.named.system.file.parent().unwrap_or(Path::new(""));
     let config = config(&file, folder, args.named.plugins, args.listen)?;
     let config = HostConfig { rules: args.port.rules(), ..config };
     go_to(folder)?;

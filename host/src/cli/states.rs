@@ -143,14 +143,12 @@ pub(super) async fn remove(args: RmArgs, session: &Session) -> Done {
         return forget(&args.of.paths, mutation, session).await;
     }
     let paths = named(&args.of.paths, session).await?;
-    let mut outcome = session.remove(&paths, args.force, mutation).await?;
+    let outcome = session.remove(&paths, args.force, mutation).await?;
     if !session.json() && !mutation.dry_run {
         // What goes cannot say any more what became of it first.
         outcome.plan.iter().filter_map(|line| line.strip_prefix("- stop ")).for_each(|what| {
             out::say(&format!("stopped {what}"));
         });
-        // How they stood when they went says nothing about what is there.
-        outcome.components.clear();
     }
     show(session, &outcome, mutation.dry_run, &format!("removed {}", paths.join(", ")))
 }

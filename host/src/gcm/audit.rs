@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 use trocar_model::{ConnectOptions, Execution, Queue, Refusal, Request, Target, Which};
 
 use super::requests::Answer;
-use super::text::spelled;
+use crate::system_file::words::spelled;
 
 /// Longest request that is written whole, bytes.
 const MOST: usize = 4096;

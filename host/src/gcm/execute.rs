@@ -44,6 +44,12 @@ pub struct ExecuteOptions {
     pub identity: String,
 }
 
+impl ExecuteOptions {
+    pub(super) fn until(&self) -> Instant {
+        self.deadline.unwrap_or_else(|| Instant::now() + WITHIN)
+    }
+}
+
 /// What an accepted request did.
 #[derive(Clone, Default)]
 pub struct Executed {
@@ -52,6 +58,8 @@ pub struct Executed {
     pub reports: Vec<Report>,
     /// Of a Stop: what could not be stopped; the others are.
     pub failed: Vec<(ComponentId, Refusal)>,
+    /// Of a system file: what no request does, and who does.
+    pub left: Vec<String>,
 }
 
 impl Executed {
@@ -80,14 +88,25 @@ impl Gcm {
     /// # Errors
     /// Whatever the plan or a component refuses; then what was done is undone. A Stop goes on over failures.
     pub async fn execute(&self, requests: Vec<Request>, options: ExecuteOptions) -> Answer {
-        let deadline = options.deadline.unwrap_or_else(|| Instant::now() + WITHIN);
+        let deadline = options.until();
+        self.once(&requests, &options, deadline, self.audited(&requests, &options, deadline)).await
+    }
+
+    /// What is carried out, unless the same was asked under its id before.
+    pub(super) async fn once(
+        &self,
+        asked: &impl std::fmt::Debug,
+        options: &ExecuteOptions,
+        deadline: Instant,
+        carried_out: impl Future<Output = Answer>,
+    ) -> Answer {
         if options.validate_only || options.request_id.is_empty() {
-            return self.audited(&requests, &options, deadline).await;
+            return carried_out.await;
         }
-        let known = lock(&self.inner.answers).ask(&options.request_id, &requests, Instant::now());
+        let known = lock(&self.inner.answers).ask(&options.request_id, asked, Instant::now());
         match known {
             Known::New(tell) => {
-                let answer = self.audited(&requests, &options, deadline).await;
+                let answer = carried_out.await;
                 tell.send_replace(Some(answer.clone()));
                 lock(&self.inner.answers).given(&options.request_id, &answer);
                 answer
@@ -108,7 +127,12 @@ impl Gcm {
         }
     }
 
-    async fn audited(&self, requests: &[Request], options: &ExecuteOptions, deadline: Instant) -> Answer {
+    pub(super) async fn audited(
+        &self,
+        requests: &[Request],
+        options: &ExecuteOptions,
+        deadline: Instant,
+    ) -> Answer {
         let stop_only = !requests.is_empty() && requests.iter().all(|r| matches!(r, Request::Stop { .. }));
         let answer = if stop_only {
             self.stop(requests, options.validate_only, deadline).await

@@ -22,6 +22,7 @@ mod requests;
 mod restore;
 mod sessions;
 mod stop;
+mod system;
 mod text;
 mod wanted;
 

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use sha2::{Digest, Sha256};
 use tokio::sync::watch;
-use trocar_model::{Refusal, Request};
+use trocar_model::Refusal;
 
 use super::execute::Executed;
 
@@ -33,7 +33,7 @@ pub(super) enum Known {
 struct Entry {
     at: Instant,
     id: String,
-    requests: Hash,
+    asked: Hash,
     /// Bytes of id and answer, as far as it is there.
     bytes: usize,
     answer: watch::Receiver<Option<Answer>>,
@@ -54,16 +54,16 @@ pub(super) struct Answers {
 
 impl Answers {
     /// Looks an id up and takes it if it is free, in one step.
-    pub(super) fn ask(&mut self, id: &str, requests: &[Request], now: Instant) -> Known {
+    pub(super) fn ask(&mut self, id: &str, asked: &impl Debug, now: Instant) -> Known {
         self.kept.retain(|e| !e.given_up() && now.saturating_duration_since(e.at) <= AGE);
         self.bytes = self.kept.iter().map(|e| e.bytes).sum();
-        let requests = hash(requests);
+        let asked = hash(asked);
         if let Some(entry) = self.kept.iter().find(|e| e.id == id) {
-            return if entry.requests == requests { Known::Same(entry.answer.clone()) } else { Known::Other };
+            return if entry.asked == asked { Known::Same(entry.answer.clone()) } else { Known::Other };
         }
         let (tell, answer) = watch::channel(None);
         self.bytes += id.len();
-        self.kept.push_back(Entry { at: now, id: id.to_owned(), requests, bytes: id.len(), answer });
+        self.kept.push_back(Entry { at: now, id: id.to_owned(), asked, bytes: id.len(), answer });
         self.bound();
         Known::New(tell)
     }
@@ -87,9 +87,9 @@ impl Answers {
 
 type Hash = [u8; 32];
 
-/// The hash of what the requests say; two that say the same in another order of keys are the same, since maps
+/// The hash of what was asked; two that say the same in another order of keys are the same, since maps
 /// are sorted.
-fn hash(requests: &[Request]) -> Hash {
+fn hash(asked: &impl Debug) -> Hash {
     struct Hashing(Sha256);
     impl Write for Hashing {
         fn write_str(&mut self, text: &str) -> fmt::Result {
@@ -99,7 +99,7 @@ fn hash(requests: &[Request]) -> Hash {
     }
     let mut hashing = Hashing(Sha256::new());
     // Neither the hash nor Debug of plain data fails.
-    let _ = write!(hashing, "{requests:?}");
+    let _ = write!(hashing, "{asked:?}");
     hashing.0.finalize().into()
 }
 
@@ -130,7 +130,7 @@ fn length(answer: &Answer) -> usize {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use trocar_model::Target;
+    use trocar_model::{Request, Target};
 
     use super::*;
 

@@ -266,5 +266,6 @@ fn joined(first: Executed, second: Executed) -> Executed {
         plan: Plan { changes, skipped },
         reports: first.reports.into_iter().chain(second.reports).collect(),
         failed: second.failed,
+        left: second.left,
     }
 }

@@ -4,16 +4,22 @@
 //! so a system file can never do what single requests cannot.
 
 mod cursor;
+mod difference;
 mod isolation;
 mod judge;
 mod overrides;
 mod place;
 mod problem;
 mod read;
+mod running;
+#[cfg(test)]
+mod running_tests;
 mod scan;
 mod schema;
 #[cfg(test)]
 mod tests;
+pub(crate) mod words;
+mod write;
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -24,10 +30,13 @@ use trocar_model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request
 use crate::host::MemoryBounds;
 use crate::processes::Policy;
 
+pub use difference::Difference;
 pub use judge::Judged;
 pub use overrides::BadSet;
 pub use problem::Problem;
+pub use running::Running;
 pub use schema::system_schema;
+pub use write::Picture;
 
 use cursor::{COMMENT, Document, Found};
 
@@ -51,6 +60,8 @@ pub struct SystemFile {
     pub components: Vec<ComponentSpec>,
     pub connections: Vec<ConnectionSpec>,
     document: Document,
+    /// It says something else than its document, by settings of the command line.
+    is_changed: bool,
 }
 
 /// One process of a system file.
@@ -185,12 +196,19 @@ impl SystemFile {
         read::system(Document::parse(file, text).map_err(|problem| vec![problem])?)
     }
 
+    /// Its text; where a setting was changed, one that says the same with it.
+    pub fn text(&self) -> String {
+        if self.is_changed { self.picture().text() } else { self.document.text.clone() }
+    }
+
     /// Applies `process/component.key[.key]=value` to a component's configuration.
     ///
     /// # Errors
     /// Malformed, or names a component the file does not have.
     pub fn set(&mut self, assignment: &str) -> Result<(), BadSet> {
-        overrides::set(&mut self.components, assignment)
+        overrides::set(&mut self.components, assignment)?;
+        self.is_changed = true;
+        Ok(())
     }
 
     /// The requests that make this system: creates (a stream's or step's owner before its members), connects, then one

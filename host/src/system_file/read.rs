@@ -79,7 +79,7 @@ pub(super) fn system(document: Document) -> Result<SystemFile, Vec<Problem>> {
     let read = parts(&document, &found);
     match read.filter(|_| found.is_empty()) {
         Some((processes, components, connections)) => {
-            Ok(SystemFile { processes, components, connections, document })
+            Ok(SystemFile { processes, components, connections, document, is_changed: false })
         }
         None => Err(found.all()),
     }

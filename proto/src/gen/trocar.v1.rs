@@ -2711,6 +2711,14 @@ pub struct ApplyRequest {
     /// The steps in order; later ones see what earlier ones did.
     #[prost(message, repeated, tag = "1")]
     pub steps: ::prost::alloc::vec::Vec<Step>,
+    /// Instead of steps: the text of a system file. Its components and connections are made, changed and
+    /// started until the system is what it says; processes are not started. What it does not name stays.
+    #[prost(string, tag = "2")]
+    pub system: ::prost::alloc::string::String,
+    /// With system: components of the file's processes, and connections of their inputs and required
+    /// interfaces, that are not in the file are taken away.
+    #[prost(bool, tag = "3")]
+    pub prune: bool,
     /// True: answer what would be done, do nothing.
     #[prost(bool, tag = "13")]
     pub validate_only: bool,
@@ -2739,6 +2747,48 @@ pub struct ApplyResponse {
     /// What did not go as asked without being refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
+/// Asks for Save.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct SaveRequest {
+    /// The directory in which the file will lie: plugin directories in it are written relative to it.
+    /// Empty: all are absolute.
+    #[prost(string, tag = "1")]
+    pub folder: ::prost::alloc::string::String,
+}
+/// Answers Save.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct SaveResponse {
+    /// Revision of the graph that is saved.
+    #[prost(uint64, tag = "1")]
+    pub revision: u64,
+    /// The text of the file. What classes fill in by themselves is left out, and guests are.
+    #[prost(string, tag = "2")]
+    pub text: ::prost::alloc::string::String,
+    /// What is not in it, and where to take it from.
+    #[prost(string, repeated, tag = "3")]
+    pub notes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
+/// Asks for Compare.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct CompareRequest {
+    /// The text of a system file.
+    #[prost(string, tag = "1")]
+    pub system: ::prost::alloc::string::String,
+}
+/// Answers Compare.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct CompareResponse {
+    /// Revision of the graph that is compared.
+    #[prost(uint64, tag = "1")]
+    pub revision: u64,
+    /// A line each: "+ …" is in the file alone, "- …" in the system alone, "~ …" in both and not the same.
+    /// None: no difference.
+    #[prost(string, repeated, tag = "2")]
+    pub differences: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// What Apply does not do about them, and who does.
+    #[prost(string, repeated, tag = "3")]
+    pub notes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// Asks for Replace.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -3277,7 +3327,8 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "WaitFor"));
             self.inner.unary(req, path, codec).await
         }
-        /// Many changes as one: all or nothing.
+        /// Many changes as one: all or nothing. They are steps, or whatever it takes for the system to be what
+        /// a system file says.
         pub async fn apply(
             &mut self,
             request: impl tonic::IntoRequest<super::ApplyRequest>,
@@ -3297,6 +3348,52 @@ pub mod gcm_service_client {
             let mut req = request.into_request();
             req.extensions_mut()
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Apply"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// The system as a system file, which makes it again.
+        pub async fn save(
+            &mut self,
+            request: impl tonic::IntoRequest<super::SaveRequest>,
+        ) -> std::result::Result<tonic::Response<super::SaveResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GcmService/Save",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut().insert(GrpcMethod::new("trocar.v1.GcmService", "Save"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// How the system differs from what a system file says. Changes nothing.
+        pub async fn compare(
+            &mut self,
+            request: impl tonic::IntoRequest<super::CompareRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::CompareResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.GcmService/Compare",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.GcmService", "Compare"));
             self.inner.unary(req, path, codec).await
         }
         /// Swaps a running component for one of another class or version. Not in this version: NOT_IMPLEMENTED.
@@ -3509,11 +3606,22 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::WaitForRequest>,
         ) -> std::result::Result<tonic::Response<super::WaitForResponse>, tonic::Status>;
-        /// Many changes as one: all or nothing.
+        /// Many changes as one: all or nothing. They are steps, or whatever it takes for the system to be what
+        /// a system file says.
         async fn apply(
             &self,
             request: tonic::Request<super::ApplyRequest>,
         ) -> std::result::Result<tonic::Response<super::ApplyResponse>, tonic::Status>;
+        /// The system as a system file, which makes it again.
+        async fn save(
+            &self,
+            request: tonic::Request<super::SaveRequest>,
+        ) -> std::result::Result<tonic::Response<super::SaveResponse>, tonic::Status>;
+        /// How the system differs from what a system file says. Changes nothing.
+        async fn compare(
+            &self,
+            request: tonic::Request<super::CompareRequest>,
+        ) -> std::result::Result<tonic::Response<super::CompareResponse>, tonic::Status>;
         /// Swaps a running component for one of another class or version. Not in this version: NOT_IMPLEMENTED.
         async fn replace(
             &self,
@@ -4222,6 +4330,94 @@ pub mod gcm_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = ApplySvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.GcmService/Save" => {
+                    #[allow(non_camel_case_types)]
+                    struct SaveSvc<T: GcmService>(pub Arc<T>);
+                    impl<T: GcmService> tonic::server::UnaryService<super::SaveRequest>
+                    for SaveSvc<T> {
+                        type Response = super::SaveResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::SaveRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GcmService>::save(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = SaveSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.GcmService/Compare" => {
+                    #[allow(non_camel_case_types)]
+                    struct CompareSvc<T: GcmService>(pub Arc<T>);
+                    impl<
+                        T: GcmService,
+                    > tonic::server::UnaryService<super::CompareRequest>
+                    for CompareSvc<T> {
+                        type Response = super::CompareResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::CompareRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as GcmService>::compare(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = CompareSvc(inner);
                         let codec = tonic_prost::ProstCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(

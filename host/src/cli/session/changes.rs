@@ -186,7 +186,7 @@ impl Session {
 }
 
 /// A request with the caller's own deadline, if one was given.
-fn timed<T>(ask: T, m: &MutationArgs) -> tonic::Request<T> {
+pub(super) fn timed<T>(ask: T, m: &MutationArgs) -> tonic::Request<T> {
     let mut ask = tonic::Request::new(ask);
     if let Some(ns) = m.timeout {
         ask.set_timeout(std::time::Duration::from_nanos(ns));

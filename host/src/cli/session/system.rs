@@ -1,15 +1,17 @@
-//! The questions of `up`: a whole system at once, and what became of its processes.
+//! The questions of `up`, `apply`, `diff` and `save`: a whole system at once, and what became of its
+//! processes.
 
+use std::path::Path;
 use std::time::Duration;
 
 use trocar_model::{Refusal, Request};
 use trocar_proto::v1;
 
-use super::changes::outcome;
+use super::changes::{outcome, timed};
 use super::{Follow, Session};
 use crate::cli::convert;
 use crate::cli::failure::Failure;
-use crate::cli::mutation::Outcome;
+use crate::cli::mutation::{MutationArgs, Outcome};
 use crate::cli::view::SystemView;
 use crate::gcm::{Supervisor, Told, Wanted};
 
@@ -39,6 +41,39 @@ impl Session {
         ask.set_timeout(within);
         let a = self.client().await?.gcm.apply(ask).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
+    }
+
+    /// Makes the system what the text of a system file says.
+    pub(in crate::cli) async fn apply_system(
+        &self,
+        system: &str,
+        prune: bool,
+        m: &MutationArgs,
+    ) -> Result<Outcome, Failure> {
+        let ask = v1::ApplyRequest {
+            system: system.to_owned(),
+            prune,
+            validate_only: m.dry_run,
+            expected_revision: m.expected_revision,
+            ..v1::ApplyRequest::default()
+        };
+        let ask = timed(ask, m);
+        let a = self.client().await?.gcm.apply(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
+    }
+
+    /// How the system differs from what the text of a system file says.
+    pub(in crate::cli) async fn compare(&self, system: &str) -> Result<v1::CompareResponse, Failure> {
+        let ask = v1::CompareRequest { system: system.to_owned() };
+        let answer = self.client().await?.gcm.compare(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(answer.into_inner())
+    }
+
+    /// The system as the text of a file that lies in a directory.
+    pub(in crate::cli) async fn save(&self, folder: &Path) -> Result<v1::SaveResponse, Failure> {
+        let ask = v1::SaveRequest { folder: folder.to_string_lossy().into_owned() };
+        let answer = self.client().await?.gcm.save(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(answer.into_inner())
     }
 
     /// How everything stands, asked of the GCM alone and soon answered; without live figures.

@@ -107,13 +107,13 @@ fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
         all.push(text);
     };
     give("listen", args.listen.clone().into());
-    args.named.sets.iter().for_each(|set| give("set", set.into()));
+    args.named.system.sets.iter().for_each(|set| give("set", set.into()));
     args.named.plugins.iter().for_each(|dir| give("plugins", dir.into()));
     args.name.iter().for_each(|name| give("name", name.as_str().into()));
     gcm.into_iter().for_each(|addr| give("gcm", addr.into()));
     all.extend(args.port.flags().map(Into::into));
     all.push("--".into());
-    all.push(args.named.file.clone().into());
+    all.push(args.named.system.file.clone().into());
     all
 }
 
@@ -160,8 +160,8 @@ mod tests {
         let read = Typed::from_arg_matches(&read).unwrap().up;
         assert!(read.detached && !read.detach, "{again:?}");
         assert_eq!(
-            (read.named.file, read.named.sets, read.named.plugins),
-            (typed.named.file, typed.named.sets, typed.named.plugins)
+            (read.named.system.file, read.named.system.sets, read.named.plugins),
+            (typed.named.system.file, typed.named.system.sets, typed.named.plugins)
         );
         assert_eq!((read.name, read.listen), (typed.name, typed.listen));
         let gcm = super::again(&Typed::try_parse_from(line).unwrap().up, Some("h:1"));

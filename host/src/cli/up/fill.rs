@@ -9,8 +9,9 @@ use std::time::Duration;
 use tokio::time::Instant;
 use trocar_model::{ComponentId, Request, Target};
 
-use super::{BRING_UP, System, placed};
+use super::{BRING_UP, System};
 use crate::cli::failure::Failure;
+use crate::cli::named::placed;
 use crate::cli::session::Session;
 use crate::cli::view::{ComponentView, SystemView};
 use crate::processes::Phase;

@@ -130,7 +130,7 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     if args.dry_run {
         return check::dry_run(&args.named, check::Takes::Any, session);
     }
-    let name = name_of(args.name.as_ref(), &args.named.file)?;
+    let name = name_of(args.name.as_ref(), &args.named.system.file)?;
     let place = directory(&name);
     if args.detach {
         return detach::run(&args, &place, &name, session).await;
@@ -148,7 +148,7 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
         Some(addr) => Gcm::Of(addr.to_owned()),
         None => Gcm::Own(Box::new(programs::gcm(&args.listen, state.path(), args.port))),
     };
-    let launch = Launch::new(&file, &args.named.file, &args.named.plugins, state.path(), args.port);
+    let launch = Launch::new(&file, &args.named.system.file, &args.named.plugins, state.path(), args.port);
     let mut system = System::new(gcm, launch);
     let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;
@@ -205,7 +205,7 @@ fn read(args: &UpArgs) -> Result<SystemFile, Failure> {
     let file = args.named.read()?;
     if file.processes.is_empty() {
         return Err(Failure::usage(
-            format!("{} names no process", args.named.file.display()),
+            format!("{} names no process", args.named.system.file.display()),
             "add \"processes\", or components such as \"host/robot\"",
         ));
     }
@@ -442,12 +442,4 @@ fn leftovers(listed: &SystemView, names: &[String]) -> Vec<Told> {
 /// A process as people call it.
 fn called(name: &str) -> &str {
     if name == GCM { "the GCM" } else { name }
-}
-
-/// With the place in the file it comes from.
-fn placed(file: &SystemFile, failure: Failure) -> Failure {
-    match file.locate_told(&failure.reason, &failure.message, &failure.help, &failure.metadata) {
-        Some(place) => failure.at(&place),
-        None => failure,
-    }
 }

@@ -24,10 +24,12 @@ use crate::control::web::{PortRules, Viewer, is_native};
 use crate::runtime_dir::RuntimeDir;
 
 /// Methods that change nothing. `Invoke` and `WaitFor` look at the command that is called: see [`OnlyReads`].
-const READING: [&str; 16] = [
+const READING: [&str; 18] = [
+    "/trocar.v1.GcmService/Compare",
     "/trocar.v1.GcmService/Describe",
     "/trocar.v1.GcmService/GetState",
     "/trocar.v1.GcmService/List",
+    "/trocar.v1.GcmService/Save",
     "/trocar.v1.GcmService/WaitFor",
     "/trocar.v1.GcmService/Watch",
     "/trocar.v1.InteractService/Invoke",

@@ -23,6 +23,7 @@ use crate::control::deadline::{deadline, room};
 use crate::control::services::FOR_COMPONENT;
 use crate::gcm::{ExecuteOptions, Executed, plan_lines};
 use crate::lcm::{PluginInfo, Report};
+use crate::system_file::Difference;
 
 /// Executes and answers; the response types differ in name, and in the fields that are filled by the caller.
 macro_rules! mutate {
@@ -64,15 +65,23 @@ pub(super) fn identity<T>(request: &Request<T>) -> String {
     }
 }
 
-fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
+pub(super) fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
     let skipped = done.skipped().iter();
     skipped.map(|s| v1::SkippedComponent { path: s.id.to_string(), why: s.why.clone() }).collect()
 }
 
-/// How each component stands in the end, once each; its ports are for Describe.
-fn told(done: &Executed) -> Vec<v1::ComponentReport> {
+/// How each component that is there in the end stands then, once each; its ports are for Describe.
+pub(super) fn told(done: &Executed) -> Vec<v1::ComponentReport> {
     let mut out: Vec<v1::ComponentReport> = Vec::with_capacity(done.reports.len());
-    for report in &done.reports {
+    let gone = |id: &ComponentId| {
+        let is_there = |change: &Change| match change {
+            Change::Create { id: made, .. } if made == id => Some(true),
+            Change::Destroy { id: gone, .. } if gone == id => Some(false),
+            _ => None,
+        };
+        done.plan.changes.iter().rev().find_map(is_there) == Some(false)
+    };
+    for report in done.reports.iter().filter(|report| !gone(&report.id)) {
         let mut last = Report { ports: None, ..report.clone() };
         if let Some(at) = out.iter().position(|earlier| earlier.path == report.id.to_string()) {
             let earlier = out.remove(at);
@@ -85,11 +94,21 @@ fn told(done: &Executed) -> Vec<v1::ComponentReport> {
 }
 
 /// Each sentence once, though every change of a component reports it anew.
-fn warnings(done: &Executed) -> Vec<String> {
+pub(super) fn warnings(done: &Executed) -> Vec<String> {
     let failed = done.failed.iter().map(|(id, refusal)| format!("{id}: {refusal}"));
     let mut seen = BTreeSet::new();
-    let all = done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed);
+    let all = done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed).chain(done.left.clone());
     all.filter(|warning| seen.insert(warning.clone())).collect()
+}
+
+pub(super) fn options(common: Common, until: Instant, identity: String) -> ExecuteOptions {
+    ExecuteOptions {
+        validate_only: common.validate_only,
+        request_id: common.request_id,
+        expected_revision: common.expected_revision,
+        deadline: Some(until - room(until)),
+        identity,
+    }
 }
 
 impl Edge {
@@ -100,17 +119,17 @@ impl Edge {
         until: Instant,
         identity: String,
     ) -> Result<Executed, Status> {
-        let options = ExecuteOptions {
-            validate_only: common.validate_only,
-            request_id: common.request_id,
-            expected_revision: common.expected_revision,
-            deadline: Some(until - room(until)),
-            identity,
-        };
-        let gcm = self.gcm()?.clone();
-        // A caller that goes away must not leave a change half made.
-        let running = tokio::spawn(async move { gcm.execute(requests, options).await });
-        match running.await {
+        let (gcm, options) = (self.gcm()?.clone(), options(common, until, identity));
+        self.carried_out(async move { gcm.execute(requests, options).await }, until).await
+    }
+
+    /// A caller that goes away must not leave a change half made.
+    pub(super) async fn carried_out(
+        &self,
+        change: impl Future<Output = Result<Executed, Refusal>> + Send + 'static,
+        until: Instant,
+    ) -> Result<Executed, Status> {
+        match tokio::spawn(change).await {
             Ok(Ok(done)) => Ok(done),
             Ok(Err(refusal)) => Err(refuse(self.refused_file(refusal, until).await)),
             Err(e) => Err(refuse(Refusal::Internal { text: format!("the request panicked: {e}") })),
@@ -283,9 +302,25 @@ impl GcmService for Edge {
     }
 
     async fn apply(&self, request: Request<v1::ApplyRequest>) -> Result<Response<v1::ApplyResponse>, Status> {
+        if !request.get_ref().system.is_empty() || request.get_ref().prune {
+            return self.apply_system(request).await.map(Response::new);
+        }
         Ok(Response::new(
             mutate!(self, request, ApplyResponse, |r: v1::ApplyRequest| convert::steps(r.steps)).0,
         ))
+    }
+
+    async fn save(&self, request: Request<v1::SaveRequest>) -> Result<Response<v1::SaveResponse>, Status> {
+        self.saved(request).await.map(Response::new)
+    }
+
+    async fn compare(
+        &self,
+        request: Request<v1::CompareRequest>,
+    ) -> Result<Response<v1::CompareResponse>, Status> {
+        let (revision, found) = self.gcm()?.compare(&request.into_inner().system).map_err(refuse)?;
+        let Difference { lines: differences, left: notes, .. } = found;
+        Ok(Response::new(v1::CompareResponse { revision, differences, notes }))
     }
 
     async fn get_state(

@@ -9,6 +9,7 @@ mod page;
 mod part;
 mod past;
 mod plugin;
+mod system;
 mod wait;
 mod watch;
 

@@ -14,7 +14,7 @@ use crate::lcm::PluginInfo;
 impl Edge {
     /// Plugins of one process, or of all, those called `again` after another look at them; processes that do
     /// not answer are warnings when all were asked.
-    async fn plugins(
+    pub(super) async fn plugins(
         &self,
         process: &str,
         again: Option<&str>,

@@ -1,0 +1,83 @@
+//! The system as a file, compared with one, and made what one says.
+//!
+//! Invariant: what is compared is what is changed: a change is refused when the graph has moved on since, and
+//! compared anew.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use trocar_model::{Name, Refusal};
+
+use super::Gcm;
+use super::execute::{ExecuteOptions, Executed};
+use super::requests::Answer;
+use crate::system_file::{Difference, Running, SystemFile};
+
+/// How often a system that others change meanwhile is compared.
+const ATTEMPTS: usize = 5;
+
+impl Gcm {
+    /// Makes the system what the text of a system file says: all of it, or nothing. `prune`: also what the
+    /// file's processes have and the file does not goes.
+    ///
+    /// # Errors
+    /// ArgumentInvalid for a text that is no system file; otherwise as [`Gcm::execute`].
+    pub async fn apply_system(&self, text: &str, prune: bool, options: ExecuteOptions) -> Answer {
+        let (file, deadline) = (parsed("Apply", text)?, options.until());
+        self.once(&(text, prune), &options, deadline, self.becomes(&file, prune, &options, deadline)).await
+    }
+
+    async fn becomes(
+        &self,
+        file: &SystemFile,
+        prune: bool,
+        options: &ExecuteOptions,
+        deadline: Instant,
+    ) -> Answer {
+        let mut attempts = 0;
+        loop {
+            let graph = self.graph();
+            let Difference { requests, left, .. } = file.difference(&graph, prune)?;
+            let compared = ExecuteOptions {
+                expected_revision: options.expected_revision.or(Some(graph.revision)),
+                ..options.clone()
+            };
+            attempts += 1;
+            match self.audited(&requests, &compared, deadline).await {
+                Err(Refusal::RevisionConflict { .. })
+                    if options.expected_revision.is_none() && attempts < ATTEMPTS => {}
+                answer => return answer.map(|done| Executed { left, ..done }),
+            }
+        }
+    }
+
+    /// How the system differs from what the text of a system file says, and the revision that was compared.
+    ///
+    /// # Errors
+    /// ArgumentInvalid for a text that is no system file; what refuses a component of it.
+    pub fn compare(&self, text: &str) -> Result<(u64, Difference), Refusal> {
+        let (file, graph) = (parsed("Compare", text)?, self.graph());
+        Ok((graph.revision, file.difference(&graph, true)?))
+    }
+
+    /// The text of a file in `folder` that makes the system again, what it does not say, and the revision.
+    pub fn save(
+        &self,
+        folder: &Path,
+        plugins: &BTreeMap<Name, BTreeSet<PathBuf>>,
+    ) -> (u64, String, Vec<String>) {
+        let graph = self.graph();
+        let running = Running { graph: &graph, plugins };
+        let (picture, notes) = running.picture(folder);
+        (graph.revision, picture.text(), notes)
+    }
+}
+
+fn parsed(what: &str, text: &str) -> Result<SystemFile, Refusal> {
+    SystemFile::parse("system", text.to_owned()).map_err(|problem| Refusal::ArgumentInvalid {
+        what: what.to_owned(),
+        why: format!("{problem}: {}", problem.help),
+        field: "system".to_owned(),
+    })
+}

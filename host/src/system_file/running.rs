@@ -1,0 +1,116 @@
+//! A running system as a system file would say it.
+//!
+//! Invariant: pure. What a class fills in by itself is left out, so the file makes the same system again and
+//! reads as if written by hand; what cannot be said in a file is told beside it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use trocar_model::{
+    Component, ComponentId, ConnectOptions, Connection, Name, PortId, State, StopReason, SystemGraph,
+    default_max_age, least_execution, without_defaults,
+};
+
+use super::write::Picture;
+use super::{ComponentSpec, ConnectionSpec, ProcessSpec};
+
+/// A system as its GCM sees it, and what it knows beside the graph.
+#[derive(Debug)]
+pub struct Running<'a> {
+    pub graph: &'a SystemGraph,
+    /// Plugin directories of each process, as far as it told them.
+    pub plugins: &'a BTreeMap<Name, BTreeSet<PathBuf>>,
+}
+
+/// What a GCM is not told of processes and components.
+const NOT_KNOWN: &str = "trust, listen, state, env, restart, memory and allow_exec of processes and resume of components are not \
+                         known to a GCM: where they were other than usual, take them from the file it was started by";
+
+impl Running<'_> {
+    /// What a file that lies in `folder` says of it, and what it does not say.
+    pub fn picture(&self, folder: &Path) -> (Picture, Vec<String>) {
+        let (graph, mut notes) = (self.graph, Vec::new());
+        let guests = graph.processes.iter().filter(|(_, p)| !p.guest.is_empty());
+        let guests: BTreeSet<&Name> = guests.map(|(name, _)| name).collect();
+        if !guests.is_empty() {
+            let names: Vec<&str> = guests.iter().map(|name| name.as_str()).collect();
+            notes.push(format!("guests are not in it, they join by themselves: {}", names.join(", ")));
+        }
+        let apart: BTreeSet<&Name> =
+            graph.components.keys().filter(|id| home(graph, id).is_some()).map(|id| &id.process).collect();
+        let ours = graph.processes.keys().filter(|name| !guests.contains(*name) && !apart.contains(*name));
+        let processes: Vec<ProcessSpec> = ours.map(|name| self.process(name, folder, &mut notes)).collect();
+        if !processes.is_empty() {
+            notes.push(NOT_KNOWN.to_owned());
+        }
+        let inside = graph.components.iter().filter(|(id, _)| !guests.contains(&id.process));
+        let mut components: Vec<ComponentSpec> = inside.map(|(id, c)| self.component(id, c)).collect();
+        components.sort_by(|a, b| a.written.cmp(&b.written));
+        let stays = |end: &PortId| !guests.contains(&end.component.process);
+        let between = graph.connections.values().filter(|c| stays(&c.client) && stays(&c.server));
+        let connections = between.map(|c| connection(graph, c)).collect();
+        (Picture { processes, components, connections }, notes)
+    }
+
+    fn process(&self, name: &Name, folder: &Path, notes: &mut Vec<String>) -> ProcessSpec {
+        let mut spec = ProcessSpec::new(name.clone());
+        match self.plugins.get(name) {
+            Some(dirs) => spec.plugins = dirs.iter().map(|dir| relative(dir, folder)).collect(),
+            None => notes.push(format!("process {name} does not tell its plugin directories: add them")),
+        }
+        spec
+    }
+
+    fn component(&self, id: &ComponentId, c: &Component) -> ComponentSpec {
+        let home = home(self.graph, id);
+        let isolated = home.is_some();
+        let written = home.map_or_else(|| id.clone(), |home| ComponentId::new(home, id.component.clone()));
+        let config = without_defaults(&c.class.config_schema, &c.config);
+        // What is CREATED has an incomplete one, which is not taken when it is given.
+        let given =
+            c.state != State::Created && config.as_object().is_none_or(|settings| !settings.is_empty());
+        ComponentSpec {
+            id: id.clone(),
+            written,
+            resumes: false,
+            isolated,
+            class: c.class.full_name(),
+            config: given.then_some(config),
+            execution: least_execution(&c.class.execution, &c.execution),
+            start: runs(c.state),
+        }
+    }
+}
+
+/// The process like which one was made for this component alone; `None`: it lives where others may.
+pub(super) fn home(graph: &SystemGraph, id: &ComponentId) -> Option<Name> {
+    let name = id.process.as_str().strip_suffix(id.component.as_str())?.strip_suffix('.')?;
+    let home: Name = name.parse().ok().filter(|home| graph.processes.contains_key(home))?;
+    let alone = graph.components.keys().filter(|other| other.process == id.process).count() == 1;
+    alone.then_some(home)
+}
+
+/// It runs, or did until something came between.
+fn runs(state: State) -> bool {
+    match state {
+        State::Created | State::Ready | State::Stopped(StopReason::Requested) => false,
+        State::Active | State::Fault | State::Stopped(_) => true,
+    }
+}
+
+fn connection(graph: &SystemGraph, c: &Connection) -> ConnectionSpec {
+    let usual = c.options.max_age_ns == default_max_age(graph, c);
+    let max_age_ns = c.options.max_age_ns.filter(|_| !usual);
+    let options = ConnectOptions { max_age_ns, replace: false, ..c.options.clone() };
+    ConnectionSpec { client: c.client.clone(), server: c.server.clone(), options }
+}
+
+/// A directory as a file in `folder` names it.
+fn relative(dir: &Path, folder: &Path) -> PathBuf {
+    match dir.strip_prefix(folder) {
+        Ok(inside) if folder.as_os_str().is_empty() => inside.to_owned(),
+        Ok(inside) if inside.as_os_str().is_empty() => PathBuf::from("."),
+        Ok(inside) => inside.to_owned(),
+        Err(_) => dir.to_owned(),
+    }
+}

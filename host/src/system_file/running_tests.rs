@@ -1,0 +1,285 @@
+//! A system as a file and back, and a system made what another file says.
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use proptest::prelude::*;
+use serde_json::json;
+use trocar_model::{
+    ClassInfo, Process, ProcessState, Request, State, StopReason, SystemGraph, Warnings, plan_all,
+};
+
+use super::{Difference, Running, SystemFile};
+
+/// The class `arm` with settings of every kind, and another one like it.
+fn classes() -> Vec<Arc<ClassInfo>> {
+    let arm = ClassInfo {
+        config_schema: json!({
+            "type": "object",
+            "additionalProperties": false,
+            "properties": {
+                "gain": { "type": "number", "minimum": 0, "default": 1.5, "live": true },
+                "grip": { "type": "string", "default": "open" },
+                "limits": { "type": "object", "properties": { "force": { "type": "number", "default": 8 } } },
+                "serial": { "type": "integer" },
+            },
+        }),
+        ..(*crate::gcm::fake::class()).clone()
+    };
+    let leg = ClassInfo { name: "leg".into(), ..arm.clone() };
+    vec![Arc::new(arm), Arc::new(leg)]
+}
+
+fn processes(names: &[&str]) -> SystemGraph {
+    let process = |name: &&str| {
+        let process = Process {
+            epoch: 1,
+            state: ProcessState::Attached,
+            endpoint: String::new(),
+            pid: 0,
+            classes: classes(),
+            last_exit: String::new(),
+            restarts: 0,
+            warnings: Warnings::default(),
+            guest: String::new(),
+        };
+        (name.parse().unwrap(), process)
+    };
+    let processes = names.iter().map(process).collect();
+    SystemGraph { processes, next_connection: 1, ..SystemGraph::default() }
+}
+
+fn parse(text: &str) -> SystemFile {
+    SystemFile::parse("system.json", text.to_owned()).unwrap_or_else(|e| panic!("{e}\n{text}"))
+}
+
+/// The system a file makes.
+fn made(file: &SystemFile, names: &[&str]) -> SystemGraph {
+    let mut graph = processes(names);
+    let plan = plan_all(&graph, &file.requests()).unwrap_or_else(|e| panic!("{e}"));
+    graph.apply(&plan);
+    graph
+}
+
+fn saved(graph: &SystemGraph) -> (String, Vec<String>) {
+    let plugins = [("host".parse().unwrap(), BTreeSet::from([PathBuf::from("/lab/plugins")]))].into();
+    let (picture, notes) = Running { graph, plugins: &plugins }.picture(Path::new("/lab"));
+    (picture.text(), notes)
+}
+
+fn difference(file: &SystemFile, graph: &SystemGraph) -> Difference {
+    file.difference(graph, true).unwrap_or_else(|e| panic!("{e}"))
+}
+
+const RICH: &str = r#"{
+  "version": 1,
+  "processes": { "host": { "plugins": ["plugins"] } },
+  "components": {
+    "host/a": { "class": "toy/arm" },
+    "host/b": { "class": "toy/arm", "config": { "gain": 2 }, "execution": { "rate_hz": 30 } },
+    "host/c": { "class": "toy/arm", "start": false },
+    "host/d": {
+      "class": "toy/arm",
+      "config": { "grip": "a name that is too long for one line with all of the others" },
+      "execution": { "history": 3, "inside": "host/b" }
+    }
+  },
+  "connections": [
+    { "client": "host/b/input", "server": "host/a/value", "queue": { "fifo": 4 }, "max_age_ms": 2.5 },
+    { "client": "host/c/robot", "server": "host/b/arm" }
+  ]
+}
+"#;
+
+#[test]
+fn a_system_is_saved_as_a_person_would_write_it() {
+    let graph = made(&parse(RICH), &["host"]);
+    let (text, notes) = saved(&graph);
+    assert_eq!(text, RICH, "{text}");
+    assert!(notes.len() == 1 && notes[0].contains("not known to a GCM"), "{notes:?}");
+}
+
+#[test]
+fn what_stood_still_at_someones_request_is_saved_so_and_what_failed_is_not() {
+    let mut graph = made(&parse(RICH), &["host"]);
+    let set = |graph: &mut SystemGraph, id: &str, state| {
+        graph.components.get_mut(&id.parse().unwrap()).unwrap().state = state;
+    };
+    set(&mut graph, "host/a", State::Stopped(StopReason::Requested));
+    set(&mut graph, "host/b", State::Fault);
+    let file = parse(&saved(&graph).0);
+    let starts: Vec<bool> = file.components.iter().map(|c| c.start).collect();
+    assert_eq!(starts, [false, true, false, true]);
+}
+
+#[test]
+fn a_guest_and_what_hangs_on_it_is_left_out_and_named() {
+    let mut graph = made(&parse(RICH), &["host"]);
+    let mut guest = graph.processes.values().next().unwrap().clone();
+    guest.guest = "a Python session".into();
+    graph.processes.insert("shell".parse().unwrap(), guest);
+    let mut visitor = graph.components.values().next().unwrap().clone();
+    visitor.state = State::Active;
+    graph.components.insert("shell/me".parse().unwrap(), visitor);
+    let (text, notes) = saved(&graph);
+    assert_eq!(text, RICH);
+    assert!(notes[0].contains("guests are not in it") && notes[0].contains("shell"), "{notes:?}");
+    // Nor is it taken away.
+    assert_eq!(difference(&parse(RICH), &graph), Difference::default());
+}
+
+#[test]
+fn an_isolated_component_is_saved_under_its_written_name_and_made_in_a_process_of_its_own() {
+    let text = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
+    let file = parse(&text);
+    let graph = made(&file, &["host", "host.a"]);
+    assert_eq!(saved(&graph).0, text);
+    assert_eq!(difference(&file, &graph), Difference::default());
+    // In a system that has neither, somebody has to make the process.
+    let new = difference(&file, &processes(&["host"]));
+    let apart = new
+        .requests
+        .iter()
+        .any(|r| matches!(r, Request::CreateApart { home, .. } if home.as_str() == "host"));
+    assert!(apart && new.left.is_empty(), "{new:#?}");
+}
+
+#[test]
+fn each_difference_has_a_line_and_what_no_request_does_is_said() {
+    let mut graph = made(&parse(RICH), &["host"]);
+    let changed = RICH
+        .replace(r#""gain": 2"#, r#""gain": 3, "grip": "shut""#)
+        .replace(r#""rate_hz": 30"#, r#""rate_hz": 30.0"#)
+        .replace(r#""fifo": 4"#, r#""fifo": 5"#)
+        .replace(r#", "start": false"#, "")
+        .replace(r#""host/a": { "class": "toy/arm" }"#, r#""host/a": { "class": "toy/leg" }"#)
+        .replace(
+            r#"    { "client": "host/c/robot", "server": "host/b/arm" }"#,
+            r#"    { "client": "host/d/input", "server": "host/e/value" }"#,
+        )
+        .replace(r#""host/d": {"#, r#""host/e": { "class": "leg" }, "host/d": {"#)
+        .replace(r#""history": 3, "#, "");
+    let file = parse(&changed);
+    let found = difference(&file, &graph);
+    assert_eq!(
+        found.lines,
+        [
+            "~ host/a: class toy/arm → toy/leg (made anew)",
+            "~ host/b: gain: 2 → 3, grip: \"open\" → \"shut\"",
+            "~ host/c: READY, and the file starts it",
+            "+ host/e (toy/leg)",
+            "~ host/d: history: 3 → unset (made anew)",
+            "~ host/a/value → host/b/input: queue: {\"fifo\":4} → {\"fifo\":5}",
+            "+ host/e/value → host/d/input",
+            "- host/b/arm → host/c/robot",
+        ]
+    );
+    let plan = plan_all(&graph, &found.requests).unwrap();
+    graph.apply(&plan);
+    assert_eq!(difference(&file, &graph), Difference::default());
+    // Not asked to, nothing is taken away.
+    let kept = parse(RICH).difference(&graph, false).unwrap();
+    assert!(kept.lines.contains(&"- host/e (toy/leg)".to_owned()), "{:?}", kept.lines);
+    assert!(
+        !kept
+            .requests
+            .iter()
+            .any(|r| matches!(r, Request::Remove { id, .. } if id.component.as_str() == "e"))
+    );
+    let absent = difference(&parse(&RICH.replace("host", "gui")), &graph);
+    assert!(
+        absent.lines[0] == "+ process gui" && absent.left[0].contains("trocar host --name gui"),
+        "{absent:?}"
+    );
+    graph.components.get_mut(&"host/b".parse().unwrap()).unwrap().state = State::Fault;
+    let broken = difference(&file, &graph);
+    assert!(broken.requests.is_empty() && broken.left[0].contains("trocar reset host/b"), "{broken:#?}");
+}
+
+/// Any system of a few arms and legs.
+fn any_file() -> impl Strategy<Value = String> {
+    let rate = prop::sample::select(vec!["", r#""rate_hz": 500"#, r#""period_us": 333.333, "priority": 3"#]);
+    let config =
+        prop::sample::select(vec!["", r#""gain": 1.5"#, r#""gain": 4, "serial": 7"#, r#""grip": "shut""#]);
+    let one = (prop::sample::select(vec!["arm", "toy/leg"]), config, rate, any::<bool>(), 0..6_usize);
+    let all = prop::collection::btree_map("[a-e]", one, 0..5);
+    let ties = prop::collection::btree_map("[a-e]", ("[a-e]", any::<bool>(), any::<bool>()), 0..4);
+    (all, ties).prop_map(|(all, ties)| {
+        let name = |id: &String| format!("\"host/{id}\"");
+        let names: Vec<&String> = all.keys().collect();
+        let components = all.iter().map(|(id, (class, config, rate, start, host))| {
+            // Inside one that comes before it in the alphabet, so that there is no circle.
+            let host = names.get(*host).filter(|host| **host < id).map(|h| format!(r#""inside": {}"#, name(h)));
+            let execution = host.unwrap_or_else(|| (*rate).to_owned());
+            format!(
+                r#"{}: {{ "class": "{class}", "config": {{ {config} }}, "execution": {{ {execution} }}, "start": {start} }}"#,
+                name(id)
+            )
+        });
+        let there = ties.iter().filter(|(a, (b, ..))| a != &b && all.contains_key(*a) && all.contains_key(b));
+        let connections = there.map(|(a, (b, stream, deep))| match stream {
+            true => format!(
+                r#"{{ "client": "host/{a}/input", "server": "host/{b}/value"{} }}"#,
+                if *deep { r#", "queue": { "fifo": 9, "drop_oldest": true }"# } else { "" }
+            ),
+            false => format!(
+                r#"{{ "client": "host/{a}/robot", "server": "host/{b}/arm"{} }}"#,
+                if *deep { r#", "mailbox": 9"# } else { "" }
+            ),
+        });
+        let (components, connections): (Vec<_>, Vec<_>) = (components.collect(), connections.collect());
+        format!(
+            r#"{{ "version": 1, "processes": {{ "host": {{ "plugins": ["plugins"] }} }}, "components": {{ {} }}, "connections": [ {} ] }}"#,
+            components.join(", "),
+            connections.join(", ")
+        )
+    })
+}
+
+/// One that can be made, and the system it makes.
+fn any_system() -> impl Strategy<Value = (SystemFile, SystemGraph)> {
+    any_file().prop_filter_map("it cannot be made", |text| {
+        let (file, mut graph) = (parse(&text), processes(&["host"]));
+        let plan = plan_all(&graph, &file.requests()).ok()?;
+        graph.apply(&plan);
+        Some((file, graph))
+    })
+}
+
+proptest! {
+    #[test]
+    fn what_is_written_is_read_as_it_was((file, _) in any_system()) {
+        let text = file.picture().text();
+        prop_assert_eq!(parse(&text).picture(), file.picture(), "{}", text);
+    }
+
+    #[test]
+    fn a_saved_system_makes_the_same_system((file, graph) in any_system()) {
+        let (text, _) = saved(&graph);
+        let again = parse(&text);
+        prop_assert_eq!(difference(&again, &graph), Difference::default(), "{}", text);
+        prop_assert_eq!(difference(&file, &graph), Difference::default());
+        let twin = made(&again, &["host"]);
+        prop_assert_eq!(&twin.components, &graph.components, "{}", text);
+        let ends = |graph: &SystemGraph| {
+            let all = graph.connections.values();
+            let mut all: Vec<_> = all.map(|c| (c.client.clone(), c.server.clone(), format!("{:?}", c.options))).collect();
+            all.sort();
+            all
+        };
+        prop_assert_eq!(ends(&twin), ends(&graph));
+        // And it is written in the same words.
+        prop_assert_eq!(saved(&twin).0, text);
+    }
+
+    #[test]
+    fn any_system_becomes_what_any_file_says((_, mut graph) in any_system(), (file, _) in any_system()) {
+        let found = difference(&file, &graph);
+        let plan = plan_all(&graph, &found.requests);
+        prop_assert!(plan.is_ok(), "{:?}: {:#?}", plan, found);
+        graph.apply(&plan.unwrap());
+        prop_assert_eq!(difference(&file, &graph), Difference::default(), "{:#?}", found);
+    }
+}

@@ -1,0 +1,204 @@
+//! `trocar save`, `diff` and `apply`: a running system and a system file, from one to the other.
+//!
+//! Promise: what is saved makes the same system again; a system becomes what a file says, all of it or nothing,
+//! and what does not differ goes on as it was.
+
+use std::fs;
+
+use serde_json::{Value, json};
+use trocar_tests::{Trocar, number};
+
+use super::{OK, REFUSED};
+use crate::processes::system::System;
+
+const PLUGINS: [&str; 3] = ["sine", "filters", "eyerobot"];
+
+/// Two processes, and a third for a component alone.
+const FILE: &str = r#"{
+  "version": 1,
+  "processes": { "device": { "plugins": ["plugins"] }, "control": { "plugins": ["plugins"] } },
+  "components": {
+    "control/filter": { "class": "filters/biquad", "config": { "frequency_hz": 5 }, "start": false },
+    "control/wave": { "class": "sine/sine", "isolation": "process" },
+    "device/robot": { "class": "eyerobot/eyerobot", "execution": { "rate_hz": 2000 } },
+    "device/wave": { "class": "sine/sine", "config": { "frequency_hz": 50 } }
+  },
+  "connections": [
+    { "client": "control/filter/value", "server": "device/wave/value", "queue": { "fifo": 16 } }
+  ]
+}
+"#;
+
+fn up() -> System {
+    System::up_with(&PLUGINS, FILE, &[])
+}
+
+/// A file of the world, by its path.
+fn path(system: &System, name: &str) -> String {
+    system.world.path(name).display().to_string()
+}
+
+/// The file with one part replaced, beside it.
+fn changed(system: &System, name: &str, part: &str, by: &str) -> String {
+    assert!(FILE.contains(part), "the file has no {part:?}");
+    system.world.write(name, FILE.replacen(part, by, 1)).display().to_string()
+}
+
+fn differences(trocar: &Trocar, file: &str) -> Vec<String> {
+    let told = trocar.run(&["diff", file, "--json"]).json();
+    told["differences"].as_array().unwrap().iter().map(|line| line.as_str().unwrap().to_owned()).collect()
+}
+
+/// Steps and incarnation of a component.
+fn steps(system: &System, component: &str) -> (u64, String) {
+    let stands = system.grpc.component(component);
+    (number(&stands["stats"]["executed"]), stands["state"].as_str().unwrap().to_owned())
+}
+
+#[test]
+fn what_is_saved_reads_as_written_by_hand_and_comes_up_again() {
+    let system = up();
+    let (trocar, saved) = (system.trocar(), path(&system, "saved.json"));
+    trocar
+        .run(&["save", "-o", &saved])
+        .ends_with(OK)
+        .says("saved.json: 3 processes, 4 components, 1 connection")
+        .says("not known to a GCM");
+    assert_eq!(fs::read_to_string(&saved).unwrap(), sorted(FILE));
+    trocar.run(&["diff", &saved]).ends_with(OK).says("the system is what");
+    trocar.run(&["check", &saved]).ends_with(OK).says("is right");
+    // Nothing is replaced unasked; without a file the text is what is printed.
+    fs::write(&saved, "mine").unwrap();
+    trocar.run(&["save", "-o", &saved]).ends_with(REFUSED).says("is there already").says("--force");
+    assert_eq!(fs::read_to_string(&saved).unwrap(), "mine");
+    trocar.run(&["save", "-o", &saved, "--force"]).ends_with(OK);
+    let text = fs::read_to_string(&saved).unwrap();
+    let printed = system.trocar().in_dir(system.world.path("plugins").parent().unwrap()).run(&["save"]);
+    assert_eq!(printed.ends_with(OK).stdout, text);
+    let nowhere = path(&system, "nowhere/saved.json");
+    trocar.run(&["save", "-o", &nowhere]).ends_with(REFUSED).says("make it first");
+    drop(system);
+    let again = System::up_with(&PLUGINS, &text, &[]);
+    again.trocar().run(&["diff", &path(&again, "system.json")]).ends_with(OK);
+    assert_eq!(again.grpc.component("device/robot")["execution"]["period"], "0.000500s");
+}
+
+/// The processes of a saved system are in alphabetical order.
+fn sorted(file: &str) -> String {
+    let processes = r#"{ "device": { "plugins": ["plugins"] }, "control": { "plugins": ["plugins"] } }"#;
+    assert!(file.contains(processes));
+    file.replace(
+        processes,
+        r#"{ "control": { "plugins": ["plugins"] }, "device": { "plugins": ["plugins"] } }"#,
+    )
+}
+
+#[test]
+fn a_system_becomes_what_a_file_says_and_what_does_not_differ_goes_on() {
+    let system = up();
+    let trocar = system.trocar();
+    let robot = steps(&system, "device/robot");
+    let wanted = FILE
+        .replacen(r#""frequency_hz": 50"#, r#""frequency_hz": 60"#, 1)
+        .replacen(r#""frequency_hz": 5 }, "start": false"#, r#""kind": "notch" }"#, 1)
+        .replacen(r#""control/wave": { "class": "sine/sine", "isolation": "process" },"#, "", 1)
+        .replacen(
+            r#""device/wave": {"#,
+            r#""device/second": { "class": "sine", "isolation": "process" }, "device/wave": {"#,
+            1,
+        )
+        .replacen(r#""queue": { "fifo": 16 }"#, r#""max_age_ms": 20"#, 1);
+    let file = system.world.write("wanted.json", wanted).display().to_string();
+    let expected = [
+        "~ control/filter: frequency_hz: 5 → 20, kind: \"low_pass\" → \"notch\", READY, and the file starts it",
+        "+ device.second/second (sine/sine)",
+        "~ device/wave: frequency_hz: 50 → 60",
+        "- control.wave/wave (sine/sine)",
+        "~ device/wave/value → control/filter/value: queue: {\"fifo\":16} → unset, max_age_ms: unset → 20",
+    ];
+    let seen = differences(&trocar, &file);
+    assert_eq!(seen.len(), expected.len(), "{seen:#?}");
+    for line in expected {
+        assert!(seen.contains(&line.to_owned()), "{line}: {seen:#?}");
+    }
+    trocar.run(&["diff", &file]).ends_with(REFUSED).says("5 differences");
+    // The plan, and nothing is done.
+    trocar.run(&["apply", &file, "--prune", "--dry-run"]).ends_with(OK).says("nothing was changed");
+    assert_eq!(differences(&trocar, &file).len(), expected.len());
+    // What the file does not name stays, unless it is said.
+    trocar.run(&["apply", &file]).ends_with(OK).says("control/filter  ACTIVE");
+    assert_eq!(differences(&trocar, &file), ["- control.wave/wave (sine/sine)"]);
+    trocar.run(&["apply", &file, "--prune"]).ends_with(OK);
+    trocar.run(&["diff", &file]).ends_with(OK).says("the system is what");
+    trocar.run(&["apply", &file]).ends_with(OK).says("nothing to do");
+    let later = steps(&system, "device/robot");
+    assert!(later.0 > robot.0 && later.1 == robot.1, "it was left alone: {robot:?}, {later:?}");
+    // And back, by the file it came from.
+    trocar.run(&["apply", &path(&system, "system.json"), "--prune"]).ends_with(OK);
+    trocar.run(&["diff", &path(&system, "system.json")]).ends_with(OK);
+}
+
+#[test]
+fn what_is_refused_is_led_back_to_the_file_and_nothing_is_changed() {
+    let system = up();
+    let trocar = system.trocar();
+    let before = system.grpc.revision();
+    let wrong =
+        changed(&system, "wrong.json", r#""frequency_hz": 5 }"#, r#""frequency_hz": 5, "kinds": 1 }"#);
+    trocar.run(&["apply", &wrong]).ends_with(REFUSED).says("wrong.json:5:").says("did you mean kind?");
+    trocar.run(&["diff", &wrong]).ends_with(REFUSED).says("wrong.json:5:");
+    let set = ["--set", "device/wave.frequency_hz=900"];
+    trocar
+        .run(&["apply", &path(&system, "system.json"), set[0], set[1]])
+        .ends_with(REFUSED)
+        .says("above 500 Hz");
+    // The first part of it could be done alone, and is not.
+    let half =
+        changed(&system, "half.json", r#""server": "device/wave/value""#, r#""server": "device/robot/arm""#);
+    trocar
+        .run(&["apply", &half, "--set", "device/wave.frequency_hz=7"])
+        .ends_with(REFUSED)
+        .says("half.json:11:");
+    // A process is not started by it.
+    let more = changed(&system, "more.json", r#""processes": {"#, r#""processes": { "gui": {},"#);
+    let told = trocar.run(&["diff", &more]).ends_with(REFUSED).says("+ process gui");
+    told.says("trocar host --name gui");
+    trocar.run(&["apply", &more]).ends_with(OK).says("does not run").says("nothing to do");
+    assert_eq!(system.grpc.revision(), before, "nothing was changed");
+}
+
+#[test]
+fn anybody_may_ask_for_it_over_grpc() {
+    let system = up();
+    let grpc = &system.grpc;
+    let text = fs::read_to_string(path(&system, "system.json")).unwrap();
+    let refused = |body: Value, words: &str| {
+        let refused = grpc.refused("GcmService/Apply", body);
+        assert!(refused.reason == "ARGUMENT_INVALID" && refused.message.contains(words), "{refused}");
+    };
+    refused(json!({ "system": "{" }), "system:1:1: not JSON");
+    refused(json!({ "system": "{}" }), "\"version\"");
+    refused(json!({ "prune": true }), "prune is for the text of a system file");
+    refused(json!({ "system": text, "steps": [{ "stop": { "path": "**" } }] }), "give one of them");
+    let refused = grpc.refused("GcmService/Compare", json!({ "system": "[]" }));
+    assert_eq!(refused.reason, "ARGUMENT_INVALID", "{refused}");
+    // The same id is the same request: nothing is done twice, and another text is another request.
+    let wanted = text.replace(r#""frequency_hz": 50"#, r#""frequency_hz": 70"#);
+    let body = json!({ "system": wanted, "requestId": "one" });
+    let first = grpc.ok("GcmService/Apply", body.clone());
+    assert_eq!(first["plan"], json!(["~ configure device/wave {frequency_hz: 50 → 70} → ACTIVE"]));
+    assert_eq!(grpc.ok("GcmService/Apply", body), first);
+    let other = grpc.refused("GcmService/Apply", json!({ "system": text, "requestId": "one" }));
+    assert!(other.message.contains("used for another request"), "{other}");
+    let stale = grpc.refused("GcmService/Apply", json!({ "system": text, "expectedRevision": 1 }));
+    assert_eq!(stale.reason, "REVISION_CONFLICT", "{stale}");
+    let saved = grpc.ok("GcmService/Save", json!({}));
+    let plugins = system.world.plugins().canonicalize().unwrap();
+    let saved = saved["text"].as_str().unwrap();
+    assert!(
+        saved.contains(&format!("[\"{}\"]", plugins.display())),
+        "absolute where no folder is said: {saved}"
+    );
+    let same = grpc.ok("GcmService/Compare", json!({ "system": saved }));
+    assert_eq!(same["differences"], json!([]), "{same}");
+}
