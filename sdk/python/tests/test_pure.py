@@ -138,75 +138,47 @@ def test_globs_stay_within_a_name_or_go_on():
     assert _paths.globbed("*/a.b/?").match("x/a.b/y") and not _paths.globbed("*/a.b/?").match("x/aXb/y")
 
 
-class Nothing:
-    """A graph with one process and nothing in it."""
-
-    processes = {"host": message("Process", name="host")}  # noqa: RUF012
-    components = {}  # noqa: RUF012
-    connections = {}  # noqa: RUF012
-
-
-def steps(**parts):
-    return _system_file.steps(("f.json", {"version": 1, **parts}), Nothing, True)
+def test_a_system_file_is_passed_on_as_it_is_and_a_refusal_names_it(tmp_path):
+    file = tmp_path / "s.json"
+    file.write_text('{ "version": 1, "//": "µ" }', encoding="utf-8")
+    assert _system_file.text_of(file, "apply") == (str(file), '{ "version": 1, "//": "µ" }')
+    assert _system_file.text_of({"version": 1}, "apply") == ("the system", '{"version": 1}')
+    file.write_bytes(b"\xff")
+    with pytest.raises(trocar.TrocarError, match="UTF-8"):
+        _system_file.text_of(str(file), "apply")
+    with pytest.raises(trocar.TrocarError, match="cannot be read"):
+        _system_file.text_of(str(tmp_path / "none.json"), "apply")
+    for wrong in (7, [1]):
+        with pytest.raises(trocar.TrocarError, match="a file or a dict"):
+            _system_file.text_of(wrong, "apply")
+    with pytest.raises(trocar.TrocarError, match="JSON cannot carry it"):
+        _system_file.text_of({"a": object()}, "apply")
+    of_text = trocar.TrocarError("INVALID_ARGUMENT", "ARGUMENT_INVALID", "system:1:2: not JSON")
+    assert _system_file.placed(of_text, "s.json").sentence == "s.json:1:2: not JSON"
+    other = trocar.TrocarError("NOT_FOUND", "CLASS_NOT_FOUND", "no class")
+    assert _system_file.placed(other, "s.json") is other
 
 
 @pytest.mark.parametrize(
-    "parts, why",
+    "given, why",
     [
-        ({"version": 2}, "version 1"),
-        ({"componets": {}}, "did you mean components"),
-        ({"components": {"host": {"class": "x"}}}, "process/component"),
-        ({"components": {"host/a": {"clas": "x"}}}, "did you mean class"),
-        ({"components": {"host/a": {}}}, '"class" is missing'),
-        ({"components": {"nobody/a": {"class": "x"}}}, "does not run; there are host"),
-        ({"components": {"host/a": {"class": "x", "execution": {"rate_hz": "fast"}}}}, "rate_hz"),
-        ({"components": {"host/a": {"class": "x", "execution": {"rate_hz": 1, "period_us": 1}}}}, "not both"),
-        ({"components": {"host/a": {"class": "x", "start": "no"}}}, "true or false"),
-        ({"components": {"host/a": {"class": "x", "isolation": "vm"}}}, "neither"),
-        ({"components": {"host/a": {"class": "x", "config": [1]}}}, "object"),
-        ({"components": []}, "object of components"),
-        ({"components": {"host/a": {"class": "x"}}, "connections": [{"client": "host/a/b"}]}, '"server" is missing'),
-        ({"connections": [{"client": "host/a/b", "server": "host/a/c"}]}, "not in this file"),
-        ({"components": {"host/a": {"class": "x"}}, "connections": [{"client": "host/a/b", "server": "host/a/c", "queue": {"fifo": 0}}]},
-         "1 to 65536"),
-        ({"scenarios": {"x": 1}}, "not part of this version"),
+        ({"rate_hz": "fast"}, "rate_hz"),
+        ({"rate_hz": 1, "period_us": 1}, "not both"),
+        ({"modle": "none"}, "did you mean model"),
+        ([], "object"),
     ],
-)  # fmt: skip
-def test_a_system_file_that_is_wrong_says_where_and_what_exists(parts, why):
-    with pytest.raises(trocar.TrocarError) as e:
-        steps(**parts)
+)
+def test_an_execution_of_another_form_is_refused_with_its_place(given, why):
+    with pytest.raises(trocar.TrocarError, match="SYSTEM_FILE_INVALID") as e:
+        _system_file.execution(given, "execution")
     assert why in e.value.sentence, e.value
 
 
-def test_a_system_file_becomes_steps_owners_first():
-    made = steps(
-        components={
-            "host/b": {"class": "x", "execution": {"stream_of": "host/a"}, "start": False},
-            "host/a": {"class": "x", "config": {"//": "why", "k": 1}, "isolation": "process"},
-        },
-        connections=[{"client": "host/b/in", "server": "host/a/out", "queue": {"fifo": 4}, "max_age_ms": 200}],
-    )
-    assert [s.WhichOneof("step") for s in made] == ["create", "create", "connect", "start"]
-    assert made[0].create.path == "host/a" and made[0].create.isolation == "process" and "//" not in made[0].create.config.fields
-    assert made[2].connect.server == "host.a/a/out" and made[2].connect.options.max_age.nanos == 200_000_000
-    assert list(made[3].start.paths) == ["host.a/a"]
-
-
-def test_a_file_that_is_no_json_or_hides_a_key_is_refused(tmp_path):
-    file = tmp_path / "s.json"
-    for text, why in (
-        (b'{"version": 1,,}', "s.json:1:"),
-        (b'{"a": 1, "a": 2}', "twice"),
-        (b"\xff", "UTF-8"),
-        (b"[]", "object"),
-        (b"[" * 100_000, ""),
-    ):
-        file.write_bytes(text)
-        with pytest.raises(trocar.TrocarError, match="SYSTEM_FILE_INVALID") as e:
-            _system_file.load(str(file))
-        assert why in e.value.sentence
-    with pytest.raises(trocar.TrocarError, match="cannot be read"):
-        _system_file.load(str(tmp_path / "none.json"))
+def test_options_of_a_connection_are_those_of_a_file():
+    made = _system_file.connect_options({"queue": {"fifo": 4}, "max_age_ms": 200}, "connect")
+    assert made.queue.fifo == 4 and made.max_age.nanos == 200_000_000
+    with pytest.raises(trocar.TrocarError, match="1 to 65536"):
+        _system_file.connect_options({"queue": {"fifo": 0}}, "connect")
 
 
 class Hostile:

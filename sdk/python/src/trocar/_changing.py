@@ -5,19 +5,22 @@ Invariant: nothing is decided here: the GCM refuses or does it, and the session'
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
 from . import _proto, _system_file, _values
-from ._errors import invalid
+from ._errors import TrocarError, invalid
 from ._graph import Graph
 from ._paths import path_of
 from ._place import Place
 from ._proxy import Interface
-from ._show import Answer
+from ._show import Answer, clean
 from ._wire import Wire
 
 _PATIENCE = 10.0
+_WHOLE = 60.0
+"""For a whole system, s."""
 
 
 class Changing:
@@ -126,21 +129,51 @@ class Changing:
             self._place.forget(fields["id"])
         return answer
 
-    def apply(self, system: Any, *, dry_run: bool = False, start: bool = True) -> Answer:
-        """Makes the system of a file (or of a dict of its form), all or nothing; what is there already is only changed.
+    def apply(self, system: Any, *, prune: bool = False, dry_run: bool = False) -> Answer:
+        """Makes the system what a file (or a dict of its form) says, all or nothing; what does not differ goes on.
 
-        Shows what it does as lines ``+ create …``, ``~ configure …``; with ``dry_run`` nothing is done. Processes that run keep
-        their folder: relative paths in configurations mean that of the file they were started with.
+        ``prune`` takes away what the file's processes have and the file does not. Shows what it does as lines ``+ create …``,
+        ``~ configure …``; with ``dry_run`` nothing is done. Processes are not started, and keep their folder: relative paths in
+        configurations mean that of the file they were started with.
         """
         __tracebackhide__ = True
-        self._call("GcmService/List", brief=True)
-        steps = _system_file.steps(_system_file.load(system), self._graph, start)
-        request = _proto.message("ApplyRequest")(steps=steps, validate_only=dry_run)
-        if not steps:
-            return Answer("Apply", _proto.message("ApplyResponse")(revision=self.revision), dry_run)
-        answer = self._wire.call("GcmService/Apply", request, 60.0)
+        name, text = _system_file.text_of(system, "apply")
+        request = _proto.message("ApplyRequest")(system=text, prune=prune, validate_only=dry_run)
+        try:
+            answer = self._wire.call("GcmService/Apply", request, _WHOLE)
+        except TrocarError as e:
+            raise _system_file.placed(e, name) from None
         self._seen(0 if dry_run else answer.revision)
         return Answer("Apply", answer, dry_run)
+
+    def diff(self, system: Any) -> list[str]:
+        """How the system differs from a file (or a dict of its form): a line each, ``+`` in the file alone, ``-`` in the system
+        alone, ``~`` in both and not the same. Empty: it does not.
+        """
+        __tracebackhide__ = True
+        name, text = _system_file.text_of(system, "diff")
+        try:
+            answer = self._wire.call("GcmService/Compare", _proto.message("CompareRequest")(system=text), _WHOLE)
+        except TrocarError as e:
+            raise _system_file.placed(e, name) from None
+        return [clean(line) for line in answer.differences]
+
+    def save(self, file: str | os.PathLike[str] | None = None, *, replace: bool = False) -> str:
+        """The system as the text of a system file, which ``apply``, ``trocar run`` and ``up`` take; written to ``file`` where one is
+        given. A file that is there is replaced only with ``replace``.
+        """
+        __tracebackhide__ = True
+        folder = os.path.realpath(os.path.dirname(os.fspath(file)) if file is not None else ".")
+        text = str(self._wire.call("GcmService/Save", _proto.message("SaveRequest")(folder=folder), _WHOLE).text)
+        if file is not None:
+            try:
+                with open(file, "w" if replace else "x", encoding="utf-8") as out:
+                    out.write(text)
+            except FileExistsError:
+                raise invalid(f"{os.fspath(file)} is there already: give another name, or replace=True", field="file") from None
+            except OSError as e:
+                raise invalid(f"{os.fspath(file)} cannot be written: {e.strerror}", field="file") from None
+        return text
 
     def _seen(self, revision: int) -> None:
         """Waits a moment until this session's own copy of the graph shows what was just done."""

@@ -246,6 +246,7 @@ def lost(ire):
 
 def goes_on(ire, steps):
     """Waits until the robot has done so many steps more; its newest row."""
+
     def row():
         return eventually("the robot's newest row", lambda: ire.latest("robot/EyeRobot"))
 
@@ -491,14 +492,19 @@ def test_a_system_file_is_applied_as_one_and_again_changes_nothing(ire, tmp_path
     try:
         ire.apply(system)
         assert ire.state("host/made_client") == "ACTIVE"
-        eventually("the graph has told it", lambda: "host/made_client" in ire._graph.components and ire._graph.connections)
-
-        def left():
-            return repr(ire.apply(system, dry_run=True))
-
-        eventually("nothing is left to do", lambda: "nothing to do" in left(), progress=left)
+        assert "nothing to do" in repr(ire.apply(system, dry_run=True))
         system["components"]["host/made_client"]["config"]["enabled"] = True
         assert "configure host/made_client" in repr(ire.apply(system, dry_run=True))
+        assert "~ host/made_client: enabled: false → true" in ire.diff(system)
+        with pytest.raises(trocar.TrocarError, match="SYSTEM_FILE_INVALID") as e:
+            ire.apply({**system, "componets": {}})
+        assert "the system:1:" in e.value.sentence and "did you mean" in e.value.sentence, e.value
+        file = tmp_path / "saved.json"
+        text = ire.save(file)
+        assert file.read_text(encoding="utf-8") == text and '"host/made_client": { "class": "example/Client"' in text, text
+        assert ire.diff(file) == []
+        with pytest.raises(trocar.TrocarError, match="replace=True"):
+            ire.save(file)
     finally:
         for path in {"host/made_client", "host/made_server"} & listed(ire):
             ire.remove(path, force=True)
