@@ -6,6 +6,7 @@
 import { World, endBrowser } from './world.mjs';
 import * as access from './access.mjs';
 import * as away from './away.mjs';
+import * as changes from './changes.mjs';
 import * as classes from './classes.mjs';
 import * as forms from './forms.mjs';
 import * as graph from './graph.mjs';
@@ -18,7 +19,7 @@ import * as page from './page.mjs';
 import * as times from './times.mjs';
 import * as video from './video.mjs';
 
-const FILES = { graph, menus, forms, classes, invoke, live, video, away, hidden, page, guard, access, times };
+const FILES = { graph, menus, forms, changes, classes, invoke, live, video, away, hidden, page, guard, access, times };
 const all = Object.entries(FILES).flatMap(([file, tests]) => Object.entries(tests).map(([name, test]) => ({ full: `viewer::${file}::${name}`, file, name, test })));
 const [exact, onlyTimes] = ['--exact', '--times'].map((option) => process.argv.includes(option));
 const words = process.argv.slice(2).filter((word) => !['--exact', '--times'].includes(word));

@@ -1,0 +1,126 @@
+/// What was changed from this page, and how it is taken back and done again.
+///
+/// Invariant: nothing is taken back but what was done here, by requests like any other: what stands in the way
+/// is told. What runs is not taken away, and what ran before it was removed comes back at rest.
+import type { MessageInitShape } from '@bufbuild/protobuf';
+import type { StepSchema } from '../gen/trocar/v1/gcm_pb';
+import { ComponentState, type Connection, type ExecutionSchema } from '../gen/trocar/v1/types_pb';
+import { gcm, PATIENCE } from './api';
+import { page } from './page.svelte';
+import type { Values } from './schema';
+import { system } from './system.svelte';
+import { componentOf } from './words';
+
+type Step = NonNullable<NonNullable<MessageInitShape<typeof StepSchema>['step']>>;
+type Asked = MessageInitShape<typeof ExecutionSchema>;
+
+interface Change {
+  what: string;
+  back: Step[];
+  again: Step[];
+  /// The component that one of them takes away: not while it runs.
+  takes?: string;
+}
+
+/// So many are remembered.
+const MOST = 100;
+
+class Changes {
+  past = $state.raw<Change[]>([]);
+  /// Taken back, the last one first.
+  future = $state.raw<Change[]>([]);
+  #busy = false;
+
+  /// What was done is the last thing that can be taken back; what had been taken back before cannot be done
+  /// again.
+  #done(change: Change) {
+    this.past = [...this.past, change].slice(-MOST);
+    this.future = [];
+  }
+
+  async undo() {
+    const last = this.past.at(-1);
+    if (last && (await this.#carry(`Undo ${last.what}`, last.back, last.takes))) {
+      this.past = this.past.filter((c) => c !== last);
+      this.future = [...this.future, last];
+    }
+  }
+
+  async redo() {
+    const next = this.future.at(-1);
+    if (next && (await this.#carry(`Redo ${next.what}`, next.again, next.takes))) {
+      this.future = this.future.filter((c) => c !== next);
+      this.past = [...this.past, next];
+    }
+  }
+
+  async #carry(what: string, steps: Step[], takes = ''): Promise<boolean> {
+    if (this.#busy) return false;
+    if (system.components.get(takes)?.state === ComponentState.ACTIVE) {
+      page.tell(`${what}: ${takes} is ACTIVE: stop it first`, true);
+      return false;
+    }
+    this.#busy = true;
+    const done = await page.ask(what, () => gcm.apply({ steps: steps.map((step) => ({ step })) }, PATIENCE));
+    this.#busy = false;
+    return done;
+  }
+
+  async connect(client: string, server: string): Promise<boolean> {
+    const done = await page.ask(`Connect ${client} to ${server}`, () => gcm.connect({ client, server }, PATIENCE));
+    if (done) this.#done({ what: `Connect ${client}`, back: [cut(client, server)], again: [{ case: 'connect', value: { client, server } }] });
+    return done;
+  }
+
+  async disconnect(id: string): Promise<boolean> {
+    const was = system.connections.get(id);
+    const done = await page.ask('Disconnect', () => gcm.disconnect({ id: BigInt(id) }, PATIENCE));
+    if (done && was) this.#done({ what: `Disconnect ${was.client}`, back: [tie(was)], again: [cut(was.client, was.server)] });
+    return done;
+  }
+
+  async remove(path: string): Promise<boolean> {
+    const was = system.components.get(path);
+    const ties = [...system.connections.values()].filter((c) => [c.client, c.server].some((end) => componentOf(end) === path));
+    const done = await page.ask(`Remove ${path}`, () => gcm.remove({ path, force: true }, PATIENCE));
+    if (done && was) {
+      // An incomplete configuration is not taken when it is given.
+      const config = was.state === ComponentState.CREATED ? undefined : was.config;
+      const made: Step = { case: 'create', value: { path, class: was.class, config, execution: was.execution } };
+      // A guest ties itself to what it asks.
+      const own = ties.filter((c) => !system.processes.get(c.client.split('/')[0])?.guest);
+      this.#done({ what: `Remove ${path}`, back: [made, ...own.map(tie)], again: [{ case: 'remove', value: { path, force: true } }], takes: path });
+    }
+    return done;
+  }
+
+  /// Of a component that was just made from a form.
+  created(path: string, cls: string, config: Values | undefined, execution: Asked | undefined) {
+    const made: Step = { case: 'create', value: { path, class: cls, config: config as never, execution } };
+    this.#done({ what: `Create ${path}`, back: [{ case: 'remove', value: { path } }], again: [made], takes: path });
+  }
+
+  /// Of one that was just configured: the parts that were changed, as they are sent, and as they were before.
+  configured(path: string, now: Settings, before: Settings) {
+    this.#done({ what: `Configure ${path}`, back: [configure(path, before)], again: [configure(path, now)] });
+  }
+}
+
+interface Settings {
+  config?: Values;
+  execution?: Asked;
+}
+
+function configure(path: string, { config, execution }: Settings): Step {
+  return { case: 'configure', value: { path, config: config as never, execution } };
+}
+
+function cut(client: string, server: string): Step {
+  return { case: 'disconnect', value: { client, server } };
+}
+
+function tie({ client, server, options }: Connection): Step {
+  return { case: 'connect', value: { client, server, options } };
+}
+
+export const changes = new Changes();
