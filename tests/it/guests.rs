@@ -221,6 +221,30 @@ fn too_many_guests_are_told_so() {
 }
 
 #[test]
+fn a_guest_keeps_its_connection_when_the_server_is_made_anew() {
+    let site = Site::new();
+    let (_stream, _) = site.join("ire");
+    site.require("ire/shell");
+    let kept = |what: &str| {
+        let connections = site.connections();
+        assert_eq!(connections.len(), 1, "{what}: {connections:?}");
+        assert_eq!(connections[0]["client"], "ire/shell/Provided", "{what}");
+        let told = site.grpc.ok("GcmService/Describe", json!({ "path": "ire/shell" }));
+        assert_eq!(told["ports"]["required"][0]["name"], "Provided", "{what}: {told}");
+    };
+    site.grpc.ok("GcmService/Stop", json!({ "path": "host/server" }));
+    let slower = json!({ "path": "host/server", "execution": { "model": "periodic", "rate_hz": 50 } });
+    site.grpc.ok("GcmService/Configure", slower);
+    kept("another execution");
+    let file = json!({ "version": 1, "components": {
+        "host/server": { "class": "example/Server", "execution": { "model": "periodic", "rate_hz": 25 } },
+    } });
+    site.grpc.ok("GcmService/Apply", json!({ "system": file.to_string(), "prune": true }));
+    kept("a file with another execution");
+    assert_eq!(site.grpc.component("host/server")["execution"]["period"], "0.040s");
+}
+
+#[test]
 fn a_guest_keeps_its_connection_while_the_servers_process_is_made_anew() {
     let mut site = Site::attached();
     let (_stream, _) = site.join("ire");

@@ -62,15 +62,32 @@ pub struct Plan {
 /// The plan that undoes `plan`.
 pub fn inverse(plan: &Plan) -> Plan {
     let before = |at: usize| at.checked_sub(1).map(|at| &plan.changes[at]);
-    let undone = plan.changes.iter().enumerate().rev().map(|(at, change)| undo(change, before(at)));
+    let undone = plan.changes.iter().enumerate().rev().flat_map(|(at, change)| {
+        let mut back = vec![undo(change, before(at))];
+        back.extend(configured_again(change));
+        back
+    });
     Plan { changes: undone.collect(), skipped: Vec::new() }
+}
+
+/// What follows the making of a component that was destroyed: who makes one makes it CREATED, without a
+/// configuration.
+fn configured_again(change: &Change) -> Option<Change> {
+    let Change::Destroy { id, component } = change else { return None };
+    let (from_state, to_state) = (State::Created, component.state);
+    let config = component.config.clone();
+    let again = Change::Configure { id: id.clone(), from: config.clone(), to: config, from_state, to_state };
+    (to_state != from_state).then_some(again)
 }
 
 /// `before`: the change it came after.
 fn undo(change: &Change, before: Option<&Change>) -> Change {
     match change.clone() {
         Change::Create { id, component } => Change::Destroy { id, component },
-        Change::Destroy { id, component } => Change::Create { id, component },
+        Change::Destroy { id, mut component } => {
+            component.state = State::Created;
+            Change::Create { id, component }
+        }
         Change::Configure { id, from, to, from_state, to_state } => {
             Change::Configure { id, from: to, to: from, from_state: to_state, to_state: from_state }
         }

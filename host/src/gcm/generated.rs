@@ -28,12 +28,15 @@ pub(super) fn first_part(graph: &SystemGraph, requests: &[Request]) -> Result<(P
 }
 
 /// The number of requests before the first that connects a port which is not known yet, of a component that is
-/// created here with a configuration.
+/// created here with a configuration, or given another one.
 fn before(requests: &[Request], refusal: &Refusal) -> Option<usize> {
     let Refusal::InterfaceNotFound { port, .. } = refusal else { return None };
     let makes = |request: &Request| match request {
         Request::Create { id, config: Some(config), .. } => {
             *id == port.component && config.as_object().is_some_and(|settings| !settings.is_empty())
+        }
+        Request::Configure { id, patch, .. } => {
+            *id == port.component && patch.as_object().is_some_and(|settings| !settings.is_empty())
         }
         _ => false,
     };

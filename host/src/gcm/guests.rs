@@ -2,6 +2,7 @@
 //!
 //! Invariant: nothing is ever called at a guest; its place, and every connection of it, ends with whoever holds [`Joined`].
 
+use std::collections::VecDeque;
 use std::sync::{Arc, LazyLock, Mutex};
 use std::time::Instant;
 
@@ -237,11 +238,34 @@ struct Stands {
     id: ComponentId,
     state: State,
     ports: Arc<Ports>,
+    /// Required interfaces that went with their connections, the last ones. A change that fails after one went,
+    /// or that makes the other end anew, connects it again.
+    parted: VecDeque<Required>,
     /// Of the last report.
     number: u64,
 }
 
 impl Stands {
+    fn goes(&mut self, port: &Name) {
+        let required = &mut Arc::make_mut(&mut self.ports).required;
+        let Some(at) = required.iter().position(|r| *port == r.name.as_str()) else { return };
+        self.parted.push_back(required.remove(at));
+        if self.parted.len() > MOST_REQUIRED {
+            self.parted.pop_front();
+        }
+    }
+
+    fn comes_back(&mut self, port: &Name) {
+        let is_it = |r: &Required| *port == r.name.as_str();
+        if self.ports.required.iter().any(is_it) {
+            return;
+        }
+        if let Some(at) = self.parted.iter().rposition(is_it) {
+            let back = self.parted.remove(at);
+            Arc::make_mut(&mut self.ports).required.extend(back);
+        }
+    }
+
     fn report(&mut self) -> Report {
         self.number += 1;
         Report {
@@ -259,7 +283,8 @@ impl Stands {
 
 impl GuestLcm {
     fn new(id: ComponentId) -> GuestLcm {
-        let stands = Stands { id, state: State::Active, ports: Arc::default(), number: 0 };
+        let (ports, parted) = (Arc::default(), VecDeque::new());
+        let stands = Stands { id, state: State::Active, ports, parted, number: 0 };
         GuestLcm {
             stands: Mutex::new(stands),
             news: broadcast::Sender::new(NEWS),
@@ -363,12 +388,9 @@ impl Lcm for GuestLcm {
                 });
             }
             Change::Run { to, .. } => stands.state = to,
-            Change::Connect { .. } => {}
+            Change::Connect { connection } => stands.comes_back(&connection.client.port),
             // What was added for it goes with it, unless another one takes its place.
-            Change::Disconnect { connection, replaced } if !replaced => {
-                let of_it = |r: &Required| connection.client.port == r.name.as_str();
-                Arc::make_mut(&mut stands.ports).required.retain(|r| !of_it(r));
-            }
+            Change::Disconnect { connection, replaced } if !replaced => stands.goes(&connection.client.port),
             Change::Disconnect { .. } => {}
             Change::Destroy { .. } => _ = self.removed.send_replace(true),
         }

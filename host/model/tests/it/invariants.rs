@@ -306,16 +306,18 @@ proptest! {
             let config = (was.state != State::Created)
                 .then(|| without_defaults(&class.config_schema, &was.config));
             let execution = least_execution(&class.execution, &was.execution);
-            let anew = Request::Create { id: id.clone(), class: class.full_name(), config, execution };
+            let made = |config, execution| {
+                Request::Create { id: id.clone(), class: class.full_name(), config, execution }
+            };
             let mut without = graph.clone();
             without.components.remove(id);
             without.connections.clear();
-            // Its thread may have gone with another component.
-            let gone = host_of(&was.execution).is_some_and(|host| !without.components.contains_key(&host));
-            let Ok(plan) = plan(&without, &anew) else {
-                prop_assert!(gone || was.state == State::Fault, "{id}: {:?}", plan(&without, &anew));
-                continue;
-            };
+            // With all of it: its thread may have gone with another component, or be none by now.
+            let whole = (was.state != State::Created).then(|| was.config.clone());
+            let can_be = plan(&without, &made(whole, was.execution.clone()));
+            let anew = plan(&without, &made(config, execution));
+            prop_assert_eq!(anew.is_ok(), can_be.is_ok(), "{}: {:?}, {:?}", id, anew, can_be);
+            let Ok(plan) = anew else { continue };
             without.apply(&plan);
             let again = &without.components[id];
             prop_assert_eq!((&again.config, &again.execution), (&was.config, &was.execution), "{}", id);
