@@ -2,7 +2,8 @@
 //!
 //! Invariant: a file that is there is replaced only where that is said, and is never half written.
 
-use std::io::ErrorKind;
+use std::fs::File;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -71,7 +72,8 @@ fn counted(text: &str) -> Result<String, Failure> {
 fn folder_of(output: Option<&Path>) -> Result<PathBuf, Failure> {
     let parent = output.and_then(Path::parent).filter(|dir| !dir.as_os_str().is_empty());
     let dir = parent.unwrap_or(Path::new("."));
-    dir.canonicalize().map_err(|e| {
+    // Not resolved: hosts call their directories as they were given.
+    std::fs::metadata(dir).and_then(|_| std::path::absolute(dir)).map_err(|e| {
         let what = format!("the directory {} cannot be used: {e}", dir.display());
         Failure::local("IO", what, "make it first, or name another file")
     })
@@ -83,23 +85,32 @@ fn there_already(file: &Path) -> Failure {
 }
 
 fn write(file: &Path, text: &str, force: bool) -> Result<(), Failure> {
+    let put = if force { replace(file, text) } else { make(file, text) };
+    put.map_err(|e| match e.kind() {
+        ErrorKind::AlreadyExists => there_already(file),
+        _ => {
+            let what = format!("{} cannot be written: {e}", file.display());
+            Failure::local("IO", what, "check the directory and its permissions, or name another file")
+        }
+    })
+}
+
+/// Refused where somebody has made one meanwhile.
+fn make(file: &Path, text: &str) -> std::io::Result<()> {
+    let put = File::create_new(file)?.write_all(text.as_bytes());
+    put.inspect_err(|_| {
+        // Half of it is no system; what went wrong is said.
+        let _ = std::fs::remove_file(file);
+    })
+}
+
+fn replace(file: &Path, text: &str) -> std::io::Result<()> {
     let mut name = file.as_os_str().to_owned();
     name.push(format!(".{}.new", std::process::id()));
     let new = PathBuf::from(name);
-    let put = std::fs::write(&new, text).and_then(|()| match force {
-        true => std::fs::rename(&new, file),
-        // Refused where somebody has made one meanwhile.
-        false => std::fs::hard_link(&new, file).and_then(|()| std::fs::remove_file(&new)),
-    });
-    put.map_err(|e| {
-        // It may not be there; what matters has been said.
+    let put = std::fs::write(&new, text).and_then(|()| std::fs::rename(&new, file));
+    put.inspect_err(|_| {
+        // It may not be there; what went wrong is said.
         let _ = std::fs::remove_file(&new);
-        match e.kind() {
-            ErrorKind::AlreadyExists => there_already(file),
-            _ => {
-                let what = format!("{} cannot be written: {e}", file.display());
-                Failure::local("IO", what, "check the directory and its permissions, or name another file")
-            }
-        }
     })
 }

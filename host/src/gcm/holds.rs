@@ -3,7 +3,7 @@
 //! Invariant: a component has one holder, the last that asked. What is removed by anybody else is held no
 //! more, so a later component of its name is never removed for an earlier one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use tokio::sync::watch;
@@ -22,6 +22,11 @@ const AGAIN: Duration = Duration::from_secs(1);
 pub(super) struct Holds(BTreeMap<ComponentId, watch::Sender<()>>);
 
 impl Holds {
+    /// Components that come and go with programs.
+    pub(super) fn all(&self) -> BTreeSet<ComponentId> {
+        self.0.keys().cloned().collect()
+    }
+
     /// The component was removed.
     pub(super) fn removed(&mut self, id: &ComponentId) {
         self.0.remove(id);

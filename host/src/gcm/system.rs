@@ -7,10 +7,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use trocar_model::{Name, Refusal};
+use trocar_model::{ComponentId, Name, Refusal};
 
 use super::Gcm;
 use super::execute::{ExecuteOptions, Executed};
+use super::manager::lock;
 use super::requests::Answer;
 use crate::system_file::{Difference, Running, SystemFile};
 
@@ -38,7 +39,10 @@ impl Gcm {
         let mut attempts = 0;
         loop {
             let graph = self.graph();
-            let Difference { requests, left, .. } = file.difference(&graph, prune)?;
+            let Difference { requests, left, refused, .. } = file.difference(&graph, &self.held(), prune)?;
+            if let Some(refusal) = refused {
+                return Err(refusal);
+            }
             let compared = ExecuteOptions {
                 expected_revision: options.expected_revision.or(Some(graph.revision)),
                 ..options.clone()
@@ -52,13 +56,17 @@ impl Gcm {
         }
     }
 
+    fn held(&self) -> BTreeSet<ComponentId> {
+        lock(&self.inner.holds).all()
+    }
+
     /// How the system differs from what the text of a system file says, and the revision that was compared.
     ///
     /// # Errors
     /// ArgumentInvalid for a text that is no system file; what refuses a component of it.
     pub fn compare(&self, text: &str) -> Result<(u64, Difference), Refusal> {
         let (file, graph) = (parsed("Compare", text)?, self.graph());
-        Ok((graph.revision, file.difference(&graph, true)?))
+        Ok((graph.revision, file.difference(&graph, &self.held(), true)?))
     }
 
     /// The text of a file in `folder` that makes the system again, what it does not say, and the revision.
@@ -68,7 +76,7 @@ impl Gcm {
         plugins: &BTreeMap<Name, BTreeSet<PathBuf>>,
     ) -> (u64, String, Vec<String>) {
         let graph = self.graph();
-        let running = Running { graph: &graph, plugins };
+        let running = Running { graph: &graph, held: &self.held(), plugins };
         let (picture, notes) = running.picture(folder);
         (graph.revision, picture.text(), notes)
     }

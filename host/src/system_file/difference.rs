@@ -1,19 +1,20 @@
 //! A running system against a system file: what differs, and the requests that make it what the file says.
 //!
 //! Invariant: pure. Whole values are compared, those a class fills in included, so two ways to say the same are
-//! no difference. What the file does not name is left alone unless it is to be taken away, and nobody else's
-//! processes are touched.
+//! no difference. What the file does not name is left alone unless it is to be taken away, nobody else's
+//! processes are touched, and what waits for a person is not moved.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use trocar_model::{
-    Component, ComponentId, ConnectOptions, Connection, ConnectionId, Name, Planning, ProcessState, Refusal,
-    Request, State, SystemGraph, Target, Which, default_max_age, difference, host_of, is_same, live_only,
+    Component, ComponentId, ConnectOptions, Connection, ConnectionId, Name, Planning, PortId, ProcessState,
+    Refusal, Request, Safety, State, StopReason, SystemGraph, Target, Verb, Which, allowed, complete,
+    default_max_age, difference, host_of, is_same, live_only, merge,
 };
 
 use super::running::home;
 use super::words::{executions, options, settings};
-use super::{ComponentSpec, ConnectionSpec, SystemFile, in_thread_order};
+use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, in_thread_order};
 
 /// What differs, and what to do about it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,19 +25,36 @@ pub struct Difference {
     pub requests: Vec<Request>,
     /// What no request does, and who does.
     pub left: Vec<String>,
+    /// Why the requests must not be carried out as things stand.
+    pub refused: Option<Refusal>,
 }
 
 impl SystemFile {
     /// What has to happen to `running` for it to be as the file says. With `prune` what the file's processes
-    /// have and the file does not goes.
+    /// have and the file does not goes, but for what is `held` by a program.
     ///
     /// # Errors
-    /// A component of the file that cannot be made.
-    pub fn difference(&self, running: &SystemGraph, prune: bool) -> Result<Difference, Refusal> {
+    /// A component of the file that cannot be made; two servers for one client.
+    pub fn difference(
+        &self,
+        running: &SystemGraph,
+        held: &BTreeSet<ComponentId>,
+        prune: bool,
+    ) -> Result<Difference, Refusal> {
+        let mut clients = BTreeMap::new();
+        for c in &self.connections {
+            if clients.insert(&c.client, c).is_some() {
+                return Err(Refusal::AlreadyConnected { client: c.client.clone(), server: c.server.clone() });
+            }
+        }
         let wanted = self.wanted(running)?;
         let mut comparing = Comparing {
             file: self,
+            specs: self.components.iter().map(|c| (&c.id, c)).collect(),
+            clients,
             running,
+            sources: running.connections.values().map(|c| (&c.client, c)).collect(),
+            held,
             prune,
             parts: BTreeMap::new(),
             cuts: BTreeSet::new(),
@@ -52,23 +70,36 @@ impl SystemFile {
         comparing.thread_mates();
         comparing.connections();
         comparing.other_connections();
+        comparing.spare_actuators();
         Ok(comparing.requests())
     }
 
     /// The file's components as they would be made, by the classes of the processes that are there.
     fn wanted(&self, running: &SystemGraph) -> Result<BTreeMap<ComponentId, Component>, Refusal> {
         let mut bare = SystemGraph { processes: running.processes.clone(), ..SystemGraph::default() };
-        for c in self.components.iter().filter(|c| c.isolated) {
-            if let Some(home) = running.processes.get(&c.written.process) {
-                bare.processes.entry(c.id.process.clone()).or_insert_with(|| home.clone());
+        // A process that is not heard offers nothing; its components know their classes all the same.
+        for (id, c) in &running.components {
+            let process = bare.processes.get_mut(&id.process).filter(|p| p.state != ProcessState::Attached);
+            if let Some(process) = process.filter(|p| p.classes.iter().all(|known| known != &c.class)) {
+                process.classes.push(c.class.clone());
             }
         }
-        // Whether one is heard just now is no difference.
+        for c in self.components.iter().filter(|c| c.isolated) {
+            if let Some(home) = bare.processes.get(&c.written.process).cloned() {
+                bare.processes.entry(c.id.process.clone()).or_insert(home);
+            }
+        }
+        let heard =
+            |name: &Name| running.processes.get(name).is_none_or(|p| p.state == ProcessState::Attached);
         bare.processes.values_mut().for_each(|process| process.state = ProcessState::Attached);
         let mut planning = Planning::of(&bare);
         for c in in_thread_order(&self.components) {
-            if bare.processes.contains_key(&c.id.process) {
-                planning.add(&create(c))?;
+            if !bare.processes.contains_key(&c.id.process) {
+                continue;
+            }
+            let planned = planning.add(&create(c));
+            if heard(&c.id.process) {
+                planned?;
             }
         }
         Ok(planning.graph().components.clone())
@@ -93,7 +124,13 @@ struct Part {
 
 struct Comparing<'a> {
     file: &'a SystemFile,
+    specs: BTreeMap<&'a ComponentId, &'a ComponentSpec>,
+    /// The file's connections, by client.
+    clients: BTreeMap<&'a PortId, &'a ConnectionSpec>,
     running: &'a SystemGraph,
+    /// The system's connections, by client.
+    sources: BTreeMap<&'a PortId, &'a Connection>,
+    held: &'a BTreeSet<ComponentId>,
     prune: bool,
     parts: BTreeMap<ComponentId, Part>,
     cuts: BTreeSet<ConnectionId>,
@@ -106,16 +143,42 @@ impl Comparing<'_> {
         self.out.lines.push(line);
     }
 
-    /// Those that are not there: no request starts one, unless it is for a single component.
+    fn leave(&mut self, why: String) {
+        if !self.out.left.contains(&why) {
+            self.out.left.push(why);
+        }
+    }
+
+    /// Those that are not there: no request starts one, unless it is for a single component. And what of a
+    /// file counts only when its processes are started.
     fn processes(&mut self) {
-        let is_apart = |name: &Name| self.file.components.iter().any(|c| c.isolated && c.id.process == *name);
-        let absent = |name: &&Name| !self.running.processes.contains_key(*name) && !is_apart(name);
-        let names: Vec<&Name> = self.file.processes.iter().map(|p| &p.name).filter(absent).collect();
-        for name in names {
-            self.say(format!("+ process {name}"));
-            self.out.left.push(format!(
-                "process {name} does not run: start it by `trocar host --name {name} --gcm ADDR`, or the whole by `trocar up`"
-            ));
+        let file = self.file;
+        let apart: BTreeSet<&Name> =
+            file.components.iter().filter(|c| c.isolated).map(|c| &c.id.process).collect();
+        for ProcessSpec { name, .. } in file.processes.iter().filter(|p| !apart.contains(&p.name)) {
+            match self.running.processes.get(name).map(|p| p.state) {
+                None => {
+                    self.say(format!("+ process {name}"));
+                    self.leave(format!(
+                        "process {name} does not run: start it by `trocar host --name {name} --gcm ADDR`, or the whole by `trocar up`"
+                    ));
+                }
+                Some(ProcessState::Attached) => {}
+                Some(state) => {
+                    self.leave(format!("process {name} is {state}: what differs there is not certain"))
+                }
+            }
+        }
+        let usual = |p: &ProcessSpec| {
+            let plain = ProcessSpec { plugins: p.plugins.clone(), ..ProcessSpec::new(p.name.clone()) };
+            *p == plain
+        };
+        if !file.processes.iter().all(usual) || file.components.iter().any(|c| c.resumes) {
+            self.leave(
+                "what the file says of processes (trust, listen, state, env, restart, memory, allow_exec) and resume of components \
+                 is not compared: it counts when `trocar up` starts them"
+                    .to_owned(),
+            );
         }
     }
 
@@ -141,19 +204,19 @@ impl Comparing<'_> {
             part.goes = !execution.is_empty() || differs && now.state == State::Fault;
             if differs && !part.goes {
                 let patch = difference(&now.config, &then.config);
-                part.patch = Some(Request::Configure { id: id.clone(), patch, execution: None });
                 let schema = &now.class.config_schema;
-                part.stops =
-                    now.state == State::Active && live_only(schema, &now.config, &then.config).is_err();
+                let to = complete(schema, merge(&now.config, &patch));
+                part.stops = now.state == State::Active && live_only(schema, &now.config, &to).is_err();
+                part.patch = Some(Request::Configure { id: id.clone(), patch, execution: None });
             }
         }
+        let waits = waits(spec, now);
         match (spec.start, now.state) {
-            (true, State::Fault) if !part.goes => {
-                said.push("in FAULT, and the file starts it".to_owned());
-                let why = if now.fault.is_empty() { String::new() } else { format!(" ({})", now.fault) };
-                self.out.left.push(format!("{id} is in FAULT{why}: `trocar reset {id}`, then apply again"));
-            }
             (true, State::Active) => part.starts = part.stops,
+            (true, state) if waits => {
+                said.push(format!("{state}, and the file starts it"));
+                self.leave(person(id, now, part.goes));
+            }
             (true, state) => {
                 said.push(format!("{state}, and the file starts it"));
                 part.starts = true;
@@ -166,7 +229,7 @@ impl Comparing<'_> {
         }
         if part.goes {
             part.make = Some(create(spec));
-            part.starts = spec.start;
+            part.starts = spec.start && !waits;
         }
         if !said.is_empty() {
             let anew = if part.goes { " (made anew)" } else { "" };
@@ -175,50 +238,80 @@ impl Comparing<'_> {
         part
     }
 
-    /// It is in a process of the file, or in one beside it for itself alone.
+    /// It is in a process of the file, or in one beside it for itself alone, and comes and goes with nobody.
     fn is_ours(&self, id: &ComponentId) -> bool {
         let named = |name: &Name| self.file.processes.iter().any(|p| p.name == *name);
         let guest = self.running.processes.get(&id.process).is_some_and(|p| !p.guest.is_empty());
-        !guest && (named(&id.process) || home(self.running, id).is_some_and(|home| named(&home)))
+        let is_theirs = guest || self.held.contains(id);
+        !is_theirs && (named(&id.process) || home(self.running, id).is_some_and(|home| named(&home)))
     }
 
     /// Components of the file's processes that are not in the file.
     fn others(&mut self) {
         let running = self.running;
+        // The same component, in the process of its own that the file does not give it, or the other way
+        // round.
+        let elsewhere: BTreeSet<ComponentId> = self
+            .specs
+            .values()
+            .filter_map(|spec| if spec.isolated { Some(spec.written.clone()) } else { spec.id.apart().ok() })
+            .collect();
         for (id, c) in &running.components {
-            if self.parts.contains_key(id) || !self.is_ours(id) {
+            if self.parts.contains_key(id) || !self.is_ours(id) && !elsewhere.contains(id) {
                 continue;
             }
-            self.say(format!("- {id} ({})", c.class.full_name()));
-            self.parts.insert(id.clone(), Part { goes: self.prune, ..Part::default() });
+            let moves = elsewhere.contains(id);
+            let why = if moves { ": it is in another process than the file says" } else { "" };
+            self.say(format!("- {id} ({}){why}", c.class.full_name()));
+            let state = running.processes.get(&id.process).map(|p| p.state);
+            let heard = state == Some(ProcessState::Attached);
+            if let (true, false, Some(state)) = (self.prune, heard, state) {
+                self.leave(format!(
+                    "process {} is {state}: `trocar forget {}` takes it away",
+                    id.process, id.process
+                ));
+            }
+            self.parts.insert(id.clone(), Part { goes: heard && (self.prune || moves), ..Part::default() });
         }
     }
 
     /// Whoever runs in the thread of one that goes, goes with it; and comes back, unless it is not wanted.
     fn thread_mates(&mut self) {
         let running = self.running;
-        loop {
-            let goes = |id: &ComponentId| self.parts.get(id).is_some_and(|part| part.goes);
-            let mate = running
-                .components
-                .iter()
-                .find(|(id, c)| !goes(id) && host_of(&c.execution).is_some_and(|host| goes(&host)));
-            let Some((id, c)) = mate else { return };
-            let spec = self.file.components.iter().find(|spec| spec.id == *id);
-            let as_it_is = || Request::Create {
-                id: id.clone(),
-                class: c.class.full_name(),
-                config: (c.state != State::Created).then(|| c.config.clone()),
-                execution: c.execution.clone(),
-            };
-            let part = Part {
-                goes: true,
-                make: Some(spec.map_or_else(as_it_is, create)),
-                starts: spec.map_or(c.state == State::Active, |spec| spec.start),
-                ..Part::default()
-            };
-            self.say(format!("~ {id}: made anew with the component in whose thread it runs"));
-            self.parts.insert(id.clone(), part);
+        let mut mates: BTreeMap<ComponentId, Vec<&ComponentId>> = BTreeMap::new();
+        for (id, c) in &running.components {
+            if let Some(host) = host_of(&c.execution) {
+                mates.entry(host).or_default().push(id);
+            }
+        }
+        let mut going: Vec<ComponentId> =
+            self.parts.iter().filter(|(_, part)| part.goes).map(|(id, _)| id.clone()).collect();
+        while let Some(host) = going.pop() {
+            for id in mates.get(&host).into_iter().flatten() {
+                if self.goes(id) {
+                    continue;
+                }
+                let (c, spec) = (&running.components[*id], self.specs.get(*id).copied());
+                let as_it_is = || Request::Create {
+                    id: (*id).clone(),
+                    class: c.class.full_name(),
+                    config: (c.state != State::Created).then(|| c.config.clone()),
+                    execution: c.execution.clone(),
+                };
+                let waits = spec.is_some_and(|spec| spec.start && waits(spec, c));
+                if waits {
+                    self.leave(person(id, c, true));
+                }
+                let part = Part {
+                    goes: true,
+                    make: Some(spec.map_or_else(as_it_is, create)),
+                    starts: spec.map_or(c.state == State::Active, |spec| spec.start && !waits),
+                    ..Part::default()
+                };
+                self.say(format!("~ {id}: made anew with {host}, in whose thread it runs"));
+                self.parts.insert((*id).clone(), part);
+                going.push((*id).clone());
+            }
         }
     }
 
@@ -226,11 +319,17 @@ impl Comparing<'_> {
         self.parts.get(id).is_some_and(|part| part.goes)
     }
 
+    /// It runs, and goes on running through the change.
+    fn runs_on(&self, id: &ComponentId) -> bool {
+        let stays = self.parts.get(id).is_none_or(|part| !part.goes && !part.stops);
+        stays && self.running.components.get(id).is_some_and(|c| c.state == State::Active)
+    }
+
     fn connections(&mut self) {
         let (file, running) = (self.file, self.running);
         for spec in &file.connections {
             let ConnectionSpec { client, server, options: wanted } = spec;
-            let old = running.source_of(client);
+            let old = self.sources.get(client).copied();
             let changed = |old: &Connection| {
                 let usual = default_max_age(running, old);
                 let wanted = ConnectOptions { max_age_ns: wanted.max_age_ns.or(usual), ..wanted.clone() };
@@ -254,22 +353,24 @@ impl Comparing<'_> {
                     true
                 }
             };
-            let cut = old.filter(|old| self.goes(client_of(old)) || self.goes(server_of(old)));
-            let anew = cut.is_some() || self.goes(&client.component) || self.goes(&server.component);
-            if differ || anew {
-                self.cuts.extend(cut.map(|old| old.id));
-                let replace = old.is_some() && cut.is_none();
-                let options = ConnectOptions { replace, ..wanted.clone() };
-                self.ties.push(ConnectionSpec { options, ..spec.clone() });
+            let anew = [Some(&client.component), Some(&server.component), old.map(server_of)];
+            let anew = anew.into_iter().flatten().any(|id| self.goes(id));
+            if !differ && !anew {
+                continue;
             }
+            // Whoever runs on is rewired in one step; of others all old wires go before new ones come.
+            let replace = old.is_some() && !anew && self.runs_on(&client.component);
+            self.cuts.extend(old.filter(|_| !replace).map(|old| old.id));
+            let options = ConnectOptions { replace, ..wanted.clone() };
+            self.ties.push(ConnectionSpec { options, ..spec.clone() });
         }
     }
 
     /// Connections that are not in the file.
     fn other_connections(&mut self) {
-        let (file, running) = (self.file, self.running);
+        let running = self.running;
         for old in running.connections.values() {
-            if file.connections.iter().any(|c| c.client == old.client) {
+            if self.clients.contains_key(&old.client) {
                 continue;
             }
             let ours = self.is_ours(client_of(old));
@@ -285,14 +386,46 @@ impl Comparing<'_> {
                 |id: &&ComponentId| self.parts.get(*id).is_none_or(|part| !part.goes || part.make.is_some());
             if !pruned && self.cuts.contains(&old.id) && ends.iter().all(back) {
                 let Connection { client, server, options, .. } = old.clone();
+                // A default follows the new period.
+                let usual = default_max_age(running, old);
+                let max_age_ns = options.max_age_ns.filter(|age| Some(*age) != usual);
+                let options = ConnectOptions { max_age_ns, replace: false, ..options };
                 self.ties.push(ConnectionSpec { client, server, options });
+            }
+        }
+    }
+
+    /// An actuator that runs on is not without what it requires for a moment: that would stop it.
+    fn spare_actuators(&mut self) {
+        let running = self.running;
+        for id in &self.cuts {
+            let Some(c) = running.connections.get(id) else { continue };
+            let client = client_of(c);
+            let Some(moves) = running.components.get(client).filter(|m| m.class.safety == Safety::Actuator)
+            else {
+                continue;
+            };
+            if self.runs_on(client) && moves.ports.requires(c.client.port.as_str()) {
+                let (state, verb) = (State::Active, Verb::Configure);
+                let why = format!(
+                    "it is an actuator and requires `{}`, which is to be made anew or taken away: stop it first",
+                    server_of(c)
+                );
+                self.out.refused = Some(Refusal::WrongState {
+                    id: client.clone(),
+                    state,
+                    verb,
+                    allowed: allowed(state),
+                    why,
+                });
+                return;
             }
         }
     }
 
     /// What stands still first, then what goes, and what moves last.
     fn requests(self) -> Difference {
-        let Comparing { file, running, parts, cuts, ties, mut out, .. } = self;
+        let Comparing { file, specs, running, parts, cuts, mut ties, mut out, .. } = self;
         let all = |which: &dyn Fn(&Part) -> bool| -> Vec<ComponentId> {
             parts.iter().filter(|(_, part)| which(part)).map(|(id, _)| id.clone()).collect()
         };
@@ -304,18 +437,18 @@ impl Comparing<'_> {
         }
         out.requests.extend(cuts.into_iter().map(|id| Request::Disconnect { which: Which::Id(id) }));
         let mut goes = all(&|part| part.goes);
-        // Whoever runs in another's thread goes before it.
+        // Whoever runs in another's thread goes before it, and comes after it.
         goes.sort_by_key(|id| std::cmp::Reverse(depth(running, id)));
+        let mut others = goes.clone();
+        others.retain(|id| !specs.contains_key(id));
         out.requests.extend(goes.into_iter().map(|id| Request::Remove { id, force: false }));
-        let mut made: Vec<Request> = Vec::new();
         for spec in in_thread_order(&file.components) {
             let make = parts.get(&spec.id).and_then(|part| part.make.clone());
-            made.extend(make.map(|make| apart(make, spec, running)));
+            out.requests.extend(make.map(|make| apart(make, spec, running)));
         }
-        let in_file = |id: &ComponentId| file.components.iter().any(|spec| spec.id == *id);
-        made.extend(parts.iter().filter(|(id, _)| !in_file(id)).filter_map(|(_, part)| part.make.clone()));
-        out.requests.extend(made);
+        out.requests.extend(others.iter().rev().filter_map(|id| parts.get(id)?.make.clone()));
         out.requests.extend(parts.values().filter_map(|part| part.patch.clone()));
+        ties.sort_by_key(|tie| !tie.options.replace);
         out.requests.extend(ties.into_iter().map(|tie| {
             let ConnectionSpec { client, server, options } = tie;
             Request::Connect { client, server, options }
@@ -325,6 +458,28 @@ impl Comparing<'_> {
             out.requests.push(Request::Start { targets: targets(start) });
         }
         out
+    }
+}
+
+/// It stands still for a reason of which a person has to know before it goes on.
+fn waits(spec: &ComponentSpec, now: &Component) -> bool {
+    match now.state {
+        State::Fault => true,
+        State::Stopped(StopReason::Restarted) if spec.resumes => false,
+        State::Stopped(StopReason::Requested) => false,
+        State::Stopped(_) => now.class.safety == Safety::Actuator,
+        State::Created | State::Ready | State::Active => false,
+    }
+}
+
+/// What a person has to do for it to go on.
+fn person(id: &ComponentId, now: &Component, anew: bool) -> String {
+    let why = if now.fault.is_empty() { String::new() } else { format!(" ({})", now.fault) };
+    let state = now.state;
+    match (state, anew) {
+        (_, true) => format!("{id} was {state}{why}: made anew it waits for `trocar start {id}`"),
+        (State::Fault, false) => format!("{id} is in FAULT{why}: `trocar reset {id}`, then apply again"),
+        (_, false) => format!("{id} is {state}{why}: it waits for `trocar resume {id}`"),
     }
 }
 

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use trocar_model::{
-    Component, ComponentId, ConnectOptions, Connection, Name, PortId, State, StopReason, SystemGraph,
-    default_max_age, least_execution, without_defaults,
+    Component, ComponentId, ConnectOptions, Connection, Name, PortId, PortType, ProcessState, State,
+    StopReason, SystemGraph, default_max_age, least_execution, without_defaults,
 };
 
 use super::write::Picture;
@@ -18,6 +18,8 @@ use super::{ComponentSpec, ConnectionSpec, ProcessSpec};
 #[derive(Debug)]
 pub struct Running<'a> {
     pub graph: &'a SystemGraph,
+    /// Components that come and go with a program, such as recorders of `trocar record`.
+    pub held: &'a BTreeSet<ComponentId>,
     /// Plugin directories of each process, as far as it told them.
     pub plugins: &'a BTreeMap<Name, BTreeSet<PathBuf>>,
 }
@@ -40,15 +42,24 @@ impl Running<'_> {
             graph.components.keys().filter(|id| home(graph, id).is_some()).map(|id| &id.process).collect();
         let ours = graph.processes.keys().filter(|name| !guests.contains(*name) && !apart.contains(*name));
         let processes: Vec<ProcessSpec> = ours.map(|name| self.process(name, folder, &mut notes)).collect();
+        let held = self.held.iter().filter(|id| graph.components.contains_key(*id));
+        let held: Vec<String> = held.map(ToString::to_string).collect();
+        if !held.is_empty() {
+            let held = held.join(", ");
+            notes.push(format!("what programs hold is not in it, it comes and goes with them: {held}"));
+        }
         if !processes.is_empty() {
             notes.push(NOT_KNOWN.to_owned());
         }
-        let inside = graph.components.iter().filter(|(id, _)| !guests.contains(&id.process));
+        let stays = |id: &ComponentId| !guests.contains(&id.process) && !self.held.contains(id);
+        let inside = graph.components.iter().filter(|(id, _)| stays(id));
         let mut components: Vec<ComponentSpec> = inside.map(|(id, c)| self.component(id, c)).collect();
         components.sort_by(|a, b| a.written.cmp(&b.written));
-        let stays = |end: &PortId| !guests.contains(&end.component.process);
-        let between = graph.connections.values().filter(|c| stays(&c.client) && stays(&c.server));
-        let connections = between.map(|c| connection(graph, c)).collect();
+        let mut between: Vec<&Connection> = graph.connections.values().collect();
+        between.retain(|c| stays(&c.client.component) && stays(&c.server.component));
+        // An output without a type is what the first input with one makes of it.
+        between.sort_by_key(|c| is_untyped(graph, &c.client));
+        let connections = between.into_iter().map(|c| connection(graph, c)).collect();
         (Picture { processes, components, connections }, notes)
     }
 
@@ -85,9 +96,25 @@ impl Running<'_> {
 /// The process like which one was made for this component alone; `None`: it lives where others may.
 pub(super) fn home(graph: &SystemGraph, id: &ComponentId) -> Option<Name> {
     let name = id.process.as_str().strip_suffix(id.component.as_str())?.strip_suffix('.')?;
-    let home: Name = name.parse().ok().filter(|home| graph.processes.contains_key(home))?;
-    let alone = graph.components.keys().filter(|other| other.process == id.process).count() == 1;
-    alone.then_some(home)
+    let home: Name = name.parse().ok()?;
+    let (like, its) = (graph.processes.get(&home)?, graph.processes.get(&id.process)?);
+    // One that somebody called so has other plugins, and one of the other name may be there as well.
+    let is_like = like.state != ProcessState::Attached
+        || its.state != ProcessState::Attached
+        || like.classes.len() == its.classes.len()
+            && like.classes.iter().zip(&its.classes).all(|(a, b)| a.full_name() == b.full_name());
+    let written = ComponentId::new(home.clone(), id.component.clone());
+    let first = ComponentId::new(id.process.clone(), "A".parse().ok()?);
+    let alone =
+        graph.components.range(first..).take_while(|(other, _)| other.process == id.process).count() == 1;
+    (is_like && alone && !graph.components.contains_key(&written)).then_some(home)
+}
+
+/// This input takes whatever it is connected to.
+fn is_untyped(graph: &SystemGraph, client: &PortId) -> bool {
+    let ports = graph.components.get(&client.component).map(|c| &c.ports);
+    let input = ports.and_then(|ports| ports.inputs.iter().find(|i| client.port == i.name.as_str()));
+    input.is_some_and(|input| matches!(input.ty, PortType::Any))
 }
 
 /// It runs, or did until something came between.

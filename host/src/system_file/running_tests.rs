@@ -29,7 +29,10 @@ fn classes() -> Vec<Arc<ClassInfo>> {
         ..(*crate::gcm::fake::class()).clone()
     };
     let leg = ClassInfo { name: "leg".into(), ..arm.clone() };
-    vec![Arc::new(arm), Arc::new(leg)]
+    // It moves nothing without what it requires.
+    let mut hand = ClassInfo { name: "hand".into(), ..arm.clone() };
+    hand.ports.required[0].optional = false;
+    [arm, leg, hand].into_iter().map(Arc::new).collect()
 }
 
 fn processes(names: &[&str]) -> SystemGraph {
@@ -65,12 +68,13 @@ fn made(file: &SystemFile, names: &[&str]) -> SystemGraph {
 
 fn saved(graph: &SystemGraph) -> (String, Vec<String>) {
     let plugins = [("host".parse().unwrap(), BTreeSet::from([PathBuf::from("/lab/plugins")]))].into();
-    let (picture, notes) = Running { graph, plugins: &plugins }.picture(Path::new("/lab"));
+    let (picture, notes) =
+        Running { graph, held: &BTreeSet::new(), plugins: &plugins }.picture(Path::new("/lab"));
     (picture.text(), notes)
 }
 
 fn difference(file: &SystemFile, graph: &SystemGraph) -> Difference {
-    file.difference(graph, true).unwrap_or_else(|e| panic!("{e}"))
+    file.difference(graph, &BTreeSet::new(), true).unwrap_or_else(|e| panic!("{e}"))
 }
 
 const RICH: &str = r#"{
@@ -104,11 +108,8 @@ fn a_system_is_saved_as_a_person_would_write_it() {
 #[test]
 fn what_stood_still_at_someones_request_is_saved_so_and_what_failed_is_not() {
     let mut graph = made(&parse(RICH), &["host"]);
-    let set = |graph: &mut SystemGraph, id: &str, state| {
-        graph.components.get_mut(&id.parse().unwrap()).unwrap().state = state;
-    };
-    set(&mut graph, "host/a", State::Stopped(StopReason::Requested));
-    set(&mut graph, "host/b", State::Fault);
+    set_state(&mut graph, "host/a", State::Stopped(StopReason::Requested));
+    set_state(&mut graph, "host/b", State::Fault);
     let file = parse(&saved(&graph).0);
     let starts: Vec<bool> = file.components.iter().map(|c| c.start).collect();
     assert_eq!(starts, [false, true, false, true]);
@@ -180,7 +181,7 @@ fn each_difference_has_a_line_and_what_no_request_does_is_said() {
     graph.apply(&plan);
     assert_eq!(difference(&file, &graph), Difference::default());
     // Not asked to, nothing is taken away.
-    let kept = parse(RICH).difference(&graph, false).unwrap();
+    let kept = parse(RICH).difference(&graph, &BTreeSet::new(), false).unwrap();
     assert!(kept.lines.contains(&"- host/e (toy/leg)".to_owned()), "{:?}", kept.lines);
     assert!(
         !kept
@@ -196,6 +197,129 @@ fn each_difference_has_a_line_and_what_no_request_does_is_said() {
     graph.components.get_mut(&"host/b".parse().unwrap()).unwrap().state = State::Fault;
     let broken = difference(&file, &graph);
     assert!(broken.requests.is_empty() && broken.left[0].contains("trocar reset host/b"), "{broken:#?}");
+}
+
+fn set_state(graph: &mut SystemGraph, id: &str, state: State) {
+    graph.components.get_mut(&id.parse().unwrap()).unwrap().state = state;
+}
+
+fn starts(found: &Difference) -> Vec<String> {
+    let all = found.requests.iter().filter_map(|r| match r {
+        Request::Start { targets } => Some(targets.iter().map(ToString::to_string)),
+        _ => None,
+    });
+    all.flatten().collect()
+}
+
+#[test]
+fn what_waits_for_a_person_is_not_moved_and_it_is_said_what_that_person_does() {
+    let file = parse(RICH);
+    let other = parse(&RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/leg" }"#));
+    for reason in [StopReason::Interlock, StopReason::PeerLost, StopReason::Restarted] {
+        let mut graph = made(&file, &["host"]);
+        set_state(&mut graph, "host/a", State::Stopped(reason));
+        let found = difference(&file, &graph);
+        assert_eq!((found.lines.len(), starts(&found).len()), (1, 0), "{found:#?}");
+        assert!(found.left[0].contains("trocar resume host/a"), "{:?}", found.left);
+        // Made anew it is at rest, too.
+        let found = difference(&other, &graph);
+        assert!(starts(&found).is_empty() && found.left[0].contains("trocar start host/a"), "{found:#?}");
+    }
+    let mut graph = made(&file, &["host"]);
+    set_state(&mut graph, "host/a", State::Fault);
+    let found = difference(&other, &graph);
+    assert!(starts(&found).is_empty() && found.left[0].contains("trocar start host/a"), "{found:#?}");
+    // Somebody's own Stop is what a file is applied after.
+    set_state(&mut graph, "host/a", State::Stopped(StopReason::Requested));
+    assert_eq!(starts(&difference(&file, &graph)), ["host/a"]);
+    let resumes =
+        parse(&RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "resume": "auto" }"#));
+    set_state(&mut graph, "host/a", State::Stopped(StopReason::Restarted));
+    let found = difference(&resumes, &graph);
+    assert_eq!(starts(&found), ["host/a"]);
+    assert!(found.left[0].contains("resume of components is not compared"), "{:?}", found.left);
+}
+
+#[test]
+fn an_actuator_that_runs_on_keeps_what_it_requires() {
+    let text = RICH.replace(
+        r#""host/c": { "class": "toy/arm", "start": false }"#,
+        r#""host/c": { "class": "toy/hand" }"#,
+    );
+    let graph = made(&parse(&text), &["host"]);
+    let slower = parse(&text.replace(r#""rate_hz": 30"#, r#""rate_hz": 40"#));
+    let found = difference(&slower, &graph);
+    let refused = found.refused.map(|refusal| refusal.to_string()).unwrap_or_default();
+    assert!(refused.contains("host/c") && refused.contains("host/b"), "{refused}");
+    // At rest it is nobody's harm.
+    let mut graph = graph;
+    set_state(&mut graph, "host/c", State::Stopped(StopReason::Requested));
+    let found = difference(&slower, &graph);
+    assert_eq!(found.refused, None);
+    let plan = plan_all(&graph, &found.requests).unwrap();
+    graph.apply(&plan);
+    assert_eq!(difference(&slower, &graph), Difference::default());
+}
+
+#[test]
+fn one_input_has_one_server_in_a_file_whatever_runs() {
+    let two = RICH.replace(
+        r#"{ "client": "host/c/robot", "server": "host/b/arm" }"#,
+        r#"{ "client": "host/c/robot", "server": "host/b/arm" }, { "client": "host/c/robot", "server": "host/a/arm" }"#,
+    );
+    let refused =
+        parse(&two).difference(&made(&parse(RICH), &["host"]), &BTreeSet::new(), false).unwrap_err();
+    assert_eq!(refused.reason(), "ALREADY_CONNECTED", "{refused}");
+}
+
+#[test]
+fn a_component_that_moves_into_a_process_of_its_own_does_not_run_twice() {
+    let apart = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
+    for (from, to, names) in
+        [(RICH, apart.as_str(), ["host", "gui"]), (apart.as_str(), RICH, ["host", "host.a"])]
+    {
+        let graph = made(&parse(from), &names);
+        let found = parse(to).difference(&graph, &BTreeSet::new(), false).unwrap();
+        let gone = found.requests.iter().filter(|r| matches!(r, Request::Remove { .. })).count();
+        let new = found
+            .requests
+            .iter()
+            .filter(|r| matches!(r, Request::Create { .. } | Request::CreateApart { .. }));
+        assert_eq!((gone, new.count()), (1, 1), "{found:#?}");
+        assert!(
+            found.lines.iter().any(|line| line.contains("in another process than the file says")),
+            "{found:#?}"
+        );
+    }
+}
+
+#[test]
+fn what_a_program_holds_is_neither_saved_nor_taken_away() {
+    let graph = made(&parse(RICH), &["host"]);
+    let held: BTreeSet<_> = ["host/c".parse().unwrap()].into();
+    let plugins = [("host".parse().unwrap(), BTreeSet::from([PathBuf::from("/lab/plugins")]))].into();
+    let (picture, notes) =
+        Running { graph: &graph, held: &held, plugins: &plugins }.picture(Path::new("/lab"));
+    assert!(!picture.text().contains("host/c"), "{}", picture.text());
+    assert!(notes[0].contains("what programs hold is not in it") && notes[0].contains("host/c"), "{notes:?}");
+    let found = parse(&picture.text()).difference(&graph, &held, true).unwrap();
+    assert_eq!(found, Difference::default());
+}
+
+#[test]
+fn a_process_that_is_not_heard_is_compared_by_what_it_had() {
+    let mut graph = made(&parse(RICH), &["host"]);
+    let host = graph.processes.values_mut().next().unwrap();
+    host.state = ProcessState::Lost;
+    host.classes.clear();
+    let found = difference(&parse(RICH), &graph);
+    assert_eq!((found.lines.len(), found.requests.len()), (0, 0), "{found:#?}");
+    assert!(found.left[0].contains("process host is LOST"), "{:?}", found.left);
+    // What would go is not certain to be there.
+    let less = parse(&RICH.replace("host/a", "host/z"));
+    let found = difference(&less, &graph);
+    assert!(found.left.iter().any(|why| why.contains("trocar forget host")), "{found:#?}");
+    assert!(!found.requests.iter().any(|r| matches!(r, Request::Remove { .. })), "{found:#?}");
 }
 
 /// Any system of a few arms and legs.

@@ -2,11 +2,12 @@
 //!
 //! Invariant: what is read from the text is what was written; what is usual is left out.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use trocar_model::Execution;
+use trocar_model::{ComponentId, Execution, PortId};
 
 use super::words::{spelled, spelled_options};
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
@@ -40,12 +41,15 @@ impl SystemFile {
 impl Picture {
     /// The text of a file that says this.
     pub fn text(&self) -> String {
-        let own = |p: &&ProcessSpec| !self.components.iter().any(|c| c.isolated && c.id.process == p.name);
+        let apart: BTreeSet<_> =
+            self.components.iter().filter(|c| c.isolated).map(|c| &c.id.process).collect();
+        let own = |p: &&ProcessSpec| !apart.contains(&p.name);
         let processes: Vec<_> =
             self.processes.iter().filter(own).map(|p| (p.name.to_string(), process(p))).collect();
         let components: Vec<_> =
             self.components.iter().map(|c| (c.written.to_string(), component(c))).collect();
-        let connections = self.connections.iter().map(|c| self.connection(c)).collect();
+        let written: BTreeMap<_, _> = self.components.iter().map(|c| (&c.id, &c.written)).collect();
+        let connections = self.connections.iter().map(|c| connection(c, &written)).collect();
         let mut out = "{\n  \"version\": 1,\n  \"processes\": ".to_owned();
         put(&mut out, &Node::Object(processes), 2, WIDTH - 16);
         out.push_str(",\n  \"components\": ");
@@ -55,16 +59,16 @@ impl Picture {
         out.push_str("\n}\n");
         out
     }
+}
 
-    fn connection(&self, c: &ConnectionSpec) -> Node {
-        let end = |port: &trocar_model::PortId| {
-            let of = self.components.iter().find(|c| c.id == port.component);
-            let component = of.map_or(&port.component, |c| &c.written);
-            Value::from(format!("{component}/{}", port.port))
-        };
-        let ends = [("client", Some(end(&c.client))), ("server", Some(end(&c.server)))];
-        object(ends.into_iter().chain(spelled_options(&c.options)))
-    }
+/// `written`: what the file calls the components.
+fn connection(c: &ConnectionSpec, written: &BTreeMap<&ComponentId, &ComponentId>) -> Node {
+    let end = |port: &PortId| {
+        let component = written.get(&port.component).copied().unwrap_or(&port.component);
+        Value::from(format!("{component}/{}", port.port))
+    };
+    let ends = [("client", Some(end(&c.client))), ("server", Some(end(&c.server)))];
+    object(ends.into_iter().chain(spelled_options(&c.options)))
 }
 
 fn process(p: &ProcessSpec) -> Node {

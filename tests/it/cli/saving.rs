@@ -6,7 +6,7 @@
 use std::fs;
 
 use serde_json::{Value, json};
-use trocar_tests::{Trocar, number};
+use trocar_tests::{Trocar, eventually, number};
 
 use super::{OK, REFUSED};
 use crate::processes::system::System;
@@ -165,6 +165,37 @@ fn what_is_refused_is_led_back_to_the_file_and_nothing_is_changed() {
     told.says("trocar host --name gui");
     trocar.run(&["apply", &more]).ends_with(OK).says("does not run").says("nothing to do");
     assert_eq!(system.grpc.revision(), before, "nothing was changed");
+}
+
+#[test]
+fn what_a_component_refuses_in_the_middle_leaves_everything_as_it_ran() {
+    let system = up();
+    let (trocar, grpc) = (system.trocar(), &system.grpc);
+    // Not in the file: what is put back is what was there.
+    grpc.ok("GcmService/Configure", json!({ "path": "device/wave", "config": { "amplitude": 7 } }));
+    let median = r#""control/median": { "class": "filters/moving_median", "config": { "window": 4 } },"#;
+    let wanted = FILE
+        .replacen(
+            r#""frequency_hz": 50 } }"#,
+            r#""frequency_hz": 50 }, "execution": { "rate_hz": 500 } }"#,
+            1,
+        )
+        .replacen(r#""device/robot""#, &format!("{median}\n    \"device/robot\""), 1);
+    let file = system.world.write("refused.json", wanted).display().to_string();
+    let before = grpc.component("device/wave");
+    trocar.run(&["apply", &file]).ends_with(REFUSED).says("refused.json:").says("window: 4 is even");
+    let after = grpc.component("device/wave");
+    for what in ["class", "config", "execution", "state"] {
+        assert_eq!(after[what], before[what], "{what}");
+    }
+    eventually("it gives what it gave", || {
+        let sample = grpc.ok("InteractService/Read", json!({ "path": "device/wave/value" }));
+        let value = sample["json"]["value"].as_f64().unwrap_or_default();
+        if value.abs() > 1.5 { Ok(()) } else { Err(sample.to_string()) }
+    });
+    let list = grpc.ok("GcmService/List", json!({}));
+    assert_eq!(list["connections"].as_array().map(Vec::len), Some(1), "{list}");
+    assert!(list["components"].as_array().unwrap().iter().all(|c| c["path"] != "control/median"), "{list}");
 }
 
 #[test]

@@ -73,15 +73,15 @@ pub(super) fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
 /// How each component that is there in the end stands then, once each; its ports are for Describe.
 pub(super) fn told(done: &Executed) -> Vec<v1::ComponentReport> {
     let mut out: Vec<v1::ComponentReport> = Vec::with_capacity(done.reports.len());
-    let gone = |id: &ComponentId| {
-        let is_there = |change: &Change| match change {
-            Change::Create { id: made, .. } if made == id => Some(true),
-            Change::Destroy { id: gone, .. } if gone == id => Some(false),
-            _ => None,
-        };
-        done.plan.changes.iter().rev().find_map(is_there) == Some(false)
-    };
-    for report in done.reports.iter().filter(|report| !gone(&report.id)) {
+    let mut gone = BTreeSet::new();
+    for change in &done.plan.changes {
+        match change {
+            Change::Create { id, .. } => _ = gone.remove(id),
+            Change::Destroy { id, .. } => _ = gone.insert(id),
+            _ => {}
+        }
+    }
+    for report in done.reports.iter().filter(|report| !gone.contains(&report.id)) {
         let mut last = Report { ports: None, ..report.clone() };
         if let Some(at) = out.iter().position(|earlier| earlier.path == report.id.to_string()) {
             let earlier = out.remove(at);

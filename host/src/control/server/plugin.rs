@@ -24,21 +24,30 @@ impl Edge {
             if process.is_empty() { self.processes() } else { vec![Name::parse(process).map_err(refuse)?] };
         let until = until - room(until);
         let (mut plugins, mut warnings) = (Vec::new(), Vec::new());
-        for name in processes {
-            let asked = async {
-                let lcm = self.lcm(&name)?;
-                match again {
-                    Some(called) => lcm.recheck(called, until).await,
-                    None => lcm.plugins().await,
-                }
-            };
-            let refusal = match tokio::time::timeout_at(until.into(), asked).await {
-                Ok(Ok(found)) => {
+        // All at once: one that hangs keeps nobody else's answer.
+        let asked = processes.into_iter().map(|name| {
+            let (lcm, again) = (self.lcm(&name), again.map(str::to_owned));
+            tokio::spawn(async move {
+                let lcm = lcm?;
+                let found = async {
+                    match again {
+                        Some(called) => lcm.recheck(&called, until).await,
+                        None => lcm.plugins().await,
+                    }
+                };
+                let what = "its list of plugins".into();
+                let late = |_| Refusal::LcmTimeout { process: name, what };
+                tokio::time::timeout_at(until.into(), found).await.map_err(late).flatten()
+            })
+        });
+        for asking in asked.collect::<Vec<_>>() {
+            let panicked = |e| Err(Refusal::Internal { text: format!("listing plugins panicked: {e}") });
+            let refusal = match asking.await.unwrap_or_else(panicked) {
+                Ok(found) => {
                     plugins.extend(found);
                     continue;
                 }
-                Ok(Err(refusal)) => refusal,
-                Err(_) => Refusal::LcmTimeout { process: name, what: "its list of plugins".into() },
+                Err(refusal) => refusal,
             };
             if !process.is_empty() {
                 return Err(refuse(refusal));

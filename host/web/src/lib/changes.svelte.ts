@@ -3,6 +3,7 @@
 /// Invariant: nothing is taken back but what was done here, by requests like any other: what stands in the way
 /// is told. What runs is not taken away, and what ran before it was removed comes back at rest.
 import type { MessageInitShape } from '@bufbuild/protobuf';
+import { Code, ConnectError } from '@connectrpc/connect';
 import type { StepSchema } from '../gen/trocar/v1/gcm_pb';
 import { ComponentState, type Connection, type ExecutionSchema } from '../gen/trocar/v1/types_pb';
 import { gcm, PATIENCE } from './api';
@@ -40,30 +41,39 @@ class Changes {
 
   async undo() {
     const last = this.past.at(-1);
-    if (last && (await this.#carry(`Undo ${last.what}`, last.back, last.takes))) {
-      this.past = this.past.filter((c) => c !== last);
-      this.future = [...this.future, last];
-    }
+    const came = last && (await this.#carry(`Undo ${last.what}`, last.back, last.takes));
+    if (!came) return;
+    this.past = this.past.filter((c) => c !== last);
+    if (came === 'done') this.future = [...this.future, last];
   }
 
   async redo() {
     const next = this.future.at(-1);
-    if (next && (await this.#carry(`Redo ${next.what}`, next.again, next.takes))) {
-      this.future = this.future.filter((c) => c !== next);
-      this.past = [...this.past, next];
-    }
+    const came = next && (await this.#carry(`Redo ${next.what}`, next.again, next.takes));
+    if (!came) return;
+    this.future = this.future.filter((c) => c !== next);
+    if (came === 'done') this.past = [...this.past, next];
   }
 
-  async #carry(what: string, steps: Step[], takes = ''): Promise<boolean> {
-    if (this.#busy) return false;
+  /// 'gone': what it is about is not there any more, so it never will be done, and older changes may be.
+  async #carry(what: string, steps: Step[], takes = ''): Promise<'done' | 'gone' | undefined> {
+    if (this.#busy) return undefined;
     if (system.components.get(takes)?.state === ComponentState.ACTIVE) {
       page.tell(`${what}: ${takes} is ACTIVE: stop it first`, true);
-      return false;
+      return undefined;
     }
     this.#busy = true;
-    const done = await page.ask(what, () => gcm.apply({ steps: steps.map((step) => ({ step })) }, PATIENCE));
+    let gone = false;
+    const done = await page.ask(what, async () => {
+      try {
+        return await gcm.apply({ steps: steps.map((step) => ({ step })) }, PATIENCE);
+      } catch (error) {
+        gone = ConnectError.from(error).code === Code.NotFound;
+        throw error;
+      }
+    });
     this.#busy = false;
-    return done;
+    return done ? 'done' : gone ? 'gone' : undefined;
   }
 
   async connect(client: string, server: string): Promise<boolean> {
@@ -86,7 +96,7 @@ class Changes {
     if (done && was) {
       // An incomplete configuration is not taken when it is given.
       const config = was.state === ComponentState.CREATED ? undefined : was.config;
-      const made: Step = { case: 'create', value: { path, class: was.class, config, execution: was.execution } };
+      const made: Step = { case: 'create', value: { ...lives(path), class: was.class, config, execution: was.execution } };
       // A guest ties itself to what it asks.
       const own = ties.filter((c) => !system.processes.get(c.client.split('/')[0])?.guest);
       this.#done({ what: `Remove ${path}`, back: [made, ...own.map(tie)], again: [{ case: 'remove', value: { path, force: true } }], takes: path });
@@ -119,8 +129,16 @@ function cut(client: string, server: string): Step {
   return { case: 'disconnect', value: { client, server } };
 }
 
+/// As it was, but in nobody's place: what has been connected there since stays.
 function tie({ client, server, options }: Connection): Step {
-  return { case: 'connect', value: { client, server, options } };
+  return { case: 'connect', value: { client, server, options: options && { ...options, replace: false } } };
+}
+
+/// How one is made that lives at this path: one in a process of its own by the name it is written with.
+function lives(path: string) {
+  const [process, name] = path.split('/');
+  const home = process.endsWith(`.${name}`) ? process.slice(0, -name.length - 1) : '';
+  return system.processes.has(home) ? { path: `${home}/${name}`, isolation: 'process' } : { path };
 }
 
 export const changes = new Changes();

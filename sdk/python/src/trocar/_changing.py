@@ -6,7 +6,7 @@ Invariant: nothing is decided here: the GCM refuses or does it, and the session'
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from . import _proto, _system_file, _values
@@ -29,6 +29,8 @@ class Changing:
     _wire: Wire
     _graph: Graph
     _place: Place
+
+    def _say(self, text: str) -> None: ...
 
     def create(
         self,
@@ -156,6 +158,7 @@ class Changing:
             answer = self._wire.call("GcmService/Compare", _proto.message("CompareRequest")(system=text), _WHOLE)
         except TrocarError as e:
             raise _system_file.placed(e, name) from None
+        self._tell(answer.notes)
         return [clean(line) for line in answer.differences]
 
     def save(self, file: str | os.PathLike[str] | None = None, *, replace: bool = False) -> str:
@@ -163,8 +166,10 @@ class Changing:
         given. A file that is there is replaced only with ``replace``.
         """
         __tracebackhide__ = True
-        folder = os.path.realpath(os.path.dirname(os.fspath(file)) if file is not None else ".")
-        text = str(self._wire.call("GcmService/Save", _proto.message("SaveRequest")(folder=folder), _WHOLE).text)
+        folder = os.path.abspath(os.path.dirname(os.fspath(file)) if file is not None else ".")
+        answer = self._wire.call("GcmService/Save", _proto.message("SaveRequest")(folder=folder), _WHOLE)
+        self._tell(answer.notes)
+        text = str(answer.text)
         if file is not None:
             try:
                 with open(file, "w" if replace else "x", encoding="utf-8") as out:
@@ -174,6 +179,10 @@ class Changing:
             except OSError as e:
                 raise invalid(f"{os.fspath(file)} cannot be written: {e.strerror}", field="file") from None
         return text
+
+    def _tell(self, notes: Iterable[str]) -> None:
+        for note in notes:
+            self._say(f"note: {clean(note)}")
 
     def _seen(self, revision: int) -> None:
         """Waits a moment until this session's own copy of the graph shows what was just done."""

@@ -30,7 +30,7 @@ def text_of(system: Any, verb: str) -> tuple[str, str]:
     """A file's name and text; of a dict the text that says it."""
     if isinstance(system, Mapping):
         try:
-            return "the system", json.dumps(system)
+            return "the system", json.dumps(system, default=_plain)
         except (TypeError, ValueError) as e:
             raise _wrong("the system", f"JSON cannot carry it: {e}") from None
     if not isinstance(system, (str, os.PathLike)):
@@ -47,6 +47,13 @@ def text_of(system: Any, verb: str) -> tuple[str, str]:
         return name, raw.decode("utf-8")
     except UnicodeDecodeError as e:
         raise invalid(f"{name}: not UTF-8 text: byte {e.start} is not valid", "SYSTEM_FILE_INVALID", file=name) from None
+
+
+def _plain(value: Any) -> Any:
+    """A number, array or row of numpy as JSON says it."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{value!r} of type {type(value).__name__}")
 
 
 def placed(error: TrocarError, name: str) -> TrocarError:

@@ -501,7 +501,7 @@ def test_a_system_file_is_applied_as_one_and_again_changes_nothing(ire, tmp_path
         assert "the system:1:" in e.value.sentence and "did you mean" in e.value.sentence, e.value
         file = tmp_path / "saved.json"
         text = ire.save(file)
-        assert file.read_text(encoding="utf-8") == text and '"host/made_client": { "class": "example/Client"' in text, text
+        assert file.read_text(encoding="utf-8") == text and '"host/made_client": {' in text, text
         assert ire.diff(file) == []
         with pytest.raises(trocar.TrocarError, match="replace=True"):
             ire.save(file)
