@@ -57,7 +57,7 @@ def read(text, status):
     return outcome
 
 
-# What a failure says that helps is short; the log has the rest.
+# The first lines of a failure help; the log has the rest.
 MOST_SAID = 8
 
 

@@ -16,7 +16,7 @@ use crate::{Built, eventually};
 /// Generous: a watchdog, not a measurement. The server caps unary calls at 60 s.
 const WATCHDOG_S: u32 = 90;
 
-/// What may be asked twice: it changes nothing, or the second time no more than the first.
+/// Methods that may be asked twice: they change nothing, or the second time no more than the first.
 const REPEATABLE: [&str; 6] = [
     "GcmService/Configure",
     "GcmService/Describe",

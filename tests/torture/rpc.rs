@@ -59,14 +59,15 @@ impl From<Refused> for String {
 pub(crate) type Answer<T> = Result<T, Refused>;
 
 impl Refused {
-    /// A busy machine alone may be the reason: a process is thought lost for a moment, a deadline goes by before what it bounds
-    /// has begun.
+    /// A busy machine alone may be the reason: a process is thought lost for a moment, a deadline goes by
+    /// before what it bounds has begun.
     fn may_pass(&self) -> bool {
         self.reason == "PROCESS_LOST" || self.code == Code::DeadlineExceeded
     }
 }
 
-/// Asks until those who are to answer are heard: no row judges by how soon they are. Only for what may be asked twice.
+/// Asks until those who are to answer are heard: no row judges by how soon they are. Only for what may be
+/// asked twice.
 fn heard<T>(what: &str, mut ask: impl FnMut() -> Answer<T>) -> Answer<T> {
     let settled = eventually(what, || match ask() {
         Err(refused) if refused.may_pass() => Err(refused.to_string()),

@@ -1,4 +1,4 @@
-/// What was changed from a page is taken back and done again there; the system is saved from it.
+/// Changes made from a page are taken back and done again there; the system is saved from it.
 import fs from 'node:fs';
 import { box, create, eventually, grpcurl, holds, is, menu, settled, shot, start, state } from './world.mjs';
 

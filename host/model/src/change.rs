@@ -70,7 +70,7 @@ pub fn inverse(plan: &Plan) -> Plan {
     Plan { changes: undone.collect(), skipped: Vec::new() }
 }
 
-/// What follows the making of a component that was destroyed: who makes one makes it CREATED, without a
+/// The change after the making of a component that was destroyed: made, it is CREATED, without a
 /// configuration.
 fn configured_again(change: &Change) -> Option<Change> {
     let Change::Destroy { id, component } = change else { return None };

@@ -159,7 +159,7 @@ fn words_that_change_under_every_look_crash_and_hang_nobody() {
     }
 }
 
-/// An entry that says it is longer than its place is cut to that: nothing beyond is read, and nothing written over.
+/// An entry that says it is longer than its place is cut to that: nothing beyond is read or written over.
 #[test]
 fn an_entry_longer_than_its_place_is_cut_to_it() {
     const LENGTH: u64 = 24;
@@ -176,7 +176,8 @@ fn an_entry_longer_than_its_place_is_cut_to_it() {
     let lengths = || -> Vec<usize> {
         (0..words.len()).filter(|at| words[*at].load(Ordering::Relaxed) == LENGTH).collect()
     };
-    // The smallest ones first: a place has room for those, so that a length that is believed is seen before it does harm.
+    // The smallest ones first: a place has room for those, so a length that is believed is seen before it
+    // does harm.
     for said in [LENGTH + 1, LENGTH + 8, 1 << 16, 1 << 40, u64::MAX] {
         let before = lengths();
         assert_eq!(mail.push(EntryHead::default(), &[7; LENGTH as usize], Overflow::Reject), Push::Queued);

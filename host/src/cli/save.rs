@@ -56,7 +56,7 @@ pub(super) async fn run(args: SaveArgs, session: &Session) -> Done {
     Ok(Exit::Ok)
 }
 
-/// What the text has, by those who will read it.
+/// The parts of the text, counted by its own reader.
 fn counted(text: &str) -> Result<String, Failure> {
     let file = SystemFile::parse("the saved system", text.to_owned())?;
     let count = |n: usize, noun: &str| units::count(n as u64, noun);

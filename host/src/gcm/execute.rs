@@ -58,7 +58,7 @@ pub struct Executed {
     pub reports: Vec<Report>,
     /// Of a Stop: what could not be stopped; the others are.
     pub failed: Vec<(ComponentId, Refusal)>,
-    /// Of a system file: what no request does, and who does.
+    /// Differences from a system file that no request ends, and who does.
     pub left: Vec<String>,
 }
 
@@ -92,7 +92,7 @@ impl Gcm {
         self.once(&requests, &options, deadline, self.audited(&requests, &options, deadline)).await
     }
 
-    /// What is carried out, unless the same was asked under its id before.
+    /// Carries it out, unless the same was asked under its id before.
     pub(super) async fn once(
         &self,
         asked: &impl std::fmt::Debug,

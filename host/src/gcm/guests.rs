@@ -238,8 +238,8 @@ struct Stands {
     id: ComponentId,
     state: State,
     ports: Arc<Ports>,
-    /// Required interfaces that went with their connections, the last ones. A change that fails after one went,
-    /// or that makes the other end anew, connects it again.
+    /// Required interfaces that went with their connections, the last ones. A change that fails after that,
+    /// or that makes the other end anew, connects one again.
     parted: VecDeque<Required>,
     /// Of the last report.
     number: u64,

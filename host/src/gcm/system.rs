@@ -15,7 +15,7 @@ use super::manager::lock;
 use super::requests::Answer;
 use crate::system_file::{Difference, Running, SystemFile};
 
-/// How often a system that others change meanwhile is compared.
+/// Comparisons of a system that others change meanwhile, at most.
 const ATTEMPTS: usize = 5;
 
 impl Gcm {
@@ -60,7 +60,7 @@ impl Gcm {
         lock(&self.inner.holds).all()
     }
 
-    /// How the system differs from what the text of a system file says, and the revision that was compared.
+    /// Compares the system with what the text of a system file says; answers the revision, too.
     ///
     /// # Errors
     /// ArgumentInvalid for a text that is no system file; what refuses a component of it.

@@ -1,8 +1,8 @@
 //! A running system against a system file: what differs, and the requests that make it what the file says.
 //!
-//! Invariant: pure. Whole values are compared, those a class fills in included, so two ways to say the same are
-//! no difference. What the file does not name is left alone unless it is to be taken away, nobody else's
-//! processes are touched, and what waits for a person is not moved.
+//! Invariant: pure. Whole values are compared, those a class fills in included, so two ways to say the same
+//! are no difference. Parts that the file does not name are left alone unless they are to be taken away,
+//! nobody else's processes are touched, and what waits for a person is not moved.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,22 +16,22 @@ use super::running::home;
 use super::words::{executions, options, settings};
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, in_thread_order};
 
-/// What differs, and what to do about it.
+/// The differences, and the requests that end them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Difference {
     /// A line each: `+` is in the file alone, `-` in the system alone, `~` in both and not the same.
     pub lines: Vec<String>,
     /// All that makes the system what the file says, in this order.
     pub requests: Vec<Request>,
-    /// What no request does, and who does.
+    /// Differences that no request ends, and who does.
     pub left: Vec<String>,
-    /// Why the requests must not be carried out as things stand.
+    /// The reason why the requests must not be carried out as things stand.
     pub refused: Option<Refusal>,
 }
 
 impl SystemFile {
-    /// What has to happen to `running` for it to be as the file says. With `prune` what the file's processes
-    /// have and the file does not goes, but for what is `held` by a program.
+    /// Compares `running` with what the file says. With `prune` all that the file's processes have and the
+    /// file does not goes, but for what is `held` by a program.
     ///
     /// # Errors
     /// A component of the file that cannot be made; two servers for one client.
@@ -111,7 +111,7 @@ fn create(c: &ComponentSpec) -> Request {
     Request::Create { id, class, config, execution }
 }
 
-/// What is done with one component.
+/// One component, and the things done with it.
 #[derive(Debug, Default)]
 struct Part {
     /// It is taken away, for ever or to be made anew.
@@ -149,8 +149,8 @@ impl Comparing<'_> {
         }
     }
 
-    /// Those that are not there: no request starts one, unless it is for a single component. And what of a
-    /// file counts only when its processes are started.
+    /// Names processes that are not there: no request starts one, unless it is for a single component. And
+    /// names the parts of a file that count only when its processes are started.
     fn processes(&mut self) {
         let file = self.file;
         let apart: BTreeSet<&Name> =
@@ -249,15 +249,13 @@ impl Comparing<'_> {
     /// Components of the file's processes that are not in the file.
     fn others(&mut self) {
         let running = self.running;
-        // The same component, in the process of its own that the file does not give it, or the other way
-        // round.
-        let elsewhere: BTreeSet<ComponentId> = self
-            .specs
-            .values()
+        // A component that is not where the file says may be in a process of its own, or not in one, instead.
+        let absent = self.specs.values().filter(|spec| !running.components.contains_key(&spec.id));
+        let elsewhere: BTreeSet<ComponentId> = absent
             .filter_map(|spec| if spec.isolated { Some(spec.written.clone()) } else { spec.id.apart().ok() })
             .collect();
         for (id, c) in &running.components {
-            if self.parts.contains_key(id) || !self.is_ours(id) && !elsewhere.contains(id) {
+            if self.parts.contains_key(id) || !self.is_ours(id) {
                 continue;
             }
             let moves = elsewhere.contains(id);
@@ -275,7 +273,7 @@ impl Comparing<'_> {
         }
     }
 
-    /// Whoever runs in the thread of one that goes, goes with it; and comes back, unless it is not wanted.
+    /// Takes along all that run in the thread of one that goes; they come back, unless they are not wanted.
     fn thread_mates(&mut self) {
         let running = self.running;
         let mut mates: BTreeMap<ComponentId, Vec<&ComponentId>> = BTreeMap::new();
@@ -358,7 +356,7 @@ impl Comparing<'_> {
             if !differ && !anew {
                 continue;
             }
-            // Whoever runs on is rewired in one step; of others all old wires go before new ones come.
+            // A client that runs on is rewired in one step; of others all old wires go before new ones come.
             let replace = old.is_some() && !anew && self.runs_on(&client.component);
             self.cuts.extend(old.filter(|_| !replace).map(|old| old.id));
             let options = ConnectOptions { replace, ..wanted.clone() };
@@ -423,7 +421,7 @@ impl Comparing<'_> {
         }
     }
 
-    /// What stands still first, then what goes, and what moves last.
+    /// The requests in order: stops first, then removals, and starts last.
     fn requests(self) -> Difference {
         let Comparing { file, specs, running, parts, cuts, mut ties, mut out, .. } = self;
         let all = |which: &dyn Fn(&Part) -> bool| -> Vec<ComponentId> {
@@ -437,7 +435,7 @@ impl Comparing<'_> {
         }
         out.requests.extend(cuts.into_iter().map(|id| Request::Disconnect { which: Which::Id(id) }));
         let mut goes = all(&|part| part.goes);
-        // Whoever runs in another's thread goes before it, and comes after it.
+        // A component in another's thread goes before it, and comes after it.
         goes.sort_by_key(|id| std::cmp::Reverse(depth(running, id)));
         let mut others = goes.clone();
         others.retain(|id| !specs.contains_key(id));
@@ -472,7 +470,7 @@ fn waits(spec: &ComponentSpec, now: &Component) -> bool {
     }
 }
 
-/// What a person has to do for it to go on.
+/// Says what a person has to do for it to go on.
 fn person(id: &ComponentId, now: &Component, anew: bool) -> String {
     let why = if now.fault.is_empty() { String::new() } else { format!(" ({})", now.fault) };
     let state = now.state;
@@ -495,7 +493,7 @@ fn apart(make: Request, spec: &ComponentSpec, running: &SystemGraph) -> Request 
     }
 }
 
-/// How many components' threads it is in, one inside the other.
+/// The number of components whose threads it is in, one inside the other.
 fn depth(graph: &SystemGraph, id: &ComponentId) -> usize {
     let host = |id: &ComponentId| host_of(&graph.components.get(id)?.execution);
     std::iter::successors(host(id), host).take(graph.components.len()).count()

@@ -24,8 +24,8 @@ pub struct Judged {
 }
 
 impl SystemFile {
-    /// Judges the file by the processes of `graph`, and what runs there already. A hundred problems are listed,
-    /// at most.
+    /// Judges the file by the processes of `graph`, and what runs there already. A hundred problems are
+    /// listed, at most.
     pub fn judge(&self, graph: &SystemGraph) -> Judged {
         let (mut judged, mut planning) = (Judged::default(), Planning::of(graph));
         // Not there, since their Create was refused; and those that miss a connection for such a reason.

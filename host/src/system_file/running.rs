@@ -24,12 +24,12 @@ pub struct Running<'a> {
     pub plugins: &'a BTreeMap<Name, BTreeSet<PathBuf>>,
 }
 
-/// What a GCM is not told of processes and components.
+/// Settings of processes and components that a GCM is not told.
 const NOT_KNOWN: &str = "trust, listen, state, env, restart, memory and allow_exec of processes and resume of components are not \
                          known to a GCM: where they were other than usual, take them from the file it was started by";
 
 impl Running<'_> {
-    /// What a file that lies in `folder` says of it, and what it does not say.
+    /// The system as a file that lies in `folder` says it, and notes on what such a file does not say.
     pub fn picture(&self, folder: &Path) -> (Picture, Vec<String>) {
         let (graph, mut notes) = (self.graph, Vec::new());
         let guests = graph.processes.iter().filter(|(_, p)| !p.guest.is_empty());
@@ -77,7 +77,7 @@ impl Running<'_> {
         let isolated = home.is_some();
         let written = home.map_or_else(|| id.clone(), |home| ComponentId::new(home, id.component.clone()));
         let config = without_defaults(&c.class.config_schema, &c.config);
-        // What is CREATED has an incomplete one, which is not taken when it is given.
+        // A component in CREATED has an incomplete one, which is not taken when it is given.
         let given =
             c.state != State::Created && config.as_object().is_none_or(|settings| !settings.is_empty());
         ComponentSpec {

@@ -7,10 +7,9 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 use serde_json::json;
-use trocar_model::{
-    ClassInfo, Process, ProcessState, Request, State, StopReason, SystemGraph, Warnings, plan_all,
-};
+use trocar_model::{ClassInfo, ProcessState, Request, State, StopReason, SystemGraph, plan_all};
 
+use super::tests::processes_of;
 use super::{Difference, Running, SystemFile};
 
 /// The class `arm` with settings of every kind, and another one like it.
@@ -36,22 +35,7 @@ fn classes() -> Vec<Arc<ClassInfo>> {
 }
 
 fn processes(names: &[&str]) -> SystemGraph {
-    let process = |name: &&str| {
-        let process = Process {
-            epoch: 1,
-            state: ProcessState::Attached,
-            endpoint: String::new(),
-            pid: 0,
-            classes: classes(),
-            last_exit: String::new(),
-            restarts: 0,
-            warnings: Warnings::default(),
-            guest: String::new(),
-        };
-        (name.parse().unwrap(), process)
-    };
-    let processes = names.iter().map(process).collect();
-    SystemGraph { processes, next_connection: 1, ..SystemGraph::default() }
+    processes_of(names, &classes())
 }
 
 fn parse(text: &str) -> SystemFile {
@@ -294,6 +278,33 @@ fn a_component_that_moves_into_a_process_of_its_own_does_not_run_twice() {
 }
 
 #[test]
+fn nobody_elses_component_is_taken_away_for_a_name_that_is_like_one_apart() {
+    // Somebody's own process, called so, beside a component of that name.
+    let text = RICH.replace(
+        r#""host/a": { "class": "toy/arm" }"#,
+        r#""host/a": { "class": "toy/arm" }, "host.a/a": { "class": "toy/leg" }"#,
+    );
+    let text = text.replace(r#""processes": {"#, r#""processes": { "host.a": {},"#);
+    let graph = made(&parse(&text), &["host", "host.a"]);
+    for prune in [false, true] {
+        let found = parse(RICH).difference(&graph, &BTreeSet::new(), prune).unwrap();
+        assert_eq!(found, Difference::default(), "prune: {prune}");
+    }
+    // Nor is one of the home process, where that apart is there.
+    let apart = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
+    let found = parse(&apart).difference(&graph, &BTreeSet::new(), false).unwrap();
+    let gone: Vec<String> = found
+        .requests
+        .iter()
+        .filter_map(|r| match r {
+            Request::Remove { id, .. } => Some(id.to_string()),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(gone, ["host.a/a"], "it is made anew, of the file's class: {found:#?}");
+}
+
+#[test]
 fn what_a_program_holds_is_neither_saved_nor_taken_away() {
     let graph = made(&parse(RICH), &["host"]);
     let held: BTreeSet<_> = ["host/c".parse().unwrap()].into();
@@ -315,7 +326,7 @@ fn a_process_that_is_not_heard_is_compared_by_what_it_had() {
     let found = difference(&parse(RICH), &graph);
     assert_eq!((found.lines.len(), found.requests.len()), (0, 0), "{found:#?}");
     assert!(found.left[0].contains("process host is LOST"), "{:?}", found.left);
-    // What would go is not certain to be there.
+    // Nothing is taken away that may not be there.
     let less = parse(&RICH.replace("host/a", "host/z"));
     let found = difference(&less, &graph);
     assert!(found.left.iter().any(|why| why.contains("trocar forget host")), "{found:#?}");

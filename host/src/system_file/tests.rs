@@ -1,12 +1,13 @@
 //! Each kind of mistake in a system file, with the place and the help it must answer.
 #![allow(clippy::unwrap_used)]
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::json;
 use trocar_model::{
-    ExecutionModel, OnFailure, Process, ProcessState, Queue, Refusal, Request, SystemGraph, Wake, Warnings,
-    plan_all,
+    ClassInfo, ExecutionModel, OnFailure, Process, ProcessState, Queue, Refusal, Request, SystemGraph, Wake,
+    Warnings, plan_all,
 };
 
 use super::{Problem, SystemFile, system_schema};
@@ -455,13 +456,18 @@ fn a_refusal_that_is_led_back_to_a_file_tells_what_to_change_in_the_file() {
 
 /// Processes whose plugins offer the class `arm`: an input, an output, a required and a provided interface.
 fn processes(names: &[&str]) -> SystemGraph {
+    processes_of(names, &[crate::gcm::fake::class()])
+}
+
+/// Processes without components whose plugins offer these classes.
+pub(super) fn processes_of(names: &[&str], classes: &[Arc<ClassInfo>]) -> SystemGraph {
     let process = |name: &&str| {
         let process = Process {
             epoch: 1,
             state: ProcessState::Attached,
             endpoint: String::new(),
             pid: 0,
-            classes: vec![crate::gcm::fake::class()],
+            classes: classes.to_vec(),
             last_exit: String::new(),
             restarts: 0,
             warnings: Warnings::default(),

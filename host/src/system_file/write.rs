@@ -19,7 +19,7 @@ const WIDTH: usize = 110;
 /// Whole numbers up to this are the same as doubles.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
-/// What a system file says, wherever it comes from.
+/// The content of a system file, wherever it comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Picture {
     pub processes: Vec<ProcessSpec>,
@@ -28,7 +28,7 @@ pub struct Picture {
 }
 
 impl SystemFile {
-    /// What it says, its settings of the command line included.
+    /// Its content, settings of the command line included.
     pub fn picture(&self) -> Picture {
         Picture {
             processes: self.processes.clone(),
@@ -173,7 +173,7 @@ enum Node {
     List(Vec<Node>),
 }
 
-/// What is set, in this order.
+/// An object of all that is set, in this order.
 fn object<'a>(entries: impl IntoIterator<Item = (&'a str, Option<Value>)>) -> Node {
     let set = entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), node(value?))));
     Node::Object(set.collect())

@@ -2765,7 +2765,7 @@ pub struct SaveResponse {
     /// The text of the file. What classes fill in by themselves is left out, and guests are.
     #[prost(string, tag = "2")]
     pub text: ::prost::alloc::string::String,
-    /// What is not in it, and where to take it from.
+    /// Sentences about things that are not in it, and where to take them from.
     #[prost(string, repeated, tag = "3")]
     pub notes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2786,7 +2786,7 @@ pub struct CompareResponse {
     /// None: no difference.
     #[prost(string, repeated, tag = "2")]
     pub differences: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// What Apply does not do about them, and who does.
+    /// Differences that Apply does not end, and who does.
     #[prost(string, repeated, tag = "3")]
     pub notes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -3371,7 +3371,7 @@ pub mod gcm_service_client {
             req.extensions_mut().insert(GrpcMethod::new("trocar.v1.GcmService", "Save"));
             self.inner.unary(req, path, codec).await
         }
-        /// How the system differs from what a system file says. Changes nothing.
+        /// Compares the system with what a system file says. Changes nothing.
         pub async fn compare(
             &mut self,
             request: impl tonic::IntoRequest<super::CompareRequest>,
@@ -3617,7 +3617,7 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::SaveRequest>,
         ) -> std::result::Result<tonic::Response<super::SaveResponse>, tonic::Status>;
-        /// How the system differs from what a system file says. Changes nothing.
+        /// Compares the system with what a system file says. Changes nothing.
         async fn compare(
             &self,
             request: tonic::Request<super::CompareRequest>,

@@ -17,8 +17,8 @@ STANDSTILL_S = 60
 
 
 def _heard(look):
-    """What ``look`` answered, and why not: an assertion does not hold yet, or a process is thought lost, as it may be for a moment
-    on a busy machine.
+    """The answer of ``look``, or why there is none: an assertion does not hold yet, or a process is thought
+    lost, as it may be for a moment on a busy machine.
     """
     try:
         return look(), None

@@ -1,7 +1,7 @@
 //! `trocar save`, `diff` and `apply`: a running system and a system file, from one to the other.
 //!
-//! Promise: what is saved makes the same system again; a system becomes what a file says, all of it or nothing,
-//! and what does not differ goes on as it was.
+//! Promise: a saved file makes the same system again; a system becomes what a file says, all of it or
+//! nothing, and what does not differ goes on as it was.
 
 use std::fs;
 
@@ -125,7 +125,7 @@ fn a_system_becomes_what_a_file_says_and_what_does_not_differ_goes_on() {
     // The plan, and nothing is done.
     trocar.run(&["apply", &file, "--prune", "--dry-run"]).ends_with(OK).says("nothing was changed");
     assert_eq!(differences(&trocar, &file).len(), expected.len());
-    // What the file does not name stays, unless it is said.
+    // Nothing goes that the file does not name, unless it is said.
     trocar.run(&["apply", &file]).ends_with(OK).says("control/filter  ACTIVE");
     assert_eq!(differences(&trocar, &file), ["- control.wave/wave (sine/sine)"]);
     trocar.run(&["apply", &file, "--prune"]).ends_with(OK);

@@ -62,7 +62,7 @@ impl Session {
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
     }
 
-    /// How the system differs from what the text of a system file says.
+    /// Compares the system with what the text of a system file says.
     pub(in crate::cli) async fn compare(&self, system: &str) -> Result<v1::CompareResponse, Failure> {
         let ask = v1::CompareRequest { system: system.to_owned() };
         let answer = self.client().await?.gcm.compare(ask).await.map_err(|s| self.failed(&s))?;

@@ -70,7 +70,7 @@ pub(super) fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
     skipped.map(|s| v1::SkippedComponent { path: s.id.to_string(), why: s.why.clone() }).collect()
 }
 
-/// How each component that is there in the end stands then, once each; its ports are for Describe.
+/// The state of each component that is there in the end, once each; its ports are for Describe.
 pub(super) fn told(done: &Executed) -> Vec<v1::ComponentReport> {
     let mut out: Vec<v1::ComponentReport> = Vec::with_capacity(done.reports.len());
     let mut gone = BTreeSet::new();

@@ -1,7 +1,7 @@
-/// What was changed from this page, and how it is taken back and done again.
+/// Changes made from this page, and the steps that take them back and do them again.
 ///
-/// Invariant: nothing is taken back but what was done here, by requests like any other: what stands in the way
-/// is told. What runs is not taken away, and what ran before it was removed comes back at rest.
+/// Invariant: nothing is taken back but changes made here, by requests like any other: obstacles are told.
+/// Nothing that runs is taken away, and what ran before it was removed comes back at rest.
 import type { MessageInitShape } from '@bufbuild/protobuf';
 import { Code, ConnectError } from '@connectrpc/connect';
 import type { StepSchema } from '../gen/trocar/v1/gcm_pb';
@@ -32,8 +32,7 @@ class Changes {
   future = $state.raw<Change[]>([]);
   #busy = false;
 
-  /// What was done is the last thing that can be taken back; what had been taken back before cannot be done
-  /// again.
+  /// The change is the last one that can be taken back; those taken back before cannot be done again.
   #done(change: Change) {
     this.past = [...this.past, change].slice(-MOST);
     this.future = [];
@@ -104,13 +103,13 @@ class Changes {
     return done;
   }
 
-  /// Of a component that was just made from a form.
+  /// Notes a component that was just made from a form.
   created(path: string, cls: string, config: Values | undefined, execution: Asked | undefined) {
     const made: Step = { case: 'create', value: { path, class: cls, config: config as never, execution } };
     this.#done({ what: `Create ${path}`, back: [{ case: 'remove', value: { path } }], again: [made], takes: path });
   }
 
-  /// Of one that was just configured: the parts that were changed, as they are sent, and as they were before.
+  /// Notes one that was just configured: its changed parts as they were sent, and as they were before.
   configured(path: string, now: Settings, before: Settings) {
     this.#done({ what: `Configure ${path}`, back: [configure(path, before)], again: [configure(path, now)] });
   }
@@ -134,7 +133,7 @@ function tie({ client, server, options }: Connection): Step {
   return { case: 'connect', value: { client, server, options: options && { ...options, replace: false } } };
 }
 
-/// How one is made that lives at this path: one in a process of its own by the name it is written with.
+/// The path and isolation that make one which lives here: in a process of its own it is written otherwise.
 function lives(path: string) {
   const [process, name] = path.split('/');
   const home = process.endsWith(`.${name}`) ? process.slice(0, -name.length - 1) : '';

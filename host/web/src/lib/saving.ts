@@ -2,7 +2,7 @@
 import { gcm, PATIENCE, said } from './api';
 import { page } from './page.svelte';
 
-/// How long the browser may take to begin, ms.
+/// Time the browser has to begin, ms.
 const BEGINS = 60_000;
 
 export async function save() {

@@ -149,8 +149,8 @@ class Changing:
         return Answer("Apply", answer, dry_run)
 
     def diff(self, system: Any) -> list[str]:
-        """How the system differs from a file (or a dict of its form): a line each, ``+`` in the file alone, ``-`` in the system
-        alone, ``~`` in both and not the same. Empty: it does not.
+        """Compares the system with a file (or a dict of its form): a line for each difference, ``+`` in the
+        file alone, ``-`` in the system alone, ``~`` in both and not the same. Empty: there is none.
         """
         __tracebackhide__ = True
         name, text = _system_file.text_of(system, "diff")
