@@ -1,17 +1,22 @@
 /// Whether people without a mouse, or who hear the page instead of seeing it, can use it: judged by axe-core, view by view.
 import fs from 'node:fs';
 import { createRequire } from 'node:module';
+import { odd, small } from './letters.mjs';
 import { box, connect, create, eventually, is, reveal, settled, start } from './world.mjs';
 
 const AXE = fs.readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 
-/// What axe finds wrong in this view: rule, how bad, and the first places.
+/// What axe finds wrong in this view: rule, how bad, and the first places; letters below 11 px and signs that a font may lack.
 async function wrong(page, view) {
   // Sent by the driver: the page's policy lets in no script that is not its own.
   if (!(await page.evaluate(() => 'axe' in window))) await page.evaluate(AXE);
   const { violations, passes } = await page.evaluate(() => window.axe.run(document, { resultTypes: ['violations'] }));
   if (passes.length < 10) throw new Error(`${view}: axe looked at nothing: ${passes.length} rules passed`);
-  return violations.map((v) => `${view}: ${v.id} (${v.impact}): ${v.help}: ${v.nodes.length} × ${v.nodes.slice(0, 3).map((n) => `${n.html.slice(0, 160)} ${n.any[0]?.message ?? ''}`).join(' | ')}`);
+  return [
+    ...violations.map((v) => `${view}: ${v.id} (${v.impact}): ${v.help}: ${v.nodes.length} × ${v.nodes.slice(0, 3).map((n) => `${n.html.slice(0, 160)} ${n.any[0]?.message ?? ''}`).join(' | ')}`),
+    ...(await small(page)).map((s) => `${view}: small letters: ${s}`),
+    ...(await odd(page)).map((c) => `${view}: a sign that a font may lack: ${c}`),
+  ];
 }
 
 async function every_view(world, scheme) {

@@ -270,7 +270,7 @@ export async function three_hundred_components_are_drawn_and_can_be_worked_with(
   await page.locator('.inspector', { hasText: 'host/e77' }).waitFor();
   await eventually('it is in the middle and can be read', async () => {
     const b = await box(page, 'host/e77').boundingBox();
-    return b && b.width > 150 && b.x > 200 && b.x + b.width < 1130 && b.y > 100 && b.y + b.height < 850;
+    return b && b.width > 140 && b.x > 200 && b.x + b.width < 1130 && b.y > 100 && b.y + b.height < 850;
   });
   await shot(page, 'three-hundred-found');
   is(await state(host.addr, 'host/e77'), 'READY', 'state');

@@ -53,6 +53,11 @@ export function processOf(p: Process): { text: string; tone: Tone } {
   }
 }
 
+/// `1 process`, `2 processes`.
+export function amount(n: number, noun: string): string {
+  return `${n} ${noun}${n === 1 ? '' : /s$/.test(noun) ? 'es' : 's'}`;
+}
+
 /// 12 300 → "12.3 k".
 export function many(n: number): string {
   const a = Math.abs(n);
