@@ -276,6 +276,7 @@ SUITES = [
     outer("sdk_devices", "the sdk's device contracts", grpcurl=False),
     outer("sdk_helpers", "the sdk's helpers", grpcurl=False),
     outer("services", "what components ask of the manager"),
+    script("readme", "the README, typed in", mode("python3", "tests/readme/suite.py"), grpcurl=True),
     script("gate", "the runner of these suites itself", mode("python3", "tests/gate/tests.py"), drives=False),
     script(
         "viewer_dist",

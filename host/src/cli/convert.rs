@@ -83,6 +83,7 @@ pub(super) fn component(c: &v1::Component) -> ComponentView {
     ComponentView {
         path: c.path.clone(),
         class: c.class.clone(),
+        plugin_version: c.plugin_version.clone(),
         state: state(c.state(), c.stop_reason()),
         health: health(c.health()),
         fault: c.fault.clone(),

@@ -5,8 +5,8 @@
 use clap::{Args, ValueEnum};
 
 use super::failure::{Done, Exit};
-use super::out;
 use super::session::Session;
+use super::{out, units};
 
 /// Shows what components and hosts log: also what was asked of the system and what came of it, and refused plugin files.
 #[derive(Args, Debug)]
@@ -43,7 +43,7 @@ pub(super) async fn run(args: LogsArgs, session: &Session) -> Done {
             continue;
         }
         if line.skipped > 0 {
-            out::line(&format!("({} lines lost)", line.skipped));
+            out::line(&format!("({} lost)", units::count(line.skipped, "line")));
         }
         out::line(&format!(
             "{}  {:5}  {}  {}",

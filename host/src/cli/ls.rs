@@ -83,7 +83,8 @@ fn processes(view: &SystemView) -> Table {
 
 fn components(view: &SystemView) -> Table {
     let mut table = Table::new(&[
-        "PATH", "CLASS", "STATE", "HEALTH", "RUNS", "STEPS", "SKIPPED", "OVERRUNS", "LATE p99", "LOAD",
+        "PATH", "CLASS", "VERSION", "STATE", "HEALTH", "RUNS", "STEPS", "SKIPPED", "OVERRUNS", "LATE p99",
+        "LOAD",
     ]);
     for c in &view.components {
         let state = if c.fault.is_empty() {
@@ -95,6 +96,7 @@ fn components(view: &SystemView) -> Table {
         table.styled([
             plain(&c.path),
             plain(&c.class),
+            plain(&c.plugin_version),
             (state, style::of_state(&c.state)),
             (c.health.clone(), style::of_state(&c.health)),
             plain(c.runs()),

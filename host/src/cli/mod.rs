@@ -23,6 +23,7 @@ mod failure;
 mod forget;
 mod gcm;
 mod graph;
+mod help;
 mod hosting;
 mod hz;
 mod logging;
@@ -77,6 +78,7 @@ use trocar_rt::house;
     version,
     propagate_version = false,
     disable_help_subcommand = true,
+    help_template = help::TEMPLATE,
     max_term_width = 110
 )]
 struct Cli {
@@ -91,8 +93,20 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse
 /// it in a clear sentence, and do not offer it.
-const ASK_NO_GCM: [&str; 11] =
-    ["demo", "run", "gcm", "down", "check", "info", "export", "doctor", "token", "completions", "schema"];
+const ASK_NO_GCM: [&str; 12] = [
+    "demo",
+    "run",
+    "gcm",
+    "down",
+    "check",
+    "info",
+    "export",
+    "doctor",
+    "help",
+    "token",
+    "completions",
+    "schema",
+];
 const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 
 /// Flags every subcommand takes.
@@ -145,6 +159,7 @@ enum Command {
     Logs(logs::LogsArgs),
     Plugin(plugin::PluginArgs),
     Doctor(doctor::DoctorArgs),
+    Help(help::HelpArgs),
     Token(token::TokenArgs),
     Completions(completions::CompletionsArgs),
     Schema(schema::SchemaArgs),
@@ -212,6 +227,7 @@ fn dispatch(cli: Cli) -> Done {
         Command::Logs(args) => ask(logs::run(args, &session)),
         Command::Plugin(args) => ask(plugin::run(args, &session)),
         Command::Doctor(args) => doctor::run(&args, &session),
+        Command::Help(args) => help::run(&args, command()),
         Command::Token(args) => token::run(&args, &session),
         Command::Completions(args) => Ok(completions::run(&args)),
         Command::Schema(args) => Ok(schema::run(&args)),
@@ -320,7 +336,9 @@ pub fn command() -> clap::Command {
         true => unused(sub),
         false => sub,
     };
-    Cli::command().mut_subcommands(|sub| match sub.get_name() {
+    let program = Cli::command();
+    let tasks = help::by_task(&program);
+    program.after_help(tasks).mut_subcommands(|sub| match sub.get_name() {
         "host" | "up" => sub.arg(of_host.clone()),
         "plugin" => sub.mut_subcommands(of_plugin),
         name if ASK_NO_GCM.contains(&name) => unused(sub),

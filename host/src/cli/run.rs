@@ -12,7 +12,7 @@ use trocar_model::Refusal;
 use super::failure::{Done, Exit, Failure};
 use super::named::FileArgs;
 use super::session::Session;
-use super::{check, hosting, logging, offline, out, session};
+use super::{check, hosting, logging, offline, out, session, units};
 use crate::gcm::ExecuteOptions;
 use crate::host::{Host, HostConfig, StopRequest};
 use crate::system_file::SystemFile;
@@ -163,7 +163,11 @@ fn say_running(host: &Host, file: &SystemFile, session: &Session) {
         return;
     }
     let addr = hosting::address(host);
-    out::line(&format!("{components} components, {connections} connections; listening on {addr}"));
+    out::line(&format!(
+        "{}, {}; listening on {addr}",
+        units::count(components as u64, "component"),
+        units::count(connections as u64, "connection")
+    ));
     out::text(&hints(&addr, None));
 }
 

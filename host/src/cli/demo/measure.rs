@@ -245,13 +245,13 @@ impl Report {
         let (robot, video) = (&self.robot, &self.video);
         let scan = self.scan.as_ref().map(Scanned::summary).unwrap_or_default();
         format!(
-            "robot {} steps in {:.1} s, {} skipped, {} overruns, late p99 {}; video {} pairs in {:.1} s ({}), {} dropped, {} left out, latency p99 {}\n{scan}",
-            robot.executed,
+            "robot {} in {:.1} s, {} skipped, {}, late p99 {}; video {} in {:.1} s ({}), {} dropped, {} left out, latency p99 {}\n{scan}",
+            units::count(robot.executed, "step"),
             robot.seconds,
             robot.skipped,
-            robot.overruns,
+            units::count(robot.overruns, "overrun"),
             units::time(robot.lateness_p99_ns),
-            video.pairs,
+            units::count(video.pairs, "pair"),
             self.seconds,
             units::rate(video.rate_hz),
             video.drops,

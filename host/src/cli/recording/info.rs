@@ -278,11 +278,13 @@ fn show(view: &InfoView) {
         size(view.bytes),
         view.duration_s,
         match view.counted {
-            Counted::Read => format!("{} messages", view.messages),
-            Counted::Told =>
-                format!("{} messages as the file says, not all of which can be read", view.messages),
+            Counted::Read => units::count(view.messages, "message"),
+            Counted::Told => format!(
+                "{} as the file says, not all of which can be read",
+                units::count(view.messages, "message")
+            ),
             Counted::Part if view.messages == 0 => "none of its messages can be read".to_owned(),
-            Counted::Part => format!("at least {} messages", view.messages),
+            Counted::Part => format!("at least {}", units::count(view.messages, "message")),
         },
         if view.loss_told { format!("{} lost", view.lost) } else { "losses are not told in it".to_owned() },
         if view.reason.is_empty() {

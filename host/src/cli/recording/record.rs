@@ -351,7 +351,7 @@ fn progress(status: &Value, bytes: u64, elapsed: f64) -> String {
         n => format!(", {n} interrupted"),
     };
     let (messages, lost) = (number("messages"), number("lost"));
-    format!("{messages} messages, {} ({rate}), {lost} lost{interrupted}", size(bytes))
+    format!("{}, {} ({rate}), {lost} lost{interrupted}", units::count(messages, "message"), size(bytes))
 }
 
 /// What to say of so many bytes per second: that they are many, and when the disk is full.
@@ -478,9 +478,9 @@ fn shown(view: RecordedView, session: &Session) -> Done {
         session.print_json(&view)?;
     } else {
         out::say(&format!(
-            "{}: {} messages of {}, {}, {} lost",
+            "{}: {} of {}, {}, {} lost",
             view.file,
-            view.messages,
+            units::count(view.messages, "message"),
             units::count(view.topics as u64, "output"),
             size(view.bytes),
             view.lost

@@ -162,11 +162,11 @@ impl Shown {
             format!("sorted by {}{}", self.sort.name(), if self.reversed { ", reversed" } else { "" });
         let paused = if self.paused { "  paused" } else { "" };
         format!(
-            "revision {}  {} processes  {} components  {} connections  {sorted}{paused}   q quit  s sort  r reverse  space pause",
+            "revision {}  {}  {}  {}  {sorted}{paused}   q quit  s sort  r reverse  space pause",
             f.revision,
-            f.processes.len(),
-            f.components.len(),
-            f.connections.len()
+            units::count(f.processes.len() as u64, "process"),
+            units::count(f.components.len() as u64, "component"),
+            units::count(f.connections.len() as u64, "connection")
         )
     }
 }

@@ -13,6 +13,7 @@ use tokio::task::JoinHandle;
 use trocar_model::Name;
 use trocar_rt::house;
 
+use super::super::units;
 use super::news::News;
 use super::programs::GCM;
 use super::{Up, called};
@@ -124,9 +125,11 @@ impl Voice {
         }
         let (components, connections) = (file.components.len(), file.connections.len());
         self.line(&format!(
-            "{} is up: {} processes, {components} components, {connections} connections; GCM {gcm}",
+            "{} is up: {}, {}, {}; GCM {gcm}",
             self.name,
-            hosts().count()
+            units::count(hosts().count() as u64, "process"),
+            units::count(components as u64, "component"),
+            units::count(connections as u64, "connection")
         ));
         for (name, status) in hosts() {
             let at = status.address.as_deref().unwrap_or("nowhere");

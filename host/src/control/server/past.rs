@@ -44,7 +44,7 @@ pub(super) async fn stop(
         return Ok(v1::StopResponse { plan, ..Default::default() });
     }
     let stopped = stop_active(lcm, named, until - room(until)).await.map_err(refuse)?;
-    log::info!(target: "audit", "{who} asked Stop at this host, past its GCM: {} components", stopped.len());
+    log::info!(target: "audit", "{who} asked Stop at this host, past its GCM: {} stopped", stopped.len());
     let mut answer = v1::StopResponse {
         warnings: vec!["it was stopped at its host, past the GCM, which hears of it afterwards".to_owned()],
         ..Default::default()
