@@ -30,7 +30,7 @@ def test_a_recorder_that_is_killed_leaves_what_was_written_to_stock_readers():
         told = world.run("info", "rec/a.mcap", code=PARTIAL)
         assert "before it could close it" in told.stderr, told.stderr
         world.run("export", "rec/a.mcap", "--csv", code=PARTIAL)
-        rows = (world.dir / "rec/a/host_sine_value.csv").read_text().splitlines()
+        rows = (world.dir / "rec/a-csv/host_sine_value.csv").read_text().splitlines()
         assert len(rows) == len(values) + 1, (len(rows), len(values))
 
 

@@ -29,7 +29,7 @@ def test_video_is_recorded_raw_and_without_loss_in_less_room():
                 assert image.format == kind and image.data[:4] in (b"qoif", b"\xff\xd8\xff\xe0"), image.format
             world.run("export", f"{kind}.mcap", "--png", code=OK)
             ending = "jpg" if kind == "jpeg" else "png"
-            picture = world.dir / kind / "host_camera_image_left" / f"000000.{ending}"
+            picture = world.dir / f"{kind}-png" / "host_camera_image_left" / f"000000.{ending}"
             assert picture.read_bytes()[1:4] == b"PNG" or kind == "jpeg"
 
 
@@ -81,7 +81,7 @@ def test_every_recorded_pixel_is_the_one_that_was_sent():
                 seen = []
                 for eye, name in enumerate(("left", "right")):
                     images = topics[f"/{process}/camera/image/{name}"]
-                    folder = world.dir / kind / f"{process}_camera_image_{name}"
+                    folder = world.dir / f"{kind}-png" / f"{process}_camera_image_{name}"
                     which = []
                     for n, (message, image) in enumerate(images):
                         exported = np.asarray(Image.open(folder / f"{n:06}.png")).tobytes()
@@ -154,9 +154,9 @@ def test_numbers_go_to_numpy_and_tables():
         first_ms, last_ms = (int(whole[at] - begin) // 1_000_000 + 1 for at in (n // 3, 2 * n // 3))
         part = ["--from", f"{first_ms}ms", "--to", f"{last_ms}ms"]
         world.run("export", "a.mcap", "--csv", *part, "--topic", "host/sine", code=OK)
-        rows = (world.dir / "a/host_sine_value.csv").read_text().splitlines()
+        rows = (world.dir / "a-csv/host_sine_value.csv").read_text().splitlines()
         assert rows[0] == "log_time_ns,publish_time_ns,sequence,stamp,value" and 1 < len(rows) < n, rows[:2]
-        assert [p.name for p in (world.dir / "a").iterdir()] == ["host_sine_value.csv"]
+        assert [p.name for p in (world.dir / "a-csv").iterdir()] == ["host_sine_value.csv"]
         world.run("export", "a.mcap", "--npz", *part, "-o", "part.npz", code=OK)
         some = np.load(world.dir / "part.npz")["host/sine/value/log_time_ns"].astype(np.int64)
         wanted = whole[(whole >= begin + first_ms * 1_000_000) & (whole <= begin + last_ms * 1_000_000)]
@@ -186,7 +186,7 @@ def test_tables_of_more_topics_than_files_may_be_open_are_written_all():
                               capture_output=True, text=True)
         assert done.returncode == OK and json.loads(done.stdout)["files"] == 300, (done.returncode, done.stdout, done.stderr)
         for n in (0, 299):
-            with open(world.dir / f"many/host_c{n}_value.csv", newline="") as file:
+            with open(world.dir / f"many-csv/host_c{n}_value.csv", newline="") as file:
                 told = [json.loads(row["json"])["n"] for row in csv.DictReader(file)]
             assert told == [n * 10, n * 10 + 1, n * 10 + 2], told
 
@@ -195,7 +195,7 @@ def test_an_export_that_finds_no_room_says_what_there_is_of_it():
     with World(["sine"]) as world:
         world.source()
         world.record("host/sine/value", "-o", "a.mcap", least={"/host/sine/value": 1000})
-        for kind, output in (("--csv", "a"), ("--npz", "a.npz")):
+        for kind, output in (("--csv", "a-csv"), ("--npz", "a.npz")):
             # Python ignores the signal that comes with it, and so does who inherits that.
             done = subprocess.run(["prlimit", "--fsize=8192", BIN / "trocar", "export", "a.mcap", kind], cwd=world.dir, env=world.env,
                                   capture_output=True, text=True, restore_signals=False)
@@ -212,7 +212,7 @@ def test_what_has_names_goes_to_tables_by_name_and_to_numpy_by_number():
         world.record("host/robot/tap_rows", "-o", "a.mcap", least={"/host/robot/tap_rows": 2})
         world.run("export", "a.mcap", "--npz", code=OK)
         world.run("export", "a.mcap", "--csv", code=OK)
-        heads, first, *_ = (world.dir / "a/host_robot_tap_rows.csv").read_text().splitlines()
+        heads, first, *_ = (world.dir / "a-csv/host_robot_tap_rows.csv").read_text().splitlines()
         said = dict(zip(heads.split(","), first.split(",")))
         assert said["operating_state.state"].startswith("STATE_"), said
         numbers = np.load(world.dir / "a.npz")["host/robot/tap_rows/operating_state.state"]
@@ -246,11 +246,12 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
             assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
         assert precious.read_text() == "precious" and not list(world.dir.glob("a.*"))
         world.json("record", "host/**", "-o", "good.mcap", "--seconds", "0.5")
-        (world.dir / "good").mkdir()
+        for made in ("good-csv", "good-png"):
+            (world.dir / made).mkdir()
         (world.dir / "good.npz").write_text("precious")
         for words, code, says in (
-            (["--csv"], REFUSED, "good exists, and nothing is written over"),
-            (["--png"], REFUSED, "good exists, and nothing is written over"),
+            (["--csv"], REFUSED, "good-csv exists, and nothing is written over"),
+            (["--png"], REFUSED, "good-png exists, and nothing is written over"),
             (["--npz"], REFUSED, "good.npz exists, and nothing is written over"),
             (["--csv", "-o", "good.mcap"], REFUSED, "nothing is written over"),
             (["--npz", "-o", "/sys/a.npz"], REFUSED, "choose another place"),
@@ -265,7 +266,7 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written_over():
         ):
             done = world.run("export", "good.mcap", *words)
             assert done.returncode == code and says in done.stderr + done.stdout, (words, done.returncode, done.stderr)
-        assert (world.dir / "good.npz").read_text() == "precious" and not list((world.dir / "good").iterdir())
+        assert (world.dir / "good.npz").read_text() == "precious" and not list(world.dir.glob("good-*/*"))
         assert not (world.dir / "new").exists()
         world.recorder({"a": f"{sine}/value"})
         (world.dir / "rec/there.mcap").write_text("precious")

@@ -583,5 +583,5 @@ def test_rows_events_and_commands_have_topics_of_their_own_and_tell_how_commands
         assert before < refused < told[0][2] < after, (told, before, refused, after)
         world.run("info", "rec/a.mcap", code=OK)
         world.run("export", "rec/a.mcap", "--csv", "--topic", "host/robot/tap_commands", code=OK)
-        names = {path.name for path in (world.dir / "rec/a").iterdir()}
+        names = {path.name for path in (world.dir / "rec/a-csv").iterdir()}
         assert names == {"host_robot_tap_commands_arm_hold.csv", "host_robot_tap_commands_arm_state_command.csv"}, names

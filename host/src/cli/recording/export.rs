@@ -45,7 +45,7 @@ pub(in crate::cli) struct ExportArgs {
     /// Only these topics, e.g. 'host/**'; may be given several times.
     #[arg(long, value_name = "PATTERN")]
     topic: Vec<String>,
-    /// Where to, a new directory, or with --npz a new file [default: the recording's name without .mcap, or with .npz].
+    /// Where to, a new directory, or with --npz a new file [default: NAME-csv, NAME-png or NAME.npz beside NAME.mcap].
     #[arg(long, short = 'o', value_name = "PATH")]
     output: Option<PathBuf>,
 }
@@ -56,9 +56,7 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     {
         return Err(Failure::usage("--from is not before --to", "swap them, or leave one out"));
     }
-    let output = args.output.clone().unwrap_or_else(|| {
-        if args.npz { args.file.with_extension("npz") } else { args.file.with_extension("") }
-    });
+    let output = args.output.clone().unwrap_or_else(|| place(&args));
     if output.exists() || output == args.file {
         return Err(Failure::local(
             "EXISTS",
@@ -77,6 +75,17 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     }
     let partial = view.unreadable + view.unplaced > 0 || !view.wrong.is_empty();
     Ok(if partial { Exit::Partial } else { Exit::Ok })
+}
+
+/// The place of an export that was given none, beside its recording: `trial-csv`, `trial-png` or `trial.npz`. A folder's
+/// name has its format, so that tables and pictures of one recording do not meet.
+fn place(args: &ExportArgs) -> PathBuf {
+    if args.npz {
+        return args.file.with_extension("npz");
+    }
+    let mut name = args.file.with_extension("").into_os_string();
+    name.push(if args.csv { "-csv" } else { "-png" });
+    PathBuf::from(name)
 }
 
 /// Writes what is wanted.
@@ -308,6 +317,24 @@ impl Sink for Pictures {
 mod tests {
     use super::super::sink::file_name;
     use super::*;
+
+    #[test]
+    fn an_export_lies_beside_its_recording_under_a_name_with_its_format() {
+        #[derive(clap::Parser)]
+        struct Words {
+            #[command(flatten)]
+            args: ExportArgs,
+        }
+        for (how, file, wanted) in [
+            ("--csv", "rec/trial.mcap", "rec/trial-csv"),
+            ("--png", "trial.1.mcap", "trial.1-png"),
+            ("--npz", "rec/trial.mcap", "rec/trial.npz"),
+            ("--csv", "trial", "trial-csv"),
+        ] {
+            let args = <Words as clap::Parser>::try_parse_from(["export", file, how]).expect("words").args;
+            assert_eq!(place(&args), Path::new(wanted));
+        }
+    }
 
     #[test]
     fn a_topic_is_no_way_out_of_a_directory() {
