@@ -6,7 +6,7 @@
     r.Write(30)
     r.Read()
 
-``connect`` gives a ``Session``; ``read`` opens a recording; what is refused raises ``TrocarError``.
+``connect`` gives a ``Session``; ``Recording`` opens a recording; what is refused raises ``TrocarError``.
 """
 
 import os as _os
@@ -17,12 +17,16 @@ _os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "false")
 
 from ._errors import TrocarError
 from ._follow import Follower, Item
-from ._mcap import RecordingFile, Topic, read
+from ._notes import RecordingNote
 from ._proxy import Command, Event, Interface
+from ._recording import Recording, read
 from ._session import Session, connect
+from ._topic import Topic
 from ._values import Frame, Record, Rows
 
 __version__ = "0.1.0"
+
+RecordingFile = Recording
 
 __all__ = [
     "Command",
@@ -32,7 +36,9 @@ __all__ = [
     "Interface",
     "Item",
     "Record",
+    "Recording",
     "RecordingFile",
+    "RecordingNote",
     "Rows",
     "Session",
     "Topic",

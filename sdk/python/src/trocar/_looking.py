@@ -254,9 +254,9 @@ class Looking:
         ``config`` is what else the recorder is to be configured with.
         """
         __tracebackhide__ = True
-        from ._record import Recording
+        from ._record import LiveRecording
 
-        return Recording(self, name, patterns, pre_trigger, **settings)
+        return LiveRecording(self, name, patterns, pre_trigger, **settings)
 
     def sleep(self, seconds: float) -> None:
         """Waits; ends early when the session is closed."""

@@ -23,7 +23,7 @@ _DEEPEST, _QUEUE_BYTES, _FRAMES = 4096, 16 << 20, 64
 _BEGUN = ("RECORDING", "PAUSED")
 
 
-class Recording:
+class LiveRecording:
     """A recording of what some patterns name.
 
     It is armed at once: a recorder is made, connected and started, and keeps the last ``pre_trigger`` seconds. ``with`` (or
@@ -112,7 +112,7 @@ class Recording:
             raise TrocarError("FAILED_PRECONDITION", "WRONG_STATE", f"the recording {self.file} is over; make another")
         return self._session.call(f"{self.component}/ctl/{command}", *args, deadline=5.0, **fields)
 
-    def start(self, *, delay: float = 0.0, duration: float = 0.0) -> Recording:
+    def start(self, *, delay: float = 0.0, duration: float = 0.0) -> LiveRecording:
         """Begins the file, ``delay`` seconds from now, and records for ``duration`` seconds (0: until ``stop``)."""
         __tracebackhide__ = True
         self._ctl("start", path=self.file, delay=float(delay), duration=float(duration))
@@ -177,7 +177,7 @@ class Recording:
 
     def read(self, **settings: Any) -> Any:
         """The file, once it is closed and where it lies on this machine; see ``trocar.read``."""
-        from ._mcap import read
+        from ._recording import read
 
         if not self.path:
             raise TrocarError("FAILED_PRECONDITION", "WRONG_STATE", f"{self.file} is not closed yet")
@@ -205,7 +205,7 @@ class Recording:
         )
         return TrocarError(e.code, e.reason, sentence, {**e.metadata, "component": self.component}, e.violations, e.help)
 
-    def __enter__(self) -> Recording:
+    def __enter__(self) -> LiveRecording:
         __tracebackhide__ = True
         try:
             return self.start()

@@ -1,6 +1,8 @@
 """Promise: a recording is made, steered and taken away again from Python, and its file holds what was asked for and nothing else."""
 
+import csv
 import pathlib
+import subprocess
 import time
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 import trocar
 
 from ..conftest import eventually, reaches
+from .conftest import BIN
 
 EYEROBOT = "robot/EyeRobot"
 POSITION = f"/{EYEROBOT}/position"
@@ -190,3 +193,37 @@ def allowed(status):
     text = pathlib.Path(status).read_text().partition("Cpus_allowed_list:")[2].splitlines()[0]
     spans = [part.split("-") for part in text.strip().split(",")]
     return {n for span in spans for n in range(int(span[0]), int(span[-1]) + 1)}
+
+
+def test_a_recording_is_opened_beside_its_system_and_gives_tables_and_frames(ire, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    patterns = ["robot/**", "host/eye/image", "oct/lines/ascan"]
+    with ire.record("opened", patterns, directory=str(tmp_path)) as rec:
+        rec.marker("half way")
+        for topic in ("host/eye/image", "oct/lines/ascan", f"{EYEROBOT}/position", f"{EYEROBOT}/tap_rows"):
+            number = rec.topics.index(topic)
+            reaches(f"{topic} is written", lambda number=number: rec._ctl("topic", number)["kept"], 8)
+        # While it is written it is open for whoever looks.
+        eventually("it is in the file", lambda: len(trocar.Recording(tmp_path / "opened.mcap").topics) > 5)
+    file = trocar.Recording(rec.path)
+    assert file.complete and file.losses.told and file.losses.lost == rec.result["lost"], file
+    assert [m.text for m in file.markers] == ["half way"] and f"{EYEROBOT}" in file.config and file.plugins["eyerobot"]
+    rows = file[f"{EYEROBOT}/tap_rows"].to_pandas(clock="wall")
+    now = pandas.Timestamp.now(tz="UTC")
+    assert len(rows) == file[f"{EYEROBOT}/tap_rows"].count and now - rows.index[-1] < pandas.Timedelta(hours=1), rows
+    pair = file["host/eye/image"].frames[3]
+    assert pair.array.shape == (2, 240, 320, 3) and pair._repr_png_().startswith(b"\x89PNG") and pair.left.array.std() > 0
+    lines = file["oct/lines/ascan"].frames[0]
+    assert lines.array.shape == (lines.value.lines, lines.value.samples) and "colours from" in lines.shown
+    table = file.table(f"{EYEROBOT}/position", on="host/eye/image/left", tolerance=60.0)
+    exported = subprocess.run([f"{BIN}/trocar", "export", rec.path, "--csv", "-o", str(tmp_path / "csv")], capture_output=True, text=True)
+    assert exported.returncode == 0, exported.stderr
+    for name in ("host/eye/image/left", f"{EYEROBOT}/tap_rows", "oct/lines/ascan"):
+        with open(tmp_path / "csv" / f"{name.replace('/', '_')}.csv", newline="") as csv_file:
+            heads, *lines = csv.reader(csv_file)
+        ours = file[name].to_pandas(clock="ns", time="log_time")
+        assert heads[3:] == list(ours.columns) and [int(line[0]) for line in lines] == ours.index.tolist(), (name, heads, ours)
+        for n, head in enumerate(heads[3:], 3):
+            told = ours[head].tolist()
+            assert [line[n] if isinstance(v, str) else float(line[n]) for line, v in zip(lines, told)] == told, (name, head)
+    assert len(table) == file["host/eye/image/left"].count and table[f"{EYEROBOT}/position.value"].notna().all(), table
