@@ -68,7 +68,7 @@ export async function a_plot_shows_the_number_that_was_written_last(world) {
     await grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/Server/Provided/Write', json: written });
     await eventually(`event, read and state row are ${written}`, async () => (await latest(page)).join() === `${written},${written},${written}`);
   }
-  is(await page.locator('[data-curve] figcaption span').allInnerTexts(), ['31.000 mm', '31.000 mm', '31.000 mm'], 'what people read');
+  is(await page.locator('[data-curve] .value').allInnerTexts(), ['31.000 mm', '31.000 mm', '31.000 mm'], 'what people read');
 }
 
 export async function an_enum_is_plotted_as_its_numbers_with_its_names(world) {
@@ -88,7 +88,7 @@ export async function an_enum_is_plotted_as_its_numbers_with_its_names(world) {
   await both.first().click();
   await plot(page, 'host/robot', 'operating_state.state');
   await eventually('reads and rows come', async () => (await latest(page)).slice(1).join() === '1,1');
-  const shown = page.locator('[data-curve] figcaption span');
+  const shown = page.locator('[data-curve] .value');
   const command = (word) => grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/robot/arm/state_command', json: word });
   for (const [word, number, name] of [['pause', 2, 'PAUSED'], ['resume', 1, 'ENABLED']]) {
     await command(word);

@@ -2,7 +2,6 @@
 import { Code, ConnectError } from '@connectrpc/connect';
 import { said } from './api';
 import { events } from './events.svelte';
-import { Curve, type Signal } from './signals.svelte';
 
 export type Tab = 'overview' | 'interfaces' | 'configure' | 'invoke';
 export type Dock = 'plots' | 'video' | 'events' | 'log';
@@ -29,7 +28,6 @@ class Page {
   searching = $state(false);
   dark = $state(stored('theme', matchMedia('(prefers-color-scheme: dark)').matches ? 'dark' : 'light') === 'dark');
   notes = $state<Note[]>([]);
-  curves = $state.raw<Curve[]>([]);
   /// Outputs shown as pictures.
   pictures = $state.raw<string[]>([]);
   /// Brings a component into view.
@@ -74,19 +72,6 @@ class Page {
     this.selected = path;
     this.tab = tab;
     this.command = command;
-  }
-
-  plot(signal: Signal) {
-    this.docked = true;
-    this.dock = 'plots';
-    // A command and an event may have one name.
-    if (this.curves.some(({ signal: s }) => s.path === signal.path && s.field === signal.field && s.source === signal.source)) return;
-    this.curves = [...this.curves, new Curve(signal)];
-  }
-
-  unplot(curve: Curve) {
-    curve.close();
-    this.curves = this.curves.filter((c) => c !== curve);
   }
 
   picture(path: string) {

@@ -5,11 +5,11 @@
 import { interact, plain, said } from './api';
 import { live } from './live.svelte';
 import { pick, type Names } from './ports.svelte';
+import { isGroup } from './schema';
+import { Track } from './track';
 
-/// Points of a curve.
-const KEPT = 3000;
 /// Outputs and state rows are followed at these rates, Hz: a row has all numbers of a component.
-const RATE = { output: 60, state: 25, event: 0 };
+const RATE = { output: 60, state: 25, event: 0, read: 0 };
 /// Time between two reads, ms.
 const ROUND = 40;
 
@@ -40,16 +40,44 @@ export function named(s: Signal, n: number): string {
   return Object.entries(s.names ?? {}).find(([, number]) => number === n)?.[0] ?? '';
 }
 
+/// Signals of one unit share an axis; those with equal names count as one.
+export function unitKey(s: Signal): string {
+  return s.names ? `enum ${JSON.stringify(s.names)}` : s.unit === '1' ? '' : s.unit;
+}
+
+export function sameSignal(a: Signal, b: Signal): boolean {
+  // A command and an event may have one name.
+  return a.path === b.path && a.field === b.field && a.source === b.source;
+}
+
+/// A signal out of what was dropped on the page; undefined: it is none.
+export function signalFrom(text: string): Signal | undefined {
+  let s: Partial<Signal> | null;
+  try {
+    s = JSON.parse(text) as Partial<Signal> | null;
+  } catch {
+    return undefined;
+  }
+  const isText = (v: unknown) => typeof v === 'string';
+  const isNames = (v: unknown) => v === undefined || (isGroup(v) && Object.values(v).every((n) => typeof n === 'number'));
+  if (!isGroup(s) || ![s.path, s.field, s.unit].every(isText) || !isNames(s.names) || !Object.hasOwn(RATE, s.source ?? '')) return undefined;
+  const { path, field, source, unit, names } = s as Signal;
+  return /^[^/]+\/[^/]+/.test(path) ? { path, field, source, unit, names } : undefined;
+}
+
+let made = 0;
+
 export class Curve {
-  x = new Float64Array(KEPT);
-  y = new Float64Array(KEPT);
-  n = 0;
-  first = 0;
+  id = (made += 1);
+  track = new Track();
+  /// As it was when the plots were paused.
+  frozen = $state.raw<Track | null>(null);
   skipped = 0;
   /// Times nothing came for a while.
   gaps = 0;
+  /// Counts what came.
+  changes = 0;
   why = $state('');
-  latest = $state(Number.NaN);
   #leave: () => void;
 
   constructor(public signal: Signal) {
@@ -68,44 +96,23 @@ export class Curve {
           });
   }
 
+  /// What is seen of it.
+  get seen(): Track {
+    return this.frozen ?? this.track;
+  }
+
   /// `at`: s of the host's monotonic clock.
   add(at: number, value: number) {
-    if (this.n > 0) {
-      const last = this.x[(this.first + this.n - 1) % KEPT]!;
-      if (at === last) return;
-      // Another run of the machine's clock, or of the component: the curve begins anew.
-      if (at < last) this.n = this.first = 0;
-    }
-    const i = (this.first + this.n) % KEPT;
-    this.x[i] = at;
-    this.y[i] = value;
-    if (this.n < KEPT) this.n += 1;
-    else this.first = (this.first + 1) % KEPT;
+    if (this.track.add(at, value)) this.changes += 1;
   }
 
   /// Nothing came or could be read: no line leads over it.
   gap() {
-    const last = (this.first + this.n - 1) % KEPT;
-    if (this.n === 0 || !Number.isFinite(this.y[last]!)) return;
-    this.add(this.x[last]! + 1e-6, Number.NaN);
+    const { track } = this;
+    if (track.n === 0 || track.isHole(track.n - 1)) return;
+    track.add(track.newest + 1e-6, Number.NaN, true);
     this.gaps += 1;
-  }
-
-  /// The last `seconds`, oldest first.
-  window(seconds: number): [number[], number[]] {
-    const xs: number[] = [];
-    const ys: number[] = [];
-    if (this.n === 0) return [xs, ys];
-    const end = this.x[(this.first + this.n - 1) % KEPT]!;
-    for (let k = 0; k < this.n; k += 1) {
-      const i = (this.first + k) % KEPT;
-      if (this.x[i]! >= end - seconds) {
-        xs.push(this.x[i]! - end);
-        ys.push(this.y[i]!);
-      }
-    }
-    this.latest = ys[ys.length - 1] ?? Number.NaN;
-    return [xs, ys];
+    this.changes += 1;
   }
 
   close() {

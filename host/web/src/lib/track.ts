@@ -1,0 +1,121 @@
+/// Points of one curve in a ring: times that only grow, with their values.
+///
+/// Invariant: memory does not grow with time; a copy is never changed by what comes later.
+
+/// Points kept.
+export const KEPT = 3000;
+
+export class Track {
+  n = 0;
+  #first = 0;
+
+  constructor(
+    private x = new Float64Array(KEPT),
+    private y = new Float64Array(KEPT),
+    /// 1 where nothing came or could be read, rather than a value.
+    private hole = new Uint8Array(KEPT),
+  ) {}
+
+  /// False where it is none: of the same time as the last one.
+  add(at: number, value: number, isHole = false): boolean {
+    if (this.n > 0) {
+      if (at === this.newest) return false;
+      // Another run of the machine's clock, or of the component: the curve begins anew.
+      if (at < this.newest) this.n = this.#first = 0;
+    }
+    const i = (this.#first + this.n) % KEPT;
+    this.x[i] = at;
+    this.y[i] = value;
+    this.hole[i] = isHole ? 1 : 0;
+    if (this.n < KEPT) this.n += 1;
+    else this.#first = (this.#first + 1) % KEPT;
+    return true;
+  }
+
+  copy(): Track {
+    const to = new Track(this.x.slice(), this.y.slice(), this.hole.slice());
+    to.n = this.n;
+    to.#first = this.#first;
+    return to;
+  }
+
+  /// Of the k-th oldest, s of the host's monotonic clock.
+  time(k: number): number {
+    return this.x[(this.#first + k) % KEPT]!;
+  }
+
+  value(k: number): number {
+    return this.y[(this.#first + k) % KEPT]!;
+  }
+
+  isHole(k: number): boolean {
+    return this.hole[(this.#first + k) % KEPT] === 1;
+  }
+
+  get oldest(): number {
+    return this.n ? this.time(0) : Number.NaN;
+  }
+
+  get newest(): number {
+    return this.n ? this.time(this.n - 1) : Number.NaN;
+  }
+
+  /// The first that is not before `at`; n = none is.
+  from(at: number): number {
+    let [low, high] = [0, this.n];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.time(middle) < at) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /// Nearest to `at`, or the last one before it; undefined: there is none, or nothing came then.
+  near(at: number, before: boolean): number | undefined {
+    if (!(at >= this.oldest && at <= this.newest + BEYOND)) return undefined;
+    const next = this.from(at);
+    const isNext = next < this.n && (this.time(next) === at || (!before && (next === 0 || this.time(next) - at < at - this.time(next - 1))));
+    const k = isNext ? next : next - 1;
+    return k < 0 || this.isHole(k) ? undefined : this.value(k);
+  }
+}
+
+/// So long after its newest point a curve still has a value, s: others may be ahead of it.
+const BEYOND = 0.25;
+
+/// Curves of a plot beside one column of times, in arrays that are filled again and again.
+export class Joined {
+  readonly data: [number[], ...(number | null | undefined)[][]] = [[]];
+  #at: number[] = [];
+  #stop: number[] = [];
+
+  /// Those from `from` to `to`, and one on either side, so that lines lead to the edges; times count from `base`.
+  fill(tracks: readonly Track[], from: number, to: number, base: number) {
+    const { data } = this;
+    while (data.length <= tracks.length) data.push([]);
+    data.length = tracks.length + 1;
+    tracks.forEach((track, k) => {
+      this.#at[k] = Math.max(0, track.from(from) - 1);
+      this.#stop[k] = Math.min(track.n, track.from(to) + 1);
+    });
+    const times = data[0];
+    let row = 0;
+    for (;;) {
+      let time = Infinity;
+      for (let k = 0; k < tracks.length; k += 1) if (this.#at[k]! < this.#stop[k]!) time = Math.min(time, tracks[k]!.time(this.#at[k]!));
+      if (time === Infinity) break;
+      times[row] = time - base;
+      for (let k = 0; k < tracks.length; k += 1) {
+        const at = this.#at[k]!;
+        if (at < this.#stop[k]! && tracks[k]!.time(at) === time) {
+          const value = tracks[k]!.value(at);
+          data[k + 1]![row] = Number.isFinite(value) ? value : null;
+          this.#at[k] = at + 1;
+        } else data[k + 1]![row] = undefined;
+      }
+      row += 1;
+    }
+    for (const column of data) column.length = row;
+  }
+}

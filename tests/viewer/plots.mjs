@@ -1,0 +1,357 @@
+/// Plots as engineers use them: units, several curves, looking back, cursors, files, and settings beside them.
+import fs from 'node:fs';
+import { interfacesOf, latest, plot, points } from './following.mjs';
+import { box, create, eventually, grpcurl, holds, is, reaches, settled, shot, start } from './world.mjs';
+
+/// A sine that stands at its crest: all that comes of it is its amplitude.
+const CREST = { frequency_hz: 0, phase_rad: Math.PI / 2 };
+const OUTPUT = { path: 'host/sine/value', field: 'value', source: 'output', unit: '' };
+const ROW = { path: 'host/sine', field: 'latest.value', source: 'state', unit: '' };
+const READ = { path: 'host/sine/signal/value', field: '', source: 'read', unit: '' };
+
+async function sineShown(world, config = CREST, options = {}, query = '') {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine', config);
+  await start(host.addr, 'host/sine');
+  const page = await world.viewer(host.addr, query, options);
+  await settled(page);
+  await page.getByRole('button', { name: 'Plots', exact: true }).click();
+  await page.locator('.plots').waitFor();
+  return { host, page, set: (config) => grpcurl(host.addr, 'GcmService/Configure', { path: 'host/sine', config }) };
+}
+
+/// What a drag from elsewhere would drop.
+const drop = (page, data, onto = '.plots', kind = 'application/x-trocar-signal') =>
+  page.locator(onto).evaluate((e, [kind, text]) => {
+    const transfer = new DataTransfer();
+    transfer.setData(kind, text);
+    e.dispatchEvent(new DragEvent('drop', { bubbles: true, cancelable: true, dataTransfer: transfer }));
+  }, [kind, typeof data === 'string' ? data : JSON.stringify(data)]);
+const values = (page) => page.locator('[data-curve] .value').allInnerTexts();
+const inPlots = (page) => page.locator('[data-figure]').evaluateAll((all) => all.map((f) => [...f.querySelectorAll('[data-curve]')].map((c) => c.dataset.curve)));
+const told = (page, words) => page.locator('[data-note]', { hasText: words }).waitFor();
+const paused = (page) => page.locator('[data-paused]').getAttribute('data-paused');
+const curves = (page, n) => page.locator(`[data-figure="${n}"] .u-over`);
+
+/// A file that a click makes.
+async function file(page, click) {
+  const [download] = await Promise.all([page.waitForEvent('download'), click()]);
+  return { name: download.suggestedFilename(), bytes: fs.readFileSync(await download.path()) };
+}
+const csv = async (page, n) => {
+  const { name, bytes } = await file(page, () => page.locator(`[data-figure="${n}"]`).getByRole('button', { name: 'CSV' }).click());
+  const [head, ...rows] = bytes.toString().trimEnd().split('\n').map((line) => line.split(','));
+  return { name, head, rows };
+};
+
+export async function values_and_ticks_have_the_prefix_and_the_digits_people_read(world) {
+  const { page, set } = await sineShown(world);
+  for (const [value, unit, text] of [
+    [0.000637, 'm', '637.00 µm'], [0.0012, 'N', '1.2000 mN'], [1500, 'Hz', '1.5000 kHz'], [0.637, 'mm', '637.00 µm'], [31, 'mm', '31.000 mm'],
+    [-0.25, 'N.m', '-250.00 mN·m'], [0.0025, 'm/s^2', '2.5000 mm/s²'], [0.0025, 'm^2', '0.0025000 m²'], [1234567, '', '1234567'], [0.25, '%', '0.25000 %'],
+    [1920, 'px', '1920 px'], [0.001, 'rad', '1.0000 mrad'], [2500, 's', '2500.0 s'], [1500, '1/s', '1500 1/s'], [999.999999, 'Hz', '1.0000 kHz'], [0, 'm', '0.0000 m'],
+  ]) {
+    await set({ amplitude: value });
+    await drop(page, { ...OUTPUT, unit });
+    await eventually(`${value} ${unit} reads ${text}`, async () => (await values(page)).join() === text, () => values(page));
+    await page.getByRole('button', { name: /^remove host/ }).click();
+  }
+  // Two values that differ in their third digit: so do the ticks.
+  await set({ amplitude: 0.000636 });
+  await drop(page, { ...OUTPUT, unit: 'm' });
+  await reaches('points of the first', () => points(page), 3);
+  await set({ amplitude: 0.000638 });
+  const axis = async () => (await page.locator('[data-figure]').getAttribute('data-left')) ?? '';
+  await eventually('the axis shows both', async () => /^µm: 636\.0 .* 638\.0$/.test(await axis()), axis);
+  const texts = (await axis()).split(': ')[1].split(' ');
+  is([new Set(texts).size, new Set(texts.map((t) => t.length)).size], [texts.length, 1], `ticks that differ, in so many digits: ${texts}`);
+  await shot(page, 'plot-units');
+}
+
+export async function several_curves_share_a_plot_and_leave_it_again(world) {
+  const { page } = await sineShown(world, { frequency_hz: 1, amplitude: 0.002 });
+  await drop(page, { ...OUTPUT, unit: 'm' });
+  await drop(page, { ...ROW, unit: 'N' }, '[data-figure="1"]');
+  const [out, row, read] = ['host/sine/value · value', 'host/sine · latest.value', 'host/sine/signal/value'];
+  is(await inPlots(page), [[out, row]], 'both are in one plot');
+  await reaches('both have points', () => points(page), 40);
+  const figure = page.locator('[data-figure="1"]');
+  await eventually('an axis for each unit', async () => /^mm: /.test(await figure.getAttribute('data-left')) && /^mN: /.test(await figure.getAttribute('data-right')));
+  is(new Set(await figure.locator('li line').evaluateAll((all) => all.map((l) => l.getAttribute('stroke')))).size, 2, 'colours');
+  await shot(page, 'plot-two-units');
+  // A third unit, the same again, garbage, and what is gone.
+  await drop(page, { ...READ, unit: 'Hz' }, '[data-figure="1"]');
+  await told(page, `plot 1 has axes for m and N; ${read} is in Hz, and a third axis there is not`);
+  await drop(page, { ...OUTPUT, unit: 'm' }, '[data-figure="1"]');
+  await told(page, `${out} is in plot 1 already`);
+  for (const garbage of ['{"path": 3', '{"path": 3}', 'null', '[]', '{"path":"host/sine","field":"","unit":"","source":"toString"}']) {
+    await page.locator('[data-note]').evaluateAll((all) => all.forEach((n) => n.querySelector('button').click()));
+    await page.locator('[data-note]').first().waitFor({ state: 'detached' });
+    await drop(page, garbage, '[data-figure="1"]');
+    await told(page, 'what was dropped is no number of a component');
+  }
+  await drop(page, { ...OUTPUT, path: 'host/gone/value' });
+  await told(page, 'host/gone is not there any more');
+  is(await inPlots(page), [[out, row]], 'what was refused is nowhere');
+  // Beside it: a plot of its own; dragged by the mouse from its legend, one goes into the other.
+  await drop(page, { ...READ, unit: 'N' });
+  is(await inPlots(page), [[out, row], [read]], 'dropped beside');
+  await page.locator(`[data-curve="${read}"] b`).dragTo(figure.locator('.box'));
+  await eventually('it went over', async () => JSON.stringify(await inPlots(page)) === JSON.stringify([[out, row, read]]), () => inPlots(page));
+  holds((await points(page)).every((n) => n > 1), 'with what was kept of it');
+  await page.getByRole('button', { name: `${row} into a plot of its own` }).click();
+  is(await inPlots(page), [[out, read], [row]], 'one in a plot of its own');
+  // By keys alone: the choice in Interfaces.
+  await interfacesOf(page, 'host/sine');
+  const into = page.getByLabel('A number that is chosen goes into');
+  await into.focus();
+  await into.selectOption('2');
+  const stamp = page.locator('[data-plot="host/sine/value#stamp"]');
+  await stamp.evaluate((e) => { e.closest('details').open = true; });
+  await stamp.focus();
+  await page.keyboard.press('Enter');
+  await eventually('it is in plot 2', async () => (await inPlots(page))[1].join() === `${row},host/sine/value · stamp`, () => inPlots(page));
+  await page.getByRole('button', { name: `remove ${row}` }).click();
+  await page.getByRole('button', { name: 'remove host/sine/value · stamp' }).click();
+  is([await inPlots(page), await into.inputValue()], [[[out, read]], '0'], 'an empty plot goes, and is no choice any more');
+}
+
+export async function paused_plots_stand_still_can_be_zoomed_and_lose_nothing(world) {
+  const { page } = await sineShown(world, { frequency_hz: 0.5 });
+  await drop(page, OUTPUT);
+  await drop(page, { ...ROW, unit: 'N' }, '[data-figure="1"]');
+  await drop(page, READ);
+  const kept = () => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => Number(e.dataset.kept)));
+  await reaches('all have points', () => points(page), 60);
+  await page.getByRole('button', { name: 'Pause', exact: true }).click();
+  is(await paused(page), 'true', 'paused');
+  const [seen, had] = [await eventually('it stands', async () => { const a = await points(page); return (await points(page)).join() === a.join() && a; }), await kept()];
+  await reaches('data are kept on', async () => (await kept()).map((n, i) => n - had[i]), 40);
+  is([await points(page), await latest(page)], [seen, await latest(page)], 'what is seen stays');
+  // Zoom by a drag over the curves.
+  const at = await curves(page, 1).boundingBox();
+  await page.mouse.move(at.x + at.width * 0.8, at.y + 30);
+  await page.mouse.down();
+  await page.mouse.move(at.x + at.width * 0.95, at.y + 40, { steps: 5 });
+  await page.mouse.up();
+  const span = page.locator('[data-figure="1"] figcaption .faint');
+  const zoomed = async () => (await span.innerText()).match(/-?\d+\.?\d*/g).map(Number);
+  await eventually('2 to 0.5 s before the newest are seen', async () => { const [from, to] = await zoomed(); return Math.abs(from + 2) < 0.1 && Math.abs(to + 0.5) < 0.1; }, () => span.innerText());
+  const below = () => page.locator('[data-figure]').evaluateAll((all) => all.map((f) => f.dataset.below));
+  await eventually('and drawn, in both plots', async () => (await below()).every((t) => /-1\.\d/.test(t) && !/-[3-9]/.test(t)), below);
+  await shot(page, 'plot-zoomed');
+  // What is exported is what is seen.
+  const { rows } = await csv(page, 1);
+  const times = rows.map((r) => Number(r[1]));
+  const [from, to] = await zoomed();
+  holds(rows.length > 10 && times.every((t) => t >= from - 0.01 && t <= to + 0.01), `rows of ${from} … ${to} s: ${times[0]} … ${times.at(-1)}`);
+  // The wheel, keys and buttons: closer, wider, earlier.
+  await page.mouse.move(at.x + at.width / 2, at.y + 30);
+  await page.mouse.wheel(0, -100);
+  await eventually('closer', async () => { const [a, b] = await zoomed(); return b - a < (to - from) * 0.9; });
+  await page.getByRole('button', { name: 'All', exact: true }).click();
+  await eventually('all that is kept', async () => { const [a, b] = await zoomed(); return b - a > 2.5 && b > -0.01; }, () => span.innerText());
+  await page.getByRole('button', { name: 'Zoom in', exact: true }).click();
+  const near = await zoomed();
+  await page.getByRole('button', { name: 'Earlier' }).click();
+  await eventually('earlier', async () => (await zoomed())[0] < near[0]);
+  await curves(page, 1).dblclick({ position: { x: 40, y: 30 } });
+  await eventually('back', async () => (await span.innerText()) === 'last 10 s before the pause', () => span.innerText());
+  is([await paused(page), await page.getByRole('button', { name: 'Unmark' }).count()], ['true', 0], 'a double click returns, and marks nothing');
+  await page.getByRole('button', { name: 'Continue' }).click();
+  await reaches('what came meanwhile is there', () => points(page), Math.max(...seen) + 20);
+  // Zooming what goes on pauses it; returning goes on.
+  await page.getByRole('button', { name: 'Zoom in', exact: true }).click();
+  is(await paused(page), 'true', 'paused by zooming');
+  await page.getByRole('button', { name: 'Return' }).click();
+  is(await paused(page), 'false', 'goes on by returning');
+}
+
+export async function one_cursor_tells_the_values_of_all_plots_and_their_differences(world) {
+  const { host, page } = await sineShown(world, { frequency_hz: 0.5, amplitude: 0.01 });
+  await drop(page, { ...OUTPUT, unit: 'm' });
+  await drop(page, { ...ROW, unit: 'm' });
+  await reaches('points', () => points(page), 60);
+  await page.getByRole('button', { name: 'Pause', exact: true }).click();
+  const at = await curves(page, 1).boundingBox();
+  const x = (part) => at.x + at.width * part;
+  await page.mouse.move(x(0.9), at.y + 30);
+  const shown = async () => (await values(page)).map((t) => Number.parseFloat(t) * (t.endsWith('µm') ? 1e-6 : 1e-3));
+  const { rows, name } = await csv(page, 1);
+  await page.mouse.move(x(0.9), at.y + 30);
+  const end = Number(rows.at(-1)[1]);
+  const nearest = (t) => rows.reduce((best, r) => (Math.abs(r[1] - t) < Math.abs(best[1] - t) ? r : best));
+  // 10 s are seen, to the newest.
+  const value = (part) => Number(nearest(end - 10 * (1 - part))[2]);
+  await eventually('both tell the value at the cursor', async () => (await shown()).length === 2 && (await shown()).every((v) => Math.abs(v - value(0.9)) < 0.0006), async () => [await values(page), value(0.9)]);
+  await page.mouse.click(x(0.85), at.y + 30);
+  await page.mouse.move(x(0.95), at.y + 30);
+  const apart = page.locator('[data-apart]');
+  await eventually('a second lies between mark and cursor', async () => Math.abs(Number.parseFloat((await apart.innerText()).replace('Δt ', '')) - (/ ms/.test(await apart.innerText()) ? 1000 : 1)) < (/ ms/.test(await apart.innerText()) ? 30 : 0.03), () => apart.innerText());
+  await eventually('differences of both', async () => (await page.locator('.difference').count()) === 2);
+  await shot(page, 'plot-cursor');
+  // By keys: the cursor starts at the newest and goes back.
+  await page.mouse.move(10, 10);
+  await eventually('the latest again', async () => (await page.locator('[data-apart]').count()) === 0);
+  await page.getByRole('group', { name: /^curves of plot 2/ }).focus();
+  await page.keyboard.press('Shift+ArrowLeft');
+  await eventually('a second before the newest', async () => (await shown()).every((v) => Math.abs(v - value(0.9)) < 0.0006), async () => [await values(page), value(0.9)]);
+  await page.keyboard.press('Escape');
+  await eventually('nothing is marked', async () => (await page.getByRole('button', { name: 'Unmark' }).count()) === 0);
+  holds(/^host\.sine\.value\.value-\d{4}-\d\d-\d\dT\d\d-\d\d-\d\d\.csv$/.test(name), `a name of signal and time: ${name}`);
+  await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
+  await page.locator('[data-curve] .refusal').first().waitFor();
+}
+
+export async function a_plot_is_saved_as_a_table_and_as_a_picture(world) {
+  const { page } = await sineShown(world, { frequency_hz: 0.3 });
+  await drop(page, { ...OUTPUT, unit: 'm' });
+  await drop(page, { ...READ, unit: 'N' }, '[data-figure="1"]');
+  await reaches('points', () => points(page), 50);
+  await page.getByRole('button', { name: 'Pause', exact: true }).click();
+  await eventually('it stands', async () => { const a = await latest(page); return (await latest(page)).join() === a.join() && a.every((v) => v !== 'NaN'); });
+  const { head, rows, name } = await csv(page, 1);
+  is(head, ['time (s)', 'relative (s)', 'host/sine/value · value (m)', 'host/sine/signal/value (N)'], 'columns');
+  const shown = await latest(page);
+  for (const column of [2, 3]) is(rows.filter((r) => r[column]).at(-1)[column], shown[column - 2], 'the last value, to its last digit');
+  const counts = await points(page);
+  is([2, 3].map((c) => rows.filter((r) => r[c]).length).every((n, i) => n > 20 && n <= counts[i]), true, 'a row for each point');
+  holds(rows.some((r) => !r[2]) && rows.every((r) => r.length === 4 && (r[2] || r[3])), 'what did not come at a time is empty, not made up');
+  holds(rows.every((r, i) => i === 0 || Number(r[0]) > Number(rows[i - 1][0])) && rows.every((r) => /^\d+\.\d{9}$/.test(r[0])), 'times that grow');
+  holds(rows.some((r) => r[2].replace(/[-.e]|^0+/g, '').length >= 15), 'all digits');
+  is(Number(rows.at(-1)[1]), 0, 'the newest is 0 s');
+  holds(name.includes('host.sine.value.value-and-1-more-'), name);
+  const pictures = [];
+  for (const theme of ['light', 'dark']) {
+    if ((await page.evaluate(() => document.documentElement.dataset.theme)) !== theme) await page.keyboard.press('d');
+    await eventually(`it is ${theme}`, () => page.evaluate((t) => document.documentElement.dataset.theme === t, theme));
+    const { name, bytes } = await file(page, () => page.locator('[data-figure="1"]').getByRole('button', { name: 'PNG' }).click());
+    is([bytes.subarray(1, 4).toString(), name.endsWith('.png')], ['PNG', true], 'a picture');
+    const [width, height] = [bytes.readUInt32BE(16), bytes.readUInt32BE(20)];
+    const drawn = await page.locator('[data-figure="1"] canvas').evaluate((c) => [c.width, c.height]);
+    holds(width >= drawn[0] && height >= drawn[1] + 60, `room for title and legend: ${width} × ${height} around ${drawn}`);
+    fs.mkdirSync('pictures', { recursive: true });
+    fs.writeFileSync(`pictures/plot-exported-${theme}.png`, bytes);
+    const ground = await page.evaluate(async (url) => {
+      const image = Object.assign(new Image(), { src: url });
+      await image.decode();
+      const canvas = Object.assign(document.createElement('canvas'), { width: image.width, height: image.height });
+      const draw = canvas.getContext('2d');
+      draw.drawImage(image, 0, 0);
+      return [...draw.getImageData(1, 1, 1, 1).data];
+    }, `data:image/png;base64,${bytes.toString('base64')}`).catch((e) => String(e));
+    pictures.push(ground);
+  }
+  is(pictures, [[255, 255, 255, 255], [33, 41, 50, 255]], 'grounds of the themes');
+}
+
+export async function settings_beside_a_plot_move_what_runs_and_are_one_change_each(world) {
+  const { host, page } = await sineShown(world, { frequency_hz: 3, phase_rad: 1.5 });
+  await create(host.addr, 'filters/low_pass', 'host/low');
+  await create(host.addr, 'filters/cartesian_transform', 'host/frame');
+  await drop(page, OUTPUT);
+  await reaches('points', () => points(page), 10);
+  await page.getByRole('button', { name: 'Settings', exact: true }).click();
+  const config = async (path = 'host/sine') => (await grpcurl(host.addr, 'GcmService/GetState', { path })).component.config;
+  const of = (path, name) => page.locator(`[data-tuning="${path}"] [data-setting="${name}"]`);
+  const value = (path, name) => of(path, name).getAttribute('data-value').then(JSON.parse);
+  const frequency = of('host/sine', 'frequency_hz').locator('[type=range]');
+  is([await frequency.count(), await of('host/sine', 'amplitude').locator('[type=range]').count()], [1, 0], 'a slider only where there are limits');
+  // A drag: many values, far fewer calls, one at a time; one change.
+  let [open, most, calls] = [0, 0, 0];
+  page.on('request', (r) => { if (r.url().endsWith('GcmService/Configure')) { calls += 1; most = Math.max(most, (open += 1)); } });
+  for (const over of ['requestfinished', 'requestfailed']) page.on(over, (r) => { if (r.url().endsWith('GcmService/Configure')) open -= 1; });
+  const at = await frequency.boundingBox();
+  await page.mouse.move(at.x + 10, at.y + at.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(at.x + at.width - 20, at.y + at.height / 2, { steps: 60 });
+  await eventually('it has moved while it is dragged', async () => (await config()).frequency_hz > 400);
+  await page.mouse.move(at.x - 30, at.y + at.height / 2, { steps: 60 });
+  await page.mouse.up();
+  await eventually('the newest won', async () => ((await config()).frequency_hz ?? 0) === 0, config);
+  const still = Math.sin(1.5);
+  await eventually('the curve stands', async () => Math.abs(Number((await latest(page))[0]) - still) < 1e-9, () => latest(page));
+  holds(most === 1 && calls >= 2 && calls < 60, `${calls} calls for 120 values, ${most} at once`);
+  const undo = page.getByRole('button', { name: 'Undo' });
+  await eventually('one change', async () => /Configure host\/sine/.test(await undo.getAttribute('title')));
+  await shot(page, 'plot-settings');
+  await undo.click();
+  await eventually('the whole drag is taken back', async () => (await config()).frequency_hz === 3, config);
+  await eventually('and seen', async () => (await value('host/sine', 'frequency_hz')) === 3);
+  is(await undo.getAttribute('aria-disabled'), 'true', 'nothing else was changed');
+  // Others change it, and it follows.
+  await grpcurl(host.addr, 'GcmService/Configure', { path: 'host/sine', config: { frequency_hz: 7 } });
+  await eventually('it follows', async () => (await value('host/sine', 'frequency_hz')) === 7 && (await frequency.inputValue()) === '14');
+  // A refusal stands beside it, and it is what it was.
+  const number = page.getByRole('textbox', { name: 'frequency_hz, as a number' });
+  await number.fill('600');
+  await number.press('Enter');
+  await of('host/sine', 'frequency_hz').getByRole('alert').filter({ hasText: '500' }).waitFor();
+  await eventually('the true value', async () => (await value('host/sine', 'frequency_hz')) === 7 && (await number.inputValue()) === '7', () => number.inputValue());
+  await shot(page, 'plot-settings-refused');
+  await number.fill('abc');
+  await number.press('Enter');
+  await of('host/sine', 'frequency_hz').getByText('abc is no number').waitFor();
+  is((await config()).frequency_hz, 7, 'what it has');
+  // Keys: a number without limits, and another component's slider by powers of ten, switch, choice and items.
+  const amplitude = page.getByRole('textbox', { name: 'amplitude' });
+  await amplitude.fill('2e-3');
+  await amplitude.press('Enter');
+  await eventually('amplitude', async () => (await config()).amplitude === 0.002);
+  const another = page.getByLabel('settings of another component');
+  for (const path of ['host/low', 'host/frame']) await another.selectOption(path);
+  const cutoff = of('host/low', 'cutoff_hz').locator('[type=range]');
+  await cutoff.focus();
+  await page.keyboard.press('Home');
+  await eventually('the lowest', async () => (await config('host/low')).cutoff_hz === 0.1, () => config('host/low'));
+  await cutoff.fill('500');
+  await eventually('half of the way by powers of ten', async () => (await config('host/low')).cutoff_hz === 6.32, () => config('host/low'));
+  await page.getByRole('switch', { name: 'inverse' }).click();
+  await eventually('the switch', async () => (await config('host/frame')).inverse === true);
+  await of('host/frame', 'side').locator('select').selectOption('"behind"');
+  await eventually('the choice', async () => (await config('host/frame')).side === 'behind');
+  await of('host/frame', 'translation_m[1]').getByRole('textbox').fill('0.25');
+  await of('host/frame', 'translation_m[1]').getByRole('textbox').press('Enter');
+  await eventually('one item of three', async () => (await config('host/frame')).translation_m?.join() === '0,0.25,0', () => config('host/frame'));
+  await page.keyboard.press('d');
+}
+
+export async function a_read_only_page_has_plots_without_settings_and_a_narrow_one_has_all(world) {
+  const { page, host } = await sineShown(world, CREST, {}, '?readonly');
+  await drop(page, OUTPUT);
+  await reaches('points', () => points(page), 5);
+  is([await page.getByRole('button', { name: 'Pause', exact: true }).count(), await page.getByRole('button', { name: 'Settings', exact: true }).count()], [1, 0], 'pause, and no settings');
+  const narrow = await world.viewer(host.addr, '', { viewport: { width: 300, height: 700 } });
+  await narrow.getByRole('button', { name: 'Plots', exact: true }).click();
+  await narrow.locator('.plots').waitFor();
+  await drop(narrow, { ...OUTPUT, unit: 'm' });
+  await drop(narrow, { ...ROW, unit: 'N' }, '[data-figure="1"]');
+  await reaches('points', () => points(narrow), 5);
+  await narrow.getByRole('button', { name: 'Settings', exact: true }).click();
+  await narrow.locator('[data-tuning]').waitFor();
+  await shot(narrow, 'plot-narrow');
+  const wide = await narrow.locator('.dock').evaluate((dock) => [...dock.querySelectorAll('button, figure, canvas, select, input')].filter((e) => e.getBoundingClientRect().right > innerWidth + 1).map((e) => e.outerHTML.slice(0, 80)));
+  is(wide, [], 'what is beyond the edge');
+}
+
+export async function eight_plots_of_four_curves_leave_the_page_answering(world) {
+  const host = await world.host();
+  for (let n = 0; n < 8; n += 1) await create(host.addr, 'sine', `host/s${n}`, { frequency_hz: 1 + n }, { rate_hz: 100 });
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr, '', { viewport: { width: 1366, height: 768 } });
+  await settled(page);
+  await page.getByRole('button', { name: 'Plots', exact: true }).click();
+  await page.locator('.plots').waitFor();
+  for (let n = 0; n < 8; n += 1) {
+    await drop(page, { ...OUTPUT, path: `host/s${n}/value` });
+    for (const k of [1, 2, 3]) await drop(page, { ...OUTPUT, path: `host/s${(n + k) % 8}/value` }, `[data-figure="${n + 1}"]`);
+  }
+  is((await points(page)).length, 32, 'curves');
+  await reaches('all have points', () => points(page), 60);
+  await shot(page, 'plots-many');
+  // The page answers between two drawings.
+  await box(page, 'host/s0').locator('header').click();
+  await page.locator('.inspector').waitFor();
+  const had = await latest(page);
+  await eventually('all go on', async () => (await latest(page)).every((v, i) => v !== had[i]));
+}
