@@ -57,6 +57,15 @@ async function every_view(world, scheme) {
   await page.locator('[data-plot="host/sine/value#value"]').click();
   await page.locator('[data-curve]').waitFor();
   await look('plot');
+  await page.getByLabel('A number that is chosen goes into').selectOption('1');
+  await page.locator('[data-plot="host/sine/value#stamp"]').click();
+  await page.locator('[data-curve]').nth(1).waitFor();
+  await page.getByRole('button', { name: 'Settings', exact: true }).click();
+  await page.locator('[data-tuning="host/sine"] [type=range]').waitFor();
+  await page.getByRole('textbox', { name: 'frequency_hz, as a number' }).fill('600');
+  await page.getByRole('textbox', { name: 'frequency_hz, as a number' }).press('Enter');
+  await page.locator('[data-tuning] .refusal').waitFor();
+  await look('two curves beside settings');
   for (const dock of ['Pictures', 'Events', 'Log']) {
     await page.getByRole('button', { name: dock, exact: true }).click();
     await look(dock);

@@ -295,6 +295,11 @@ export async function what_is_touched_is_as_large_as_a_finger_in_every_view(worl
   await shot(page, 'touch-interfaces');
   await page.locator('[data-plot="host/Server#set_point"]').tap();
   await page.locator('[data-curve]').waitFor();
+  await page.getByLabel('A number that is chosen goes into').selectOption('1');
+  await page.locator('[data-plot="host/Server/Provided/Read#"]').tap();
+  await page.getByRole('button', { name: 'Settings', exact: true }).tap();
+  await page.getByLabel('settings of another component').selectOption('host/sine');
+  await page.locator('[data-tuning="host/sine"] [type=range]').waitFor();
   await look('Plots', 20);
   await shot(page, 'touch-plots');
   await page.locator('[data-follow="host/Server/Provided/SetPointReached"]').tap();

@@ -1,11 +1,11 @@
 /// Plots as engineers use them: units, several curves, looking back, cursors, files, and settings beside them.
 import fs from 'node:fs';
 import { interfacesOf, latest, plot, points } from './following.mjs';
+import { drop, eightPlots, OUTPUT } from './plotting.mjs';
 import { box, create, eventually, grpcurl, holds, is, reaches, settled, shot, start } from './world.mjs';
 
 /// A sine that stands at its crest: all that comes of it is its amplitude.
 const CREST = { frequency_hz: 0, phase_rad: Math.PI / 2 };
-const OUTPUT = { path: 'host/sine/value', field: 'value', source: 'output', unit: '' };
 const ROW = { path: 'host/sine', field: 'latest.value', source: 'state', unit: '' };
 const READ = { path: 'host/sine/signal/value', field: '', source: 'read', unit: '' };
 
@@ -20,16 +20,15 @@ async function sineShown(world, config = CREST, options = {}, query = '') {
   return { host, page, set: (config) => grpcurl(host.addr, 'GcmService/Configure', { path: 'host/sine', config }) };
 }
 
-/// What a drag from elsewhere would drop.
-const drop = (page, data, onto = '.plots', kind = 'application/x-trocar-signal') =>
-  page.locator(onto).evaluate((e, [kind, text]) => {
-    const transfer = new DataTransfer();
-    transfer.setData(kind, text);
-    e.dispatchEvent(new DragEvent('drop', { bubbles: true, cancelable: true, dataTransfer: transfer }));
-  }, [kind, typeof data === 'string' ? data : JSON.stringify(data)]);
 const values = (page) => page.locator('[data-curve] .value').allInnerTexts();
 const inPlots = (page) => page.locator('[data-figure]').evaluateAll((all) => all.map((f) => [...f.querySelectorAll('[data-curve]')].map((c) => c.dataset.curve)));
 const told = (page, words) => page.locator('[data-note]', { hasText: words }).waitFor();
+const kept = (page) => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => Number(e.dataset.kept)));
+/// Pauses the plots, and waits until they stand: more is kept of each curve than is seen.
+async function pause(page) {
+  await page.getByRole('button', { name: 'Pause', exact: true }).click();
+  await eventually('they stand', async () => { const seen = await points(page); return (await kept(page)).every((n, i) => n > seen[i]); }, () => kept(page));
+}
 const paused = (page) => page.locator('[data-paused]').getAttribute('data-paused');
 const curves = (page, n) => page.locator(`[data-figure="${n}"] .u-over`);
 
@@ -49,7 +48,7 @@ export async function values_and_ticks_have_the_prefix_and_the_digits_people_rea
   for (const [value, unit, text] of [
     [0.000637, 'm', '637.00 µm'], [0.0012, 'N', '1.2000 mN'], [1500, 'Hz', '1.5000 kHz'], [0.637, 'mm', '637.00 µm'], [31, 'mm', '31.000 mm'],
     [-0.25, 'N.m', '-250.00 mN·m'], [0.0025, 'm/s^2', '2.5000 mm/s²'], [0.0025, 'm^2', '0.0025000 m²'], [1234567, '', '1234567'], [0.25, '%', '0.25000 %'],
-    [1920, 'px', '1920 px'], [0.001, 'rad', '1.0000 mrad'], [2500, 's', '2500.0 s'], [1500, '1/s', '1500 1/s'], [999.999999, 'Hz', '1.0000 kHz'], [0, 'm', '0.0000 m'],
+    [1920, 'px', '1920 px'], [0.001, 'rad', '1.0000 mrad'], [2500, 's', '2500.0 s'], [1500, '1/s', '1500 1/s'], [999.999999, 'Hz', '1.0000 kHz'], [0.0025, 'm/s|rad/s', '0.0025000 m/s or rad/s'], [0, 'm', '0.0000 m'],
   ]) {
     await set({ amplitude: value });
     await drop(page, { ...OUTPUT, unit });
@@ -121,13 +120,12 @@ export async function paused_plots_stand_still_can_be_zoomed_and_lose_nothing(wo
   await drop(page, OUTPUT);
   await drop(page, { ...ROW, unit: 'N' }, '[data-figure="1"]');
   await drop(page, READ);
-  const kept = () => page.locator('[data-curve]').evaluateAll((all) => all.map((e) => Number(e.dataset.kept)));
   await reaches('all have points', () => points(page), 60);
-  await page.getByRole('button', { name: 'Pause', exact: true }).click();
+  await pause(page);
   is(await paused(page), 'true', 'paused');
-  const [seen, had] = [await eventually('it stands', async () => { const a = await points(page); return (await points(page)).join() === a.join() && a; }), await kept()];
-  await reaches('data are kept on', async () => (await kept()).map((n, i) => n - had[i]), 40);
-  is([await points(page), await latest(page)], [seen, await latest(page)], 'what is seen stays');
+  const [seen, shown, had] = [await points(page), await latest(page), await kept(page)];
+  await reaches('data are kept on', async () => (await kept(page)).map((n, i) => n - had[i]), 40);
+  is([await points(page), await latest(page)], [seen, shown], 'what is seen stays');
   // Zoom by a drag over the curves.
   const at = await curves(page, 1).boundingBox();
   await page.mouse.move(at.x + at.width * 0.8, at.y + 30);
@@ -140,7 +138,7 @@ export async function paused_plots_stand_still_can_be_zoomed_and_lose_nothing(wo
   const below = () => page.locator('[data-figure]').evaluateAll((all) => all.map((f) => f.dataset.below));
   await eventually('and drawn, in both plots', async () => (await below()).every((t) => /-1\.\d/.test(t) && !/-[3-9]/.test(t)), below);
   await shot(page, 'plot-zoomed');
-  // What is exported is what is seen.
+  // The table holds the time that is seen.
   const { rows } = await csv(page, 1);
   const times = rows.map((r) => Number(r[1]));
   const [from, to] = await zoomed();
@@ -172,18 +170,22 @@ export async function one_cursor_tells_the_values_of_all_plots_and_their_differe
   await drop(page, { ...OUTPUT, unit: 'm' });
   await drop(page, { ...ROW, unit: 'm' });
   await reaches('points', () => points(page), 60);
-  await page.getByRole('button', { name: 'Pause', exact: true }).click();
+  await pause(page);
+  const { rows, name } = await csv(page, 1);
+  const tables = [rows, (await csv(page, 2)).rows];
   const at = await curves(page, 1).boundingBox();
   const x = (part) => at.x + at.width * part;
+  const cursor = async () => Number(await page.locator('[data-cursor]').getAttribute('data-cursor'));
+  /// Values of the tables at the time of the cursor, to the digits that are shown, mm.
+  const wanted = (time) => tables.map((rows) => rows.reduce((best, r) => (Math.abs(r[0] - time) < Math.abs(best[0] - time) ? r : best))).map((r) => Number((r[2] * 1000).toPrecision(5)));
+  const shown = async () => (await values(page)).map((t) => (t.endsWith(' mm') ? Number.parseFloat(t) : t));
+  const agree = async () => {
+    // 10 s are seen, to the newest: the cursor is a second before it.
+    holds(Math.abs(await cursor() - (rows.at(-1)[0] - 1)) < 0.05, `${await cursor()}, a second before ${rows.at(-1)[0]}`);
+    return (await shown()).join() === wanted(await cursor()).join();
+  };
   await page.mouse.move(x(0.9), at.y + 30);
-  const shown = async () => (await values(page)).map((t) => Number.parseFloat(t) * (t.endsWith('µm') ? 1e-6 : 1e-3));
-  const { rows, name } = await csv(page, 1);
-  await page.mouse.move(x(0.9), at.y + 30);
-  const end = Number(rows.at(-1)[1]);
-  const nearest = (t) => rows.reduce((best, r) => (Math.abs(r[1] - t) < Math.abs(best[1] - t) ? r : best));
-  // 10 s are seen, to the newest.
-  const value = (part) => Number(nearest(end - 10 * (1 - part))[2]);
-  await eventually('both tell the value at the cursor', async () => (await shown()).length === 2 && (await shown()).every((v) => Math.abs(v - value(0.9)) < 0.0006), async () => [await values(page), value(0.9)]);
+  await eventually('both tell the value at the cursor', agree, async () => [await values(page), wanted(await cursor())]);
   await page.mouse.click(x(0.85), at.y + 30);
   await page.mouse.move(x(0.95), at.y + 30);
   const apart = page.locator('[data-apart]');
@@ -195,7 +197,7 @@ export async function one_cursor_tells_the_values_of_all_plots_and_their_differe
   await eventually('the latest again', async () => (await page.locator('[data-apart]').count()) === 0);
   await page.getByRole('group', { name: /^curves of plot 2/ }).focus();
   await page.keyboard.press('Shift+ArrowLeft');
-  await eventually('a second before the newest', async () => (await shown()).every((v) => Math.abs(v - value(0.9)) < 0.0006), async () => [await values(page), value(0.9)]);
+  await eventually('a second before the newest', agree, async () => [await values(page), wanted(await cursor())]);
   await page.keyboard.press('Escape');
   await eventually('nothing is marked', async () => (await page.getByRole('button', { name: 'Unmark' }).count()) === 0);
   holds(/^host\.sine\.value\.value-\d{4}-\d\d-\d\dT\d\d-\d\d-\d\d\.csv$/.test(name), `a name of signal and time: ${name}`);
@@ -208,8 +210,7 @@ export async function a_plot_is_saved_as_a_table_and_as_a_picture(world) {
   await drop(page, { ...OUTPUT, unit: 'm' });
   await drop(page, { ...READ, unit: 'N' }, '[data-figure="1"]');
   await reaches('points', () => points(page), 50);
-  await page.getByRole('button', { name: 'Pause', exact: true }).click();
-  await eventually('it stands', async () => { const a = await latest(page); return (await latest(page)).join() === a.join() && a.every((v) => v !== 'NaN'); });
+  await pause(page);
   const { head, rows, name } = await csv(page, 1);
   is(head, ['time (s)', 'relative (s)', 'host/sine/value · value (m)', 'host/sine/signal/value (N)'], 'columns');
   const shown = await latest(page);
@@ -306,6 +307,11 @@ export async function settings_beside_a_plot_move_what_runs_and_are_one_change_e
   await eventually('the lowest', async () => (await config('host/low')).cutoff_hz === 0.1, () => config('host/low'));
   await cutoff.fill('500');
   await eventually('half of the way by powers of ten', async () => (await config('host/low')).cutoff_hz === 6.32, () => config('host/low'));
+  // Keys that follow each other are one change; Ctrl-Z takes it back, with the slider in focus.
+  await eventually('one change', async () => /host\/low/.test(await undo.getAttribute('title')));
+  await cutoff.focus();
+  await page.keyboard.press('Control+z');
+  await eventually('taken back', async () => [0.1, 50].includes((await config('host/low')).cutoff_hz), () => config('host/low'));
   await page.getByRole('switch', { name: 'inverse' }).click();
   await eventually('the switch', async () => (await config('host/frame')).inverse === true);
   await of('host/frame', 'side').locator('select').selectOption('"behind"');
@@ -313,7 +319,46 @@ export async function settings_beside_a_plot_move_what_runs_and_are_one_change_e
   await of('host/frame', 'translation_m[1]').getByRole('textbox').fill('0.25');
   await of('host/frame', 'translation_m[1]').getByRole('textbox').press('Enter');
   await eventually('one item of three', async () => (await config('host/frame')).translation_m?.join() === '0,0.25,0', () => config('host/frame'));
-  await page.keyboard.press('d');
+}
+
+export async function an_axis_that_is_held_stays_and_one_that_is_not_fits_what_is_seen(world) {
+  const { page, set } = await sineShown(world, { ...CREST, amplitude: 1 });
+  await drop(page, { ...OUTPUT, unit: 'm' });
+  const figure = page.locator('[data-figure="1"]');
+  const left = () => figure.getAttribute('data-left');
+  await eventually('it fits', async () => /^m: .*1\.0/.test((await left()) ?? ''), left);
+  await page.getByRole('button', { name: 'Hold y' }).click();
+  const held = await left();
+  await set({ amplitude: 5 });
+  await eventually('the new value', async () => (await latest(page))[0] === '5');
+  const n = (await points(page))[0];
+  await reaches('and more of it', () => points(page), n + 5);
+  is(await left(), held, 'ticks of an axis that is held');
+  await page.getByRole('button', { name: 'Hold y' }).click();
+  await eventually('it fits again', async () => /^m: .*\b5/.test(await left()), left);
+}
+
+export async function fingers_zoom_a_plot_and_move_along_it(world) {
+  const { page } = await sineShown(world, { frequency_hz: 1 }, { hasTouch: true, isMobile: true, viewport: { width: 1024, height: 768 } });
+  await drop(page, OUTPUT);
+  await reaches('points', () => points(page), 30);
+  const fingers = await page.context().newCDPSession(page);
+  const touch = (type, ...at) => fingers.send('Input.dispatchTouchEvent', { type, touchPoints: at.map(([x, y], id) => ({ x, y, id })) });
+  const over = await curves(page, 1).boundingBox();
+  const [x, y] = [over.x + over.width * 0.7, over.y + over.height / 2];
+  const span = page.locator('[data-figure="1"] figcaption .faint');
+  const seen = async () => ((await span.innerText()).match(/-?\d+\.?\d*/g) ?? []).map(Number);
+  await touch('touchStart', [x - 40, y], [x + 40, y]);
+  for (let d = 50; d <= 160; d += 10) await touch('touchMove', [x - d, y], [x + d, y]);
+  await touch('touchEnd');
+  await eventually('a quarter is seen', async () => { const [a, b] = await seen(); return b - a > 1.5 && b - a < 4; }, () => span.innerText());
+  const [before] = await seen();
+  await touch('touchStart', [x, y]);
+  for (let d = 10; d <= 150; d += 10) await touch('touchMove', [x + d, y]);
+  await touch('touchEnd');
+  await eventually('earlier', async () => (await seen())[0] < before, () => span.innerText());
+  await page.getByRole('button', { name: 'Return' }).click();
+  await eventually('it goes on', async () => (await paused(page)) === 'false');
 }
 
 export async function a_read_only_page_has_plots_without_settings_and_a_narrow_one_has_all(world) {
@@ -335,21 +380,9 @@ export async function a_read_only_page_has_plots_without_settings_and_a_narrow_o
 }
 
 export async function eight_plots_of_four_curves_leave_the_page_answering(world) {
-  const host = await world.host();
-  for (let n = 0; n < 8; n += 1) await create(host.addr, 'sine', `host/s${n}`, { frequency_hz: 1 + n }, { rate_hz: 100 });
-  await start(host.addr, 'host/**');
-  const page = await world.viewer(host.addr, '', { viewport: { width: 1366, height: 768 } });
-  await settled(page);
-  await page.getByRole('button', { name: 'Plots', exact: true }).click();
-  await page.locator('.plots').waitFor();
-  for (let n = 0; n < 8; n += 1) {
-    await drop(page, { ...OUTPUT, path: `host/s${n}/value` });
-    for (const k of [1, 2, 3]) await drop(page, { ...OUTPUT, path: `host/s${(n + k) % 8}/value` }, `[data-figure="${n + 1}"]`);
-  }
-  is((await points(page)).length, 32, 'curves');
-  await reaches('all have points', () => points(page), 60);
+  const { page, plotted } = await eightPlots(world);
+  await plotted();
   await shot(page, 'plots-many');
-  // The page answers between two drawings.
   await box(page, 'host/s0').locator('header').click();
   await page.locator('.inspector').waitFor();
   const had = await latest(page);

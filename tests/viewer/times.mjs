@@ -5,6 +5,7 @@
 import fs from 'node:fs';
 import { cut, moved, onScreen, twoThenThreeHundred, watched } from './drawing.mjs';
 import { followAll, framesNoted, manyMakers, noteFrames } from './following.mjs';
+import { eightPlots } from './plotting.mjs';
 import { eventually, holds, is, reaches, settled } from './world.mjs';
 
 /// A connection may take this long to be on the screen, beyond what the browser takes for nothing, ms.
@@ -15,6 +16,8 @@ const MOVED = 200;
 /// 95 % of the frames while ten thousand events a second come may take this long beyond twice those without
 /// any, ms.
 const EVENTS = 100;
+/// 95 % of the frames while 32 curves are drawn may take this long beyond twice those without any, ms.
+const PLOTS = 150;
 
 export async function a_connection_made_by_grpcurl_is_on_the_screen_at_once(world) {
   const { host, page, connected } = await watched(world);
@@ -95,6 +98,20 @@ export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
   console.log(`events: ${rate.toFixed(0)}/s came or were counted as skipped (${await list.getAttribute('data-skipped')} in all), ${frames.count} frames, p95 ${frames.p95.toFixed(0)} ms, largest ${frames.most.toFixed(0)} ms; control (none followed) p95 ${control.p95.toFixed(0)} ms; ${rows} rows`);
   holds(rate >= 10_000, `events come too slowly: ${rate.toFixed(0)}/s in the last of ${TRIES} times forty thousand`);
   holds(frames.count > 20 && frames.p95 <= EVENTS + 2 * control.p95, `frames take too long: p95 ${frames.p95} ms of ${frames.count}; ${EVENTS} ms and twice the control of ${control.p95} ms are allowed`);
+}
+
+export async function eight_plots_of_four_curves_do_not_stop_the_page(world) {
+  const { page, plotted } = await eightPlots(world);
+  // What this browser takes while the same components run and nothing of them is plotted.
+  await noteFrames(page);
+  await page.waitForFunction(() => window.frames.length >= 100);
+  const control = await framesNoted(page);
+  await plotted();
+  await noteFrames(page);
+  await page.waitForFunction(() => window.frames.length >= 100);
+  const frames = await framesNoted(page);
+  console.log(`8 plots of 4 curves at 60 Hz: ${frames.count} frames, p95 ${frames.p95.toFixed(0)} ms, largest ${frames.most.toFixed(0)} ms; control (none plotted) p95 ${control.p95.toFixed(0)} ms`);
+  holds(frames.p95 <= PLOTS + 2 * control.p95, `frames take too long: p95 ${frames.p95} ms of ${frames.count}; ${PLOTS} ms and twice the control of ${control.p95} ms are allowed`);
 }
 
 /// Times forty thousand events of which one has to come at the promised rate.

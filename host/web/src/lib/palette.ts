@@ -1,4 +1,4 @@
-/// Colours and strokes of curves: after Okabe and Ito, told apart with every kind of colour vision, on either ground.
+/// Colours and strokes of curves: after Okabe and Ito, told apart with every kind of colour vision.
 ///
 /// Invariant: two curves of a plot never look the same; from the fourth on they differ by their strokes, too.
 const LIGHT = ['#0072b2', '#c94f00', '#007a57', '#a3457f', '#7a5c00', '#4a4a4a'];

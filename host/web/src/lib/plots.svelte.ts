@@ -1,7 +1,7 @@
 /// The plots of this page: which curves are in which, what part of their time is seen, and where the cursor is.
 ///
-/// Invariant: pause, zoom, cursor and mark are those of all plots together, in s of the host's monotonic clock. A plot has two axes at
-/// most: a third unit is refused in words. While paused, what is seen is a copy, and what comes is kept beside it.
+/// Invariant: pause, zoom, cursor and mark are those of all plots together, in s of the host's monotonic clock.
+/// A plot has two axes at most: a third unit is refused in words. A pause shows a copy; new points are kept on.
 import { page } from './page.svelte';
 import { MOST_CURVES } from './palette';
 import { Curve, nameOf, sameSignal, signalFrom, unitKey, type Signal } from './signals.svelte';
@@ -24,7 +24,7 @@ export class Plot {
   curves = $state.raw<Curve[]>([]);
   /// Lowest and highest of an axis that is held, left and right.
   held = $state.raw<([number, number] | null)[]>([null, null]);
-  /// How a curve looks, for as long as it is here.
+  /// Looks of the curves, by number: they do not change while others leave.
   #slots = new Map<Curve, number>();
 
   constructor(public number: number) {}
@@ -106,7 +106,7 @@ class Plots {
     else this.#put(new Curve(signal), into);
   }
 
-  /// What was dropped on a plot, or beside all of them.
+  /// Takes a drop on a plot, or beside all of them.
   drop(data: DataTransfer | null, into?: Plot) {
     const moved = data?.getData(CURVE);
     const curve = moved ? this.curves.find((c) => String(c.id) === moved) : undefined;
@@ -195,14 +195,14 @@ class Plots {
     return { from, to };
   }
 
-  /// What is seen of a plot.
+  /// The time that is seen of a plot.
   seen(plot: Plot): Span {
     if (this.zoom) return this.zoom;
     const to = Number.isFinite(plot.newest) ? plot.newest : 0;
     return { from: to - this.seconds, to };
   }
 
-  /// What is seen pauses: it would go away under the eye.
+  /// Shows this time, and pauses: it would go away under the eye.
   look(from: number, to: number) {
     if (![from, to].every(Number.isFinite) || !this.curves.some((c) => c.seen.n)) return;
     if (!this.paused) {
@@ -237,7 +237,7 @@ class Plots {
 
 export const plots = new Plots();
 
-/// What is seen of a plot, in words.
+/// The time that is seen of a plot, in words.
 export function spanOf(plot: Plot): string {
   if (!plots.zoom) return `last ${plots.seconds} s${plots.paused ? ' before the pause' : ''}`;
   const { from, to } = plots.zoom;

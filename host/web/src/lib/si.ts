@@ -1,7 +1,7 @@
 /// Numbers with their units as people read them: 637 µm, 1.2 mN, 1.5 kHz.
 ///
-/// Invariant: pure. A factor and its prefix go together, and a unit takes a prefix only where SI gives it one: never one that is
-/// squared, nor `%`, `deg` or `px`.
+/// Invariant: pure. A factor and its prefix go together, and a unit takes a prefix only where SI gives it one:
+/// never a squared one, nor `%`, `deg` or `px`, nor one of two that the value decides (m|rad).
 
 /// Largest prefixes first, as powers of ten.
 const PREFIXES: [string, number][] = [['G', 9], ['M', 6], ['k', 3], ['', 0], ['m', -3], ['µ', -6], ['n', -9], ['p', -12]];
@@ -14,7 +14,7 @@ const TAKES: Record<string, [number, number]> = {
 const LARGE = 1e9;
 const SMALL = 1e-4;
 
-/// How numbers of one unit are written: value / factor is shown, in `unit`.
+/// A way to write numbers of one unit: value / factor is shown, in `unit`.
 export interface Scale {
   factor: number;
   unit: string;
@@ -22,6 +22,7 @@ export interface Scale {
 
 /// The first symbol of a unit as a base with a power of ten, and what follows it.
 function taken(unit: string): { base: string; power: number; rest: string } | null {
+  if (unit.includes('|')) return null;
   const whole = unit === 'Nm' ? 'N·m' : unit;
   const [, symbol = '', rest = ''] = /^([^/·.*^²³⁻\s-]+)(.*)$/.exec(whole) ?? [];
   if (/^[\^²³⁻-]/.test(rest)) return null;
@@ -31,10 +32,10 @@ function taken(unit: string): { base: string; power: number; rest: string } | nu
   return prefix && base in TAKES ? { base, power: prefix[1], rest } : null;
 }
 
-/// A unit as it is printed: N·m, m/s².
+/// A unit as it is printed: N·m, m/s², m or rad.
 export function unitOf(unit: string): string {
   if (unit === '1') return '';
-  return (unit === 'Nm' ? 'N·m' : unit).replace(/[.*]/g, '·').replace(/\^2/g, '²').replace(/\^3/g, '³').replace(/^[uμ](?=[a-zA-Z])/, 'µ');
+  return (unit === 'Nm' ? 'N·m' : unit).replaceAll('|', ' or ').replace(/[.*]/g, '·').replace(/\^2/g, '²').replace(/\^3/g, '³').replace(/^[uμ](?=[a-zA-Z])/, 'µ');
 }
 
 /// The scale for numbers up to this size.
@@ -44,7 +45,7 @@ export function scaleFor(unit: string, size: number): Scale {
   const [low, high] = TAKES[of.base]!;
   const inBase = size * 10 ** of.power;
   const fits = PREFIXES.filter(([, power]) => power >= low && power <= high);
-  // One that rounds up to a thousand has the prefix of a thousand.
+  // A thousand less a rounding error has the prefix of a thousand.
   const [prefix, power] = fits.find(([, power]) => inBase >= 10 ** power * (1 - 1e-9)) ?? fits[fits.length - 1]!;
   return { factor: 10 ** (power - of.power), unit: prefix + of.base + unitOf(of.rest) };
 }
@@ -62,8 +63,8 @@ function digitsOf(value: number, digits: number, exact: boolean): string {
   return value.toPrecision(Math.max(digits, before));
 }
 
-/// A value with its unit; its digits do not come and go while it changes. `like`: the scale of an axis it is read at, where the value
-/// is not much smaller or larger than that.
+/// A value with its unit; its digits do not come and go while it changes. `like`: the scale of the axis beside
+/// it, which is kept unless the value is far smaller or larger.
 export function reading(value: number, unit: string, digits = 5, like?: Scale): string {
   if (!Number.isFinite(value)) return word(value);
   const there = like && Math.abs(value / like.factor);
@@ -84,11 +85,11 @@ export function written(value: number, unit: string, digits = 4): string {
 export interface Ticks {
   texts: string[];
   unit: string;
-  /// Of single values of that axis.
+  /// The scale for single values of that axis.
   scale: Scale;
 }
 
-/// Ticks of one axis: all with one prefix, which stands in the unit, and with the digits neighbours need to differ.
+/// Ticks of one axis: all with one prefix, which stands in the unit, and the digits neighbours need to differ.
 export function ticks(at: readonly number[], unit: string): Ticks {
   const most = at.reduce((size, v) => Math.max(size, Math.abs(v)), 0);
   const prefixed = scaleFor(unit, most);

@@ -24,7 +24,7 @@ export function wayOf(s: Schema, whole: boolean): Way | undefined {
   return isLog || high - low <= TOO_FAR ? { low, high, isLog, whole } : undefined;
 }
 
-/// Where a value is, of STEPS.
+/// The place of a value, of STEPS.
 export function placeOf({ low, high, isLog }: Way, value: number): number {
   const at = isLog ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
   return Math.round(STEPS * Math.min(1, Math.max(0, at || 0)));

@@ -39,7 +39,7 @@ export class Track {
     return to;
   }
 
-  /// Of the k-th oldest, s of the host's monotonic clock.
+  /// Time of the k-th oldest, s of the host's monotonic clock.
   time(k: number): number {
     return this.x[(this.#first + k) % KEPT]!;
   }
@@ -90,7 +90,8 @@ export class Joined {
   #at: number[] = [];
   #stop: number[] = [];
 
-  /// Those from `from` to `to`, and one on either side, so that lines lead to the edges; times count from `base`.
+  /// Takes the points from `from` to `to`, and one on either side: lines lead to the edges. Times count from
+  /// `base`.
   fill(tracks: readonly Track[], from: number, to: number, base: number) {
     const { data } = this;
     while (data.length <= tracks.length) data.push([]);

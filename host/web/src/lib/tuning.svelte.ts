@@ -1,7 +1,7 @@
 /// Settings that change while a component runs, moved by hand and sent as they move.
 ///
-/// Invariant: one Configure of a component is under way, ten begin a second, and the newest value is the one that goes: nothing waits
-/// in a queue. What is shown is what the component has, but while a hand moves it. A drag is one change that Undo takes back.
+/// Invariant: one Configure of a component is under way, ten begin a second, and the newest value goes: there is
+/// no queue. The component's own value is shown, but while a hand moves it. A drag is one change for Undo.
 import { ConnectError } from '@connectrpc/connect';
 import { SvelteMap } from 'svelte/reactivity';
 import { gcm, PATIENCE, said } from './api';
@@ -14,7 +14,7 @@ import { system } from './system.svelte';
 const EVERY = 100;
 /// Keys that follow each other this fast are one change, ms.
 const ONE = 600;
-/// What was accepted is shown so long at most before the component has told of it, ms.
+/// An accepted value is shown so long at most before the component has told of it, ms.
 const TELLS = 2000;
 /// Arrays up to so many items have a control for each.
 const MOST_ITEMS = 6;
@@ -71,17 +71,17 @@ class Tuned {
   /// By name of the setting: what a hand wants.
   wanted = new SvelteMap<string, unknown>();
   refused = new SvelteMap<string, string>();
-  /// What is to be sent: the newest of each.
+  /// To be sent: the newest of each.
   #next: { patch: Values; names: Set<string> } | null = null;
   #busy = false;
-  /// What it was before the hand came, and what was accepted since.
+  /// The configuration before the hand came, and the parts accepted since.
   #before: Values | null = null;
   #accepted: Values = {};
   #held = false;
   #ending: ReturnType<typeof setTimeout> | undefined;
   /// Configuration as accepted, until the component tells the same.
   #expected: Values | null = null;
-  /// How many were sent; for tests and the curious.
+  /// Count of calls.
   sent = $state(0);
 
   constructor(readonly path: string) {}
@@ -158,7 +158,7 @@ class Tuned {
     void this.#followed();
   }
 
-  /// What it has is shown again, as soon as it has told of what was accepted.
+  /// Shows the component's own values again, as soon as it has told of those it accepted.
   async #followed() {
     const expected = this.#expected;
     const until = performance.now() + TELLS;

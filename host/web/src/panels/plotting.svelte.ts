@@ -1,6 +1,6 @@
-/// One plot on its canvas: uPlot fed with the curves, its axes, and what hands do to it.
+/// A plot on its canvas: uPlot fed with the curves, its axes, and the gestures on it.
 ///
-/// Invariant: nothing is drawn that did not change, and no array is made for a drawing; all plots show one cursor.
+/// Invariant: only changes are drawn, into arrays that are used again; all plots show one cursor.
 import uPlot from 'uplot';
 import { look } from '../lib/palette';
 import { plots, type Plot, type Span } from '../lib/plots.svelte';
@@ -18,7 +18,7 @@ const BELOW = 2;
 /// A mark this near to a click is taken away, px.
 const NEAR = 8;
 
-/// What the legend shows of a curve; undefined: there is nothing.
+/// The figures of a curve in the legend; undefined: there is none.
 export interface Read {
   latest?: number;
   cursor?: number;
@@ -27,8 +27,16 @@ export interface Read {
   kept: number;
   gaps: number;
   skipped: number;
+  /// All of its points are of times that are not seen.
+  isAway?: boolean;
   /// That of its axis.
   scale?: Scale;
+}
+
+/// A drawing that is renewed, and when it last was, ms of the page.
+export interface Drawn {
+  at: number;
+  draw: () => void;
 }
 
 export class Plotting {
@@ -79,7 +87,7 @@ export class Plotting {
         },
         axes: [{ ...axis, size: 22, space: 60, values: (_, at) => (this.#ticks[BELOW] = ticks(at, 's')).texts.map((t) => `${t} ${this.#ticks[BELOW]!.unit}`) }, ...sides],
         series: [{}, ...plot.curves.map((c) => this.#series(c, dark))],
-        padding: [above, sides.length > 1 ? 0 : 12, 0, 0],
+        padding: [above, sides.length > 1 ? 0 : 20, 0, 0],
         hooks: {
           draw: [(u) => this.#onto(u, colour('--soft'), colour('--accent'))],
           setSelect: [(u) => this.#selected(u)],
@@ -118,7 +126,7 @@ export class Plotting {
     return { scale: `y${this.plot.side(curve)}`, stroke: colour, dash: dash.length ? dash : undefined, width: 1.5, points: { show: false }, spanGaps: false, paths };
   }
 
-  /// What came since the last time, and where the cursor is by now; of a plot out of sight its values only.
+  /// Draws the news and the cursor; out of sight, only the legend's values are renewed.
   draw(isSeen = true, anyway = false) {
     const { plot, u } = this;
     if (!u || u.series.length !== plot.curves.length + 1) return;
@@ -128,7 +136,8 @@ export class Plotting {
     if (isSeen && (state !== this.#drawn || anyway)) {
       this.#drawn = state;
       this.#joined.fill(plot.curves.map((c) => c.seen), this.#span.from, this.#span.to, this.#base);
-      u.setData(this.#joined.data as unknown as uPlot.AlignedData);
+      // Drawn at once, so that it is known how long it takes.
+      u.batch(() => u.setData(this.#joined.data as unknown as uPlot.AlignedData));
     }
     if (isSeen) this.#place(u);
     this.#tell(state);
@@ -147,6 +156,7 @@ export class Plotting {
         latest: seen.n && !seen.isHole(seen.n - 1) ? seen.value(seen.n - 1) : undefined,
         cursor: cursor === null ? undefined : seen.near(cursor, isStepped),
         mark: mark === null ? undefined : seen.near(mark, isStepped),
+        isAway: seen.n > 0 && (seen.newest < this.#span.from || seen.oldest > this.#span.to),
         scale: this.#ticks[this.plot.side(c)]?.scale,
         points: seen.n, kept: c.track.n, gaps: c.gaps, skipped: c.skipped,
       };
@@ -214,27 +224,30 @@ export class Plotting {
 
   /// Wheel and two fingers zoom, one finger moves along.
   #gestures(over: HTMLElement) {
+    const { plot } = this;
+    // The time asked for last may not be drawn yet.
+    const seen = () => plots.seen(plot);
+    const timeAt = (left: number) => seen().from + (left / (over.clientWidth || 1)) * (seen().to - seen().from);
     over.style.touchAction = 'pan-y';
     over.addEventListener('wheel', (e) => {
       e.preventDefault();
       const way = e.deltaY || e.deltaX;
-      if (e.shiftKey || Math.abs(e.deltaX) > Math.abs(e.deltaY)) plots.shift(Math.sign(e.deltaX || way) * 0.1, this.#span);
-      else if (way) plots.scale(1.2 ** Math.max(-3, Math.min(3, way / 50)), this.#timeAt(e.offsetX), this.#span);
+      if (e.shiftKey || Math.abs(e.deltaX) > Math.abs(e.deltaY)) plots.shift(Math.sign(e.deltaX || way) * 0.1, seen());
+      else if (way) plots.scale(1.2 ** Math.max(-3, Math.min(3, way / 50)), timeAt(e.offsetX), seen());
     }, { passive: false });
     const fingers = new Map<number, number>();
     const at = (e: PointerEvent) => e.clientX - over.getBoundingClientRect().left;
     over.addEventListener('pointerdown', (e) => e.pointerType === 'touch' && fingers.set(e.pointerId, at(e)));
-    for (const over_ of ['pointerup', 'pointercancel', 'pointerleave']) over.addEventListener(over_, (e) => fingers.delete((e as PointerEvent).pointerId));
+    for (const end of ['pointerup', 'pointercancel', 'pointerleave'] as const) over.addEventListener(end, (e) => fingers.delete(e.pointerId));
     over.addEventListener('pointermove', (e) => {
       if (!fingers.has(e.pointerId)) return;
       const before = [...fingers.values()];
       fingers.set(e.pointerId, at(e));
       const now = [...fingers.values()];
-      const width = over.clientWidth || 1;
-      if (now.length === 1 && Math.abs(now[0]! - before[0]!) > 0) plots.shift((before[0]! - now[0]!) / width, this.#span);
+      if (now.length === 1 && now[0] !== before[0]) plots.shift((before[0]! - now[0]!) / (over.clientWidth || 1), seen());
       else if (now.length === 2) {
         const [was, is] = [Math.abs(before[0]! - before[1]!), Math.abs(now[0]! - now[1]!)];
-        if (was > 10 && is > 10) plots.scale(was / is, this.#timeAt((now[0]! + now[1]!) / 2), this.#span);
+        if (was > 10 && is > 10) plots.scale(was / is, timeAt((now[0]! + now[1]!) / 2), seen());
       }
     });
   }
@@ -268,7 +281,7 @@ export class Plotting {
 function fit(low: number | null, high: number | null): [number, number] {
   if (low === null || high === null || !Number.isFinite(low) || !Number.isFinite(high)) return [0, 1];
   const size = Math.max(Math.abs(low), Math.abs(high));
-  // What stands still is seen in the middle, not as the noise of its last digit.
+  // A constant is seen in the middle, not as the noise of its last digit.
   const room = high - low > size * 1e-12 ? (high - low) * 0.06 : size * 0.05 || 1;
   return [low - room, high + room];
 }
