@@ -195,10 +195,15 @@ class Plots {
     return { from, to };
   }
 
+  /// The newest of a plot, from which its times count; of an empty one, that of all.
+  base(plot: Plot): number {
+    return [plot.newest, this.kept.to].find(Number.isFinite) ?? 0;
+  }
+
   /// The time that is seen of a plot.
   seen(plot: Plot): Span {
     if (this.zoom) return this.zoom;
-    const to = Number.isFinite(plot.newest) ? plot.newest : 0;
+    const to = this.base(plot);
     return { from: to - this.seconds, to };
   }
 
@@ -219,7 +224,9 @@ class Plots {
 
   /// Below 1: closer.
   scale(by: number, around?: number, of: Span = this.#now()) {
-    const at = around ?? (of.from + of.to) / 2;
+    // Without a place: that of the cursor, or the newest.
+    const pointed = this.cursor !== null && this.cursor >= of.from && this.cursor <= of.to ? this.cursor : undefined;
+    const at = around ?? pointed ?? (this.zoom ? (of.from + of.to) / 2 : of.to);
     this.look(at - (at - of.from) * by, at + (of.to - at) * by);
   }
 
@@ -242,5 +249,6 @@ export function spanOf(plot: Plot): string {
   if (!plots.zoom) return `last ${plots.seconds} s${plots.paused ? ' before the pause' : ''}`;
   const { from, to } = plots.zoom;
   const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(to - from))));
-  return `${(from - plot.newest).toFixed(digits)} … ${(to - plot.newest).toFixed(digits)} s`;
+  const base = plots.base(plot);
+  return `${(from - base).toFixed(digits)} … ${(to - base).toFixed(digits)} s`;
 }

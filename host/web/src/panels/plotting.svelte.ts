@@ -1,12 +1,13 @@
-/// A plot on its canvas: uPlot fed with the curves, its axes, and the gestures on it.
+/// A plot on its canvas: uPlot fed with the curves, its axes and cursor.
 ///
 /// Invariant: only changes are drawn, into arrays that are used again; all plots show one cursor.
 import uPlot from 'uplot';
+import { gestures } from './gestures';
 import { look } from '../lib/palette';
 import { plots, type Plot, type Span } from '../lib/plots.svelte';
 import { ticks, unitOf, type Scale, type Ticks } from '../lib/si';
 import { named, type Curve } from '../lib/signals.svelte';
-import { Joined } from '../lib/track';
+import { Joined } from '../lib/joined';
 
 /// Least size, px.
 const LEAST = { width: 120, height: 80 };
@@ -107,7 +108,7 @@ export class Plotting {
       this.#hovers = false;
     });
     over.addEventListener('click', (e) => this.marks(e.offsetX));
-    this.#gestures(over);
+    gestures(over, plot);
   }
 
   #size() {
@@ -131,7 +132,7 @@ export class Plotting {
     const { plot, u } = this;
     if (!u || u.series.length !== plot.curves.length + 1) return;
     this.#span = plots.seen(plot);
-    this.#base = Number.isFinite(plot.newest) ? plot.newest : 0;
+    this.#base = plots.base(plot);
     const state = `${plot.curves.map((c) => (c.frozen ? c.frozen.n : c.changes)).join()} ${this.#span.from} ${this.#span.to} ${plot.held.join()} ${plots.mark}`;
     if (isSeen && (state !== this.#drawn || anyway)) {
       this.#drawn = state;
@@ -220,36 +221,6 @@ export class Plotting {
       }
     }
     ctx.restore();
-  }
-
-  /// Wheel and two fingers zoom, one finger moves along.
-  #gestures(over: HTMLElement) {
-    const { plot } = this;
-    // The time asked for last may not be drawn yet.
-    const seen = () => plots.seen(plot);
-    const timeAt = (left: number) => seen().from + (left / (over.clientWidth || 1)) * (seen().to - seen().from);
-    over.style.touchAction = 'pan-y';
-    over.addEventListener('wheel', (e) => {
-      e.preventDefault();
-      const way = e.deltaY || e.deltaX;
-      if (e.shiftKey || Math.abs(e.deltaX) > Math.abs(e.deltaY)) plots.shift(Math.sign(e.deltaX || way) * 0.1, seen());
-      else if (way) plots.scale(1.2 ** Math.max(-3, Math.min(3, way / 50)), timeAt(e.offsetX), seen());
-    }, { passive: false });
-    const fingers = new Map<number, number>();
-    const at = (e: PointerEvent) => e.clientX - over.getBoundingClientRect().left;
-    over.addEventListener('pointerdown', (e) => e.pointerType === 'touch' && fingers.set(e.pointerId, at(e)));
-    for (const end of ['pointerup', 'pointercancel', 'pointerleave'] as const) over.addEventListener(end, (e) => fingers.delete(e.pointerId));
-    over.addEventListener('pointermove', (e) => {
-      if (!fingers.has(e.pointerId)) return;
-      const before = [...fingers.values()];
-      fingers.set(e.pointerId, at(e));
-      const now = [...fingers.values()];
-      if (now.length === 1 && now[0] !== before[0]) plots.shift((before[0]! - now[0]!) / (over.clientWidth || 1), seen());
-      else if (now.length === 2) {
-        const [was, is] = [Math.abs(before[0]! - before[1]!), Math.abs(now[0]! - now[1]!)];
-        if (was > 10 && is > 10) plots.scale(was / is, timeAt((now[0]! + now[1]!) / 2), seen());
-      }
-    });
   }
 
   /// Moves the cursor by parts of what is seen, from its end when there is none.
