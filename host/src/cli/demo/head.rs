@@ -4,8 +4,6 @@ use crate::cli::{hosting, run, session};
 
 pub(super) struct Head {
     pub(super) title: String,
-    /// Address of the surgeon's picture.
-    pub(super) picture: Option<String>,
     pub(super) addr: String,
     /// A read command to call.
     pub(super) command: String,
@@ -14,22 +12,27 @@ pub(super) struct Head {
 impl Head {
     /// One thing a line, for whoever reads from the top.
     pub(super) fn lines(&self) -> String {
-        let picture =
-            self.picture.as_ref().map(|at| format!("  the surgeon's picture: {at}\n")).unwrap_or_default();
-        format!("{}\n{picture}{}\n", self.title, run::hints(&self.addr, Some(&self.command)))
+        let picture = self.picture();
+        let hints = run::hints(&self.addr, Some(&self.command));
+        format!("{}\n  the surgeon's picture: {picture}\n{hints}\n", self.title)
     }
 
     /// In as few lines as 80 columns allow: they stay in view.
     pub(super) fn for_a_screen(&self) -> String {
         let addr = &self.addr;
         let viewer = hosting::viewer(addr);
-        let picture = self.picture.as_ref().map(|at| format!("picture {at}  ")).unwrap_or_default();
+        let picture = self.picture();
         let gcm = if addr == session::DEFAULT_GCM { String::new() } else { format!(" --gcm {addr}") };
         format!(
-            "{}\n  {picture}viewer {viewer}  q ends it\n  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n{}",
+            "{}\n  picture {picture}  viewer {viewer}  q ends\n  trocar ls{gcm}\n  grpcurl -plaintext {addr} trocar.v1.GcmService/List\n{}",
             self.title,
             run::invocation(addr, &self.command)
         )
+    }
+
+    /// Address of the surgeon's picture, the one it has.
+    fn picture(&self) -> String {
+        format!("{}video", hosting::viewer(&self.addr))
     }
 }
 
@@ -41,7 +44,6 @@ mod tests {
     fn what_stays_in_view_has_80_columns_and_can_be_pasted() {
         let head = Head {
             title: "trocar demo bscan is running in 3 processes, GCM 127.0.0.1:50551".into(),
-            picture: Some("http://127.0.0.1:65535/".into()),
             addr: "127.0.0.1:50551".into(),
             command: "robot/bscan/scan/progress".into(),
         };

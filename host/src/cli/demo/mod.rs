@@ -41,8 +41,6 @@ const CHAIN: [&str; 3] = ["host/overlay/image", "host/pip/image", "host/display/
 const REST: Duration = Duration::from_secs(1);
 /// A robot takes less than this for 0.4 mm.
 const WAY_OUT: Duration = Duration::from_millis(150);
-/// Where the video can be seen, and at which of its numbers.
-const DISPLAY: (&str, &str) = ("host/display", "mjpeg_port");
 
 const EXAMPLES: &str = "\
 While it runs, in another terminal:
@@ -124,7 +122,7 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
     let done = match run::bring_up(&host, file, &mut stop).await {
         Ok(true) => {
             let addr = hosting::address(&host);
-            let head = show.begin(&format!(", listening on {addr}"), &addr).await;
+            let head = show.begin(&format!(", listening on {addr}"), &addr);
             let from = show.look(&addr).await;
             let ended = tokio::select! {
                 ended = show.run(&addr, &head) => ended,
@@ -157,7 +155,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
                 out::complain("warning", warning);
             }
             let how = format!(" in {} processes, GCM {}", file.processes.len(), up.addr);
-            let head = show.begin(&how, &up.addr).await;
+            let head = show.begin(&how, &up.addr);
             let from = show.look(&up.addr).await;
             // On a terminal the table says it.
             let voice = (!style::interactive()).then(|| up::voice("demo"));
@@ -191,19 +189,12 @@ struct Show<'a> {
 
 impl Show<'_> {
     /// The head: what there is to see and to try.
-    async fn begin(&self, how: &str, addr: &str) -> Head {
+    fn begin(&self, how: &str, addr: &str) -> Head {
         if self.session.json() && self.seconds.is_none() && self.pictures.is_none() {
             out::line(&serde_json::json!({ "listening": addr, "viewer": hosting::viewer(addr) }).to_string());
         }
-        let asking = Session::new(Some(addr.to_owned()), false);
-        let (display, port) = DISPLAY;
-        let picture = match asking.read(display, None).await {
-            Ok(row) => row.value[port].as_u64().filter(|port| *port > 0),
-            Err(_) => None,
-        };
         Head {
             title: format!("trocar demo {} is running{how}", self.behavior.name()),
-            picture: picture.map(|port| format!("http://127.0.0.1:{port}/")),
             addr: addr.to_owned(),
             command: format!("{}/{}", self.layout.place(self.behavior.leader()), self.behavior.command()),
         }
