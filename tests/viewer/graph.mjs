@@ -300,3 +300,45 @@ export async function taps_are_out_of_the_way_until_somebody_wants_them(world) {
   await grpcurl(host.addr, 'GcmService/Disconnect', { client: 'host/log/in_1', server: 'host/sine/tap_rows' });
   await eventually('nothing is', async () => (await taps()).length === 0);
 }
+
+export async function outputs_come_first_and_the_interface_system_last_on_the_card_and_in_its_details(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  const page = await world.viewer(host.addr);
+  await page.locator('[data-port="host/sine/system"]').waitFor();
+  await settled(page);
+  await page.keyboard.press('t');
+  await page.locator('[data-port="host/sine/tap_rows"]').waitFor();
+  const drawn = await page.locator('[data-path="host/sine"] .port.right').evaluateAll((all) => all.map((e) => e.dataset.port.split('/')[2]));
+  is(drawn, ['value', 'tap_rows', 'tap_events', 'signal', 'system'], 'ports on the card');
+  await box(page, 'host/sine').locator('header').click();
+  await page.getByRole('tab', { name: 'Interfaces' }).click();
+  await page.locator('[data-interface=system]').waitFor();
+  const told = await page.locator('.inspector section h2').evaluateAll((all) => all.map((e) => e.innerText.split(/\s/)[0]));
+  is(told.filter((name) => name !== 'State'), drawn, 'ports in the details');
+}
+
+export async function what_is_skipped_is_grey_and_what_is_dropped_is_amber(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  for (const name of ['newest', 'slow']) await create(host.addr, 'echo', `host/${name}`, undefined, { model: 'periodic', rate_hz: 10 });
+  await connect(host.addr, 'host/slow/sample', 'host/sine/value');
+  await grpcurl(host.addr, 'GcmService/Connect', { client: 'host/newest/sample', server: 'host/sine/value', options: { queue: { fifo: 0 } } });
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  const edge = (to) => page.locator(`[data-connection="host/sine/value → host/${to}/sample"]`);
+  const colour = (of) => of.evaluate((e) => getComputedStyle(e).color);
+  const named = (name) => page.evaluate((name) => { const e = document.createElement('i'); e.style.color = `var(${name})`; document.body.append(e); const { color } = getComputedStyle(e); e.remove(); return color; }, name);
+  const [grey, amber] = [await named('--faint'), await named('--warn')];
+  await edge('slow').locator('em').waitFor();
+  is(await colour(edge('slow').locator('em')), amber, 'dropped, at the line');
+  is(await edge('newest').locator('em').count(), 0, 'losses at a line that takes only the newest');
+  for (const [to, row, wanted] of [['slow', 'dropped', amber], ['newest', 'skipped', grey]]) {
+    await edge(to).click();
+    const figure = page.locator(`.inspector dt:text-is("${row}") + dd`, { hasText: /^[1-9]/ });
+    await figure.waitFor();
+    is(await colour(figure), wanted, `${row}, in the details`);
+  }
+  await shot(page, 'skipped');
+}

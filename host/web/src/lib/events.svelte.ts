@@ -83,7 +83,8 @@ function row(id: number, { item, cut }: Came): Row {
     at: `${(Number(stampNs) / 1e9).toFixed(4)} s`,
     path,
     text: `${value === null ? '' : JSON.stringify(value)}${missing}`,
-    level: missing ? 'warn' : '',
+    // Skipped is grey everywhere; that nobody listened is a warning.
+    level: cut ? 'warn' : skipped ? 'skipped' : '',
   };
 }
 

@@ -145,14 +145,24 @@ function typed(t: PortType | undefined): Pick<Port, 'type' | 'hash' | 'image' | 
 
 const INTERFACE = { hash: '', image: false, frame: false, any: false, tap: false };
 
+/// Every component has an interface `system`: it comes after all that is its own.
+export function systemLast<T extends { name: string }>(provided: T[]): T[] {
+  return [...provided.filter((p) => p.name !== 'system'), ...provided.filter((p) => p.name === 'system')];
+}
+
+export function tapsLast<T extends { tap: boolean }>(outputs: T[]): T[] {
+  return [...outputs.filter((o) => !o.tap), ...outputs.filter((o) => o.tap)];
+}
+
+/// As they are drawn: on each side of a card from top to bottom.
 function flat(ports: Ports): Port[] {
   return [
     ...ports.inputs.map((p): Port => ({ name: p.name, kind: 'input', doc: p.doc, tag: p.tag, optional: p.optional, tap: false, ...typed(p.type) })),
     ...ports.required.map(
       (p): Port => ({ name: p.name, kind: 'required', doc: p.doc, tag: '', optional: p.optional, type: `${p.functions.length} functions, ${p.handlers.length} handlers`, ...INTERFACE }),
     ),
-    ...ports.outputs.map((p): Port => ({ name: p.name, kind: 'output', doc: p.doc, tag: p.tag, optional: true, tap: p.tap, ...typed(p.type) })),
-    ...ports.provided.map(
+    ...tapsLast(ports.outputs).map((p): Port => ({ name: p.name, kind: 'output', doc: p.doc, tag: p.tag, optional: true, tap: p.tap, ...typed(p.type) })),
+    ...systemLast(ports.provided).map(
       (p): Port => ({ name: p.name, kind: 'provided', doc: p.doc, tag: p.tag, optional: true, type: `${p.commands.length} commands, ${p.events.length} events`, ...INTERFACE }),
     ),
   ];
