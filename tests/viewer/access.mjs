@@ -80,6 +80,10 @@ async function every_view(world, scheme) {
   await page.locator('.svelte-flow__node-process[data-id="process:host"]').focus();
   await look('process with the keyboard');
   await page.keyboard.press('Enter');
+  await page.locator('[data-process-panel=host]').waitFor();
+  await look('process');
+  await page.locator('.svelte-flow__node-process[data-id="process:host"]').focus();
+  await page.keyboard.press('Shift+F10');
   await page.getByRole('menuitem', { name: /^Start all/ }).waitFor();
   await look('menu of a process');
   await page.getByRole('menuitem', { name: /^Create component/ }).click();

@@ -64,7 +64,7 @@ export async function all_of_a_process_is_started_and_stopped_from_its_menu_and_
   const open = () => page.locator('[data-process=left] header').click({ button: 'right' });
   const are = async (...wanted) => eventually(`they are ${wanted}`, async () => JSON.stringify(await Promise.all(paths.map((p) => state(gcm.addr, p)))) === JSON.stringify(wanted));
   await open();
-  is(await items(page), ['Create component…', 'Start all of left', 'Stop all of left'], 'the menu of a process');
+  is(await items(page), ['Show process', 'Create component…', 'Start all of left', 'Stop all of left'], 'the menu of a process');
   await shot(page, 'menu-process');
   await choose(page, 'Start all of left');
   await are('ACTIVE', 'ACTIVE', 'READY');

@@ -17,7 +17,7 @@ const query = new URLSearchParams(location.search);
 class Page {
   /// Nothing can be changed from this page: its address says so, or the server, which then refuses it, too.
   readonly = query.has('readonly') || document.querySelector('meta[name=viewer]')?.getAttribute('content') === 'read-only';
-  /// process/component, or "connection:ID".
+  /// process/component, "connection:ID" or "process:NAME".
   selected = $state('');
   tab = $state<Tab>('overview');
   /// Command to open in the form.

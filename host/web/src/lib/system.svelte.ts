@@ -13,6 +13,8 @@ class System {
   processes = new SvelteMap<string, Process>();
   components = new SvelteMap<string, Component>();
   connections = new SvelteMap<string, Connection>();
+  /// When the page saw a process come to the state it is in, ms; without one it was so before the page looked.
+  since = new SvelteMap<string, number>();
   revision = $state(0n);
   term = $state(0n);
   /// 'joining' before the first message, 'live', or 'away' with since when and why.
@@ -66,7 +68,7 @@ class System {
     const names = new Set(all.processes.map((p) => p.name));
     const paths = new Set(all.components.map((c) => c.path));
     const ids = new Set(all.connections.map((c) => String(c.id)));
-    for (const name of [...this.processes.keys()]) if (!names.has(name)) this.processes.delete(name);
+    for (const name of [...this.processes.keys()]) if (!names.has(name)) this.#gone(name);
     for (const path of [...this.components.keys()]) if (!paths.has(path)) this.components.delete(path);
     for (const id of [...this.connections.keys()]) if (!ids.has(id)) this.connections.delete(id);
     this.#take(all.processes, all.components, all.connections);
@@ -76,7 +78,7 @@ class System {
 
   #delta(delta: Delta) {
     let reshaped = false;
-    for (const name of delta.removedProcesses) reshaped = this.processes.delete(name) || reshaped;
+    for (const name of delta.removedProcesses) reshaped = this.#gone(name) || reshaped;
     for (const path of delta.removedComponents) reshaped = this.components.delete(path) || reshaped;
     for (const id of delta.removedConnections) this.connections.delete(String(id));
     reshaped ||= delta.processes.some((p) => !this.processes.has(p.name));
@@ -94,8 +96,17 @@ class System {
     if (reshaped) this.shape += 1;
   }
 
+  #gone(process: string): boolean {
+    this.since.delete(process);
+    return this.processes.delete(process);
+  }
+
   #take(processes: Process[], components: Component[], connections: Connection[]) {
-    for (const p of processes) this.processes.set(p.name, p);
+    for (const p of processes) {
+      const old = this.processes.get(p.name);
+      if (old ? old.state !== p.state || old.epoch !== p.epoch : this.shape > 0) this.since.set(p.name, Date.now());
+      this.processes.set(p.name, p);
+    }
     for (const c of components) {
       // Watch tells no figures: those of the last look stay until the next one.
       c.stats ??= this.components.get(c.path)?.stats;
