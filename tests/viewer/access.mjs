@@ -20,7 +20,8 @@ async function wrong(page, view) {
 }
 
 async function every_view(world, scheme) {
-  const host = await world.host();
+  // What is recorded lies in the test's directory.
+  const host = await world.host('host', [], { cwd: world.dir });
   await create(host.addr, 'sine', 'host/sine');
   await create(host.addr, 'echo', 'host/echo');
   await connect(host.addr, 'host/echo/sample', 'host/sine/value');
@@ -109,6 +110,21 @@ async function every_view(world, scheme) {
   await page.getByRole('menuitem', { name: /^Connect to/ }).click();
   await page.locator('[data-connect]').waitFor();
   await look('connect');
+  await page.keyboard.press('Escape');
+  await page.locator('[data-recording]').click();
+  await page.getByLabel('Patterns').fill('host/sine/value\nnobody');
+  await page.locator('[data-nothing]').waitFor();
+  await page.locator('[data-matched]').evaluate((e) => { e.open = true; });
+  await look('record, with a pattern that matches nothing');
+  await page.getByLabel('Patterns').fill('host/sine/value');
+  await page.locator('[data-nothing]').waitFor({ state: 'detached' });
+  await page.getByLabel('File').fill('looked-at.mcap');
+  await page.getByRole('button', { name: 'Start', exact: true }).click();
+  await page.locator('[data-recorder][data-phase=RECORDING]').waitFor();
+  await look('recording');
+  await page.getByRole('button', { name: 'Stop', exact: true }).click();
+  await page.locator('[data-recorder][data-phase=ENDED]').waitFor();
+  await look('recorded');
   await page.keyboard.press('Escape');
   await page.keyboard.press('Control+k');
   await page.getByRole('combobox', { name: 'search' }).fill('s');

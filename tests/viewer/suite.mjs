@@ -19,11 +19,12 @@ import * as menus from './menus.mjs';
 import * as page from './page.mjs';
 import * as plots from './plots.mjs';
 import * as processes from './processes.mjs';
+import * as recording from './recording.mjs';
 import * as times from './times.mjs';
 import * as tuning from './tuning.mjs';
 import * as video from './video.mjs';
 
-const FILES = { graph, layout, menus, forms, changes, classes, invoke, live, plots, tuning, video, away, hidden, page, guard, processes, access, times };
+const FILES = { graph, layout, menus, forms, changes, classes, invoke, live, plots, tuning, video, away, hidden, page, guard, recording, processes, access, times };
 const all = Object.entries(FILES).flatMap(([file, tests]) => Object.entries(tests).map(([name, test]) => ({ full: `viewer::${file}::${name}`, file, name, test })));
 const [exact, onlyTimes] = ['--exact', '--times'].map((option) => process.argv.includes(option));
 const words = process.argv.slice(2).filter((word) => !['--exact', '--times'].includes(word));

@@ -7,7 +7,7 @@ import os from 'node:os';
 import path from 'node:path';
 import { chromium } from 'playwright-core';
 
-const BIN = process.env.TROCAR_BIN_DIR ?? path.resolve('../../release');
+export const BIN = process.env.TROCAR_BIN_DIR ?? path.resolve('../../release');
 export const PLUGINS = process.env.TROCAR_PLUGIN_DIR ?? BIN;
 export const PICTURES = path.resolve('pictures');
 /// A wait fails when what it observes has not changed for so long, whatever it takes in all, ms.
@@ -28,10 +28,10 @@ export const endBrowser = () => shared?.close();
 
 /// A program of ours, and what it printed.
 class Program {
-  constructor(args, name, env = {}) {
+  constructor(args, name, env = {}, cwd = undefined) {
     this.name = name;
     this.printed = '';
-    this.child = spawn(path.join(BIN, 'trocar'), args, { stdio: ['ignore', 'pipe', 'pipe'], env: { ...process.env, NO_COLOR: '1', ...env } });
+    this.child = spawn(path.join(BIN, 'trocar'), args, { stdio: ['ignore', 'pipe', 'pipe'], cwd, env: { ...process.env, NO_COLOR: '1', ...env } });
     this.ended = new Promise((over) => this.child.once('exit', (code, signal) => over(signal ?? code)));
     for (const stream of [this.child.stdout, this.child.stderr]) stream.on('data', (text) => (this.printed = (this.printed + text).slice(-60_000)));
     this.ready = new Promise((yes, no) => {
@@ -55,14 +55,14 @@ export class World {
   constructor() {
     this.dir = fs.mkdtempSync(path.join(os.tmpdir(), 'trocar-viewer-'));
   }
-  async start(args, name) {
-    const program = new Program(args, name, { XDG_STATE_HOME: path.join(this.dir, 'state'), HOME: this.dir });
+  async start(args, name, { cwd } = {}) {
+    const program = new Program(args, name, { XDG_STATE_HOME: path.join(this.dir, 'state'), HOME: this.dir }, cwd);
     this.programs.push(program);
     await Promise.race([program.ready, eventually(`${name} listens`, () => program.addr, () => program.printed)]);
     return program;
   }
-  host(name = 'host', more = []) {
-    return this.start(['host', '--name', name, '--plugins', PLUGINS, '--listen', '127.0.0.1:0', '--state', path.join(this.dir, name), ...more], name);
+  host(name = 'host', more = [], options = {}) {
+    return this.start(['host', '--name', name, '--plugins', PLUGINS, '--listen', '127.0.0.1:0', '--state', path.join(this.dir, name), ...more], name, options);
   }
   gcm(listen = '127.0.0.1:0') {
     return this.start(['gcm', '--listen', listen, '--state', path.join(this.dir, 'gcm')], 'gcm');

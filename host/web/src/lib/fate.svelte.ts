@@ -1,6 +1,6 @@
 /// How a process stands, how it ended last, and the ways back: Restart and Forget.
 ///
-/// Invariant: the page says since when only of what it saw happen, and tells a refusal in the server's own words.
+/// Invariant: the page says since when only of what it saw happen, and tells refusals in the server's words.
 import { ProcessState, type Process } from '../gen/trocar/v1/types_pb';
 import { gcm, said } from './api';
 import { clockNow } from './now.svelte';
@@ -25,7 +25,7 @@ export function sinceOf(name: string): string {
   return s < 7200 ? `${Math.floor(s / 60)} min ago` : `${Math.floor(s / 3600)} h ago`;
 }
 
-/// It has ended, or nobody hears it: there may be a way back.
+/// The process has ended, or nobody hears it: there may be a way back.
 export function isAway(p: Process | undefined): boolean {
   return p?.state === ProcessState.LOST || p?.state === ProcessState.FAILED;
 }

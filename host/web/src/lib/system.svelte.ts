@@ -13,7 +13,7 @@ class System {
   processes = new SvelteMap<string, Process>();
   components = new SvelteMap<string, Component>();
   connections = new SvelteMap<string, Connection>();
-  /// When the page saw a process come to the state it is in, ms; without one it was so before the page looked.
+  /// When the page saw a process come to its present state, ms; absent: it was so before the page looked.
   since = new SvelteMap<string, number>();
   revision = $state(0n);
   term = $state(0n);

@@ -53,11 +53,6 @@ export function processOf(p: Process): { text: string; tone: Tone } {
   }
 }
 
-/// `1 process`, `2 processes`.
-export function amount(n: number, noun: string): string {
-  return `${n} ${noun}${n === 1 ? '' : /s$/.test(noun) ? 'es' : 's'}`;
-}
-
 /// 12 300 → "12.3 k".
 export function many(n: number): string {
   const a = Math.abs(n);
@@ -93,4 +88,23 @@ export function colourOf(hash: string): string {
   if (!hash) return 'var(--any)';
   const n = Number.parseInt(hash.slice(-6), 16) || 0;
   return `hsl(${HUES[n % HUES.length]} 62% var(--port-light))`;
+}
+
+/// 12 345 678 B → "12.3 MB".
+export function size(bytes: number): string {
+  if (bytes >= 1e9) return `${(bytes / 1e9).toFixed(2)} GB`;
+  if (bytes >= 1e6) return `${(bytes / 1e6).toFixed(1)} MB`;
+  return bytes >= 1e3 ? `${(bytes / 1e3).toFixed(1)} kB` : `${bytes} B`;
+}
+
+/// 75 s → "1:15".
+export function lasting(s: number): string {
+  const [h, m, rest] = [Math.floor(s / 3600), Math.floor(s / 60) % 60, Math.floor(s) % 60];
+  const two = (n: number) => String(n).padStart(2, '0');
+  return h ? `${h}:${two(m)}:${two(rest)}` : `${m}:${two(rest)}`;
+}
+
+/// "1 output", "2 outputs".
+export function count(n: number, one: string): string {
+  return `${n} ${one}${n === 1 ? '' : one.endsWith('s') ? 'es' : 's'}`;
 }
