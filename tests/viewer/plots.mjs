@@ -2,7 +2,7 @@
 import fs from 'node:fs';
 import { interfacesOf, latest, points } from './following.mjs';
 import { CREST, drop, eightPlots, OUTPUT, sineShown } from './plotting.mjs';
-import { box, eventually, grpcurl, holds, is, reaches, shot } from './world.mjs';
+import { box, eventually, grpcurl, holds, is, reaches, shot, tool } from './world.mjs';
 
 const ROW = { path: 'host/sine', field: 'latest.value', source: 'state', unit: '' };
 const READ = { path: 'host/sine/signal/value', field: '', source: 'read', unit: '' };
@@ -283,7 +283,7 @@ export async function a_read_only_page_has_plots_without_settings_and_a_narrow_o
   await reaches('points', () => points(page), 5);
   is([await page.getByRole('button', { name: 'Pause', exact: true }).count(), await page.getByRole('button', { name: 'Settings', exact: true }).count()], [1, 0], 'pause, and no settings');
   const narrow = await world.viewer(host.addr, '', { viewport: { width: 300, height: 700 } });
-  await narrow.getByRole('button', { name: 'Plots', exact: true }).click();
+  await tool(narrow, 'Plots');
   await narrow.locator('.plots').waitFor();
   await drop(narrow, { ...OUTPUT, unit: 'm' });
   await drop(narrow, { ...ROW, unit: 'N' }, '[data-figure="1"]');

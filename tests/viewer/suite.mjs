@@ -8,6 +8,7 @@ import * as access from './access.mjs';
 import * as away from './away.mjs';
 import * as changes from './changes.mjs';
 import * as classes from './classes.mjs';
+import * as firstday from './firstday.mjs';
 import * as forms from './forms.mjs';
 import * as graph from './graph.mjs';
 import * as guard from './guard.mjs';
@@ -24,7 +25,7 @@ import * as times from './times.mjs';
 import * as tuning from './tuning.mjs';
 import * as video from './video.mjs';
 
-const FILES = { graph, layout, menus, forms, changes, classes, invoke, live, plots, tuning, video, away, hidden, page, guard, recording, processes, access, times };
+const FILES = { firstday, graph, layout, menus, forms, changes, classes, invoke, live, plots, tuning, video, away, hidden, page, guard, recording, processes, access, times };
 const all = Object.entries(FILES).flatMap(([file, tests]) => Object.entries(tests).map(([name, test]) => ({ full: `viewer::${file}::${name}`, file, name, test })));
 const [exact, onlyTimes] = ['--exact', '--times'].map((option) => process.argv.includes(option));
 const words = process.argv.slice(2).filter((word) => !['--exact', '--times'].includes(word));

@@ -182,6 +182,13 @@ export async function menu(page, p, item) {
   await box(page, p).locator('header').click({ button: 'right' });
   await page.getByRole('menuitem', { name: new RegExp(`^${item}`) }).click();
 }
+/// Presses a button of the top, in its menu where it has no room.
+export async function tool(page, name) {
+  const button = page.locator('.tools').getByRole('button', { name, exact: true });
+  if (await button.count()) return button.click();
+  await page.getByRole('button', { name: 'Menu', exact: true }).click();
+  await page.locator('.menu button', { hasText: name }).first().click();
+}
 /// The middle of a port's handle.
 export async function handle(page, port) {
   const [at, name] = [port.slice(0, port.lastIndexOf('/')), port.slice(port.lastIndexOf('/') + 1)];
