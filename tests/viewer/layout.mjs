@@ -88,6 +88,11 @@ export async function a_wire_that_comes_later_and_one_of_a_card_that_was_moved_g
   const page = await world.viewer(host.addr);
   await settled(page);
   is(await crossed(page), [], 'wires of the layout');
+  const left = async (name) => (await page.locator(`.svelte-flow__node[data-id="host/${name}"]`).boundingBox()).x;
+  holds((await left('a')) < (await left('b')) && (await left('b')) < (await left('c')), 'what gives stands left of what takes');
+  // A hand that moved the view has kept the places.
+  await page.mouse.move(300, 800);
+  await page.mouse.wheel(0, 40);
   // From the last to the first: back below all of them.
   await connect(host.addr, 'host/a/frame', 'host/d/frame_out');
   await eventually('it is drawn', async () => (await wires(page)) === 4, () => wires(page));
