@@ -4,6 +4,7 @@
 //! each wrong value is refused with what is wrong and what to do.
 
 mod filters;
+mod lines;
 mod oct;
 mod robot;
 mod video;
@@ -31,7 +32,7 @@ impl Site {
     /// One host that takes these plugins from its directory.
     fn with(plugins: &[&str]) -> Site {
         let world = World::with_plugins(plugins);
-        // `pipe_source` starts programs.
+        // `pipe_source`, `lines_source` and `lines_sink` start programs.
         let process = HostProcess::start_with(&world, "host", &["--allow-exec"]);
         let site = Site { grpc: process.grpcurl(), world, process };
         eventually("the plugins are listed", || {
@@ -107,6 +108,7 @@ fn every_class_of_the_product_has_its_line_in_the_docs() {
         "eyerobot",
         "filters",
         "force_sensor",
+        "lines",
         "oct",
         "picture_writer",
         "sine",

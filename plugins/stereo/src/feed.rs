@@ -3,15 +3,13 @@
 //! Invariant: the step takes what is there and never waits; buffers go round and are never freed on its side. The thread ends with
 //! its `Feed`, and with it whatever the device is. A device that fails is told, and opened again where that is asked for.
 
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec};
 use trocar_imaging::side;
+pub(crate) use trocar_imaging::waits::{Again, Stop};
 use trocar_sdk::prelude::*;
 
 /// Buffers that go round: one being filled, the rest on their way.
@@ -45,39 +43,6 @@ pub(crate) enum Notice {
     Runs,
     /// Why none come, and after how long the device is opened again; 0: it is not.
     Failed(Text<128>, f64),
-}
-
-/// When a device that failed is opened again: each time after twice as long, up to a limit; from the beginning when it ran for
-/// longer than it last waited.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Again {
-    pub(crate) first: Duration,
-    pub(crate) longest: Duration,
-}
-
-impl Again {
-    /// From settings.
-    ///
-    /// # Errors
-    /// The limit is below the first delay.
-    pub(crate) fn of(restart: bool, first_s: f64, longest_s: f64) -> Result<Option<Again>> {
-        if longest_s < first_s {
-            return Err(format!(
-                "restart_delay_max_s: {longest_s} s is below restart_delay_s, {first_s} s: raise it, or lower that"
-            )
-            .into());
-        }
-        let [first, longest] = [first_s, longest_s].map(Duration::from_secs_f64);
-        Ok(restart.then_some(Again { first, longest }))
-    }
-
-    /// What comes after a wait of `last`, when the device then ran for so long.
-    fn next(&self, last: Option<Duration>, ran: Duration) -> Duration {
-        match last {
-            Some(last) if ran <= last => (2 * last).min(self.longest),
-            _ => self.first,
-        }
-    }
 }
 
 /// The component's end.
@@ -217,70 +182,5 @@ impl Giver {
     fn failed(&mut self, why: &str, again: Duration) {
         self.runs = false;
         let _ = self.notices.try_send(Notice::Failed(Text::new(why), again.as_secs_f64()));
-    }
-}
-
-/// The word to stop, for a thread that sleeps in `poll`.
-pub(crate) struct Stop {
-    set: AtomicBool,
-    wake: OwnedFd,
-}
-
-impl Stop {
-    fn new() -> Result<Stop> {
-        let wake = rustix::event::eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?;
-        Ok(Stop { set: AtomicBool::new(false), wake })
-    }
-
-    fn set(&self) {
-        self.set.store(true, Ordering::Release);
-        // A counter that is full wakes, too.
-        let _ = rustix::io::write(&self.wake, &1u64.to_ne_bytes());
-    }
-
-    pub(crate) fn is_set(&self) -> bool {
-        self.set.load(Ordering::Acquire)
-    }
-
-    /// Sleeps for a time, or until it is set; tells whether it is.
-    fn wait(&self, time: Duration) -> bool {
-        let begun = Instant::now();
-        while !self.is_set() && begun.elapsed() < time {
-            self.poll(&[], time.saturating_sub(begun.elapsed()));
-        }
-        self.is_set()
-    }
-
-    /// Sleeps until one of two files at most has something to read or has ended, the time is over, or it is set. Tells which
-    /// files have.
-    pub(crate) fn poll(&self, files: &[BorrowedFd<'_>], time: Duration) -> [bool; 2] {
-        let time = Timespec::try_from(time).unwrap_or(Timespec { tv_sec: 1, tv_nsec: 0 });
-        let none = self.wake.as_fd();
-        let fd = |at: usize| files.get(at).copied().unwrap_or(none);
-        let mut all = [none, fd(0), fd(1)].map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
-        // An interrupted poll comes back as one without news.
-        let _ = rustix::event::poll(&mut all, Some(&time));
-        [1, 2].map(|at| files.len() >= at && !all[at].revents().is_empty())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn waits_double_up_to_the_limit_and_begin_anew_after_a_run_that_was_longer() {
-        let again = Again { first: Duration::from_secs(1), longest: Duration::from_secs(5) };
-        let mut waits = Vec::new();
-        let mut last = None;
-        for ran_s in [100, 0, 0, 0, 0, 4, 6, 0] {
-            last = Some(again.next(last, Duration::from_secs(ran_s)));
-            waits.push(last.map_or(0, |wait| wait.as_secs()));
-        }
-        assert_eq!(waits, [1, 2, 4, 5, 5, 5, 1, 2]);
-        assert!(
-            Again::of(true, 2.0, 1.0).is_err_and(|why| why.to_string().contains("below restart_delay_s"))
-        );
-        assert_eq!(Again::of(false, 1.0, 5.0).ok(), Some(None));
     }
 }

@@ -5,8 +5,9 @@
 //! the same way.
 
 use crate::component::{Class, Result};
+use crate::dynamic::AnyType;
 use crate::many::Names;
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 
 /// The lists of a class, one per repeated port or interface of its description.
 pub struct Lists<'a> {
@@ -31,6 +32,7 @@ pub(crate) fn build<C: Class>(component: &C) -> Result<Json> {
         ("provided", &lists.provided),
     ];
     let mut seen: Vec<String> = Vec::new();
+    let mut made = Vec::new();
     for (kind, lists) in kinds {
         let Some(ports) = json["class"][kind].as_array_mut() else { continue };
         let repeated: Vec<(&Json, &Names)> =
@@ -38,8 +40,18 @@ pub(crate) fn build<C: Class>(component: &C) -> Result<Json> {
         let together =
             |a: &(&Json, &Names), b: &(&Json, &Names)| kind == "provided" && std::ptr::eq(a.1, b.1);
         for group in repeated.chunk_by(together) {
-            for name in group[0].1.wanted() {
-                ports.extend(group.iter().map(|(pattern, _)| named(pattern, name)));
+            for (at, name) in group[0].1.wanted().iter().enumerate() {
+                for (pattern, names) in group {
+                    let mut port = named(pattern, name);
+                    if let Some(ty) = names.made_type(at) {
+                        let mut described = ty.to_port();
+                        made.append(
+                            &mut described["types"].as_array_mut().map(std::mem::take).unwrap_or_default(),
+                        );
+                        port["type"] = json!({ "plain": described["plain"] });
+                    }
+                    ports.push(port);
+                }
             }
         }
         for port in ports {
@@ -53,7 +65,32 @@ pub(crate) fn build<C: Class>(component: &C) -> Result<Json> {
             seen.push(name.to_string());
         }
     }
+    if !json["types"].is_array() {
+        json["types"] = json!([]);
+    }
+    if let Some(types) = json["types"].as_array_mut() {
+        made.into_iter().try_for_each(|ty| add(types, ty))?;
+    }
     Ok(json)
+}
+
+/// Adds a type that was made while running, unless it is there.
+fn add(types: &mut Vec<Json>, ty: Json) -> Result {
+    let read = |types: &[Json]| {
+        AnyType::of_port(&json!({ "plain": { "ref": ty["name"] }, "types": types }).to_string())
+    };
+    if !types.iter().any(|there| there["name"] == ty["name"]) {
+        types.push(ty);
+    } else if let Ok(there) = read(types)
+        && read(&[&[ty.clone()], &types[..]].concat()).is_ok_and(|new| new != there)
+    {
+        return Err(format!(
+            "{} would be the name of two types with different fields: choose another",
+            ty["name"]
+        )
+        .into());
+    }
+    Ok(())
 }
 
 /// One port or interface of a pattern.

@@ -4,6 +4,7 @@
 //! can be read: lengths are clamped, flags are "not zero".
 
 mod json;
+mod made;
 mod parts;
 pub(crate) mod scan;
 
@@ -65,6 +66,7 @@ struct Node {
 enum Shape {
     Prim(Prim),
     Enum {
+        name: String,
         repr: Prim,
         values: Vec<(String, i64)>,
     },
@@ -215,6 +217,16 @@ fn whole(prim: Prim, b: &[u8]) -> i128 {
 }
 
 impl Node {
+    /// Of its bytes in memory.
+    fn align(&self) -> usize {
+        match &self.shape {
+            Shape::Prim(prim) | Shape::Enum { repr: prim, .. } => prim.size(),
+            Shape::Array { item, .. } => item.align(),
+            Shape::List { .. } | Shape::Text { .. } => 8,
+            Shape::Struct { fields, .. } => fields.iter().map(|f| f.node.align()).max().unwrap_or(1),
+        }
+    }
+
     /// One step of a path: how much further, what is there, its unit.
     fn step(&self, step: &str) -> Option<(usize, &Node, &str)> {
         match &self.shape {
@@ -282,7 +294,8 @@ fn named(name: &str, types: &Json, depth: usize) -> Result<Node> {
         let repr = prim(repr).ok_or_else(|| format!("there is no primitive `{repr}`"))?;
         let value = |v: &Json| Some((v["name"].as_str()?.to_string(), v["value"].as_i64()?));
         let values = ty["values"].as_array().into_iter().flatten().filter_map(value).collect();
-        return Ok(Node { shape: Shape::Enum { repr, values }, size: repr.size() });
+        let name = name.to_string();
+        return Ok(Node { shape: Shape::Enum { name, repr, values }, size: repr.size() });
     }
     let mut fields = Vec::new();
     for f in ty["fields"].as_array().into_iter().flatten() {

@@ -4,13 +4,17 @@
 //! slots mean what the host was told before, so a command never reaches the neighbour of the arm it was meant
 //! for. They are counted by `lease::Layout`, not by these fields, which an author may exchange.
 
+use crate::any::Any;
 use crate::component::Result;
+use crate::dynamic::AnyType;
 use crate::lease::Tie;
-use crate::ports::Flow;
+use crate::ports::{Flow, Out};
 use core::ops::{Index, IndexMut};
 
 /// Longest name, bytes; as in a host's paths.
 const MAX_NAME: usize = 63;
+/// Largest sample of a port, bytes; as in a host.
+const MAX_SAMPLE: usize = 64 * 1024;
 
 /// The names of repeated interfaces: a `#[names]` field. Set it in `configure`, or later followed by
 /// [`Host::ports_changed`]; it changes when the host has taken it over (see [`crate::Component::ports_changed`]).
@@ -38,6 +42,8 @@ const MAX_NAME: usize = 63;
 pub struct Names {
     wanted: Vec<String>,
     bound: Vec<String>,
+    /// One for each wanted name, if the ports are untyped ones that get a type of their own.
+    types: Vec<AnyType>,
 }
 
 impl Names {
@@ -55,7 +61,13 @@ impl Names {
             }
         }
         self.wanted = names;
+        self.types.clear();
         Ok(())
+    }
+
+    /// The type that the port of this position of [`Names::wanted`] gets, where it gets one of its own.
+    pub(crate) fn made_type(&self, at: usize) -> Option<&AnyType> {
+        self.types.get(at)
     }
 
     /// How many there are now; as all that follows, of the list the host has taken over.
@@ -235,6 +247,54 @@ impl<P> Many<P> {
 
     pub fn ports_mut(&mut self) -> impl ExactSizeIterator<Item = &mut P> {
         self.ports.iter_mut()
+    }
+}
+
+impl Many<Out<Any>> {
+    /// As [`Many::set`], with a type for each: outputs whose payload the configuration says. They are typed like
+    /// those of a class: Connect compares, viewers and recorders know the fields. [`crate::AnyOut::write_bytes`] takes
+    /// bytes of the type. A port whose type is another one than before loses its connections.
+    ///
+    /// # Errors
+    /// As [`Names::set`], and a type that is larger than a sample may be. Two different structs of one name are
+    /// refused after `configure`.
+    ///
+    /// ```
+    /// use trocar_sdk::{AnyType, data::Scalar, prelude::*, testing::Bench};
+    ///
+    /// /// Writes 1 to outputs that are made while running.
+    /// #[derive(Component)]
+    /// struct Ones {
+    ///     #[output]
+    ///     ones: Many<AnyOut>,
+    /// }
+    /// impl Component for Ones {
+    ///     fn configure(&mut self) -> Result {
+    ///         let scalar = [("stamp", AnyType::of::<Stamp>(), ""), ("value", AnyType::of::<f64>(), "")];
+    ///         self.ones.set_typed([("a", AnyType::structure("Scalar", scalar)?), ("b", AnyType::of::<f64>())])
+    ///     }
+    ///     fn step(&mut self, tick: &Tick) -> Result {
+    ///         let mut bytes = [0; 16];
+    ///         bytes[8..].copy_from_slice(&1f64.to_le_bytes());
+    ///         self.ones[0].write_bytes(&bytes, tick.now());
+    ///         self.ones[1].write_bytes(&bytes[8..], tick.now());
+    ///         Ok(())
+    ///     }
+    /// }
+    /// let mut bench = Bench::<Ones>::new("{}");
+    /// bench.step(1);
+    /// assert_eq!(bench.outputs::<Scalar>("a")[0].value, 1.0);
+    /// assert_eq!(bench.outputs::<f64>("b"), [1.0]);
+    /// ```
+    pub fn set_typed<S: AsRef<str>>(&mut self, ports: impl IntoIterator<Item = (S, AnyType)>) -> Result {
+        let (names, types): (Vec<S>, Vec<AnyType>) = ports.into_iter().unzip();
+        if let Some((name, ty)) = names.iter().zip(&types).find(|(_, ty)| ty.size() > MAX_SAMPLE) {
+            let (name, size) = (name.as_ref(), ty.size());
+            return Err(format!("`{name}`: a sample of {size} B is above {MAX_SAMPLE} B").into());
+        }
+        self.names.set(names)?;
+        self.names.types = types;
+        Ok(())
     }
 }
 

@@ -31,7 +31,7 @@ impl AnyType {
 fn read(node: &Node, bytes: &[u8]) -> Json {
     match &node.shape {
         Shape::Prim(prim) => read_prim(*prim, &bytes[..prim.size()]),
-        Shape::Enum { repr, values } => {
+        Shape::Enum { repr, values, .. } => {
             let n = whole(*repr, &bytes[..repr.size()]);
             let known = values.iter().find(|(_, v)| i128::from(*v) == n);
             known.map_or_else(
@@ -96,7 +96,7 @@ fn write(node: &Node, value: &Json, out: &mut [u8], at: &str) -> Result {
             Ok(bytes) => out[..prim.size()].copy_from_slice(&bytes[..prim.size()]),
             Err(wanted) => return wrong(format!("{value} is no {wanted}")),
         },
-        Shape::Enum { repr, values } => {
+        Shape::Enum { repr, values, .. } => {
             let named = value.as_str().and_then(|text| values.iter().find(|(name, _)| name == text));
             let number = named.map(|(_, n)| Json::from(*n));
             match prim_bytes(*repr, number.as_ref().unwrap_or(value)) {

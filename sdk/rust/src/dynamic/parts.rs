@@ -66,7 +66,7 @@ impl<'a> AnyPart<'a> {
     pub fn shape(&self) -> AnyShape<'a> {
         match &self.node.shape {
             Shape::Prim(prim) => AnyShape::Number(prim.name()),
-            Shape::Enum { repr, values } => AnyShape::Enum { number: repr.name(), values },
+            Shape::Enum { repr, values, .. } => AnyShape::Enum { number: repr.name(), values },
             Shape::Array { item, n } => AnyShape::Array { item: AnyPart { node: item }, n: *n },
             Shape::List { item, n } => AnyShape::List { item: AnyPart { node: item }, n: *n },
             Shape::Text { n } => AnyShape::Text { n: *n },

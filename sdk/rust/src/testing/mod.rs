@@ -64,7 +64,7 @@ mod flows;
 mod history;
 mod limits;
 mod logs;
-mod manifest;
+pub(crate) mod manifest;
 mod member_cells;
 mod numbers;
 mod parallel;

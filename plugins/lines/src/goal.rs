@@ -1,0 +1,169 @@
+//! The ways by which lines go: a program's input, datagrams, a serial line, a file.
+//!
+//! Invariant: writing never waits but in `poll`, with the word to stop beside the file; what a reader does
+//! not take is not taken from anybody else.
+
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Write};
+use std::net::{SocketAddr, UdpSocket};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::path::PathBuf;
+use std::process::ChildStdin;
+use std::time::Duration;
+
+use trocar_imaging::program::{self, Running};
+use trocar_imaging::waits::Stop;
+
+use crate::serial;
+
+/// Longest sleep.
+const SLEEP: Duration = Duration::from_secs(1);
+
+/// The goal of the lines, as configured.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Goal {
+    Program(Vec<String>),
+    Udp(SocketAddr),
+    Serial {
+        port: String,
+        baud: u32,
+    },
+    /// `more`: the file was made by this component, and is written on.
+    File {
+        path: PathBuf,
+        more: bool,
+    },
+}
+
+/// An open goal.
+pub(crate) enum Open {
+    /// With whether it may say something.
+    Program(Running<Option<ChildStdin>>, bool),
+    Udp(UdpSocket),
+    Serial(File),
+    File(File),
+}
+
+impl Goal {
+    /// # Errors
+    /// A sentence that names the setting.
+    pub(crate) fn open(&self) -> Result<Open, String> {
+        match self {
+            Goal::Program(command) => {
+                let running = program::written_to("program", command)?;
+                if let Some(input) = &running.way {
+                    rustix::io::ioctl_fionbio(input, true).map_err(|why| {
+                        format!("program: its input cannot be written without waiting: {why}")
+                    })?;
+                }
+                Ok(Open::Program(running, true))
+            }
+            Goal::Udp(to) => {
+                let from: SocketAddr =
+                    if to.is_ipv4() { ([0, 0, 0, 0], 0).into() } else { ([0u16; 8], 0).into() };
+                let socket = UdpSocket::bind(from).and_then(|socket| {
+                    socket.connect(to)?;
+                    socket.set_nonblocking(true)?;
+                    Ok(socket)
+                });
+                Ok(Open::Udp(socket.map_err(|why| format!("udp: nothing can be sent to {to}: {why}"))?))
+            }
+            Goal::Serial { port, baud } => Ok(Open::Serial(serial::open(port, *baud)?)),
+            Goal::File { path, more } => {
+                let file = OpenOptions::new().append(true).create(*more).create_new(!more).open(path);
+                let shown = path.display();
+                Ok(Open::File(file.map_err(|why| match why.kind() {
+                    ErrorKind::AlreadyExists => {
+                        format!("file: {shown} exists, and nothing is written over: choose another name, or remove it")
+                    }
+                    _ => format!("file: {shown} cannot be made: {why}; choose a directory that the host may write to"),
+                })?))
+            }
+        }
+    }
+
+    pub(crate) fn name(&self) -> String {
+        match self {
+            Goal::Program(command) => command.first().cloned().unwrap_or_default(),
+            Goal::Udp(to) => to.to_string(),
+            Goal::Serial { port, .. } => port.clone(),
+            Goal::File { path, .. } => path.display().to_string(),
+        }
+    }
+}
+
+impl Open {
+    /// Writes all of it; false where it was a datagram that nobody takes.
+    ///
+    /// # Errors
+    /// It takes nothing any more: why. Empty where the word to stop came first.
+    pub(crate) fn write(&mut self, bytes: &[u8], name: &str, stop: &Stop) -> Result<bool, String> {
+        if let Open::Udp(socket) = self {
+            return Ok(socket.send(bytes).is_ok());
+        }
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            self.hear(stop);
+            let written = match self {
+                Open::Program(running, _) => match &mut running.way {
+                    Some(input) => input.write(rest),
+                    None => Ok(0),
+                },
+                Open::Serial(file) | Open::File(file) => file.write(rest),
+                Open::Udp(_) => Ok(0),
+            };
+            match written {
+                Ok(0) => return Err(self.ended(name, "takes nothing any more", stop)),
+                Ok(n) => rest = rest.get(n..).unwrap_or_default(),
+                Err(why) if why.kind() == ErrorKind::Interrupted => {}
+                Err(why) if why.kind() == ErrorKind::WouldBlock => {
+                    let Some(file) = self.file() else { return Err(String::new()) };
+                    let _ = stop.poll_room(file, SLEEP);
+                    if stop.is_set() {
+                        return Err(String::new());
+                    }
+                }
+                Err(why) => return Err(self.ended(name, &why.to_string(), stop)),
+            }
+        }
+        Ok(true)
+    }
+
+    /// Takes what a program says, so that it never waits for a reader.
+    pub(crate) fn hear(&mut self, stop: &Stop) {
+        if let Open::Program(running, talks) = self {
+            while *talks && stop.poll(&[running.err.as_fd()], Duration::ZERO)[0] {
+                *talks = running.hear();
+            }
+        }
+    }
+
+    /// Nothing more comes: a program may read to the end.
+    pub(crate) fn finish(&mut self) {
+        if let Open::Program(running, _) = self {
+            let _ = running.finish();
+        }
+    }
+
+    fn file(&self) -> Option<BorrowedFd<'_>> {
+        match self {
+            Open::Program(running, _) => running.way.as_ref().map(AsFd::as_fd),
+            Open::Udp(socket) => Some(socket.as_fd()),
+            Open::Serial(file) | Open::File(file) => Some(file.as_fd()),
+        }
+    }
+
+    fn ended(&mut self, name: &str, why: &str, stop: &Stop) -> String {
+        let Open::Program(running, talks) = self else { return format!("{name} cannot be written: {why}") };
+        let status = running.finish();
+        if *talks {
+            running.hear_out(stop);
+        }
+        let words = running.last_words();
+        match status {
+            Ok(Some(status)) => format!("{name} ended ({status}){words}"),
+            Ok(None) => format!("{name} closed its input; it was ended{words}"),
+            Err(why) => format!("{name} closed its input; {why}{words}"),
+        }
+    }
+}

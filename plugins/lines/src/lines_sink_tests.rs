@@ -1,0 +1,207 @@
+//! Lines into files, programs that read slowly, die or read to the end, datagrams, a serial line.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use std::io::{BufRead, BufReader};
+use std::net::UdpSocket;
+use trocar_sdk::data::{OperatingState, Scalar, Wrench};
+use trocar_sdk::serde_json::{Value, json};
+use trocar_sdk::testing::Bench;
+
+use crate::watchdog::Watchdog;
+
+fn with(mut config: Value, more: Value) -> String {
+    config.as_object_mut().unwrap().extend(more.as_object().cloned().unwrap());
+    config.to_string()
+}
+
+#[track_caller]
+fn until(bench: &mut Bench<LinesSink>, what: &str, mut so: impl FnMut(&mut Bench<LinesSink>) -> bool) {
+    let mut watchdog = Watchdog::of(what);
+    while !so(bench) {
+        watchdog.saw(format_args!("{:?}, {:?}", bench.state().given, bench.state().operating_state.message));
+        bench.step(1);
+        std::thread::yield_now();
+    }
+}
+
+fn scalar(value: f64) -> Scalar {
+    Scalar { stamp: Stamp::INVALID, value }
+}
+
+#[test]
+fn samples_are_rows_of_a_file_below_a_header_and_nothing_is_written_over() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("depth.csv");
+    let config = json!({ "file": file });
+    let mut bench = Bench::<LinesSink>::new(&config);
+    for value in [1.0, 2.5] {
+        bench.push("in", scalar(value));
+        bench.step(1);
+    }
+    bench.stop().unwrap();
+    let text = std::fs::read_to_string(&file).unwrap();
+    let rows: Vec<&str> = text.lines().collect();
+    assert_eq!((rows.len(), rows[0]), (3, "# t s, in.value"));
+    assert!(rows[1].ends_with(",1.0") && rows[2].ends_with(",2.5"), "{text}");
+    assert_eq!((bench.state().given.written, bench.state().given.dropped), (2, 0));
+    // The same component writes on; another one is refused.
+    bench.start().unwrap();
+    bench.push("in", scalar(3.0));
+    bench.step(1);
+    bench.stop().unwrap();
+    assert!(std::fs::read_to_string(&file).unwrap().ends_with(",3.0\n"));
+    let why = Bench::<LinesSink>::ready(&config).start().unwrap_err().reason;
+    assert!(why.contains("depth.csv exists, and nothing is written over"), "{why}");
+}
+
+#[test]
+fn inputs_of_any_types_stand_side_by_side_once_each_has_brought_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("both.json");
+    let mut bench =
+        Bench::<LinesSink>::new(json!({ "file": file, "inputs": ["depth", "force"], "format": "json" }));
+    bench.push("depth", scalar(1.0));
+    bench.step(1);
+    assert_eq!(bench.state().given.incomplete, 1);
+    bench.push("force", Wrench { force: [0.0, 0.0, 0.5], ..Wrench::default() });
+    bench.push("depth", scalar(2.0));
+    bench.step(1);
+    bench.stop().unwrap();
+    let text = std::fs::read_to_string(&file).unwrap();
+    let line: Value = trocar_sdk::serde_json::from_str(text.trim()).unwrap();
+    assert_eq!((&line["depth"]["value"], &line["force"]["force"]), (&json!(2.0), &json!([0.0, 0.0, 0.5])));
+    assert!(line["t"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn another_type_at_an_input_begins_under_a_new_header() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("any.csv");
+    let mut bench = Bench::<LinesSink>::new(json!({ "file": file }));
+    bench.push("in", scalar(1.0));
+    bench.step(1);
+    bench.push("in", 7u32);
+    bench.step(1);
+    bench.stop().unwrap();
+    let text = std::fs::read_to_string(&file).unwrap();
+    let rows: Vec<&str> = text.lines().collect();
+    assert_eq!((rows[0], rows[2]), ("# t s, in.value", "# t s, in"));
+    assert!(rows[3].ends_with(",7"), "{text}");
+}
+
+#[test]
+fn a_program_reads_all_lines_to_the_end_of_its_input() {
+    let dir = tempfile::tempdir().unwrap();
+    let read = dir.path().join("read");
+    let line = format!("cat > {}; echo end >> {0}", read.display());
+    let mut bench = Bench::<LinesSink>::new(json!({ "program": ["sh", "-c", line], "header": false }));
+    for value in 0..100 {
+        bench.push("in", scalar(f64::from(value)));
+        bench.step(1);
+    }
+    bench.stop().unwrap();
+    let text = std::fs::read_to_string(&read).unwrap();
+    assert_eq!((text.lines().count(), text.lines().last()), (101, Some("end")));
+}
+
+#[test]
+fn a_program_that_reads_nothing_holds_up_nobody_and_what_it_misses_is_counted() {
+    let config = json!({ "program": ["sleep", "1000"], "queue": 8 });
+    let mut bench = Bench::<LinesSink>::new(config);
+    let mut pushed = 0;
+    until(&mut bench, "lines are dropped", |bench| {
+        bench.push("in", Wrench::default());
+        pushed += 1;
+        bench.state().given.dropped > 100
+    });
+    assert!(pushed > 100);
+    bench.stop().unwrap();
+}
+
+#[test]
+fn a_program_that_dies_is_told_with_its_last_words_and_run_again() {
+    let line = "read a; echo no screen >&2; exit 4";
+    let config = json!({ "program": ["sh", "-c", line], "restart_delay_s": 0.01 });
+    let mut bench = Bench::<LinesSink>::new(config);
+    let mut told = Vec::new();
+    until(&mut bench, "two failures", |bench| {
+        bench.push("in", scalar(1.0));
+        told.extend(bench.events::<OperatingState>("sink/operating_state"));
+        bench.state().given.failures >= 2
+    });
+    let why = told.iter().find(|state| state.state == OperatingMode::FAULT).unwrap().message;
+    assert_eq!(why, "sh ended (exit status: 4): no screen");
+}
+
+#[test]
+fn at_most_so_many_a_second_are_written_and_the_rest_is_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bench = Bench::<LinesSink>::new(json!({ "file": dir.path().join("slow"), "max_rate_hz": 10.0 }));
+    for _ in 0..100 {
+        bench.push("in", scalar(1.0));
+        bench.step(1);
+    }
+    bench.stop().unwrap();
+    let given = bench.state().given;
+    assert_eq!((given.written, given.left_out), (10, 90), "one second at 100 Hz");
+}
+
+#[test]
+fn lines_go_out_as_datagrams_and_over_a_serial_line() {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let mut bench = Bench::<LinesSink>::new(with(
+        json!({ "udp": socket.local_addr().unwrap().to_string() }),
+        json!({ "format": "json" }),
+    ));
+    bench.push("in", scalar(1.5));
+    bench.step(1);
+    let mut datagram = [0; 1000];
+    let n = socket.recv(&mut datagram).unwrap();
+    let line: Value = trocar_sdk::serde_json::from_slice(&datagram[..n]).unwrap();
+    assert_eq!(line["in"]["value"], 1.5);
+
+    let device = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    grantpt(&device).unwrap();
+    unlockpt(&device).unwrap();
+    let port = ptsname(&device, Vec::new()).unwrap().into_string().unwrap();
+    let mut bench = Bench::<LinesSink>::new(json!({ "serial": port, "header": false }));
+    bench.push("in", scalar(2.5));
+    bench.step(1);
+    let mut line = String::new();
+    BufReader::new(std::fs::File::from(device)).read_line(&mut line).unwrap();
+    assert!(line.ends_with(",2.5\n"), "{line}");
+}
+
+#[test]
+fn a_step_allocates_nothing_once_its_inputs_are_known() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bench = Bench::<LinesSink>::new(json!({ "file": dir.path().join("lines"), "queue": 4 }));
+    until(&mut bench, "each buffer has been used", |bench| {
+        bench.push("in", scalar(1.0));
+        bench.state().given.written > 100
+    });
+    bench.assert_no_alloc(|bench| {
+        for _ in 0..50 {
+            bench.push("in", scalar(1.0));
+            bench.step(1);
+        }
+    });
+}
+
+#[test]
+fn settings_are_refused_with_what_to_do() {
+    for (config, why) in [
+        (json!({}), "program, udp, serial, file: give exactly one of them"),
+        (json!({ "file": "a", "udp": "127.0.0.1:1" }), "give exactly one of them"),
+        (json!({ "file": "a", "inputs": [] }), "inputs: there are 0"),
+        (json!({ "file": "a", "inputs": ["x", "x"] }), "the name `x` is given twice"),
+        (json!({ "udp": "here" }), "udp: \"here\" is not an address and a port"),
+    ] {
+        let said = Bench::<LinesSink>::created().configure(config).unwrap_err().reason;
+        assert!(said.contains(why), "{why}: {said}");
+    }
+    let why = Bench::<LinesSink>::ready(json!({ "file": "/no/such/place" })).start().unwrap_err().reason;
+    assert!(why.contains("file: /no/such/place cannot be made"), "{why}");
+}

@@ -1,0 +1,290 @@
+//! The thread that writes lines, and the step's end of it.
+//!
+//! Invariant: the step hands on copies and never waits; what finds no buffer because the other side reads
+//! slowly is counted by the step. The thread ends with its `Writer`; what it had in its hands then is written
+//! if the other side takes it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use trocar_imaging::side;
+use trocar_imaging::waits::{Again, Stop};
+use trocar_sdk::AnyType;
+use trocar_sdk::prelude::*;
+
+use crate::goal::{Goal, Open};
+use crate::plan::Format;
+use crate::spelled::Spelled;
+
+/// Time between two looks for samples.
+const LOOK: Duration = Duration::from_millis(5);
+/// Words that wait for the step.
+const NOTICES: usize = 8;
+/// Bytes that are written at once.
+const AT_ONCE: usize = 32_768;
+
+/// Names and types of the inputs, each time they are others.
+pub(crate) type Types = Arc<Vec<(String, AnyType)>>;
+
+/// The samples of one line.
+pub(crate) struct Row {
+    pub(crate) stamp_ns: u64,
+    /// The values of all inputs, one after the other.
+    pub(crate) bytes: Vec<u8>,
+    /// Present when they are others than before.
+    pub(crate) types: Option<Types>,
+}
+
+/// News for the step: lines go again, or why none go, and after how long the goal is opened again, s.
+pub(crate) enum Notice {
+    Runs,
+    Failed(Text<128>, f64),
+}
+
+#[derive(Default)]
+pub(crate) struct Counts {
+    pub(crate) written: AtomicU64,
+    /// Lines that nobody took.
+    pub(crate) lost: AtomicU64,
+}
+
+/// The step's end.
+pub(crate) struct Writer {
+    rows: SyncSender<Row>,
+    empty: Receiver<Vec<u8>>,
+    /// A buffer that came back unused.
+    kept: Option<Vec<u8>>,
+    notices: Receiver<Notice>,
+    pub(crate) counts: Arc<Counts>,
+    stop: Arc<Stop>,
+    /// Lines are to be written to the end.
+    finish: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Writer {
+    /// # Errors
+    /// The goal cannot be opened.
+    pub(crate) fn open(
+        goal: Goal,
+        (format, header): (Format, bool),
+        queue: usize,
+        again: Option<Again>,
+        host: &Host,
+    ) -> Result<Writer> {
+        let open = goal.open()?;
+        let name = format!("{} lines", host.instance_name().rsplit('/').next().unwrap_or_default());
+        let (stop, finish, counts) =
+            (Arc::new(Stop::new()?), Arc::<AtomicBool>::default(), Arc::<Counts>::default());
+        let (rows, rows_out) = sync_channel(queue);
+        let (empty_in, empty) = sync_channel(queue);
+        let (notices_in, notices) = sync_channel(NOTICES);
+        for _ in 0..queue {
+            let _ = empty_in.try_send(Vec::new());
+        }
+        let mut thread = Thread {
+            rows: rows_out,
+            empty: empty_in,
+            notices: notices_in,
+            counts: counts.clone(),
+            format,
+            header,
+            spelled: Spelled::default(),
+            header_due: true,
+            sizes: Vec::new(),
+            text: String::new(),
+        };
+        let (stopping, finishing) = (stop.clone(), finish.clone());
+        let thread = side::spawn(&name, move || thread.supervise(goal, open, &stopping, &finishing, again))
+            .map_err(|why| format!("no thread to write lines: {why}"))?;
+        Ok(Writer { rows, empty, kept: None, notices, counts, stop, finish, thread: Some(thread) })
+    }
+
+    /// A buffer for the next line; none while all are on their way.
+    pub(crate) fn buffer(&mut self) -> Option<Vec<u8>> {
+        self.kept.take().or_else(|| self.empty.try_recv().ok())
+    }
+
+    /// Takes a buffer back that was not used.
+    pub(crate) fn keep(&mut self, mut buffer: Vec<u8>) {
+        buffer.clear();
+        self.kept = Some(buffer);
+    }
+
+    pub(crate) fn hand_on(&mut self, row: Row) {
+        // There is room for all buffers.
+        let _ = self.rows.try_send(row);
+    }
+
+    pub(crate) fn notice(&mut self) -> Option<Notice> {
+        self.notices.try_recv().ok()
+    }
+
+    /// Tells the thread to end, and does not wait for it.
+    pub(crate) fn halt(&self) {
+        self.stop.set();
+    }
+
+    /// Writes what is on its way as far as the other side takes it, for a moment, and ends the thread and the
+    /// goal.
+    ///
+    /// # Errors
+    /// The thread panicked.
+    pub(crate) fn end(&mut self) -> Result {
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        self.finish.store(true, Ordering::Release);
+        let begun = Instant::now();
+        while !thread.is_finished() && begun.elapsed() < Duration::from_secs(1) {
+            let _ = self.stop.poll(&[], LOOK);
+        }
+        self.halt();
+        thread.join().map_err(|_| "the thread that writes lines panicked".into())
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        self.halt();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The thread's end.
+struct Thread {
+    rows: Receiver<Row>,
+    empty: SyncSender<Vec<u8>>,
+    notices: SyncSender<Notice>,
+    counts: Arc<Counts>,
+    format: Format,
+    header: bool,
+    spelled: Spelled,
+    /// The next line comes below a header.
+    header_due: bool,
+    /// Bytes of each input's value.
+    sizes: Vec<usize>,
+    text: String,
+}
+
+impl Thread {
+    fn supervise(
+        &mut self,
+        mut goal: Goal,
+        first: Open,
+        stop: &Stop,
+        finish: &AtomicBool,
+        again: Option<Again>,
+    ) {
+        let (mut open, mut last, name) = (Some(first), None, goal.name());
+        if let Goal::File { more, .. } = &mut goal {
+            *more = true;
+        }
+        loop {
+            let begun = Instant::now();
+            let why = match open.take().map_or_else(|| goal.open(), Ok) {
+                Ok(mut open) => self.pump(&mut open, &name, stop, finish),
+                Err(why) => why,
+            };
+            if stop.is_set() || finish.load(Ordering::Acquire) {
+                return;
+            }
+            let delay = again.map(|again| again.next(last, begun.elapsed()));
+            last = delay;
+            let again_s = delay.unwrap_or_default().as_secs_f64();
+            let _ = self.notices.try_send(Notice::Failed(Text::new(&why), again_s));
+            let begun = Instant::now();
+            // Samples that come meanwhile are lost, and counted.
+            while delay.is_none_or(|delay| begun.elapsed() < delay) {
+                while let Some(row) = self.row() {
+                    self.give_back(row);
+                    self.counts.lost.fetch_add(1, Ordering::Relaxed);
+                }
+                if stop.is_set() || finish.load(Ordering::Acquire) {
+                    return;
+                }
+                let _ = stop.poll(&[], LOOK);
+            }
+        }
+    }
+
+    /// Writes until the word to stop, the end of all lines, or a failure; gives the reason.
+    fn pump(&mut self, open: &mut Open, name: &str, stop: &Stop, finish: &AtomicBool) -> String {
+        let mut runs = false;
+        self.header_due = true;
+        loop {
+            let last = finish.load(Ordering::Acquire);
+            self.text.clear();
+            let datagrams = matches!(open, Open::Udp(_));
+            let mut lines = 0;
+            while self.text.len() < AT_ONCE && !(datagrams && lines > 0) {
+                let Some(row) = self.row() else { break };
+                self.spell(&row);
+                self.give_back(row);
+                lines += 1;
+            }
+            if lines > 0 {
+                let text = std::mem::take(&mut self.text);
+                let written = open.write(text.as_bytes(), name, stop);
+                self.text = text;
+                let count =
+                    if matches!(written, Ok(true)) { &self.counts.written } else { &self.counts.lost };
+                count.fetch_add(lines, Ordering::Relaxed);
+                match written {
+                    Err(why) => return why,
+                    Ok(true) if !runs => {
+                        runs = true;
+                        let _ = self.notices.try_send(Notice::Runs);
+                    }
+                    Ok(_) => {}
+                }
+                continue;
+            }
+            if last || stop.is_set() {
+                open.finish();
+                return String::new();
+            }
+            open.hear(stop);
+            let _ = stop.poll(&[], LOOK);
+        }
+    }
+
+    /// The next row, with its types taken over.
+    fn row(&mut self) -> Option<Row> {
+        let mut row = self.rows.try_recv().ok()?;
+        if let Some(types) = row.types.take() {
+            self.sizes = types.iter().map(|(_, ty)| ty.size()).collect();
+            let values = apart(&self.sizes, &row.bytes);
+            let each = types.iter().zip(values);
+            self.spelled = Spelled::of(each.map(|((name, ty), first)| (name.as_str(), ty, first)));
+            self.header_due = true;
+        }
+        Some(row)
+    }
+
+    fn spell(&mut self, row: &Row) {
+        if std::mem::take(&mut self.header_due) && self.header && self.format == Format::Numbers {
+            self.spelled.header(&mut self.text);
+        }
+        let values = apart(&self.sizes, &row.bytes);
+        self.spelled.line(self.format, row.stamp_ns, &values, &mut self.text);
+    }
+
+    fn give_back(&self, mut row: Row) {
+        row.bytes.clear();
+        let _ = self.empty.try_send(row.bytes);
+    }
+}
+
+fn apart<'a>(sizes: &[usize], mut bytes: &'a [u8]) -> Vec<&'a [u8]> {
+    let mut values = Vec::with_capacity(sizes.len());
+    for size in sizes {
+        let (value, rest) = bytes.split_at_checked(*size).unwrap_or((bytes, &[]));
+        values.push(value);
+        bytes = rest;
+    }
+    values
+}
