@@ -258,6 +258,8 @@ impl Component for LinesSource {
     fn stop(&mut self) -> Result {
         let ended = self.reader.as_mut().map_or(Ok(()), Reader::end);
         self.count();
+        // Records that were still on their way are not handed on any more.
+        self.taken.dropped = self.taken.lines.saturating_sub(self.taken.bad + self.taken.handed_on);
         self.reader = None;
         self.restart_in_s = 0.0;
         self.tell(OperatingMode::DISABLED, Text::default(), self.host.now());

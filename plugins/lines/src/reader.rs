@@ -327,7 +327,7 @@ impl Thread {
     }
 
     fn pause(&self) -> Duration {
-        let tell = self.bad.as_ref().and_then(|_| self.told).map(|told| TOLD.saturating_sub(told.elapsed()));
+        let tell = self.bad.as_ref().and(self.told).map(|told| TOLD.saturating_sub(told.elapsed()));
         let offer = self.kept.as_ref().map(|_| OFFER);
         tell.into_iter().chain(offer).fold(SLEEP, Duration::min)
     }

@@ -82,7 +82,7 @@ fn add(types: &mut Vec<Json>, ty: Json) -> Result {
     if !types.iter().any(|there| there["name"] == ty["name"]) {
         types.push(ty);
     } else if let Ok(there) = read(types)
-        && read(&[&[ty.clone()], &types[..]].concat()).is_ok_and(|new| new != there)
+        && read(&[std::slice::from_ref(&ty), &types[..]].concat()).is_ok_and(|new| new != there)
     {
         return Err(format!(
             "{} would be the name of two types with different fields: choose another",
