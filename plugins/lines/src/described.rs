@@ -186,7 +186,7 @@ impl Described {
             _ => return None,
         };
         Some(match field.n {
-            Some(_) => Err(format!("{} is no array: leave the brackets out", field.name).into()),
+            Some(_) => Err(format!("{} is not an array: leave the brackets out", field.name).into()),
             None => Ok(made),
         })
     }
@@ -262,7 +262,7 @@ impl<'a> Field<'a> {
         };
         let begins = name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
         if !begins || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
-            return Err(format!("{name:?} is no name: letters, digits and _, a letter first"));
+            return Err(format!("{name:?} is not a name: letters, digits and _, a letter first"));
         }
         let mut field = Field { name, n, kind: None, unit: "", from };
         for word in words {
@@ -344,11 +344,11 @@ mod tests {
             ("force: fx N mm", "one word too many"),
             ("force: f[0] N", "give 1 to 1024 items"),
             ("force: f[x", "give 1 to 1024 items"),
-            ("force: 1x N", "is no name"),
+            ("force: 1x N", "is not a name"),
             ("force: stamp", "`stamp` is there already"),
             ("force: fx =", "nothing behind `=`"),
             ("joints: JointState", "how many joints?"),
-            ("tip: Pose[3]", "is no array"),
+            ("tip: Pose[3]", "is not an array"),
         ] {
             let said = Described::read(text).err().map(|e| e.to_string()).unwrap_or_default();
             assert!(said.contains(why) && said.contains(text), "{text}: {said}");

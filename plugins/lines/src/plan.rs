@@ -137,10 +137,10 @@ impl Plan {
     pub(crate) fn read(&self, line: &[u8], record: &mut [u8]) -> Result<Line, String> {
         let text = match std::str::from_utf8(line) {
             Ok(text) => text.trim(),
-            Err(why) => return Err(format!("no text: byte {} is no UTF-8", why.valid_up_to() + 1)),
+            Err(why) => return Err(format!("not text: byte {} is not valid UTF-8", why.valid_up_to() + 1)),
         };
         if let Some(at) = text.bytes().position(|byte| byte < b' ' && byte != b'\t') {
-            return Err(format!("no text: byte {} is a control character", at + 1));
+            return Err(format!("not text: byte {} is a control character", at + 1));
         }
         if text.is_empty() || text.starts_with('#') {
             return Ok(Line::Nothing);
@@ -216,7 +216,7 @@ impl Time {
             "ms" => 1e-3,
             "us" | "µs" => 1e-6,
             "ns" => 1e-9,
-            _ => return Err(wrong("the unit is none of s, ms, us, ns").into()),
+            _ => return Err(wrong("the unit is not one of s, ms, us, ns").into()),
         };
         let from = match format {
             Format::Numbers => From::Column(column(field).map_err(|why| wrong(&why.to_string()))?),
@@ -256,7 +256,7 @@ fn keys(path: &str) -> Vec<String> {
 fn column(text: &str) -> Result<usize> {
     match text.parse::<usize>() {
         Ok(n @ 1..=4096) => Ok(n - 1),
-        _ => Err(format!("{text:?} is no column: they are counted from 1").into()),
+        _ => Err(format!("{text:?} is not a column: they are counted from 1").into()),
     }
 }
 

@@ -48,13 +48,13 @@ fn a_bad_line_says_what_is_wrong_with_it() {
         ("1,-1", "column 2: `-1` does not fit into u32"),
         ("1,4294967296", "column 2: `4294967296` does not fit into u32"),
         ("1,2;3", "column 1: `1,2` is not a number"),
-        ("1,\u{1}2", "no text: byte 3 is a control character"),
+        ("1,\u{1}2", "not text: byte 3 is a control character"),
     ] {
         assert_eq!(read(&two, line).unwrap_err(), why, "{line}");
     }
     let mut record = two.blank.clone();
     let binary = two.read(&[b'1', 0xff, 0x00], &mut record).unwrap_err();
-    assert_eq!(binary, "no text: byte 2 is no UTF-8");
+    assert_eq!(binary, "not text: byte 2 is not valid UTF-8");
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn whole_numbers_flags_and_words_are_exact() {
     assert_eq!((&record[..24], &record[24..27]), (&words[..], "µm".as_bytes()));
     assert!(read(&all, "1 2 123456789").unwrap_err().contains("column 3: `123456789` is longer than 8 B"));
     let flag = plan(&["on: bool"], Format::Numbers, "arrival");
-    assert!(read(&flag, "2").unwrap_err().contains("none of 0, 1, false, true"));
+    assert!(read(&flag, "2").unwrap_err().contains("one of 0, 1, false, true"));
 }
 
 #[test]
@@ -132,10 +132,10 @@ fn settings_that_contradict_each_other_are_refused() {
         Plan::of(&outputs, Format::Numbers, stamp, 0).err().map(|e| e.to_string()).unwrap_or_default()
     };
     assert!(of(&[], "arrival").contains("outputs: there are 0"));
-    assert!(of(&["a: x"], "t ms").contains("is no column: they are counted from 1"));
+    assert!(of(&["a: x"], "t ms").contains("is not a column: they are counted from 1"));
     assert!(of(&["a: x"], "1").contains("stamp: \"1\": not a field and a unit"));
-    assert!(of(&["a: x"], "1 min").contains("the unit is none of s, ms, us, ns"));
-    assert!(of(&["a: x = 0"], "arrival").contains("is no column"));
+    assert!(of(&["a: x"], "1 min").contains("the unit is not one of s, ms, us, ns"));
+    assert!(of(&["a: x = 0"], "arrival").contains("is not a column"));
 }
 
 proptest! {

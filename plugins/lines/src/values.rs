@@ -44,7 +44,7 @@ pub(crate) fn put(kind: Kind, cell: &str, to: &mut [u8]) -> Result<(), String> {
         Kind::Bool => match cell {
             "0" | "false" => copy(to, &[0]),
             "1" | "true" => copy(to, &[1]),
-            _ => Err(format!("{} is none of 0, 1, false, true", shown(cell))),
+            _ => Err(format!("{} is not one of 0, 1, false, true", shown(cell))),
         },
         Kind::Text(n) => words(n, cell, to),
         _ => {
