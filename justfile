@@ -23,11 +23,12 @@ bench:
 bench-vision:
     python3 tests/bench/peers/vision.py --output target/peers/vision.json
 
-# Writes golden files anew: CLI surface, errors.md, INTERFACES.md, generated protocol code.
+# Writes golden files anew: CLI surface, errors.md, INTERFACES.md, trocar_payloads.h, generated protocol code.
 bless:
     cargo run --manifest-path proto/generate/Cargo.toml
     TROCAR_BLESS=1 cargo test -p trocar-model
     TROCAR_BLESS=1 cargo test -p trocar-plugin-api --features manifest
+    TROCAR_BLESS=1 cargo test -p trocar-sdk --test c_payloads
     TROCAR_BLESS=1 cargo test -p trocar
 
 # Interleavings of the real-time core.

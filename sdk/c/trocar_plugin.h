@@ -402,6 +402,10 @@ TROCAR_ASSERT(sizeof(trocar_plugin) == 72, "trocar_plugin");
 /* A string literal as trocar_bytes, for static tables. */
 #define TROCAR_TEXT(literal) {(const uint8_t *)(literal), sizeof(literal) - 1}
 
+/* JSON as it stands, made a string literal: TROCAR_JSON({"name":"c"}). Pieces may stand side by side, balanced or not;
+ * parentheses only inside of texts. */
+#define TROCAR_JSON(...) #__VA_ARGS__
+
 /* Places the manifest, a string literal of JSON, into the note. Once per library, at file scope. */
 #define TROCAR_MANIFEST(json)                                                                \
     __attribute__((section(".note.trocar"), used, aligned(4))) static const struct {         \

@@ -4,8 +4,11 @@
 
 mod filters;
 
+use std::env;
+use std::process::Command;
+
 use serde_json::{Value, json};
-use trocar_tests::{Built, HostProcess, World, eventually, number};
+use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number, repository};
 
 #[test]
 fn the_coordinates_its_manifest_names_at_a_port_are_those_of_the_ports_vectors() {
@@ -45,6 +48,41 @@ fn the_arms_of_its_configuration_are_interfaces_whose_commands_and_reads_reach_t
     assert_eq!(moved["json"].as_f64(), Some(1.0), "it is the first one now: {moved}");
     let gone = grpc.refused("InteractService/Invoke", json!({ "path": "host/arms/arm_left/goal" }));
     assert_eq!(gone.reason, "INTERFACE_NOT_FOUND");
+}
+
+#[test]
+fn poses_of_the_payload_header_are_those_of_rust_in_both_directions() {
+    let world = World::with_plugins(&["eyerobot", "filters"]);
+    let compiled = Command::new(env::var_os("CXX").unwrap_or_else(|| "c++".into()))
+        .args([
+            "-std=c++17",
+            "-O2",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-fPIC",
+            "-shared",
+            "-fvisibility=hidden",
+            "-I",
+        ])
+        .args([repository().join("sdk/c"), repository().join("tests/it/cpp_plugin/poses.cpp")])
+        .arg("-o")
+        .arg(world.path("libtrocar_poses.so"))
+        .output()
+        .unwrap();
+    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    world.drop_in(&world.path("libtrocar_poses.so"));
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    for (path, class) in [("host/robot", "eyerobot"), ("host/poses", "poses"), ("host/after", "resampler")] {
+        let class = grpc.await_class("host", class);
+        grpc.create(path, &class, json!({}));
+    }
+    grpc.connect("host/poses/from", "host/robot/measured_cp");
+    grpc.connect("host/after/pose", "host/poses/to");
+    grpc.ok("GcmService/Start", json!({ "path": "host/**" }));
+    let echoed = Trocar::at(&world, host.address()).run(&["echo", "host/after/resampled_pose", "-n", "1"]);
+    echoed.ends_with(0).says("orientation");
 }
 
 #[test]
