@@ -1,8 +1,9 @@
-//! `docs/PLUGIN_GUIDE.md`, followed literally from an empty directory.
+//! `docs/PLUGIN_GUIDE.md`, followed literally from an empty directory, and every template it names.
 //!
 //! Promise: a newcomer who copies the guide's commands ends with a plugin of their own running in a host.
 
 mod embedded;
+mod templates;
 
 use std::env;
 use std::fs;
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde_json::json;
-use trocar_tests::{Built, HostProcess, Trocar, World, repository};
+use trocar_tests::{Built, HostProcess, Trocar, World, eventually, repository};
 
 #[test]
 fn the_guide_names_the_commands_this_test_follows() {
@@ -95,6 +96,7 @@ fn connect_what_it_requires(world: &World, host: &HostProcess) {
         let name = input["name"].as_str().unwrap_or_default();
         grpc.connect(&format!("host/f/{name}"), "host/source/value");
     }
+    grpc.ok("GcmService/Start", json!({ "path": "host/source" }));
 }
 
 #[test]

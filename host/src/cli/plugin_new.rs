@@ -2,15 +2,18 @@
 //!
 //! Invariant: nothing that exists is touched; either the whole directory is written or nothing is.
 
+mod template;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::json;
 
 use super::failure::{Done, Exit, Failure};
 use super::out;
 use super::session::Session;
+use template::Template;
 
 /// Begins a new plugin in a new directory.
 #[derive(Args, Debug)]
@@ -20,26 +23,14 @@ pub(super) struct NewArgs {
     /// What to begin with.
     #[arg(long, value_enum, default_value_t = Template::Filter)]
     template: Template,
-    /// Directory of the SDK [default: found beside this program, else the published version].
+    /// Directory of the SDK, sdk/rust or sdk/c of trocar's sources [default: found beside this program].
     #[arg(long, value_name = "DIR")]
     sdk: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Template {
-    /// A component with an input, an output, a configuration and a command.
-    Filter,
-}
-
-/// The files of a template: path and text with `{{…}}` places.
-const FILTER: &[(&str, &str)] = &[
-    ("Cargo.toml", include_str!("../../../sdk/templates/filter/Cargo.toml")),
-    (".gitignore", include_str!("../../../sdk/templates/filter/gitignore")),
-    ("src/lib.rs", include_str!("../../../sdk/templates/filter/src/lib.rs")),
-];
-
 pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
-    check_name(&args.name)?;
+    let template = args.template;
+    check_name(&args.name, template.files())?;
     let dir = Path::new(&args.name);
     if dir.exists() {
         return Err(Failure::local(
@@ -48,11 +39,8 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
             "choose another name, or go to another directory",
         ));
     }
-    let (sdk, found) = sdk_dependency(args.sdk.as_deref())?;
-    let files = match args.template {
-        Template::Filter => FILTER,
-    };
-    write(dir, files, &args.name, &sdk).map_err(|e| {
+    let (sdk, found) = template.sdk(args.sdk.as_deref())?;
+    write(dir, template.files(), &args.name, &sdk).map_err(|e| {
         // Half a plugin helps nobody.
         let _ = fs::remove_dir_all(dir);
         Failure::local(
@@ -65,14 +53,9 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
         return session.print_json(&json!({ "directory": dir, "sdk": sdk, "sdk_found": found }));
     }
     if !found {
-        out::complain("warning", &not_found(&args.name));
+        out::complain("warning", &template.not_found(&args.name));
     }
-    let library = args.name.replace('-', "_");
-    out::text(&format!(
-        "{0}/ is ready. Next:\n  cd {0}\n  cargo test\n  cargo build --release\n  \
-         cp target/release/lib{library}.so DIR/     # a plugin directory of a running host\n",
-        args.name
-    ));
+    out::text(&template.next_steps(&args.name));
     Ok(Exit::Ok)
 }
 
@@ -102,10 +85,17 @@ fn camel(name: &str) -> String {
     name.split('-').map(capital).collect()
 }
 
-/// The names Rust would trip over as crate names.
-const RESERVED: &[&str] = &["test", "core", "std", "alloc", "self", "super", "crate", "trocar", "trocar-sdk"];
+/// Names of crates that would clash, and the words of Rust, C and C++: a name may become an identifier in each.
+const RESERVED: &str = "test core std alloc self super crate trocar trocar-sdk abstract alignas alignof and as asm \
+    async auto await become bitand bitor bool box break case catch char class compl const constexpr \
+    continue decltype default delete do double dyn else enum explicit export extern false final \
+    float fn for friend gen goto if impl in inline int let long loop macro main match mod move mut \
+    mutable namespace new noexcept not nullptr operator or override priv private protected pub \
+    public ref register restrict return short signed sizeof static struct switch template this \
+    thread-local throw trait true try type typedef typeid typename typeof union unsafe unsigned \
+    unsized use using virtual void volatile where while xor yield";
 
-fn check_name(name: &str) -> Result<(), Failure> {
+fn check_name(name: &str, files: &[(&str, &str)]) -> Result<(), Failure> {
     let first = name.chars().next().is_some_and(|c| c.is_ascii_lowercase());
     let rest = name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-');
     let dashes = !name.ends_with('-') && !name.contains("--");
@@ -115,63 +105,57 @@ fn check_name(name: &str) -> Result<(), Failure> {
             "begin with a small letter; then small letters, digits and single dashes, up to 40 characters: my-filter",
         ));
     }
-    if RESERVED.contains(&name) {
+    if RESERVED.split_whitespace().any(|word| word == name) {
         return Err(Failure::usage(
-            format!("{name:?} is taken by Rust or trocar itself"),
+            format!("{name:?} is taken by Rust, C, C++ or trocar itself"),
             "add a word: my-filter",
+        ));
+    }
+    let class = camel(name);
+    if files.iter().any(|(_, text)| has_word(text, &class)) {
+        return Err(Failure::usage(
+            format!("{name:?} makes a class {class}, and the template uses {class} for something else"),
+            format!("add a word: my-{name}"),
         ));
     }
     Ok(())
 }
 
-/// What to do when the sources are not where this program lies.
-fn not_found(name: &str) -> String {
-    format!(
-        "the SDK is not beside this program, so {name}/Cargo.toml asks for trocar-sdk {} from a registry. If cargo finds no \
-         package there, give it the sources: `trocar plugin new {name} --sdk TROCAR_DIRECTORY/sdk/rust`, or in Cargo.toml \
-         `trocar-sdk = {{ path = \"TROCAR_DIRECTORY/sdk/rust\" }}`",
-        env!("CARGO_PKG_VERSION")
-    )
-}
-
-/// What stands behind `trocar-sdk =` in the new Cargo.toml, and whether sources were found for it.
-fn sdk_dependency(asked: Option<&Path>) -> Result<(String, bool), Failure> {
-    if let Some(dir) = asked {
-        let manifest = dir.join("Cargo.toml");
-        let text = fs::read_to_string(&manifest).unwrap_or_default();
-        if !text.contains("name = \"trocar-sdk\"") {
-            return Err(Failure::usage(
-                format!("{} is not the SDK: {} does not name trocar-sdk", dir.display(), manifest.display()),
-                "give the directory sdk/rust of trocar's sources",
-            ));
-        }
-        return Ok((by_path(dir), true));
-    }
-    let found = std::env::current_exe().ok().and_then(|exe| {
-        let repo = exe.ancestors().find(|a| a.join("sdk/rust/Cargo.toml").is_file())?;
-        Some(repo.join("sdk/rust"))
-    });
-    let published = || (format!("{:?}", env!("CARGO_PKG_VERSION")), false);
-    Ok(found.map_or_else(published, |dir| (by_path(&dir), true)))
-}
-
-fn by_path(dir: &Path) -> String {
-    let dir = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
-    // JSON and TOML basic strings escape alike what a path may hold.
-    format!("{{ path = {} }}", serde_json::Value::from(dir.to_string_lossy()))
+/// The code of `text`, without its comments, has `word` as an identifier.
+fn has_word(text: &str, word: &str) -> bool {
+    let code = text.lines().filter(|line| !["//", "#", "*", "/*"].iter().any(|c| line.trim().starts_with(c)));
+    code.flat_map(|line| line.split(|c: char| !c.is_alphanumeric() && c != '_')).any(|w| w == word)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use clap::ValueEnum;
+
+    fn checked(name: &str) -> Result<(), Failure> {
+        Template::value_variants().iter().try_for_each(|template| check_name(name, template.files()))
+    }
 
     #[test]
-    fn names_that_cargo_or_the_directory_would_refuse_are_refused_first() {
-        for bad in ["", "My", "1st", "a_b", "a--b", "a-", "../x", "test"] {
-            assert!(check_name(bad).is_err(), "{bad:?} was taken");
+    fn names_that_cargo_a_compiler_or_the_directory_would_refuse_are_refused_first() {
+        for bad in ["", "My", "1st", "a_b", "a--b", "a-", "../x", "test", "int", "async", "namespace"] {
+            assert!(checked(bad).is_err(), "{bad:?} was taken");
         }
-        check_name("my-filter").unwrap();
+        checked("my-filter").unwrap();
+    }
+
+    #[test]
+    fn a_name_whose_class_the_template_uses_for_something_else_is_refused() {
+        for (bad, template) in
+            [("scalar", Template::Filter), ("component", Template::Cpp), ("drive", Template::Arm)]
+        {
+            let refused = check_name(bad, template.files()).unwrap_err();
+            assert!(refused.message.contains(&camel(bad)), "{}", refused.message);
+        }
+        for good in ["filter", "source", "device", "arm", "cpp", "c", "sensor", "low-pass", "robot"] {
+            checked(good).unwrap();
+        }
     }
 
     #[test]
@@ -181,16 +165,17 @@ mod tests {
     }
 
     #[test]
-    fn no_place_of_the_template_is_left_open() {
-        for (path, text) in FILTER {
-            let filled = fill(text, "my-filter", "\"0.1.0\"");
-            assert!(!filled.contains("{{"), "{path} still has an open place:\n{filled}");
+    fn no_place_of_a_template_is_left_open_and_each_has_all_of_them() {
+        for template in Template::value_variants() {
+            let mut used = Vec::new();
+            for (path, text) in template.files() {
+                let filled = fill(text, "my-filter", "\"0.1.0\"");
+                assert!(!filled.contains("{{"), "{template:?} {path} still has an open place:\n{filled}");
+                used.extend(text.split("{{").skip(1).filter_map(|rest| rest.split("}}").next()));
+            }
+            for place in ["name", "crate", "sdk"] {
+                assert!(used.contains(&place), "{template:?} does not use the place {place}");
+            }
         }
-    }
-
-    #[test]
-    fn a_directory_that_is_not_the_sdk_is_refused() {
-        let temp = tempfile::tempdir().unwrap();
-        assert!(sdk_dependency(Some(temp.path())).unwrap_err().message.contains("is not the SDK"));
     }
 }

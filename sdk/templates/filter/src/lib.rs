@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use trocar_sdk::data::Scalar;
 use trocar_sdk::prelude::*;
 
-/// What a user sets; the host shows it as a form and checks it before the component sees it.
+/// The settings; the host shows them as a form and checks them before the component sees them.
 #[derive(Config)]
 struct Settings {
     /// -3 dB corner of the filter
@@ -28,7 +28,7 @@ struct {{Name}} {
     settings: Settings,
 }
 
-/// What others may ask of the filter.
+/// The commands and reads that others may call.
 #[provides("control")]
 impl {{Name}} {
     /// Forgets the past.
