@@ -1,6 +1,6 @@
-/// The picture at first sight: what it is laid out like, how large its letters are, that nothing is out of reach.
+/// The picture at first sight: its layout, the size of its letters, and that nothing is out of reach.
 import { small } from './letters.mjs';
-import { box, connect, create, eventually, grpcurl, handle, holds, is, settled, shot } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, handle, holds, is, settled, shot, start } from './world.mjs';
 
 /// Places where a wire goes through a card that is not at its ends.
 const crossed = (page) =>
@@ -18,7 +18,7 @@ const crossed = (page) =>
     return found;
   });
 
-/// What of a card is outside of the graph's own area, or below something else.
+/// Points of a card that are outside of the graph's own area, or below something else.
 const covered = (page, path) =>
   page.evaluate((path) => {
     const b = document.querySelector(`[data-path="${path}"]`).getBoundingClientRect();
@@ -115,13 +115,21 @@ export async function a_wire_that_comes_later_and_one_of_a_card_that_was_moved_g
 export async function no_button_of_the_top_is_out_of_reach_however_narrow_the_window_is(world) {
   const host = await world.host();
   await create(host.addr, 'sine', 'host/sine');
+  await create(host.addr, 'fixture-chaos/chaos', 'host/chaos', { panic_in: 'step' }, { model: 'periodic', rate_hz: 10 });
+  await create(host.addr, 'recorder/recorder', 'host/log', { directory: world.dir, path: 'trial.mcap' });
+  await connect(host.addr, 'host/log/in_1', 'host/sine/value');
+  await start(host.addr, 'host/**');
   const page = await world.viewer(host.addr, '', { viewport: { width: 1920, height: 700 } });
   await settled(page);
+  await page.locator('.tally', { hasText: '1 in FAULT' }).waitFor();
+  await page.locator('[data-recording="1"]').waitFor();
   const tops = () => page.locator('.tools > :is(button, a)').evaluateAll((all) => all.map((e) => ({ name: e.getAttribute('aria-label') ?? e.textContent.trim(), left: e.getBoundingClientRect().left, right: e.getBoundingClientRect().right })));
   const all = (await tops()).map((t) => t.name);
   holds(all.length >= 13 && !all.includes('Menu'), `all buttons of a broad window: ${all}`);
   for (const width of [1920, 1366, 1000, 820, 600, 360, 300]) {
     await page.setViewportSize({ width, height: 700 });
+    const record = await page.locator('[data-recording]').boundingBox();
+    holds(record.x >= 0 && record.x + record.width <= width, `the recording at ${width} px: ${JSON.stringify(record)}`);
     await eventually('the buttons are inside the window', async () => (await tops()).every((t) => t.left >= 0 && t.right <= width), tops);
     const shown = (await tops()).map((t) => t.name);
     if (!shown.includes('Menu')) { is(shown, all, `at ${width} px`); continue; }

@@ -6,7 +6,7 @@ class Scene {
   cards = $state.raw<Box[]>([]);
   /// A card is on its way with the pointer: wires are not led around it until it stands.
   moving = $state(false);
-  /// How much larger letters are drawn than they are, so that they can be read from afar.
+  /// Letters are drawn so many times as large, so that they can be read from afar.
   letters = $state(1);
 }
 

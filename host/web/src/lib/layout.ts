@@ -1,4 +1,4 @@
-/// Places of boxes and ways of wires: ELK in a worker, each process by itself and then the processes among each other.
+/// Places of boxes and ways of wires: ELK in a worker, each process by itself, then all among each other.
 ///
 /// Invariant: the page is never held up by it: an answer may come late, and is then followed by one for what is there by now.
 import ELK, { type ElkEdgeSection, type ElkExtendedEdge, type ElkNode } from 'elkjs/lib/elk-api';
@@ -41,7 +41,7 @@ export interface Room {
   height: number;
 }
 
-/// How densely it stands, and whether a long row goes on below its begin.
+/// A density, and whether a long row goes on below its begin.
 interface Manner {
   gap: number;
   wrapped: boolean;
@@ -49,7 +49,8 @@ interface Manner {
 
 let elk: InstanceType<typeof ELK> | undefined;
 
-/// The layout that is seen largest in the room, at full size at most; the airiest of those. Ask for the next one when this has answered.
+/// The layout that is seen largest in the room, at full size at most; the airiest of those.
+/// Ask for the next one when this has answered.
 export async function layout(processes: string[], cards: Map<string, Card>, connections: Connection[], room: Room): Promise<Layout> {
   elk ??= new ELK({ workerUrl });
   const manners: Manner[] = [{ gap: 110, wrapped: false }, { gap: 76, wrapped: false }];
@@ -108,7 +109,7 @@ async function arranged(processes: string[], cards: Map<string, Card>, connectio
   return made;
 }
 
-/// What a process has inside.
+/// The inside of a process.
 interface Inside {
   width: number;
   height: number;
@@ -125,7 +126,7 @@ interface Exit {
   out: boolean;
 }
 
-/// What is tied to other processes stands above, from border to border; below it what is not, packed.
+/// Components tied to other processes stand above, from border to border; below them the others, packed.
 async function inside(cards: Map<string, Card>, connections: Connection[], exits: Exit[], room: Room, manner: Manner): Promise<Inside> {
   const tied = reached(exits.map((e) => componentOf(e.port)), connections);
   const blocks: ElkNode[] = [];

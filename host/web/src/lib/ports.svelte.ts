@@ -5,6 +5,7 @@ import { SvelteMap } from 'svelte/reactivity';
 import type { ClassInfo, Command, Event, Ports, PortType, TypeInfo } from '../gen/trocar/v1/types_pb';
 import { gcm } from './api';
 import { system } from './system.svelte';
+import { count } from './words';
 
 export type PortKind = 'input' | 'output' | 'required' | 'provided';
 
@@ -159,11 +160,11 @@ function flat(ports: Ports): Port[] {
   return [
     ...ports.inputs.map((p): Port => ({ name: p.name, kind: 'input', doc: p.doc, tag: p.tag, optional: p.optional, tap: false, ...typed(p.type) })),
     ...ports.required.map(
-      (p): Port => ({ name: p.name, kind: 'required', doc: p.doc, tag: '', optional: p.optional, type: `${p.functions.length} functions, ${p.handlers.length} handlers`, ...INTERFACE }),
+      (p): Port => ({ name: p.name, kind: 'required', doc: p.doc, tag: '', optional: p.optional, type: `${count(p.functions.length, 'function')}, ${count(p.handlers.length, 'handler')}`, ...INTERFACE }),
     ),
     ...tapsLast(ports.outputs).map((p): Port => ({ name: p.name, kind: 'output', doc: p.doc, tag: p.tag, optional: true, tap: p.tap, ...typed(p.type) })),
     ...systemLast(ports.provided).map(
-      (p): Port => ({ name: p.name, kind: 'provided', doc: p.doc, tag: p.tag, optional: true, type: `${p.commands.length} commands, ${p.events.length} events`, ...INTERFACE }),
+      (p): Port => ({ name: p.name, kind: 'provided', doc: p.doc, tag: p.tag, optional: true, type: `${count(p.commands.length, 'command')}, ${count(p.events.length, 'event')}`, ...INTERFACE }),
     ),
   ];
 }

@@ -1,4 +1,4 @@
-/// A way around the cards for a wire that the layout has none for: it was made since, or its card was moved by hand.
+/// A way around the cards for a wire that the layout does not know: it was made since, or its card was moved.
 ///
 /// Invariant: a way crosses no card between its ends; there may be none, and the wire is a plain curve then.
 import type { Box, Placed } from './layout';

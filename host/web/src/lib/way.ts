@@ -42,7 +42,8 @@ export interface Size {
   height: number;
 }
 
-/// The first of these sizes that has a place on the way beside the cards, and the middle of it; the last one where it covers least.
+/// The first of these sizes that has a place on the way beside the cards, and the middle of that place.
+/// Where none has, the last one where it covers least.
 export function spot(way: Placed[], cards: Box[], sizes: Size[]): Placed & { size: number } {
   const places = along(way);
   let least = { ...places[0]!, size: sizes.length - 1, covers: Infinity };
@@ -65,7 +66,7 @@ function along(way: Placed[]): Placed[] {
   return [0.5, 0.3, 0.7, 0.15, 0.85].flatMap((t) => own.map(({ a, b }) => ({ x: a.x + (b.x - a.x) * t, y: a.y + (b.y - a.y) * t })));
 }
 
-/// How much of the cards figures at this place would cover, px².
+/// The part of the cards that figures at this place would cover, px².
 function covered(at: Placed, size: Size, cards: Box[]): number {
   const [left, right, top, bottom] = [at.x - size.width / 2, at.x + size.width / 2, at.y - size.height / 2, at.y + size.height / 2];
   let sum = 0;

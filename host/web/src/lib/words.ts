@@ -36,7 +36,7 @@ export function healthOf(c: Component): { text: string; tone: Tone; why: string 
   const [text, tone, means] = HEALTH[c.health] ?? ['not known', 'new', 'nobody told'];
   const details = [c.fault || means, ...(c.stats?.warnings ?? [])];
   const overruns = c.stats?.overruns ?? 0n;
-  if (overruns > 0n) details.push(`${overruns} overruns since it was made`);
+  if (overruns > 0n) details.push(`${count(Number(overruns), 'overrun')} since it was made`);
   return { text, tone: c.fault ? 'bad' : tone, why: details.join('; ') };
 }
 
