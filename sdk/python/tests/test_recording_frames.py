@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 
 import trocar
+from trocar import _frames
 from trocar._png import qoi
 
 from .files import File, compressed_image, oct_lines, raw_image, schema
@@ -59,6 +61,60 @@ def test_frames_are_taken_by_number_by_slice_and_one_after_the_other(tmp_path):
         with pytest.raises(IndexError, match="has 5 frames; 5 is none of them"):
             frames[5]
     assert rec["/eye/image"].frame(3).array[0, 0] == 3
+
+
+def test_numbers_and_a_loop_agree_where_a_frame_cannot_be_read(tmp_path):
+    kind = raw_image()
+    file = File(tmp_path / "a.mcap")
+    channel = file.topic("/eye", kind)
+    for n in range(4):
+        pixels = image(np.full((2, 2, 1), n, "u1"), "mono8")
+        file.add(channel, n, b"\xff\xff\xff" if n == 1 else kind[1](**pixels))
+    path, messages = file.close(), trocar.Recording(file.path)
+    assert len(messages["eye"].messages) == 3
+    for rec in (trocar.Recording(path), trocar.read(path), messages):
+        frames = rec["eye"].frames
+        for found in ([f for f in frames], frames[:], [frames[n] for n in range(-4, 0)]):
+            assert [f.stamp_ns for f in found] == frames.stamps.tolist() == [0, 1, 2, 3] and len(frames) == 4
+            assert [f.array[0, 0] for f in found if f.value is not None] == [0, 2, 3]
+            assert found[1].value is None and found[1].data == b"\xff\xff\xff" and found[1]._repr_png_() is None and repr(found[1])
+            with pytest.raises(trocar.TrocarError, match="it is not what its type says"):
+                found[1].array
+        assert rec["eye"].unreadable == 1 and len(rec["eye"].messages) == 3
+
+
+def test_a_file_that_is_shortened_meanwhile_says_so(tmp_path):
+    pictures = [image(np.full((2, 2, 1), n, "u1"), "mono8") for n in range(5)]
+    frames = recorded(tmp_path / "a.mcap", {"/eye": (raw_image(), pictures)})["eye"].frames
+    assert len(frames) == 5
+    with open(tmp_path / "a.mcap", "r+b") as out:
+        out.truncate(100)
+    with pytest.raises(trocar.TrocarError, match="frame 2 of /eye cannot be read any more: it ends before byte"):
+        frames[2]
+
+
+def test_colours_take_little_room_and_are_made_once_for_a_picture_in_a_notebook(tmp_path, monkeypatch):
+    values = np.arange(500_000, dtype="<u2").reshape(500, 1000)
+    tracemalloc.start()
+    try:
+        pixels, low, high = _frames.coloured(values)
+        assert tracemalloc.get_traced_memory()[1] < 12 * values.nbytes
+    finally:
+        tracemalloc.stop()
+    assert pixels.shape == (500, 1000, 3) and (low, high) == (0, 65535)
+    assert pixels[0, 0].tolist() == [35, 23, 27] and pixels[65, 535].tolist() == [144, 13, 0], "the ends of turbo"
+    made, coloured = [], _frames.coloured
+    monkeypatch.setattr(_frames, "coloured", lambda v: made.append(1) or coloured(v))
+    rec = recorded(tmp_path / "a.mcap", {"/wide": (raw_image(), [image(values[:4, :4, None], "mono16")])})
+    assert "colours from" in rec["/wide"].frames[0]._repr_html_() and len(made) == 1
+
+
+@pytest.mark.parametrize("values", [[[np.nan, np.inf]], [[3.0, 3.0]], [[-3.4e38, 3.4e38]]])
+def test_colours_of_odd_numbers_are_some(values):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pixels, low, high = _frames.coloured(np.array(values, "f4"))
+    assert pixels.shape == (1, 2, 3) and low <= high and pixels.any() == np.isfinite(values).any()
 
 
 def test_sixteen_bit_and_depth_are_coloured_and_say_so(tmp_path):

@@ -2,9 +2,11 @@
 
 import os
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import CompressionType, IndexType
 
 import trocar
@@ -179,6 +181,32 @@ def test_a_chunk_with_a_wrong_checksum_is_left_out_whole_and_told(tmp_path):
         n = rec[THINGS].n
         assert 900 < len(n) < 1000 and 500 not in n and n[0] == 0 and n[-1] == 999
         assert not rec.complete and "another checksum" in rec.why
+
+
+def test_packed_bytes_that_make_more_than_their_chunk_says_are_not_unpacked():
+    large = bytes(16 << 20)
+    told = zstandard.ZstdCompressor().compress(large)
+    untold = zstandard.ZstdCompressor(write_content_size=False).compress(large)
+    tracemalloc.start()
+    try:
+        for data in (told, untold):
+            with pytest.raises(_chunks.Damaged, match="says"):
+                _chunks._unpacked(data, "zstd", 100, 0)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+    for size in (True, False):
+        data = zstandard.ZstdCompressor(write_content_size=size).compress(large)
+        assert _chunks._unpacked(data, "zstd", len(large), 0) == large
+    with pytest.raises(_chunks.Damaged):
+        _chunks._unpacked(b"no zstd at all", "zstd", 100, 0)
+
+
+def test_a_chunk_of_more_than_a_machine_holds_is_not_read(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.mcap", 100, compression=CompressionType.NONE)
+    monkeypatch.setattr(_chunks, "_LARGEST", 500)
+    rec = trocar.Recording(path)
+    assert len(rec[THINGS].n) < 100 and "a length that cannot be" in rec.why
 
 
 def test_a_wrong_index_is_not_believed(tmp_path):

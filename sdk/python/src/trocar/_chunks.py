@@ -18,8 +18,9 @@ from ._summary import CHANNEL, HEAD, SCHEMA, Part, Summary, inside
 MESSAGE = 5
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQII")
-# A chunk that says more than this of itself is not unpacked, B.
-_LARGEST = 4 << 30
+# A chunk that says more than this of itself is not read, B. It is held packed and unpacked at once, beside
+# what is made of it, and a machine of a lab has 8 GiB; recorders write chunks of some MB, or of one frame.
+_LARGEST = 1 << 30
 
 
 class Message(NamedTuple):
@@ -134,7 +135,7 @@ class Chunks:
         compression = self._bytes(body + _CHUNK.size, name).decode("utf-8", "replace")
         (length,) = struct.unpack("<Q", self._bytes(body + _CHUNK.size + name, 8))
         at = body + _CHUNK.size + name + 8
-        if at + length > part.begin + part.length or size > _LARGEST:
+        if at + length > part.begin + part.length or max(size, length) > _LARGEST:
             raise Damaged(f"the chunk at byte {part.begin} has a length that cannot be; it is left out")
         data = self._bytes(at, length)
         if compression:
@@ -176,7 +177,12 @@ def _unpacked(data: bytes, compression: str, size: int, at: int) -> bytes:
         if compression == "zstd":
             import zstandard
 
-            out = zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
+            # `decompress` makes as much as the packed bytes say of themselves, whatever it is given as the most.
+            told = zstandard.frame_content_size(data) if size else 0
+            if told not in (size, -1):
+                raise Damaged(f"the chunk at byte {at} says it has {size} bytes, and its packed bytes {told}; it is left out")
+            unpack = zstandard.ZstdDecompressor()
+            out = b"" if not size else unpack.decompress(data) if told == size else unpack.stream_reader(data).read(size + 1)
         elif compression == "lz4":
             import lz4.frame
 

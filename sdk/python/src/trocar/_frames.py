@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import base64
 import html
+import struct
 from array import array as numbers
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from ._chunks import Damaged, shown
 from ._errors import TrocarError, invalid
 from ._png import coloured, png, qoi
 
@@ -30,10 +32,12 @@ class RecordedFrame:
     """One frame. ``array`` are its values, ``format`` what they are (``"rgb8"``, ``"jpeg"``, ``"32FC1"``, ``"U16"``), ``value`` the message
     itself, ``data`` its bytes as they are in the file; ``stamp_ns`` when it was acquired, ``t`` the same in s since the recording began.
 
-    An image is ``(height, width)`` or ``(height, width, colours)`` in the order of its format, OCT ``(lines, samples)``.
+    An image is ``(height, width)`` or ``(height, width, colours)`` in the order of its format, OCT ``(lines, samples)``. A message that is
+    not what its type says is a frame as well: its ``value`` is None, ``data`` all of the message, and ``array`` is refused.
     """
 
     def __init__(self, topic: Any, message: Any, value: Any) -> None:
+        self._message = message
         self.topic = topic.name
         self.stamp_ns, self.log_time, self.sequence = message.publish_time, message.log_time, message.sequence
         self.t = (message.publish_time - topic._recording.begin_ns) / 1e9
@@ -43,11 +47,13 @@ class RecordedFrame:
     @property
     def data(self) -> bytes:
         """Its bytes."""
-        return self.value.data
+        return self._message.data if self.value is None else self.value.data
 
     @property
     def format(self) -> str:
         """The kind of its values."""
+        if self.value is None:
+            return ""
         told = getattr(self.value, "encoding", "") or getattr(self.value, "format", "")
         if isinstance(told, str):
             return told
@@ -65,6 +71,8 @@ class RecordedFrame:
 
     def _decoded(self) -> np.ndarray:
         value, kind = self.value, self.format
+        if value is None:
+            raise self._bad("it is not what its type says")
         if kind == "qoi":
             found = qoi(self.data)
             if found is None:
@@ -164,11 +172,14 @@ class RecordedFrame:
 
     def _repr_html_(self) -> str | None:
         """Only of what is scaled: the picture, and below it how."""
-        picture = self._repr_png_()
-        if picture is None or not self.shown:
+        try:
+            pixels, said = self._picture() if self.format not in ("jpeg", "jpg") else (None, "")
+        except TrocarError:
             return None
-        source = base64.b64encode(picture).decode()
-        return f"<div><img src='data:image/png;base64,{source}'/><p>{html.escape(self.shown)}</p></div>"
+        if pixels is None or not said:
+            return None
+        source = base64.b64encode(png(pixels)).decode()
+        return f"<div><img src='data:image/png;base64,{source}'/><p>{html.escape(said)}</p></div>"
 
     def __repr__(self) -> str:
         size = f"{self.value.width} x {self.value.height} " if hasattr(self.value, "width") else ""
@@ -177,11 +188,20 @@ class RecordedFrame:
 
 
 class Frames:
-    """The frames of a topic: ``frames[17]``, ``frames[::10]`` (a list), or one after the other."""
+    """The frames of a topic: ``frames[17]``, ``frames[::10]`` (a list), or one after the other.
 
-    def __init__(self, topic: Any) -> None:
+    Each message has a number and is a frame, so that numbers, ``len``, ``stamps`` and a loop agree; one that cannot be read says so when
+    its ``array`` is asked for.
+    """
+
+    def __init__(self, topic: Any, every: list[tuple[Any, Any]] | None = None) -> None:
         self._topic = topic
+        self._every = every
         self._places: Any = None
+
+    def _held(self) -> list[tuple[Any, Any]] | None:
+        """Messages in memory, where all of them are."""
+        return self._every if self._every is not None else self._topic._kept if not self._topic.unreadable else None
 
     def _known(self) -> Any:
         """The place and time of each; nothing else is read for it."""
@@ -195,10 +215,12 @@ class Frames:
     @property
     def stamps(self) -> np.ndarray:
         """When each was acquired, ns."""
-        return self._known()[:, 2].copy() if self._topic._kept is None else self._topic.publish_time
+        held = self._held()
+        return self._known()[:, 2].copy() if held is None else np.array([m.publish_time for m, _ in held], "u8")
 
     def __len__(self) -> int:
-        return len(self._topic) if self._topic._kept is not None else len(self._known())
+        held = self._held()
+        return len(self._known() if held is None else held)
 
     def __getitem__(self, number: Any) -> Any:
         if isinstance(number, slice):
@@ -207,17 +229,29 @@ class Frames:
         if not -len(self) <= n < len(self):
             raise IndexError(f"{self._topic.name} has {len(self)} frames; {n} is none of them")
         n %= len(self)
-        if self._topic._kept is not None:
-            return RecordedFrame(self._topic, *self._topic._kept[n])
-        found = self._topic._recording._file.at((int(self._known()[n, 0]), int(self._known()[n, 1])))
-        taken = self._topic._taken(found)
-        if taken is None:
-            raise invalid(f"frame {n} of {self._topic.name} is not what its type says", "FRAME_INVALID", topic=self._topic.name)
+        held = self._held()
+        if held is not None:
+            return RecordedFrame(self._topic, *held[n])
+        file, before = self._topic._recording._file, self._topic.unreadable
+        try:
+            found = file.at((int(self._known()[n, 0]), int(self._known()[n, 1])))
+        except (Damaged, struct.error) as e:
+            problem = str(e) if isinstance(e, Damaged) else shown(e)
+            file.say(problem)
+            raise invalid(
+                f"frame {n} of {self._topic.name} cannot be read any more: {problem}", "FRAME_INVALID", topic=self._topic.name
+            ) from None
+        taken = self._topic._taken(found) or (found, None)
+        # Only whole ways through the file count them.
+        self._topic.unreadable = before
         return RecordedFrame(self._topic, *taken)
 
     def __iter__(self) -> Iterator[RecordedFrame]:
-        for message, value in self._topic._read():
-            yield RecordedFrame(self._topic, message, value)
+        held = self._held()
+        if held is None:
+            self._topic.unreadable = 0
+        for m in held if held is not None else self._topic._raw():
+            yield RecordedFrame(self._topic, *(m if held is not None else self._topic._taken(m) or (m, None)))
 
     def __repr__(self) -> str:
         return f"<{len(self)} frames of {self._topic.name}>"

@@ -34,18 +34,32 @@ def _part(name: bytes, data: bytes) -> bytes:
 def coloured(values: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Numbers as colours (turbo) from the least to the most of them; those that are not finite are black."""
     finite = np.isfinite(values)
-    low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
-    x = (np.where(finite, values, low).astype("f8") - low) / ((high - low) or 1.0)
-    # The polynomials that Google gave for its colour map "turbo".
-    powers = np.stack([x**n for n in range(6)], axis=-1)
+    known = values if finite.all() else values[finite]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    # Numbers of 16 bit are exact in 32.
+    scaled = values.astype("f4" if values.dtype.itemsize <= 2 else "f8")
+    scaled[~finite] = low
+    scaled -= low
+    scaled /= (high - low) or 1.0
+    scaled *= 255
+    scaled += 0.5
+    out = _TURBO[scaled.astype("u1")]
+    out[~finite] = 0
+    return out, low, high
+
+
+def _turbo() -> np.ndarray:
+    """The 256 colours of the map "turbo", by the polynomials that Google gave for it."""
     factors = [
         (0.13572138, 4.61539260, -42.66032258, 132.13108234, -152.94239396, 59.28637943),
         (0.09140261, 2.19418839, 4.84296658, -14.18503333, 4.27729857, 2.82956604),
         (0.10667330, 12.64194608, -60.58204836, 110.36276771, -89.90310912, 27.34824973),
     ]
-    out = np.clip(powers @ np.array(factors).T, 0, 1)
-    out[~finite] = 0
-    return (out * 255 + 0.5).astype("u1"), low, high
+    powers = (np.arange(256) / 255)[:, None] ** np.arange(6)
+    return (np.clip(powers @ np.array(factors).T, 0, 1) * 255 + 0.5).astype("u1")
+
+
+_TURBO = _turbo()
 
 
 def qoi(data: bytes) -> np.ndarray | None:

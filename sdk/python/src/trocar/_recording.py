@@ -13,6 +13,7 @@ import numpy as np
 
 from ._align import aligned
 from ._errors import invalid
+from ._frames import Frames
 from ._mcap import CUT, File
 from ._pair import Pair
 from ._paths import globbed, nearest
@@ -113,8 +114,11 @@ class Recording(Mapping, Told):
         if clock == "ns":
             return pd.Index(stamps, name="t_ns")
         if clock == "recording":
+            limit = (1 << 63) - 1
+            if len(stamps) and max(int(stamps.max()), self.begin_ns) > limit:
+                raise invalid(f'{self.file} has stamps that are no times: take clock="ns"', "OUT_OF_RANGE", file=self.file)
             # Whole numbers are subtracted: a float does not hold the ns of a clock.
-            return pd.Index((stamps.astype("i8") - np.int64(self.begin_ns)) / 1e9, name="t")
+            return pd.Index((stamps.astype("i8") - np.int64(min(self.begin_ns, limit))) / 1e9, name="t")
         offset = self._unix_offset()
         if offset is None:
             raise invalid(
@@ -187,8 +191,8 @@ class Recording(Mapping, Told):
         A row is for each message of the topic ``on`` (the first of ``fields`` unless it is named), or ``rate_hz`` rows are made per second.
         A value is that of the message that is ``"nearest"``, the ``"previous"`` one, or on the line between both neighbours
         (``"linear"``: floats; all else is taken from the previous). Where that message is more than ``tolerance`` s away the value
-        is missing; unless it is given it is twice the median distance of the topic's messages. ``attrs`` has ``units``, ``beyond``
-        (how many values are missing by that, by column), ``tolerance_s`` (by topic) and ``notes``.
+        is missing; unless it is given it is twice the median distance of the topic's messages, 0 where they have none. ``attrs`` has
+        ``units``, ``beyond`` (how many values are missing by that, by column), ``tolerance_s`` (by topic) and ``notes``.
         """
         return aligned(self, fields, on, rate_hz, how, tolerance, start, end, time, clock)
 
@@ -209,13 +213,19 @@ def read(file: Any, topics: Any = None, start: float | None = None, end: float |
     low = 0 if start is None else max(out.begin_ns + round(start * 1e9), 0)
     high = None if end is None else out.begin_ns + round(end * 1e9)
     by_channel = {c: t for t in chosen.values() for c in t._channels}
+    # Frames are counted with those that cannot be read.
+    every: dict[str, list[Any]] = {n: [] for n in chosen}
     for topic in chosen.values():
         topic._kept = []
     for m in out._file.messages(set(by_channel), True, low, high):
         if m.log_time >= low and (high is None or m.log_time <= high):
             topic = by_channel[m.channel]
             taken = topic._taken(m)
+            every[topic.name].append(taken or (m, None))
             if taken is not None and topic._kept is not None:
                 topic._kept.append(taken)
+    for n, topic in chosen.items():
+        if topic.unreadable:
+            topic._frames = Frames(topic, every[n])
     out._chosen = {n for n, t in chosen.items() if len(t) or not wanted}
     return out
