@@ -144,6 +144,76 @@ def test_a_topic_whose_type_changes_has_the_columns_of_both_and_says_so(tmp_path
     assert any("x are not of one kind" in note for note in table.attrs["notes"])
 
 
+def changing_enum(path, *words, sends=None):
+    """A topic whose type changes: of each a message with its second number, and one with its first."""
+    file = File(path)
+    for i, of in enumerate(words):
+        kind = types(f"trocar.e{i}.T", [("T", [("m", 14, False, "M", False)])], [("M", of)])
+        channel = file.topic("/c", kind)
+        for at, n in enumerate((sends or of[1][0], of[0][0])):
+            file.add(channel, (2 * i + at) * S, kind[1](m=n))
+    rec = trocar.Recording(file.close())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", trocar.RecordingNote)
+        return rec["/c"].to_pandas(), rec["/c"].to_numpy()["m"].tolist()
+
+
+def test_words_of_an_enum_are_those_of_the_type_that_was_sent(tmp_path):
+    out, _ = changing_enum(tmp_path / "other.mcap", [(0, "A"), (1, "B")], [(0, "Z"), (1, "A")])
+    assert out["m"].tolist() == ["B", "A", "A", "Z"] and any("m are not of one kind" in note for note in out.attrs["notes"])
+    out, numbers = changing_enum(tmp_path / "same.mcap", [(0, "A"), (1, "B")], [(0, "A"), (1, "B")])
+    assert out["m"].tolist() == ["B", "A"] * 2 and out["m"].dtype == "category" and numbers == [1, 0] * 2
+    out, numbers = changing_enum(tmp_path / "more.mcap", [(0, "A"), (1, "B")], [(0, "A"), (1, "B"), (2, "C")], [(0, "A"), (1, "B")])
+    assert out["m"].tolist() == ["B", "A"] * 3 and list(out["m"].cat.categories) == ["A", "B", "C"] and numbers == [1, 0] * 3
+
+
+def test_two_numbers_of_one_name_are_one_category(tmp_path):
+    out, numbers = changing_enum(tmp_path / "a.mcap", [(0, "A"), (1, "B")], [(0, "A"), (2, "B")])
+    assert out["m"].tolist() == ["B", "A", "B", "A"] and list(out["m"].cat.categories) == ["A", "B"] and numbers == [1, 0, 2, 0]
+
+
+def test_a_number_without_a_name_does_not_get_that_of_another_type(tmp_path):
+    few, more = [(0, "A"), (1, "B")], [(0, "A"), (1, "B"), (9, "C")]
+    for words, sent in (((few, more), ["9", "A", "C", "A"]), ((more, few), ["C", "A", "9", "A"])):
+        out, _ = changing_enum(tmp_path / "a.mcap", *words, sends=9)
+        assert out["m"].tolist() == sent and any("m are not of one kind" in note for note in out.attrs["notes"])
+
+
+def test_a_time_that_is_asked_for_has_its_rows_where_a_source_is_ahead_of_the_recorder(tmp_path, quiet):
+    file = File(tmp_path / "ahead.mcap", chunk_size=1)
+    note = file.topic("/a")
+    for n in range(4):
+        file.add(note, S + n * S, {"n": n}, S + n * S + 10_000_000)
+    rec = trocar.Recording(file.close())
+    assert rec["/a"].to_pandas(start=1.005)["n"].tolist() == [1, 2, 3]
+    assert rec["/a"].to_pandas(start=1.005, time="log_time")["n"].tolist() == [2, 3]
+
+
+def test_only_what_is_known_to_be_a_time_is_in_ns(tmp_path, quiet):
+    stamp = [("value", 1, False, "", False), ("when", 11, False, ".google.protobuf.Timestamp", False)]
+    fields = [("stamp", 11, False, "Stamp", False), ("timestamp", 1, False, "", False)]
+    kind = types("x.h.T", [("Stamp", stamp), ("T", fields)])
+    units = {}
+    for profile in ("ros2", "trocar"):
+        file = File(tmp_path / f"{profile}.mcap", profile=profile)
+        file.add(file.topic("/a", kind), S, kind[1](timestamp=0.5))
+        file.add(file.topic("/j"), S, {"stamp": 1.5})
+        rec = trocar.Recording(file.close())
+        units[profile] = rec["/a"].to_pandas().attrs["units"], rec["/j"].to_pandas().attrs["units"]
+    assert units == {"ros2": ({"stamp.when": "ns"}, {}), "trocar": ({"stamp.when": "ns", "timestamp": "ns"}, {"stamp": "ns"})}
+
+
+def test_whole_numbers_beside_a_fraction_are_exact(tmp_path, quiet):
+    file = File(tmp_path / "a.mcap")
+    large, small = file.topic("/large"), file.topic("/small")
+    for n in (2**53 + 1, 0.5):
+        file.add(large, S, {"n": n, "list": [n, 1]})
+        file.add(small, S, {"n": min(n, 3)})
+    rec = trocar.Recording(file.close())
+    assert rec["/large"]["n"].tolist() == [2**53 + 1, 0.5] and rec["/large"]["list"].tolist() == [[2**53 + 1, 1], [0.5, 1]]
+    assert rec["/small"]["n"].dtype == float and rec["/small"]["n"].tolist() == [3, 0.5]
+
+
 def test_json_has_a_column_for_each_key_and_whole_numbers_stay_whole(tmp_path, quiet):
     def notes(file):
         note = file.topic("/note")
@@ -237,6 +307,75 @@ def test_a_table_at_a_rate_lies_on_the_line_between_neighbours(two):
     assert near["p/fast.b/out.x"].isna().tolist() == [False, True, False, True, False], "both neighbours have to be near"
     short = table(two, "p/fast.b/out.x", rate_hz=5, how="linear", start=0.4, end=0.8)
     assert short.index.tolist() == [0.4, 0.6, 0.8] and np.allclose(short["p/fast.b/out.x"], [4, 6, 8])
+
+
+@pytest.fixture
+def apart(tmp_path):
+    """``/a`` at 0, 1, 2, 3, 4 s; ``/one`` at 2 s alone; ``/same`` twice at 2 s; ``/silent`` never."""
+    kind = types("trocar.h9.X", [("X", [("x", 1, False, "", False), ("n", 3, False, "", False)])])
+    file = File(tmp_path / "apart.mcap")
+    a, one, same, _ = (file.topic(name, kind) for name in ("/a", "/one", "/same", "/silent"))
+    for i in range(5):
+        file.add(a, S + i * S, kind[1](x=i, n=i))
+    file.add(one, 3 * S, kind[1](x=7, n=7))
+    for x in (8, 9):
+        file.add(same, 3 * S, kind[1](x=x, n=x))
+    return trocar.Recording(file.close())
+
+
+@pytest.mark.parametrize("how", ["nearest", "previous", "linear"])
+def test_a_topic_without_a_measurable_distance_has_its_value_at_its_own_time_alone(apart, how):
+    out = table(apart, ["a.x", "one.x", "same.x"], how=how)
+    assert out["one.x"].dropna().to_dict() == {2: 7} and out["same.x"].dropna().to_dict() == {2: 9}
+    assert out.attrs["tolerance_s"] == {"/a": 2, "/one": 0, "/same": 0} and out.attrs["beyond"] == {"a.x": 0, "one.x": 4, "same.x": 4}
+    assert any("4 of 5 rows are further than 0 s from a message of /one" in n and "no distance" in n for n in out.attrs["notes"])
+    wide = table(apart, ["a.x", "one.x"], how=how, tolerance=1e11)["one.x"]
+    assert wide.dropna().to_dict() == {"nearest": dict.fromkeys(range(5), 7), "previous": {2: 7, 3: 7, 4: 7}, "linear": {2: 7}}[how]
+
+
+def test_a_row_between_two_messages_has_no_value_where_one_of_them_is_not_there(apart):
+    out = table(apart, ["a.x"], rate_hz=2, start=-1, end=5, how="linear")["a.x"]
+    assert out.dropna().to_dict() == {i / 2: i / 2 for i in range(9)} and len(out) == 13
+
+
+@pytest.mark.parametrize("how", ["nearest", "linear"])
+def test_of_equal_stamps_the_last_one_counts_on_both_sides(apart, how):
+    out = table(apart, ["same.x"], rate_hz=10, start=1.9, end=2.1, tolerance=0.5, how="nearest")["same.x"]
+    assert out.tolist() == [9, 9, 9]
+    kind = types("trocar.h10.X", [("X", [("x", 1, False, "", False)])])
+    file = File(f"{apart.file}.2")
+    topic = file.topic("/b", kind)
+    for at, x in ((0, 0), (2, 100), (2, 2), (4, 200), (4, 4)):
+        file.add(topic, S + at * S, kind[1](x=x))
+    out = table(trocar.Recording(file.close()), "b.x", rate_hz=1, how=how)["b.x"]
+    assert out.tolist() == {"linear": [0, 1, 2, 3, 4], "nearest": [0, 0, 2, 2, 4]}[how]
+
+
+def test_a_topic_without_messages_has_its_wanted_columns_missing_and_says_so(apart):
+    out = table(apart, ["a.x", "silent.x", "silent.n"])
+    assert list(out.columns) == ["a.x", "silent.x", "silent.n"] and out[["silent.x", "silent.n"]].isna().all(axis=None)
+    assert out.attrs["notes"] == ["/silent has no messages: its values are missing"] and out.attrs["beyond"]["silent.n"] == 5
+    for settings in ({"fields": ["a.x", "silent"]}, {"fields": "a.x", "on": "silent"}, {"fields": ["silent.x", "a.x"]}):
+        assert any("/silent has no messages" in n for n in table(apart, **settings).attrs["notes"]), settings
+
+
+def test_stamps_that_are_no_times_are_refused(tmp_path):
+    file = File(tmp_path / "far.mcap", profile="ros2")
+    file.add(file.topic("/far"), 2**63 + 5, {"n": 1})
+    file.add(file.topic("/near"), 2**63 + 5, {"n": 1}, 7)
+    rec = trocar.Recording(file.close())
+    assert rec["far"].to_pandas(clock="ns").index.tolist() == [2**63 + 5]
+    tries = (
+        rec["far"].to_pandas,
+        lambda: rec["far"].to_pandas(clock="wall"),
+        lambda: rec.table("far"),
+        lambda: rec.table("near"),
+        lambda: rec.table("near", rate_hz=1, start=0, end=1),
+        lambda: rec.table("near", start=0, clock="ns"),
+    )
+    for ask in tries:
+        with pytest.raises(trocar.TrocarError, match="no time|no dates"):
+            ask()
 
 
 def test_a_table_of_what_is_not_there_is_refused(two):

@@ -15,6 +15,8 @@ from ._notes import chosen, pandas, said
 from ._paths import nearest as suggested
 
 _MOST_ROWS = 100_000_000
+# Further away than any message is; stamps from here on are refused, so that no distance is so large.
+_FAR = 1 << 62
 
 
 def aligned(rec: Any, fields: Any, on: Any, rate_hz: Any, how: str, tolerance: Any, start: Any, end: Any, time: str, clock: str) -> Any:
@@ -27,6 +29,8 @@ def aligned(rec: Any, fields: Any, on: Any, rate_hz: Any, how: str, tolerance: A
     _positive(tolerance, "tolerance", "s")
     if on is not None and rate_hz is not None:
         raise invalid("table: `on` and `rate_hz` both say when rows are; give one of them", field="rate_hz")
+    if (start is not None or end is not None) and rec.begin_ns >= _FAR:
+        raise invalid(f"{rec.file} begins at {rec.begin_ns} ns, which is no time: leave out `start` and `end`", "OUT_OF_RANGE")
     wanted = _wanted(rec, fields)
     base = _topic(rec, on)[0] if on is not None else next(iter(wanted))
     notes: list[str] = []
@@ -38,14 +42,18 @@ def aligned(rec: Any, fields: Any, on: Any, rate_hz: Any, how: str, tolerance: A
         rows = _grid(rec, tables, rate_hz, start, end)
     else:
         rows = tables[base].stamps if base in tables else _Sorted(rec.topics[base], None, time, notes, values=False).stamps
+        if base not in tables and not len(rows):
+            notes.append(f"{base} has no messages: there are no rows")
         low, high = (None if edge is None else rec.begin_ns + round(edge * 1e9) for edge in (start, end))
         rows = rows[(rows >= (low if low is not None else -(1 << 62))) & (rows <= (high if high is not None else 1 << 62))]
-    out = pd.DataFrame(index=rec._index(pd, rows.astype("u8"), clock))
+    out = pd.DataFrame(index=rec._index(pd, rows if len(rows) and rows.min() < 0 else rows.astype("u8"), clock))
     out.attrs.update(units={}, beyond={}, tolerance_s={}, notes=notes)
     series: dict[str, Any] = {}
     missing = dict.fromkeys(tables, 0)
+    unmeasured: list[str] = []
     for name, table in tables.items():
-        within = table.tolerance(tolerance)
+        within, measured = table.tolerance(tolerance)
+        unmeasured += [] if measured else [name]
         stepped: list[str] = []
         out.attrs["tolerance_s"][name] = None if within is None else within / 1e9
         for column, values in table.columns(pd).items():
@@ -60,14 +68,21 @@ def aligned(rec: Any, fields: Any, on: Any, rate_hz: Any, how: str, tolerance: A
             missing[name] = max(missing[name], far)
             if unit := rec.topics[name].unit_of(column):
                 out.attrs["units"][label] = unit
+        if not len(table.stamps):
+            # Only its messages tell what else it would have.
+            for column in wanted[name] or ():
+                series[label := f"{name.lstrip('/')}.{column}"] = np.full(len(rows), np.nan)
+                out.attrs["beyond"][label] = len(rows)
+            notes.append(f"{name} has no messages: its values are missing")
         if stepped:
             notes.append(f"{name}: {', '.join(stepped)} are no floats: their values are those of the previous message")
     for name in tables:
         far = missing[name]
         if far:
             limit = out.attrs["tolerance_s"][name]
-            what = f"further than {limit:.6g} s from a message of {name}" if limit is not None else f"beyond the messages of {name}"
-            notes.append(f"{far} of {len(rows)} rows are {what}: their values are missing")
+            what = f"further than {limit:.6g} s from a message of {name}: their values are missing"
+            why = "; its messages have no distance to take a tolerance from: give one" if name in unmeasured else ""
+            notes.append(f"{far} of {len(rows)} rows are {what}{why}")
     attrs = out.attrs
     out = pd.DataFrame(series, index=out.index)
     out.attrs = attrs
@@ -127,9 +142,12 @@ class _Sorted:
         if values:
             stamps, self._taken = topic._columns(columns, None, None, time)
             notes += topic._notes(stamps, self._taken, time)
-            stamps = stamps[:, at].astype("i8")
+            stamps = stamps[:, at]
         else:
-            stamps, self._taken = (topic.log_time if at == 0 else topic.publish_time).astype("i8"), None
+            stamps, self._taken = topic.log_time if at == 0 else topic.publish_time, None
+        if len(stamps) and int(stamps.max()) >= _FAR:
+            raise invalid(f"{topic.name} has stamps that are no times: {int(stamps.max())} ns", "OUT_OF_RANGE", topic=topic.name)
+        stamps = stamps.astype("i8")
         self.order = np.argsort(stamps, kind="stable")
         self.stamps = stamps[self.order]
         self.kinds = {n: c.kind for n, c in self._taken.all.items()} if self._taken is not None else {}
@@ -138,37 +156,42 @@ class _Sorted:
         """Its columns in that order."""
         return {n: pd.Series(c.pandas(pd)).take(self.order).reset_index(drop=True) for n, c in self._taken.all.items()}
 
-    def tolerance(self, given: float | None) -> int | None:
-        """The distance that a message may have, ns; None where there is no measure for it."""
+    def tolerance(self, given: float | None) -> tuple[int | None, bool]:
+        """The distance that a message may have, ns, and whether there is a measure for it: without one it is 0, without messages None."""
         if given is not None:
-            return round(given * 1e9)
+            return min(round(given * 1e9), _FAR - 1), True
         steps = np.diff(self.stamps)
         steps = steps[steps > 0]
-        return int(2 * np.median(steps)) if len(steps) else None
+        if len(steps):
+            return min(int(2 * np.median(steps)), _FAR - 1), True
+        return (0, False) if len(self.stamps) else (None, True)
 
-    def at(self, pd: Any, rows: np.ndarray, values: Any, how: str, within: int | None) -> tuple[Any, int]:
+    def at(self, pd: Any, rows: np.ndarray, values: Any, how: str, within: int) -> tuple[Any, int]:
         """Values at these times, and how many are missing as none is near enough."""
-        count = len(self.stamps)
         before = np.searchsorted(self.stamps, rows, side="right") - 1
-        after = np.minimum(before + (self.stamps[np.maximum(before, 0)] != rows if count else 0), count)
-        limit = within if within is not None else 1 << 62
-        has_before, has_after = before >= 0, after < count
-        to_before, to_after = np.full(len(rows), 1 << 62), np.full(len(rows), 1 << 62)
-        to_before[has_before] = rows[has_before] - self.stamps[before[has_before]]
-        to_after[has_after] = self.stamps[after[has_after]] - rows[has_after]
+        to_before, to_after = np.full(len(rows), _FAR), np.full(len(rows), _FAR)
+        has = before >= 0
+        to_before[has] = rows[has] - self.stamps[before[has]]
+        exact = to_before == 0
+        after = np.where(exact, before, before + 1)
+        has = after < len(self.stamps)
+        # Of equal stamps the last one counts on this side as well.
+        after[has] = np.searchsorted(self.stamps, self.stamps[after[has]], side="right") - 1
+        to_after[has] = self.stamps[after[has]] - rows[has]
         if how == "linear":
-            good = (to_before <= limit) & (to_after <= limit)
+            good = (to_before <= within) & (to_after <= within)
             part = to_before[good] / np.maximum(to_before[good] + to_after[good], 1)
             numbers = values.to_numpy()
             out = np.full(len(rows), np.nan)
             low, high = numbers[before[good]], numbers[after[good]]
             # A message at this very time is its value, whatever its neighbour is.
-            out[good] = np.where(to_before[good] == 0, low, low + (high - low) * part)
+            with np.errstate(invalid="ignore"):
+                out[good] = np.where(exact[good], low, low + (high - low) * part)
             return out, int((~good).sum())
         # Both have the same distance: the earlier one counts, which was known by then.
         later = (to_after < to_before) if how == "nearest" else np.zeros(len(rows), bool)
         chosen_rows, distance = np.where(later, after, before), np.where(later, to_after, to_before)
-        good = distance <= limit if within is not None else distance < 1 << 62
+        good = distance <= within
         return _taken(pd, values.array, np.where(good, chosen_rows, -1)), int((~good).sum())
 
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from ._errors import TrocarError
 
+_EXACT = 1 << 53
+
 
 def decoder(encoding: str, schema: Any) -> Any:
     """A function that makes a message of bytes; it leaves bytes of an unknown encoding as they are."""
@@ -53,7 +55,11 @@ def array(values: list[Any]) -> np.ndarray:
     """Values of a field as one array where they have one shape, else as objects."""
     kinds = {type(v) for p in values for v in (p if isinstance(p, list) else (p,))}
     sizes = {len(p) if isinstance(p, list) else -1 for p in values}
-    if len(sizes) == 1 and kinds and (kinds <= {int, float, bool} or (kinds == {str} and sizes == {-1})):
+    # Beside a fraction numpy makes floats of whole numbers, which do not hold them from here on.
+    rounded = {int, float} <= kinds and any(
+        type(v) is int and abs(v) > _EXACT for p in values for v in (p if isinstance(p, list) else (p,))
+    )
+    if not rounded and len(sizes) == 1 and kinds and (kinds <= {int, float, bool} or (kinds == {str} and sizes == {-1})):
         out = np.array(values)
         # Whole numbers that no type of numpy holds would become floats.
         if out.dtype.kind != "f" or float in kinds:

@@ -16,7 +16,7 @@ import numpy as np
 _MOST, _DEEP, _EXACT = 4096, 32, 1 << 53
 _STORED = {"float": "d", "int": "q", "uint": "Q", "bool": "b", "enum": "q", "bytes": "q"}
 _LIMITS = {"int": (-(1 << 63), (1 << 63) - 1), "uint": (0, (1 << 64) - 1)}
-_TIME = "google.protobuf.Timestamp"
+TIME = "google.protobuf.Timestamp"
 # Types of fields in descriptors of protobuf.
 _KINDS = {
     1: "float", 2: "float", 3: "int", 4: "uint", 5: "int", 6: "uint", 7: "int", 8: "bool", 9: "text", 12: "bytes", 13: "int", 14: "enum",
@@ -55,6 +55,12 @@ class Column:
         self.values = [None if n in gaps else v for n, v in enumerate(self.values)]
         self.kind = "object"
 
+    def agrees(self, names: dict[int, str], value: int) -> bool:
+        """Whether an enum of other names, of which this value is, leaves each number with the word that it was sent with."""
+        new = names.keys() - self.names.keys()
+        same = all(self.names.get(n, word) == word for n, word in names.items())
+        return same and (value in names or value not in self.names) and (not new or new.isdisjoint(self.values))
+
     def missing(self) -> np.ndarray:
         """Which rows have no value."""
         mask = np.zeros(self.rows, bool)
@@ -83,11 +89,12 @@ class Column:
         if self.kind == "enum":
             numbers, codes = np.unique(np.array(self.values, "i8"), return_inverse=True)
             known = sorted({*self.names, *(int(n) for n in numbers)} if len(numbers) else self.names)
-            # Two numbers of an enum may have one name by their words alone.
-            words = [self.names.get(n, str(n)) for n in known]
-            codes = np.array([known.index(int(n)) for n in numbers], "i8")[codes] if len(numbers) else codes
+            # Two numbers may have one name, where the type of a topic changed: they are one category.
+            words: dict[str, int] = {}
+            code_of = {n: words.setdefault(self.names.get(n, str(n)), len(words)) for n in known}
+            codes = np.array([code_of[int(n)] for n in numbers], "i8")[codes] if len(numbers) else codes
             codes[self.missing()] = -1
-            return pd.Categorical.from_codes(codes, words)
+            return pd.Categorical.from_codes(codes, list(words))
         if self.kind in ("text", "object"):
             return pd.Series(self.values, dtype=object).array
         out = self.numpy()
@@ -153,8 +160,15 @@ class Columns:
             return
         if column is None:
             column = self.all[name] = Column(kind, names)
-        if names and column.names is not names:
-            column.names = {**names, **column.names}
+        if names and column.kind == kind and column.names is not names:
+            if column.names == names:
+                column.names = names
+            elif column.agrees(names, value):
+                column.names = {**names, **column.names}
+            else:
+                # A number has another name than before, or one where it had none: only words are what was sent.
+                column.mixed()
+                self.changed.add(name)
         low, high = _LIMITS.get(column.kind, (None, None))
         if column.kind != kind or (low is not None and not low <= value <= high):
             value = self._other(name, column, kind, value, names)
@@ -210,7 +224,14 @@ class Columns:
             return
         column = self.all.get(at)
         # The way of nearly all: as the last one was. What a field of protobuf may hold fits into its column.
-        if column is not None and column.kind == kind and column.rows == self.rows and self._many < _MOST and kind != "bytes":
+        if (
+            column is not None
+            and column.kind == kind
+            and column.rows == self.rows
+            and self._many < _MOST
+            and kind != "bytes"
+            and (field.names is None or column.names is field.names)
+        ):
             column.values.append(value)
             column.rows += 1
             self._many += 1
@@ -238,7 +259,7 @@ class _Field:
         self.at = f"{path}.{f.name}" if path else f.name
         self.names = {v.number: v.name for v in reversed(f.enum_type.values)} if f.enum_type is not None else None
         self.kind: Any = "message" if self.inner is not None else _KINDS.get(f.type)
-        self.is_time = self.inner is not None and self.inner.full_name == _TIME
+        self.is_time = self.inner is not None and self.inner.full_name == TIME
         # The keys of a map are no columns.
         if self.inner is not None and self.inner.GetOptions().map_entry:
             self.kind = None

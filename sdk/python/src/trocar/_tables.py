@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ._arrays import structured
-from ._columns import Column, Columns
+from ._columns import TIME, Column, Columns
 from ._errors import invalid
 from ._notes import chosen, pandas, said
 from ._paths import nearest
@@ -27,8 +27,8 @@ class Tables:
         low = None if start is None else begin + round(start * 1e9)
         high = None if end is None else begin + round(end * 1e9)
         out, stamps, at = Columns(wanted), [], _STAMPS[time]
-        # A recorder of trocar takes samples when they are there: none was acquired after it was recorded.
-        early = low is not None and (at == 0 or self._recording.profile == "trocar")
+        # A part of the file tells when it was recorded: the clock of a source may be ahead of the recorder's.
+        early = low is not None and at == 0
         before = self.unreadable
         for m, value in self._read(max(low or 0, 0) if early else 0):
             stamp = (m.log_time, m.publish_time)[at]
@@ -64,13 +64,30 @@ class Tables:
     def unit_of(self, column: str) -> str:
         """The unit of a column; empty where it has none."""
         units, bare = self.units, "".join(part.partition("]")[2] if n else part for n, part in enumerate(column.split("[")))
-        while bare:
+        if bare in units:
+            return units[bare]
+        # Stamps of trocar are whole numbers; of other files only the type tells.
+        ours = self._recording.profile == "trocar" and bare.rpartition(".")[2] in ("stamp", "timestamp")
+        if ours or self._is_time(bare):
+            return "ns"
+        while bare := bare.rpartition(".")[0]:
             if bare in units:
                 return units[bare]
-            if bare.rpartition(".")[2] in ("stamp", "timestamp"):
-                return "ns"
-            bare = bare.rpartition(".")[0]
         return "B" if column == "data" and self._is_frames() else ""
+
+    def _is_time(self, bare: str) -> bool:
+        """Whether the type at this path is protobuf's own for a time, of which columns have the ns."""
+        for channel in self._channels:
+            try:
+                inner = self._decoder(channel)(b"").DESCRIPTOR
+            except Exception:  # Only protobuf has types that tell.
+                continue
+            for part in bare.split("."):
+                field = inner.fields_by_name.get(part) if inner is not None else None
+                inner = field.message_type if field is not None else None
+            if inner is not None and inner.full_name == TIME:
+                return True
+        return False
 
     def to_numpy(self, columns: Any = None, start: float | None = None, end: float | None = None) -> np.ndarray:
         """A structured array with ``log_time``, ``publish_time`` and ``sequence`` in front, of the columns that ``to_pandas`` has: enums as
