@@ -4,6 +4,7 @@ import os
 import struct
 import tracemalloc
 
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -198,6 +199,10 @@ def test_packed_bytes_that_make_more_than_their_chunk_says_are_not_unpacked():
     for size in (True, False):
         data = zstandard.ZstdCompressor(write_content_size=size).compress(large)
         assert _chunks._unpacked(data, "zstd", len(large), 0) == large
+    packed = lz4.frame.compress(large)
+    with pytest.raises(_chunks.Damaged, match="has 101 bytes where it says 100"):
+        _chunks._unpacked(packed, "lz4", 100, 0)
+    assert _chunks._unpacked(packed, "lz4", len(large), 0) == large
     with pytest.raises(_chunks.Damaged):
         _chunks._unpacked(b"no zstd at all", "zstd", 100, 0)
 

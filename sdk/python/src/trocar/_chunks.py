@@ -177,7 +177,7 @@ def _unpacked(data: bytes, compression: str, size: int, at: int) -> bytes:
         if compression == "zstd":
             import zstandard
 
-            # `decompress` makes as much as the packed bytes say of themselves, whatever it is given as the most.
+            # `decompress` makes as much as the packed bytes say of themselves, whatever the most is.
             told = zstandard.frame_content_size(data) if size else 0
             if told not in (size, -1):
                 raise Damaged(f"the chunk at byte {at} says it has {size} bytes, and its packed bytes {told}; it is left out")
@@ -186,7 +186,7 @@ def _unpacked(data: bytes, compression: str, size: int, at: int) -> bytes:
         elif compression == "lz4":
             import lz4.frame
 
-            out = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size) if size else b""
+            out = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1) if size else b""
         else:
             raise Damaged(f"the chunk at byte {at} is compressed as {compression!r}, which is not known here; it is left out")
     except ImportError:

@@ -166,7 +166,7 @@ class Columns:
             elif column.agrees(names, value):
                 column.names = {**names, **column.names}
             else:
-                # A number has another name than before, or one where it had none: only words are what was sent.
+                # A number has another name than before, or one where it had none: words are what was sent.
                 column.mixed()
                 self.changed.add(name)
         low, high = _LIMITS.get(column.kind, (None, None))
