@@ -1,6 +1,8 @@
-/// A page nobody sees: it lets go of its calls, and takes them up again. The driver's pages always count as seen, so what the browser
-/// would say is said in its place; the page's clock is the driver's, which turns it on.
-import { go_on, interfacesOf, plot, points } from './following.mjs';
+/// A page nobody sees: it lets go of its calls, and takes them up again. The driver's pages always count as
+/// seen, so what the browser would say is said in its place; the page's clock is the driver's, which turns it
+/// on.
+import { go_on, interfacesOf, latest, plot, points } from './following.mjs';
+import { drop, sineShown } from './plotting.mjs';
 import { box, create, eventually, grpcurl, holds, is, reaches, settled, shot, start } from './world.mjs';
 
 /// After so long unseen a page has let go, and after so long it has not yet, ms; see UNSEEN in App.svelte.
@@ -95,11 +97,30 @@ export async function a_page_nobody_sees_lets_go_of_its_calls_and_takes_them_up_
   await page.getByRole('tab', { name: 'Overview' }).click();
   await eventually('figures are of now', async () => Number(/(\d+) executed/.exec(await page.locator('.inspector').innerText())?.[1]) >= Number(executed));
   await shot(page, 'seen-again');
-  // Of events it is said where some may be missing.
+  // It is said where some events may be missing.
   await page.getByRole('button', { name: 'Events', exact: true }).click();
   const list = page.locator('[data-list=events]');
   await list.locator('[role=log] div', { hasText: 'may be missing: nobody listened' }).waitFor();
   is(await list.getAttribute('data-interrupted'), '1', 'times nobody listened to events');
+}
+
+export async function a_read_of_what_is_stopped_keeps_its_points_over_a_gap(world) {
+  const { host, page } = await sineShown(world, { frequency_hz: 1 });
+  await drop(page, { path: 'host/sine/signal/value', field: '', source: 'read', unit: '' });
+  await reaches('points come', () => points(page), 30);
+  await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
+  // Its reads are answered with the row it stopped at.
+  let [row, rows] = ['', 0];
+  await eventually('that row is there', async () => (rows = row === (row = (await latest(page))[0]) ? rows + 1 : 0) > 3);
+  await seen(page, false);
+  await eventually('a gap', async () => (await gaps(page))[0] === 1);
+  const had = await points(page);
+  await seen(page, true);
+  await eventually('its value is read again', async () => Number.isFinite(Number((await latest(page))[0])), () => latest(page));
+  holds((await points(page))[0] >= had[0] - 1, `it keeps its points: ${had}, then ${await points(page)}`);
+  await start(host.addr, 'host/sine');
+  await go_on(page, 'it goes on');
+  holds((await points(page))[0] > had[0], `the new ones come behind the old: ${had}, then ${await points(page)}`);
 }
 
 export async function the_video_page_lets_go_while_nobody_sees_it(world) {

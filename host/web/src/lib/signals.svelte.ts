@@ -1,7 +1,8 @@
 /// Curves: numbers over time out of outputs, events, state rows and read commands, in rings of fixed size.
 ///
-/// Invariant: memory does not grow with time; all but reads come by the page's one Subscribe, state rows as what their tap gives.
-/// Reads are asked for one after the other, so a slow server slows their curves and nothing else, and not while nobody sees the page.
+/// Invariant: memory does not grow with time; all but reads come by the page's one Subscribe, state rows as
+/// their tap's values. Reads are asked for one after the other, so a slow server slows their curves and
+/// nothing else, and not while nobody sees the page.
 import { interact, plain, said } from './api';
 import { live } from './live.svelte';
 import { pick, type Names } from './ports.svelte';
@@ -16,17 +17,17 @@ const ROUND = 40;
 export type Source = 'output' | 'event' | 'state' | 'read';
 
 export interface Signal {
-  /// What is followed: process/component[/port[/member]].
+  /// The address that is followed: process/component[/port[/member]].
   path: string;
   /// The number in it: "position[0]"; empty = the value itself.
   field: string;
   source: Source;
   unit: string;
-  /// Of an enum, which is drawn as its numbers.
+  /// Names of an enum, which is drawn as its numbers.
   names?: Names;
 }
 
-/// What is asked for to have it.
+/// The address asked for to have it.
 export function followed(s: Signal): string {
   return s.source === 'state' ? `${s.path}/tap_rows` : s.path;
 }
@@ -96,7 +97,7 @@ export class Curve {
           });
   }
 
-  /// What is seen of it.
+  /// The points that are seen: of a pause, the copy.
   get seen(): Track {
     return this.frozen ?? this.track;
   }
@@ -108,9 +109,7 @@ export class Curve {
 
   /// Nothing came or could be read: no line leads over it.
   gap() {
-    const { track } = this;
-    if (track.n === 0 || track.isHole(track.n - 1)) return;
-    track.add(track.newest + 1e-6, Number.NaN, true);
+    if (!this.track.gap()) return;
     this.gaps += 1;
     this.changes += 1;
   }

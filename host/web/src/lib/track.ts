@@ -2,8 +2,10 @@
 ///
 /// Invariant: memory does not grow with time; a copy is never changed by what comes later.
 
-/// Points kept.
-export const KEPT = 3000;
+/// Points kept: more than a minute of 60 Hz, the longest time that "last" shows.
+export const KEPT = 4096;
+/// A point up to so long before the last one came late; from farther back, another clock counts, s.
+const LATE = 1;
 
 export class Track {
   n = 0;
@@ -16,20 +18,36 @@ export class Track {
     private hole = new Uint8Array(KEPT),
   ) {}
 
-  /// False where it is none: of the same time as the last one.
-  add(at: number, value: number, isHole = false): boolean {
-    if (this.n > 0) {
-      if (at === this.newest) return false;
-      // Another run of the machine's clock, or of the component: the curve begins anew.
-      if (at < this.newest) this.n = this.#first = 0;
+  /// False where nothing changes: it has the time of the last value, or came late.
+  add(at: number, value: number): boolean {
+    const ends = this.n > 0 && this.isHole(this.n - 1);
+    const last = ends ? this.time(this.n - 2) : this.newest;
+    if (at === last) {
+      // Nothing happened while nothing came: what stands still is no gap.
+      if (ends) this.n -= 1;
+      return ends;
     }
+    // Another run of the machine's clock, or of the component: the curve begins anew.
+    if (at <= last - LATE) this.n = this.#first = 0;
+    else if (at <= this.newest) return false;
+    this.#put(at, value, false);
+    return true;
+  }
+
+  /// No line leads over it; false where there is one already, or no point.
+  gap(): boolean {
+    if (this.n === 0 || this.isHole(this.n - 1)) return false;
+    this.#put(this.newest + 1e-6, Number.NaN, true);
+    return true;
+  }
+
+  #put(at: number, value: number, isHole: boolean) {
     const i = (this.#first + this.n) % KEPT;
     this.x[i] = at;
     this.y[i] = value;
     this.hole[i] = isHole ? 1 : 0;
     if (this.n < KEPT) this.n += 1;
     else this.#first = (this.#first + 1) % KEPT;
-    return true;
   }
 
   copy(): Track {
