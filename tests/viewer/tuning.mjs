@@ -30,7 +30,7 @@ export async function settings_beside_a_plot_move_what_runs_and_are_one_change_e
   const still = Math.sin(1.5);
   await eventually('the curve stands', async () => Math.abs(Number((await latest(page))[0]) - still) < 1e-9, () => latest(page));
   holds(most === 1 && calls >= 2 && calls < 60, `${calls} calls for 120 values, ${most} at once`);
-  const undo = page.getByRole('button', { name: 'Undo' });
+  const [undo, redo] = ['Undo', 'Redo'].map((name) => page.getByRole('button', { name }));
   await eventually('one change', async () => /Configure host\/sine/.test(await undo.getAttribute('title')));
   await shot(page, 'plot-settings');
   await undo.click();
@@ -59,16 +59,19 @@ export async function settings_beside_a_plot_move_what_runs_and_are_one_change_e
   const another = page.getByLabel('settings of another component');
   for (const path of ['host/low', 'host/frame']) await another.selectOption(path);
   const cutoff = of('host/low', 'cutoff_hz').locator('[type=range]');
-  await cutoff.focus();
-  await page.keyboard.press('Home');
-  await eventually('the lowest', async () => (await config('host/low')).cutoff_hz === 0.1, () => config('host/low'));
   await cutoff.fill('500');
   await eventually('half of the way by powers of ten', async () => (await config('host/low')).cutoff_hz === 6.32, () => config('host/low'));
-  // Keys that follow each other are one change; Ctrl-Z takes it back, with the slider in focus.
   await eventually('one change', async () => /host\/low/.test(await undo.getAttribute('title')));
+  await undo.click();
+  await eventually('as before', async () => (await value('host/low', 'cutoff_hz')) === 50);
+  // Keys that follow each other are one change; Ctrl-Z takes it back, with the slider in focus.
   await cutoff.focus();
+  await Promise.all(['Home', 'ArrowRight', 'PageUp', 'ArrowRight'].map((key) => page.keyboard.press(key)));
+  await eventually('the last key counts', async () => (await config('host/low')).cutoff_hz === (await value('host/low', 'cutoff_hz')));
+  await eventually('one change', async () => /host\/low/.test(await undo.getAttribute('title')));
   await page.keyboard.press('Control+z');
-  await eventually('taken back', async () => [0.1, 50].includes((await config('host/low')).cutoff_hz), () => config('host/low'));
+  await eventually('all are taken back', async () => /host\/low/.test(await redo.getAttribute('title')));
+  is((await config('host/low')).cutoff_hz, 50, 'what it had before the first key');
   await page.getByRole('switch', { name: 'inverse' }).click();
   await eventually('the switch', async () => (await config('host/frame')).inverse === true);
   await of('host/frame', 'side').locator('select').selectOption('"behind"');
@@ -76,4 +79,30 @@ export async function settings_beside_a_plot_move_what_runs_and_are_one_change_e
   await of('host/frame', 'translation_m[1]').getByRole('textbox').fill('0.25');
   await of('host/frame', 'translation_m[1]').getByRole('textbox').press('Enter');
   await eventually('one item of three', async () => (await config('host/frame')).translation_m?.join() === '0,0.25,0', () => config('host/frame'));
+}
+
+/// A page with these components, not yet started, and their settings beside a plot.
+async function settingsOf(world, components) {
+  const { host, page } = await sineShown(world);
+  for (const [path, cls] of Object.entries(components)) await create(host.addr, cls, path);
+  await drop(page, OUTPUT);
+  await page.getByRole('button', { name: 'Settings', exact: true }).click();
+  for (const path of Object.keys(components)) await page.getByLabel('settings of another component').selectOption(path);
+  const config = async (path) => (await grpcurl(host.addr, 'GcmService/GetState', { path })).component.config ?? {};
+  const slider = (path, name) => page.locator(`[data-tuning="${path}"] [data-setting="${name}"] [type=range]`);
+  return { page, config, slider };
+}
+
+export async function a_key_s_step_is_taken_back_at_once_and_not_the_change_before_it(world) {
+  const { page, config, slider } = await settingsOf(world, { 'host/low': 'filters/low_pass' });
+  const amplitude = page.getByRole('textbox', { name: 'amplitude' });
+  await amplitude.fill('3');
+  await amplitude.press('Enter');
+  const [undo, redo] = ['Undo', 'Redo'].map((name) => page.getByRole('button', { name }));
+  await eventually('the change before it', async () => /host\/sine/.test(await undo.getAttribute('title')));
+  await slider('host/low', 'cutoff_hz').focus();
+  await Promise.all(['ArrowRight', 'Control+z'].map((key) => page.keyboard.press(key)));
+  await eventually('the step can be done again', async () => /host\/low/.test(await redo.getAttribute('title')), () => redo.getAttribute('title'));
+  is([(await config('host/low')).cutoff_hz, (await config('host/sine')).amplitude], [50, 3], 'cutoff_hz as before, amplitude as it was set');
+  holds(/host\/sine/.test(await undo.getAttribute('title')), 'the change before it can be taken back');
 }

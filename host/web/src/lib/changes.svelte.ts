@@ -30,6 +30,8 @@ class Changes {
   past = $state.raw<Change[]>([]);
   /// Taken back, the last one first.
   future = $state.raw<Change[]>([]);
+  /// Waits until all that a hand has moved is noted here.
+  settled: () => Promise<unknown> = () => Promise.resolve();
   #busy = false;
 
   /// The change is the last one that can be taken back; those taken back before cannot be done again.
@@ -39,6 +41,7 @@ class Changes {
   }
 
   async undo() {
+    await this.settled();
     const last = this.past.at(-1);
     const came = last && (await this.#carry(`Undo ${last.what}`, last.back, last.takes));
     if (!came) return;
@@ -47,6 +50,7 @@ class Changes {
   }
 
   async redo() {
+    await this.settled();
     const next = this.future.at(-1);
     const came = next && (await this.#carry(`Redo ${next.what}`, next.again, next.takes));
     if (!came) return;

@@ -1,7 +1,7 @@
 /// Settings that change while a component runs, moved by hand and sent as they move.
 ///
-/// Invariant: one Configure of a component is under way, ten begin a second, and the newest value goes: there is
-/// no queue. The component's own value is shown, but while a hand moves it. A drag is one change for Undo.
+/// Invariant: one Configure of a component is under way, ten begin a second, and the newest value goes: there
+/// is no queue. The component's own value is shown, but while a hand moves it. A drag is one change for Undo.
 import { ConnectError } from '@connectrpc/connect';
 import { SvelteMap } from 'svelte/reactivity';
 import { gcm, PATIENCE, said } from './api';
@@ -74,6 +74,7 @@ class Tuned {
   /// To be sent: the newest of each.
   #next: { patch: Values; names: Set<string> } | null = null;
   #busy = false;
+  #working = Promise.resolve();
   /// The configuration before the hand came, and the parts accepted since.
   #before: Values | null = null;
   #accepted: Values = {};
@@ -104,7 +105,17 @@ class Tuned {
     const base = merge(this.#expected ?? this.config, this.#next?.patch ?? {});
     const names = this.#next?.names ?? new Set<string>();
     this.#next = { patch: merge(this.#next?.patch ?? {}, change(base, s, value)), names: names.add(s.name) };
-    void this.#work();
+    if (!this.#busy) this.#working = this.#work();
+  }
+
+  /// All that was moved is answered and noted as a change, at once, and the component's own values are shown.
+  async settled() {
+    if (!this.#before) return;
+    this.release(true);
+    await this.#working;
+    if (this.#before) return;
+    this.#expected = null;
+    this.wanted.clear();
   }
 
   /// The hand lets go: at once, or when no key follows.
@@ -119,7 +130,6 @@ class Tuned {
   }
 
   async #work() {
-    if (this.#busy) return;
     this.#busy = true;
     while (this.#next) {
       const began = performance.now();
@@ -164,7 +174,7 @@ class Tuned {
     const until = performance.now() + TELLS;
     while (expected && patch(this.config, expected) && performance.now() < until) {
       await new Promise((wake) => setTimeout(wake, 30));
-      if (this.#before) return;
+      if (this.#before || this.#expected !== expected) return;
     }
     if (this.#before) return;
     this.#expected = null;
@@ -179,5 +189,8 @@ export function tuned(path: string): Tuned {
   all.set(path, one);
   return one;
 }
+
+// A change that is noted late would be taken back after an older one.
+changes.settled = () => Promise.all([...all.values()].map((one) => one.settled()));
 
 export type { Tuned };
