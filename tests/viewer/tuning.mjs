@@ -106,3 +106,24 @@ export async function a_key_s_step_is_taken_back_at_once_and_not_the_change_befo
   is([(await config('host/low')).cutoff_hz, (await config('host/sine')).amplitude], [50, 3], 'cutoff_hz as before, amplitude as it was set');
   holds(/host\/sine/.test(await undo.getAttribute('title')), 'the change before it can be taken back');
 }
+
+export async function a_slider_reaches_few_whole_numbers_by_a_key_each_and_tiny_ones_by_their_place(world) {
+  const { page, config, slider } = await settingsOf(world, { 'host/move': 'eyerobot/joint_mover', 'host/kalman': 'filters/kalman' });
+  const joint = slider('host/move', 'joint');
+  await joint.focus();
+  const sent = () => page.locator('[data-tuning="host/move"]').getAttribute('data-sent');
+  for (const [key, wanted] of [['ArrowLeft', 1], ['ArrowLeft', 0], ['ArrowRight', 1], ['End', 2]]) {
+    await page.keyboard.press(key);
+    await eventually(`${key} moves it to ${wanted}`, async () => ((await config('host/move')).joint ?? 0) === wanted && (await joint.inputValue()) === String(wanted), () => config('host/move'));
+  }
+  is(await sent(), '4', 'a call for each key');
+  await page.keyboard.press('ArrowRight');
+  await joint.evaluate((e) => e.dispatchEvent(new Event('input')));
+  is(await sent(), '4', 'none for a value that stays');
+  // From 1e-24 to 1e24.
+  const acceleration = slider('host/kalman', 'acceleration');
+  for (const [place, wanted] of [[125, 1e-18], [20, 9.12e-24], [500, 1]]) {
+    await acceleration.fill(String(place));
+    await eventually(`place ${place} is ${wanted}`, async () => (await config('host/kalman')).acceleration === wanted, () => config('host/kalman'));
+  }
+}

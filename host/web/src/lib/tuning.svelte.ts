@@ -97,6 +97,7 @@ class Tuned {
 
   /// Moves it; `held`: the hand has not let go yet.
   move(s: Setting, value: unknown, held: boolean) {
+    if (value === this.value(s)) return;
     clearTimeout(this.#ending);
     this.#before ??= structuredClone(this.config);
     this.#held = held;
