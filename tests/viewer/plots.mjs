@@ -143,6 +143,14 @@ export async function paused_plots_stand_still_can_be_zoomed_and_lose_nothing(wo
   await curves(page, 1).dblclick({ position: { x: 40, y: 30 } });
   await eventually('back', async () => (await span.innerText()) === 'last 10 s before the pause', () => span.innerText());
   is([await paused(page), await page.getByRole('button', { name: 'Unmark' }).count()], ['true', 0], 'a double click returns, and marks nothing');
+  await curves(page, 1).click({ position: { x: 100, y: 30 } });
+  const [marked, unmark] = [curves(page, 1), page.getByRole('button', { name: 'Unmark' })];
+  await unmark.waitFor();
+  await marked.dblclick({ position: { x: 40, y: 30 } });
+  await marked.hover({ position: { x: 100, y: 30 } });
+  const apart = page.locator('[data-apart]');
+  await eventually('a mark stays where it was', async () => (await unmark.count()) === 1 && /^Δt -?(0|\d\.?\d* [mµn]s)/.test(await apart.innerText()), () => apart.innerText());
+  await unmark.click();
   await page.getByRole('button', { name: 'Continue' }).click();
   await reaches('what came meanwhile is there', () => points(page), Math.max(...seen) + 20);
   // Zooming what goes on pauses it; returning goes on.

@@ -53,6 +53,8 @@ export class Plotting {
   /// The pointer is over this one, and moves the cursor of all.
   #hovers = false;
   #ticks: Ticks[] = [];
+  /// The mark before the last click.
+  #marked: number | null = null;
 
   constructor(
     private plot: Plot,
@@ -81,7 +83,7 @@ export class Plotting {
       {
         ...this.#size(),
         legend: { show: false },
-        cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false, dist: 5 }, bind: { dblclick: () => () => (plots.return(), null) } },
+        cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false, dist: 5 }, bind: { dblclick: () => () => (this.#returns(), null) } },
         scales: {
           x: { time: false, range: () => [this.#span.from - this.#base, this.#span.to - this.#base] },
           ...Object.fromEntries(sides.map((_, side) => [`y${side}`, { range: range(side) }])),
@@ -107,7 +109,7 @@ export class Plotting {
       if (this.#hovers) plots.cursor = null;
       this.#hovers = false;
     });
-    over.addEventListener('click', (e) => this.marks(e.offsetX));
+    over.addEventListener('click', (e) => e.detail < 2 && this.marks(e.offsetX));
     gestures(over, plot);
   }
 
@@ -190,8 +192,15 @@ export class Plotting {
   marks(left: number) {
     const { u } = this;
     if (!u) return;
+    this.#marked = plots.mark;
     const isHere = plots.mark !== null && Math.abs(u.valToPos(plots.mark - this.#base, 'x') - left) < NEAR;
     plots.mark = isHere ? null : this.#timeAt(left);
+  }
+
+  /// A double click is no mark: that of its first click goes.
+  #returns() {
+    plots.mark = this.#marked;
+    plots.return();
   }
 
   /// Units of the axes, and the mark.
