@@ -1,6 +1,6 @@
 /// A plot as a table and as a picture, for this person's disk.
 ///
-/// Invariant: what is seen is what is written: nothing beyond its window, no value made up, and no digit lost.
+/// Invariant: they hold the time that is seen, with no value made up and no digit lost.
 import type { Look } from './palette';
 import { nameOf, type Curve } from './signals.svelte';
 import { unitOf } from './si';

@@ -1,6 +1,6 @@
 /// Curves of a plot beside one column of times.
 ///
-/// Invariant: points of different curves are never moved onto each other; the arrays are filled again and again.
+/// Invariant: points of two curves are never moved onto each other; the arrays are filled again each time.
 import type { Track } from './track';
 
 export class Joined {

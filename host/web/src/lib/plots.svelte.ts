@@ -1,7 +1,7 @@
-/// The plots of this page: which curves are in which, what part of their time is seen, and where the cursor is.
+/// The plots of this page: their curves, the part of their time that is seen, and the cursor.
 ///
-/// Invariant: pause, zoom, cursor and mark are those of all plots together, in s of the host's monotonic clock.
-/// A plot has two axes at most: a third unit is refused in words. A pause shows a copy; new points are kept on.
+/// Invariant: pause, zoom, cursor and mark are common to all plots, in s of the host's monotonic clock. A
+/// plot has two axes at most: a third unit is refused in words. A pause shows a copy; new points are kept on.
 import { page } from './page.svelte';
 import { MOST_CURVES } from './palette';
 import { Curve, nameOf, sameSignal, signalFrom, unitKey, type Signal } from './signals.svelte';

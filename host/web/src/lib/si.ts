@@ -1,7 +1,7 @@
 /// Numbers with their units as people read them: 637 µm, 1.2 mN, 1.5 kHz.
 ///
-/// Invariant: pure. A factor and its prefix go together, and a unit takes a prefix only where SI gives it one:
-/// never a squared one, nor `%`, `deg` or `px`, nor one of two that the value decides (m|rad).
+/// Invariant: pure. A factor and its prefix go together, and a unit takes a prefix only where SI gives it
+/// one: never a squared one, nor `%`, `deg` or `px`, nor one of two that the value decides (m|rad).
 
 /// Largest prefixes first, as powers of ten.
 const PREFIXES: [string, number][] = [['G', 9], ['M', 6], ['k', 3], ['', 0], ['m', -3], ['µ', -6], ['n', -9], ['p', -12]];
@@ -63,8 +63,8 @@ function digitsOf(value: number, digits: number, exact: boolean): string {
   return value.toPrecision(Math.max(digits, before));
 }
 
-/// A value with its unit; its digits do not come and go while it changes. `like`: the scale of the axis beside
-/// it, which is kept unless the value is far smaller or larger.
+/// A value with its unit; its digits do not come and go while it changes. `like`: the scale of the axis
+/// beside it, which is kept unless the value is far smaller or larger.
 export function reading(value: number, unit: string, digits = 5, like?: Scale): string {
   if (!Number.isFinite(value)) return word(value);
   const there = like && Math.abs(value / like.factor);
@@ -89,7 +89,7 @@ export interface Ticks {
   scale: Scale;
 }
 
-/// Ticks of one axis: all with one prefix, which stands in the unit, and the digits neighbours need to differ.
+/// Ticks of one axis: one prefix for all, which stands in the unit, and the digits neighbours need to differ.
 export function ticks(at: readonly number[], unit: string): Ticks {
   const most = at.reduce((size, v) => Math.max(size, Math.abs(v)), 0);
   const prefixed = scaleFor(unit, most);
