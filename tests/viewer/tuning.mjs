@@ -107,6 +107,27 @@ export async function a_key_s_step_is_taken_back_at_once_and_not_the_change_befo
   holds(/host\/sine/.test(await undo.getAttribute('title')), 'the change before it can be taken back');
 }
 
+export async function keys_that_follow_each_other_are_one_change_though_each_was_answered(world) {
+  const { page, config, slider } = await settingsOf(world, { 'host/low': 'filters/low_pass' });
+  const [undo, redo] = ['Undo', 'Redo'].map((name) => page.getByRole('button', { name }));
+  const cutoff = slider('host/low', 'cutoff_hz');
+  // The page's clock stands still between the keys, however long their answers take.
+  await page.clock.install();
+  await page.clock.pauseAt((await page.evaluate(() => Date.now())) + 1000);
+  await cutoff.focus();
+  for (const key of ['Home', 'PageUp', 'End']) {
+    const had = (await config('host/low')).cutoff_hz;
+    await page.keyboard.press(key);
+    await eventually(`${key} is answered`, async () => (await config('host/low')).cutoff_hz !== had);
+    await page.clock.runFor(300);
+  }
+  await page.clock.runFor(600);
+  await eventually('a change', async () => /host\/low/.test(await undo.getAttribute('title')));
+  await undo.click();
+  await eventually('it is taken back', async () => /host\/low/.test(await redo.getAttribute('title')));
+  is((await config('host/low')).cutoff_hz, 50, 'what it had before the first key');
+}
+
 export async function a_slider_reaches_few_whole_numbers_by_a_key_each_and_tiny_ones_by_their_place(world) {
   const { page, config, slider } = await settingsOf(world, { 'host/move': 'eyerobot/joint_mover', 'host/kalman': 'filters/kalman' });
   const joint = slider('host/move', 'joint');
