@@ -46,7 +46,7 @@ export async function what_was_changed_here_is_taken_back_and_done_again(world) 
   await undo.click();
   await eventually('it is as before', async () => (await config(host.addr, 'host/sine')).frequency_hz === 3);
   is((await config(host.addr, 'host/sine')).amplitude, 4, 'what somebody else set');
-  await page.locator('header.top').click();
+  await page.locator('header.top h1').click();
   await page.keyboard.press('Control+Shift+Z');
   await eventually('it is changed again', async () => (await config(host.addr, 'host/sine')).frequency_hz === 5);
   // A component comes back with its settings and connections, and at rest.
