@@ -84,6 +84,30 @@ export async function a_lost_process_that_no_supervisor_keeps_says_how_it_comes_
   is((await grpcurl(gcm.addr, 'GcmService/List', { brief: true })).processes.map((p) => p.name), ['left'], 'processes');
 }
 
+export async function of_a_process_lost_while_nobody_looked_no_time_is_told(world) {
+  const gcm = await world.gcm();
+  await world.host('left', ['--gcm', gcm.addr]);
+  const right = await world.host('right', ['--gcm', gcm.addr]);
+  await create(gcm.addr, 'echo', 'right/echo');
+  const context = await world.browser();
+  await context.clock.install();
+  const page = await context.newPage();
+  await page.goto(`http://${gcm.addr}/`);
+  await settled(page);
+  const seen = (yes) => page.evaluate((yes) => {
+    Object.defineProperty(document, 'hidden', { configurable: true, get: () => !yes });
+    document.dispatchEvent(new Event('visibilitychange'));
+  }, yes);
+  await seen(false);
+  // For long enough to let go; see UNSEEN in App.svelte.
+  await page.clock.fastForward(6000);
+  right.kill('SIGKILL');
+  await eventually('it is lost', async () => (await grpcurl(gcm.addr, 'GcmService/List', { brief: true })).processes.find((p) => p.name === 'right').state === 'PROCESS_STATE_LOST');
+  await seen(true);
+  await process(page, 'right').and(page.locator('[data-standing=lost]')).waitFor();
+  is(await process(page, 'right').locator('[data-fate]').innerText(), 'lost', 'what is said of it');
+}
+
 export async function a_process_is_shown_by_a_click_and_by_keys_and_a_page_that_only_reads_offers_no_way_back(world) {
   const gcm = await world.gcm();
   const right = await world.host('right', ['--gcm', gcm.addr]);

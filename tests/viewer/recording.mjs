@@ -20,7 +20,7 @@ async function recorded(world) {
   return host;
 }
 
-/// What is in a recording, as the program tells it.
+/// The content of a recording, as the program tells it.
 function info(file) {
   return new Promise((yes, no) => execFile(path.join(BIN, 'trocar'), ['info', file, '--json'], { maxBuffer: 64 << 20 }, (error, out, said) => (out ? yes(JSON.parse(out)) : no(error ?? new Error(said)))));
 }
@@ -48,6 +48,26 @@ async function begin_here(page) {
   await panel(page).getByRole('button', { name: 'Start' }).click();
   await page.locator('[data-recorder$="/rec-viewer"][data-phase=RECORDING]').waitFor();
 }
+const figures = (page) => page.locator('[data-recorder] [data-figures]').innerText();
+/// A recorder that no viewer made, with `host/sine/value` as its only input.
+async function recorderOf(addr, component) {
+  await create(addr, 'recorder/recorder', component, { topics: ['t0'], sources: ['host/sine/value'] });
+  await connect(addr, `${component}/t0`, 'host/sine/value');
+  await start(addr, component);
+}
+const command = async (addr, component, name, json) => (await grpcurl(addr, 'InteractService/Invoke', { path: `${component}/ctl/${name}`, json })).json;
+const startOf = (file) => ({ path: file, delay: 0, duration: 0 });
+/// What a browser would say of a page nobody sees. `LONG` after that the page has let go, ms; see UNSEEN in App.svelte.
+const LONG = 6000;
+function seen(page, yes) {
+  return page.evaluate((yes) => {
+    Object.defineProperty(document, 'hidden', { configurable: true, get: () => !yes });
+    document.dispatchEvent(new Event('visibilitychange'));
+  }, yes);
+}
+/// Calls of the page that hold this text are answered with a status of gRPC.
+const refuse = (page, method, text, status, words) => page.route(`**/*Service/${method}`, (route) =>
+  route.request().postDataBuffer()?.includes(text) ? route.fulfill({ headers: { 'content-type': 'application/grpc-web+proto', 'grpc-status': String(status), 'grpc-message': words }, body: '' }) : route.fallback());
 const messages = async (page) => Number(/(\d+) message/.exec(await page.locator('[data-recorder] [data-figures]').innerText())?.[1] ?? 0);
 
 export async function a_recording_is_begun_seen_after_a_reload_and_ended_from_the_page(world) {
@@ -130,7 +150,7 @@ export async function a_start_that_is_refused_leaves_no_recorder_behind_and_says
   await shot(page, 'record-refused');
   is(((await grpcurl(host.addr, 'GcmService/List', {})).connections ?? []).length, 1, 'connections');
   is(fs.readFileSync(path.join(world.dir, 'there.mcap'), 'utf8'), 'precious', 'the file that was there');
-  // What was refused is mended, and then records.
+  // As soon as it is mended, it records.
   await page.getByLabel('File').fill('mended.mcap');
   await panel(page).getByRole('button', { name: 'Start' }).click();
   await page.locator('[data-recorder][data-phase=RECORDING]').waitFor();
@@ -172,8 +192,9 @@ export async function a_recording_whose_time_is_over_while_no_page_looks_is_told
   const told = page.locator('[data-recorder][data-phase=ENDED]');
   const read = await info(await told.getAttribute('data-file'));
   is([await messages(page), read.reason], [read.messages, 'its time was over'], 'what the page tells, and what is in the file');
+  holds(/^[\d.]+ k?B/.test(await figures(page)), `no duration is told that nobody saw: ${await figures(page)}`);
   await eventually('its recorder is taken away', async () => (await recorders(host.addr)).length === 0);
-  // What was told stays until it was read.
+  // It stays until it was read.
   await page.reload();
   await open(page);
   await told.waitFor();
@@ -229,4 +250,164 @@ export async function an_output_that_cannot_be_connected_is_left_out_and_named_a
   await one.getByText(/^not recorded: right\/sine\/value: process `right`/).waitFor();
   await eventually('messages come', async () => (await messages(page)) > 100);
   await shot(page, 'recording-left-out');
+  // It is known for as long as its recording is shown.
+  await page.reload();
+  await open(page);
+  await one.getByText(/^not recorded: right\/sine\/value: process `right`/).waitFor();
+  await page.getByRole('button', { name: 'Stop', exact: true }).click();
+  await page.locator('[data-recorder][data-phase=ENDED]').waitFor();
+  await one.getByText(/^not recorded: right\/sine\/value: process `right`/).waitFor();
+  is([await one.locator('.dot.warn').count(), await one.getByText('gave nothing').count()], [1, 0], 'a dot that warns, and outputs that gave nothing');
+  holds((await figures(page)).includes('nothing lost of what was connected'), `what is said of losses: ${await figures(page)}`);
+  await shot(page, 'recording-left-out-ended');
+}
+
+export async function outputs_left_out_of_a_start_that_was_refused_are_not_told_of_another_recording(world) {
+  const gcm = await world.gcm();
+  await world.host('left', ['--gcm', gcm.addr], { cwd: world.dir });
+  const right = await world.host('right', ['--gcm', gcm.addr]);
+  for (const where of ['left', 'right']) await create(gcm.addr, 'sine', `${where}/sine`);
+  await start(gcm.addr, 'left/sine', 'right/sine');
+  const [page, other] = [await world.viewer(gcm.addr), await world.viewer(gcm.addr)];
+  right.kill('SIGKILL');
+  await page.locator('[data-process=right][data-standing=lost]').waitFor();
+  await open(page);
+  await page.getByLabel('Patterns').fill('*/sine/value');
+  await page.locator('[data-matched="2"]').waitFor();
+  await page.getByLabel('File').fill('../out.mcap');
+  await panel(page).getByRole('button', { name: 'Start' }).click();
+  await panel(page).getByRole('alert').filter({ hasText: 'leads out of the directory' }).waitFor();
+  await begin(other, 'left/sine/value');
+  await page.locator('[data-recorder$="/rec-viewer"][data-phase=RECORDING]').waitFor();
+  is(await page.getByText('not recorded:').count(), 0, 'outputs that are left out');
+}
+
+export async function a_component_that_does_not_tell_its_outputs_is_named_before_and_while_it_records(world) {
+  const host = await recorded(world);
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await refuse(page, 'Describe', 'host/echo', 4, 'it answered too late');
+  await begin(page, '**');
+  const unheard = 'host/echo did not tell its outputs: it answered too late';
+  is(await page.locator('[data-unheard]').allInnerTexts(), [unheard], 'what is said before');
+  await page.locator('[data-recorder]').getByText(`not recorded: ${unheard}`).waitFor();
+  await shot(page, 'recording-unheard');
+  await page.getByLabel('Patterns').fill('host/sine/value');
+  await page.locator('[data-unheard]').waitFor({ state: 'detached' });
+}
+
+export async function a_duration_or_rate_that_trocar_record_refuses_starts_nothing(world) {
+  const host = await recorded(world);
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await open(page);
+  await page.locator('[data-matched]').waitFor();
+  await page.getByText('Video, rate, process').click();
+  const [seconds, rate] = [page.getByLabel('Seconds'), page.getByLabel('Samples per second of each output')];
+  for (const [field, entered, why] of [[seconds, '0', 'above 0 and at most 86400'], [seconds, '86401', 'above 0'], [rate, '0', '0.0001 to 1000000'], [rate, '1000001', '0.0001']]) {
+    await field.fill(entered);
+    await panel(page).getByRole('button', { name: 'Start' }).click();
+    await panel(page).getByRole('alert').filter({ hasText: `“${entered}” is not ${why}` }).waitFor();
+    await field.fill('');
+  }
+  is(await recorders(host.addr), [], 'recorders');
+}
+
+export async function a_recorder_that_began_another_recording_while_nobody_looked_is_shown_with_its_new_file(world) {
+  const host = await recorded(world);
+  await recorderOf(host.addr, 'host/rec');
+  const context = await world.browser();
+  await context.clock.install();
+  const page = await context.newPage();
+  await page.goto(`http://${host.addr}/`);
+  await settled(page);
+  const elapsed = async () => (await command(host.addr, 'host/rec', 'status')).elapsed;
+  // The end of the first one is not told any more, that of the second one is.
+  const hides = async (...files) => {
+    await seen(page, false);
+    await page.clock.fastForward(LONG);
+    const before = await elapsed();
+    for (const file of files) {
+      await command(host.addr, 'host/rec', 'stop');
+      await eventually('it is closed', async () => (await command(host.addr, 'host/rec', 'path')) === '');
+      await command(host.addr, 'host/rec', 'start', startOf(file));
+    }
+    await eventually('it has recorded for longer', async () => (await elapsed()) > before, elapsed);
+    await seen(page, true);
+  };
+  await command(host.addr, 'host/rec', 'start', startOf('a.mcap'));
+  await open(page);
+  const one = (file, phase) => page.locator(`[data-file$="/${file}"][data-phase=${phase}]`);
+  await one('a.mcap', 'RECORDING').waitFor();
+  await hides('b.mcap');
+  await one('b.mcap', 'RECORDING').waitFor();
+  await one('a.mcap', 'ENDED').getByText('nothing lost').waitFor();
+  await hides('c.mcap', 'd.mcap');
+  await one('d.mcap', 'RECORDING').waitFor();
+  await one('b.mcap', 'ENDED').getByText('It did not tell how it ended: another recording was begun since.').waitFor();
+  await shot(page, 'recording-another');
+  is(await recorders(host.addr), ['host/rec'], 'recorders');
+}
+
+export async function a_recorder_left_behind_that_records_by_now_is_not_taken_away(world) {
+  const host = await recorded(world);
+  await recorderOf(host.addr, 'host/rec-viewer');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await open(page);
+  await page.locator('[data-idle="host/rec-viewer"]').waitFor();
+  await shot(page, 'record-idle');
+  // The page does not look any more, so the button stays.
+  await page.evaluate(() => Object.defineProperty(document, 'hidden', { configurable: true, get: () => true }));
+  await command(host.addr, 'host/rec-viewer', 'start', startOf('another.mcap'));
+  await eventually('it records', async () => (await command(host.addr, 'host/rec-viewer', 'status')).phase === 'RECORDING');
+  const remove = page.locator('[data-idle]').getByRole('button', { name: 'Remove it' });
+  if (await remove.count()) {
+    await remove.click();
+    await panel(page).getByRole('alert').filter({ hasText: 'is not taken away' }).waitFor();
+  }
+  is(await recorders(host.addr), ['host/rec-viewer'], 'recorders');
+  // At rest it goes.
+  await command(host.addr, 'host/rec-viewer', 'stop');
+  await seen(page, true);
+  await eventually('its recorder is taken away', async () => (await recorders(host.addr)).length === 0);
+}
+
+export async function a_recorder_that_does_not_answer_keeps_no_other_from_being_shown(world) {
+  const host = await recorded(world);
+  for (const name of ['first', 'second']) {
+    await recorderOf(host.addr, `host/${name}`);
+    await command(host.addr, `host/${name}`, 'start', startOf(`${name}.mcap`));
+  }
+  const page = await world.viewer(host.addr);
+  await page.locator('[data-recording="2"]').waitFor();
+  await open(page);
+  await refuse(page, 'Invoke', 'host/first/ctl/', 14, 'connection refused');
+  const one = (name) => page.locator(`[data-recorder="host/${name}"]`);
+  await one('first').getByText('does not answer').waitFor();
+  const time = () => one('second').locator('[data-figures]').innerText();
+  const before = await time();
+  await eventually('the other one goes on', async () => (await time()) !== before);
+  is(await one('second').getByText('does not answer').count(), 0, 'what is said of the other one');
+}
+
+export async function the_top_of_a_narrow_window_has_room_for_a_recording_with_losses(world) {
+  const gcm = await world.gcm();
+  const left = await world.host('left', ['--gcm', gcm.addr]);
+  await world.host('right', ['--gcm', gcm.addr], { cwd: world.dir });
+  for (const where of ['left', 'right']) await create(gcm.addr, 'sine', `${where}/sine`);
+  await start(gcm.addr, 'left/sine', 'right/sine');
+  const page = await world.viewer(gcm.addr);
+  await settled(page);
+  // `right` records: it is the last one of equals.
+  await begin(page, '*/sine/value');
+  await page.keyboard.press('Escape');
+  left.kill('SIGKILL');
+  await eventually('it is interrupted', async () => (await record(page).innerText()).includes('1 interrupted'), () => record(page).innerText());
+  await page.setViewportSize({ width: 300, height: 600 });
+  const ends = () => page.locator('header.top > :is(button, .tools), .tools > button').evaluateAll((all) => all.map((e) => Math.round(e.getBoundingClientRect().right)));
+  await eventually('all is inside the window', async () => (await ends()).every((x) => x <= 300), ends);
+  holds(/^\d:\d\d$/.test((await record(page).innerText()).trim()), `what is in sight: ${await record(page).innerText()}`);
+  holds(/\d:\d\d, .*B, 1 interrupted/.test(await record(page).getAttribute('aria-label')), 'what its label tells');
+  await shot(page, 'recording-narrow');
 }

@@ -1,4 +1,4 @@
-/// How a process stands, how it ended last, and the ways back: Restart and Forget.
+/// The fate of a process: its state, its last end, and the ways back, Restart and Forget.
 ///
 /// Invariant: the page says since when only of what it saw happen, and tells refusals in the server's words.
 import { ProcessState, type Process } from '../gen/trocar/v1/types_pb';
@@ -43,7 +43,7 @@ class Ways {
   forgetting = $state('');
   /// The process that is being started again.
   restarting = $state('');
-  /// What the server said of the last try, by process.
+  /// The server's words on the last try, and the process.
   refusal = $state({ process: '', text: '' });
 
   async restart(process: string): Promise<void> {

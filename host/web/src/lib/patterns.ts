@@ -12,6 +12,11 @@ export function matches(pattern: string, path: string): boolean {
   return wild([...names, '**'], parts(path), (part) => part === '**', isName);
 }
 
+/// Whether a pattern may mean outputs of a component whose outputs are not known.
+export function mayMean(pattern: string, component: string): boolean {
+  return matches(pattern, component) || matches(parts(pattern).slice(0, -1).join('/'), component);
+}
+
 /// The patterns in a text: names hold neither spaces nor commas.
 export function patternsIn(text: string): string[] {
   return [...new Set(text.split(/[\s,;]+/).filter(Boolean))];

@@ -6,7 +6,7 @@ import { Code, ConnectError } from '@connectrpc/connect';
 import { gcm, interact, PATIENCE, said, wrapped } from './api';
 import { page } from './page.svelte';
 import { matches, nearestTo } from './patterns';
-import { bestProcess, chosen, depthOf, learnSources, RECORDER, type Source, type Sources } from './sources';
+import { bestProcess, chosen, depthOf, learnSources, RECORDER, unheardOf, type Source, type Sources } from './sources';
 import { system } from './system.svelte';
 
 /// Above all threads without a priority: the disk's work in the kernel may hold those up for 100 ms.
@@ -22,7 +22,7 @@ export interface Wanted {
   /// s; 0 = until somebody stops it.
   seconds: number;
   video: string;
-  /// Of each output, Hz; 0 = all.
+  /// At most so many samples of each output, Hz; 0 = all.
   maxRateHz: number;
   /// Empty = the process with most of what is recorded.
   process: string;
@@ -35,23 +35,23 @@ export function unmatched(pattern: string, all: Source[]): string {
   return `no output is meant by “${pattern}”; the nearest are ${nearestTo(pattern, all.map((s) => s.path)).join(', ')}`;
 }
 
-function plan(wanted: Wanted, there: Sources): { process: string; outputs: Source[] } {
+function plan(wanted: Wanted, there: Sources): { process: string; outputs: Source[]; unheard: string[] } {
   if (wanted.patterns.length === 0) throw new Error('no pattern: name what is recorded, such as **');
   for (const pattern of wanted.patterns) {
     const why = unmatched(pattern, there.all);
-    if (why) throw new Error(`${why}. Nothing was started.`);
+    if (why) throw new Error([`${why}. Nothing was started.`, ...unheardOf([pattern], there)].join(' '));
   }
   const outputs = chosen(wanted.patterns, there.all);
   const process = wanted.process || bestProcess(there, outputs);
   if (!process) throw new Error(`no process has the class ${RECORDER}: put libtrocar_recorder.so into a plugin directory of one`);
-  return { process, outputs };
+  return { process, outputs, unheard: unheardOf(wanted.patterns, there) };
 }
 
 /// Answers the recorder's path. `tell` hears what is being done and to which recorder, `left` which outputs
-/// could not be connected.
+/// are left out, and why.
 export async function makeRecorder(wanted: Wanted, name: string, tell: (doing: string, path?: string) => void, left: (path: string, sentences: string[]) => void): Promise<string> {
   tell('looking at what there is…');
-  const { process, outputs } = plan(wanted, await learnSources());
+  const { process, outputs, unheard } = plan(wanted, await learnSources());
   let component = `${process}/${name}`;
   for (let n = 2; system.components.has(component); n += 1) component = `${process}/${name}-${n}`;
   tell('making a recorder…', component);
@@ -72,7 +72,7 @@ export async function makeRecorder(wanted: Wanted, name: string, tell: (doing: s
     throw error;
   }
   try {
-    left(component, await connectAll(component, outputs, tell));
+    left(component, [...unheard, ...(await connectAll(component, outputs, tell))]);
     tell('starting…');
     await gcm.start({ paths: [component] }, PATIENCE);
     const json = wrapped({ path: wanted.file, delay: 0, duration: wanted.seconds });

@@ -20,8 +20,14 @@ export const OURS = 'rec-viewer';
 const EVERY = 500;
 /// A slow disk may take this long to close a file, s.
 const CLOSING = 60n;
-/// Ends that are kept over a reload.
+/// Ends, and outputs left out, that are kept over a reload.
 const KEPT = 20;
+/// A recorder of a viewer is being made, or made ready, for so many looks before it counts as left behind.
+const LOOKS = 10;
+/// Two looks at one recording find its beginning within this, ns; a page that looks sees an end within the second.
+const SAME_NS = 0.5e9;
+const LOOKING_NS = 2e9;
+const SINCE = 'another recording was begun since';
 
 export interface Recording {
   component: string;
@@ -41,6 +47,8 @@ export interface Recording {
   endedNs: number;
   /// The process of the recorder does not answer: the numbers are the last ones known.
   unheard: boolean;
+  /// Outputs that this page wanted and could not connect, a sentence each.
+  leftOut: string[];
 }
 
 export interface Ended {
@@ -51,16 +59,18 @@ export interface Ended {
   messages: number;
   lost: number;
   interrupted: number;
-  /// s.
-  lasted: number;
+  /// s; absent: it ended while no page looked.
+  lasted?: number;
   /// The file has its index and its end.
   whole: boolean;
   /// The recorder told so itself; else these are the last numbers the page knew.
   told: boolean;
   /// Outputs with losses or interruptions, a sentence each.
   missing: string[];
-  /// Outputs that were recorded and gave nothing.
+  /// Outputs that were connected and gave nothing.
   silent: number;
+  /// As in Recording.
+  leftOut: string[];
 }
 
 type Values = { [key: string]: Json };
@@ -72,14 +82,18 @@ class Recordings {
   open = $state(false);
   /// Recordings that are made, by recorder.
   running = new SvelteMap<string, Recording>();
-  ended = $state.raw<Ended[]>(remembered());
+  ended = $state.raw<Ended[]>(remembered<Ended>('recordings').map((one) => ({ ...one, leftOut: one.leftOut ?? [] })));
   /// Recorders of viewers that record nothing and have nothing to tell.
   idle = $state.raw<string[]>([]);
-  /// What is being done at this moment, in words; empty = nothing.
+  /// Words for the work at this moment; empty = nothing is done.
   doing = $state('');
-  /// Outputs that could not be connected, and why, by recorder.
-  leftOut = new SvelteMap<string, string[]>();
   #making = '';
+  /// Outputs left out of the recording that is being begun: its file is not known yet.
+  #beginning: { component: string; leftOut: string[] } | undefined;
+  /// The same of recordings that were begun here, by file: no other recording has that.
+  #leftOut = new Map<string, string[]>(remembered('left-out'));
+  /// Looks in a row that found a recorder with nothing to record, by recorder, and how it stood.
+  #idled = new Map<string, { stood: string; looks: number }>();
   /// Files whose end was read.
   #read = new Set<string>();
   /// Recorders whose end is being told: they are taken away next.
@@ -87,7 +101,7 @@ class Recordings {
   /// Recorders that could not be taken away yet: their process is being started again.
   #leaving = new Set<string>();
   #heard = new Map<string, () => void>();
-  /// How many ends were told.
+  /// Ends that were told.
   #ends = 0;
   #looking: Promise<void> | undefined;
   #stop = false;
@@ -109,10 +123,11 @@ class Recordings {
       const component = await makeRecorder(wanted, OURS, (doing, path) => {
         this.doing = doing;
         if (path) this.#making = path;
-      }, (path, sentences) => this.leftOut.set(path, sentences));
+      }, (path, leftOut) => (this.#beginning = { component: path, leftOut }));
       page.tell(`${component} records`);
       return '';
     } catch (error) {
+      this.#beginning = undefined;
       return error instanceof ConnectError ? said(error) : (error as Error).message;
     } finally {
       this.#making = '';
@@ -138,18 +153,29 @@ class Recordings {
   /// Takes away a recorder that records nothing; answers why it stays.
   async remove(component: string): Promise<string> {
     try {
+      // Somebody may have begun a recording with it since it was listed.
+      const phase = await this.#phase(component);
+      if (phase !== 'IDLE') return `${component} is not taken away: it records by now (${phase})`;
+    } catch (error) {
+      if (ConnectError.from(error).code !== Code.NotFound) return said(error);
+    }
+    return await this.#takeAway(component);
+  }
+
+  async #takeAway(component: string): Promise<string> {
+    try {
       await gcm.remove({ path: component, force: true }, PATIENCE);
     } catch (error) {
       // Another page may have done it.
       if (ConnectError.from(error).code !== Code.NotFound) return said(error);
     }
     this.#leaving.delete(component);
-    this.leftOut.delete(component);
     return '';
   }
 
   dismiss(one: Ended) {
     this.#read.add(one.file);
+    this.#leftOut.delete(one.file);
     this.#keep(this.ended.filter((other) => other !== one));
   }
 
@@ -163,17 +189,19 @@ class Recordings {
   async #lookOnce() {
     for (const path of this.#leaving) if (!system.components.has(path)) this.#leaving.delete(path);
     const recorders = [...system.components.values()].filter((c) => c.class === RECORDER);
-    const idle: string[] = [];
-    for (const c of recorders) {
+    // All at once: one that answers late holds up no other.
+    const found = await Promise.all(recorders.map(async (c) => {
       this.#hear(c.path);
-      if (c.path === this.#making) continue;
+      if (c.path === this.#making) return false;
       try {
-        if (await this.#ask(c)) idle.push(c.path);
+        return await this.#ask(c);
       } catch (error) {
         // A recorder whose process is gone is still shown; one that is gone itself is looked for below.
-        if (isGone(error)) return;
+        if (isGone(error) || ConnectError.from(error).code === Code.DeadlineExceeded) this.#unheard(c.path);
+        return false;
       }
-    }
+    }));
+    const idle = this.#leftBehind(recorders.filter((_, n) => found[n]));
     if (idle.join() !== this.idle.join()) this.idle = idle;
     for (const [path, leave] of this.#heard) {
       if (system.components.has(path)) continue;
@@ -183,6 +211,24 @@ class Recordings {
       if (was) this.#show(lastKnown(was, 'its recorder was taken away'));
       this.running.delete(path);
     }
+  }
+
+  /// Recorders that stood idle for long enough: another viewer may still be making one.
+  #leftBehind(idle: Component[]): string[] {
+    const before = this.#idled;
+    this.#idled = new Map();
+    for (const { path, state } of idle) {
+      const ties = [...system.connections.values()].filter((tie) => tie.client.startsWith(`${path}/`)).length;
+      const stood = `${state} ${ties}`;
+      const was = before.get(path);
+      this.#idled.set(path, { stood, looks: was?.stood === stood ? was.looks + 1 : 1 });
+    }
+    return [...this.#idled].filter(([, { looks }]) => looks >= LOOKS).map(([path]) => path);
+  }
+
+  #unheard(component: string) {
+    const was = this.running.get(component);
+    if (was && !was.unheard) this.running.set(component, { ...was, unheard: true });
   }
 
   /// The end of a recording is told once: whoever made it may take its recorder away right then.
@@ -196,7 +242,7 @@ class Recordings {
   async #ask({ path, state, health }: Component): Promise<boolean> {
     const was = this.running.get(path);
     if (health === Health.LOST) {
-      if (was && !was.unheard) this.running.set(path, { ...was, unheard: true });
+      this.#unheard(path);
       return false;
     }
     if (!was && state !== ComponentState.ACTIVE) return isOurs(path);
@@ -206,21 +252,25 @@ class Recordings {
     const phase = String(status.phase);
     if (phase !== 'IDLE') {
       const elapsed = number(status, 'elapsed');
-      const file = was && was.elapsed <= elapsed ? was.file : String(plain((await this.#get(path, 'path')).json));
+      const beganNs = Number(answer.stampNs) - elapsed * 1e9;
+      const isSame = was && Math.abs(beganNs - was.beganNs) < SAME_NS;
+      const file = isSame ? was.file : String(plain((await this.#get(path, 'path')).json));
       const counts = { bytes: number(status, 'bytes'), messages: number(status, 'messages'), lost: number(status, 'lost'), interrupted: number(status, 'interrupted'), topics: number(status, 'topics') };
       // Its end may have been told meanwhile.
-      if (file && ends === this.#ends) {
+      if (ends !== this.#ends) return false;
+      if (was && file !== was.file) await this.#replaced(was);
+      if (file) {
         // A file of that name was told of before, and is gone.
         this.#read.delete(file);
         if (this.ended.some((one) => one.file === file)) this.#keep(this.ended.filter((one) => one.file !== file));
-        this.running.set(path, { component: path, file, phase, elapsed, ...counts, beganNs: Number(answer.stampNs) - elapsed * 1e9, endedNs: 0, unheard: false });
+        this.running.set(path, { component: path, file, phase, elapsed, ...counts, beganNs, endedNs: 0, unheard: false, leftOut: this.#leftOf(path, file) });
       }
       return false;
     }
     if (!was && !isOurs(path)) return false;
     // The file has its name until it is closed.
     if (was && String(plain((await this.#get(path, 'path')).json)) === was.file) {
-      if (!was.endedNs && this.running.has(path)) this.running.set(path, { ...was, phase: 'CLOSING', endedNs: Number(answer.stampNs) });
+      if (!was.endedNs && this.running.has(path)) this.running.set(path, { ...was, phase: 'CLOSING', endedNs: Number(answer.stampNs), unheard: false });
       return false;
     }
     const last = values(plain((await this.#get(path, 'last')).json));
@@ -228,18 +278,41 @@ class Recordings {
       // Told already: its recorder should have gone.
       if (!(await this.#over(path, last, 0)) && !this.#ending.has(path)) return isOurs(path) && !(await this.#leave(path));
     } else if (was && this.running.delete(path)) {
-      this.#show(lastKnown(was, 'its process ended while it recorded'));
-      await this.#leave(path);
+      // A process that ended has no recording behind it.
+      this.#show(lastKnown(was, last.reason ? SINCE : 'its process ended while it recorded'));
+      if (last.reason && last.path) await this.#over(path, last, 0);
+      else if (!last.reason) await this.#leave(path);
     } else return isOurs(path) && !(this.#leaving.has(path) && (await this.#leave(path)));
     return false;
+  }
+
+  /// Its recorder began another recording while this page did not look.
+  async #replaced(was: Recording) {
+    const last = values(plain((await this.#get(was.component, 'last')).json));
+    if (last.reason && last.path === was.file) await this.#over(was.component, last, 0, false);
+    else if (this.running.delete(was.component)) this.#show(lastKnown(was, SINCE));
+  }
+
+  async #phase(component: string): Promise<string> {
+    return String(values(plain((await this.#get(component, 'status')).json)).phase);
+  }
+
+  #leftOf(component: string, file: string): string[] {
+    if (this.#beginning?.component === component) {
+      this.#leftOut.set(file, this.#beginning.leftOut);
+      this.#beginning = undefined;
+      remember('left-out', [...this.#leftOut].slice(-KEPT));
+    }
+    return this.#leftOut.get(file) ?? [];
   }
 
   #get(component: string, command: string, json?: Json) {
     return interact.invoke({ path: `${component}/ctl/${command}`, json: json === undefined ? undefined : wrapped(json) }, { timeoutMs: 3000 });
   }
 
-  /// The recorder told how its recording ended; `atNs`: when, 0 = not known. Answers whether that was news.
-  async #over(component: string, last: Values, atNs: number): Promise<boolean> {
+  /// The recorder told how its recording ended; `atNs`: when, 0 = not known; `rests`: it records no other since.
+  /// Answers whether that was news.
+  async #over(component: string, last: Values, atNs: number, rests = true): Promise<boolean> {
     const was = this.running.get(component);
     this.running.delete(component);
     const file = String(last.path ?? '');
@@ -247,7 +320,9 @@ class Recordings {
     if (!was && (this.#read.has(file) || before?.told)) return false;
     this.#ends += 1;
     this.#ending.add(component);
-    const outputs = (system.components.get(component)?.config?.topics as unknown[] | undefined)?.length ?? 0;
+    const sources = (system.components.get(component)?.config?.sources as string[] | undefined) ?? [];
+    const leftOut = this.#leftOf(component, file);
+    const connected = sources.filter((source) => !leftOut.some((sentence) => sentence.startsWith(`${source}: `))).length;
     const one: Ended = {
       component,
       file,
@@ -256,15 +331,16 @@ class Recordings {
       messages: number(last, 'messages'),
       lost: number(last, 'lost'),
       interrupted: number(last, 'interrupted'),
-      lasted: was && atNs > 0 ? Math.max(0, ((was.endedNs || atNs) - was.beganNs) / 1e9) : (was?.elapsed ?? before?.lasted ?? 0),
+      lasted: (was && lastedOf(was, atNs)) ?? before?.lasted,
       whole: last.whole === true,
       told: true,
       missing: [],
-      silent: was ? Math.max(0, outputs - was.topics) : 0,
+      silent: was ? Math.max(0, connected - was.topics) : 0,
+      leftOut,
     };
     this.#show(one);
-    if (one.lost + one.interrupted > 0) this.#show({ ...one, missing: await this.#missing(component, outputs) });
-    await this.#leave(component);
+    if (rests && one.lost + one.interrupted > 0) this.#show({ ...one, missing: await this.#missing(component, sources.length) });
+    if (rests) await this.#leave(component);
     this.#ending.delete(component);
     return true;
   }
@@ -273,7 +349,9 @@ class Recordings {
   async #leave(component: string): Promise<boolean> {
     if (!isOurs(component) || page.readonly) return false;
     this.#leaving.add(component);
-    return (await this.remove(component)) === '';
+    // Somebody may have begun another recording with it; one that does not answer records nothing.
+    if ((await this.#phase(component).catch(() => 'IDLE')) !== 'IDLE') return false;
+    return (await this.#takeAway(component)) === '';
   }
 
   async #missing(component: string, outputs: number): Promise<string[]> {
@@ -296,21 +374,34 @@ class Recordings {
 
   #keep(ended: Ended[]) {
     this.ended = ended;
-    try {
-      sessionStorage.setItem('recordings', JSON.stringify(ended.slice(0, KEPT)));
-    } catch {
-      // They are then shown as long as the page is open.
-    }
+    remember('recordings', ended.slice(0, KEPT));
   }
 }
 
-/// Ends that this window showed before it was loaded anew.
-function remembered(): Ended[] {
+/// For this window, when it is loaded anew.
+function remember(key: string, items: unknown[]) {
   try {
-    return JSON.parse(sessionStorage.getItem('recordings') ?? '[]') as Ended[];
+    sessionStorage.setItem(key, JSON.stringify(items));
+  } catch {
+    // They are then known as long as the page is open.
+  }
+}
+
+function remembered<T>(key: string): T[] {
+  try {
+    return JSON.parse(sessionStorage.getItem(key) ?? '[]') as T[];
   } catch {
     return [];
   }
+}
+
+/// s; absent: the page did not look when it ended.
+function lastedOf(was: Recording, atNs: number): number | undefined {
+  const endedNs = was.endedNs || atNs;
+  const seenNs = was.beganNs + was.elapsed * 1e9;
+  // A file that was found closing after an absence began to close at some time in it.
+  if (endedNs === 0 || (was.endedNs && endedNs - seenNs > LOOKING_NS)) return undefined;
+  return Math.max(0, (endedNs - was.beganNs) / 1e9);
 }
 
 export function isOurs(component: string): boolean {
@@ -326,8 +417,8 @@ export function madeBy(component: string): string {
 }
 
 function lastKnown(was: Recording, reason: string): Ended {
-  const { component, file, bytes, messages, lost, interrupted, elapsed } = was;
-  return { component, file, reason, bytes, messages, lost, interrupted, lasted: elapsed, whole: false, told: false, missing: [], silent: 0 };
+  const { component, file, bytes, messages, lost, interrupted, elapsed, leftOut } = was;
+  return { component, file, reason, bytes, messages, lost, interrupted, lasted: elapsed, whole: false, told: false, missing: [], silent: 0, leftOut };
 }
 
 export const recordings = new Recordings();

@@ -2,8 +2,9 @@
 ///
 /// Invariant: the rules are those of `trocar record` (host/src/cli/recording/record.rs): which outputs count,
 /// how deep a queue is, and which process records.
-import { gcm, PATIENCE } from './api';
-import { matches } from './patterns';
+import { Code, ConnectError } from '@connectrpc/connect';
+import { gcm, PATIENCE, said } from './api';
+import { matches, mayMean } from './patterns';
 
 export const RECORDER = 'recorder/recorder';
 /// Samples that may wait, at most, and bytes of them; frames that may.
@@ -23,15 +24,20 @@ export interface Sources {
   all: Source[];
   /// Processes that offer a recorder.
   recorders: string[];
+  /// Components that did not tell their outputs, and why.
+  unheard: { path: string; why: string }[];
 }
 
 /// Asks each component for its outputs, one after the other.
 export async function learnSources(): Promise<Sources> {
   const there = await gcm.list({ brief: true }, PATIENCE);
   const all: Source[] = [];
+  const unheard: Sources['unheard'] = [];
   for (const { path } of there.components) {
-    // A component that went away meanwhile is not there to be recorded.
-    const told = await gcm.describe({ path }, PATIENCE).catch(() => undefined);
+    const told = await gcm.describe({ path }, PATIENCE).catch((error) => {
+      // A component that went away meanwhile is not there to be recorded.
+      if (ConnectError.from(error).code !== Code.NotFound) unheard.push({ path, why: said(error) });
+    });
     for (const output of told?.ports?.outputs ?? []) {
       const kind = output.type?.kind;
       // An output without a type of its own has nothing to record.
@@ -39,7 +45,13 @@ export async function learnSources(): Promise<Sources> {
       else if (kind?.case === 'frame') all.push({ path: `${path}/${output.name}`, frames: true, size: 0 });
     }
   }
-  return { all, recorders: there.processes.filter((p) => p.classes.includes(RECORDER)).map((p) => p.name) };
+  return { all, recorders: there.processes.filter((p) => p.classes.includes(RECORDER)).map((p) => p.name), unheard };
+}
+
+/// Components that may have outputs that are meant, and told none: a sentence each.
+export function unheardOf(patterns: string[], { unheard }: Sources): string[] {
+  const meant = unheard.filter(({ path }) => patterns.some((pattern) => mayMean(pattern, path)));
+  return meant.map(({ path, why }) => `${path} did not tell its outputs: ${why}`);
 }
 
 export function chosen(patterns: string[], all: Source[]): Source[] {

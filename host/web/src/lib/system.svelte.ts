@@ -1,6 +1,7 @@
 /// The system graph as Watch tells it, kept live over every loss of the server.
 ///
-/// Invariant: what is on the screen is what the last message said; while nobody answers, the page says since when.
+/// Invariant: what is on the screen is what the last message said; while nobody answers, the page says since
+/// when. A process has a time only of a change that was seen to happen.
 import { SvelteMap } from 'svelte/reactivity';
 import type { Delta, Snapshot } from '../gen/trocar/v1/gcm_pb';
 import type { Component, Connection, Process } from '../gen/trocar/v1/types_pb';
@@ -13,7 +14,7 @@ class System {
   processes = new SvelteMap<string, Process>();
   components = new SvelteMap<string, Component>();
   connections = new SvelteMap<string, Connection>();
-  /// When the page saw a process come to its present state, ms; absent: it was so before the page looked.
+  /// When the page saw a process come to its present state, ms; absent: it did so while the page did not look.
   since = new SvelteMap<string, number>();
   revision = $state(0n);
   term = $state(0n);
@@ -21,7 +22,7 @@ class System {
   standing = $state<'joining' | 'live' | 'away'>('joining');
   awaySince = $state(0);
   why = $state('');
-  /// How often it came back.
+  /// Counts its returns.
   returns = $state(0);
   /// Counts changes of what there is, rather than of how it stands: the picture is laid out anew.
   shape = $state(0);
@@ -71,6 +72,8 @@ class System {
     for (const name of [...this.processes.keys()]) if (!names.has(name)) this.#gone(name);
     for (const path of [...this.components.keys()]) if (!paths.has(path)) this.components.delete(path);
     for (const id of [...this.connections.keys()]) if (!ids.has(id)) this.connections.delete(id);
+    // A change found after an absence happened at some time in it.
+    for (const p of all.processes) if (this.#isNews(p)) this.since.delete(p.name);
     this.#take(all.processes, all.components, all.connections);
     for (const path of paths) this.onRenewed(path);
     this.shape += 1;
@@ -85,6 +88,7 @@ class System {
     reshaped ||= delta.components.some((c) => !this.components.has(c.path));
     const before = new Map(delta.processes.map((p) => [p.name, this.processes.get(p.name)]));
     const stood = new Map(delta.components.map((c) => [c.path, this.components.get(c.path)?.state]));
+    for (const p of delta.processes) if (this.#isNews(p)) this.since.set(p.name, Date.now());
     this.#take(delta.processes, delta.components, delta.connections);
     for (const p of delta.processes) {
       const old = before.get(p.name);
@@ -96,17 +100,18 @@ class System {
     if (reshaped) this.shape += 1;
   }
 
+  #isNews(p: Process): boolean {
+    const old = this.processes.get(p.name);
+    return old?.state !== p.state || old.epoch !== p.epoch;
+  }
+
   #gone(process: string): boolean {
     this.since.delete(process);
     return this.processes.delete(process);
   }
 
   #take(processes: Process[], components: Component[], connections: Connection[]) {
-    for (const p of processes) {
-      const old = this.processes.get(p.name);
-      if (old ? old.state !== p.state || old.epoch !== p.epoch : this.shape > 0) this.since.set(p.name, Date.now());
-      this.processes.set(p.name, p);
-    }
+    for (const p of processes) this.processes.set(p.name, p);
     for (const c of components) {
       // Watch tells no figures: those of the last look stay until the next one.
       c.stats ??= this.components.get(c.path)?.stats;
