@@ -57,8 +57,9 @@ async function recorderOf(addr, component) {
 }
 const command = async (addr, component, name, json) => (await grpcurl(addr, 'InteractService/Invoke', { path: `${component}/ctl/${name}`, json })).json;
 const startOf = (file) => ({ path: file, delay: 0, duration: 0 });
-/// What a browser would say of a page nobody sees. `LONG` after that the page has let go, ms; see UNSEEN in App.svelte.
+/// After so long unseen a page has let go, ms; see UNSEEN in App.svelte.
 const LONG = 6000;
+/// Says in a browser's place whether the page is seen.
 function seen(page, yes) {
   return page.evaluate((yes) => {
     Object.defineProperty(document, 'hidden', { configurable: true, get: () => !yes });

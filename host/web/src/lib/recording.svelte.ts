@@ -24,8 +24,9 @@ const CLOSING = 60n;
 const KEPT = 20;
 /// A recorder of a viewer is being made, or made ready, for so many looks before it counts as left behind.
 const LOOKS = 10;
-/// Two looks at one recording find its beginning within this, ns; a page that looks sees an end within the second.
+/// Two looks at one recording find its beginning within this, ns.
 const SAME_NS = 0.5e9;
+/// A page that looks sees an end within this, ns.
 const LOOKING_NS = 2e9;
 const SINCE = 'another recording was begun since';
 
@@ -310,7 +311,7 @@ class Recordings {
     return interact.invoke({ path: `${component}/ctl/${command}`, json: json === undefined ? undefined : wrapped(json) }, { timeoutMs: 3000 });
   }
 
-  /// The recorder told how its recording ended; `atNs`: when, 0 = not known; `rests`: it records no other since.
+  /// The recorder told how its recording ended; `atNs`: when, 0 = not known; `rests`: it makes no other now.
   /// Answers whether that was news.
   async #over(component: string, last: Values, atNs: number, rests = true): Promise<boolean> {
     const was = this.running.get(component);

@@ -14,7 +14,7 @@ class System {
   processes = new SvelteMap<string, Process>();
   components = new SvelteMap<string, Component>();
   connections = new SvelteMap<string, Connection>();
-  /// When the page saw a process come to its present state, ms; absent: it did so while the page did not look.
+  /// When the page saw a process come to its present state, ms; absent: nobody looked then.
   since = new SvelteMap<string, number>();
   revision = $state(0n);
   term = $state(0n);
