@@ -325,6 +325,8 @@ export async function a_recorder_that_began_another_recording_while_nobody_looke
   const elapsed = async () => (await command(host.addr, 'host/rec', 'status')).elapsed;
   // The end of the first one is not told any more, that of the second one is.
   const hides = async (...files) => {
+    // By its beginning a recording is told from another one, to half a second.
+    await eventually('it has recorded for a second', async () => (await elapsed()) > 1, elapsed);
     await seen(page, false);
     await page.clock.fastForward(LONG);
     const before = await elapsed();
@@ -362,11 +364,8 @@ export async function a_recorder_left_behind_that_records_by_now_is_not_taken_aw
   await page.evaluate(() => Object.defineProperty(document, 'hidden', { configurable: true, get: () => true }));
   await command(host.addr, 'host/rec-viewer', 'start', startOf('another.mcap'));
   await eventually('it records', async () => (await command(host.addr, 'host/rec-viewer', 'status')).phase === 'RECORDING');
-  const remove = page.locator('[data-idle]').getByRole('button', { name: 'Remove it' });
-  if (await remove.count()) {
-    await remove.click();
-    await panel(page).getByRole('alert').filter({ hasText: 'is not taken away' }).waitFor();
-  }
+  await page.getByRole('button', { name: 'Remove it' }).click();
+  await panel(page).getByRole('alert').filter({ hasText: 'is not taken away' }).waitFor();
   is(await recorders(host.addr), ['host/rec-viewer'], 'recorders');
   // At rest it goes.
   await command(host.addr, 'host/rec-viewer', 'stop');

@@ -254,7 +254,7 @@ class Recordings {
     if (phase !== 'IDLE') {
       const elapsed = number(status, 'elapsed');
       const beganNs = Number(answer.stampNs) - elapsed * 1e9;
-      const isSame = was && Math.abs(beganNs - was.beganNs) < SAME_NS;
+      const isSame = was && was.elapsed <= elapsed && Math.abs(beganNs - was.beganNs) < SAME_NS;
       const file = isSame ? was.file : String(plain((await this.#get(path, 'path')).json));
       const counts = { bytes: number(status, 'bytes'), messages: number(status, 'messages'), lost: number(status, 'lost'), interrupted: number(status, 'interrupted'), topics: number(status, 'topics') };
       // Its end may have been told meanwhile.
