@@ -32,6 +32,8 @@ const TIED: &str = "exec 3<&0 </dev/null; (read -r end <&3; kill -KILL 0) >/dev/
 const FED: &str = "exec 3<&1 >&2; (read -r end <&3; kill -KILL 0) >/dev/null 2>&1 & exec \"$@\" 3<&-";
 /// Bytes kept of a program's last words.
 const LAST_WORDS: usize = 512;
+/// Bytes that are taken of its words at once; what a pipe holds.
+const AT_ONCE: usize = 65_536;
 
 /// A program that runs; dropped, it is ended.
 pub struct Running<Way> {
@@ -108,17 +110,29 @@ impl Running<Option<ChildStdin>> {
 impl<Way> Running<Way> {
     /// Takes what the program says besides; false when it will say no more.
     pub fn hear(&mut self) -> bool {
-        let mut said = [0; LAST_WORDS];
-        let Ok(more @ 1..) = self.err.read(&mut said) else { return false };
-        self.words.extend_from_slice(&said[..more]);
-        let too_many = self.words.len().saturating_sub(LAST_WORDS);
-        self.words.drain(..too_many);
+        self.take_words() > 0
+    }
+
+    /// Takes what it has said besides, without waiting for more; false when it will say no more. One that
+    /// says more and more is left after 64 KiB, and any at the word to stop.
+    pub fn hear_out(&mut self, stop: &Stop) -> bool {
+        let mut heard = 0;
+        while heard < AT_ONCE && !stop.is_set() && stop.poll(&[self.err.as_fd()], Duration::ZERO)[0] {
+            match self.take_words() {
+                0 => return false,
+                more => heard += more,
+            }
+        }
         true
     }
 
-    /// Takes all that it has said besides, without waiting for more.
-    pub fn hear_out(&mut self, stop: &Stop) {
-        while stop.poll(&[self.err.as_fd()], Duration::ZERO)[0] && self.hear() {}
+    fn take_words(&mut self) -> usize {
+        let mut said = [0; LAST_WORDS];
+        let more = self.err.read(&mut said).unwrap_or(0);
+        self.words.extend_from_slice(&said[..more]);
+        let too_many = self.words.len().saturating_sub(LAST_WORDS);
+        self.words.drain(..too_many);
+        more
     }
 
     /// ": its last words", or nothing.
@@ -267,7 +281,11 @@ mod tests {
             assert!(running.hear(), "{}", running.last_words());
         }
         let status = running.finish().expect("it may be ended");
-        running.hear_out(&Stop::new().expect("a descriptor"));
+        let stop = Stop::new().expect("a descriptor");
+        stop.set();
+        assert!(running.hear_out(&stop));
+        assert_eq!(running.last_words(), ": got one", "a thread that is to end hears no more");
+        assert!(!running.hear_out(&Stop::new().expect("a descriptor")));
         assert_eq!((status.and_then(|s| s.code()), running.last_words().as_str()), (Some(0), ": end"));
     }
 }

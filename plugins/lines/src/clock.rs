@@ -44,6 +44,12 @@ impl Clock {
         stamp
     }
 
+    /// Another clock from here on, such as that of a program that was run again; stamps still rise.
+    pub(crate) fn anew(&mut self) {
+        self.least = [None; 2];
+        self.last = self.last.map(|(_, stamp)| (i128::MIN, stamp));
+    }
+
     fn offset(&self) -> Option<i128> {
         self.least.iter().flatten().min().copied()
     }
@@ -80,6 +86,17 @@ mod tests {
             let stamp = clock.stamp(odd, 50_030 * MS);
             assert!(stamp > 50_020 * MS, "{odd}: {stamp}");
         }
+    }
+
+    #[test]
+    fn another_clock_has_an_offset_of_its_own_and_no_earlier_stamps() {
+        let mut clock = Clock::default();
+        clock.stamp(0.0, 50_000 * MS);
+        clock.anew();
+        assert_eq!(clock.stamp(0.0, 51_000 * MS), 51_000 * MS);
+        clock.anew();
+        assert_eq!(clock.stamp(-1.0, 51_000 * MS), 51_000 * MS + 1);
+        assert_eq!(clock.resets, 0);
     }
 
     #[test]

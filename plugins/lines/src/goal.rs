@@ -129,12 +129,10 @@ impl Open {
         Ok(true)
     }
 
-    /// Takes what a program says, so that it never waits for a reader.
+    /// Takes what a program says, so that it never waits for a reader; of a flood a part.
     pub(crate) fn hear(&mut self, stop: &Stop) {
         if let Open::Program(running, talks) = self {
-            while *talks && stop.poll(&[running.err.as_fd()], Duration::ZERO)[0] {
-                *talks = running.hear();
-            }
+            *talks = *talks && running.hear_out(stop);
         }
     }
 

@@ -197,7 +197,7 @@ impl LinesSink {
         self.given.dropped = self.before.dropped + self.no_buffer + writer.counts.lost.load(Relaxed);
     }
 
-    /// Takes what the inputs but the first have brought.
+    /// Takes what the inputs but the first have brought; of one that is cut nothing is kept.
     fn gather(&mut self) {
         for at in 1..self.inputs.len() {
             for _ in 0..AT_ONCE {
@@ -209,6 +209,21 @@ impl LinesSink {
                 }
                 self.know(at, source);
             }
+            let (Some(input), Some(newest)) = (self.inputs.get_mut(at), self.newest.get_mut(at)) else {
+                break;
+            };
+            if newest.is_empty() {
+                continue;
+            }
+            let Some(sample) = input.latest() else {
+                newest.clear();
+                continue;
+            };
+            // One that came just now counts as seen.
+            newest.clear();
+            newest.extend_from_slice(sample.value());
+            let source = sample.source();
+            self.know(at, source);
         }
     }
 
@@ -283,6 +298,7 @@ impl Component for LinesSink {
         self.given = Given::default();
         self.operating_state = OperatingState::default();
         self.rate = RateLimit::new(self.cfg.max_rate_hz);
+        self.newest.iter_mut().for_each(Vec::clear);
         self.open()
     }
 

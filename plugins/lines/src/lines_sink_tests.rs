@@ -25,6 +25,17 @@ fn until(bench: &mut Bench<LinesSink>, what: &str, mut so: impl FnMut(&mut Bench
     }
 }
 
+/// Waits for a thread; one that never ends fails the test and not the whole run.
+#[track_caller]
+fn joined<T>(what: &str, thread: std::thread::JoinHandle<T>) -> T {
+    let mut watchdog = Watchdog::of(what);
+    while !thread.is_finished() {
+        watchdog.saw("it goes on");
+        std::thread::yield_now();
+    }
+    thread.join().unwrap()
+}
+
 fn scalar(value: f64) -> Scalar {
     Scalar { stamp: Stamp::INVALID, value }
 }
@@ -117,6 +128,60 @@ fn a_program_that_reads_nothing_holds_up_nobody_and_what_it_misses_is_counted() 
     });
     assert!(pushed > 100);
     bench.stop().unwrap();
+}
+
+#[test]
+fn a_program_that_floods_its_output_is_written_to_and_stopped() {
+    for line in ["yes & yes & yes & exec cat > /dev/null", "yes >&2 & yes >&2 & yes & exec cat > /dev/null"] {
+        let thread = std::thread::spawn(move || {
+            let mut bench = Bench::<LinesSink>::new(json!({ "program": ["sh", "-c", line] }));
+            until(&mut bench, "lines are written", |bench| {
+                bench.push("in", scalar(1.0));
+                bench.state().given.written > 10
+            });
+            bench.stop().unwrap();
+        });
+        joined(line, thread);
+    }
+}
+
+#[test]
+fn a_program_that_closes_its_input_and_floods_its_output_is_stopped() {
+    let thread = std::thread::spawn(|| {
+        let config =
+            json!({ "program": ["sh", "-c", "exec <&-; yes & yes & yes & exec yes"], "restart": "never" });
+        let mut bench = Bench::<LinesSink>::new(config);
+        until(&mut bench, "the failure is told", |bench| {
+            bench.push("in", scalar(1.0));
+            bench.state().given.failures == 1
+        });
+        assert!(bench.state().operating_state.message.ends_with("it was ended: y"));
+        bench.stop().unwrap();
+    });
+    joined("it is stopped", thread);
+}
+
+#[test]
+fn values_of_the_other_inputs_from_before_a_start_or_a_cut_are_no_lines() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = json!({ "file": dir.path().join("both"), "inputs": ["a", "b"], "header": false });
+    let mut bench = Bench::<LinesSink>::new(config);
+    let one = |bench: &mut Bench<LinesSink>| {
+        bench.push("a", scalar(1.0));
+        bench.step(1);
+        bench.state().given.incomplete
+    };
+    bench.push("b", scalar(2.0));
+    assert_eq!(one(&mut bench), 0);
+    bench.stop().unwrap();
+    bench.start().unwrap();
+    assert_eq!(one(&mut bench), 1, "of b nothing came since Start");
+    bench.push("b", scalar(3.0));
+    assert_eq!(one(&mut bench), 1);
+    bench.connect_input("b", false);
+    assert_eq!(one(&mut bench), 2, "b is cut");
+    bench.stop().unwrap();
+    assert_eq!(bench.state().given.written, 1);
 }
 
 #[test]

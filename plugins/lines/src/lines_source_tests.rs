@@ -182,6 +182,43 @@ fn the_device_s_own_time_makes_the_stamps() {
 }
 
 #[test]
+fn a_program_that_is_run_again_has_a_new_offset_of_its_clock() {
+    let dir = tempfile::tempdir().unwrap();
+    // The second run begins where the first one was, and tells it later.
+    let line = format!(
+        "cd {}; if mkdir ran; then echo 100 1 2; exit; fi; until [ -d go ]; do :; done; echo 100 3 4; exec sleep 1000",
+        dir.path().display()
+    );
+    let mut bench = Bench::<LinesSource>::new(shell(&line, json!({ "stamp": "1 s", "restart": "always" })));
+    let first = forces(&mut bench, 1)[0].stamp;
+    failed(&mut bench);
+    bench.advance(1_000_000_000);
+    let later = bench.now();
+    std::fs::create_dir(dir.path().join("go")).unwrap();
+    let second = forces(&mut bench, 1)[0].stamp;
+    assert!(first < later && second >= later, "{first:?}, {later:?}, {second:?}");
+    assert_eq!(bench.state().taken.clock_resets, 0, "the clock was not set, it is another one");
+}
+
+#[test]
+fn a_program_that_closes_its_output_and_floods_its_words_is_stopped() {
+    let thread = std::thread::spawn(|| {
+        let mut bench = Bench::<LinesSource>::new(shell(
+            "echo 1 2; exec >&- 1>&2; yes & yes & yes & exec yes",
+            json!({}),
+        ));
+        assert_eq!(failed(&mut bench), "sh closed its output; it was ended: y");
+        bench.stop().unwrap();
+    });
+    let mut watchdog = Watchdog::of("it is told and stopped");
+    while !thread.is_finished() {
+        watchdog.saw("it goes on");
+        std::thread::yield_now();
+    }
+    thread.join().unwrap();
+}
+
+#[test]
 fn datagrams_are_lines_each_whole() {
     let config = json!({ "udp": "127.0.0.1:0", "outputs": ["force: fx N, fy N"] });
     let mut bench = Bench::<LinesSource>::new(config);

@@ -186,6 +186,7 @@ impl Thread {
                 return;
             }
             self.cut();
+            self.clock.anew();
             let delay = again.map(|again| again.next(last, begun.elapsed()));
             last = delay;
             self.runs = false;

@@ -114,10 +114,11 @@ impl Way {
 
     fn ended(&mut self, name: &str, stop: &Stop) -> String {
         let Way::Program(running, talks) = self else { return format!("{name} is gone") };
+        // First ended: one that talks on and on is cut then.
+        let status = running.ended();
         if *talks {
             running.hear_out(stop);
         }
-        let status = running.ended();
         let words = running.last_words();
         match status {
             Ok(Some(status)) => format!("{name} ended ({status}){words}"),

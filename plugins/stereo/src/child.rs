@@ -74,10 +74,11 @@ impl Source for Program {
                 (filled, frames, begun) = (0, frames + 1, Instant::now());
             }
         }
+        // First ended: one that talks on and on is cut then.
+        let status = running.ended();
         if talks {
             running.hear_out(stop);
         }
-        let status = running.ended();
         let rest = if filled > 0 { format!(" and {filled} B of the next") } else { String::new() };
         let words = running.last_words();
         let name = self.name();
