@@ -9,6 +9,14 @@ const WINDOW_NS: i128 = 15_000_000_000;
 /// A line that came so much later than its time says is of a clock that was set, ns.
 const SET_NS: i128 = 5_000_000_000;
 
+/// Times beyond this are none, ns: some 146 years to either side.
+const FARTHEST_NS: i128 = 1 << 62;
+
+/// Whether a device's time may be one.
+pub(crate) fn is_time(device_s: f64) -> bool {
+    (device_s * 1e9).abs() <= FARTHEST_NS as f64
+}
+
 #[derive(Default)]
 pub(crate) struct Clock {
     /// The least of arrival minus device's time, ns: of the window before, and of this one.
@@ -24,8 +32,9 @@ impl Clock {
     /// The stamp of a line that came at `arrival_ns`, and that the device sent at `device_s` of its own
     /// clock.
     pub(crate) fn stamp(&mut self, device_s: f64, arrival_ns: u64) -> u64 {
-        let (device, arrival) = ((device_s * 1e9) as i128, i128::from(arrival_ns));
-        let offset = arrival.saturating_sub(device);
+        let device = ((device_s * 1e9) as i128).clamp(-FARTHEST_NS, FARTHEST_NS);
+        let arrival = i128::from(arrival_ns);
+        let offset = arrival - device;
         let went_back = self.last.is_some_and(|(before, _)| device < before);
         if went_back || self.offset().is_some_and(|least| offset - least > SET_NS) {
             self.least = [None; 2];
@@ -82,7 +91,7 @@ mod tests {
         assert_eq!((first, second, clock.resets), (50_000 * MS, 50_010 * MS, 1));
         // Ahead: the line would be from the future, so the offset is that of its arrival.
         assert_eq!(clock.stamp(3600.0, 50_020 * MS), 50_020 * MS);
-        for odd in [f64::MAX, -1e300, 0.0] {
+        for odd in [-1e300, f64::MAX, -1e300, 0.0, f64::NAN, f64::MAX, 0.0] {
             let stamp = clock.stamp(odd, 50_030 * MS);
             assert!(stamp > 50_020 * MS, "{odd}: {stamp}");
         }

@@ -9,8 +9,9 @@ use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::PathBuf;
 use std::process::ChildStdin;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use rustix::termios::{QueueSelector, tcflush};
 use trocar_imaging::program::{self, Running};
 use trocar_imaging::waits::Stop;
 
@@ -40,8 +41,30 @@ pub(crate) enum Open {
     /// With whether it may say something.
     Program(Running<Option<ChildStdin>>, bool),
     Udp(UdpSocket),
-    Serial(File),
+    Serial(Port),
     File(File),
+}
+
+/// A serial line that is written.
+pub(crate) struct Port {
+    file: File,
+    baud: u32,
+    /// When all that it took is on the wire.
+    sent_at: Instant,
+    /// It takes no more for now.
+    full: bool,
+}
+
+impl Port {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.file.write(bytes);
+        self.full = matches!(&written, Err(why) if why.kind() == ErrorKind::WouldBlock);
+        let n = written?;
+        // A byte has ten bits on the wire.
+        let time = Duration::from_secs_f64(10.0 * n as f64 / f64::from(self.baud.max(1)));
+        self.sent_at = self.sent_at.max(Instant::now()) + time;
+        Ok(n)
+    }
 }
 
 impl Goal {
@@ -68,7 +91,10 @@ impl Goal {
                 });
                 Ok(Open::Udp(socket.map_err(|why| format!("udp: nothing can be sent to {to}: {why}"))?))
             }
-            Goal::Serial { port, baud } => Ok(Open::Serial(serial::open(port, *baud)?)),
+            Goal::Serial { port, baud } => {
+                let file = serial::open(port, *baud)?;
+                Ok(Open::Serial(Port { file, baud: *baud, sent_at: Instant::now(), full: false }))
+            }
             Goal::File { path, more } => {
                 let file = OpenOptions::new().append(true).create(*more).create_new(!more).open(path);
                 let shown = path.display();
@@ -93,28 +119,36 @@ impl Goal {
 }
 
 impl Open {
-    /// Writes all of it; false where it was a datagram that nobody takes.
+    /// Writes all of it; false where it was a datagram that nobody takes. `sent` counts the bytes that went
+    /// out.
     ///
     /// # Errors
     /// It takes nothing any more: why. Empty where the word to stop came first.
-    pub(crate) fn write(&mut self, bytes: &[u8], name: &str, stop: &Stop) -> Result<bool, String> {
+    pub(crate) fn write(
+        &mut self,
+        bytes: &[u8],
+        sent: &mut usize,
+        name: &str,
+        stop: &Stop,
+    ) -> Result<bool, String> {
         if let Open::Udp(socket) = self {
-            return Ok(socket.send(bytes).is_ok());
+            *sent = socket.send(bytes).unwrap_or(0);
+            return Ok(*sent > 0);
         }
-        let mut rest = bytes;
-        while !rest.is_empty() {
+        while let rest @ [_, ..] = bytes.get(*sent..).unwrap_or_default() {
             self.hear(stop);
             let written = match self {
                 Open::Program(running, _) => match &mut running.way {
                     Some(input) => input.write(rest),
                     None => Ok(0),
                 },
-                Open::Serial(file) | Open::File(file) => file.write(rest),
+                Open::Serial(port) => port.write(rest),
+                Open::File(file) => file.write(rest),
                 Open::Udp(_) => Ok(0),
             };
             match written {
                 Ok(0) => return Err(self.ended(name, "takes nothing any more", stop)),
-                Ok(n) => rest = rest.get(n..).unwrap_or_default(),
+                Ok(n) => *sent += n,
                 Err(why) if why.kind() == ErrorKind::Interrupted => {}
                 Err(why) if why.kind() == ErrorKind::WouldBlock => {
                     let Some(file) = self.file() else { return Err(String::new()) };
@@ -143,11 +177,29 @@ impl Open {
         }
     }
 
+    /// Whether what is opened later goes on behind what was written before.
+    pub(crate) fn goes_on(&self) -> bool {
+        matches!(self, Open::Serial(_) | Open::File(_))
+    }
+
+    /// Lets a serial line send what it has taken, until the word to stop. The rest is given up, since the
+    /// kernel would hold up the close for it; tells whether there was one.
+    pub(crate) fn close(&mut self, stop: &Stop) -> bool {
+        let Open::Serial(port) = self else { return false };
+        let left = port.sent_at.saturating_duration_since(Instant::now());
+        let unsent = (port.full || (!left.is_zero() && stop.wait(left))) && stop.is_set();
+        if unsent {
+            let _ = tcflush(&port.file, QueueSelector::OFlush);
+        }
+        unsent
+    }
+
     fn file(&self) -> Option<BorrowedFd<'_>> {
         match self {
             Open::Program(running, _) => running.way.as_ref().map(AsFd::as_fd),
             Open::Udp(socket) => Some(socket.as_fd()),
-            Open::Serial(file) | Open::File(file) => Some(file.as_fd()),
+            Open::Serial(port) => Some(port.file.as_fd()),
+            Open::File(file) => Some(file.as_fd()),
         }
     }
 

@@ -117,6 +117,8 @@ pub struct LinesSink {
     newest: Vec<Vec<u8>>,
     /// They are others than the writer knows.
     changed_types: bool,
+    /// The last line that went out is not whole.
+    cut: bool,
     /// The file that this component has made.
     made: Option<PathBuf>,
 }
@@ -180,7 +182,10 @@ impl LinesSink {
         let made = if let Goal::File { path, .. } = &goal { Some(path.clone()) } else { None };
         let format = if self.cfg.format == "json" { Format::Json } else { Format::Numbers };
         let (queue, again) = (self.cfg.queue as usize, self.again()?);
-        self.writer = Some(Writer::open(goal, (format, self.cfg.header), queue, again, &self.host)?);
+        let goes_on = !matches!(goal, Goal::File { more: false, .. });
+        let how = (format, self.cfg.header, self.cut && goes_on);
+        self.writer = Some(Writer::open(goal, how, queue, again, &self.host)?);
+        self.cut = false;
         self.made = made.or(self.made.take());
         Ok(())
     }
@@ -194,7 +199,8 @@ impl LinesSink {
     fn count(&mut self) {
         let Some(writer) = &self.writer else { return };
         self.given.written = self.before.written + writer.counts.written.load(Relaxed);
-        self.given.dropped = self.before.dropped + self.no_buffer + writer.counts.lost.load(Relaxed);
+        self.given.dropped = self.before.dropped + self.no_buffer + writer.lost();
+        self.cut = writer.counts.cut.load(Relaxed);
     }
 
     /// Takes what the inputs but the first have brought; of one that is cut nothing is kept.

@@ -114,7 +114,7 @@ fn a_megabyte_without_an_end_is_one_bad_line() {
     until(&mut bench, "it is told", |bench| !bench.state().last_bad.is_empty());
     let row = bench.state();
     assert_eq!(row.taken.bad, 1);
-    assert!(row.last_bad.starts_with("line 1: longer than 4096 B: \"\\0\\0"), "{}", row.last_bad);
+    assert!(row.last_bad.starts_with("line 1: longer than 65536 B: \"\\0\\0"), "{}", row.last_bad);
 }
 
 #[test]
@@ -152,22 +152,24 @@ fn a_source_that_falls_silent_is_stale_and_gives_nothing_old() {
 
 #[test]
 fn of_a_flood_the_newest_is_handed_on_and_the_rest_is_counted() {
-    let line = "i=0; while [ $i -lt 5000 ]; do i=$((i+1)); echo $i 0; done; exec sleep 1000";
-    let mut bench = Bench::<LinesSource>::new(shell(line, json!({ "queue": 4 })));
-    // No step takes anything while it floods.
-    let mut watchdog = Watchdog::of("the flood");
-    while bench.state().taken.lines < 5000 {
-        watchdog.saw(bench.state().taken.lines);
-        bench.step(1);
+    let dir = tempfile::tempdir().unwrap();
+    let over = dir.path().join("over");
+    let line = format!("seq -f '%.0f 0' 30000; mkdir {}; exec sleep 1000", over.display());
+    let mut bench = Bench::<LinesSource>::new(shell(&line, json!({ "queue": 4 })));
+    // No step takes anything while it floods; a pipe holds less than half of it.
+    let mut watchdog = Watchdog::of("the flood is over");
+    while !over.exists() {
+        watchdog.saw("it floods");
         std::thread::yield_now();
     }
     let mut got = Vec::new();
     until(&mut bench, "the last one", |bench| {
         got.extend(bench.outputs::<Force>("force"));
-        got.last().is_some_and(|force| force.fx == 5000.0)
+        got.last().is_some_and(|force| force.fx == 30_000.0)
     });
     let taken = bench.state().taken;
     assert_eq!((taken.handed_on, taken.lines), (got.len() as u64, taken.handed_on + taken.dropped));
+    assert!(taken.dropped > 10_000, "{taken:?}");
     assert!(got.windows(2).all(|w| w[0].fx < w[1].fx), "in their order");
 }
 
@@ -230,6 +232,32 @@ fn datagrams_are_lines_each_whole() {
     }
     assert_eq!(numbers(&forces(&mut bench, 3)), [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]);
     until(&mut bench, "the bad one", |bench| bench.state().taken.bad == 1);
+}
+
+#[test]
+fn a_line_may_have_as_many_numbers_as_an_output() {
+    let line = "seq -f '-%.0f.123456789e-300' -s ' ' 1024; exec sleep 1000";
+    let mut bench = Bench::<LinesSource>::new(shell(line, json!({ "outputs": ["q: f64[1024]"] })));
+    let mut got = Vec::new();
+    until(&mut bench, "the sample", |bench| {
+        got.extend(bench.outputs::<[f64; 1024]>("q"));
+        !got.is_empty()
+    });
+    assert_eq!((got[0][0], got[0][1023]), (-1.123456789e-300, -1024.123456789e-300));
+}
+
+#[test]
+fn many_datagrams_at_once_are_all_taken() {
+    let config = json!({ "udp": "127.0.0.1:0", "outputs": ["force: fx N, fy N"] });
+    let mut bench = Bench::<LinesSource>::new(config);
+    until(&mut bench, "it listens", |bench| bench.state().udp_port != 0);
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let to = ("127.0.0.1", bench.state().udp_port as u16);
+    for i in 0..200 {
+        socket.send_to(format!("{i} 0").as_bytes(), to).unwrap();
+    }
+    let got = forces(&mut bench, 200);
+    assert!(got.iter().enumerate().all(|(i, force)| force.fx == i as f64), "{got:?}");
 }
 
 #[test]

@@ -3,8 +3,8 @@
 //! Invariant: no more than `LONGEST` bytes are kept, whatever comes; the rest of a line that is longer is
 //! passed over up to its end.
 
-/// Longest line, bytes.
-pub(crate) const LONGEST: usize = 4096;
+/// Longest line, bytes: as the largest datagram; 1024 numbers of all digits are in it.
+pub(crate) const LONGEST: usize = 65_536;
 
 /// The begin of a line that has not ended yet.
 #[derive(Default)]
@@ -106,7 +106,7 @@ mod tests {
     fn a_line_without_an_end_is_told_once_and_passed_over() {
         let mut pieces = Pieces::default();
         let flood = vec![b'x'; 1 << 20];
-        assert_eq!(told(&mut pieces, &flood), ["too long 4096"]);
+        assert_eq!(told(&mut pieces, &flood), ["too long 65536"]);
         assert!(told(&mut pieces, &flood).is_empty());
         assert_eq!(told(&mut pieces, b"x\n1\n"), ["line 1"]);
         let most = [&vec![b'y'; LONGEST][..], b"\n"].concat();

@@ -7,6 +7,7 @@
 use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::{self, Value as Json};
 
+use crate::clock;
 use crate::described::{Described, Kind};
 use crate::values::{put, put_json, shown, split};
 
@@ -171,7 +172,7 @@ impl Plan {
         let Some(Time { from: From::Column(at), unit_s }) = &self.time else { return Ok(Line::Record(None)) };
         let mut bytes = [0; 8];
         take(*at, Kind::F64, &mut bytes)?;
-        Ok(Line::Record(Some(f64::from_le_bytes(bytes) * unit_s)))
+        timed(&bytes, *unit_s)
     }
 
     fn json(&self, text: &str, record: &mut [u8]) -> Result<Line, String> {
@@ -197,7 +198,7 @@ impl Plan {
         let (found, path) = from.find(&line)?;
         let mut bytes = [0; 8];
         put_json(Kind::F64, found, &mut bytes).map_err(|why| format!("{path}: {why}"))?;
-        Ok(Line::Record(Some(f64::from_le_bytes(bytes) * unit_s)))
+        timed(&bytes, *unit_s)
     }
 }
 
@@ -250,6 +251,15 @@ impl From {
 
 fn keys(path: &str) -> Vec<String> {
     path.split('.').map(str::to_owned).collect()
+}
+
+/// A record with the device's own time.
+fn timed(bytes: &[u8; 8], unit_s: f64) -> Result<Line, String> {
+    let time_s = f64::from_le_bytes(*bytes) * unit_s;
+    if !clock::is_time(time_s) {
+        return Err(format!("the time {time_s:e} s is more than 146 years from 0"));
+    }
+    Ok(Line::Record(Some(time_s)))
 }
 
 /// Counted from 1 by people.

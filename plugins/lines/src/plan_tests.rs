@@ -66,6 +66,10 @@ fn columns_are_chosen_by_their_number_and_the_stamp_has_one() {
     // Without a number a field takes the next column, and not that of the stamp.
     let next = plan(&["a: f64", "b: f64[2]"], Format::Numbers, "2 s");
     assert_eq!(read(&next, "1 99 2 3").unwrap(), [1.0, 2.0, 3.0]);
+    for far in ["1 1e300 2 3", "1 -5e9 2 3"] {
+        let why = read(&next, far).unwrap_err();
+        assert!(why.ends_with("e9 s is more than 146 years from 0") || why.contains("1e300 s"), "{why}");
+    }
     let few = Plan::of(&["a: f64 = 4".into()], Format::Numbers, "arrival", 3).err().unwrap().to_string();
     assert!(
         few.contains("columns: 3 numbers in a line are too few, the outputs and the stamp take 4"),

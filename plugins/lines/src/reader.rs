@@ -32,6 +32,8 @@ const OFFER: Duration = Duration::from_millis(2);
 const SLEEP: Duration = Duration::from_secs(1);
 /// Bytes of one look; the largest datagram fits.
 const LOOK: usize = 65_536;
+/// Datagrams that are taken between two looks at the word to stop.
+const DATAGRAMS: usize = 64;
 /// Characters of a bad line that are shown.
 const SHOWN: usize = 64;
 
@@ -228,24 +230,30 @@ impl Thread {
                 way.hear();
             }
             self.offer();
-            let got = if ready { way.read(bytes, name, stop) } else { Got::Nothing };
-            let arrival_ns = self.host.now().ns();
-            let mut pieces = std::mem::take(&mut self.pieces);
-            match got {
-                Got::Bytes(n) => pieces.push(&bytes[..n], |piece| self.take(piece, arrival_ns)),
-                Got::Datagram(n) => {
-                    pieces.push(&bytes[..n], |piece| self.take(piece, arrival_ns));
-                    pieces.end_of_datagram(|piece| self.take(piece, arrival_ns));
-                }
-                Got::Nothing => {}
-                Got::Ended(why) => {
-                    self.pieces = pieces;
-                    return why;
+            for _ in 0..if ready { DATAGRAMS } else { 0 } {
+                match way.read(bytes, name, stop) {
+                    Got::Bytes(n) => {
+                        self.push(&bytes[..n], false);
+                        break;
+                    }
+                    Got::Datagram(n) => self.push(&bytes[..n], true),
+                    Got::Nothing => break,
+                    Got::Ended(why) => return why,
                 }
             }
-            self.pieces = pieces;
             self.tell();
         }
+    }
+
+    /// Takes what came just now; a line ends with a datagram.
+    fn push(&mut self, bytes: &[u8], is_datagram: bool) {
+        let arrival_ns = self.host.now().ns();
+        let mut pieces = std::mem::take(&mut self.pieces);
+        pieces.push(bytes, |piece| self.take(piece, arrival_ns));
+        if is_datagram {
+            pieces.end_of_datagram(|piece| self.take(piece, arrival_ns));
+        }
+        self.pieces = pieces;
     }
 
     /// The source has ended, perhaps in the middle of a line.

@@ -5,7 +5,7 @@
 //! if the other side takes it.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -25,6 +25,8 @@ const LOOK: Duration = Duration::from_millis(5);
 const NOTICES: usize = 8;
 /// Bytes that are written at once.
 const AT_ONCE: usize = 32_768;
+/// Bytes of all buffers that are made before they are needed; more are made by the step as lines wait.
+const MADE_BEFORE: usize = 16 << 20;
 
 /// Names and types of the inputs, each time they are others.
 pub(crate) type Types = Arc<Vec<(String, AnyType)>>;
@@ -49,6 +51,22 @@ pub(crate) struct Counts {
     pub(crate) written: AtomicU64,
     /// Lines that nobody took.
     pub(crate) lost: AtomicU64,
+    /// The last line that went out is not whole.
+    pub(crate) cut: AtomicBool,
+}
+
+/// Buffers that there are, and may be at most.
+struct Made {
+    now: AtomicUsize,
+    most: usize,
+}
+
+impl Made {
+    /// Whether one more may be made; counts it.
+    fn one_more(&self) -> bool {
+        let next = |now| (now < self.most).then_some(now + 1);
+        self.now.fetch_update(Ordering::Relaxed, Ordering::Relaxed, next).is_ok()
+    }
 }
 
 /// The step's end.
@@ -57,6 +75,9 @@ pub(crate) struct Writer {
     empty: Receiver<Vec<u8>>,
     /// A buffer that came back unused.
     kept: Option<Vec<u8>>,
+    made: Arc<Made>,
+    /// Rows that were handed on.
+    handed_on: u64,
     notices: Receiver<Notice>,
     pub(crate) counts: Arc<Counts>,
     stop: Arc<Stop>,
@@ -66,11 +87,13 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
+    /// `cut`: the line before, of another writer to the same goal, is not whole.
+    ///
     /// # Errors
     /// The goal cannot be opened.
     pub(crate) fn open(
         goal: Goal,
-        (format, header): (Format, bool),
+        (format, header, cut): (Format, bool, bool),
         queue: usize,
         again: Option<Again>,
         host: &Host,
@@ -82,12 +105,12 @@ impl Writer {
         let (rows, rows_out) = sync_channel(queue);
         let (empty_in, empty) = sync_channel(queue);
         let (notices_in, notices) = sync_channel(NOTICES);
-        for _ in 0..queue {
-            let _ = empty_in.try_send(Vec::new());
-        }
+        counts.cut.store(cut, Ordering::Relaxed);
+        let made = Arc::new(Made { now: AtomicUsize::new(0), most: queue });
         let mut thread = Thread {
             rows: rows_out,
             empty: empty_in,
+            made: made.clone(),
             notices: notices_in,
             counts: counts.clone(),
             format,
@@ -95,17 +118,21 @@ impl Writer {
             spelled: Spelled::default(),
             header_due: true,
             sizes: Vec::new(),
+            total: 0,
             text: String::new(),
+            ends: Vec::new(),
         };
         let (stopping, finishing) = (stop.clone(), finish.clone());
         let thread = side::spawn(&name, move || thread.supervise(goal, open, &stopping, &finishing, again))
             .map_err(|why| format!("no thread to write lines: {why}"))?;
-        Ok(Writer { rows, empty, kept: None, notices, counts, stop, finish, thread: Some(thread) })
+        let thread = Some(thread);
+        Ok(Writer { rows, empty, kept: None, made, handed_on: 0, notices, counts, stop, finish, thread })
     }
 
     /// A buffer for the next line; none while all are on their way.
     pub(crate) fn buffer(&mut self) -> Option<Vec<u8>> {
-        self.kept.take().or_else(|| self.empty.try_recv().ok())
+        let there = self.kept.take().or_else(|| self.empty.try_recv().ok());
+        there.or_else(|| self.made.one_more().then(Vec::new))
     }
 
     /// Takes a buffer back that was not used.
@@ -117,6 +144,15 @@ impl Writer {
     pub(crate) fn hand_on(&mut self, row: Row) {
         // There is room for all buffers.
         let _ = self.rows.try_send(row);
+        self.handed_on += 1;
+    }
+
+    /// Rows that were not written: so far, or after the end all of them.
+    pub(crate) fn lost(&self) -> u64 {
+        if self.thread.is_some() {
+            return self.counts.lost.load(Ordering::Relaxed);
+        }
+        self.handed_on.saturating_sub(self.counts.written.load(Ordering::Relaxed))
     }
 
     pub(crate) fn notice(&mut self) -> Option<Notice> {
@@ -158,6 +194,7 @@ impl Drop for Writer {
 struct Thread {
     rows: Receiver<Row>,
     empty: SyncSender<Vec<u8>>,
+    made: Arc<Made>,
     notices: SyncSender<Notice>,
     counts: Arc<Counts>,
     format: Format,
@@ -167,7 +204,11 @@ struct Thread {
     header_due: bool,
     /// Bytes of each input's value.
     sizes: Vec<usize>,
+    /// Bytes of a row.
+    total: usize,
     text: String,
+    /// The end of each line in `text`.
+    ends: Vec<usize>,
 }
 
 impl Thread {
@@ -186,7 +227,13 @@ impl Thread {
         loop {
             let begun = Instant::now();
             let why = match open.take().map_or_else(|| goal.open(), Ok) {
-                Ok(mut open) => self.pump(&mut open, &name, stop, finish),
+                Ok(mut open) => {
+                    let why = self.pump(&mut open, &name, stop, finish);
+                    if open.close(stop) {
+                        self.counts.cut.store(true, Ordering::Relaxed);
+                    }
+                    why
+                }
                 Err(why) => why,
             };
             if stop.is_set() || finish.load(Ordering::Acquire) {
@@ -218,21 +265,21 @@ impl Thread {
         loop {
             let last = finish.load(Ordering::Acquire);
             self.text.clear();
+            self.ends.clear();
             let datagrams = matches!(open, Open::Udp(_));
-            let mut lines = 0;
-            while self.text.len() < AT_ONCE && !(datagrams && lines > 0) {
+            if open.goes_on() && self.counts.cut.load(Ordering::Relaxed) {
+                self.text.push('\n');
+            }
+            while self.text.len() < AT_ONCE && (!datagrams || self.ends.is_empty()) {
                 let Some(row) = self.row() else { break };
                 self.spell(&row);
                 self.give_back(row);
-                lines += 1;
+                self.ends.push(self.text.len());
             }
-            if lines > 0 {
-                let text = std::mem::take(&mut self.text);
-                let written = open.write(text.as_bytes(), name, stop);
-                self.text = text;
-                let count =
-                    if matches!(written, Ok(true)) { &self.counts.written } else { &self.counts.lost };
-                count.fetch_add(lines, Ordering::Relaxed);
+            if !self.ends.is_empty() {
+                let mut sent = 0;
+                let written = open.write(self.text.as_bytes(), &mut sent, name, stop);
+                self.count(sent);
                 match written {
                     Err(why) => return why,
                     Ok(true) if !runs => {
@@ -252,11 +299,25 @@ impl Thread {
         }
     }
 
+    /// Counts the lines of which all went out, and the others.
+    fn count(&self, sent: usize) {
+        let whole = self.ends.partition_point(|end| *end <= sent);
+        self.counts.written.fetch_add(whole as u64, Ordering::Relaxed);
+        self.counts.lost.fetch_add((self.ends.len() - whole) as u64, Ordering::Relaxed);
+        if let Some(last) = self.text.as_bytes()[..sent].last() {
+            self.counts.cut.store(*last != b'\n', Ordering::Relaxed);
+        }
+    }
+
     /// The next row, with its types taken over.
     fn row(&mut self) -> Option<Row> {
         let mut row = self.rows.try_recv().ok()?;
         if let Some(types) = row.types.take() {
             self.sizes = types.iter().map(|(_, ty)| ty.size()).collect();
+            self.total = self.sizes.iter().sum();
+            while self.total * self.made.now.load(Ordering::Relaxed) < MADE_BEFORE && self.made.one_more() {
+                let _ = self.empty.try_send(Vec::with_capacity(self.total));
+            }
             let values = apart(&self.sizes, &row.bytes);
             let each = types.iter().zip(values);
             self.spelled = Spelled::of(each.map(|((name, ty), first)| (name.as_str(), ty, first)));
@@ -275,6 +336,8 @@ impl Thread {
 
     fn give_back(&self, mut row: Row) {
         row.bytes.clear();
+        // One that the step made as it had none, or of smaller types.
+        row.bytes.reserve(self.total);
         let _ = self.empty.try_send(row.bytes);
     }
 }

@@ -17,9 +17,11 @@ const MAX_NAME: usize = 63;
 const MAX_SAMPLE: usize = 64 * 1024;
 
 /// The names of repeated interfaces: a `#[names]` field. Set it in `configure`, or later followed by
-/// [`Host::ports_changed`]; it changes when the host has taken it over (see [`crate::Component::ports_changed`]).
+/// [`Host::ports_changed`]; it changes when the host has taken it over (see
+/// [`crate::Component::ports_changed`]).
 ///
-/// Reads know no instance and so no list: the repeated provided interfaces that have some share one, the first.
+/// Reads know no instance and so no list: the repeated provided interfaces that have some share one, the
+/// first.
 /// ```
 /// # use trocar_sdk::prelude::*;
 /// #[derive(Component)]
@@ -50,8 +52,8 @@ impl Names {
     /// Says which names there shall be. What stays by name keeps its connections, wherever it stands then.
     ///
     /// # Errors
-    /// A name that is none (a letter or `_`, then letters, digits, `_ . -`, at most 63) or comes twice; the old wish
-    /// stays.
+    /// A name that is none (a letter or `_`, then letters, digits, `_ . -`, at most 63) or comes twice; the
+    /// old wish stays.
     pub fn set<S: AsRef<str>>(&mut self, names: impl IntoIterator<Item = S>) -> Result {
         let names: Vec<String> = names.into_iter().map(|n| n.as_ref().to_string()).collect();
         for (i, name) in names.iter().enumerate() {
@@ -194,8 +196,9 @@ impl<P> Default for Many<P> {
 }
 
 impl<P> Many<P> {
-    /// Says which ports there shall be. After `configure` the host asks by itself; later, call [`Host::ports_changed`].
-    /// A port that stays by name keeps its connection. Ports of a repeated interface follow its `#[names]` list instead.
+    /// Says which ports there shall be. After `configure` the host asks by itself; later, call
+    /// [`Host::ports_changed`]. A port that stays by name keeps its connection. Ports of a repeated interface
+    /// follow its `#[names]` list instead.
     ///
     /// # Errors
     /// As [`Names::set`].
@@ -251,13 +254,13 @@ impl<P> Many<P> {
 }
 
 impl Many<Out<Any>> {
-    /// As [`Many::set`], with a type for each: outputs whose payload the configuration says. They are typed like
-    /// those of a class: Connect compares, viewers and recorders know the fields. [`crate::AnyOut::write_bytes`] takes
-    /// bytes of the type. A port whose type is another one than before loses its connections.
+    /// As [`Many::set`], with a type for each, of which [`crate::AnyOut::write_bytes`] takes bytes: outputs
+    /// whose payload the configuration says. Connect compares them, viewers and recorders know the fields. A
+    /// port whose type is another one than before loses its connections.
     ///
     /// # Errors
-    /// As [`Names::set`], and a type that is larger than a sample may be. Two different structs of one name are
-    /// refused after `configure`.
+    /// As [`Names::set`], and a type that is larger than a sample may be. Two different structs of one name
+    /// are refused after `configure`.
     ///
     /// ```
     /// use trocar_sdk::{AnyType, data::Scalar, prelude::*, testing::Bench};
@@ -271,7 +274,8 @@ impl Many<Out<Any>> {
     /// impl Component for Ones {
     ///     fn configure(&mut self) -> Result {
     ///         let scalar = [("stamp", AnyType::of::<Stamp>(), ""), ("value", AnyType::of::<f64>(), "")];
-    ///         self.ones.set_typed([("a", AnyType::structure("Scalar", scalar)?), ("b", AnyType::of::<f64>())])
+    ///         let scalar = AnyType::structure("Scalar", scalar)?;
+    ///         self.ones.set_typed([("a", scalar), ("b", AnyType::of::<f64>())])
     ///     }
     ///     fn step(&mut self, tick: &Tick) -> Result {
     ///         let mut bytes = [0; 16];
