@@ -312,6 +312,8 @@ impl Component for LinesSource {
                 reader.give_back(shot.record);
             }
         }
+        // A line that came in this step was perhaps not counted before.
+        self.count();
         self.silent_s = now.seconds_since(self.heard).max(0.0);
         self.stale = (self.silent_s > self.cfg.stale_s).into();
         Ok(())
