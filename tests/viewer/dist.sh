@@ -69,7 +69,7 @@ judge the_committed_files_are_what_the_sources_make same
 judge types_and_components_check npm run --silent check
 # Bytes: what there was when these were set, and 15 % more. Whoever needs more raises them in the same commit, with the reason.
 MOST_EMBEDDED=2530000
-MOST_GZIPPED=207000
+MOST_GZIPPED=245000
 small() {
   local size page
   [ -d dist ] || built || return

@@ -6,7 +6,7 @@ import { eventually, handle, holds, is, PLUGINS, settled, shot, still } from './
 
 const BIN = process.env.TROCAR_BIN_DIR ?? path.resolve('../../release');
 /// The budget of the way: each typed line, edit, click, drag and key of a person is one step.
-const STEPS = 22;
+const STEPS = 20;
 
 /// Runs a command as a person types it, with what a plugin is built of already at hand.
 function typed(cwd, program, ...args) {

@@ -196,7 +196,7 @@ def without_figures(text):
 
 def test_the_session_of_the_readme_runs_against_the_demo_it_starts(system, terminal, tmp_path):
     told = (ROOT / "README.md").read_text().partition("## From Python")[2].partition("```console\n")[2].partition("```")[0]
-    assert told.startswith("$ ./target/release/trocar demo "), "it begins with the system that it needs"
+    assert told.startswith("$ trocar demo "), "it begins with the system that it needs"
     session = written_session(told)
     assert [n for n, *_ in session] == [1, 2, 3, 4], session
     demo = Program(tmp_path, "demo", "demo", "--listen", "127.0.0.1:0", "--plugins", system.plugins)
