@@ -72,7 +72,7 @@ fn a_program_that_floods_stalls_dies_or_prints_what_is_no_line_ends_nothing() {
         &none,
         "no end",
         |row| {
-            says(row, "last_bad", "longer than 4096 B")
+            says(row, "last_bad", "longer than 65536 B")
                 && count(row, "handed_on") == 1
                 && count(row, "bad") == 1
         },
