@@ -1,5 +1,6 @@
-//! What the vision plugins share: stereo calibration, brightness of colours, colours of YUYV and of mosaics, images as people look
-//! at them, letters, threads beside the step with the programs they start, and which instructions the processor has.
+//! Shared by plugins: stereo calibration, brightness of colours, colours of YUYV and of mosaics, images as
+//! people look at them, letters, threads beside the step with the programs they start, and which instructions the
+//! processor has.
 //!
 //! Invariant: functions of pixels give the same bytes whichever instructions they use.
 #![deny(unsafe_code)]

@@ -5,6 +5,7 @@
 //! of the control loops, unless it says so: what is kept away from them by its own `execution.cpus` keeps its threads away, too.
 
 use std::io;
+use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
 
 use rustix::thread::{sched_getaffinity, sched_setaffinity};
@@ -12,9 +13,78 @@ use thread_priority::{
     NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
     thread_native_id, thread_schedule_policy,
 };
+use trocar_sdk::Result;
+use trocar_sdk::prelude::Host;
+
+use crate::waits::Stop;
 
 /// What the crate makes niceness 0 of, on its scale of 0 to 99.
 const NOT_NICE: u8 = 47;
+
+/// A thread of a component that ends with its owner.
+pub struct Side {
+    stop: Arc<Stop>,
+    thread: Option<JoinHandle<()>>,
+    what: &'static str,
+}
+
+impl Side {
+    /// Starts a thread that tools call after the component and `name`. `what` says in errors which one it is:
+    /// "that reads lines".
+    ///
+    /// # Errors
+    /// The system has no thread or no descriptor for it.
+    pub fn begin(
+        host: &Host,
+        name: &str,
+        what: &'static str,
+        run: impl FnOnce(&Stop) + Send + 'static,
+    ) -> Result<Side> {
+        let name = format!("{} {name}", host.instance_name().rsplit('/').next().unwrap_or_default());
+        let stop = Arc::new(Stop::new()?);
+        let heard = stop.clone();
+        let thread = spawn(&name, move || run(&heard)).map_err(|why| format!("no thread {what}: {why}"))?;
+        Ok(Side { stop, thread: Some(thread), what })
+    }
+
+    #[must_use]
+    pub fn stop(&self) -> &Stop {
+        &self.stop
+    }
+
+    /// Whether nobody has ended it yet.
+    #[must_use]
+    pub fn is_owned(&self) -> bool {
+        self.thread.is_some()
+    }
+
+    /// Whether it has nothing left to do.
+    #[must_use]
+    pub fn is_finished(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Tells the thread to end, and does not wait for it.
+    pub fn halt(&self) {
+        self.stop.set();
+    }
+
+    /// Ends the thread.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub fn end(&mut self) -> Result {
+        self.halt();
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        thread.join().map_err(|_| format!("the thread {} panicked", self.what).into())
+    }
+}
+
+impl Drop for Side {
+    fn drop(&mut self) {
+        let _ = self.end();
+    }
+}
 
 /// Starts a thread; tools show the first 15 bytes of its name, which says the component first.
 ///

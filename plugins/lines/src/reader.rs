@@ -8,10 +8,9 @@ use std::os::fd::BorrowedFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use trocar_imaging::side;
+use trocar_imaging::side::Side;
 use trocar_imaging::waits::{Again, Stop};
 use trocar_sdk::prelude::*;
 
@@ -69,8 +68,7 @@ pub(crate) struct Reader {
     empty: SyncSender<Vec<u8>>,
     notices: Receiver<Notice>,
     pub(crate) counts: Arc<Counts>,
-    stop: Arc<Stop>,
-    thread: Option<JoinHandle<()>>,
+    side: Side,
 }
 
 impl Reader {
@@ -87,8 +85,7 @@ impl Reader {
         host: Host,
     ) -> Result<Reader> {
         let way = origin.open()?;
-        let name = format!("{} lines", host.instance_name().rsplit('/').next().unwrap_or_default());
-        let (stop, counts) = (Arc::new(Stop::new()?), Arc::<Counts>::default());
+        let counts = Arc::<Counts>::default();
         let (filled_in, filled) = sync_channel(queue);
         let (empty, empty_out) = sync_channel(queue + SPARE);
         let (notices_in, notices) = sync_channel(NOTICES);
@@ -103,17 +100,17 @@ impl Reader {
             spare: plan.blank.clone(),
             plan,
             kept: None,
-            host,
+            host: host.clone(),
             pieces: Pieces::default(),
             clock: Clock::default(),
             bad: None,
             told: None,
             runs: false,
         };
-        let stopping = stop.clone();
-        let thread = side::spawn(&name, move || thread.supervise(&origin, way, &stopping, again))
-            .map_err(|why| format!("no thread to read lines: {why}"))?;
-        Ok(Reader { filled, empty, notices, counts, stop, thread: Some(thread) })
+        let side = Side::begin(&host, "lines", "that reads lines", move |stop| {
+            thread.supervise(&origin, way, stop, again);
+        })?;
+        Ok(Reader { filled, empty, notices, counts, side })
     }
 
     /// The oldest record that is there. Lock-free: nobody ever waits at the other end.
@@ -132,7 +129,7 @@ impl Reader {
 
     /// Tells the thread to end, and does not wait for it.
     pub(crate) fn halt(&self) {
-        self.stop.set();
+        self.side.halt();
     }
 
     /// Ends the thread and the source.
@@ -140,15 +137,7 @@ impl Reader {
     /// # Errors
     /// The thread panicked.
     pub(crate) fn end(&mut self) -> Result {
-        self.halt();
-        let Some(thread) = self.thread.take() else { return Ok(()) };
-        thread.join().map_err(|_| "the thread that reads lines panicked".into())
-    }
-}
-
-impl Drop for Reader {
-    fn drop(&mut self) {
-        let _ = self.end();
+        self.side.end()
     }
 }
 

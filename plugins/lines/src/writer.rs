@@ -7,10 +7,9 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use trocar_imaging::side;
+use trocar_imaging::side::Side;
 use trocar_imaging::waits::{Again, Stop};
 use trocar_sdk::AnyType;
 use trocar_sdk::prelude::*;
@@ -80,10 +79,9 @@ pub(crate) struct Writer {
     handed_on: u64,
     notices: Receiver<Notice>,
     pub(crate) counts: Arc<Counts>,
-    stop: Arc<Stop>,
     /// Lines are to be written to the end.
     finish: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    side: Side,
 }
 
 impl Writer {
@@ -99,9 +97,7 @@ impl Writer {
         host: &Host,
     ) -> Result<Writer> {
         let open = goal.open()?;
-        let name = format!("{} lines", host.instance_name().rsplit('/').next().unwrap_or_default());
-        let (stop, finish, counts) =
-            (Arc::new(Stop::new()?), Arc::<AtomicBool>::default(), Arc::<Counts>::default());
+        let (finish, counts) = (Arc::<AtomicBool>::default(), Arc::<Counts>::default());
         let (rows, rows_out) = sync_channel(queue);
         let (empty_in, empty) = sync_channel(queue);
         let (notices_in, notices) = sync_channel(NOTICES);
@@ -122,11 +118,11 @@ impl Writer {
             text: String::new(),
             ends: Vec::new(),
         };
-        let (stopping, finishing) = (stop.clone(), finish.clone());
-        let thread = side::spawn(&name, move || thread.supervise(goal, open, &stopping, &finishing, again))
-            .map_err(|why| format!("no thread to write lines: {why}"))?;
-        let thread = Some(thread);
-        Ok(Writer { rows, empty, kept: None, made, handed_on: 0, notices, counts, stop, finish, thread })
+        let finishing = finish.clone();
+        let side = Side::begin(host, "lines", "that writes lines", move |stop| {
+            thread.supervise(goal, open, stop, &finishing, again);
+        })?;
+        Ok(Writer { rows, empty, kept: None, made, handed_on: 0, notices, counts, finish, side })
     }
 
     /// A buffer for the next line; none while all are on their way.
@@ -149,7 +145,7 @@ impl Writer {
 
     /// Rows that were not written: so far, or after the end all of them.
     pub(crate) fn lost(&self) -> u64 {
-        if self.thread.is_some() {
+        if self.side.is_owned() {
             return self.counts.lost.load(Ordering::Relaxed);
         }
         self.handed_on.saturating_sub(self.counts.written.load(Ordering::Relaxed))
@@ -159,34 +155,18 @@ impl Writer {
         self.notices.try_recv().ok()
     }
 
-    /// Tells the thread to end, and does not wait for it.
-    pub(crate) fn halt(&self) {
-        self.stop.set();
-    }
-
     /// Writes what is on its way as far as the other side takes it, for a moment, and ends the thread and the
     /// goal.
     ///
     /// # Errors
     /// The thread panicked.
     pub(crate) fn end(&mut self) -> Result {
-        let Some(thread) = self.thread.take() else { return Ok(()) };
         self.finish.store(true, Ordering::Release);
         let begun = Instant::now();
-        while !thread.is_finished() && begun.elapsed() < Duration::from_secs(1) {
-            let _ = self.stop.poll(&[], LOOK);
+        while !self.side.is_finished() && begun.elapsed() < Duration::from_secs(1) {
+            let _ = self.side.stop().poll(&[], LOOK);
         }
-        self.halt();
-        thread.join().map_err(|_| "the thread that writes lines panicked".into())
-    }
-}
-
-impl Drop for Writer {
-    fn drop(&mut self) {
-        self.halt();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.side.end()
     }
 }
 

@@ -3,12 +3,10 @@
 //! Invariant: the step takes what is there and never waits; buffers go round and are never freed on its side. The thread ends with
 //! its `Feed`, and with it whatever the device is. A device that fails is told, and opened again where that is asked for.
 
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use trocar_imaging::side;
+use trocar_imaging::side::Side;
 pub(crate) use trocar_imaging::waits::{Again, Stop};
 use trocar_sdk::prelude::*;
 
@@ -50,8 +48,7 @@ pub(crate) struct Feed {
     filled: Receiver<Shot>,
     empty: SyncSender<Vec<u8>>,
     notices: Receiver<Notice>,
-    stop: Arc<Stop>,
-    thread: Option<JoinHandle<()>>,
+    side: Side,
 }
 
 impl Feed {
@@ -61,8 +58,6 @@ impl Feed {
     /// As [`Source::open`].
     pub(crate) fn open<S: Source>(source: S, bytes: usize, again: Option<Again>, host: Host) -> Result<Feed> {
         let session = source.open()?;
-        let name = format!("{} frames", host.instance_name().rsplit('/').next().unwrap_or_default());
-        let stop = Arc::new(Stop::new()?);
         let (filled_in, filled) = sync_channel(BUFFERS);
         let (empty, empty_out) = sync_channel(BUFFERS);
         let (notices_in, notices) = sync_channel(NOTICES);
@@ -74,14 +69,14 @@ impl Feed {
             empty: empty_out,
             notices: notices_in,
             spare: Some(vec![0; bytes]),
-            host,
+            host: host.clone(),
             number: 0,
             runs: false,
         };
-        let stopping = stop.clone();
-        let thread = side::spawn(&name, move || supervise(&source, session, &mut giver, &stopping, again))
-            .map_err(|why| format!("no thread for the device: {why}"))?;
-        Ok(Feed { filled, empty, notices, stop, thread: Some(thread) })
+        let side = Side::begin(&host, "frames", "of the device", move |stop| {
+            supervise(&source, session, &mut giver, stop, again);
+        })?;
+        Ok(Feed { filled, empty, notices, side })
     }
 
     /// The oldest frame that is there. Lock-free: nobody ever waits at the other end.
@@ -102,7 +97,7 @@ impl Feed {
 
     /// Tells the thread to end, and does not wait for it.
     pub(crate) fn halt(&self) {
-        self.stop.set();
+        self.side.halt();
     }
 
     /// Ends the thread and the device.
@@ -110,15 +105,7 @@ impl Feed {
     /// # Errors
     /// The thread panicked.
     pub(crate) fn end(&mut self) -> Result {
-        self.halt();
-        let Some(thread) = self.thread.take() else { return Ok(()) };
-        thread.join().map_err(|_| "the thread of the device panicked".into())
-    }
-}
-
-impl Drop for Feed {
-    fn drop(&mut self) {
-        let _ = self.end();
+        self.side.end()
     }
 }
 
