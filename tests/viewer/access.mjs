@@ -6,7 +6,8 @@ import { box, connect, create, eventually, is, reveal, settled, start } from './
 
 const AXE = fs.readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 
-/// What axe finds wrong in this view: rule, how bad, and the first places; letters below 11 px and signs that a font may lack.
+/// The findings of axe in this view (rule, severity, first places), letters below 11 px, and signs that a font
+/// may lack.
 async function wrong(page, view) {
   // Sent by the driver: the page's policy lets in no script that is not its own.
   if (!(await page.evaluate(() => 'axe' in window))) await page.evaluate(AXE);
@@ -20,7 +21,7 @@ async function wrong(page, view) {
 }
 
 async function every_view(world, scheme) {
-  // What is recorded lies in the test's directory.
+  // The recording lies in the test's directory.
   const host = await world.host('host', [], { cwd: world.dir });
   await create(host.addr, 'sine', 'host/sine');
   await create(host.addr, 'echo', 'host/echo');

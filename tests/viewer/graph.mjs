@@ -1,15 +1,9 @@
 /// The graph in the browser: what there is, live, and what is drawn into it.
 import { cut, moved, onScreen, twoThenThreeHundred, watched } from './drawing.mjs';
-import { box, connect, create, eventually, grpcurl, handle, holds, is, menu, reveal, settled, shot, start, state } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, handle, holds, is, menu, reveal, settled, shot, start, state, twoProcesses } from './world.mjs';
 
 export async function two_processes_are_drawn_with_ports_states_and_health(world) {
-  const gcm = await world.gcm();
-  await world.host('left', ['--gcm', gcm.addr]);
-  await world.host('right', ['--gcm', gcm.addr]);
-  await create(gcm.addr, 'sine', 'left/sine');
-  await create(gcm.addr, 'echo', 'right/echo');
-  await connect(gcm.addr, 'right/echo/sample', 'left/sine/value');
-  await start(gcm.addr, 'left/sine', 'right/echo');
+  const { gcm } = await twoProcesses(world);
   const page = await world.viewer(gcm.addr);
   await box(page, 'left/sine').waitFor();
   await settled(page);
@@ -207,13 +201,7 @@ export async function a_wire_shows_what_is_dropped_and_that_nothing_flows_any_mo
 }
 
 export async function a_killed_process_is_shown_lost_and_healed_without_a_reload(world) {
-  const gcm = await world.gcm();
-  await world.host('left', ['--gcm', gcm.addr]);
-  const right = await world.host('right', ['--gcm', gcm.addr]);
-  await create(gcm.addr, 'sine', 'left/sine');
-  await create(gcm.addr, 'echo', 'right/echo');
-  await connect(gcm.addr, 'right/echo/sample', 'left/sine/value');
-  await start(gcm.addr, 'left/sine', 'right/echo');
+  const { gcm, right } = await twoProcesses(world);
   const page = await world.viewer(gcm.addr);
   await page.evaluate(() => (window.same = true));
   await page.locator('[data-process=right][data-standing=attached]').waitFor();

@@ -142,7 +142,7 @@ export async function no_button_of_the_top_is_out_of_reach_however_narrow_the_wi
     await page.keyboard.press('Escape');
     await page.locator('.menu').waitFor({ state: 'detached' });
   }
-  // What stands in the menu does what its button does.
+  // A line of the menu does what its button does.
   await page.getByRole('button', { name: 'Menu', exact: true }).click();
   await page.getByRole('menuitemcheckbox', { name: /^Log/ }).click();
   await page.locator('.dock [role=log]').waitFor();

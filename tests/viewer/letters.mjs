@@ -1,4 +1,4 @@
-/// How what is written on a page looks: whether it is large enough, and of signs that every font has.
+/// The letters of a page: whether they are large enough, and signs that every font has.
 
 /// Letters that are smaller than 11 px on the screen, and what they say.
 export const small = (page) =>
@@ -15,6 +15,6 @@ export const small = (page) =>
 export const odd = (page) =>
   page.evaluate(() => {
     const said = [...document.querySelectorAll('body *')].flatMap((e) => [...e.childNodes].filter((n) => n.nodeType === 3).map((n) => n.data)).join('');
-    // Letters, punctuation, arrows and mathematics are in every font; technical signs, dingbats and pictures are not.
+    // Letters, punctuation, arrows and mathematics are in every font; dingbats and pictures are not.
     return [...new Set(said)].filter((c) => /[\u2300-\u27bf\u2900-\u29ff\u2b00-\u2bff\ue000-\uf8ff\ufffd]/.test(c) || c.codePointAt(0) > 0xffff);
   });

@@ -1,7 +1,7 @@
 /// Processes on the page: how one ended, what is said of it, and the ways back.
 import fs from 'node:fs';
 import path from 'node:path';
-import { box, connect, create, eventually, grpcurl, holds, is, PLUGINS, settled, shot, start } from './world.mjs';
+import { box, create, eventually, grpcurl, holds, is, PLUGINS, settled, shot, start, twoProcesses } from './world.mjs';
 
 const process = (page, name) => page.locator(`[data-process="${name}"]`);
 const panelOf = (page, name) => page.locator(`[data-process-panel="${name}"]`);
@@ -50,13 +50,7 @@ export async function a_killed_process_shows_its_last_end_and_comes_back_by_the_
 }
 
 export async function a_lost_process_that_no_supervisor_keeps_says_how_it_comes_back_and_is_forgotten(world) {
-  const gcm = await world.gcm();
-  await world.host('left', ['--gcm', gcm.addr]);
-  const right = await world.host('right', ['--gcm', gcm.addr]);
-  await create(gcm.addr, 'sine', 'left/sine');
-  await create(gcm.addr, 'echo', 'right/echo');
-  await connect(gcm.addr, 'right/echo/sample', 'left/sine/value');
-  await start(gcm.addr, 'left/sine', 'right/echo');
+  const { gcm, right } = await twoProcesses(world);
   const page = await world.viewer(gcm.addr);
   await box(page, 'right/echo').waitFor();
   await settled(page);

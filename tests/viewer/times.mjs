@@ -102,7 +102,7 @@ export async function ten_thousand_events_a_second_do_not_stop_the_page(world) {
 
 export async function eight_plots_of_four_curves_do_not_stop_the_page(world) {
   const { page, plotted } = await eightPlots(world);
-  // What this browser takes while the same components run and nothing of them is plotted.
+  // The control: the same components run, and nothing of them is plotted.
   await noteFrames(page);
   await page.waitForFunction(() => window.frames.length >= 100);
   const control = await framesNoted(page);

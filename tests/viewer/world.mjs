@@ -175,6 +175,18 @@ export const start = (addr, ...paths) => grpcurl(addr, 'GcmService/Start', { pat
 export const connect = (addr, client, server) => grpcurl(addr, 'GcmService/Connect', { client, server });
 export const state = async (addr, p) => (await grpcurl(addr, 'GcmService/GetState', { path: p })).component.state?.replace('COMPONENT_STATE_', '');
 
+/// A sine in the process `left` that feeds an echo in the process `right`, both under one GCM.
+export async function twoProcesses(world) {
+  const gcm = await world.gcm();
+  const left = await world.host('left', ['--gcm', gcm.addr]);
+  const right = await world.host('right', ['--gcm', gcm.addr]);
+  await create(gcm.addr, 'sine', 'left/sine');
+  await create(gcm.addr, 'echo', 'right/echo');
+  await connect(gcm.addr, 'right/echo/sample', 'left/sine/value');
+  await start(gcm.addr, 'left/sine', 'right/echo');
+  return { gcm, left, right };
+}
+
 /// The box of a component on the page.
 export const box = (page, p) => page.locator(`[data-path="${p}"]`);
 /// Chooses from the menu of a component.

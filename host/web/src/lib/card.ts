@@ -1,6 +1,6 @@
 /// The measures of a card: as narrow as its words allow, since a graph is broad and a window is not.
 ///
-/// Invariant: layout, ends of wires and picture of a card use these numbers; nothing is measured on the screen.
+/// Invariant: layout, ends of wires and picture of a card use these numbers; the screen is not measured.
 import { isClient, type Port } from './ports.svelte';
 
 export const HEAD = 48;

@@ -43,7 +43,7 @@ export interface Size {
 }
 
 /// The first of these sizes that has a place on the way beside the cards, and the middle of that place.
-/// Where none has, the last one where it covers least.
+/// The last size, at the place where it covers least, if none has one.
 export function spot(way: Placed[], cards: Box[], sizes: Size[]): Placed & { size: number } {
   const places = along(way);
   let least = { ...places[0]!, size: sizes.length - 1, covers: Infinity };
