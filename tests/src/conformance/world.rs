@@ -221,7 +221,13 @@ impl Lab {
     #[track_caller]
     pub(super) fn done(&self, request: Request) -> Executed {
         let text = format!("{request:?}");
-        self.ask(request).unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"))
+        // A busy machine may think a process lost for a moment. A refused request has done nothing, or has
+        // taken it back.
+        let answer = eventually("the processes are heard", || match self.ask(request.clone()) {
+            Err(lost @ Refusal::ProcessLost { .. }) => Err(lost),
+            answer => Ok(answer),
+        });
+        answer.unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"))
     }
 
     /// # Errors
