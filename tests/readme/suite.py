@@ -77,7 +77,7 @@ class Terminal:
         )
         if "CARGO_HOME" in os.environ:
             self.env["CARGO_HOME"] = os.environ["CARGO_HOME"]
-        # All sections are typed into one namespace, whose loopback nobody else uses: the README's port is free there.
+        # All sections are typed into one namespace of their own: the README's port is free there.
         self.holder = subprocess.Popen([*APART, "sh", "-c", "ip link set lo up && echo up && exec sleep infinity"], stdout=subprocess.PIPE, text=True)
         if self.holder.stdout.readline() != "up\n":
             raise Skip("no network namespace can be made, and the README's port may be in use")

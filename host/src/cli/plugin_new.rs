@@ -85,7 +85,7 @@ fn camel(name: &str) -> String {
     name.split('-').map(capital).collect()
 }
 
-/// Names of crates that would clash, and the words of Rust, C and C++: a name may become an identifier in each.
+/// Names of crates that would clash, and the words of Rust, C and C++: a name becomes an identifier in each.
 const RESERVED: &str = "test core std alloc self super crate trocar trocar-sdk abstract alignas alignof and as asm \
     async auto await become bitand bitor bool box break case catch char class compl const constexpr \
     continue decltype default delete do double dyn else enum explicit export extern false final \

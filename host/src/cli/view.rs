@@ -42,7 +42,7 @@ pub(super) struct ComponentView {
     /// `process/component`.
     pub(super) path: String,
     pub(super) class: String,
-    /// Of the plugin it was made of.
+    /// The version of the plugin it was made of.
     pub(super) plugin_version: String,
     pub(super) state: String,
     pub(super) health: String,

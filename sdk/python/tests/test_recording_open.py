@@ -86,7 +86,7 @@ def test_a_frame_of_a_large_file_is_read_alone(tmp_path, bytes_read):
 
 
 def test_first_and_last_are_the_earliest_and_the_latest_wherever_they_lie(tmp_path):
-    # In chunks of one message, of some, and of all: the one that begins first or ends last does not have them.
+    # Messages lie out of order, and chunks hold one, some or all of them.
     for size in (1, 60, 90, 120, 150, 400, 4000):
         file = File(tmp_path / f"{size}.mcap", chunk_size=size)
         a, b = file.topic("/a"), file.topic("/b")

@@ -217,7 +217,7 @@ fn whole(prim: Prim, b: &[u8]) -> i128 {
 }
 
 impl Node {
-    /// Of its bytes in memory.
+    /// The alignment of its bytes in memory.
     fn align(&self) -> usize {
         match &self.shape {
             Shape::Prim(prim) | Shape::Enum { repr: prim, .. } => prim.size(),

@@ -45,7 +45,8 @@ pub(in crate::cli) struct ExportArgs {
     /// Only these topics, e.g. 'host/**'; may be given several times.
     #[arg(long, value_name = "PATTERN")]
     topic: Vec<String>,
-    /// Where to, a new directory, or with --npz a new file [default: NAME-csv, NAME-png or NAME.npz beside NAME.mcap].
+    /// A new directory, or with --npz a new file, to write to [default: NAME-csv, NAME-png or NAME.npz beside
+    /// NAME.mcap].
     #[arg(long, short = 'o', value_name = "PATH")]
     output: Option<PathBuf>,
 }
@@ -77,8 +78,8 @@ pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
     Ok(if partial { Exit::Partial } else { Exit::Ok })
 }
 
-/// The place of an export that was given none, beside its recording: `trial-csv`, `trial-png` or `trial.npz`. A folder's
-/// name has its format, so that tables and pictures of one recording do not meet.
+/// The place of an export that was given none, beside its recording: `trial-csv`, `trial-png` or `trial.npz`.
+/// A folder's name has its format, so that tables and pictures of one recording do not meet.
 fn place(args: &ExportArgs) -> PathBuf {
     if args.npz {
         return args.file.with_extension("npz");

@@ -175,7 +175,7 @@ class _Sorted:
         exact = to_before == 0
         after = np.where(exact, before, before + 1)
         has = after < len(self.stamps)
-        # Of equal stamps the last one counts on this side as well.
+        # The last one of equal stamps counts on this side as well.
         after[has] = np.searchsorted(self.stamps, self.stamps[after[has]], side="right") - 1
         to_after[has] = self.stamps[after[has]] - rows[has]
         if how == "linear":

@@ -1,6 +1,6 @@
 //! The text of `trocar_payloads.h` from the types of a manifest.
 //!
-//! Invariant: a struct stands behind what it is made of; names are Rust's, in the manner of `trocar_plugin.h`.
+//! Invariant: a struct stands behind what it is made of; names are Rust's, as `trocar_plugin.h` writes them.
 
 use std::fmt::Write;
 use trocar_plugin_api::manifest::{Field, NamedType, Type};
@@ -188,7 +188,7 @@ fn json(text: &mut String, ty: &NamedType) {
     let whole = serde_json::to_string(ty).unwrap();
     let mut rest = whole.as_str();
     while !rest.is_empty() {
-        // Quotes, indent and backslash need room, too; a line ends behind a comma or space where there is one.
+        // Quotes, indent and backslash need room, too; a line ends behind a comma or space if there is one.
         let (mut used, mut end, mut good) = (0, 0, 0);
         for letter in rest.chars() {
             used += 1 + usize::from(letter == '"' || letter == '\\');

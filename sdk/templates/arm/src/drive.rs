@@ -1,7 +1,7 @@
 //! The motors, simulated: each joint follows its setpoint within some steps.
 //!
-//! CHANGE THIS: `exchange` sends the setpoint to the device and gives what its encoders say. Each step calls it, so
-//! it must not wait. Open a device in `start`, never before.
+//! CHANGE THIS: `exchange` sends the setpoint to the device and gives what its encoders say. Each step
+//! calls it, so it must not wait. Open a device in `start`, never before.
 
 use crate::Joints;
 

@@ -1,5 +1,5 @@
-//! An arm behind the standard interface (docs/INTERFACES.md#arm): change joints and kinematics here, the motors in
-//! `drive.rs`.
+//! An arm behind the standard interface (docs/INTERFACES.md#arm): change joints and kinematics here,
+//! the motors in `drive.rs`.
 #![forbid(unsafe_code)]
 
 mod drive;
@@ -208,7 +208,7 @@ impl Component for {{Name}} {
         Ok(())
     }
 
-    /// Called on every way out: Stop, a fault, a lost peer. It is short, waits for nothing, and may come twice.
+    /// Called on every way out: Stop, a fault, a lost peer. It is short, waits for nothing, may come twice.
     fn make_safe(&mut self) -> Result {
         self.goal = self.setpoint;
         self.drive.brake();

@@ -1,5 +1,5 @@
-//! A sensor on a byte stream, such as a serial line: change what a line means in `reader.rs`, and what is made of it
-//! here.
+//! A sensor on a byte stream, such as a serial line: change what a line means in `reader.rs`, and what is
+//! made of it here.
 #![forbid(unsafe_code)]
 
 mod reader;

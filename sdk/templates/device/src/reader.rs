@@ -93,7 +93,8 @@ impl Line {
         }
     }
 
-    /// CHANGE THIS: opens the device, as anything that is `Read` and gives up after `PATIENCE`, a serial port too.
+    /// CHANGE THIS: opens the device, as anything that is `Read` and gives up after `PATIENCE`, such as a
+    /// serial port.
     fn open(&self) -> io::Result<Box<dyn Read>> {
         if self.address.is_empty() {
             return Ok(Box::new(Simulated::default()));
