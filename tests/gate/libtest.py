@@ -61,9 +61,19 @@ def read(text, status):
 MOST_SAID = 8
 
 
+def _after(lines, failure):
+    """What a suite printed between the line of a failure and that of its next test; its duration says nothing."""
+    if failure not in lines:
+        return []
+    rest = lines[lines.index(failure) + 1 :]
+    end = next((at for at, line in enumerate(rest) if LINE.match(line) or line.startswith("test result: ")), None)
+    said = [line for line in rest[:end] if not re.fullmatch(r" *\d+(\.\d+)? s", line)]
+    return said if any(line.strip() for line in said) else []
+
+
 def said_of(text, test):
     """The lines of a log that say why a test failed: its own output as libtest shows it, or every line that
-    begins with its name, or else every line that has it.
+    begins with its name, or what follows the line of its failure, or else every line that has its name.
     """
     lines = text.splitlines()
     heading = f"---- {test} stdout ----"
@@ -73,7 +83,9 @@ def said_of(text, test):
         said = [line for line in rest[:end] if not line.startswith("note: run with")]
     else:
         others = [line for line in lines if not LINE.match(line)]
-        said = [line for line in others if line.startswith(f"{test}: ")] or [
-            line for line in others if test in line
-        ]
+        said = (
+            [line for line in others if line.startswith(f"{test}: ")]
+            or _after(lines, f"test {test} ... FAILED")
+            or [line for line in others if test in line]
+        )
     return [line.rstrip() for line in said if line.strip()][:MOST_SAID]

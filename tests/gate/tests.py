@@ -81,8 +81,13 @@ class WhyATestFailed(unittest.TestCase):
         log = "test torture::x ... FAILED\nrow torture::x\ntorture::x: files: 3; allowed 0\ntorture::xy: other\n"
         self.assertEqual(libtest.said_of(log, "torture::x"), ["torture::x: files: 3; allowed 0"])
 
+    def test_or_after_the_line_of_its_failure(self):
+        log = "test v::a ... ok\n   1.2 s\ntest v::b ... FAILED\n   9.8 s\nError: it is 4, wanted 5\n    at b (x.mjs:1)\ntest v::c ... ok\n"
+        self.assertEqual(libtest.said_of(log, "v::b"), ["Error: it is 4, wanted 5", "    at b (x.mjs:1)"])
+        self.assertEqual(libtest.said_of(log.replace("v::c ... ok", "result: FAILED"), "v::b")[0], "Error: it is 4, wanted 5")
+
     def test_or_anywhere_in_a_line_and_little_of_it(self):
-        log = "test t ... FAILED\n" + "E  t is wrong\n" * 50
+        log = "E  t is wrong\n" * 50 + "test t ... FAILED\n"
         self.assertEqual(libtest.said_of(log, "t"), ["E  t is wrong"] * libtest.MOST_SAID)
         self.assertEqual(libtest.said_of("", "t"), [])
 

@@ -195,6 +195,7 @@ def main():
             for i, (name, blocks) in enumerate(found.items()):
                 if i > last:
                     break
+                why = ""
                 try:
                     try:
                         typed(terminal, blocks)
@@ -202,12 +203,13 @@ def main():
                         terminal.end()
                     word = "ok"
                 except Exception:
-                    traceback.print_exc(file=sys.stdout)
-                    word = "FAILED"
+                    word, why = "FAILED", traceback.format_exc()
                 # Earlier sections are typed for those that were asked for, and do not count.
                 if asked(name):
                     passed, failed = passed + (word == "ok"), failed + (word != "ok")
                     print(f"test {name} ... {word}", flush=True)
+                if why:
+                    print(why, flush=True)
         finally:
             terminal.close()
     print(f"test result: {'FAILED' if failed else 'ok'}. {passed} passed; {failed} failed; 0 ignored")
