@@ -53,6 +53,8 @@ pub struct Settings {
     pub margin: Joints,
     /// Hands-on control.
     pub law: Law,
+    /// Where `home` brings the joints, m and rad.
+    pub home: Joints,
 }
 
 impl Default for Settings {
@@ -68,6 +70,7 @@ impl Default for Settings {
             following: per_kind(0.5e-3, 1f64.to_radians()),
             margin: per_kind(0.1e-3, 0.1f64.to_radians()),
             law: Law::default(),
+            home: Joints::zeros(),
         }
     }
 }
@@ -171,7 +174,7 @@ impl<D: Drive> Arm<D> {
 
     /// All joints are where `home` brings them.
     pub fn is_at_home(&self) -> bool {
-        (0..COUNT).all(|i| self.measured.position[i].abs() <= ARRIVED[i])
+        (0..COUNT).all(|i| (self.measured.position[i] - self.settings.home[i]).abs() <= ARRIVED[i])
     }
 
     /// The hand's wrench in the frame of the tip (N, N·m), from the next step on.

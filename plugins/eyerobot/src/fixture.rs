@@ -163,6 +163,7 @@ impl Fixture {
 pub struct Fixtures {
     all: [Option<Fixture>; MOST_FIXTURES],
     guard: Option<Fixture>,
+    port: Option<Fixture>,
 }
 
 impl Fixtures {
@@ -217,6 +218,16 @@ impl Fixtures {
         Fixtures { guard, ..self }
     }
 
+    /// The same list with guard and port of `before`.
+    pub fn beside(self, before: &Fixtures) -> Fixtures {
+        Fixtures { guard: before.guard, port: before.port, ..self }
+    }
+
+    /// The same with this remote centre, which no command takes away.
+    pub fn with_port(self, port: Option<Fixture>) -> Fixtures {
+        Fixtures { port, ..self }
+    }
+
     /// The one that a controller moves, apart from the list.
     pub fn guard(&self) -> Option<&Fixture> {
         self.guard.as_ref()
@@ -227,14 +238,14 @@ impl Fixtures {
         self.all.iter().flatten()
     }
 
-    /// All of them, the guard too.
+    /// All of them, guard and port too.
     pub fn iter(&self) -> impl Iterator<Item = &Fixture> {
-        self.listed().chain(&self.guard)
+        self.listed().chain(&self.guard).chain(&self.port)
     }
 
     /// None is in force.
     pub fn is_empty(&self) -> bool {
-        self.guard.is_none() && self.all.iter().all(Option::is_none)
+        self.iter().next().is_none()
     }
 
     /// A remote centre is in force: the tool turns as the tip's motion wants it.

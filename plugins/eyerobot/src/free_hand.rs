@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use trocar_phantom::Hand;
 use trocar_sdk::data::{CartesianState, Pose, Twist, Wrench};
 use trocar_sdk::prelude::*;
@@ -26,6 +26,12 @@ struct FreeHandConfig {
     /// Time to go to and fro once
     #[config(min = 0.1, max = 1000.0, unit = "s", default = 12.0)]
     period_s: f64,
+    /// How the hand holds the tool: roll and tilt as the joints of eyerobot at home
+    #[config(live, min = -3.14, max = 3.14, unit = "rad", default = 0.0)]
+    roll_rad: f64,
+    /// How far the tool leans from the axis of the eye
+    #[config(live, min = -1.0, max = 1.0, unit = "rad", default = 0.0)]
+    tilt_rad: f64,
     /// Share of a hand's tremor (182 µm RMS) that this one has
     #[config(live, min = 0.0, max = 10.0, default = 1.0)]
     tremor: f64,
@@ -62,6 +68,12 @@ impl FreeHand {
 }
 
 impl FreeHandConfig {
+    /// How the tool stands, as a quaternion x, y, z, w.
+    fn orientation(&self) -> [f64; 4] {
+        let (roll, tilt) = (Vector3::z() * self.roll_rad, Vector3::x() * self.tilt_rad);
+        (UnitQuaternion::new(roll) * UnitQuaternion::new(tilt)).coords.into()
+    }
+
     /// Where the tip is, m.
     fn position_m(&self, hand: &Hand, t_s: f64) -> Vector3<f64> {
         let meant = Vector3::new(0.5 * self.line_m * (TAU * t_s / self.period_s).sin(), 0.0, -self.height_m);
@@ -82,7 +94,7 @@ impl Component for FreeHand {
         let linear = (at(t_s + HALF_S) - at(t_s - HALF_S)) / (2.0 * HALF_S);
         self.truth = CartesianState {
             stamp,
-            pose: Pose { stamp, position: at(t_s).into(), orientation: [0.0, 0.0, 0.0, 1.0] },
+            pose: Pose { stamp, position: at(t_s).into(), orientation: self.cfg.orientation() },
             twist: Twist { stamp, linear: linear.into(), angular: [0.0; 3] },
             wrench: Wrench::default(),
         };
@@ -128,6 +140,16 @@ mod tests {
             let mean = 0.5 * (a.twist.linear[0] + b.twist.linear[0]);
             assert!(((x(&b) - x(&a)) / 1e-3 - mean).abs() < 1e-8, "{a:?} {b:?}");
         }
+    }
+
+    #[test]
+    fn the_tool_stands_as_a_robot_would_hold_it() {
+        let tip = tips(r#"{"roll_rad": -0.785, "tilt_rad": 0.48}"#, 1).remove(0).pose;
+        let axis = tip.isometry().unwrap().rotation * Vector3::z();
+        let (roll, tilt) = ((-0.785f64).sin_cos(), 0.48f64.sin_cos());
+        let wanted = Vector3::new(roll.0 * tilt.0, -roll.1 * tilt.0, tilt.1);
+        assert!((axis - wanted).norm() < 1e-12, "{axis:?} instead of {wanted:?}");
+        assert_eq!(tips("{}", 1)[0].pose.orientation, [0.0, 0.0, 0.0, 1.0]);
     }
 
     #[test]

@@ -8,10 +8,11 @@ mod arm_interface;
 mod config;
 mod frames;
 mod hands_on;
+mod stand;
 
 use std::fmt;
 
-use nalgebra::{Isometry3, Translation3, Vector6};
+use nalgebra::{Isometry3, Vector6};
 use trocar_phantom::Hand;
 use trocar_sdk::crtk;
 use trocar_sdk::data::{
@@ -22,7 +23,7 @@ use trocar_sdk::prelude::*;
 
 use crate::arm::{self, Arm, ArmError, Settings};
 use crate::drive::{Measured, SimulatedDrive};
-use crate::fixture::Fixtures;
+use crate::fixture::{FAR_M, Fixtures, Stance};
 use crate::joints::{COUNT, Joints};
 use crate::payloads::{self, Jacobian, VirtualFixtures};
 use config::EyeRobotConfig;
@@ -137,6 +138,12 @@ pub struct EyeRobot {
     host: Host,
     arm: Arm<SimulatedDrive>,
     hand: Option<Hand>,
+    /// It was configured before, and stands where it stood.
+    stands: bool,
+    /// The kinematic base in the frame of poses while nobody has set that.
+    first_base: Isometry3<f64>,
+    /// The kinematic base in the simulated world.
+    world_from_base: Isometry3<f64>,
     /// The handle was felt in this cycle.
     felt: bool,
     /// Of the last step; a command waits for the next one at least.
@@ -149,6 +156,7 @@ impl EyeRobot {
     fn build(&mut self, position: Joints, homed: bool) {
         let drive = SimulatedDrive::new(self.cfg.simulation(), position);
         self.arm = Arm::new(self.cfg.settings(), drive, position);
+        self.stands = true;
         self.timeouts_before = 0;
         if homed {
             self.arm.referenced();
@@ -160,12 +168,39 @@ impl EyeRobot {
         let fixtures = self.fixtures.fixtures.iter().enumerate();
         let fixtures = fixtures.filter_map(|(place, fixture)| payloads::checked(fixture, place).ok());
         let guard = payloads::checked(&self.guard, 0).ok();
-        self.arm.restore_fixtures(Fixtures::restored(fixtures).with_guard(guard));
-        if let Ok(base) = self.base_frame.isometry() {
-            self.arm.set_base_frame(&base);
-        }
+        self.world_from_base = self.cfg.world_from_base(self.arm.settings());
+        let port = self.cfg.port(self.arm.settings());
+        self.arm.restore_fixtures(Fixtures::restored(fixtures).with_guard(guard).with_port(port));
+        let (first, before) = (self.cfg.first_base(self.arm.settings()), self.first_base);
+        self.first_base = first;
+        let base = self.base_frame.isometry().ok().filter(|base| *base != before);
+        self.arm.set_base_frame(&base.unwrap_or(first));
         self.hand = (self.cfg.hand == "simulated").then(|| Hand::new(self.cfg.seed));
         self.configuration_js = payloads::configuration(self.host.now(), &self.arm.settings().limits);
+    }
+
+    /// Joints of the arm (m, rad); one that nobody has configured yet stands at home.
+    fn stands_at(&self) -> Joints {
+        if self.stands { self.arm.measured().position } else { self.cfg.settings().home }
+    }
+
+    /// A shaft that stands beside a port cannot go through it.
+    ///
+    /// # Errors
+    /// How far beside it stands, and what to do.
+    fn check_port(&self) -> Result {
+        let settings = self.cfg.settings();
+        let at = Stance::of(&settings.kinematics, &self.stands_at());
+        let beside_m = self.cfg.port(&settings).map_or(0.0, |port| -port.distance_m(&at));
+        if beside_m > FAR_M {
+            return Err(format!(
+                "port_m: the shaft passes {:.3} mm beside a port {} mm from the tip at home; send the arm home first (state_command \"home\")",
+                beside_m * 1e3,
+                self.cfg.port_m * 1e3
+            )
+            .into());
+        }
+        Ok(())
     }
 
     /// Feels the handle: what is connected, or the simulated hand.
@@ -241,11 +276,9 @@ impl EyeRobot {
     fn true_tip(&self, stamp: Stamp) -> CartesianState {
         let Settings { kinematics, .. } = self.arm.settings();
         let Measured { position, velocity } = self.arm.drive().truth();
-        let z = -self.cfg.standoff_m - kinematics.tool_length_m;
-        let world_from_base = Isometry3::from(Translation3::new(0.0, 0.0, z));
         CartesianState {
             stamp,
-            pose: Pose { stamp, ..(world_from_base * kinematics.forward(&position)).into() },
+            pose: Pose { stamp, ..(self.world_from_base * kinematics.forward(&position)).into() },
             twist: Twist { stamp, ..kinematics.twist(&position, &velocity).into() },
             wrench: Wrench::default(),
         }
@@ -280,9 +313,10 @@ impl EyeRobot {
 impl Component for EyeRobot {
     fn configure(&mut self) -> Result {
         self.cfg.check()?;
+        self.check_port()?;
         // The arm stands where it stood, and knows where that is; a new one stands at home.
         self.arm.settle();
-        self.build(self.arm.measured().position, self.arm.operating().is_homed());
+        self.build(self.stands_at(), self.arm.operating().is_homed());
         self.publish(self.host.now());
         Ok(())
     }
@@ -371,3 +405,5 @@ mod crtk_tests;
 mod fixture_tests;
 #[cfg(test)]
 mod hand_tests;
+#[cfg(test)]
+mod stand_tests;

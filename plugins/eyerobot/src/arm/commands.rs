@@ -199,14 +199,14 @@ impl<D: Drive> Arm<D> {
         self.pre_empt(Motion::Hold);
     }
 
-    /// CRTK `state_command`: `enable`, `disable`, `pause`, `resume`, `home`, `unhome`. `home` moves to all zeros.
+    /// CRTK `state_command`: `enable`, `disable`, `pause`, `resume`, `home`, `unhome`. `home` moves to `Settings::home`.
     ///
     /// # Errors
     /// Another word; a command the CRTK table does not allow now.
     pub fn state_command(&mut self, word: &str) -> Result<(), ArmError> {
         let before = self.operating.mode();
         match self.operating.command(word)? {
-            StateCommand::Home => self.start_move(Joints::zeros(), Ends::Homing),
+            StateCommand::Home => self.start_move(self.settings.home, Ends::Homing),
             StateCommand::Unhome => self.hold(),
             StateCommand::Disable => self.brake(),
             StateCommand::Enable | StateCommand::Pause | StateCommand::Resume
@@ -228,8 +228,7 @@ impl<D: Drive> Arm<D> {
     /// Too many, a stiffness out of its range, or one that the arm stands outside of; those before stay.
     pub fn set_fixtures<'a>(&mut self, list: impl Iterator<Item = &'a Fixture>) -> Result<(), ArmError> {
         let at = Stance::of(&self.settings.kinematics, &self.setpoint.position);
-        let guard = self.fixtures.guard().copied();
-        self.fixtures = Fixtures::checked(list, &self.base.inverse(), &at)?.with_guard(guard);
+        self.fixtures = Fixtures::checked(list, &self.base.inverse(), &at)?.beside(&self.fixtures);
         Ok(())
     }
 

@@ -13,8 +13,8 @@ use crate::kinematics::Kinematics;
 
 #[derive(Config)]
 pub(super) struct EyeRobotConfig {
-    /// Enables the arm at Start, and homes it if it stands at all zeros, so that motions are taken at once; nothing moves. Without
-    /// it, send state_command "enable", then "home", which moves to all zeros
+    /// Enables the arm at Start, and homes it if it stands at home, so that motions are taken at once; nothing moves. Without
+    /// it, send state_command "enable", then "home", which moves to the rest pose
     #[config(default = true)]
     pub(super) auto_enable: bool,
     /// Seed of the simulation: where the encoders' steps lie, and how the simulated hand moves
@@ -23,9 +23,19 @@ pub(super) struct EyeRobotConfig {
     /// Who holds the handle while the input handle has nothing: nobody, or the hand of the simulated world
     #[config(one_of = ["none", "simulated"], default = "none")]
     pub(super) hand: String,
-    /// At all joints zero the tip stands this far above the origin of the simulated world, along the tool
+    /// At home the tip stands this far above the origin of the simulated world, along the tool
     #[config(min = -0.1, max = 0.1, unit = "m", default = 0.001)]
     pub(super) standoff_m: f64,
+    /// Roll at home, where the slides stand at 0: the side from which a tilted tool comes
+    #[config(min = -3.14, max = 3.14, unit = "rad", default = 0.0)]
+    rest_roll_rad: f64,
+    /// Tilt at home: how far the tool leans from the axis of the simulated eye
+    #[config(min = -1.5, max = 1.5, unit = "rad", default = 0.0)]
+    rest_tilt_rad: f64,
+    /// From the tip at home up the shaft to the wall of the eye: the shaft passes there always (remote centre of motion),
+    /// whatever fixtures are set; 0 is no wall
+    #[config(min = 0.0, max = 0.05, unit = "m", default = 0.0)]
+    pub(super) port_m: f64,
     /// Length of the tool
     #[config(min = 0.01, max = 0.5, unit = "m", default = 0.12)]
     tool_length_m: f64,
@@ -110,6 +120,17 @@ impl EyeRobotConfig {
                 .into());
             }
         }
+        for (name, rest, most) in [
+            ("rest_roll_rad", self.rest_roll_rad, self.roll_rad),
+            ("rest_tilt_rad", self.rest_tilt_rad, self.tilt_rad),
+        ] {
+            if rest.abs() > most {
+                return Err(format!(
+                    "{name}: {rest} rad is beyond the joint's travel of {most} rad to each side"
+                )
+                .into());
+            }
+        }
         Ok(())
     }
 
@@ -132,6 +153,7 @@ impl EyeRobotConfig {
                 limit_n: self.force_limit_n,
                 ..Law::default()
             },
+            home: Joints::from_column_slice(&[0.0, 0.0, 0.0, self.rest_roll_rad, self.rest_tilt_rad]),
             ..Settings::default()
         }
     }
