@@ -216,3 +216,5 @@ impl Component for BScan {
 mod nearest_tests;
 #[cfg(test)]
 mod offset_tests;
+#[cfg(test)]
+mod tilted_tests;

@@ -9,7 +9,7 @@ use std::cell::Cell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_eyerobot::EyeRobot;
 use trocar_oct_core::chain::{Chain, Levels};
 use trocar_oct_core::dispersion::Dispersion;
@@ -18,8 +18,8 @@ use trocar_oct_core::tracker::{Settings, Tracker};
 use trocar_phantom::World;
 use trocar_phantom::spectra::{Optics, Spectrograph};
 use trocar_sdk::data::{
-    AScanHeader, CartesianState, Distance, JointState, OperatingMode, OperatingState, Pose, Retreat,
-    SampleFormat, Twist, VirtualFixture,
+    AScanHeader, CartesianState, Distance, OperatingMode, OperatingState, Pose, Retreat, SampleFormat, Twist,
+    VirtualFixture,
 };
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
@@ -37,6 +37,10 @@ pub(crate) const NEAREST_M: f64 = 150e-6;
 const SEEDS: u64 = 4;
 /// With all joints zero the robot's tip stands so far above the world's origin, m.
 const STANDOFF_M: f64 = 1e-3;
+/// How the robot of the demo stands: roll and tilt at home, rad, and from the tip to the wall of the eye, m.
+pub(crate) const FROM_THE_SIDE: [f64; 3] = [-0.785, 0.48, 22e-3];
+/// Where the robot's base frame has the world's origin, m.
+pub(crate) const APEX_Z_M: f64 = 0.12 + STANDOFF_M;
 /// Periods in which the robot is brought over the eye.
 const PLACING: u64 = 400;
 
@@ -61,6 +65,8 @@ pub(crate) struct Setup {
     pub(crate) offset_m: f64,
     /// Where the line ends, along x, m.
     pub(crate) end_m: f64,
+    /// Roll and tilt of the tool at home, rad, and how far behind the tip the wall of the eye holds it, m; 0 is no wall.
+    pub(crate) stand: [f64; 3],
 }
 
 impl Setup {
@@ -74,7 +80,13 @@ impl Setup {
             place_m: [-1.5e-3, 0.0, 600e-6],
             offset_m: OFFSET_M,
             end_m: 1.5e-3,
+            stand: [0.0; 3],
         }
+    }
+
+    /// The same with a tool that comes from the side through the wall of the eye, as in the demo.
+    pub(crate) fn from_the_side(world: &str, seed: u64) -> Setup {
+        Setup { stand: FROM_THE_SIDE, ..Setup::new(world, seed) }
     }
 }
 
@@ -83,10 +95,13 @@ impl Setup {
 pub(crate) struct Truth {
     pub(crate) ns: u64,
     pub(crate) scanning: bool,
+    /// Along the line, from the middle of the usual one.
     pub(crate) x_m: f64,
     pub(crate) tip_z_m: f64,
-    /// First surface.
+    /// To the first surface along the tool.
     pub(crate) distance_m: f64,
+    /// The same, or straight down, whichever is less.
+    pub(crate) nearest_m: f64,
     pub(crate) ilm_m: f64,
     /// What the tracker said of it.
     pub(crate) measured: Distance,
@@ -101,6 +116,10 @@ pub(crate) struct Rig {
     pub(crate) robot: Bench<EyeRobot>,
     /// Position and velocity of the true tip at the end of the last two periods.
     tips: [CartesianState; 2],
+    /// The robot's base in the world.
+    world_from_base: Isometry3<f64>,
+    /// The tool when the scan was asked for: a line goes across it.
+    across: Vector3<f64>,
     pose: Rc<Cell<Pose>>,
     told: Rc<Cell<OperatingState>>,
     /// What the robot tells of its operating state, where it is not what it is.
@@ -119,6 +138,9 @@ pub(crate) struct Rig {
     /// Lines up to this one see the deepest layer alone.
     pub(crate) deep_until_ns: u64,
     pub(crate) truth: Vec<Truth>,
+    /// Where the shaft goes through the wall of the eye, in the world, and how far beside it the shaft was after each period, m.
+    port: Point3<f64>,
+    pub(crate) beside_port_m: Vec<f64>,
     pub(crate) held: usize,
     /// Commands that the robot did not take.
     pub(crate) refused: Vec<String>,
@@ -146,7 +168,10 @@ impl Rig {
         let state = told.clone();
         bench.answer("robot/operating_state", move |()| Ok(state.get()));
         let seed = setup.world.seed;
-        let robot = Bench::<EyeRobot>::new(format!(r#"{{"seed": {seed}, "standoff_m": {STANDOFF_M}}}"#));
+        let [roll, tilt, port] = setup.stand;
+        let robot = Bench::<EyeRobot>::new(format!(
+            r#"{{"seed": {seed}, "standoff_m": {STANDOFF_M}, "rest_roll_rad": {roll}, "rest_tilt_rad": {tilt}, "port_m": {port}}}"#
+        ));
         let optics = Optics::with_samples(1024);
         let spectrograph = Spectrograph::new(optics, setup.world.noise(16)).expect("usual optics");
         let grid = Grid::from_wavelengths(1024, [840e-9, 50e-9, 0.0, 0.0]).expect("a grid");
@@ -160,6 +185,8 @@ impl Rig {
             tracker: Tracker::new(Settings::default()),
             robot,
             tips: [CartesianState::default(); 2],
+            world_from_base: Isometry3::identity(),
+            across: Vector3::z(),
             pose,
             told,
             pretends: None,
@@ -172,6 +199,8 @@ impl Rig {
             dark_until_ns: 0,
             deep_until_ns: 0,
             truth: Vec::new(),
+            port: Point3::origin(),
+            beside_port_m: Vec::new(),
             held: 0,
             refused: Vec::new(),
             refuses: &[],
@@ -196,11 +225,21 @@ impl Rig {
 
     /// Brings the tip over the eye, and both benches to the same time.
     fn place(&mut self) {
+        let base: Pose = self.robot.read("arm/measured_cp", ()).expect("a read");
+        let home = self.true_tip().pose.isometry().expect("a pose");
+        self.world_from_base = home * base.isometry().expect("a pose").inverse();
         let [x, y, height_m] = self.setup.place_m;
         let t_s = (self.robot.now().ns() + PLACING * STEP_NS) as f64 * 1e-9;
-        let z = self.setup.world.surface_z(x, y, t_s) - height_m + STANDOFF_M;
-        let goal = JointState { position: List::of(&[x, y, z, 0.0, 0.0]), ..JointState::default() };
-        self.robot.command::<_, ()>("arm/move_jp", goal).expect("in reach");
+        let over = Point3::new(x, y, self.setup.world.surface_z(x, y, t_s));
+        let [.., port_m] = self.setup.stand;
+        self.port = home * Point3::new(0.0, 0.0, -port_m);
+        let axis = if port_m > 0.0 { (over - self.port).normalize() } else { home.rotation * Vector3::z() };
+        let tip = over - axis * height_m;
+        let lean =
+            UnitQuaternion::rotation_between(&(home.rotation * Vector3::z()), &axis).unwrap_or_default();
+        let goal = Isometry3::from_parts(tip.into(), lean * home.rotation);
+        let goal: Pose = (self.world_from_base.inverse() * goal).into();
+        self.robot.command::<_, ()>("arm/move_cp", goal).expect("in reach");
         self.robot.step(PLACING);
         self.bench.advance(self.robot.now().ns() - self.bench.now().ns());
         self.tips = [self.true_tip(); 2];
@@ -213,8 +252,8 @@ impl Rig {
     /// The usual scan: 3 mm along x through the fovea and two patches.
     pub(crate) fn request() -> ScanRequest {
         ScanRequest {
-            from: [-1.5e-3, 0.0, 0.0],
-            to: [1.5e-3, 0.0, 0.0],
+            from: [-1.5e-3, 0.0, APEX_Z_M],
+            to: [1.5e-3, 0.0, APEX_Z_M],
             speed: 0.5e-3,
             offset: OFFSET_M,
             pitch: 6e-6,
@@ -228,6 +267,9 @@ impl Rig {
         self.robot.step(1);
         assert_eq!(self.robot.now().ns(), now_ns, "one time for both");
         self.tips = [self.tips[1], self.true_tip()];
+        let tip = self.tips[1].pose.isometry().expect("a pose");
+        let off = tip.inverse_transform_point(&self.port);
+        self.beside_port_m.push(off.x.hypot(off.y));
         let pose: Pose = self.robot.read("arm/measured_cp", ()).expect("a read");
         self.past.push_front(pose);
         self.past.truncate(16);
@@ -305,7 +347,8 @@ impl Rig {
         let [before, after] = self.tips.map(|tip| tip.pose.position);
         let tip = Point3::from([0, 1, 2].map(|i| before[i] + part * (after[i] - before[i])));
         let t_s = ns as f64 * 1e-9;
-        let below = self.setup.world.below(&tip, &Vector3::z_axis(), t_s).expect("over the retina");
+        let axis = self.tips[1].pose.isometry().expect("a pose").rotation * Vector3::z_axis();
+        let below = self.setup.world.below(&tip, &axis, t_s).expect("over the retina");
         let echoes = self.setup.world.echoes(&below);
         let all = echoes.as_slice();
         let from = if ns < self.deep_until_ns { all.len() - 1 } else { 0 };
@@ -332,9 +375,10 @@ impl Rig {
         self.truth.push(Truth {
             ns,
             scanning: self.progress().phase == Phase::SCAN,
-            x_m: tip.x,
+            x_m: self.along_m(&tip),
             tip_z_m: tip.z,
             distance_m: below.distance_m,
+            nearest_m: self.straight_down(&tip, t_s).min(below.distance_m),
             ilm_m: below.ilm_m,
             measured,
         });
@@ -349,11 +393,29 @@ impl Rig {
         (0..count).for_each(|_| self.step());
     }
 
+    /// From a tip (m, world) to the first surface below it, m.
+    fn straight_down(&self, tip: &Point3<f64>, t_s: f64) -> f64 {
+        self.setup.world.below(tip, &Vector3::z_axis(), t_s).expect("over the retina").distance_m
+    }
+
+    /// How far along the line a tip (m, world) is, from the middle of the usual line, m.
+    fn along_m(&self, tip: &Point3<f64>) -> f64 {
+        let way = Vector3::x() - self.across * self.across.x;
+        let from_apex = self.world_from_base.inverse_transform_point(tip) - Point3::new(0.0, 0.0, APEX_Z_M);
+        from_apex.dot(&way.normalize())
+    }
+
+    /// How much shorter than the request a line across the tool is.
+    pub(crate) fn part_across(&self) -> f64 {
+        (1.0 - self.across.x * self.across.x).sqrt()
+    }
+
     /// Looks for a while and begins the usual scan.
     pub(crate) fn begin(&mut self) {
         self.steps(60);
+        self.across = self.true_tip().pose.isometry().expect("a pose").rotation * Vector3::z();
         let Setup { offset_m: offset, end_m, .. } = self.setup;
-        let request = ScanRequest { offset, to: [end_m, 0.0, 0.0], ..Rig::request() };
+        let request = ScanRequest { offset, to: [end_m, 0.0, APEX_Z_M], ..Rig::request() };
         self.bench.command::<ScanRequest, ()>("scan/start", request).expect("a scan");
     }
 

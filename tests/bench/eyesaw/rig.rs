@@ -163,7 +163,7 @@ impl Rig {
         // Across the fovea, wherever the tip stands: lines through the tip would go on where the last one was broken off.
         let half_m = 0.5 * length_m;
         let request = json!({
-            "from": [-half_m, 0, 0], "to": [half_m, 0, 0], "width": 0, "angle": 0, "speed": speed_m_s,
+            "from": [-half_m, 0, 0.121], "to": [half_m, 0, 0.121], "width": 0, "angle": 0, "speed": speed_m_s,
             "offset": OFFSET_M, "pitch": 6e-6,
         });
         eventually("a scan can begin", || self.try_call("host/bscan", "scan/start", request.clone()));

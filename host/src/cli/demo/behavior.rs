@@ -50,6 +50,8 @@ pub(super) struct Scanning {
 const OFFSET_M: f64 = 500e-6;
 /// 3 mm across the fovea.
 const HALF_LINE_M: f64 = 1.5e-3;
+/// Where the robot's base frame has the retina's apex: its tool and the standoff at home above z = 0, m.
+const APEX_Z_M: f64 = 0.121;
 
 impl Behavior {
     pub(super) fn name(self) -> &'static str {
@@ -113,7 +115,7 @@ impl Behavior {
     pub(super) fn scanning(self, layout: Layout) -> Option<Scanning> {
         let start = |from: f64, to: f64| Ask {
             path: layout.place("host/bscan/scan/start"),
-            arg: json!({ "from": [from, 0, 0], "to": [to, 0, 0], "width": 0, "angle": 0, "speed": 5e-4,
+            arg: json!({ "from": [from, 0, APEX_Z_M], "to": [to, 0, APEX_Z_M], "width": 0, "angle": 0, "speed": 5e-4,
                          "offset": OFFSET_M, "pitch": 6e-6 }),
         };
         (self == Behavior::Bscan).then(|| Scanning {

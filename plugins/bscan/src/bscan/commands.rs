@@ -9,6 +9,9 @@ use super::{BScan, BScanState, LONGEST_DELAY_S, ROBOT_LOST_S, SURFACE_LOST_S, is
 use crate::line::Line;
 use crate::payloads::{Phase, Progress, ScanRequest};
 
+/// A tool that leans by less than 2.5° stands upright in words.
+const UPRIGHT_COSINE: f64 = 0.999;
+
 /// The scan.
 #[provides("scan")]
 impl BScan {
@@ -68,11 +71,19 @@ impl BScan {
                 "the tracker does not know the robot: connect the robot's state to its input robot".into()
             );
         }
-        if self.last.distance < self.cfg.min_distance_m {
+        let Some(least_m) = self.least_m(&axis) else {
             return Err(format!(
-                "the tip is {:.0} um from the surface, and min_distance_m is {:.0} um: bring it away first",
+                "the tool leans by {:.0} degrees from z of the robot's base frame, and 60 are the most: z has to be the axis of the \
+                 eye; see set_base_frame",
+                axis[2].clamp(-1.0, 1.0).acos().to_degrees()
+            ));
+        };
+        if self.last.distance < least_m {
+            return Err(format!(
+                "the tip is {:.0} um from the surface, and min_distance_m is {:.0} um{}: bring it away first",
                 1e6 * self.last.distance,
-                1e6 * self.cfg.min_distance_m
+                1e6 * self.cfg.min_distance_m,
+                leaning(&axis, least_m)
             ));
         }
         let delay_s = self.measured_delay_s();
@@ -85,8 +96,16 @@ impl BScan {
             ));
         }
         let columns = self.cfg.max_columns as usize;
-        Line::of(request, self.pose.position, axis, self.cfg.min_distance_m, columns)
-            .map_err(|why| why.to_string())
+        Line::of(request, self.pose.position, axis, least_m, columns).map_err(|why| why.to_string())
+    }
+}
+
+/// What a tool that leans makes of min_distance_m, as words; nothing for one that stands.
+fn leaning(axis: &[f64; 3], least_m: f64) -> String {
+    if axis[2] > UPRIGHT_COSINE {
+        String::new()
+    } else {
+        format!(", {:.0} um along a tool that leans so", 1e6 * least_m)
     }
 }
 

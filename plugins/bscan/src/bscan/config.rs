@@ -24,7 +24,7 @@ pub(super) struct BScanConfig {
     /// Highest speed towards the surface, beside the surface's own
     #[config(live, min = 1e-5, max = 0.005, unit = "m/s", default = 0.0005)]
     pub(super) approach_m_s: f64,
-    /// The tip never goes nearer to the surface
+    /// The tip never goes nearer to the surface, whose height counts along z of the robot's base frame, the axis of the eye
     #[config(live, min = 0.00015, max = 0.001, unit = "m", default = 0.00015)]
     pub(super) min_distance_m: f64,
     /// Way back from the surface at the end of the line, and of a scan that ends before: an eye that moves comes near a tip that
@@ -53,14 +53,14 @@ pub(super) struct BScanConfig {
 }
 
 impl BScanConfig {
-    /// For a loop that takes `delay_s` in all.
-    pub(super) fn depth(&self, delay_s: f64) -> Settings {
+    /// For a loop that takes `delay_s` in all, and a tip that comes no nearer than `least_m` along the tool.
+    pub(super) fn depth(&self, delay_s: f64, least_m: f64) -> Settings {
         Settings {
             kp_per_s: self.kp_per_s,
             ki_per_s2: self.ki_per_s2,
             max_speed_m_s: self.max_speed_m_s,
             approach_m_s: self.approach_m_s,
-            min_distance_m: self.min_distance_m,
+            min_distance_m: least_m,
             delay_s,
             ..Settings::default()
         }

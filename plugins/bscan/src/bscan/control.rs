@@ -25,6 +25,9 @@ const LAST_ASCAN_S: f64 = 0.03;
 /// at a rate of its own, which counts from the surface's velocity.
 const GUARD_STIFFNESS_PER_S: f64 = 30.0;
 
+/// A tool that leans further from z than by 60° does not point at what is below it.
+pub(super) const LEAST_COSINE: f64 = 0.5;
+
 impl BScan {
     /// Velocities along and across the tool, m/s.
     fn send(&self, stamp: Stamp, along: [f64; 3], across: [f64; 3]) {
@@ -54,20 +57,23 @@ impl BScan {
             return Err("the measured delay is above 12 ms");
         }
         let offset_m = line.offset_m + self.retracted_m(now);
-        let settings = self.cfg.depth(self.progress.loop_delay);
+        let Some(axis) = axis_of(&self.pose.orientation) else {
+            return Err("the robot's orientation is no unit quaternion");
+        };
+        let Some(least_m) = self.least_m(&axis) else {
+            return Err("the tool leans by more than 60 degrees from z of the robot's base frame");
+        };
+        let settings = self.cfg.depth(self.progress.loop_delay, least_m);
         let Some(advice) = self.depth.advise(now.ns(), dt_s, offset_m, &settings) else {
             // The robot is late: it stands until it is here again, or is lost.
             self.send(now, [0.0; 3], [0.0; 3]);
             return Ok(());
         };
-        if self.progress.phase != Phase::RETRACT && advice.distance_m < self.cfg.min_distance_m {
+        if self.progress.phase != Phase::RETRACT && advice.distance_m < least_m {
             return Err("the tip is nearer to the surface than min_distance_m");
         }
-        let Some(axis) = axis_of(&self.pose.orientation) else {
-            return Err("the robot's orientation is no unit quaternion");
-        };
         if !advice.blind {
-            let taken = self.set_guard.send(self.guard(&axis, advice.distance_m));
+            let taken = self.set_guard.send(self.guard(&axis, advice.distance_m - least_m));
             self.count(taken);
         }
         self.near_m = if advice.blind { self.near_m.min(advice.distance_m) } else { advice.distance_m };
@@ -89,13 +95,18 @@ impl BScan {
         Ok(())
     }
 
-    /// A plane across the tool, min_distance_m above a surface `distance_m` before the tip.
-    fn guard(&self, axis: &[f64; 3], distance_m: f64) -> VirtualFixture {
-        let below_m = distance_m - self.cfg.min_distance_m;
+    /// Distance along the tool at which the tip is min_distance_m above a surface that lies across z: more for a tool that leans. None for
+    /// one that leans so far that it does not point at what is below it.
+    pub(super) fn least_m(&self, axis: &[f64; 3]) -> Option<f64> {
+        (axis[2] > LEAST_COSINE).then(|| self.cfg.min_distance_m / axis[2])
+    }
+
+    /// A plane across z through the place `below_m` before the tip: under a tool that leans, one across the tool would let the tip go
+    /// aside into the surface.
+    fn guard(&self, axis: &[f64; 3], below_m: f64) -> VirtualFixture {
         let position = [0, 1, 2].map(|i| self.pose.position[i] + axis[i] * below_m);
-        let [x, y, z, w] = self.pose.orientation;
-        // The tool's frame, half a turn about its own x: the allowed side is where z points.
-        let frame = Pose { stamp: self.pose.stamp, position, orientation: [w, z, -y, -x] };
+        // Half a turn about x: the allowed side is where z points.
+        let frame = Pose { stamp: self.pose.stamp, position, orientation: [1.0, 0.0, 0.0, 0.0] };
         VirtualFixture { kind: FixtureKind::PLANE, reserved: 0, frame, stiffness: GUARD_STIFFNESS_PER_S }
     }
 

@@ -4,7 +4,7 @@
 use trocar_sdk::data::{OperatingMode, OperatingState, Pose};
 use trocar_sdk::prelude::*;
 
-use crate::rig::{NEAREST_M, OFFSET_M, Rig, Setup, ready, seeds};
+use crate::rig::{APEX_Z_M, NEAREST_M, OFFSET_M, Rig, Setup, ready, seeds};
 use crate::{Phase, ScanRequest};
 
 #[test]
@@ -314,7 +314,7 @@ fn an_end_that_is_not_reached_in_time_ends_the_scan() {
     // So slow and short that a tip which stands is never 0.2 mm behind: 1 s for it and 30 µm, half as long again, and 2 s.
     let mut rig = Rig::new(Setup::new("static", 1));
     rig.steps(60);
-    let slow = ScanRequest { speed: 5e-5, to: [-1.48e-3, 0.0, 0.0], ..Rig::request() };
+    let slow = ScanRequest { speed: 5e-5, to: [-1.48e-3, 0.0, APEX_Z_M], ..Rig::request() };
     rig.bench.command::<ScanRequest, ()>("scan/start", slow).unwrap();
     rig.until_scanning();
     rig.stuck = true;

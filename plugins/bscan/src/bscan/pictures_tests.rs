@@ -5,7 +5,7 @@ use trocar_sdk::data::{AScanHeader, ImageHeader, SampleFormat};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
-use crate::rig::{Rig, Setup, seeds};
+use crate::rig::{APEX_Z_M, Rig, Setup, seeds};
 use crate::{BScan, Phase, ScanColumn, ScanDone, ScanRequest};
 
 /// Where the phantom has layers below its surface, and where it has none, m of optical path.
@@ -26,7 +26,9 @@ impl Seen {
         let mut rig = Rig::run(Setup { images: true, ..setup });
         let (header, pixels, _) = rig.bench.frames::<ImageHeader>("bscan_image").pop().unwrap();
         let width = header.width as usize;
-        let wanted = ((setup.end_m + 1.5e-3) / 6e-6).round() as usize;
+        let length_m = (setup.end_m + 1.5e-3) * rig.part_across();
+        let wanted = (length_m / 6e-6).round() as usize;
+        let (from_m, pitch_m) = (-1.5e-3 * rig.part_across(), length_m / wanted as f64);
         assert_eq!((width, header.height, header.stride as usize), (wanted, 512, wanted));
         assert_eq!(pixels.len(), width * 512);
         let columns = rig.bench.outputs::<ScanColumn>("column");
@@ -35,8 +37,8 @@ impl Seen {
         let done = rig.bench.events::<ScanDone>("scan/bscan_done");
         assert_eq!(done, [ScanDone { scan: 1, columns: width as u32, empty: 0 }]);
         let mut sums = vec![(0.0, 0.0); width];
-        for t in rig.truth.iter().filter(|t| t.scanning && t.x_m >= -1.5e-3) {
-            if let Some((sum, count)) = sums.get_mut(((t.x_m + 1.5e-3) / 6e-6) as usize) {
+        for t in rig.truth.iter().filter(|t| t.scanning && t.x_m >= from_m) {
+            if let Some((sum, count)) = sums.get_mut(((t.x_m - from_m) / pitch_m) as usize) {
                 *sum += t.ilm_m * 1.336 / BIN_M;
                 *count += 1.0;
             }
@@ -91,6 +93,7 @@ fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_non
     for world in ["no_membrane", "static_no_membrane"] {
         Seen::of(Setup::new(world, 7)).judge(world);
     }
+    Seen::of(Setup::from_the_side("no_membrane", 7)).judge("from the side");
     for seed in seeds() {
         let setup = Setup { end_m: -1.2e-3, ..Setup::new("no_membrane", seed) };
         Seen::of(setup).judge(&format!("seed {seed}"));
@@ -102,7 +105,7 @@ fn fine_scan() -> Rig {
     let place_m = [-1.45e-3, 0.0, 500e-6];
     let mut rig = Rig::new(Setup { images: true, place_m, ..Setup::new("static_no_membrane", 2) });
     rig.steps(60);
-    let request = ScanRequest { to: [FINE_END_M, 0.0, 0.0], pitch: 1.5e-6, ..Rig::request() };
+    let request = ScanRequest { to: [FINE_END_M, 0.0, APEX_Z_M], pitch: 1.5e-6, ..Rig::request() };
     rig.bench.command::<ScanRequest, ()>("scan/start", request).unwrap();
     rig.until_scanning();
     rig

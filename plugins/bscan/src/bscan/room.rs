@@ -4,7 +4,10 @@
 
 use trocar_sdk::data::Retreat;
 
+use trocar_oct_core::tip::axis_of;
+
 use super::BScan;
+use super::control::LEAST_COSINE;
 use crate::payloads::Phase;
 
 /// The robot's way back by itself: faster than an eye comes up, and only after a silence that is no hiccup, m/s and s.
@@ -33,7 +36,9 @@ impl BScan {
 
     fn require_room(&self, offset_m: f64) -> Result<(), String> {
         let back_m = if self.goes_back { self.cfg.retract_m } else { 0.0 };
-        let needed_m = self.cfg.min_distance_m + self.cfg.eye_motion_m;
+        // Along the tool: the eye comes up along z.
+        let cosine = axis_of(&self.pose.orientation).map_or(1.0, |axis| axis[2].max(LEAST_COSINE));
+        let needed_m = (self.cfg.min_distance_m + self.cfg.eye_motion_m) / cosine;
         // To whole nanometres, so that a refusal reads well.
         let nearest_um = ((needed_m - back_m) * 1e9).round() / 1e3;
         if offset_m * 1e6 >= nearest_um - 1e-3 {

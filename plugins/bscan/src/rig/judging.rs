@@ -14,7 +14,7 @@ impl Rig {
             self.truth.iter().filter(|t| t.scanning).map(|t| t.distance_m - self.setup.offset_m).collect();
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
         let largest = errors.iter().fold(0.0, |a: f64, e| a.max(e.abs()));
-        let nearest = self.truth.iter().map(|t| t.distance_m).fold(f64::INFINITY, f64::min);
+        let nearest = self.truth.iter().map(|t| t.nearest_m).fold(f64::INFINITY, f64::min);
         (rms, largest, nearest)
     }
 
@@ -36,14 +36,15 @@ impl Rig {
     }
 
     /// The robot alone goes on for so many periods, without anybody who commands it: the distance of its true tip from
-    /// the first surface, m, after each of them.
+    /// the first surface, m, after each of them, along the tool or straight down, whichever is less.
     pub(crate) fn watch(&mut self, periods: usize) -> Vec<f64> {
         let step = |_| {
             self.robot.step(1);
-            let tip = self.true_tip().pose.position;
+            let pose = self.true_tip().pose.isometry().expect("a pose");
             let t_s = self.robot.now().ns() as f64 * 1e-9;
-            let below = self.setup.world.below(&Point3::from(tip), &Vector3::z_axis(), t_s);
-            below.expect("over the retina").distance_m
+            let tip = Point3::from(pose.translation.vector);
+            let below = self.setup.world.below(&tip, &(pose.rotation * Vector3::z_axis()), t_s);
+            below.expect("over the retina").distance_m.min(self.straight_down(&tip, t_s))
         };
         let distances = (0..periods).map(step).collect();
         self.bench.advance(periods as u64 * STEP_NS);

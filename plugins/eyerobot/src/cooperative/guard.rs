@@ -3,7 +3,7 @@
 //! Invariant: pure arithmetic of what it is told; the plane comes towards the tip at once and goes away slowly, so that one wrong distance
 //! (a deeper layer in the place of the surface) does not open the way. Units m and s, everything in the robot's base frame.
 
-use trocar_oct_core::tip::{TipTravel, along, axis_of};
+use trocar_oct_core::tip::{TipTravel, axis_of};
 use trocar_sdk::data::{Distance, FixtureKind, Pose, VirtualFixture};
 use trocar_sdk::prelude::*;
 
@@ -18,6 +18,8 @@ const AWAY_M_S: f64 = 1e-3;
 const FASTEST_M_S: f64 = 2e-3;
 /// While the surface is not seen the plane rises by this part of the way to the side: a globe of 12 mm does so 6 mm beside its apex.
 const RISE: f64 = 0.5;
+/// A tool that leans further from z than by 60° is not led: what it sees is not below it.
+const LEAST_COSINE: f64 = 0.5;
 /// The tip may be this far beyond the plane when that is set, m: the robot refuses planes further away, and brings the tip back slowly.
 const BEYOND_M: f64 = 50e-6;
 
@@ -38,8 +40,8 @@ pub(super) struct Guard {
     seen: Option<Seen>,
     /// Where the plane stood on the tool's axis when it was last computed from a surface or a cone.
     border: Option<Border>,
-    /// Where the surface was lost: point of the plane, direction of the tool.
-    lost: Option<([f64; 3], [f64; 3])>,
+    /// Where the plane was on the tool's axis when the surface was lost, m.
+    lost: Option<[f64; 3]>,
 }
 
 /// The surface, in travel of the tip.
@@ -79,9 +81,10 @@ impl Guard {
         self.seen.is_some_and(|seen| now.seconds_since(seen.stamp).abs() <= LOST_S)
     }
 
-    /// The plane for this moment, and how far before the tip it lies, m; none where nothing says where it should be.
+    /// The plane for this moment, and how far below the tip it lies, m; none where nothing says where it should be. It lies across
+    /// z, as the retina does on the whole: under a tool that leans, one across the tool would let the tip go aside into it.
     pub(super) fn plane(&mut self, now: Stamp, bounds: &Bounds) -> Option<(VirtualFixture, f64)> {
-        let axis = axis_of(&self.pose.orientation)?;
+        let axis = axis_of(&self.pose.orientation).filter(|axis| axis[2] > LEAST_COSINE)?;
         let travel_m = self.travel.at(self.pose.stamp.ns())?;
         if let Some(seen) = self.seen.filter(|_| self.is_seen(now)) {
             let surface_m = seen.surface_m + seen.velocity_m_s * now.seconds_since(seen.stamp).max(0.0);
@@ -91,40 +94,29 @@ impl Guard {
             }
             self.border = Some(Border { stamp: now, at_m });
             self.lost = None;
-            return Some(self.across_the_tool(at_m - travel_m));
+            return Some(self.across_z(axis[2] * (at_m - travel_m)));
         }
-        let below_z_m = bounds.lowest_z_m - self.pose.position[2];
+        let lowest_m = bounds.lowest_z_m - self.pose.position[2];
         let Some(border) = self.border else {
             // Nothing is driven out of what was never seen: the tip has to be above the plane.
-            return (below_z_m >= -BEYOND_M).then(|| self.across_z(below_z_m));
+            return (lowest_m >= -BEYOND_M).then(|| self.across_z(lowest_m));
         };
-        let (apex, direction) = *self.lost.get_or_insert_with(|| {
-            let below_m = border.at_m - travel_m;
-            ([0, 1, 2].map(|i| self.pose.position[i] + axis[i] * below_m), axis)
+        let apex = *self.lost.get_or_insert_with(|| {
+            let before_m = border.at_m - travel_m;
+            [0, 1, 2].map(|i| self.pose.position[i] + axis[i] * before_m)
         });
-        let from_apex = [0, 1, 2].map(|i| self.pose.position[i] - apex[i]);
-        let above_m = -along(&from_apex, &direction);
-        let square = from_apex.iter().map(|d| d * d).sum::<f64>() - above_m * above_m;
-        let below_m = above_m - RISE * square.max(0.0).sqrt();
-        self.border = Some(Border { stamp: now, at_m: (travel_m + below_m).min(border.at_m) });
+        let [x, y, z] = [0, 1, 2].map(|i| self.pose.position[i] - apex[i]);
+        let below_m = -z - RISE * x.hypot(y);
+        self.border = Some(Border { stamp: now, at_m: (travel_m + below_m / axis[2]).min(border.at_m) });
         // Both are safe, so the deeper one will do.
-        Some(if below_z_m > below_m { self.across_z(below_z_m) } else { self.across_the_tool(below_m) })
-    }
-
-    fn across_the_tool(&self, below_m: f64) -> (VirtualFixture, f64) {
-        let [x, y, z, w] = self.pose.orientation;
-        // Half a turn about the tool's own x: the allowed side is where z points.
-        self.across([w, z, -y, -x], axis_of(&self.pose.orientation).unwrap_or([0.0, 0.0, 1.0]), below_m)
+        Some(self.across_z(below_m.max(lowest_m)))
     }
 
     fn across_z(&self, below_m: f64) -> (VirtualFixture, f64) {
-        self.across([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0], below_m)
-    }
-
-    fn across(&self, orientation: [f64; 4], axis: [f64; 3], below_m: f64) -> (VirtualFixture, f64) {
-        let before_m = below_m.max(-BEYOND_M);
-        let position = [0, 1, 2].map(|i| self.pose.position[i] + axis[i] * before_m);
-        let frame = Pose { stamp: self.pose.stamp, position, orientation };
+        let [x, y, z] = self.pose.position;
+        let position = [x, y, z + below_m.max(-BEYOND_M)];
+        // Half a turn about x: the allowed side is where z points.
+        let frame = Pose { stamp: self.pose.stamp, position, orientation: [1.0, 0.0, 0.0, 0.0] };
         let kind = FixtureKind::PLANE;
         (VirtualFixture { kind, reserved: 0, frame, stiffness: STIFFEST_PER_S }, below_m)
     }
