@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use trocar_model::{
-    Change, ComponentId, Name, Plan, Refusal, Request, Safety, Skipped, State, SystemGraph, Verb, brief,
-    inverse, plan_all,
+    Change, Component, ComponentId, Name, Plan, Refusal, Request, Safety, Skipped, State, SystemGraph, Verb,
+    brief, inverse, plan_all,
 };
 
 use super::apart::asked_apart;
@@ -282,6 +282,8 @@ impl Gcm {
         let timeout = || Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) };
         let report = match asked.unwrap_or_else(|_| Err(timeout())) {
             Ok(report) => report,
+            // An LCM cuts what loses its port by itself, and tells so after that: what was wanted is done.
+            Err(refusal @ Refusal::ConnectionNotFound { .. }) => self.as_known(change).ok_or(refusal)?,
             Err(refusal) => {
                 self.hear_out(process).await;
                 return Err(refusal);
@@ -304,6 +306,15 @@ impl Gcm {
         }
         self.cut_off(loose);
         Ok(report)
+    }
+
+    /// What is known of the client of a connection that is to be cut.
+    fn as_known(&self, change: &Change) -> Option<Report> {
+        let Change::Disconnect { connection, .. } = change else { return None };
+        let id = connection.client.component.clone();
+        let Component { state, health, fault, .. } = self.graph().components.get(&id)?.clone();
+        let (ports, lost_connections, warnings) = (None, Vec::new(), Vec::new());
+        Some(Report { id, number: 0, state, health, fault, ports, lost_connections, warnings })
     }
 }
 

@@ -34,6 +34,8 @@ pub(crate) struct FakeLcm {
     /// Every change that was asked, as "Start host/a".
     done: Mutex<Vec<String>>,
     refuse: Mutex<BTreeSet<String>>,
+    /// Connections that it has cut by itself, as "Disconnect host/b/robot from host/a/arm", and not told so.
+    has_cut: Mutex<BTreeSet<String>>,
     /// Changes after which their component has these ports.
     ports: Mutex<BTreeMap<String, Arc<Ports>>>,
     /// Connections to other processes that cannot be made.
@@ -183,6 +185,7 @@ impl FakeLcm {
             states: Mutex::default(),
             done: Mutex::default(),
             refuse: Mutex::default(),
+            has_cut: Mutex::default(),
             ports: Mutex::default(),
             unreachable: Mutex::default(),
             fault: Mutex::default(),
@@ -208,6 +211,11 @@ impl FakeLcm {
     /// "Configure host/a" makes these ports.
     pub(crate) fn ports_at(&self, change: &str, ports: Ports) {
         self.ports.lock().unwrap().insert(change.into(), Arc::new(ports));
+    }
+
+    /// It has cut the connection of this Disconnect already, and did not tell.
+    pub(crate) fn has_cut(&self, disconnect: &str) {
+        self.has_cut.lock().unwrap().insert(disconnect.into());
     }
 
     /// "Start host/a" is refused from now on.
@@ -332,6 +340,9 @@ impl Lcm for FakeLcm {
         let id = super::execute::id_of(&change).clone();
         if self.refuse.lock().unwrap().contains(&asked) {
             return Err(Refusal::ComponentRefused { id, entry: "start", text: "the cable is out".into() });
+        }
+        if self.has_cut.lock().unwrap().contains(&asked) {
+            return Err(Refusal::ConnectionNotFound { asked, known: Vec::new() });
         }
         if self.fault.lock().unwrap().contains(&asked) {
             let text = "start: the cable is out".to_owned();

@@ -1,6 +1,6 @@
 //! Ports that change by themselves: the connections that go with them, and the thread a component is given later.
 
-use trocar_model::{ConnectOptions, PortId, PortType, Ports, Prim, Type};
+use trocar_model::{ConnectOptions, ConnectionId, PortId, PortType, Ports, Prim, Type, Which};
 
 use super::*;
 use crate::lcm::{News, Report};
@@ -208,4 +208,30 @@ async fn what_was_looked_up_earlier_changes_nothing_when_it_comes_later() {
     lcm.news.send(News::State(of("host/b", 1, Health::Overrun))).unwrap();
     let graph = until(&gcm, "the other one's is entered", |g| health(g, "host/b") == Health::Overrun).await;
     assert_eq!(health(&graph, "host/a"), Health::Overrun);
+}
+
+#[tokio::test]
+async fn what_an_lcm_has_cut_by_itself_is_as_good_as_cut_for_disconnect_and_remove() {
+    for forced in [false, true] {
+        let (gcm, lcm) = system().await;
+        ask(&gcm, ["host/a", "host/b"].map(create).to_vec()).await.unwrap();
+        let port = |path: &str| PortId::parse(path).unwrap();
+        let (client, server) = (port("host/a/robot"), port("host/b/arm"));
+        ask(&gcm, vec![Request::Connect { client, server, options: ConnectOptions::default() }])
+            .await
+            .unwrap();
+        lcm.has_cut("Disconnect host/a/robot from host/b/arm");
+        let which = Which::Id(ConnectionId(1));
+        let asked = match forced {
+            true => Request::Remove { id: id("host/b"), force: true },
+            false => Request::Disconnect { which },
+        };
+        ask(&gcm, vec![asked]).await.unwrap_or_else(|why| panic!("forced {forced}: {why}"));
+        assert!(
+            lcm.done().iter().any(|done| done == "Disconnect host/a/robot from host/b/arm"),
+            "{:?}",
+            lcm.done()
+        );
+        assert!(gcm.graph().connections.is_empty());
+    }
 }
