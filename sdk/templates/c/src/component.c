@@ -11,7 +11,7 @@
 TROCAR_MANIFEST(TROCAR_JSON({"trocar":1,"abi":[1,2],"name":"{{name}}","version":"0.1.0","panic":"none",
 "types":[) TROCAR_TYPE_SCALAR TROCAR_JSON(],
 "classes":[{"name":"{{crate}}","doc":"Smooths a signal.","execution":{"model":"periodic","period_ns":1000000},
- "inputs":[{"name":"raw","type":{"plain":{"ref":"Scalar"}}}],
+ "inputs":[{"name":"raw","type":{"plain":{"ref":"Scalar"}},"fifo":16}],
  "outputs":[{"name":"filtered","type":{"plain":{"ref":"Scalar"}}}],
  "provided":[{"name":"control","commands":[
   {"name":"set_cutoff","doc":"Sets the -3 dB corner.","kind":"write",
@@ -54,13 +54,14 @@ static trocar_status step(void *self, const trocar_tick *tick, trocar_err *err) 
     component *c = self;
     trocar_sample view = {.struct_size = sizeof view};
     (void)err;
-    const int there = c->raw->latest(c->raw->ctx, &view) == TROCAR_IN_SAMPLE;
-    if (!there || !(view.flags & TROCAR_SAMPLE_FRESH)) return TROCAR_STATUS_OK;
-    const trocar_scalar *x = view.header;
     const double a = 1.0 - exp(-2.0 * 3.14159265358979323846 * c->cutoff_hz * (double)tick->period_ns * 1e-9);
-    c->latest.stamp = x->stamp;
-    c->latest.value += a * (x->value - c->latest.value);
-    c->filtered->write(c->filtered->ctx, &c->latest, view.stamp_ns);
+    /* Each sample once, also those of a moment in which this was late: the manifest asks for a "fifo". */
+    while (c->raw->next(c->raw->ctx, &view) == TROCAR_IN_SAMPLE) {
+        const trocar_scalar *x = view.header;
+        c->latest.stamp = x->stamp;
+        c->latest.value += a * (x->value - c->latest.value);
+        c->filtered->write(c->filtered->ctx, &c->latest, view.stamp_ns);
+    }
     return TROCAR_STATUS_OK;
 }
 

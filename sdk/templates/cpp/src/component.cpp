@@ -15,7 +15,7 @@ TROCAR_MANIFEST(R"json({"trocar":1,"abi":[1,2],"name":"{{name}}","version":"0.1.
  "config":{"type":"object","additionalProperties":false,"properties":{
   "cutoff_hz":{"type":"number","description":"-3 dB corner of the filter","unit":"Hz",
    "minimum":0.1,"maximum":400,"default":10,"live":true}}},
- "inputs":[{"name":"raw","type":{"plain":{"ref":"Scalar"}}}],
+ "inputs":[{"name":"raw","type":{"plain":{"ref":"Scalar"}},"fifo":16}],
  "outputs":[{"name":"filtered","type":{"plain":{"ref":"Scalar"}}}],
  "provided":[{"name":"control","commands":[
   {"name":"clear","doc":"Forgets the past.","kind":"void"},
@@ -35,13 +35,14 @@ struct {{Name}} : trocar::Component {
 
     // On the real-time path: no allocation, no lock, no waiting.
     void step(const trocar_tick &tick) override {
-        Scalar x;
-        if (!raw.fresh(x)) return;
         const double period_s = static_cast<double>(tick.period_ns) * 1e-9;
         const double a = 1.0 - std::exp(-2.0 * 3.14159265358979323846 * cutoff_hz * period_s);
-        latest.stamp = x.stamp;
-        latest.value += a * (x.value - latest.value);
-        filtered.write(latest, raw.stamp());
+        // Each sample once, also those of a moment in which this was late: the manifest asks for a "fifo".
+        for (Scalar x; raw.next(x);) {
+            latest.stamp = x.stamp;
+            latest.value += a * (x.value - latest.value);
+            filtered.write(latest, raw.stamp());
+        }
     }
 
     void clear() { latest = {}; }

@@ -17,7 +17,8 @@ struct Settings {
 #[derive(Component)]
 #[component(name = "{{crate}}", rate_hz = 1000, provides("control"))]
 struct {{Name}} {
-    #[input]
+    /// Each sample once, also those of a moment in which this was late; `#[input]` alone has the newest.
+    #[input(fifo = 16)]
     raw: In<Scalar>,
     #[output]
     filtered: Out<Scalar>,
@@ -51,13 +52,12 @@ impl Component for {{Name}} {
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
-        let Some(raw) = self.raw.fresh() else {
-            return Ok(());
-        };
         let a = 1.0 - (-TAU * self.settings.cutoff_hz * tick.period_s()).exp();
-        self.latest.stamp = raw.stamp;
-        self.latest.value += a * (raw.value - self.latest.value);
-        self.filtered.write(&self.latest);
+        while let Some(raw) = self.raw.next() {
+            self.latest.stamp = raw.stamp;
+            self.latest.value += a * (raw.value - self.latest.value);
+            self.filtered.write(&self.latest);
+        }
         Ok(())
     }
 }
