@@ -49,7 +49,7 @@ fn chain_and_lines(samples: usize) -> (Chain, Vec<Vec<u8>>, Vec<f64>) {
         .map(|n| {
             let path_m = 500e-6 + 1e-6 * n as f64;
             let layers = [(-40e-6, 0.6), (0.0, 1.0), (35e-6, 0.3), (90e-6, 0.3), (240e-6, 0.75)];
-            let echoes = layers.map(|(below, amplitude)| Echo { path_m: path_m + below, amplitude });
+            let echoes = layers.map(|(below, amplitude)| Echo::new(path_m + below, amplitude));
             let one = Instant::now();
             spectrograph.line(&echoes, 0.0, n as u64, &mut counts);
             made.push(one.elapsed().as_nanos() as f64 * 1e-3);

@@ -47,7 +47,7 @@ impl Simulated {
 }
 
 fn echo(path_m: f64, amplitude: f64) -> Echo {
-    Echo { path_m, amplitude }
+    Echo::new(path_m, amplitude)
 }
 
 #[test]

@@ -21,7 +21,7 @@ impl Detector {
 
     /// A frame of lines with one surface at `path_m`.
     fn push(&mut self, bench: &mut Bench<OctProcessor>, lines: u32, path_m: Option<f64>) {
-        let echo = path_m.map(|path_m| Echo { path_m, amplitude: 1.0 });
+        let echo = path_m.map(|path_m| Echo::new(path_m, 1.0));
         let mut bytes = Vec::new();
         let mut counts = [0; 1024];
         for n in 0..u64::from(lines) {

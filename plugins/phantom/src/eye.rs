@@ -33,13 +33,16 @@ impl Eye {
         let (radius, r2) = (self.globe_radius_m, x * x + y * y);
         let globe = (radius * radius - r2).max(0.0).sqrt() - radius;
         let pit = self.pit_depth_m * (-r2 / (self.pit_radius_m * self.pit_radius_m)).exp();
-        let bump = if self.vessels {
-            let (u, v) = self.along(x, y);
-            Retina::shared().bump_at(u, v)
-        } else {
-            0.0
-        };
-        globe + pit - bump
+        globe + pit - self.vessel_m(x, y)
+    }
+
+    /// How far a vessel stands out at `x`, `y`, m; 0 beside vessels.
+    pub fn vessel_m(&self, x: f64, y: f64) -> f64 {
+        if !self.vessels {
+            return 0.0;
+        }
+        let (u, v) = self.along(x, y);
+        Retina::shared().bump_at(u, v)
     }
 
     /// Where on the retina `x`, `y` lies: m along the globe from the apex, in x and y direction (equidistant

@@ -8,11 +8,14 @@
 //! a. `S` is Gaussian; `κ(d) = 1 / (1 + (d / 0.9 mm)²)` is what the lens of the tip couples back;
 //! `r(z) = sinc(π/2 · ρ · z / z_max)` the roll-off of pixels of finite width, with `z_max = N λ0² / (4 Δλ)`, the depth whose
 //! fringes have two pixels; `φ = a2 x² + a3 x³` over x from −1 (smallest k) to 1 what glass and water leave of dispersion.
+//! Scatterers of the tissue have the coupling and the roll-off of the ILM above them.
 
 use std::f64::consts::{FRAC_PI_2, LN_2, TAU};
 
 use crate::eye::VITREOUS_INDEX;
+use crate::grain::{self, Bank, Scatterer};
 use crate::noise::Noise;
+use crate::phasor::{BLOCK, Field, Runs};
 use crate::tissue::Echo;
 
 /// Distance at which half of the light's amplitude comes back into the fibre, m.
@@ -24,11 +27,6 @@ const PIXEL_FILL: f64 = 0.8;
 /// The source's brightness wanders by 1 % to both sides, at most this fast, 1/s (1 % per minute).
 const DRIFT_PER_S: f64 = 0.01 / 60.0;
 const DRIFT: f64 = 0.01;
-
-/// Pixels that follow one phasor; their number in a line must be a multiple of it.
-const RUN: usize = 32;
-/// Runs that are computed side by side.
-const LANES: usize = 4;
 
 /// Light source, spectrometer and detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,13 +138,14 @@ pub struct Spectrograph {
     noise: Noise,
     /// 2π/λ of each pixel, rad/m.
     wavenumber: Vec<f64>,
-    /// First wavenumber of each run, and its first and second difference.
-    runs: Vec<[f64; 3]>,
+    runs: Runs,
+    /// The tissue between the echoes.
+    bank: Bank,
     /// Source (1 at its brightest) and exp(jφ), as the field lies.
     source: Vec<f32>,
     dispersion: [Vec<f32>; 2],
-    /// Sum over the echoes without dispersion: for each pixel of a run one value per run, so that runs lie side by side.
-    field: [Vec<f32>; 2],
+    /// Sum over the echoes without dispersion.
+    field: Field,
     /// Mean and standard deviation of the electrons, as the field lies.
     electrons: [Vec<f32>; 2],
 }
@@ -156,7 +155,7 @@ impl Spectrograph {
     /// Optics that make no spectrum: which value, and what it may be.
     pub fn new(optics: Optics, noise: Noise) -> Result<Spectrograph, BadOptics> {
         let n = optics.samples;
-        if n == 0 || !n.is_multiple_of(RUN * LANES) {
+        if n == 0 || !n.is_multiple_of(BLOCK) {
             return Err(BadOptics::Samples(n));
         }
         if !(1..=16).contains(&optics.bits) {
@@ -179,17 +178,14 @@ impl Spectrograph {
             }
         }
         let wavenumber: Vec<f64> = (0..n).map(|i| TAU / optics.wavelength_m(i)).collect();
-        let runs: Vec<[f64; 3]> = wavenumber.chunks_exact(RUN).map(differences).collect();
-        let rows = runs.len();
-        // Pixel of a place in the field.
-        let lying =
-            |of: &dyn Fn(usize) -> f64| (0..n).map(|at| of(at % rows * RUN + at / rows) as f32).collect();
+        let runs = Runs::of(&wavenumber);
         let phase = |i: usize| phase_at(&optics, &wavenumber, i);
-        let dispersion = [lying(&|i| phase(i).cos()), lying(&|i| phase(i).sin())];
-        let source = lying(&|i| source_at(&optics, i));
+        let dispersion = [runs.lying(|i| phase(i).cos()), runs.lying(|i| phase(i).sin())];
+        let source = runs.lying(|i| source_at(&optics, i));
         let zeros = || vec![0.0; n];
         let (field, electrons) = ([zeros(), zeros()], [zeros(), zeros()]);
-        Ok(Spectrograph { optics, noise, wavenumber, runs, source, dispersion, field, electrons })
+        let bank = Bank::new(&runs, n);
+        Ok(Spectrograph { optics, noise, wavenumber, runs, bank, source, dispersion, field, electrons })
     }
 
     pub fn optics(&self) -> &Optics {
@@ -205,11 +201,17 @@ impl Spectrograph {
     /// Several echoes of one surface, each with its part of the amplitude, blur it as a motion during the exposure does.
     pub fn line(&mut self, echoes: &[Echo], t_s: f64, index: u64, out: &mut [u16]) {
         self.field.iter_mut().for_each(|part| part.fill(0.0));
-        let rows = self.runs.len();
         for echo in echoes {
             let amplitude = self.optics.amplitude(echo) as f32;
-            for (chunk, runs) in self.runs.chunks_exact(LANES).enumerate() {
-                add_echo(&mut self.field, rows, chunk * LANES, runs, 2.0 * echo.path_m, amplitude);
+            match echo.tissue {
+                None => {
+                    let [re, im] = &mut self.field;
+                    self.runs.add(re, im, 2.0 * echo.path_m, amplitude);
+                }
+                Some(tissue) => {
+                    let parts = [tissue.inner, tissue.outer].map(|part| amplitude * part as f32);
+                    self.bank.add(&self.runs, &mut self.field, echo.path_m, tissue.column, parts);
+                }
             }
         }
         self.count_electrons(self.scale(t_s) as f32);
@@ -217,12 +219,10 @@ impl Spectrograph {
         let most = self.optics.largest_count() as f32;
         let counts = most / self.optics.full_well_e as f32;
         let [mean, spread] = &self.electrons;
-        for (run, out) in out.chunks_mut(RUN).enumerate().take(rows) {
-            for (i, out) in out.iter_mut().enumerate() {
-                let at = i * rows + run;
-                let noisy = mean[at] + spread[at] * noise.quick_normal((run * RUN + i) as u64);
-                *out = (noisy * counts + 0.5).clamp(0.0, most) as u16;
-            }
+        for (i, out) in out.iter_mut().enumerate().take(self.optics.samples) {
+            let at = self.runs.place(i);
+            let noisy = mean[at] + spread[at] * noise.quick_normal(i as u64);
+            *out = (noisy * counts + 0.5).clamp(0.0, most) as u16;
         }
     }
 
@@ -255,11 +255,20 @@ impl Spectrograph {
         let full = self.scale(t_s);
         let pixel = |i: usize| {
             let (mut re, mut im) = (1.0, 0.0);
+            let mut add = |path_m: f64, amplitude: f64| {
+                let phase = 2.0 * self.wavenumber[i] * path_m + phase_at(&self.optics, &self.wavenumber, i);
+                re += amplitude * phase.cos();
+                im += amplitude * phase.sin();
+            };
             for echo in echoes {
-                let phase =
-                    2.0 * self.wavenumber[i] * echo.path_m + phase_at(&self.optics, &self.wavenumber, i);
-                re += self.optics.amplitude(echo) * phase.cos();
-                im += self.optics.amplitude(echo) * phase.sin();
+                let amplitude = self.optics.amplitude(echo);
+                let Some(tissue) = echo.tissue else {
+                    add(echo.path_m, amplitude);
+                    continue;
+                };
+                for Scatterer { below_m, amplitude: part } in grain::scatterers(tissue.column) {
+                    add(echo.path_m + below_m, amplitude * part * tissue.part(below_m));
+                }
             }
             full * source_at(&self.optics, i) * (re * re + im * im)
         };
@@ -284,63 +293,6 @@ fn phase_at(optics: &Optics, wavenumber: &[f64], pixel: usize) -> f64 {
     let x = 2.0 * (wavenumber[pixel] - low) / (high - low) - 1.0;
     let [a2, a3] = optics.dispersion_rad;
     x * x * (a2 + a3 * x)
-}
-
-/// The parabola through first, middle and last wavenumber of a run: value, and first and second difference at its begin.
-/// Between them it errs by less than 0.02 rad/m, 1e-4 rad at 2 mm.
-fn differences(run: &[f64]) -> [f64; 3] {
-    let (middle, last) = (RUN / 2, RUN - 1);
-    let (m, l) = (middle as f64, last as f64);
-    let (to_middle, to_last) = ((run[middle] - run[0]) / m, (run[last] - run[0]) / l);
-    // k_j = k_0 + j d + j (j − 1) / 2 q
-    let q = 2.0 * (to_last - to_middle) / (l - m);
-    [run[0], to_middle - 0.5 * (m - 1.0) * q, q]
-}
-
-/// Adds `amplitude · exp(j way k)` over `LANES` runs from `first` on, pixel by pixel: e ← e d, d ← d c.
-fn add_echo(
-    field: &mut [Vec<f32>; 2],
-    rows: usize,
-    first: usize,
-    runs: &[[f64; 3]],
-    way: f64,
-    amplitude: f32,
-) {
-    let unit = |phase: f64| {
-        let (sin, cos) = ((phase - TAU * (phase / TAU).round()) as f32).sin_cos();
-        [cos, sin]
-    };
-    let [mut er, mut ei, mut dr, mut di, mut cr, mut ci] = [[0.0f32; LANES]; 6];
-    for (lane, run) in runs.iter().enumerate().take(LANES) {
-        let (start, step) = (unit(way * run[0]), unit(way * run[1]));
-        (er[lane], ei[lane]) = (amplitude * start[0], amplitude * start[1]);
-        [dr[lane], di[lane]] = step;
-        // Less than 0.01 rad: two terms are exact in f32.
-        let bend = (way * run[2]) as f32;
-        (cr[lane], ci[lane]) = (1.0 - 0.5 * bend * bend, bend);
-    }
-    let [re, im] = field;
-    for (re, im) in re.chunks_exact_mut(rows).zip(im.chunks_exact_mut(rows)) {
-        let (re, im) = (re.get_mut(first..), im.get_mut(first..));
-        let (Some(re), Some(im)) =
-            (re.and_then(<[f32]>::first_chunk_mut), im.and_then(<[f32]>::first_chunk_mut))
-        else {
-            return;
-        };
-        let (re, im): (&mut [f32; LANES], &mut [f32; LANES]) = (re, im);
-        for lane in 0..LANES {
-            re[lane] += er[lane];
-            im[lane] += ei[lane];
-        }
-        for lane in 0..LANES {
-            let (r, i) = (er[lane], ei[lane]);
-            er[lane] = r * dr[lane] - i * di[lane];
-            ei[lane] = r * di[lane] + i * dr[lane];
-            let (r, i) = (dr[lane], di[lane]);
-            dr[lane] = r * cr[lane] - i * ci[lane];
-            di[lane] = r * ci[lane] + i * cr[lane];
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,33 +1,84 @@
-//! What light meets below a place of the retina: membrane, surface, layers.
+//! What light meets below a place of the retina: membrane, surface, layers, and the tissue between them.
 //!
 //! Invariant: echoes are given from the first to the deepest and are at most [`ECHOES`].
 
+use std::f64::consts::TAU;
+
+use crate::grain::{COLUMNS, OUTER_M};
 use crate::noise::Noise;
 
-/// Echoes below one place at most: membrane, ILM and three layers.
-pub const ECHOES: usize = 5;
+/// Echoes below one place at most: both sides of the membrane, ILM, tissue and three layers.
+pub const ECHOES: usize = 7;
 
 /// Layers below the ILM: optical path below it (m) and amplitude beside that of the ILM. RNFL/GCL, INL, RPE.
 pub const LAYERS: [(f64, f64); 3] = [(35e-6, 0.3), (90e-6, 0.3), (240e-6, 0.75)];
 
 /// Amplitude of the ILM.
 pub const ILM: f64 = 1.0;
-/// Amplitude of the membrane.
+/// Amplitude of the membrane's upper side.
 pub const MEMBRANE: f64 = 0.6;
+/// Amplitude of its lower side.
+const MEMBRANE_BACK: f64 = 0.25;
 
-/// Side of the squares that have one speckle, m.
+/// Side of the squares in which each echo has one amplitude, m.
 pub const SPECKLE_M: f64 = 10e-6;
+/// Side of the squares with one column of scatterers, m. A column of an image, 6 µm wide, is the mean of thirty: so clinical
+/// instruments show the mean of many frames, in which speckle has faded but is still there.
+pub const GRAIN_M: f64 = 0.2e-6;
+
+/// Stream of the tissue's columns; those of the echoes are below.
+const BELOW: u64 = 16;
 
 /// Below this height the membrane lies on the retina and has no echo of its own, m.
 const THINNEST_M: f64 = 0.5e-6;
 
-/// One echo.
+/// The membrane is not flat: it waves over so much of its height, each wave so long, m.
+const WAVES: f64 = 0.05;
+const WAVE_M: f64 = 210e-6;
+
+/// One echo, or the tissue between echoes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Echo {
     /// Optical path from the tip (geometric distance times index), m.
     pub path_m: f64,
     /// Amplitude beside that of the ILM without speckle.
     pub amplitude: f64,
+    /// Not one echo but the scatterers below an ILM at `path_m`.
+    pub tissue: Option<Tissue>,
+}
+
+impl Echo {
+    /// One echo of its own.
+    pub fn new(path_m: f64, amplitude: f64) -> Echo {
+        Echo { path_m, amplitude, tissue: None }
+    }
+}
+
+/// Scatterers below the ILM.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tissue {
+    /// Which column of scatterers.
+    pub column: usize,
+    /// Amplitude of the layers above and in the vessels, beside that of a healthy place.
+    pub inner: f64,
+    /// Amplitude of the layers under the vessels.
+    pub outer: f64,
+}
+
+impl Tissue {
+    /// Amplitude at an optical path below the ILM, m.
+    pub fn part(&self, below_m: f64) -> f64 {
+        if below_m < OUTER_M { self.inner } else { self.outer }
+    }
+}
+
+/// How much light a place gives back beside a healthy one without vessels: amplitudes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shade {
+    /// From the layers above and in the vessels.
+    pub inner: f64,
+    /// From what lies under the vessels.
+    pub outer: f64,
 }
 
 /// The echoes below one place.
@@ -38,7 +89,7 @@ pub struct Echoes {
 }
 
 impl Echoes {
-    /// Adds one behind those that are there; a sixth is left out.
+    /// Adds one behind those that are there; one more than there is room for is left out.
     pub fn push(&mut self, echo: Echo) {
         if let Some(room) = self.echoes.get_mut(self.count) {
             *room = echo;
@@ -99,23 +150,50 @@ impl Patch {
         let [hx, hy] = self.half_m;
         let out = ((x - cx) / hx).hypot((y - cy) / hy);
         let rise = ((1.0 - out) / self.flank).clamp(0.0, 1.0);
-        self.height_m * rise * rise * (3.0 - 2.0 * rise)
+        let waves = (TAU * (x - cx) / WAVE_M).sin() * (TAU * (y - cy) / WAVE_M + 1.0).cos();
+        self.height_m * rise * rise * (3.0 - 2.0 * rise) * (1.0 + WAVES * waves)
     }
 }
 
+/// Thickness of the membrane at `x`, `y`, m: 6 to 9 µm.
+fn thickness(x: f64, y: f64) -> f64 {
+    let along = (TAU * x / 83e-6).sin() + (TAU * (0.6 * x + y) / 131e-6).sin();
+    7.5e-6 + 0.75e-6 * along
+}
+
 /// The echoes below `x`, `y` on the retina when the ILM is `ilm_path_m` (optical) away and the membrane `height_m`
-/// (geometric) above it in a medium of `index`. Speckle is redrawn for each 10 µm square of the retina and each layer.
-pub fn echoes(noise: Noise, x: f64, y: f64, ilm_path_m: f64, height_m: f64, index: f64) -> Echoes {
-    let square = |along: f64| (along / SPECKLE_M).floor() as i64 as u64;
-    let place = square(x).wrapping_mul(0x1_0000_0001).wrapping_add(square(y));
-    let speckled = |layer: u64, amplitude: f64| amplitude * (0.55 + 0.9 * noise.part(layer).uniform(place));
+/// (geometric) above it in a medium of `index`. Amplitudes are redrawn for each 10 µm square of the retina and each layer,
+/// the tissue for each square of [`GRAIN_M`].
+pub fn echoes(
+    noise: Noise,
+    [x, y]: [f64; 2],
+    ilm_path_m: f64,
+    height_m: f64,
+    index: f64,
+    shade: Shade,
+) -> Echoes {
+    let place = |side_m: f64| {
+        let square = |along: f64| (along / side_m).floor() as i64 as u64;
+        square(x).wrapping_mul(0x1_0000_0001).wrapping_add(square(y))
+    };
+    let here = place(SPECKLE_M);
+    let speckled = |layer: u64, amplitude: f64| amplitude * (0.55 + 0.9 * noise.part(layer).uniform(here));
     let mut all = Echoes::default();
     if height_m > THINNEST_M {
-        all.push(Echo { path_m: ilm_path_m - index * height_m, amplitude: speckled(1, MEMBRANE) });
+        let path_m = ilm_path_m - index * height_m;
+        all.push(Echo::new(path_m, speckled(1, MEMBRANE)));
+        let thick_m = thickness(x, y);
+        if height_m > 1.5 * thick_m {
+            all.push(Echo::new(path_m + index * thick_m, speckled(1, MEMBRANE_BACK)));
+        }
     }
-    all.push(Echo { path_m: ilm_path_m, amplitude: speckled(0, ILM) });
+    all.push(Echo::new(ilm_path_m, speckled(0, ILM)));
+    let column = noise.part(BELOW).bits(place(GRAIN_M)) as usize % COLUMNS;
+    let tissue = Some(Tissue { column, inner: shade.inner, outer: shade.outer });
+    all.push(Echo { path_m: ilm_path_m, amplitude: 1.0, tissue });
     for (layer, (below, amplitude)) in LAYERS.into_iter().enumerate() {
-        all.push(Echo { path_m: ilm_path_m + below, amplitude: speckled(2 + layer as u64, amplitude) });
+        let shadow = if below < OUTER_M { 1.0 } else { shade.outer };
+        all.push(Echo::new(ilm_path_m + below, shadow * speckled(2 + layer as u64, amplitude)));
     }
     all
 }
@@ -124,24 +202,26 @@ pub fn echoes(noise: Noise, x: f64, y: f64, ilm_path_m: f64, height_m: f64, inde
 mod tests {
     use super::*;
 
+    const CLEAR: Shade = Shade { inner: 1.0, outer: 1.0 };
+
     #[test]
-    fn below_a_patch_there_are_five_echoes_from_the_membrane_down() {
+    fn below_a_patch_there_are_seven_echoes_from_the_membrane_down() {
         let noise = Noise::new(1, 1);
         let height = Membrane::DEFAULT.height(0.6e-3, 0.0);
         assert!((height - 45e-6).abs() < 1e-12);
-        let below = echoes(noise, 0.6e-3, 0.0, 668e-6, height, 1.336);
+        let below = echoes(noise, [0.6e-3, 0.0], 668e-6, height, 1.336, CLEAR);
         let paths: Vec<f64> = below.as_slice().iter().map(|echo| echo.path_m).collect();
-        assert_eq!(paths.len(), 5);
+        assert_eq!(paths.len(), ECHOES);
         assert!(paths.is_sorted(), "{paths:?}");
         assert!((paths[0] - (668e-6 - 1.336 * 45e-6)).abs() < 1e-12);
-        let beside = echoes(noise, 0.0, 0.0, 668e-6, Membrane::DEFAULT.height(0.0, 0.0), 1.336);
-        assert_eq!(beside.as_slice().len(), 4);
+        let beside = echoes(noise, [0.0, 0.0], 668e-6, Membrane::DEFAULT.height(0.0, 0.0), 1.336, CLEAR);
+        assert_eq!(beside.as_slice().len(), 5);
     }
 
     #[test]
     fn speckle_is_one_per_square_and_lies_between_its_bounds() {
         let noise = Noise::new(1, 1);
-        let ilm = |x: f64, y: f64| echoes(noise, x, y, 1e-3, 0.0, 1.0).as_slice()[0].amplitude;
+        let ilm = |x: f64, y: f64| echoes(noise, [x, y], 1e-3, 0.0, 1.0, CLEAR).as_slice()[0].amplitude;
         assert_eq!(ilm(1e-6, 1e-6), ilm(9e-6, 9e-6));
         assert_ne!(ilm(9e-6, 1e-6), ilm(11e-6, 1e-6));
         assert_ne!(ilm(-1e-6, 1e-6), ilm(1e-6, 1e-6));

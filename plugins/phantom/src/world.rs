@@ -8,7 +8,7 @@ use nalgebra::{Point3, UnitVector3, Vector3};
 use crate::eye::{Eye, VITREOUS_INDEX};
 use crate::motion::{Motion, Saccade, Step};
 use crate::noise::Noise;
-use crate::tissue::{Echoes, Membrane, echoes};
+use crate::tissue::{Echoes, Membrane, Shade, echoes};
 
 /// Streams of random numbers, one per use, so that none follows another.
 pub(crate) mod streams {
@@ -17,6 +17,15 @@ pub(crate) mod streams {
     pub(crate) const HAND: u64 = 3;
     pub(crate) const PEELING: u64 = 4;
 }
+
+/// A vessel that stands out by so much begins to shade what is under it, and shades it most, m.
+const VESSEL_M: [f64; 2] = [3e-6, 9e-6];
+/// Amplitude that a vessel takes from what is under it, and that its blood adds to the layer it is in.
+const SHADOW: f64 = 0.7;
+const BLOOD: f64 = 0.4;
+/// Amplitude that the inner layers lack in the middle of the fovea, and where that has fallen to 1/e, m.
+const THINNED: f64 = 0.6;
+const PIT_M: f64 = 0.35e-3;
 
 /// Longest way along the tool that is looked for the retina, m.
 const FARTHEST_M: f64 = 25e-3;
@@ -117,7 +126,17 @@ impl World {
         let [x, y] = below.at_m;
         // Along the tool the membrane lies as far before the ILM as the two distances say.
         let height = below.ilm_m - below.distance_m;
-        echoes(self.noise(streams::SPECKLE), x, y, VITREOUS_INDEX * below.ilm_m, height, VITREOUS_INDEX)
+        let path_m = VITREOUS_INDEX * below.ilm_m;
+        echoes(self.noise(streams::SPECKLE), [x, y], path_m, height, VITREOUS_INDEX, self.shade(x, y))
+    }
+
+    /// How much light the layers give back at `x`, `y` of the eye. Blood gives back more than the layers beside it, and
+    /// leaves less for what lies under a vessel; in the pit the inner layers are thin.
+    pub fn shade(&self, x: f64, y: f64) -> Shade {
+        let deep = ((self.eye.vessel_m(x, y) - VESSEL_M[0]) / (VESSEL_M[1] - VESSEL_M[0])).clamp(0.0, 1.0);
+        let vessel = deep * deep * (3.0 - 2.0 * deep);
+        let pit = (-(x * x + y * y) / (PIT_M * PIT_M)).exp();
+        Shade { inner: (1.0 + BLOOD * vessel) * (1.0 - THINNED * pit), outer: 1.0 - SHADOW * vessel }
     }
 
     /// Velocity of the retina, m/s, in the world.

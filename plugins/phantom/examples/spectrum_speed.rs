@@ -1,0 +1,36 @@
+//! How long one spectrum of the simulated retina takes, with and without the tissue between its echoes.
+//! `cargo run --release -p trocar-phantom --example spectrum_speed`
+#![allow(clippy::print_stdout)]
+
+use std::error::Error;
+use std::time::Instant;
+
+use nalgebra::{Point3, Vector3};
+use trocar_phantom::World;
+use trocar_phantom::spectra::{Optics, Spectrograph};
+
+const LINES: u32 = 20_000;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let world = World::named("static", 1).ok_or("no such world")?;
+    for samples in [1024, 2048] {
+        let begin = Instant::now();
+        let mut maker = Spectrograph::new(Optics::with_samples(samples), world.noise(16))?;
+        println!("{samples} px: tables in {:.1} ms", begin.elapsed().as_secs_f64() * 1e3);
+        let mut out = vec![0; samples];
+        for tissue in [false, true] {
+            let begin = Instant::now();
+            for n in 0..LINES {
+                let x = 1e-6 * f64::from(n % 3000) - 1.5e-3;
+                let tip = Point3::new(x, 0.0, -0.5e-3);
+                let below = world.below(&tip, &Vector3::z_axis(), 0.0).ok_or("past the retina")?;
+                let mut echoes = world.echoes(&below).as_slice().to_vec();
+                echoes.retain(|echo| tissue || echo.tissue.is_none());
+                maker.line(&echoes, 0.0, u64::from(n), &mut out);
+            }
+            let each_us = begin.elapsed().as_secs_f64() * 1e6 / f64::from(LINES);
+            println!("{samples} px, tissue {tissue}: {each_us:.1} µs per spectrum, the eye's shape included");
+        }
+    }
+    Ok(())
+}
