@@ -6,7 +6,7 @@ use crate::noise::Noise;
 use crate::phasor::{Field, LANES, Runs, lanes, lanes_mut};
 
 /// Columns that differ; which one lies below a place of the retina is drawn from its speckle.
-pub const COLUMNS: usize = 128;
+pub const COLUMNS: usize = 64;
 
 /// Optical path below the ILM at which the layers under the vessels begin, m.
 pub const OUTER_M: f64 = 60e-6;
@@ -98,7 +98,7 @@ pub(crate) struct Bank {
 }
 
 impl Bank {
-    /// Makes the tables: some 50 ms for 1024 pixels.
+    /// Makes the tables: some 25 ms for 1024 pixels.
     pub(crate) fn new(runs: &Runs, samples: usize) -> Bank {
         let zeros = || vec![0.0; COLUMNS * samples];
         let mut bank = Bank { inner: [zeros(), zeros()], outer: [zeros(), zeros()], samples };

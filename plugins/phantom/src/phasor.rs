@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 
 /// Pixels that follow one phasor; their number in a line must be a multiple of it.
-const RUN: usize = 32;
+pub(crate) const RUN: usize = 32;
 /// Runs that are computed side by side.
 pub(crate) const LANES: usize = 4;
 /// The number of pixels is a multiple of this.
@@ -26,13 +26,8 @@ impl Runs {
     }
 
     /// Runs of a line.
-    fn rows(&self) -> usize {
+    pub(crate) fn rows(&self) -> usize {
         self.0.len()
-    }
-
-    /// Place in a field of a pixel.
-    pub(crate) fn place(&self, pixel: usize) -> usize {
-        pixel % RUN * self.rows() + pixel / RUN
     }
 
     /// The values of all pixels, as a field lies.

@@ -15,7 +15,7 @@ use std::f64::consts::{FRAC_PI_2, LN_2, TAU};
 use crate::eye::VITREOUS_INDEX;
 use crate::grain::{self, Bank, Scatterer};
 use crate::noise::Noise;
-use crate::phasor::{BLOCK, Field, Runs};
+use crate::phasor::{BLOCK, Field, RUN, Runs};
 use crate::tissue::Echo;
 
 /// Distance at which half of the light's amplitude comes back into the fibre, m.
@@ -219,10 +219,13 @@ impl Spectrograph {
         let most = self.optics.largest_count() as f32;
         let counts = most / self.optics.full_well_e as f32;
         let [mean, spread] = &self.electrons;
-        for (i, out) in out.iter_mut().enumerate().take(self.optics.samples) {
-            let at = self.runs.place(i);
-            let noisy = mean[at] + spread[at] * noise.quick_normal(i as u64);
-            *out = (noisy * counts + 0.5).clamp(0.0, most) as u16;
+        let rows = self.runs.rows();
+        for (run, out) in out.chunks_mut(RUN).enumerate().take(rows) {
+            for (i, out) in out.iter_mut().enumerate() {
+                let at = i * rows + run;
+                let noisy = mean[at] + spread[at] * noise.quick_normal((run * RUN + i) as u64);
+                *out = (noisy * counts + 0.5).clamp(0.0, most) as u16;
+            }
         }
     }
 
