@@ -44,6 +44,10 @@ pub(crate) struct OctProcessorConfig {
     /// Black and white of ascan_u8, dB re one count squared
     #[config(default = [45.0, 95.0])]
     range_db: [f64; 2],
+    /// Bins of ascan_u8, from the first, that are black: what the reference arm leaves beside the background would be a white bar at
+    /// the top of every picture. `ascan` has them as they are
+    #[config(min = 0, max = 4096, default = 12)]
+    hidden_bins: u32,
     /// A line whose mean is below this part of the largest count is dark
     #[config(min = 0.0, max = 1.0, default = 0.01)]
     dark_level: f64,
@@ -71,7 +75,7 @@ pub struct OctProcessor {
     /// A-scans, f32, dB re one count squared
     #[output]
     ascan: Out<Frame<AScanHeader>>,
-    /// The same as bytes over the range of set_range_db
+    /// The same as bytes over the range of set_range_db, the first hidden_bins of them black
     #[output]
     ascan_u8: Out<Frame<AScanHeader>>,
     /// The background was captured of so many lines.

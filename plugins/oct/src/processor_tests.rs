@@ -75,6 +75,23 @@ fn each_line_gives_an_a_scan_with_its_stamp_number_and_scale() {
 }
 
 #[test]
+fn the_bytes_leave_out_what_the_reference_arm_leaves_and_the_decibels_do_not() {
+    let first = |config: &str| {
+        let (mut bench, mut detector) = (Bench::<OctProcessor>::new(config), Detector::new());
+        detector.push(&mut bench, 1, Some(668e-6));
+        bench.step(1);
+        let (_, bytes, _) = bench.frames::<AScanHeader>("ascan").remove(0);
+        let (_, grey, _) = bench.frames::<AScanHeader>("ascan_u8").remove(0);
+        let shown = grey.iter().take_while(|grey| **grey == 0).count();
+        (shown, decibels(&bytes)[..3].iter().all(|db| *db > 45.0))
+    };
+    // No background was taken: the first bins are those of the reference arm.
+    assert_eq!(first(r#"{"range_db": [0, 95]}"#), (12, true));
+    assert_eq!(first(r#"{"range_db": [0, 95], "hidden_bins": 0}"#), (0, true));
+    assert_eq!(first(r#"{"hidden_bins": 4096}"#), (512, true));
+}
+
+#[test]
 fn processing_allocates_nothing_not_even_while_it_searches() {
     let (mut bench, mut detector) = (Bench::<OctProcessor>::new("{}"), Detector::new());
     bench.command::<(), ()>("auto_dispersion", ()).unwrap();

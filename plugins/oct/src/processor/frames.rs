@@ -64,6 +64,8 @@ impl OctProcessor {
             }
             if let Some(room) = bytes_loan.as_mut().and_then(|b| b.bytes_mut().get_mut(at..at + bins)) {
                 shades(&works.ascan, low, high, room);
+                let hidden = bins.min(self.cfg.hidden_bins as usize);
+                room[..hidden].fill(0);
             }
         }
         works.light = last;
