@@ -78,8 +78,8 @@ impl DrawingBackend for Canvas<'_> {
         };
         for (n, letter) in text.chars().enumerate() {
             let raster = |letter| get_raster(letter, FontWeight::Regular, size);
-            // The font has ASCII; the one other letter of units gets its usual stand-in.
-            let letter = if matches!(letter, 'µ' | 'μ') { 'u' } else { letter };
+            // The font has Latin-1, and so one of the two letters that are written for micro.
+            let letter = if letter == 'μ' { 'µ' } else { letter };
             let Some(glyph) = raster(letter).or_else(|| raster('?')) else { continue };
             for (y, row) in glyph.rows().enumerate() {
                 for (x, ink) in row.iter().enumerate().filter(|(_, ink)| **ink > 0) {

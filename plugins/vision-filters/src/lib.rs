@@ -13,6 +13,7 @@ pub mod overlay;
 pub mod pip;
 pub mod remap;
 pub mod resize;
+pub mod scale;
 mod simd;
 pub mod view;
 

@@ -40,6 +40,11 @@ impl<'a> Given<'a> {
         Given::of(frame, StereoHeader::from(*frame.header()), false)
     }
 
+    /// Columns and rows that it came with.
+    pub(super) fn size(&self) -> [u32; 2] {
+        [self.which.header.width, self.which.header.height]
+    }
+
     fn of<H: Payload>(frame: &'a FrameView<'_, H>, header: StereoHeader, pair: bool) -> Given<'a> {
         let which = Which { header, pair, seq: frame.seq(), stamp: frame.stamp() };
         Given { bytes: frame.bytes(), which, fresh: frame.is_fresh() }

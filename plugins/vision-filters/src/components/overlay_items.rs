@@ -23,7 +23,7 @@ named_values! {
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct OverlayText {
-    /// ASCII; other letters become `?`.
+    /// Latin-1; other letters become `?`.
     pub text: Text<96>,
     /// Number of the item, 0 to 31; takes the place of what has it.
     pub item: u32,

@@ -10,6 +10,7 @@ use super::in_place::{InPlace, Room};
 use super::inset::{Given, Scaled};
 use super::pair::{self, Tally};
 use crate::pip::lay;
+use crate::scale::{self, PixelSize};
 use crate::view::ViewMut;
 
 /// Where the inset is, how large, and how much of the picture below it shows through.
@@ -49,6 +50,16 @@ struct PipConfig {
     /// How much the inset hides: 0 nothing, 1 all
     #[config(live, min = 0, max = 1, default = 1.0)]
     alpha: f64,
+    /// From one column of the inset to the next, as it comes; with it the inset has an axis and a scale bar. 0: not known
+    #[config(live, min = 0, max = 1, unit = "m", default = 0.0)]
+    columns_m: f64,
+    /// From one row to the next; with it the inset has an axis down its left side
+    #[config(live, min = 0, max = 1, unit = "m", default = 0.0)]
+    rows_m: f64,
+    /// How much larger lengths down are shown than lengths across: 1 is true to scale. With columns_m and rows_m it says the
+    /// height, in place of h. 0: the height is that of h
+    #[config(live, min = 0, max = 100, default = 0.0)]
+    stretch: f64,
     /// Whether the inset is shown
     #[config(live, default = true)]
     visible: bool,
@@ -132,6 +143,28 @@ impl PipConfig {
     }
 }
 
+impl PipConfig {
+    /// The height of an inset that comes with so many columns and rows and shall be `w` wide (0: as it comes), px; `h` where
+    /// the stretch does not say it.
+    fn height(&self, [columns, rows]: [u32; 2], w: u32, h: u32) -> u32 {
+        let [across_m, down_m] = [f64::from(columns) * self.columns_m, f64::from(rows) * self.rows_m];
+        if !(self.stretch > 0.0 && across_m > 0.0 && down_m > 0.0) {
+            return h;
+        }
+        let wide = f64::from(if w == 0 { columns } else { w });
+        (wide * self.stretch * down_m / across_m).round().clamp(1.0, f64::from(self.max_height)) as u32
+    }
+
+    /// Size of the pixels of an inset that came with so many columns and rows and is shown with others, m.
+    fn pixel(&self, [columns, rows]: [u32; 2], shown: [usize; 2]) -> PixelSize {
+        let each = |m: f64, came: u32, shown: usize| m * f64::from(came) / shown.max(1) as f64;
+        PixelSize {
+            column_m: each(self.columns_m, columns, shown[0]),
+            row_m: each(self.rows_m, rows, shown[1]),
+        }
+    }
+}
+
 impl Component for Pip {
     fn configure(&mut self) -> Result {
         let PipConfig { x, y, w, h, alpha, visible, .. } = self.cfg;
@@ -155,12 +188,17 @@ impl Component for Pip {
             let one = if self.visible && pair.is_none() { self.picture.latest() } else { None };
             let one = one.filter(|p| !p.is_stale());
             let given = pair.as_ref().map(Given::pair).or_else(|| one.as_ref().map(Given::picture));
+            let came = given.as_ref().map_or([0; 2], Given::size);
+            let rect = PipRect { h: self.cfg.height(came, rect.w, rect.h), ..rect };
             let inset = given.and_then(|given| self.scaled.ready(&given, &rect, &mut self.insets));
             self.inset_shown = inset.is_some().into();
+            let cfg = &self.cfg;
             let change = inset.map(|inset| {
                 move |big: &mut [ViewMut<'_>; 2]| {
                     for (small, big) in inset.iter().zip(big) {
-                        lay(small, big, i64::from(rect.x), i64::from(rect.y), part);
+                        let covered = lay(small, big, i64::from(rect.x), i64::from(rect.y), part);
+                        let shape = small.shape();
+                        scale::draw(big, covered, cfg.pixel(came, [shape.width, shape.height]));
                     }
                 }
             });

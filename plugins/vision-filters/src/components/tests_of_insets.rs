@@ -202,3 +202,38 @@ fn another_size_another_inset_and_another_kind_of_it_allocate_nothing() {
     let state = bench.state();
     assert_eq!((state.tally.frames, state.insets.frames, state.insets.rejected), (10, 10, 0));
 }
+
+/// A black pair under a picture of 100 × 50 px, and what of it is not black, as rows of the left image.
+fn with_axes(config: &str) -> Vec<usize> {
+    let mut bench = Bench::<Pip>::new(config);
+    bench.push_frame("picture", picture(100, 50, PixelFormat::GRAY8), &[9; 5000]);
+    let (_, bytes) =
+        filtered(&mut bench, header(320, 240, PixelFormat::GRAY8), &[0; 2 * 320 * 240]).remove(0);
+    bench.assert_no_alloc(|bench| bench.step(1));
+    let (left, right) = bytes.split_at(320 * 240);
+    assert_eq!(left, right, "one picture for both eyes");
+    left.chunks_exact(320).map(|row| row.iter().filter(|level| **level > 0).count()).collect()
+}
+
+#[test]
+fn an_inset_whose_pixels_have_a_size_has_axes_and_the_stretch_says_its_height() {
+    // 100 columns of 10 µm are 1 mm, 50 rows of 5 µm a quarter of it: 200 px wide it is 50 px high, twice stretched 100 px.
+    let plain = with_axes(r#"{"x": 0, "y": 0, "w": 200, "h": 150}"#);
+    assert_eq!((plain[0], plain[149], plain[150]), (200, 200, 0));
+    let config = r#"{"x": 0, "y": 0, "w": 200, "h": 150, "columns_m": 1e-5, "rows_m": 5e-6, "stretch": 2}"#;
+    let scaled = with_axes(config);
+    assert_eq!((scaled[0], scaled[99], scaled[100]), (200, 200, 0));
+}
+
+#[test]
+fn axes_are_drawn_into_the_inset_alone_and_measure_it_as_it_is_shown() {
+    let mut bench = Bench::<Pip>::new(r#"{"x": 10, "y": 20, "w": 200, "h": 100, "columns_m": 1e-5}"#);
+    bench.push_frame("picture", picture(100, 50, PixelFormat::GRAY8), &[0; 5000]);
+    let (_, bytes) =
+        filtered(&mut bench, header(320, 240, PixelFormat::GRAY8), &[0; 2 * 320 * 240]).remove(0);
+    // A column of 10 µm is two pixels wide; a bar of at most 60 px is 200 µm, 40 px, two of its rows above the letters.
+    let row = 20 + 100 - 2 - 5 - 16 - 10 - 2;
+    let inked: Vec<usize> = (0..320).filter(|x| bytes[row * 320 + x] == 235).collect();
+    assert_eq!((inked.len(), inked.last()), (40, Some(&199)));
+    assert!(bytes[..20 * 320].iter().chain(&bytes[120 * 320..240 * 320]).all(|level| *level == 0));
+}
