@@ -32,6 +32,17 @@ impl Part {
             Part::Right => "right",
         }
     }
+
+    /// The images of a pair that are shown.
+    pub fn of<'a, 'b>(self, header: &StereoHeader, images: &'a [ImageView<'b>; 2]) -> &'a [ImageView<'b>] {
+        match self {
+            // One image for both eyes is shown once.
+            Part::Both if header.right_offset == 0 => &images[..1],
+            Part::Both => &images[..],
+            Part::Left => &images[..1],
+            Part::Right => &images[1..],
+        }
+    }
 }
 
 /// Fills `rgb` with the pixels of a part, rows touching; gives width and height.
@@ -45,13 +56,7 @@ pub fn rgb(
     rgb: &mut Vec<u8>,
 ) -> Result<(u32, u32), BadFrame> {
     let images = header.images(bytes)?;
-    let shown = match part {
-        // One image for both eyes is shown once.
-        Part::Both if header.right_offset == 0 => &images[..1],
-        Part::Both => &images[..],
-        Part::Left => &images[..1],
-        Part::Right => &images[1..],
-    };
+    let shown = part.of(header, &images);
     rgb.clear();
     let scale = Scale::of(shown);
     for y in 0..header.height {

@@ -5,6 +5,7 @@
 
 mod canvas;
 mod chart;
+mod depth_map;
 mod file;
 mod picture_writer;
 mod plot;

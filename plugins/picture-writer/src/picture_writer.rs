@@ -3,9 +3,10 @@
 //! Invariant: frames pass without being copied; only `save` copies, the one frame that it writes.
 
 use trocar_imaging::pixels::{Part, rgb};
-use trocar_sdk::data::{ImageHeader, StereoHeader};
+use trocar_sdk::data::{ImageHeader, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
+use crate::depth_map::{self, Settings};
 use crate::file::{self, Picture, SaveRequest, SavedPicture};
 use crate::saving::Saving;
 
@@ -14,10 +15,17 @@ struct PictureWriterConfig {
     /// Which images of a pair are written: both side by side, or one
     #[config(live, one_of = ["both", "left", "right"], default = "both")]
     part: String,
+    /// What pictures of depth count from, as the distance from the cameras; none: the median of the frame
+    #[config(live, unit = "m", default = None)]
+    plane_m: Option<f64>,
+    /// First and last colour of pictures of depth, counted from that plane; nothing: the frame decides
+    #[config(live, unit = "m", default = [])]
+    depth_range_m: Vec<f64>,
 }
 
-/// Writes the newest frame to a PNG file when asked to. Disparity and depth become colours: near is red, far is blue,
-/// unknown is black, over the range of the frame.
+/// Writes the newest frame to a PNG file when asked to. Depth becomes colours with a bar in µm beside a plane: near is bright,
+/// far is dark, unknown is hatched. Disparity becomes colours over the range of the frame: near is red, far is blue, unknown
+/// is black.
 #[derive(Component)]
 #[component(model = "on_signal", provides("ctl"), max_step_ms = 10_000)]
 pub struct PictureWriter {
@@ -52,7 +60,13 @@ impl PictureWriter {
         let part = Part::ALL.into_iter().find(|part| part.name() == self.cfg.part).unwrap_or(Part::Both);
         let age = self.host.now().seconds_since(stamp);
         let name = self.host.instance_name().rsplit('/').next().unwrap_or_default();
+        let settings = self.cfg.depth();
         let saved = self.saving.run(name, move || {
+            if header.format == PixelFormat::DEPTH32F {
+                let images = header.images(&bytes);
+                let images = images.map_err(|why| format!("the newest frame cannot be shown: {why}"))?;
+                return file::write(&path, &depth_map::draw(part.of(&header, &images), &settings));
+            }
             let mut picture = Picture { width: 0, height: 0, rgb: Vec::new() };
             (picture.width, picture.height) = rgb(&header, &bytes, part, &mut picture.rgb)
                 .map_err(|why| format!("the newest frame cannot be shown: {why}"))?;
@@ -85,7 +99,35 @@ fn one_for_both(of: &ImageHeader) -> StereoHeader {
     StereoHeader { stamp, index, width, height, stride, format, right_offset: 0 }
 }
 
+impl PictureWriterConfig {
+    /// How depth is drawn.
+    fn depth(&self) -> Settings {
+        let range_m = self.depth_range_m.first_chunk().copied();
+        Settings { plane_m: self.plane_m, range_m }
+    }
+
+    /// # Errors
+    /// What is no range.
+    fn check(&self) -> Result<(), String> {
+        match self.depth_range_m[..] {
+            [] => Ok(()),
+            [near, far] if near.is_finite() && far.is_finite() && far - near >= 1e-6 => Ok(()),
+            _ => Err(format!(
+                "depth_range_m: {:?} is no range: give two numbers, the second at least 1e-6 m above the first, or none",
+                self.depth_range_m
+            )),
+        }
+    }
+}
+
 impl Component for PictureWriter {
+    fn configure(&mut self) -> Result {
+        if self.cfg.plane_m.is_some_and(|plane_m| !plane_m.is_finite()) {
+            return Err("plane_m: not a finite number: give the distance of the plane in m".into());
+        }
+        Ok(self.cfg.check()?)
+    }
+
     fn start(&mut self) -> Result {
         (self.frames, self.saved) = (0, 0);
         Ok(())

@@ -90,7 +90,13 @@ fn a_depth_image_is_written_in_colours() {
     bench.push_frame("picture", header, &depths);
     save(&mut bench, &dir.path().join("depth.png")).unwrap();
     let (_, _, rgb) = pixels(&dir.path().join("depth.png"));
-    assert!(rgb[2] > rgb[0] && rgb[6] > rgb[8] && rgb[9..] == [0; 3], "blue, …, red, black: {rgb:?}");
+    let light = |x: usize| rgb[3 * x..3 * x + 3].iter().map(|level| u32::from(*level)).sum::<u32>();
+    assert!(light(0) < light(1) && light(1) < light(2), "the nearest is the brightest: {:?}", &rgb[..9]);
+    assert!(rgb[9] == rgb[10] && rgb[10] == rgb[11], "grey where nothing is known: {:?}", &rgb[9..12]);
+    for bad in ["[1]", "[1, 1]", "[2, 1]", "[1, 2, 3]"] {
+        let why = bench.configure(format!(r#"{{"depth_range_m": {bad}}}"#)).unwrap_err().to_string();
+        assert!(why.contains("is no range: give two numbers"), "{why}");
+    }
 }
 
 #[test]
