@@ -42,10 +42,11 @@ const BELOW: usize = 12;
 const SHORTEST: usize = 100;
 /// Rows for the sentence below, px.
 const CAPTION: usize = 24;
-/// Share of the depths beyond each end of the range, so that a few wrong ones do not take all colours.
-const BEYOND: f64 = 0.02;
+/// Share of the depths beyond the near and the far end of the range, so that a few wrong ones do not take all colours. A tool is
+/// near and may cover some of the picture; the pit of the fovea is far and small.
+const BEYOND: [f64; 2] = [0.02, 0.002];
 /// Steps of the bar, as near as round numbers come to it.
-const STEPS: f64 = 6.0;
+const STEPS: f64 = 8.0;
 /// Narrowest range, m: with less, the figures of the bar do not differ.
 const NARROWEST: f64 = 6e-6;
 
@@ -76,13 +77,14 @@ impl Scale {
         all.sort_unstable_by(f64::total_cmp);
         let at = |part: f64| all.get((part * all.len().saturating_sub(1) as f64).round() as usize).copied();
         let plane_m = settings.plane_m.or(at(0.5)).unwrap_or(0.0);
-        let ends = [at(BEYOND), at(1.0 - BEYOND)].map(|end| end.map_or(0.0, |end| end - plane_m));
+        let ends = [at(BEYOND[0]), at(1.0 - BEYOND[1])].map(|end| end.map_or(0.0, |end| end - plane_m));
         let [near, far] = settings.range_m.unwrap_or(ends);
         let wide = (far - near).max(NARROWEST);
         let step_m = round_up(wide / STEPS);
-        let range_m = settings
-            .range_m
-            .unwrap_or([(near / step_m).floor() * step_m, ((near + wide) / step_m).ceil() * step_m]);
+        // What a float adds to a depth makes no step more.
+        let down = |at: f64| (at / step_m + 1e-3).floor() * step_m;
+        let up = |at: f64| (at / step_m - 1e-3).ceil() * step_m;
+        let range_m = settings.range_m.unwrap_or([down(near), up(near + wide)]);
         Scale { plane_m, range_m, step_m }
     }
 
