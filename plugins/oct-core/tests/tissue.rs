@@ -92,8 +92,8 @@ fn tissue_fills_the_room_between_the_layers_above_the_noise_and_below_their_peak
     assert!(choroid.windows(2).all(|pair| pair[0] > pair[1]), "the choroid fades: {choroid:?}");
 }
 
-/// Amplitudes of fully developed speckle are Rayleigh-distributed: their standard deviation is `sqrt(4/π − 1)` = 0.523 of
-/// their mean (Goodman, *Speckle Phenomena in Optics*, 2007, chapter 3).
+/// Amplitudes of fully developed speckle are Rayleigh-distributed: their standard deviation is 0.523 of their
+/// mean, `sqrt(4/π − 1)` (Goodman, *Speckle Phenomena in Optics*, 2007, chapter 3).
 #[test]
 fn speckle_within_a_layer_is_fully_developed() {
     let mut oct = Oct::new();

@@ -44,8 +44,8 @@ pub(crate) struct OctProcessorConfig {
     /// Black and white of ascan_u8, dB re one count squared
     #[config(default = [45.0, 95.0])]
     range_db: [f64; 2],
-    /// Bins of ascan_u8, from the first, that are black: what the reference arm leaves beside the background would be a white bar at
-    /// the top of every picture. `ascan` has them as they are
+    /// Bins of ascan_u8, from the first, that are black: what the reference arm leaves beside the background
+    /// would be a white bar at the top of every picture. `ascan` has them as they are
     #[config(min = 0, max = 4096, default = 12)]
     hidden_bins: u32,
     /// A line whose mean is below this part of the largest count is dark

@@ -1,6 +1,8 @@
-//! The tissue between the echoes: columns of many weak scatterers below the ILM, whose light adds up to speckle.
+//! The tissue between the echoes: columns of many weak scatterers below the ILM, whose light adds up to
+//! speckle.
 //!
-//! Invariant: a column is a function of its number alone; tables are made once, and adding a column allocates nothing.
+//! Invariant: a column is a function of its number alone; tables are made once, and adding a column allocates
+//! nothing.
 
 use crate::noise::Noise;
 use crate::phasor::{Field, LANES, Runs, lanes, lanes_mut};
@@ -11,22 +13,23 @@ pub const COLUMNS: usize = 64;
 /// Optical path below the ILM at which the layers under the vessels begin, m.
 pub const OUTER_M: f64 = 60e-6;
 
-/// Optical path from one scatterer to the next one, m. Several lie within the resolution of 9 µm, each of a random phase
-/// and a Rayleigh-distributed amplitude: their sum is fully developed speckle (Goodman, *Speckle Phenomena in Optics*,
-/// 2007, chapter 3).
+/// Optical path from one scatterer to the next one, m. Several lie within the resolution of 9 µm, each of a
+/// random phase and a Rayleigh-distributed amplitude: their sum is fully developed speckle (Goodman, *Speckle
+/// Phenomena in Optics*, 2007, chapter 3).
 const PITCH_M: f64 = 2e-6;
 
-/// Optical path over which scatterers add up: the square of the axial response of the usual spectrometer with a Hann
-/// window, integrated, m.
+/// Optical path over which scatterers add up: the square of the axial response of the usual spectrometer with
+/// a Hann window, integrated, m.
 const CELL_M: f64 = 9.2e-6;
 
 /// Seed of all columns: they are the same in all worlds, which differ in where each column lies.
 const SEED: u64 = 0x0c7;
 
-/// Optical path below the ILM (m) and mean level of the light that comes back from there (dB beside the ILM). Between the
-/// rows the level runs straight. The order of bright and dark is that of Staurenghi et al., *Proposed lexicon for anatomic
-/// landmarks in normal posterior segment spectral-domain OCT*, 2014; the levels are chosen, and leave the echoes of
-/// [`crate::tissue::LAYERS`] 5 dB above what lies 14 µm beside them.
+/// Optical path below the ILM (m) and mean level of the light that comes back from there (dB beside the ILM).
+/// Between the rows the level runs straight. The order of bright and dark is that of Staurenghi et al.,
+/// *Proposed lexicon for anatomic landmarks in normal posterior segment spectral-domain OCT*, 2014; the
+/// levels are chosen, and leave the echoes of [`crate::tissue::LAYERS`] 5 dB above what lies 14 µm beside
+/// them.
 const PROFILE: [(f64, f64); 21] = [
     // Nerve fibres.
     (6e-6, -30.0),
@@ -88,7 +91,8 @@ pub fn scatterers(column: usize) -> impl Iterator<Item = Scatterer> {
     })
 }
 
-/// The fields of all columns over the pixels of a detector: those of the layers above and under the vessels apart.
+/// The fields of all columns over the pixels of a detector: those of the layers above and under the vessels
+/// apart.
 #[derive(Clone, Debug)]
 pub(crate) struct Bank {
     inner: Field,
@@ -112,8 +116,8 @@ impl Bank {
         bank
     }
 
-    /// Adds a column below an ILM `path_m` away to a field, its layers above and under the vessels with the amplitudes
-    /// `inner` and `outer`.
+    /// Adds a column below an ILM `path_m` away to a field, its layers above and under the vessels with the
+    /// amplitudes `inner` and `outer`.
     pub(crate) fn add(
         &self,
         runs: &Runs,

@@ -1,7 +1,7 @@
 //! Phasors over the pixels of a spectrum: `exp(j way k)` by multiplication from pixel to pixel.
 //!
-//! Invariant: a field has, for each pixel of a run, one value per run, so that runs lie side by side; the number of pixels is
-//! a multiple of [`BLOCK`]. Nothing here allocates but `lying`.
+//! Invariant: a field has, for each pixel of a run, one value per run, so that runs lie side by side; the
+//! number of pixels is a multiple of [`BLOCK`]. Nothing here allocates but `lying`.
 
 use std::f64::consts::TAU;
 
@@ -36,7 +36,8 @@ impl Runs {
         (0..rows * RUN).map(|at| of(at % rows * RUN + at / rows) as f32).collect()
     }
 
-    /// Gives `amplitude · exp(j way k)` to `each`, `LANES` values at a time, with their first place in a field; `way` in m.
+    /// Gives `amplitude · exp(j way k)` to `each`, `LANES` values at a time, with their first place in a
+    /// field; `way` in m.
     pub(crate) fn each(
         &self,
         way: f64,
@@ -96,8 +97,8 @@ fn unit(phase: f64) -> [f32; 2] {
     [cos, sin]
 }
 
-/// The parabola through first, middle and last wavenumber of a run: value, and first and second difference at its begin.
-/// Between them it errs by less than 0.02 rad/m, 1e-4 rad at 2 mm.
+/// The parabola through first, middle and last wavenumber of a run: value, and first and second difference at
+/// its begin. Between them it errs by less than 0.02 rad/m, 1e-4 rad at 2 mm.
 fn differences(run: &[f64]) -> [f64; 3] {
     let (middle, last) = (RUN / 2, RUN - 1);
     let (m, l) = (middle as f64, last as f64);

@@ -22,8 +22,9 @@ const MEMBRANE_BACK: f64 = 0.25;
 
 /// Side of the squares in which each echo has one amplitude, m.
 pub const SPECKLE_M: f64 = 10e-6;
-/// Side of the squares with one column of scatterers, m. A column of an image, 6 µm wide, is the mean of thirty: so clinical
-/// instruments show the mean of many frames, in which speckle has faded but is still there.
+/// Side of the squares with one column of scatterers, m. A column of an image, 6 µm wide, is the mean of
+/// thirty: so clinical instruments show the mean of many frames, in which speckle has faded but is still
+/// there.
 pub const GRAIN_M: f64 = 0.2e-6;
 
 /// Stream of the tissue's columns; those of the echoes are below.
@@ -161,9 +162,9 @@ fn thickness(x: f64, y: f64) -> f64 {
     7.5e-6 + 0.75e-6 * along
 }
 
-/// The echoes below `x`, `y` on the retina when the ILM is `ilm_path_m` (optical) away and the membrane `height_m`
-/// (geometric) above it in a medium of `index`. Amplitudes are redrawn for each 10 µm square of the retina and each layer,
-/// the tissue for each square of [`GRAIN_M`].
+/// The echoes below `x`, `y` on the retina when the ILM is `ilm_path_m` (optical) away and the membrane
+/// `height_m` (geometric) above it in a medium of `index`. Amplitudes are redrawn for each 10 µm square of
+/// the retina and each layer, the tissue for each square of [`GRAIN_M`].
 pub fn echoes(
     noise: Noise,
     [x, y]: [f64; 2],

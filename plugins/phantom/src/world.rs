@@ -130,8 +130,8 @@ impl World {
         echoes(self.noise(streams::SPECKLE), [x, y], path_m, height, VITREOUS_INDEX, self.shade(x, y))
     }
 
-    /// How much light the layers give back at `x`, `y` of the eye. Blood gives back more than the layers beside it, and
-    /// leaves less for what lies under a vessel; in the pit the inner layers are thin.
+    /// How much light the layers give back at `x`, `y` of the eye. Blood gives back more than the layers
+    /// beside it, and leaves less for what lies under a vessel; in the pit the inner layers are thin.
     pub fn shade(&self, x: f64, y: f64) -> Shade {
         let deep = ((self.eye.vessel_m(x, y) - VESSEL_M[0]) / (VESSEL_M[1] - VESSEL_M[0])).clamp(0.0, 1.0);
         let vessel = deep * deep * (3.0 - 2.0 * deep);

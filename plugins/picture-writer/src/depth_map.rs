@@ -1,15 +1,16 @@
 //! Pictures of depth: colours in even steps of brightness, a bar that says what they mean, gaps as gaps.
 //!
-//! Invariant: a pixel whose depth is not known is hatched in grey, as no depth is, and takes no part in the range; the ends of
-//! the bar are the ends of the range.
+//! Invariant: a pixel whose depth is not known is hatched in grey, as no depth is, and takes no part in the
+//! range; the ends of the bar are the ends of the range.
 
 use trocar_imaging::letters::{self, letters};
 use trocar_sdk::data::ImageView;
 
 use crate::file::Picture;
 
-/// Every eighth colour of "viridis", far to near (S. van der Walt and N. Smith, *A Better Default Colormap for Matplotlib*,
-/// 2015; CC0). Brightness rises evenly, so that it shows the order by itself and to people of any colour vision.
+/// Every eighth colour of "viridis", far to near (S. van der Walt and N. Smith, *A Better Default Colormap
+/// for Matplotlib*, 2015; CC0). Brightness rises evenly, so that it shows the order by itself and to people
+/// of any colour vision.
 const VIRIDIS: [[u8; 3]; 9] = [
     [68, 1, 84],
     [71, 45, 123],
@@ -42,8 +43,8 @@ const BELOW: usize = 12;
 const SHORTEST: usize = 100;
 /// Rows for the sentence below, px.
 const CAPTION: usize = 24;
-/// Share of the depths beyond the near and the far end of the range, so that a few wrong ones do not take all colours. A tool is
-/// near and may cover some of the picture; the pit of the fovea is far and small.
+/// Share of the depths beyond the near and the far end of the range, so that a few wrong ones do not take all
+/// colours. A tool is near and may cover some of the picture; the pit of the fovea is far and small.
 const BEYOND: [f64; 2] = [0.02, 0.002];
 /// Steps of the bar, as near as round numbers come to it.
 const STEPS: f64 = 8.0;
@@ -124,7 +125,8 @@ fn round_up(least: f64) -> f64 {
         .unwrap_or(10.0 * tens)
 }
 
-/// Draws images of depth side by side, from the upper left corner on, with a bar at the right and a sentence below.
+/// Draws images of depth side by side, from the upper left corner on, with a bar at the right and a sentence
+/// below.
 pub(crate) fn draw(images: &[ImageView<'_>], settings: &Settings) -> Picture {
     let scale = Scale::of(images, settings);
     let width: usize = images.iter().map(|image| image.width() as usize).sum();

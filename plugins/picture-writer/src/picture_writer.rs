@@ -23,9 +23,9 @@ struct PictureWriterConfig {
     depth_range_m: Vec<f64>,
 }
 
-/// Writes the newest frame to a PNG file when asked to. Depth becomes colours with a bar in µm beside a plane: near is bright,
-/// far is dark, unknown is hatched. Disparity becomes colours over the range of the frame: near is red, far is blue, unknown
-/// is black.
+/// Writes the newest frame to a PNG file when asked to. Depth becomes colours with a bar in µm beside a
+/// plane: near is bright, far is dark, unknown is hatched. Disparity becomes colours over the range of the
+/// frame: near is red, far is blue, unknown is black.
 #[derive(Component)]
 #[component(model = "on_signal", provides("ctl"), max_step_ms = 10_000)]
 pub struct PictureWriter {

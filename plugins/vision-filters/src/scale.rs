@@ -1,7 +1,7 @@
 //! Axes and a scale bar in a picture whose pixels have a known size, such as a B-scan.
 //!
-//! Invariant: only pixels inside the picture are written; a bar is as long as its label says, to the nearest pixel; nothing
-//! is allocated.
+//! Invariant: only pixels inside the picture are written; a bar is as long as its label says, to the nearest
+//! pixel; nothing is allocated.
 
 use std::fmt::{self, Write};
 
@@ -94,8 +94,9 @@ impl Write for Label {
     }
 }
 
-/// Draws axes along the left and the lower side of a picture that covers `rect` of an image, and a scale bar above its lower
-/// right corner. The axis down counts from the first row, the axis across from the first column.
+/// Draws axes along the left and the lower side of a picture that covers `rect` of an image, and a scale bar
+/// above its lower right corner. The axis down counts from the first row, the axis across from the first
+/// column.
 pub fn draw(image: &mut ViewMut<'_>, rect: Rect, size: PixelSize) {
     if rect.width < SMALLEST.0 || rect.height < SMALLEST.1 {
         return;

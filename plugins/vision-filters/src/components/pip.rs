@@ -50,14 +50,15 @@ struct PipConfig {
     /// How much the inset hides: 0 nothing, 1 all
     #[config(live, min = 0, max = 1, default = 1.0)]
     alpha: f64,
-    /// From one column of the inset to the next, as it comes; with it the inset has an axis and a scale bar. 0: not known
+    /// From one column of the inset to the next, as it comes; with it the inset has an axis and a scale bar.
+    /// 0: not known
     #[config(live, min = 0, max = 1, unit = "m", default = 0.0)]
     columns_m: f64,
     /// From one row to the next; with it the inset has an axis down its left side
     #[config(live, min = 0, max = 1, unit = "m", default = 0.0)]
     rows_m: f64,
-    /// How much larger lengths down are shown than lengths across: 1 is true to scale. With columns_m and rows_m it says the
-    /// height, in place of h. 0: the height is that of h
+    /// How much larger lengths down are shown than lengths across: 1 is true to scale. With columns_m and
+    /// rows_m it says the height, in place of h. 0: the height is that of h
     #[config(live, min = 0, max = 100, default = 0.0)]
     stretch: f64,
     /// Whether the inset is shown
@@ -144,8 +145,8 @@ impl PipConfig {
 }
 
 impl PipConfig {
-    /// The height of an inset that comes with so many columns and rows and shall be `w` wide (0: as it comes), px; `h` where
-    /// the stretch does not say it.
+    /// The height of an inset that comes with so many columns and rows and shall be `w` wide (0: as it
+    /// comes), px; `h` where the stretch does not say it.
     fn height(&self, [columns, rows]: [u32; 2], w: u32, h: u32) -> u32 {
         let [across_m, down_m] = [f64::from(columns) * self.columns_m, f64::from(rows) * self.rows_m];
         if !(self.stretch > 0.0 && across_m > 0.0 && down_m > 0.0) {

@@ -217,7 +217,8 @@ fn with_axes(config: &str) -> Vec<usize> {
 
 #[test]
 fn an_inset_whose_pixels_have_a_size_has_axes_and_the_stretch_says_its_height() {
-    // 100 columns of 10 µm are 1 mm, 50 rows of 5 µm a quarter of it: 200 px wide it is 50 px high, twice stretched 100 px.
+    // 100 columns of 10 µm are 1 mm, 50 rows of 5 µm a quarter of it: 200 px wide it is 50 px high, twice
+    // stretched 100 px.
     let plain = with_axes(r#"{"x": 0, "y": 0, "w": 200, "h": 150}"#);
     assert_eq!((plain[0], plain[149], plain[150]), (200, 200, 0));
     let config = r#"{"x": 0, "y": 0, "w": 200, "h": 150, "columns_m": 1e-5, "rows_m": 5e-6, "stretch": 2}"#;
@@ -231,7 +232,8 @@ fn axes_are_drawn_into_the_inset_alone_and_measure_it_as_it_is_shown() {
     bench.push_frame("picture", picture(100, 50, PixelFormat::GRAY8), &[0; 5000]);
     let (_, bytes) =
         filtered(&mut bench, header(320, 240, PixelFormat::GRAY8), &[0; 2 * 320 * 240]).remove(0);
-    // A column of 10 µm is two pixels wide; a bar of at most 60 px is 200 µm, 40 px, two of its rows above the letters.
+    // A column of 10 µm is two pixels wide; a bar of at most 60 px is 200 µm, 40 px, two of its rows above
+    // the letters.
     let row = 20 + 100 - 2 - 5 - 16 - 10 - 2;
     let inked: Vec<usize> = (0..320).filter(|x| bytes[row * 320 + x] == 235).collect();
     assert_eq!((inked.len(), inked.last()), (40, Some(&199)));
