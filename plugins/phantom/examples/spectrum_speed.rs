@@ -9,7 +9,9 @@ use nalgebra::{Point3, Vector3};
 use trocar_phantom::World;
 use trocar_phantom::spectra::{Optics, Spectrograph};
 
-const LINES: u32 = 20_000;
+const PASSES: usize = 12;
+/// Along the usual scan, 1 µm apart.
+const PLACES: u32 = 3000;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let world = World::named("static", 1).ok_or("no such world")?;
@@ -19,17 +21,25 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{samples} px: tables in {:.1} ms", begin.elapsed().as_secs_f64() * 1e3);
         let mut out = vec![0; samples];
         for tissue in [false, true] {
-            let begin = Instant::now();
-            for n in 0..LINES {
-                let x = 1e-6 * f64::from(n % 3000) - 1.5e-3;
+            let mut all = Vec::new();
+            for n in 0..PLACES {
+                let x = 1e-6 * f64::from(n) - 1.5e-3;
                 let tip = Point3::new(x, 0.0, -0.5e-3);
                 let below = world.below(&tip, &Vector3::z_axis(), 0.0).ok_or("past the retina")?;
                 let mut echoes = world.echoes(&below).as_slice().to_vec();
                 echoes.retain(|echo| tissue || echo.tissue.is_none());
-                maker.line(&echoes, 0.0, u64::from(n), &mut out);
+                all.push(echoes);
             }
-            let each_us = begin.elapsed().as_secs_f64() * 1e6 / f64::from(LINES);
-            println!("{samples} px, tissue {tissue}: {each_us:.1} µs per spectrum, the eye's shape included");
+            // The best of many passes: whatever else the machine does makes them longer.
+            let mut best_us = f64::INFINITY;
+            for _ in 0..PASSES {
+                let begin = Instant::now();
+                for (n, echoes) in (0..).zip(&all) {
+                    maker.line(echoes, 0.0, n, &mut out);
+                }
+                best_us = best_us.min(begin.elapsed().as_secs_f64() * 1e6 / f64::from(PLACES));
+            }
+            println!("{samples} px, tissue {tissue}: {best_us:.1} µs per spectrum");
         }
     }
     Ok(())
