@@ -144,6 +144,7 @@ impl Bank {
             }
         });
     }
+
     /// The field of one column.
     fn column<'a>(&self, [re, im]: &'a Field, column: usize) -> Option<[&'a [f32]; 2]> {
         let from = column % COLUMNS * self.samples;
