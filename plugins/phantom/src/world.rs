@@ -230,6 +230,28 @@ mod tests {
     }
 
     #[test]
+    fn the_first_echo_is_the_true_surface_and_the_membranes_lower_side_is_6_to_9_um_below_it() {
+        let world = World::named("static", 3).expect("a name");
+        let mut lower_sides = 0;
+        for n in 0..3000 {
+            let (x, y) = (1e-6 * f64::from(n) - 1.5e-3, 0.05e-3);
+            let below = world.below(&Point3::new(x, y, -1e-3), &straight(), 0.0).expect("over the retina");
+            let echoes = world.echoes(&below);
+            let paths: Vec<f64> = echoes.as_slice().iter().map(|echo| echo.path_m / VITREOUS_INDEX).collect();
+            // A membrane of less than 0.5 µm has no echo of its own.
+            assert!((paths[0] - below.distance_m).abs() < 0.5e-6 + 1e-12, "{} at {x}", paths[0]);
+            let ilm = echoes.as_slice().iter().position(|echo| echo.tissue.is_some()).expect("tissue") - 1;
+            assert!((paths[ilm] - below.ilm_m).abs() < 1e-12);
+            if ilm == 2 {
+                lower_sides += 1;
+                let thick_m = paths[1] - paths[0];
+                assert!((6e-6..=9e-6).contains(&thick_m) && paths[1] < paths[2], "{thick_m} m at {x}");
+            }
+        }
+        assert!(lower_sides > 500, "{lower_sides}");
+    }
+
+    #[test]
     fn seeds_make_different_worlds_and_equal_ones_agree_to_the_bit() {
         let of = |seed| World::named("default", seed).expect("a name");
         assert_eq!(of(4), of(4));
