@@ -7,6 +7,8 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::camera::{Camera, WORKING_DISTANCE_M};
+use crate::defocus;
+use crate::glints;
 use crate::lamp::Lamp;
 use crate::noise::Noise;
 use crate::retina::Retina;
@@ -26,6 +28,10 @@ const DETAIL_STREAM: u64 = 0x6465_7461;
 /// Sides of the squares of the finest detail, m, and how much brighter or darker they are: what a photograph with 9 µm
 /// pixels leaves out.
 const DETAIL: [(f64, f32); 2] = [(28e-6, 0.07), (14e-6, 0.05)];
+
+/// Red, green and blue of the photograph in the light of the pipe: warmer than that of the camera it was
+/// taken with.
+const TISSUE: [f32; 3] = [1.12, 1.02, 0.86];
 
 /// The picture at rest, with [`MARGIN`] more pixels on each side.
 pub(crate) struct Backdrop {
@@ -75,12 +81,16 @@ impl Backdrop {
             };
             std::iter::once(trace(0)).chain(others.into_iter().map(traced)).collect()
         });
-        bands.into_iter().fold(backdrop, |mut whole, band| {
+        let mut blurs_px = Vec::with_capacity(width * height);
+        let mut whole = bands.into_iter().fold(backdrop, |mut whole, band| {
             whole.colour.extend(band.colour);
             whole.depth.extend(band.depth);
             whole.rays.extend(band.rays);
+            blurs_px.extend(band.blurs_px);
             whole
-        })
+        });
+        defocus::blur(&mut whole.colour, &blurs_px, width);
+        whole
     }
 
     /// Where the picture of an eye that stands `shift` (m) from its place lies in the picture at rest.
@@ -112,6 +122,8 @@ struct Band {
     colour: Vec<u8>,
     depth: Vec<f32>,
     rays: Vec<[f32; 2]>,
+    /// How blurred each pixel is, px.
+    blurs_px: Vec<f32>,
 }
 
 impl Band {
@@ -138,12 +150,19 @@ impl Band {
                 }
             }
             let at = eye + way * far;
-            let light = lamp.ambient + (1.0 - lamp.ambient) * lamp.light(&at, &normal(world, &at));
+            let slopes = slopes(world, &at);
+            let normal = Vector3::new(slopes[0], slopes[1], -1.0).normalize();
+            let light = lamp.ambient + (1.0 - lamp.ambient) * lamp.light(&at, &normal);
             let (u, v) = world.eye.along(at.x, at.y);
             let shade = light as f32 * fine(detail, u, v);
             let tint = Retina::shared().colour_at(u, v);
-            self.colour.extend(tint.map(|value| (value * shade + 0.5).clamp(0.0, 255.0) as u8));
+            let glint = glints::at([&at, &eye], [u, v], slopes, lamp, detail);
+            self.colour.extend([0, 1, 2].map(|i| {
+                let value = TISSUE[i] * tint[i] * shade + glint[i];
+                (value + 0.5).clamp(0.0, 255.0) as u8
+            }));
             self.depth.push(far as f32);
+            self.blurs_px.push(defocus::blur_px(camera, at.z) as f32);
         }
     }
 }
@@ -180,15 +199,15 @@ fn place((zoom, offset): (f64, f64), at: usize, limit: usize) -> (usize, f64) {
     (whole, place - whole as f64)
 }
 
-/// Outward direction (towards the lens) of globe and pit; vessels are in the photograph already.
-fn normal(world: &World, at: &Point3<f64>) -> Vector3<f64> {
+/// Slopes of globe and pit over x and y; vessels are in the photograph already.
+fn slopes(world: &World, at: &Point3<f64>) -> [f64; 2] {
     let eye = &world.eye;
     let (radius, r2) = (eye.globe_radius_m, at.x * at.x + at.y * at.y);
     let globe = -1.0 / (radius * radius - r2).max(1e-8).sqrt();
     let width2 = eye.pit_radius_m * eye.pit_radius_m;
     let pit = -2.0 / width2 * eye.pit_depth_m * (-r2 / width2).exp();
-    // Slopes of z over x and y are these times x and y.
-    Vector3::new(at.x * (globe + pit), at.y * (globe + pit), -1.0).normalize()
+    // They are these times x and y.
+    [at.x * (globe + pit), at.y * (globe + pit)]
 }
 
 /// Brightness of the finest detail at `u`, `v` m along the retina, about 1: smoothed random squares.

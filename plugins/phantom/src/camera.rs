@@ -13,6 +13,8 @@ pub const BASELINE_M: f64 = 5e-3;
 pub const WORKING_DISTANCE_M: f64 = 200e-3;
 /// Width of what is seen there, m.
 pub const FIELD_M: f64 = 10e-3;
+/// Radius of the microscope's round field at the working distance, m.
+pub const FIELD_RADIUS_M: f64 = 0.47 * FIELD_M;
 /// Disparity of the retina's apex in the rectified rig, as a part of the width: 24 px of 1024.
 const APEX_DISPARITY: f64 = 24.0 / 1024.0;
 
@@ -131,6 +133,14 @@ impl Rig {
             ..pinhole(width, height, side, UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -side * turn))
         };
         Rig { cameras: [camera(-1.0), camera(1.0)], rectified: false }
+    }
+
+    /// The microscope's round field: its middle (column and row) and its radius, px. It is the same in both
+    /// images, also of a rectified rig, where the axes of the cameras are not in the middle.
+    pub fn field_px(&self) -> ([f64; 2], f64) {
+        let [left, right] = &self.cameras;
+        let middle = [0, 1].map(|i| (left.centre_px[i] + right.centre_px[i]) / 2.0);
+        (middle, left.focal_px * FIELD_RADIUS_M / WORKING_DISTANCE_M)
     }
 
     /// Disparity of a point `depth_m` away, px; only of a rectified rig.

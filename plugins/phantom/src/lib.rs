@@ -7,8 +7,11 @@
 
 mod backdrop;
 pub mod camera;
+mod defocus;
 pub mod eye;
+mod field;
 pub mod forces;
+mod glints;
 pub mod grain;
 pub mod hand;
 mod lamp;
@@ -24,6 +27,7 @@ mod shade;
 mod shadow;
 mod spans;
 pub mod spectra;
+mod steel;
 pub mod tissue;
 mod tool;
 mod world;

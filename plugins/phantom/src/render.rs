@@ -12,6 +12,7 @@ use nalgebra::Vector3;
 
 use crate::backdrop::{Backdrop, Warp};
 use crate::camera::{Rig, Tool};
+use crate::field::Field;
 use crate::lamp::Lamp;
 use crate::noise::Noise;
 use crate::rows::{NOISE_PLACES, PARTS, Work};
@@ -52,6 +53,7 @@ struct Stage {
     rig: Rig,
     lamp: Lamp,
     eyes: [Backdrop; 2],
+    field: Field,
     /// Standard normal, in parts of a level; half a level is in it for rounding.
     noise: Vec<i16>,
 }
@@ -70,7 +72,7 @@ impl Renderer {
                 (level * f64::from(PARTS)) as i16 + PARTS / 2
             })
             .collect();
-        Renderer::of(Arc::new(Stage { world, rig, lamp, eyes, noise }))
+        Renderer::of(Arc::new(Stage { world, rig, lamp, eyes, field: Field::new(&rig), noise }))
     }
 
     /// Another renderer of the same, for another thread: what stands still is shared.
@@ -120,8 +122,9 @@ impl Renderer {
         }
     }
 
-    /// Fills `out` with the disparity of each pixel of the left picture, in [`DISPARITY_UNITS_PER_PX`]; 0 where the right
-    /// eye does not see what the left one does. As many pixels as `out` has.
+    /// Fills `out` with the disparity of each pixel of the left picture, in [`DISPARITY_UNITS_PER_PX`]; 0
+    /// outside of the round field and where the right eye does not see what the left one does. As many pixels
+    /// as `out` has.
     ///
     /// Only a rectified rig has disparities; with another one all are 0.
     pub fn disparity(&mut self, scene: &Scene, out: &mut [u16]) {
@@ -130,7 +133,7 @@ impl Renderer {
             return;
         }
         let (stage, work) = (&*self.stage, &mut self.work);
-        let Stage { world, rig, lamp, eyes, .. } = stage;
+        let Stage { world, rig, lamp, eyes, field, .. } = stage;
         let shift = world.motion.shift(scene.t_s);
         let [left, right] = eyes;
         let warp = left.warp(&shift);
@@ -145,6 +148,9 @@ impl Renderer {
             let (tool, hides) = (work.tool.of(y), work.shadow.of(y));
             let depths = &left.depth[warp.nearest_row(y) * left.width..];
             for (x, out) in out.iter_mut().enumerate() {
+                if !field.open(x as f64, y as f64) {
+                    continue;
+                }
                 let ray = left.rays[y * width + x];
                 let mut depth = f64::from(depths[work.columns[x]]) + shift.z;
                 let on_tool = scene.tool.as_ref().filter(|_| tool.contains(&x)).and_then(|tool| {
@@ -155,7 +161,7 @@ impl Renderer {
                 depth = on_tool.unwrap_or(depth);
                 let disparity = rig.disparity_px(depth);
                 let column = x as f64 - disparity;
-                if column < -0.5 || column > width as f64 - 0.5 {
+                if column < -0.5 || column > width as f64 - 0.5 || !field.open(column, y as f64) {
                     continue;
                 }
                 if let Some(tool) =
@@ -180,6 +186,7 @@ impl Renderer {
 /// One eye's picture in the making.
 struct Begun<'a> {
     eye: &'a Backdrop,
+    field: &'a Field,
     warp: Warp,
     scenery: Option<Scenery<'a>>,
     noise: &'a [i16],
@@ -189,7 +196,7 @@ struct Begun<'a> {
 
 impl Stage {
     fn begin<'a>(&'a self, work: &mut Work, side: Side, scene: &'a Scene) -> Begun<'a> {
-        let Stage { world, lamp, eyes, noise, .. } = self;
+        let Stage { world, lamp, eyes, field, noise, .. } = self;
         let eye = &eyes[side as usize];
         let shift = world.motion.shift(scene.t_s);
         let warp = eye.warp(&shift);
@@ -201,22 +208,24 @@ impl Stage {
             work.shade.begin(scenery);
         }
         let rows = world.noise(NOISE_STREAM).part(2 * scene.number + side as u64);
-        Begun { eye, warp, scenery, noise, rows }
+        Begun { eye, field, warp, scenery, noise, rows }
     }
 }
 
 impl Begun<'_> {
     /// Draws some columns of row `y`: all that tool and shadow touch, or more.
     fn draw(&self, work: &mut Work, y: usize, columns: &[Range<usize>; 2]) {
+        let lit = self.field.lit(y);
         for columns in columns {
-            work.retina(self.eye, &self.warp, y, columns.clone());
+            let seen = columns.start.max(lit.start)..columns.end.min(lit.end);
+            work.retina(self.eye, &self.warp, y, seen);
         }
         if let Some(scenery) = &self.scenery {
             work.darken(scenery, y);
-            work.paint(scenery, y);
+            work.paint(scenery, y, lit);
         }
         for columns in columns {
-            work.finish(self.noise, self.rows, y, columns.clone());
+            work.finish(self.field, self.noise, self.rows, y, columns.clone());
         }
     }
 }

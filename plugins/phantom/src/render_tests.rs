@@ -165,7 +165,7 @@ fn the_spans_leave_out_no_pixel_of_tool_and_shadow() {
         let small = again(&mut renderer, Side::Left, &scene);
         // The same, looking at every pixel.
         let Renderer { stage, work } = &mut renderer;
-        let Stage { eyes, lamp, .. } = &**stage;
+        let Stage { eyes, lamp, field, noise, .. } = &**stage;
         let (eye, shift) = (&eyes[0], Vector3::zeros());
         let warp = eye.warp(&shift);
         work.follow(&warp, WIDTH);
@@ -178,8 +178,9 @@ fn the_spans_leave_out_no_pixel_of_tool_and_shadow() {
         for y in 0..HEIGHT {
             work.retina(eye, &warp, y, 0..WIDTH);
             work.darken(&scenery, y);
-            work.paint(&scenery, y);
-            all.extend(work.row.iter().map(|value| ((value + PARTS / 2) / PARTS).clamp(0, 255) as u8));
+            work.paint(&scenery, y, 0..WIDTH);
+            work.finish(field, noise, world("static").noise(NOISE_STREAM), y, 0..WIDTH);
+            all.extend_from_slice(&work.bytes);
         }
         let missed = small.iter().zip(&all).filter(|(a, b)| a.abs_diff(**b) > 2).count();
         // Shadows from beyond the field may end at its border.
@@ -217,7 +218,11 @@ fn disparity_leads_from_the_left_pixel_to_the_same_point_in_the_right_picture() 
         assert!((x - disparity - u).abs() < 0.01 && (v - y).abs() < 1e-6, "{disparity} px at {x}, {y}: {u}");
         seen += 1;
     }
-    assert!(seen > WIDTH * HEIGHT * 9 / 10 && seen < WIDTH * HEIGHT, "{seen} pixels are seen by both eyes");
+    let ([middle_x, middle_y], radius) = rig.field_px();
+    let away = |n: usize| (((n % WIDTH) as f64 - middle_x).hypot((n / WIDTH) as f64 - middle_y)) / radius;
+    let inside = (0..told.len()).filter(|n| away(*n) < 1.0).count();
+    assert!(seen > inside * 9 / 10 && seen < inside, "{seen} of {inside} pixels are seen by both eyes");
+    assert!((0..told.len()).all(|n| away(n) < 1.0 || told[n] == 0), "nothing is seen outside of the field");
     assert!(on_tool > 50, "{on_tool} of them show the tool");
 }
 
@@ -263,4 +268,29 @@ fn a_tool_behind_the_cameras_or_beside_the_field_draws_nothing_and_harms_nothing
     }
     let nowhere = Tool::new(Point3::new(f64::NAN, 0.0, f64::INFINITY), Vector3::z_axis());
     again(&mut renderer, Side::Left, &scene(0.0, Some(nowhere)));
+}
+
+#[test]
+fn the_round_field_is_the_same_in_both_images_and_stands_still_while_the_eye_moves() {
+    let motion =
+        Motion { saccade: Some(Saccade { at_s: 1.0, by_m: 0.3e-3, speed_m_s: 1.0 }), ..Motion::none() };
+    for rig in [Rig::rectified(WIDTH, HEIGHT), Rig::toed_in(WIDTH, HEIGHT)] {
+        let mut renderer = Renderer::new(World { motion, ..world("static") }, rig);
+        let ([middle_x, middle_y], radius) = rig.field_px();
+        let mut pictures = Vec::new();
+        for t_s in [0.0, 2.0] {
+            for side in [Side::Left, Side::Right] {
+                pictures.push(again(&mut renderer, side, &scene(t_s, Some(tool(0.2e-3, 0.1e-3, -1e-3)))));
+            }
+        }
+        assert!(pictures[0] != pictures[2], "the eye moved");
+        for n in 0..WIDTH * HEIGHT {
+            let away = ((n % WIDTH) as f64 - middle_x).hypot((n / WIDTH) as f64 - middle_y);
+            for picture in &pictures {
+                let red = picture[3 * n];
+                assert!(away < radius + 1.0 || red < 5, "{red} at {n} outside of the field");
+                assert!(away > radius - 2.0 || red > 5, "{red} at {n} inside of the field");
+            }
+        }
+    }
 }

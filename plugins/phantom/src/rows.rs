@@ -4,10 +4,11 @@
 
 use std::ops::Range;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use crate::backdrop::{Backdrop, Warp};
-use crate::camera::{Camera, Tool};
+use crate::camera::Camera;
+use crate::field::Field;
 use crate::lamp::Lamp;
 use crate::noise::Noise;
 use crate::render::Scene;
@@ -15,18 +16,18 @@ use crate::scenery::Scenery;
 use crate::shade::Shade;
 use crate::shadow;
 use crate::spans::{POINTS, Spans};
+use crate::steel;
 use crate::world::World;
 
 /// Values of noise that are drawn beforehand; each row of each picture begins at another one.
 pub(crate) const NOISE_PLACES: usize = 1 << 16;
 /// Brightness between two levels is kept in this many parts until the noise is added.
 pub(crate) const PARTS: i16 = 1 << PART_BITS;
-const PART_BITS: u32 = 7;
-/// Colour of the steel, and how it shines.
-const STEEL: [f64; 3] = [150.0, 155.0, 162.0];
-const SHINE: f64 = 110.0;
+pub(crate) const PART_BITS: u32 = 7;
 /// Part of the tool's radius over which its colour changes little.
-const MIXED_STEEL: f64 = 0.1;
+const MIXED_STEEL: f64 = 0.14;
+/// Pixels are mixed of their neighbours' where the tool's part of them changes less than this.
+const STEEP: f32 = 0.35;
 
 /// Room for one row and for what is known per row.
 pub(crate) struct Work {
@@ -98,9 +99,8 @@ impl Work {
         self.tool.mark_tool(camera, scene.tool.as_ref());
         self.shadow.clear();
         let Some(tool) = &scene.tool else { return };
-        let cast = shadow::of(tool, &lamp.at, POINTS, |x, y| {
-            world.eye.surface_z(x - shift.x, y - shift.y) + shift.z
-        });
+        let cast =
+            shadow::of(tool, lamp, POINTS, |x, y| world.eye.surface_z(x - shift.x, y - shift.y) + shift.z);
         self.shadow.mark(camera, cast);
     }
 
@@ -140,71 +140,62 @@ impl Work {
         self.shade.darken(scenery, &self.shadow, &self.columns, &mut self.row, y);
     }
 
-    /// Paints the pixels of row `y` where the tool is. Its outline is found pixel by pixel; within it the colours of some pixels
-    /// are mixed of their neighbours'.
-    pub(crate) fn paint(&mut self, scenery: &Scenery<'_>, y: usize) {
+    /// Paints the pixels of row `y` where the tool is, as far as `lit` reaches. Where its outline is sharp it
+    /// is found pixel by pixel; elsewhere some pixels are mixed of their neighbours. Which ones does not
+    /// depend on the columns.
+    pub(crate) fn paint(&mut self, scenery: &Scenery<'_>, y: usize, lit: Range<usize>) {
         let line = scenery.line(y);
-        let Scenery { tool, lamp, .. } = scenery;
-        let colour = |x: usize| {
-            let way = line.way(x).normalize();
-            tool.meet(line.from(), &way).map(|far| steel(lamp, tool, &(line.from() + way * far), &way))
-        };
         let row = &mut self.row;
-        let mut put = |x: usize, colour: [f32; 3]| {
+        let last = row.len() / 3 - 1;
+        let mut put = |x: usize, (colour, covered): ([f32; 3], f32)| {
             for (value, colour) in row[3 * x..3 * x + 3].iter_mut().zip(colour) {
-                *value = (colour.min(255.0) * f32::from(PARTS)) as i16;
+                *value = (f32::from(*value) * (1.0 - covered) + colour * f32::from(PARTS)) as i16;
             }
         };
         let span = self.tool.of(y);
-        let Some(mut last) = span.clone().next() else { return };
-        let mut a = colour(last);
-        if let Some(a) = a {
-            put(last, a);
+        let span = span.start.max(lit.start)..span.end.min(lit.end);
+        if span.is_empty() {
+            return;
         }
-        let apart = scenery.pixels_of_radius(MIXED_STEEL).min(8);
-        while last + 1 < span.end {
-            let next = (last + apart).min(span.end - 1);
-            let b = colour(next);
-            for x in last + 1..next {
-                let part = (x - last) as f32 / (next - last) as f32;
-                let between = match (a, b) {
-                    (Some(a), Some(b)) => Some(std::array::from_fn(|i| a[i] + (b[i] - a[i]) * part)),
-                    (None, None) => None,
-                    _ => colour(x),
-                };
-                if let Some(between) = between {
-                    put(x, between);
+        let apart = scenery.pixels_of_radius(MIXED_STEEL).clamp(1, 4);
+        let seen = |x: usize| steel::seen(scenery, &line, x);
+        let mut x = span.start / apart * apart;
+        let mut here = seen(x);
+        while x < span.end {
+            let next = (x + apart).min(last.max(x + 1));
+            if span.contains(&x) && here.1 > 0.0 {
+                put(x, here);
+            }
+            if next > last {
+                break;
+            }
+            let there = seen(next);
+            for between in (x + 1).max(span.start)..next.min(span.end) {
+                if here.1 + there.1 == 0.0 {
+                    continue;
                 }
+                if (here.1 - there.1).abs() > STEEP {
+                    put(between, seen(between));
+                    continue;
+                }
+                let part = (between - x) as f32 / (next - x) as f32;
+                let mix = |here: f32, there: f32| here + (there - here) * part;
+                put(between, (std::array::from_fn(|i| mix(here.0[i], there.0[i])), mix(here.1, there.1)));
             }
-            if let Some(b) = b {
-                put(next, b);
-            }
-            (last, a) = (next, b);
+            (x, here) = (next, there);
         }
     }
 
-    /// Adds the noise to some columns of row `y` and rounds to levels.
-    pub(crate) fn finish(&mut self, noise: &[i16], rows: Noise, y: usize, columns: Range<usize>) {
+    /// Makes bytes of some columns of row `y`: in the round field, with noise.
+    pub(crate) fn finish(
+        &mut self,
+        field: &Field,
+        noise: &[i16],
+        rows: Noise,
+        y: usize,
+        columns: Range<usize>,
+    ) {
         let at = rows.bits(y as u64) as usize % NOISE_PLACES;
-        let columns = 3 * columns.start..3 * columns.end;
-        let noise = &noise[at + columns.start..at + columns.end];
-        for ((byte, value), noise) in
-            self.bytes[columns.clone()].iter_mut().zip(&self.row[columns]).zip(noise)
-        {
-            *byte = (value.saturating_add(*noise) >> PART_BITS).clamp(0, 255) as u8;
-        }
+        field.expose(&mut self.row, &noise[at..at + self.bytes.len()], &mut self.bytes, y, columns);
     }
-}
-
-/// Colour of the tool where it is seen along `way`: Lambert's cosine and a highlight (J. Blinn, *Models of light reflection for
-/// computer synthesized pictures*, 1977).
-fn steel(lamp: &Lamp, tool: &Tool, at: &Point3<f64>, way: &Vector3<f64>) -> [f32; 3] {
-    let normal = tool.normal(at);
-    let to_lamp = (lamp.at - at).normalize();
-    let half = (to_lamp - way).normalize();
-    let light = lamp.ambient + (1.0 - lamp.ambient) * normal.dot(&to_lamp).max(0.0);
-    // The microscope's own light makes the upper side visible.
-    let light = light + 0.35 * (-normal.dot(way)).max(0.0);
-    let shine = SHINE * normal.dot(&half).max(0.0).powi(24);
-    STEEL.map(|steel| (steel * light + shine) as f32)
 }

@@ -8,11 +8,11 @@ use crate::shadow;
 use crate::spans::Spans;
 
 /// Sides of the squares, in parts of the tool's radius.
-const SIDE: f64 = 0.15;
+const SIDE: f64 = 0.14;
 /// The longest side, px.
 const LONGEST: usize = 8;
-/// Light that the middle of a shadow takes away.
-const TAKEN: f32 = 0.7;
+/// Red, green and blue light that the middle of a shadow takes away: tissue scatters red light into it.
+const TAKEN: [f32; 3] = [0.56, 0.68, 0.70];
 /// All light, in the rows.
 const WHOLE: f32 = 32768.0;
 
@@ -84,7 +84,7 @@ impl Shade {
         let line = scenery.line(y);
         let dark = |x: usize| {
             let at = line.at(x, at_rest[x]);
-            TAKEN * shadow::depth(&at, &scenery.lamp.at, &scenery.core, scenery.tool.radius_m) as f32
+            shadow::depth(&at, scenery.lamp, scenery.tool, &scenery.core) as f32
         };
         let mut x = reach.start / self.side * self.side;
         let mut here = dark(x);
@@ -95,7 +95,7 @@ impl Shade {
                 let (pixels, _) = self.below[3 * x..3 * next + 3].as_chunks_mut::<3>();
                 for (n, pixel) in pixels.iter_mut().enumerate() {
                     let taken = here + (there - here) * (n as f32 / (next - x) as f32);
-                    pixel.fill((taken * WHOLE) as i16);
+                    *pixel = TAKEN.map(|most| (taken * most * WHOLE) as i16);
                 }
             }
             (x, here) = (next, there);

@@ -7,9 +7,10 @@ use std::ops::Range;
 use nalgebra::Point3;
 
 use crate::camera::{Camera, Tool};
+use crate::defocus;
 
 /// Points along the tool that say where in the picture it lies.
-pub(crate) const POINTS: usize = 48;
+pub(crate) const POINTS: usize = 64;
 
 /// Columns of each row in which something may be.
 pub(crate) struct Spans {
@@ -42,9 +43,12 @@ impl Spans {
         self.clear();
         let Some(tool) = tool else { return };
         let [front, back] = tool.core();
+        let long_m = (back - front).norm();
         let points = (0..POINTS).map(|n| {
             let along = n as f64 / (POINTS - 1) as f64;
-            (front + (back - front) * along, tool.radius_m)
+            let radius_m = tool.radius_at(along * long_m);
+            let at = front + (back - front) * along;
+            (at, radius_m + defocus::edge_px(camera, at.z) * -camera.eye().z / camera.focal_px)
         });
         self.mark(camera, points);
     }

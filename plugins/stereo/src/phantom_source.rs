@@ -47,7 +47,7 @@ pub(crate) struct PhantomSourceConfig {
     #[config(min = 0.00005, max = 0.002, unit = "m", default = 0.0003)]
     tool_radius_m: f64,
     /// How much of the tool's shaft is drawn
-    #[config(min = 0.001, max = 0.1, unit = "m", default = 0.025)]
+    #[config(min = 0.001, max = 0.1, unit = "m", default = 0.03)]
     tool_length_m: f64,
 }
 
