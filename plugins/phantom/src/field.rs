@@ -122,8 +122,9 @@ impl Field {
         let lost = self.columns[lit.clone()].iter().map(|of_column| of_row.saturating_add(*of_column));
         let pixels = bytes[lit.clone()].iter_mut().zip(&row[lit.clone()]).zip(&noise[lit]);
         for (((byte, value), noise), lost) in pixels.zip(lost) {
+            // Taken twice and not doubled: compilers keep that in 16 bits, eight values at a time.
             let half = ((i32::from(*value) * i32::from(lost)) >> 16) as i16;
-            *byte = level(*value - 2 * half, *noise);
+            *byte = level(value.saturating_sub(half).saturating_sub(half), *noise);
         }
     }
 

@@ -68,7 +68,8 @@ impl Shade {
         let (above, below) = (&self.above[columns.clone()], &self.below[columns.clone()]);
         for ((value, above), below) in row[columns].iter_mut().zip(above).zip(below) {
             let taken = above + 2 * part(below - above, down);
-            *value -= 2 * part(*value, taken);
+            let half = part(*value, taken);
+            *value = value.saturating_sub(half).saturating_sub(half);
         }
     }
 
