@@ -59,7 +59,7 @@ struct Stage {
 }
 
 impl Renderer {
-    /// Traces the picture at rest on all processors that the calling thread may use: some 0.3 s on two of them for
+    /// Traces the picture at rest on all processors that the calling thread may use: some 0.6 s on two of them for
     /// 1024 × 768, so it belongs into `configure`.
     pub fn new(world: World, rig: Rig) -> Renderer {
         let lamp = Lamp::default();

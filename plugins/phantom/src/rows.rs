@@ -148,9 +148,9 @@ impl Work {
         let line = scenery.line(y);
         let row = &mut self.row;
         let last = row.len() / 3 - 1;
-        let mut put = |x: usize, (colour, covered): ([f32; 3], f32)| {
-            for (value, colour) in row[3 * x..3 * x + 3].iter_mut().zip(colour) {
-                *value = (f32::from(*value) * (1.0 - covered) + colour * f32::from(PARTS)) as i16;
+        let mut put = |x: usize, light: [f32; 3], covered: f32| {
+            for (value, light) in row[3 * x..3 * x + 3].iter_mut().zip(light) {
+                *value = (f32::from(*value) * (1.0 - covered) + light * f32::from(PARTS)) as i16;
             }
         };
         let span = self.tool.of(y);
@@ -163,25 +163,34 @@ impl Work {
         let mut x = span.start / apart * apart;
         let mut here = seen(x);
         while x < span.end {
-            let next = (x + apart).min(last.max(x + 1));
-            if span.contains(&x) && here.1 > 0.0 {
-                put(x, here);
+            if here.clear > apart {
+                x += here.clear / apart * apart;
+                if x < span.end {
+                    here = seen(x);
+                }
+                continue;
             }
-            if next > last {
+            if span.contains(&x) && here.covered > 0.0 {
+                put(x, here.light, here.covered);
+            }
+            if x == last {
                 break;
             }
+            let next = (x + apart).min(last);
             let there = seen(next);
             for between in (x + 1).max(span.start)..next.min(span.end) {
-                if here.1 + there.1 == 0.0 {
-                    continue;
+                if here.covered + there.covered == 0.0 {
+                    break;
                 }
-                if (here.1 - there.1).abs() > STEEP {
-                    put(between, seen(between));
+                if (here.covered - there.covered).abs() > STEEP {
+                    let exact = seen(between);
+                    put(between, exact.light, exact.covered);
                     continue;
                 }
                 let part = (between - x) as f32 / (next - x) as f32;
                 let mix = |here: f32, there: f32| here + (there - here) * part;
-                put(between, (std::array::from_fn(|i| mix(here.0[i], there.0[i])), mix(here.1, there.1)));
+                let light = std::array::from_fn(|i| mix(here.light[i], there.light[i]));
+                put(between, light, mix(here.covered, there.covered));
             }
             (x, here) = (next, there);
         }

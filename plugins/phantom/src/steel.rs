@@ -17,9 +17,22 @@ const STREAKS: [(f64, i32); 3] = [(190.0, 100), (34.0, 10), (46.0, 70)];
 /// Lamp light that steel scatters, and microscope light.
 const DIFFUSE: [f64; 2] = [0.38, 0.34];
 
-/// Light from the tool, levels, and the part of the pixel that it covers, 0 to 1, in column `x` of a line.
-pub(crate) fn seen(scenery: &Scenery<'_>, line: &Line<'_>, x: usize) -> ([f32; 3], f32) {
-    let nothing = ([0.0; 3], 0.0);
+/// No picture is wider, px.
+const FARTHEST_PX: f64 = 65_536.0;
+
+/// What a pixel shows of the tool.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Seen {
+    /// Light from the tool: red, green, blue, levels.
+    pub(crate) light: [f32; 3],
+    /// Part of the pixel that the tool covers, 0 to 1.
+    pub(crate) covered: f32,
+    /// So many columns to each side show nothing of the tool either.
+    pub(crate) clear: usize,
+}
+
+/// What column `x` of a line shows of the tool.
+pub(crate) fn seen(scenery: &Scenery<'_>, line: &Line<'_>, x: usize) -> Seen {
     let way = line.way(x).normalize();
     let (tool, camera) = (scenery.tool, &scenery.eye.camera);
     let passing = tool.pass(line.from(), &way);
@@ -28,7 +41,8 @@ pub(crate) fn seen(scenery: &Scenery<'_>, line: &Line<'_>, x: usize) -> ([f32; 3
     let edge_px = defocus::edge_px(camera, passing.core.z);
     // Written so that a place that is no number shows nothing.
     if !(gap_px < edge_px && depth > 0.0) {
-        return nothing;
+        // A tenth is left for lenses that bend and for edges that grow wider.
+        return Seen { clear: (0.9 * (gap_px - edge_px)).min(FARTHEST_PX) as usize, ..Seen::default() };
     }
     let covered = (0.5 - 0.5 * gap_px / edge_px).min(1.0) as f32;
     let covered = covered * covered * (3.0 - 2.0 * covered);
@@ -40,7 +54,8 @@ pub(crate) fn seen(scenery: &Scenery<'_>, line: &Line<'_>, x: usize) -> ([f32; 3
         // Beside the outline the steel looks as on it.
         None => (passing.core, passing.beside.normalize()),
     };
-    (colour(scenery, &at, &normal, &way).map(|level| level.min(255.0) * covered), covered)
+    let light = colour(scenery, &at, &normal, &way).map(|level| level.min(255.0) * covered);
+    Seen { light, covered, clear: 0 }
 }
 
 /// Diffuse light, what the steel mirrors, and highlights (J. Blinn, *Models of light reflection for computer
@@ -53,7 +68,8 @@ fn colour(scenery: &Scenery<'_>, at: &Point3<f64>, normal: &Vector3<f64>, way: &
     let across = |to: Vector3<f64>| (to - axis * axis.dot(&to)).try_normalize(1e-6).unwrap_or(*normal);
     let to_lamp = (lamp.at - at).normalize();
     let around = across(*normal);
-    let facing = around.dot(&across(-way)).clamp(0.0, 1.0);
+    // Round ends face the eye as they are.
+    let facing = around.dot(&across(-way)).max(-normal.dot(way)).clamp(0.0, 1.0);
     let shining = around.dot(&across(to_lamp - way)).max(0.0);
     // The shaft far above the retina is beside the lamp's beam.
     let beam = (1.0 + at.z / 14e-3).clamp(0.25, 1.0);
