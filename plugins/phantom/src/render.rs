@@ -59,8 +59,8 @@ struct Stage {
 }
 
 impl Renderer {
-    /// Traces the picture at rest on all processors that the calling thread may use: some 0.6 s on two of them for
-    /// 1024 × 768, so it belongs into `configure`.
+    /// Traces the picture at rest on all processors that the calling thread may use: some 0.6 s on two of
+    /// them for 1024 × 768, so it belongs into `configure`.
     pub fn new(world: World, rig: Rig) -> Renderer {
         let lamp = Lamp::default();
         let eyes = rig.cameras.map(|camera| Backdrop::new(&world, camera, &lamp));

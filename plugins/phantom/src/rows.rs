@@ -128,8 +128,8 @@ impl Work {
             for (((to, here), next), weight) in
                 self.row[start..end].iter_mut().zip(here).zip(next).zip(weights)
             {
-                // The upper half of the product is half of the difference's part. It is added twice and not doubled:
-                // compilers keep that in 16 bits, eight values at a time.
+                // The upper half of the product is half of the difference's part. It is added twice and not
+                // doubled: compilers keep that in 16 bits, eight values at a time.
                 let half = ((i32::from(*next - *here) * i32::from(*weight)) >> 16) as i16;
                 *to = here.saturating_add(half).saturating_add(half);
             }
