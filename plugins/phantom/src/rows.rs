@@ -182,7 +182,7 @@ impl Work {
                 if here.covered + there.covered == 0.0 {
                     break;
                 }
-                if (here.covered - there.covered).abs() > STEEP {
+                if here.fine || there.fine || (here.covered - there.covered).abs() > STEEP {
                     let exact = seen(between);
                     put(between, exact.light, exact.covered);
                     continue;

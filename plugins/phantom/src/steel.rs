@@ -17,6 +17,11 @@ const STREAKS: [(f64, i32); 3] = [(190.0, 100), (34.0, 10), (46.0, 70)];
 /// Lamp light that steel scatters, and microscope light.
 const DIFFUSE: [f64; 2] = [0.38, 0.34];
 
+/// Highlights above this are seen as streaks, levels.
+const STREAK: f64 = 8.0;
+/// A tool of a smaller radius is thin, px.
+const THIN_PX: f64 = 18.0;
+
 /// No picture is wider, px.
 const FARTHEST_PX: f64 = 65_536.0;
 
@@ -27,6 +32,8 @@ pub(crate) struct Seen {
     pub(crate) light: [f32; 3],
     /// Part of the pixel that the tool covers, 0 to 1.
     pub(crate) covered: f32,
+    /// Columns beside it are not between it and the next ones: a streak is there, or the tool is thin.
+    pub(crate) fine: bool,
     /// So many columns to each side show nothing of the tool either.
     pub(crate) clear: usize,
 }
@@ -54,16 +61,23 @@ pub(crate) fn seen(scenery: &Scenery<'_>, line: &Line<'_>, x: usize) -> Seen {
         // Beside the outline the steel looks as on it.
         None => (passing.core, passing.beside.normalize()),
     };
-    let light = colour(scenery, &at, &normal, &way).map(|level| level.min(255.0) * covered);
-    Seen { light, covered, clear: 0 }
+    let (light, streaks) = colour(scenery, &at, &normal, &way);
+    let thin = (at - passing.core).norm() * camera.focal_px / depth < THIN_PX;
+    let light = light.map(|level| level.min(255.0) * covered);
+    Seen { light, covered, fine: thin || streaks > STREAK, clear: 0 }
 }
 
 /// Diffuse light, what the steel mirrors, and highlights (J. Blinn, *Models of light reflection for computer
 /// synthesized pictures*, 1977) of the lamp and of the microscope's own light, which comes from where the
 /// camera is. A shaft is turned: its fine grooves scatter along the axis, so only directions across it count,
 /// and highlights are streaks along the shaft (G. Ward, *Measuring and modeling anisotropic reflection*,
-/// 1992).
-fn colour(scenery: &Scenery<'_>, at: &Point3<f64>, normal: &Vector3<f64>, way: &Vector3<f64>) -> [f32; 3] {
+/// 1992). Levels of the three colours, and what of them is of the narrow highlights.
+fn colour(
+    scenery: &Scenery<'_>,
+    at: &Point3<f64>,
+    normal: &Vector3<f64>,
+    way: &Vector3<f64>,
+) -> ([f32; 3], f64) {
     let (lamp, axis) = (scenery.lamp, scenery.tool.axis.as_ref());
     let across = |to: Vector3<f64>| (to - axis * axis.dot(&to)).try_normalize(1e-6).unwrap_or(*normal);
     let to_lamp = (lamp.at - at).normalize();
@@ -76,11 +90,11 @@ fn colour(scenery: &Scenery<'_>, at: &Point3<f64>, normal: &Vector3<f64>, way: &
     let light =
         lamp.ambient + DIFFUSE[0] * around.dot(&across(to_lamp)).max(0.0) * beam + DIFFUSE[1] * facing;
     let [lamps, glow, scopes] = STREAKS;
-    let streaks = beam * (lamps.0 * shining.powi(lamps.1) + glow.0 * shining.powi(glow.1))
-        + scopes.0 * facing.powi(scopes.1);
+    let narrow = beam * lamps.0 * shining.powi(lamps.1) + scopes.0 * facing.powi(scopes.1);
+    let streaks = narrow + beam * glow.0 * shining.powi(glow.1);
     // The side that looks away from the lamp mirrors the retina; the limb is dark.
     let lower = 1.0 - 0.5 * (1.0 + shining);
     let retina = beam * (0.25 + 1.3 * lower) * (1.0 - 0.6 * facing);
     let limb = 0.5 + 0.5 * (facing * 2.5).min(1.0);
-    std::array::from_fn(|i| ((STEEL[i] * light + RETINA[i] * retina) * limb + streaks) as f32)
+    (std::array::from_fn(|i| ((STEEL[i] * light + RETINA[i] * retina) * limb + streaks) as f32), narrow)
 }
