@@ -42,6 +42,10 @@ struct StereoDepthConfig {
     /// Most that left and right may disagree; -1: not compared
     #[config(live, min = -1, max = 64, unit = "px", default = 1)]
     consistency: i16,
+    /// Where the left image is darker than so many levels, and as far around as the window reaches, nothing is known: outside of the round
+    /// field of a microscope. 0: nowhere
+    #[config(live, min = 0, max = 255, default = 0)]
+    dark: u8,
     /// Width of an image; frames of another one are left out
     #[config(min = 32, max = 16384, unit = "px", default = 1024)]
     width: usize,
@@ -266,9 +270,9 @@ fn send_depth(
 
 impl StereoDepthConfig {
     fn settings(&self) -> Settings {
-        let Self { n_disp, block, p1, p2, uniqueness, texture, consistency, .. } = *self;
+        let Self { n_disp, block, p1, p2, uniqueness, texture, consistency, dark, .. } = *self;
         let method = if self.method == "bm" { Method::Bm } else { Method::Sgm };
-        Settings { method, n_disp, block, p1, p2, uniqueness, texture, consistency }
+        Settings { method, n_disp, block, p1, p2, uniqueness, texture, consistency, dark }
     }
 
     /// What a disparity is worth, when the cameras are known.

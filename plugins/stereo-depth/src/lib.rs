@@ -7,6 +7,7 @@ mod block_matching;
 mod census;
 mod component;
 mod consistency;
+mod dark;
 mod disparity;
 mod matcher;
 #[cfg(test)]

@@ -7,9 +7,13 @@ use trocar_imaging::simd::Avx2;
 use trocar_sdk::data::{ImageView, PixelFormat};
 
 use crate::block_matching::BlockMatching;
+use crate::dark::Dark;
 use crate::semi_global::SemiGlobal;
 use crate::settings::{BadSettings, Method, Settings};
 use crate::simd;
+
+/// How far a census looks, and the paths beside it carry what it saw at an edge.
+const CENSUS_REACH_PX: usize = 4;
 
 /// Finds disparities of rectified pairs of one size.
 pub struct Matcher {
@@ -21,6 +25,7 @@ pub struct Matcher {
     left: Vec<u8>,
     mirrored: Vec<u8>,
     row: Vec<u8>,
+    dark: Dark,
     how: How,
 }
 
@@ -67,6 +72,7 @@ impl Matcher {
             left: plane(),
             mirrored: plane(),
             row: vec![0; width],
+            dark: Dark::new(width),
             how,
         })
     }
@@ -97,6 +103,11 @@ impl Matcher {
         match &mut self.how {
             How::Bm(matching) => matching.run(&self.left, &self.mirrored, disparity),
             How::Sgm(matching) => matching.run(&self.left, &self.mirrored, disparity),
+        }
+        let Settings { method, block, dark, .. } = self.settings;
+        if dark > 0 {
+            let reach = if method == Method::Bm { block / 2 } else { CENSUS_REACH_PX };
+            self.dark.leave_out(&self.left, dark, reach, disparity);
         }
         true
     }

@@ -181,6 +181,7 @@ fn noise_with_and_without_wide_instructions_gives_the_same_bytes() {
             uniqueness: rng.u8(0..=50),
             texture: rng.u16(0..2000),
             consistency: rng.i16(-1..4),
+            dark: 0,
         };
         let pixels = width * height;
         // Extremes come often: that is where sums are largest.

@@ -39,6 +39,8 @@ pub struct Settings {
     pub texture: u16,
     /// Most that left and right may disagree, px; negative: not compared.
     pub consistency: i16,
+    /// Where the left image is darker than this many levels, and as far around as a window reaches, nothing is known; 0: nowhere.
+    pub dark: u8,
 }
 
 impl Default for Settings {
@@ -52,6 +54,7 @@ impl Default for Settings {
             uniqueness: 10,
             texture: 5,
             consistency: 1,
+            dark: 0,
         }
     }
 }
