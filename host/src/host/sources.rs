@@ -32,7 +32,10 @@ pub(super) fn open(config: &HostConfig, state: &StateDir) -> Result<Sources, Hos
 
 fn open_store(config: &HostConfig, state: &StateDir) -> Result<Arc<PluginStore>, HostError> {
     let program = vetting_program(config.vet_with.as_deref())?;
-    let mut store = PluginStoreConfig::new(config.plugins.clone(), state.path().to_owned(), program);
+    // Whole paths: whoever is told of one, such as a saved system, may be elsewhere.
+    let whole = |dir: &PathBuf| std::path::absolute(dir).unwrap_or_else(|_| dir.clone());
+    let dirs = config.plugins.iter().map(whole).collect();
+    let mut store = PluginStoreConfig::new(dirs, state.path().to_owned(), program);
     store.trust = config.trust.clone();
     store.log = crate::lcm::plugin_log;
     Ok(PluginStore::open(store)?)

@@ -40,11 +40,11 @@ impl Dark {
             }
             let found = &mut disparity[y * width..(y + 1) * width];
             let mut near: u32 = self.columns[..reach.min(width)].iter().map(|count| u32::from(*count)).sum();
-            for x in 0..width {
+            for (x, disparity) in found.iter_mut().enumerate() {
                 near += self.columns.get(x + reach).map_or(0, |count| u32::from(*count));
                 near -= if x > reach { u32::from(self.columns[x - reach - 1]) } else { 0 };
                 if near > 0 {
-                    found[x] = NONE;
+                    *disparity = NONE;
                 }
             }
         }

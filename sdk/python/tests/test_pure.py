@@ -245,7 +245,7 @@ for ask in (lambda: trocar.read("x.mcap"), _plot._matplotlib):
     try:
         ask()
     except trocar.TrocarError as e:
-        assert e.reason == "NOT_INSTALLED" and "trocar[ire]" in e.sentence, e
+        assert e.reason == "NOT_INSTALLED" and "pip install " in e.sentence and "trocar" not in e.sentence, e
     else:
         raise AssertionError(ask)
 sys.exit(ire.main([]) + 10)

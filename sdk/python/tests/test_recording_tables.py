@@ -241,7 +241,7 @@ def test_without_pandas_it_says_how_to_get_it(tmp_path, monkeypatch):
     rec = recorded(tmp_path / "a.mcap")
     monkeypatch.setitem(sys.modules, "pandas", None)
     for tries in (rec["robot/arm/state"].to_pandas, lambda: rec.table("robot/arm/state")):
-        with pytest.raises(trocar.TrocarError, match=r"pip install 'trocar\[pandas\]'"):
+        with pytest.raises(trocar.TrocarError, match="pip install pandas"):
             tries()
     assert len(rec["robot/arm/state"].to_numpy()) == 4
 

@@ -3,10 +3,11 @@
 //! Promise: a saved file makes the same system again; a system becomes what a file says, all of it or
 //! nothing, and what does not differ goes on as it was.
 
+use std::ffi::OsString;
 use std::fs;
 
 use serde_json::{Value, json};
-use trocar_tests::{Trocar, eventually, number};
+use trocar_tests::{HostProcess, Trocar, World, eventually, number};
 
 use super::{OK, REFUSED};
 use crate::processes::system::System;
@@ -53,6 +54,19 @@ fn differences(trocar: &Trocar, file: &str) -> Vec<String> {
 fn steps(system: &System, component: &str) -> (u64, String) {
     let stands = system.grpc.component(component);
     (number(&stands["stats"]["executed"]), stands["state"].as_str().unwrap().to_owned())
+}
+
+#[test]
+fn a_plugin_directory_that_was_given_relative_to_the_host_is_found_from_a_file_elsewhere() {
+    let world = World::with_plugins(&["sine"]);
+    let args = ["host", "--listen", "127.0.0.1:0", "--plugins", "plugins", "--state", "state/host"];
+    let host = HostProcess::spawn(&world, "host", &args.map(OsString::from));
+    let trocar = Trocar::at(&world, host.address());
+    host.grpcurl().await_class("host", "sine");
+    trocar.run(&["create", "host/s", "sine"]).ends_with(OK);
+    fs::create_dir(world.path("elsewhere")).unwrap();
+    trocar.run(&["save", "-o", "elsewhere/system.json"]).ends_with(OK);
+    trocar.run(&["check", "elsewhere/system.json"]).ends_with(OK);
 }
 
 #[test]

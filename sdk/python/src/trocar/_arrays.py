@@ -25,7 +25,7 @@ def decoder(encoding: str, schema: Any) -> Any:
             from mcap_protobuf.decoder import DecoderFactory
         except ImportError:
             raise TrocarError(
-                "FAILED_PRECONDITION", "NOT_INSTALLED", "this recording needs mcap-protobuf-support: pip install 'trocar[ire]'"
+                "FAILED_PRECONDITION", "NOT_INSTALLED", "this recording needs mcap-protobuf-support: pip install mcap-protobuf-support"
             ) from None
         found = DecoderFactory().decoder_for(encoding, schema)
         if found is not None:

@@ -24,7 +24,7 @@ def pandas() -> Any:
     try:
         import pandas as pd
     except ImportError:
-        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", "tables need pandas: pip install 'trocar[pandas]'") from None
+        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", "tables need pandas: pip install pandas") from None
     return pd
 
 

@@ -329,6 +329,6 @@ def _matplotlib() -> Any:
         raise TrocarError(
             "FAILED_PRECONDITION",
             "NOT_INSTALLED",
-            "plots need matplotlib: pip install 'trocar[ire]'; data() works without",
+            "plots need matplotlib: pip install matplotlib; data() works without",
         ) from None
     return matplotlib

@@ -109,7 +109,7 @@ def installed() -> Any:
     try:
         from mcap import data_stream, records
     except ImportError:
-        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", "reading recordings needs mcap: pip install 'trocar[ire]'") from None
+        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", "reading recordings needs mcap: pip install mcap mcap-protobuf-support") from None
     return records, data_stream
 
 

@@ -29,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
         from IPython import start_ipython
         from traitlets.config import Config
     except ImportError:
-        print("trocar-ire: IPython is missing: pip install 'trocar[ire]'", file=sys.stderr)
+        print("trocar-ire: IPython is missing: pip install ipython", file=sys.stderr)
         return 1
     try:
         ire = trocar.connect(arguments.gcm, name=arguments.name)
