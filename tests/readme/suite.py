@@ -154,13 +154,19 @@ def typed(terminal, blocks):
             terminal.run("\n".join(lines))
 
 
+def shown(line, said):
+    """Whether what was said has this line, whatever its blanks; … stands for any text of one word."""
+    wanted = re.escape(" ".join(line.split())).replace("…", r"\S*")
+    return re.search(wanted, " ".join(said.split())) is not None
+
+
 def console(terminal, lines):
     for asked in re.split(r"^[$] ", "\n".join(lines), flags=re.M)[1:]:
         command, *wanted = asked.splitlines()
         last, since = "", time.monotonic()
         while True:
             said = terminal.run(command, judged=not wanted)
-            missing = [line for line in wanted if " ".join(line.split()) not in " ".join(said.split())]
+            missing = [line for line in wanted if not shown(line, said)]
             if not missing:
                 break
             if said != last:
