@@ -109,7 +109,8 @@ def installed() -> Any:
     try:
         from mcap import data_stream, records
     except ImportError:
-        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", "reading recordings needs mcap: pip install mcap mcap-protobuf-support") from None
+        sentence = "reading recordings needs mcap: pip install mcap mcap-protobuf-support"
+        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", sentence) from None
     return records, data_stream
 
 
