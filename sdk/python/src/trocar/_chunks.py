@@ -191,9 +191,7 @@ def _unpacked(data: bytes, compression: str, size: int, at: int) -> bytes:
             raise Damaged(f"the chunk at byte {at} is compressed as {compression!r}, which is not known here; it is left out")
     except ImportError:
         package = "zstandard" if compression == "zstd" else compression
-        raise TrocarError(
-            "FAILED_PRECONDITION", "NOT_INSTALLED", f"this recording needs {compression}: pip install {package}"
-        ) from None
+        raise TrocarError("FAILED_PRECONDITION", "NOT_INSTALLED", f"this recording needs {compression}: pip install {package}") from None
     except (RuntimeError, ValueError, MemoryError, EOFError) as e:
         raise Damaged(f"the chunk at byte {at} cannot be unpacked ({shown(e)}); it is left out") from None
     except Exception as e:
