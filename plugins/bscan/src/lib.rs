@@ -1,6 +1,6 @@
 //! Robot-Assisted B-Scan: the tip goes along a line at a constant distance from a retina that moves, and an image grows.
 //!
-//! Invariant: `depth`, `line` and `image` decide and compute; the component `bscan` alone commands the robot; `mscan` commands nobody.
+//! Invariant: `depth`, `line` and `image` decide and compute; the component `bscan` alone commands the robot; `mscan` and `flatten` command nobody.
 #![forbid(unsafe_code)]
 
 pub mod ascans;
@@ -8,7 +8,9 @@ mod bscan;
 pub mod depth;
 #[cfg(test)]
 mod finite_tests;
+mod flatten;
 pub mod image;
+mod layer;
 pub mod line;
 mod mscan;
 pub mod past;
@@ -19,7 +21,8 @@ mod sending;
 pub mod taken;
 
 pub use bscan::BScan;
+pub use flatten::Flatten;
 pub use mscan::MScan;
 pub use payloads::{Phase, Progress, ScanColumn, ScanDone, ScanRequest};
 
-trocar_sdk::trocar_plugin!(BScan, MScan);
+trocar_sdk::trocar_plugin!(BScan, MScan, Flatten);

@@ -103,6 +103,7 @@ pub(crate) struct Truth {
     /// The same, or straight down, whichever is less.
     pub(crate) nearest_m: f64,
     pub(crate) ilm_m: f64,
+    pub(crate) epithelium_m: f64,
     /// What the tracker said of it.
     pub(crate) measured: Distance,
 }
@@ -380,6 +381,7 @@ impl Rig {
             distance_m: below.distance_m,
             nearest_m: self.straight_down(&tip, t_s).min(below.distance_m),
             ilm_m: below.ilm_m,
+            epithelium_m: below.epithelium_m,
             measured,
         });
         self.waiting.push((ns + LINE_NS / 2 + self.setup.latency_ns, measured, ascan));

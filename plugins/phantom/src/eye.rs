@@ -32,8 +32,17 @@ impl Eye {
     pub fn surface_z(&self, x: f64, y: f64) -> f64 {
         let (radius, r2) = (self.globe_radius_m, x * x + y * y);
         let globe = (radius * radius - r2).max(0.0).sqrt() - radius;
-        let pit = self.pit_depth_m * (-r2 / (self.pit_radius_m * self.pit_radius_m)).exp();
-        globe + pit - self.vessel_m(x, y)
+        globe + self.sunk_m(x, y)
+    }
+
+    /// How deep the pit is at `x`, `y`, as a part of its depth in the middle.
+    pub fn pit(&self, x: f64, y: f64) -> f64 {
+        (-(x * x + y * y) / (self.pit_radius_m * self.pit_radius_m)).exp()
+    }
+
+    /// How far the ILM lies below the globe at `x`, `y`, m: in the pit, and less than nothing on a vessel.
+    pub fn sunk_m(&self, x: f64, y: f64) -> f64 {
+        self.pit_depth_m * self.pit(x, y) - self.vessel_m(x, y)
     }
 
     /// How far a vessel stands out at `x`, `y`, m; 0 beside vessels.

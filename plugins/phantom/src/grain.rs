@@ -1,17 +1,19 @@
-//! The tissue between the echoes: columns of many weak scatterers below the ILM, whose light adds up to
-//! speckle.
+//! The tissue between the echoes: columns of many weak scatterers, whose light adds up to speckle. Those of
+//! the inner layers hang on the ILM, those of the outer ones on the pigment epithelium.
 //!
 //! Invariant: a column is a function of its number alone; tables are made once, and adding a column allocates
 //! nothing.
 
 use crate::noise::Noise;
 use crate::phasor::{Field, LANES, Runs, lanes, lanes_mut};
+use crate::tissue::{EPITHELIUM_M, Layers, Tissue};
 
 /// Columns that differ; which one lies below a place of the retina is drawn from its speckle.
 pub const COLUMNS: usize = 64;
 
-/// Optical path below the ILM at which the layers under the vessels begin, m.
-pub const OUTER_M: f64 = 60e-6;
+/// Optical path below the ILM at which the outer layers begin where the globe is smooth, m. In the middle of
+/// the pit, which is 134 µm deep, they begin with the ILM.
+const OUTER_M: f64 = 140e-6;
 
 /// Optical path from one scatterer to the next one, m. Several lie within the resolution of 9 µm, each of a
 /// random phase and a Rayleigh-distributed amplitude: their sum is fully developed speckle (Goodman, *Speckle
@@ -28,8 +30,7 @@ const SEED: u64 = 0x0c7;
 /// Optical path below the ILM (m) and mean level of the light that comes back from there (dB beside the ILM).
 /// Between the rows the level runs straight. The order of bright and dark is that of Staurenghi et al.,
 /// *Proposed lexicon for anatomic landmarks in normal posterior segment spectral-domain OCT*, 2014; the
-/// levels are chosen, and leave the echoes of [`crate::tissue::LAYERS`] 5 dB above what lies 14 µm beside
-/// them.
+/// levels are chosen, and leave the echoes of [`crate::tissue`] 5 dB above what lies 14 µm beside them.
 const PROFILE: [(f64, f64); 21] = [
     // Nerve fibres.
     (6e-6, -30.0),
@@ -63,7 +64,7 @@ const PROFILE: [(f64, f64); 21] = [
 /// One scatterer of a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scatterer {
-    /// Optical path below the ILM, m.
+    /// Optical path below what the column hangs on, m.
     pub below_m: f64,
     /// Amplitude beside that of the ILM without speckle.
     pub amplitude: f64,
@@ -78,21 +79,25 @@ pub fn level_db(below_m: f64) -> Option<f64> {
 }
 
 /// The scatterers of a column, from the first to the deepest.
-pub fn scatterers(column: usize) -> impl Iterator<Item = Scatterer> {
-    let noise = Noise::new(SEED, column as u64);
+pub fn scatterers(tissue: Tissue) -> impl Iterator<Item = Scatterer> {
+    let noise = Noise::new(SEED, tissue.column as u64);
     let ([first, ..], [.., last]) = (PROFILE, PROFILE);
     let count = ((last.0 - first.0) / PITCH_M) as u64;
+    let of_layers = move |below_m: &f64| (*below_m >= OUTER_M) == (tissue.layers == Layers::Outer);
     (0..count).filter_map(move |n| {
-        let below_m = first.0 + PITCH_M * (n as f64 + noise.uniform(2 * n));
+        let below_m = Some(first.0 + PITCH_M * (n as f64 + noise.uniform(2 * n))).filter(of_layers)?;
         let power = 10f64.powf(0.1 * level_db(below_m)?) * PITCH_M / CELL_M;
         // The square of a Rayleigh-distributed amplitude is exponential.
         let drawn = -(1.0 - noise.uniform(2 * n + 1)).ln();
-        Some(Scatterer { below_m, amplitude: (power * drawn).sqrt() })
+        let hangs_m = match tissue.layers {
+            Layers::Inner => 0.0,
+            Layers::Outer => EPITHELIUM_M,
+        };
+        Some(Scatterer { below_m: below_m - hangs_m, amplitude: (power * drawn).sqrt() })
     })
 }
 
-/// The fields of all columns over the pixels of a detector: those of the layers above and under the vessels
-/// apart.
+/// The fields of all columns over the pixels of a detector.
 #[derive(Clone, Debug)]
 pub(crate) struct Bank {
     inner: Field,
@@ -104,50 +109,40 @@ pub(crate) struct Bank {
 impl Bank {
     /// Makes the tables: some 25 ms for 1024 pixels.
     pub(crate) fn new(runs: &Runs, samples: usize) -> Bank {
-        let zeros = || vec![0.0; COLUMNS * samples];
-        let mut bank = Bank { inner: [zeros(), zeros()], outer: [zeros(), zeros()], samples };
-        for column in 0..COLUMNS {
-            let at = column * samples..(column + 1) * samples;
-            for Scatterer { below_m, amplitude } in scatterers(column) {
-                let [re, im] = if below_m < OUTER_M { &mut bank.inner } else { &mut bank.outer };
-                runs.add(&mut re[at.clone()], &mut im[at.clone()], 2.0 * below_m, amplitude as f32);
+        let field = |layers| {
+            let [mut re, mut im] = [vec![0.0; COLUMNS * samples], vec![0.0; COLUMNS * samples]];
+            for column in 0..COLUMNS {
+                let at = column * samples..(column + 1) * samples;
+                for Scatterer { below_m, amplitude } in scatterers(Tissue { column, layers }) {
+                    runs.add(&mut re[at.clone()], &mut im[at.clone()], 2.0 * below_m, amplitude as f32);
+                }
             }
-        }
-        bank
+            [re, im]
+        };
+        Bank { inner: field(Layers::Inner), outer: field(Layers::Outer), samples }
     }
 
-    /// Adds a column below an ILM `path_m` away to a field, its layers above and under the vessels with the
-    /// amplitudes `inner` and `outer`.
-    pub(crate) fn add(
-        &self,
-        runs: &Runs,
-        field: &mut Field,
-        path_m: f64,
-        column: usize,
-        [inner, outer]: [f32; 2],
-    ) {
-        let (Some([inner_re, inner_im]), Some([outer_re, outer_im])) =
-            (self.column(&self.inner, column), self.column(&self.outer, column))
-        else {
-            return;
-        };
+    /// Adds a column to a field, hung on what is `path_m` away.
+    pub(crate) fn add(&self, runs: &Runs, field: &mut Field, path_m: f64, tissue: Tissue, amplitude: f32) {
+        let Some([column_re, column_im]) = self.column(tissue) else { return };
         let [re, im] = field;
-        runs.each(2.0 * path_m, 1.0, |at, er, ei| {
-            let near = (lanes(inner_re, at), lanes(inner_im, at));
-            let far = (lanes(outer_re, at), lanes(outer_im, at));
-            let ((Some(ir), Some(ii)), (Some(or), Some(oi))) = (near, far) else { return };
+        runs.each(2.0 * path_m, amplitude, |at, er, ei| {
+            let (Some(cr), Some(ci)) = (lanes(column_re, at), lanes(column_im, at)) else { return };
             let (Some(re), Some(im)) = (lanes_mut(re, at), lanes_mut(im, at)) else { return };
             for lane in 0..LANES {
-                let (r, i) = (inner * ir[lane] + outer * or[lane], inner * ii[lane] + outer * oi[lane]);
-                re[lane] += r * er[lane] - i * ei[lane];
-                im[lane] += r * ei[lane] + i * er[lane];
+                re[lane] += cr[lane] * er[lane] - ci[lane] * ei[lane];
+                im[lane] += cr[lane] * ei[lane] + ci[lane] * er[lane];
             }
         });
     }
 
     /// The field of one column.
-    fn column<'a>(&self, [re, im]: &'a Field, column: usize) -> Option<[&'a [f32]; 2]> {
-        let from = column % COLUMNS * self.samples;
+    fn column(&self, tissue: Tissue) -> Option<[&[f32]; 2]> {
+        let [re, im] = match tissue.layers {
+            Layers::Inner => &self.inner,
+            Layers::Outer => &self.outer,
+        };
+        let from = tissue.column % COLUMNS * self.samples;
         Some([re.get(from..from + self.samples)?, im.get(from..from + self.samples)?])
     }
 }

@@ -8,7 +8,7 @@
 //! a. `S` is Gaussian; `κ(d) = 1 / (1 + (d / 0.9 mm)²)` is what the lens of the tip couples back;
 //! `r(z) = sinc(π/2 · ρ · z / z_max)` the roll-off of pixels of finite width, with `z_max = N λ0² / (4 Δλ)`, the depth whose
 //! fringes have two pixels; `φ = a2 x² + a3 x³` over x from −1 (smallest k) to 1 what glass and water leave of dispersion.
-//! Scatterers of the tissue have the coupling and the roll-off of the ILM above them.
+//! Scatterers of the tissue have the coupling and the roll-off of what they hang on.
 
 use std::f64::consts::{FRAC_PI_2, LN_2, TAU};
 
@@ -209,8 +209,7 @@ impl Spectrograph {
                     self.runs.add(re, im, 2.0 * echo.path_m, amplitude);
                 }
                 Some(tissue) => {
-                    let parts = [tissue.inner, tissue.outer].map(|part| amplitude * part as f32);
-                    self.bank.add(&self.runs, &mut self.field, echo.path_m, tissue.column, parts);
+                    self.bank.add(&self.runs, &mut self.field, echo.path_m, tissue, amplitude);
                 }
             }
         }
@@ -269,8 +268,8 @@ impl Spectrograph {
                     add(echo.path_m, amplitude);
                     continue;
                 };
-                for Scatterer { below_m, amplitude: part } in grain::scatterers(tissue.column) {
-                    add(echo.path_m + below_m, amplitude * part * tissue.part(below_m));
+                for Scatterer { below_m, amplitude: part } in grain::scatterers(tissue) {
+                    add(echo.path_m + below_m, amplitude * part);
                 }
             }
             full * source_at(&self.optics, i) * (re * re + im * im)

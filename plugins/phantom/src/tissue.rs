@@ -4,14 +4,23 @@
 
 use std::f64::consts::TAU;
 
-use crate::grain::{COLUMNS, OUTER_M};
+use crate::grain::COLUMNS;
 use crate::noise::Noise;
 
-/// Echoes below one place at most: both sides of the membrane, ILM, tissue and three layers.
-pub const ECHOES: usize = 7;
+/// Echoes below one place at most: both sides of the membrane, ILM, two inner layers and the pigment
+/// epithelium, and the tissue below the ILM and around the epithelium.
+pub const ECHOES: usize = 8;
 
-/// Layers below the ILM: optical path below it (m) and amplitude beside that of the ILM. RNFL/GCL, INL, RPE.
-pub const LAYERS: [(f64, f64); 3] = [(35e-6, 0.3), (90e-6, 0.3), (240e-6, 0.75)];
+/// Inner layers: optical path below the ILM (m) and amplitude beside that of the ILM. RNFL/GCL, INL.
+pub const LAYERS: [(f64, f64); 2] = [(35e-6, 0.3), (90e-6, 0.3)];
+
+/// From the ILM to the retinal pigment epithelium (RPE) where the globe is smooth, optical path, m.
+pub const EPITHELIUM_M: f64 = 240e-6;
+/// Amplitude of the RPE.
+const EPITHELIUM: f64 = 0.75;
+
+/// Vessels lie above this optical path below the ILM, m.
+const VESSELS_M: f64 = 60e-6;
 
 /// Amplitude of the ILM.
 pub const ILM: f64 = 1.0;
@@ -44,7 +53,7 @@ pub struct Echo {
     pub path_m: f64,
     /// Amplitude beside that of the ILM without speckle.
     pub amplitude: f64,
-    /// Not one echo but the scatterers below an ILM at `path_m`.
+    /// Not one echo but the scatterers around `path_m`.
     pub tissue: Option<Tissue>,
 }
 
@@ -55,31 +64,44 @@ impl Echo {
     }
 }
 
-/// Scatterers below the ILM.
+/// Scatterers of the retina.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tissue {
-    /// Which column of scatterers.
+    /// Which of their columns.
     pub column: usize,
-    /// Amplitude of the layers above and in the vessels, beside that of a healthy place.
-    pub inner: f64,
-    /// Amplitude of the layers under the vessels.
-    pub outer: f64,
+    pub layers: Layers,
 }
 
-impl Tissue {
-    /// Amplitude at an optical path below the ILM, m.
-    pub fn part(&self, below_m: f64) -> f64 {
-        if below_m < OUTER_M { self.inner } else { self.outer }
-    }
+/// What a column of scatterers hangs on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layers {
+    /// From the ILM down: they follow the surface, and are missing where that dips into the pit.
+    Inner,
+    /// Around the RPE, which goes straight on below pit and vessels.
+    Outer,
 }
 
 /// How much light a place gives back beside a healthy one without vessels: amplitudes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shade {
-    /// From the layers above and in the vessels.
+    /// From the inner layers.
     pub inner: f64,
-    /// From what lies under the vessels.
+    /// From the borders between them.
+    pub borders: f64,
+    /// From the outer ones, in whose light vessels stand.
     pub outer: f64,
+}
+
+/// What lies below the tip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// x and y on the retina, m.
+    pub at_m: [f64; 2],
+    /// Optical path from the tip to the membrane, to the ILM and to the RPE, m.
+    pub membrane_m: f64,
+    pub ilm_m: f64,
+    pub epithelium_m: f64,
+    pub shade: Shade,
 }
 
 /// The echoes below one place.
@@ -162,40 +184,36 @@ fn thickness(x: f64, y: f64) -> f64 {
     7.5e-6 + 0.75e-6 * along
 }
 
-/// The echoes below `x`, `y` on the retina when the ILM is `ilm_path_m` (optical) away and the membrane
-/// `height_m` (geometric) above it in a medium of `index`. Amplitudes are redrawn for each 10 µm square of
-/// the retina and each layer, the tissue for each square of [`GRAIN_M`].
-pub fn echoes(
-    noise: Noise,
-    [x, y]: [f64; 2],
-    ilm_path_m: f64,
-    height_m: f64,
-    index: f64,
-    shade: Shade,
-) -> Echoes {
-    let place = |side_m: f64| {
-        let square = |along: f64| (along / side_m).floor() as i64 as u64;
-        square(x).wrapping_mul(0x1_0000_0001).wrapping_add(square(y))
+/// The echoes below a place in a medium of `index`. Amplitudes are redrawn for each 10 µm square of the
+/// retina and each layer, the tissue for each square of [`GRAIN_M`].
+pub fn echoes(noise: Noise, place: &Place, index: f64) -> Echoes {
+    let &Place { at_m: [x, y], membrane_m, ilm_m, epithelium_m, shade } = place;
+    let square = |side_m: f64| {
+        let along = |along: f64| (along / side_m).floor() as i64 as u64;
+        along(x).wrapping_mul(0x1_0000_0001).wrapping_add(along(y))
     };
-    let here = place(SPECKLE_M);
+    let here = square(SPECKLE_M);
     let speckled = |layer: u64, amplitude: f64| amplitude * (0.55 + 0.9 * noise.part(layer).uniform(here));
+    let column = noise.part(BELOW).bits(square(GRAIN_M)) as usize % COLUMNS;
+    let tissue =
+        |path_m, layers, amplitude| Echo { path_m, amplitude, tissue: Some(Tissue { column, layers }) };
     let mut all = Echoes::default();
-    if height_m > THINNEST_M {
-        let path_m = ilm_path_m - index * height_m;
-        all.push(Echo::new(path_m, speckled(1, MEMBRANE)));
-        let thick_m = thickness(x, y);
+    let height_m = ilm_m - membrane_m;
+    if height_m > index * THINNEST_M {
+        all.push(Echo::new(membrane_m, speckled(1, MEMBRANE)));
+        let thick_m = index * thickness(x, y);
         if height_m > 1.5 * thick_m {
-            all.push(Echo::new(path_m + index * thick_m, speckled(1, MEMBRANE_BACK)));
+            all.push(Echo::new(membrane_m + thick_m, speckled(1, MEMBRANE_BACK)));
         }
     }
-    all.push(Echo::new(ilm_path_m, speckled(0, ILM)));
-    let column = noise.part(BELOW).bits(place(GRAIN_M)) as usize % COLUMNS;
-    let tissue = Some(Tissue { column, inner: shade.inner, outer: shade.outer });
-    all.push(Echo { path_m: ilm_path_m, amplitude: 1.0, tissue });
-    for (layer, (below, amplitude)) in LAYERS.into_iter().enumerate() {
-        let shadow = if below < OUTER_M { 1.0 } else { shade.outer };
-        all.push(Echo::new(ilm_path_m + below, shadow * speckled(2 + layer as u64, amplitude)));
+    all.push(Echo::new(ilm_m, speckled(0, ILM)));
+    all.push(tissue(ilm_m, Layers::Inner, shade.inner));
+    for ((below_m, amplitude), layer) in LAYERS.into_iter().zip(2..) {
+        let shadow = if below_m < VESSELS_M { 1.0 } else { shade.outer };
+        all.push(Echo::new(ilm_m + below_m, shade.borders * shadow * speckled(layer, amplitude)));
     }
+    all.push(tissue(epithelium_m, Layers::Outer, shade.outer));
+    all.push(Echo::new(epithelium_m, shade.outer * speckled(4, EPITHELIUM)));
     all
 }
 
@@ -203,26 +221,34 @@ pub fn echoes(
 mod tests {
     use super::*;
 
-    const CLEAR: Shade = Shade { inner: 1.0, outer: 1.0 };
+    /// Straight below a tip 500 µm above the ILM, where the retina is as thick as the globe has it.
+    fn below([x, y]: [f64; 2], height_m: f64) -> Echoes {
+        let place = Place {
+            at_m: [x, y],
+            membrane_m: 668e-6 - 1.336 * height_m,
+            ilm_m: 668e-6,
+            epithelium_m: 668e-6 + EPITHELIUM_M,
+            shade: Shade { inner: 1.0, borders: 1.0, outer: 1.0 },
+        };
+        echoes(Noise::new(1, 1), &place, 1.336)
+    }
 
     #[test]
-    fn below_a_patch_there_are_seven_echoes_from_the_membrane_down() {
-        let noise = Noise::new(1, 1);
+    fn below_a_patch_there_are_eight_echoes_from_the_membrane_down() {
         let height = Membrane::DEFAULT.height(0.6e-3, 0.0);
         assert!((height - 45e-6).abs() < 1e-12);
-        let below = echoes(noise, [0.6e-3, 0.0], 668e-6, height, 1.336, CLEAR);
-        let paths: Vec<f64> = below.as_slice().iter().map(|echo| echo.path_m).collect();
+        let below_it = below([0.6e-3, 0.0], height);
+        let paths: Vec<f64> = below_it.as_slice().iter().map(|echo| echo.path_m).collect();
         assert_eq!(paths.len(), ECHOES);
         assert!(paths.is_sorted(), "{paths:?}");
         assert!((paths[0] - (668e-6 - 1.336 * 45e-6)).abs() < 1e-12);
-        let beside = echoes(noise, [0.0, 0.0], 668e-6, Membrane::DEFAULT.height(0.0, 0.0), 1.336, CLEAR);
-        assert_eq!(beside.as_slice().len(), 5);
+        let beside = below([0.0, 0.0], Membrane::DEFAULT.height(0.0, 0.0));
+        assert_eq!(beside.as_slice().len(), 6);
     }
 
     #[test]
     fn speckle_is_one_per_square_and_lies_between_its_bounds() {
-        let noise = Noise::new(1, 1);
-        let ilm = |x: f64, y: f64| echoes(noise, [x, y], 1e-3, 0.0, 1.0, CLEAR).as_slice()[0].amplitude;
+        let ilm = |x: f64, y: f64| below([x, y], 0.0).as_slice()[0].amplitude;
         assert_eq!(ilm(1e-6, 1e-6), ilm(9e-6, 9e-6));
         assert_ne!(ilm(9e-6, 1e-6), ilm(11e-6, 1e-6));
         assert_ne!(ilm(-1e-6, 1e-6), ilm(1e-6, 1e-6));

@@ -8,7 +8,7 @@ use nalgebra::{Point3, UnitVector3, Vector3};
 use crate::eye::{Eye, VITREOUS_INDEX};
 use crate::motion::{Motion, Saccade, Step};
 use crate::noise::Noise;
-use crate::tissue::{Echoes, Membrane, Shade, echoes};
+use crate::tissue::{EPITHELIUM_M, Echoes, Membrane, Place, Shade, echoes};
 
 /// Streams of random numbers, one per use, so that none follows another.
 pub(crate) mod streams {
@@ -23,9 +23,6 @@ const VESSEL_M: [f64; 2] = [3e-6, 9e-6];
 /// Amplitude that a vessel takes from what is under it, and that its blood adds to the layer it is in.
 const SHADOW: f64 = 0.7;
 const BLOOD: f64 = 0.4;
-/// Amplitude that the inner layers lack in the middle of the fovea, and where that has fallen to 1/e, m.
-const THINNED: f64 = 0.6;
-const PIT_M: f64 = 0.35e-3;
 
 /// Longest way along the tool that is looked for the retina, m.
 const FARTHEST_M: f64 = 25e-3;
@@ -53,6 +50,9 @@ pub struct Below {
     pub distance_m: f64,
     /// From the tip to the ILM, m.
     pub ilm_m: f64,
+    /// From the tip to the pigment epithelium, which lies as deep below the globe in the pit and under vessels as
+    /// beside them, m. Its depth counts along the tool, as that of all layers.
+    pub epithelium_m: f64,
     /// Height of the membrane there, m; 0 where there is none.
     pub membrane_m: f64,
     /// Where on the eye, m: x and y of the ILM in the eye's own coordinates.
@@ -118,25 +118,31 @@ impl World {
         } else {
             ilm_m
         };
-        Some(Below { distance_m, ilm_m, membrane_m, at_m: [at.x, at.y] })
+        let epithelium_m = ilm_m + EPITHELIUM_M / VITREOUS_INDEX - self.eye.sunk_m(at.x, at.y) / axis.z;
+        Some(Below { distance_m, ilm_m, epithelium_m, membrane_m, at_m: [at.x, at.y] })
     }
 
     /// What light from the tip meets along the tool.
     pub fn echoes(&self, below: &Below) -> Echoes {
         let [x, y] = below.at_m;
         // Along the tool the membrane lies as far before the ILM as the two distances say.
-        let height = below.ilm_m - below.distance_m;
-        let path_m = VITREOUS_INDEX * below.ilm_m;
-        echoes(self.noise(streams::SPECKLE), [x, y], path_m, height, VITREOUS_INDEX, self.shade(x, y))
+        let place = Place {
+            at_m: below.at_m,
+            membrane_m: VITREOUS_INDEX * below.distance_m,
+            ilm_m: VITREOUS_INDEX * below.ilm_m,
+            epithelium_m: VITREOUS_INDEX * below.epithelium_m,
+            shade: self.shade(x, y),
+        };
+        echoes(self.noise(streams::SPECKLE), &place, VITREOUS_INDEX)
     }
 
     /// How much light the layers give back at `x`, `y` of the eye. Blood gives back more than the layers
-    /// beside it, and leaves less for what lies under a vessel; in the pit the inner layers are thin.
+    /// beside it, and leaves less for what lies under a vessel; the inner layers end where the pit begins.
     pub fn shade(&self, x: f64, y: f64) -> Shade {
         let deep = ((self.eye.vessel_m(x, y) - VESSEL_M[0]) / (VESSEL_M[1] - VESSEL_M[0])).clamp(0.0, 1.0);
         let vessel = deep * deep * (3.0 - 2.0 * deep);
-        let pit = (-(x * x + y * y) / (PIT_M * PIT_M)).exp();
-        Shade { inner: (1.0 + BLOOD * vessel) * (1.0 - THINNED * pit), outer: 1.0 - SHADOW * vessel }
+        let borders = 1.0 - self.eye.pit(x, y);
+        Shade { inner: (1.0 + BLOOD * vessel) * borders, borders, outer: 1.0 - SHADOW * vessel }
     }
 
     /// Velocity of the retina, m/s, in the world.

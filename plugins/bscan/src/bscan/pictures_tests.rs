@@ -1,24 +1,40 @@
 //! The image of a scan against the phantom's truth (gate A7), its columns, and frames that are no A-scans.
 #![allow(clippy::unwrap_used)]
 
-use trocar_sdk::data::{AScanHeader, ImageHeader, SampleFormat};
+use trocar_sdk::data::{AScanHeader, ImageHeader, PixelFormat, SampleFormat};
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
 use crate::rig::{APEX_Z_M, Rig, Setup, seeds};
-use crate::{BScan, Phase, ScanColumn, ScanDone, ScanRequest};
+use crate::{BScan, Flatten, Phase, ScanColumn, ScanDone, ScanRequest};
 
-/// Where the phantom has layers below its surface, and where it has none, m of optical path.
-const LAYERS_M: [f64; 3] = [35e-6, 90e-6, 240e-6];
-
-const NO_LAYERS_M: [f64; 4] = [62e-6, 140e-6, 185e-6, 300e-6];
+/// Where the phantom has inner layers below its surface, and where it has none, m of optical path.
+const INNER_M: [f64; 2] = [35e-6, 90e-6];
+const NONE_M: [f64; 2] = [62e-6, 140e-6];
+/// Where it has none above and below its pigment epithelium.
+const ABOVE_M: f64 = 55e-6;
+const UNDER_M: f64 = 60e-6;
+/// From the surface to the epithelium, beside pit and vessels.
+const EPITHELIUM_M: f64 = 240e-6;
+/// The inner layers end in the pit: they are looked for as far from its middle as this.
+const PIT_M: f64 = 0.75e-3;
 const BIN_M: f64 = 3.5117e-6;
 
-/// An image of a scan, and where its columns have the surface in truth, in rows.
+/// An image of a scan, and where its columns have surface and pigment epithelium in truth, in rows.
 struct Seen {
     pixels: Vec<u8>,
     width: usize,
-    truth: Vec<f64>,
+    truth: Vec<Column>,
+}
+
+/// The truth of a column.
+#[derive(Clone, Copy, Default)]
+struct Column {
+    /// Along the line from the pit, m.
+    x_m: f64,
+    surface: f64,
+    epithelium: f64,
+    count: f64,
 }
 
 impl Seen {
@@ -36,14 +52,21 @@ impl Seen {
         assert!(columns.iter().all(|c| c.lines > 0));
         let done = rig.bench.events::<ScanDone>("scan/bscan_done");
         assert_eq!(done, [ScanDone { scan: 1, columns: width as u32, empty: 0 }]);
-        let mut sums = vec![(0.0, 0.0); width];
+        let mut truth = vec![Column::default(); width];
         for t in rig.truth.iter().filter(|t| t.scanning && t.x_m >= from_m) {
-            if let Some((sum, count)) = sums.get_mut(((t.x_m - from_m) / pitch_m) as usize) {
-                *sum += t.ilm_m * 1.336 / BIN_M;
-                *count += 1.0;
+            if let Some(column) = truth.get_mut(((t.x_m - from_m) / pitch_m) as usize) {
+                let part = 1.0 / (column.count + 1.0);
+                column.count += 1.0;
+                for (mean, new) in [
+                    (&mut column.x_m, t.x_m / rig.part_across()),
+                    (&mut column.surface, t.ilm_m * 1.336 / BIN_M),
+                    (&mut column.epithelium, t.epithelium_m * 1.336 / BIN_M),
+                ] {
+                    *mean += part * (new - *mean);
+                }
             }
         }
-        Seen { pixels, width, truth: sums.iter().map(|(sum, count)| sum / count).collect() }
+        Seen { pixels, width, truth }
     }
 
     fn at(&self, column: usize, row: usize) -> f64 {
@@ -58,10 +81,9 @@ impl Seen {
         best as f64 + if a - 2.0 * b + c < 0.0 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 }
     }
 
-    /// Does a column have a layer of its own so far below the surface: within a row a local maximum, 5 dB above what lies
-    /// four rows above and below it?
-    fn has_layer(&self, column: usize, below_m: f64) -> bool {
-        let wanted = self.truth[column] + below_m / BIN_M;
+    /// Does a column have a layer of its own at a row: within one of it a local maximum, 5 dB above what lies four rows
+    /// above and below it?
+    fn has_layer(&self, column: usize, wanted: f64) -> bool {
         let place = self.peak(column, wanted, 2.0);
         let row = place.round() as usize;
         let beside = self.at(column, row - 4).max(self.at(column, row + 4));
@@ -69,22 +91,43 @@ impl Seen {
         (place - wanted).abs() <= 1.0 && self.at(column, row) - beside > 5.0 * 255.0 / 60.0
     }
 
-    /// Part of the columns with a layer so far below the surface.
-    fn part(&self, below_m: f64) -> f64 {
-        (0..self.width).filter(|column| self.has_layer(*column, below_m)).count() as f64 / self.width as f64
+    /// Part of the columns with a layer at the row that `row` says; `None` leaves a column out.
+    fn part(&self, row: impl Fn(&Column) -> Option<f64>) -> f64 {
+        let rows = self.truth.iter().enumerate().filter_map(|(column, truth)| Some((column, row(truth)?)));
+        let (there, all) = rows.fold((0, 0), |(there, all), (column, row)| {
+            (there + usize::from(self.has_layer(column, row)), all + 1)
+        });
+        f64::from(there as u32) / f64::from(all)
     }
 
     fn judge(&self, what: &str) {
-        let surface = |column| self.peak(column, self.truth[column], 5.0) - self.truth[column];
+        let surface =
+            |column| self.peak(column, self.truth[column].surface, 5.0) - self.truth[column].surface;
         let rms = ((0..self.width).map(|c| surface(c).powi(2)).sum::<f64>() / self.width as f64).sqrt();
-        let there = LAYERS_M.map(|below_m| self.part(below_m));
-        let absent = NO_LAYERS_M.map(|below_m| self.part(below_m));
+        let beside_pit = |column: &Column, row: f64| (column.x_m.abs() > PIT_M).then_some(row);
+        let below_surface =
+            |below_m: f64| self.part(|column| beside_pit(column, column.surface + below_m / BIN_M));
+        let epithelium = self.part(|column| Some(column.epithelium));
+        let above = self.part(|column| beside_pit(column, column.epithelium - ABOVE_M / BIN_M));
+        let under = self.part(|column| Some(column.epithelium + UNDER_M / BIN_M));
+        let ([one, two], [a, b]) = (INNER_M.map(below_surface), NONE_M.map(below_surface));
+        let (there, absent) = ([one, two, epithelium], [a, b, above, under]);
         println!(
             "{what}: surface rms {rms:.3} rows, layers in {there:.3?}, none in {absent:.3?} of the columns"
         );
         assert!(rms <= 1.0, "{what}: surface rows off by {rms:.2} rms");
         assert!(there.iter().all(|part| *part >= 0.99), "{what}: layers in {there:.3?} of the columns");
         assert!(absent.iter().all(|part| *part <= 0.01), "{what}: layers that are not, in {absent:.3?}");
+        // The truth itself: the epithelium lies as deep as it is said to, and goes straight on below the pit.
+        let thick = |column: &Column| (column.epithelium - column.surface) * BIN_M;
+        let beside: Vec<f64> = self.truth.iter().filter(|c| c.x_m.abs() > 1.2e-3).map(thick).collect();
+        assert!(
+            beside.iter().all(|thick_m| (0.0..30e-6).contains(&(thick_m - EPITHELIUM_M + 2e-6))),
+            "{what}: {beside:?} m thick beside pit and vessels"
+        );
+        if let Some(middle) = self.truth.iter().find(|column| column.x_m.abs() < 10e-6) {
+            assert!(thick(middle) < 0.55 * EPITHELIUM_M, "{what}: {} m thick in the pit", thick(middle));
+        }
     }
 }
 
@@ -97,6 +140,39 @@ fn the_image_shows_surface_and_layers_where_they_are_and_none_where_there_is_non
     for seed in seeds() {
         let setup = Setup { end_m: -1.2e-3, ..Setup::new("no_membrane", seed) };
         Seen::of(setup).judge(&format!("seed {seed}"));
+    }
+}
+
+#[test]
+fn laid_straight_the_image_shows_the_surface_as_far_above_the_epithelium_as_it_is() {
+    for seed in seeds() {
+        let seen = Seen::of(Setup::from_the_side("default", seed));
+        let header = ImageHeader {
+            stamp: Stamp::from_ns(1),
+            width: seen.width as u32,
+            height: 512,
+            stride: seen.width as u32,
+            format: PixelFormat::GRAY8,
+            index: 0,
+        };
+        let mut bench = Bench::<Flatten>::new("{}");
+        bench.push_frame("image", header, &seen.pixels);
+        bench.step(1);
+        let (header, pixels, _) = bench.frames::<ImageHeader>("flattened").pop().unwrap();
+        assert_eq!((header.width as usize, header.height), (seen.width, 305));
+        let flat = Seen { pixels, ..seen };
+        let mut off = [0.0; 2];
+        let mut wild = 0;
+        for (column, truth) in flat.truth.iter().enumerate() {
+            let surface = 175.0 - (truth.epithelium - truth.surface);
+            let by = [flat.peak(column, 175.0, 5.0) - 175.0, flat.peak(column, surface, 5.0) - surface];
+            off.iter_mut().zip(by).for_each(|(sum, by)| *sum += by * by / flat.width as f64);
+            wild += usize::from(by.iter().any(|by| by.abs() > 3.0));
+        }
+        let rms = off.map(f64::sqrt);
+        println!("seed {seed}: epithelium and surface {rms:.2?} rows off, {wild} columns by more than three");
+        // A row is 3.5 µm; over its own height the epithelium is speckled.
+        assert!(rms.iter().all(|rms| *rms < 1.5) && wild * 50 < flat.width, "seed {seed}: {rms:.2?}, {wild}");
     }
 }
 
