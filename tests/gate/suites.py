@@ -64,7 +64,8 @@ def outer(name, about, threads=2, counted=False, timed=False, grpcurl=True, cpp=
         if counted:
             made.append(part("counted", f"{name}{COUNTED}", one_by_one=True, alone=True))
         if timed:
-            made.append(part("timed", f"{name}{TIMED}", one_by_one=True, alone=True, when=TIMES))
+            words = (f"{name}{TIMED}", "--show-output")
+            made.append(part("timed", *words, one_by_one=True, alone=True, when=TIMES, show=FIGURES))
         return made
 
     return Suite(name, about, "tests", parts)
@@ -200,7 +201,7 @@ def times(*command, **more):
 PYTHON = ("python3", "sdk/python/tests/run.py")
 RECORDER = ("python3", "tests/recorder/suite.py")
 VIEWER = ("bash", "tests/viewer/run.sh")
-FIGURES = "^(bench|events:|300 components:)"
+FIGURES = "^(bench|figure|events:|300 components:)"
 
 # -- the table -----------------------------------------------------------------------------------------------
 
@@ -250,7 +251,7 @@ SUITES = [
     outer("devices", "robot, OCT, video and filters from outside", heavy=True),
     outer("realtime", "threads, priorities, streams and queues", counted=True),
     outer("faults", "components that panic, hang and misbehave", counted=True, timed=True),
-    outer("hostile", "strangers, impostors and limits", counted=True),
+    outer("hostile", "strangers, impostors and limits", counted=True, timed=True),
     outer("links", "connections between processes"),
     outer("places", "components in processes of their own, by one word"),
     outer("plugin_loading", "plugin files that are dropped in", counted=True),
@@ -271,7 +272,7 @@ SUITES = [
     outer("fig4", "the figure of the paper"),
     outer("guests", "processes without a manager"),
     outer("odd_plugins", "plugins that are not what they say"),
-    outer("plugin_guide", "the plugin guide, typed in"),
+    outer("plugin_guide", "the plugin guide, typed in", timed=True),
     outer("purity", "no allocation, lock or system call in a step", grpcurl=False),
     outer("sdk_devices", "the sdk's device contracts", grpcurl=False),
     outer("sdk_helpers", "the sdk's helpers", grpcurl=False),

@@ -19,6 +19,8 @@ mod peer;
 mod silent;
 #[path = "hostile/stranger.rs"]
 mod stranger;
+#[path = "hostile/timed.rs"]
+mod timed;
 
 use std::fs;
 

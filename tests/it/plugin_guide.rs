@@ -4,6 +4,7 @@
 
 mod embedded;
 mod templates;
+mod timed;
 
 use std::env;
 use std::fs;
@@ -61,14 +62,8 @@ fn the_program_shown_for_linking_in_is_whole_and_the_one_that_is_run() {
 #[test]
 fn a_plugin_made_by_the_guide_runs_in_a_host() {
     let world = World::new();
-    Trocar::new(&world).run(&["plugin", "new", "my-filter"]).ends_with(0);
-    let project = world.path("my-filter");
-    assert!(project.join("src/lib.rs").exists(), "plugin new makes a cargo project");
-
-    let built = cargo(&project, &["build", "--release"]);
-    cargo(&project, &["test"]);
-    fs::copy(built.join("release/libmy_filter.so"), world.plugins().join("libmy_filter.so")).unwrap();
-
+    world.drop_in(&built_filter(&world));
+    cargo(&world.path("my-filter"), &["test"]);
     let host = HostProcess::start(&world);
     let grpc = host.grpcurl();
     let class = grpc.await_class("host", "my_filter");
@@ -79,6 +74,14 @@ fn a_plugin_made_by_the_guide_runs_in_a_host() {
     trocar.run(&["start", "host/f"]).ends_with(0);
     trocar.run(&["ls"]).ends_with(0).says("host/f").says("ACTIVE");
     assert_eq!(grpc.state("host/f"), "ACTIVE");
+}
+
+/// The library of the guide's plugin, begun and built by the commands of the guide.
+fn built_filter(world: &World) -> PathBuf {
+    Trocar::new(world).run(&["plugin", "new", "my-filter"]).ends_with(0);
+    let project = world.path("my-filter");
+    assert!(project.join("src/lib.rs").exists(), "plugin new makes a cargo project");
+    cargo(&project, &["build", "--release"]).join("release/libmy_filter.so")
 }
 
 /// A required input of the template is fed, as the guide tells.
