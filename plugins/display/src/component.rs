@@ -5,6 +5,7 @@
 use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
+use crate::freshness::taken;
 use crate::latency::{Histogram, Latency};
 use crate::mjpeg::{Clock, Encoder, Stream};
 use crate::server::{Server, Serving};
@@ -213,7 +214,7 @@ impl Display {
         }
         // With what it cost to copy it.
         let now = self.host.now();
-        let before = std::mem::replace(&mut self.last, stamp);
+        let before = std::mem::replace(&mut self.last, taken(stamp, now));
         let waited_s = if before.is_valid() { now.seconds_since(before) } else { 0.0 };
         self.stalls += u64::from(self.cfg.stale_after_s > 0.0 && waited_s > self.cfg.stale_after_s);
         let age_s = now.seconds_since(stamp);

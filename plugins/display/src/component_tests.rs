@@ -237,6 +237,15 @@ fn a_frozen_picture_is_marked_for_who_looks_and_who_comes_and_the_next_one_is_no
     let again = next_picture(&mut looking);
     assert!(clear(again), "{again:?}");
     assert_eq!(bench.state().stalls, 1);
+    // A camera whose clock is a minute ahead, and that falls silent, is silent.
+    let ahead = Stamp::from_ns(bench.now().ns() + 60_000_000_000);
+    bench.push_frame("image", StereoHeader { stamp: ahead, ..header(1, 64) }, &green);
+    bench.step(1);
+    corner(&mut bench, "/stream/display/left", clear);
+    bench.advance(700_000_000);
+    corner(&mut bench, "/stream/display/left", red);
+    show(&mut bench);
+    assert_eq!(bench.state().stalls, 2);
     // What is never stale is never marked.
     bench.configure(r#"{"mjpeg_port": 0, "mjpeg_hz": 0.1, "stale_after_s": 0}"#).unwrap();
     bench.advance(90_000_000_000);

@@ -31,16 +31,21 @@ impl Stale {
     }
 }
 
+/// When a picture that comes `now` was taken at the latest: a camera whose clock is ahead would show a picture that stands still as a
+/// live one for as long.
+pub(crate) fn taken(stamp: Stamp, now: Stamp) -> Stamp {
+    if stamp.is_valid() { stamp.min(now) } else { now }
+}
+
 impl Freshness {
     /// From what age on a picture is stale, s; 0: never.
     pub(crate) fn limit(&self, limit_s: f64) {
         self.limit_ns.store((limit_s * 1e9) as u64, Ordering::Relaxed);
     }
 
-    /// A picture of this time is the newest one; one without a stamp is of now.
+    /// A picture of this time is the newest one; one without a stamp, or of a time that is still to come, is of now.
     pub(crate) fn renewed(&self, stamp: Stamp, now: Stamp) {
-        let taken = if stamp.is_valid() { stamp } else { now };
-        self.newest_ns.store(taken.ns(), Ordering::Relaxed);
+        self.newest_ns.store(taken(stamp, now).ns(), Ordering::Relaxed);
     }
 
     /// How old the newest picture is, when it is too old.
@@ -64,12 +69,24 @@ mod tests {
         assert_eq!(freshness.stale(at(9_000)), None, "none has come");
         freshness.renewed(at(1_000), at(1_010));
         assert_eq!(freshness.stale(at(1_500)), None);
-        assert_eq!(freshness.stale(at(900)), None, "a stamp from ahead");
+        assert_eq!(freshness.stale(at(900)), None, "before it came");
         let stale = freshness.stale(at(2_200)).unwrap();
         assert!((stale.age_s - 1.2).abs() < 1e-9 && stale.turn() == 2, "{stale:?}");
         freshness.renewed(Stamp::INVALID, at(3_000));
         assert_eq!(freshness.stale(at(3_400)), None);
         freshness.limit(0.0);
         assert_eq!(freshness.stale(at(90_000)), None);
+    }
+
+    #[test]
+    fn a_picture_from_ahead_is_as_old_as_its_coming() {
+        let (freshness, at) = (Freshness::default(), |ms: u64| Stamp::from_ns(1_000_000 * ms));
+        freshness.limit(0.5);
+        for ahead in [at(60_000), Stamp::from_ns(u64::MAX)] {
+            freshness.renewed(ahead, at(1_000));
+            assert_eq!(freshness.stale(at(1_400)), None);
+            let stale = freshness.stale(at(1_600)).unwrap();
+            assert!((stale.age_s - 0.6).abs() < 1e-9, "{stale:?}");
+        }
     }
 }

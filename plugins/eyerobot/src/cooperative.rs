@@ -85,7 +85,7 @@ impl Cooperative {
         (self.surface, self.room) = (Flag::FALSE, 0.0);
         let Ok(pose) = self.measured_cp.call(()) else { return false };
         let is_somewhere = pose.position.iter().all(|p| p.abs() <= FURTHEST_M);
-        if !pose.is_valid() || !is_somewhere || now.seconds_since(pose.stamp) > ROBOT_LOST_S {
+        if !pose.is_valid() || !is_somewhere || now.seconds_since(pose.stamp).abs() > ROBOT_LOST_S {
             return false;
         }
         self.guard.tip_at(&pose);

@@ -329,9 +329,13 @@ fn a_robot_that_does_not_tell_where_it_is_is_not_led() {
     let mut bench = Bench::<Cooperative>::new("{}");
     bench.answer("fixture/guard", |()| Ok(VirtualFixture { kind: FixtureKind::PLANE, ..Default::default() }));
     bench.step(3);
-    bench.answer("robot/measured_cp", |()| Ok(Pose { stamp: Stamp::from_ns(1), ..Pose::default() }));
-    bench.step(3);
-    assert_eq!((bench.state().sent, bench.state().unguarded), (0, 6));
+    // Long ago, and of a clock that is a second ahead: nobody knows from when that is.
+    let ahead = Stamp::from_ns(bench.now().ns() + 1_000_000_000);
+    for stamp in [Stamp::from_ns(1), ahead] {
+        bench.answer("robot/measured_cp", move |()| Ok(Pose { stamp, ..Pose::default() }));
+        bench.step(3);
+    }
+    assert_eq!((bench.state().sent, bench.state().unguarded), (0, 9));
     assert_eq!(bench.calls::<Wrench>("compliance/servo_cf").len(), 0);
 }
 

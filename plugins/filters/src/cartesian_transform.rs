@@ -80,7 +80,7 @@ impl Component for CartesianTransform {
         while let Some(sample) = self.pose.next_sample() {
             let young = good::stamp(sample.stamp, now) && now.seconds_since(sample.stamp) <= oldest_s;
             let pose = good::pose(&sample.value).filter(|_| young && !sample.stale);
-            let live = self.live.filter(|(_, since)| sample.stamp.seconds_since(*since) <= oldest_s);
+            let live = self.live.filter(|(_, since)| sample.stamp.min(now).seconds_since(*since) <= oldest_s);
             let by = if self.came { live.map(|(by, _)| by) } else { Some(self.fixed) };
             let (Some(by), Some(pose)) = (by, pose) else {
                 self.rejected += 1;
@@ -101,7 +101,9 @@ impl CartesianTransform {
         if sample.stale {
             self.live = None;
         } else if let Some(by) = good::pose(&sample.value.pose).filter(|_| good::stamp(sample.stamp, now)) {
-            self.live = Some((by, sample.stamp));
+            // From when it came at the latest, also when its clock is ahead.
+            let known = self.live.filter(|_| !sample.fresh).map(|(_, since)| since);
+            self.live = Some((by, known.unwrap_or(sample.stamp.min(now))));
         } else {
             self.rejected_transforms += u64::from(sample.fresh);
         }

@@ -172,7 +172,7 @@ impl Component for Pid {
     }
 }
 
-/// The newest good sample of an input.
+/// The newest good sample of an input, and when it was measured: when it came at the latest.
 #[derive(Default)]
 struct Held(Option<(f64, Stamp)>);
 
@@ -188,7 +188,8 @@ impl Held {
         match input.sample() {
             Some(s) if s.stale => self.0 = None,
             Some(s) if good::number(s.value.value) && good::stamp(s.stamp, now) => {
-                self.0 = Some((s.value.value, s.stamp));
+                let known = self.0.filter(|_| !s.fresh).map(|(_, at)| at);
+                self.0 = Some((s.value.value, known.unwrap_or(s.stamp.min(now))));
             }
             Some(s) => *rejected += u64::from(s.fresh),
             None => self.0 = None,

@@ -77,3 +77,25 @@ fn poses_and_transforms_that_are_too_old_are_left_out() {
     bench.configure(r#"{"max_age_s": 0}"#).unwrap();
     assert_eq!(x(&mut bench, 800), Some(5.0), "any age");
 }
+
+#[test]
+fn a_transform_of_a_clock_that_is_ahead_is_as_old_as_its_coming() {
+    let mut bench = Bench::<CartesianTransform>::new(r#"{"max_age_s": 0.1}"#);
+    let ahead = |bench: &Bench<CartesianTransform>| Stamp::from_ns(bench.now().ns() + 900_000_000);
+    let x = |bench: &mut Bench<CartesianTransform>, stamp: Stamp| {
+        bench.push("pose", Pose { stamp, ..Pose::default() });
+        bench.step(1);
+        bench.outputs::<Pose>("transformed").first().map(|pose| pose.position[0])
+    };
+    let stamp = ahead(&bench);
+    let by = Transform::between("a", "b", Isometry3::translation(5.0, 0.0, 0.0));
+    bench.push_at("transform", by, stamp);
+    assert_eq!(x(&mut bench, stamp), Some(5.0), "both are of one clock");
+    bench.step(60);
+    let stamp = ahead(&bench);
+    assert_eq!(x(&mut bench, stamp), Some(5.0));
+    bench.step(60);
+    for stamp in [ahead(&bench), bench.now()] {
+        assert_eq!(x(&mut bench, stamp), None, "it has been silent for more than 0.1 s");
+    }
+}

@@ -111,6 +111,19 @@ fn what_is_older_than_allowed_is_controlled_by_no_more() {
 }
 
 #[test]
+fn a_source_whose_clock_is_ahead_is_not_followed_for_longer_than_any_other() {
+    let mut bench = Bench::<Pid>::new(r#"{"kp": 0.5, "safe": 0.1}"#);
+    for input in ["setpoint", "measured"] {
+        let stamp = Stamp::from_ns(bench.now().ns() + 900_000_000);
+        bench.push_at(input, scalar(if input == "setpoint" { 1.0 } else { 0.0 }), stamp);
+    }
+    bench.step(90);
+    assert_eq!((bench.state().output, bench.state().controls.get()), (0.5, true));
+    bench.step(20);
+    assert_eq!((bench.state().output, bench.state().controls.get()), (0.1, false), "silent for 110 ms");
+}
+
+#[test]
 fn bad_measurements_alone_are_controlled_by_until_the_last_good_one_is_too_old() {
     let mut bench = Bench::<Pid>::new(r#"{"kp": 0.5, "safe": 0.1, "setpoint_max_age_s": 0}"#);
     bench.push("setpoint", scalar(1.0));
