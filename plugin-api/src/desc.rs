@@ -109,6 +109,26 @@ impl TypeDesc {
         }
     }
 
+    /// True when a value of this type holds numbers, which limits may be said of. Flags, stamps, texts and named values are
+    /// none.
+    pub const fn has_numbers(&self) -> bool {
+        match &self.kind {
+            TypeKind::Prim(p) => !matches!(p, Prim::Bool | Prim::Stamp),
+            TypeKind::Array { item, .. } | TypeKind::List { item, .. } => item.has_numbers(),
+            TypeKind::Struct { fields, .. } => {
+                let mut i = 0;
+                while i < fields.len() {
+                    if fields[i].ty.has_numbers() {
+                        return true;
+                    }
+                    i += 1;
+                }
+                false
+            }
+            TypeKind::Text { .. } | TypeKind::Enum { .. } => false,
+        }
+    }
+
     const fn is_vector(&self) -> bool {
         match &self.kind {
             TypeKind::Array { item, .. } => match &item.kind {

@@ -238,10 +238,45 @@ fn odd_type(schema: &Value, path: &str) -> Option<String> {
         let place = if path.is_empty() { String::new() } else { format!("setting {path}: ") };
         return Some(format!("{place}`{}` is no type; {hint}There are {}", cut(odd), TYPES.join(", ")));
     }
-    let inside = properties(schema).into_iter().flatten().find_map(|(key, sub)| {
-        odd_type(sub, &if path.is_empty() { key.clone() } else { format!("{path}.{key}") })
-    });
+    let inside =
+        properties(schema).into_iter().flatten().find_map(|(key, sub)| odd_type(sub, &setting_in(path, key)));
     inside.or_else(|| odd_type(schema.get("items")?, path))
+}
+
+fn setting_in(path: &str, key: &str) -> String {
+    if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
+}
+
+/// The first limit or unit of a setting that holds for nothing: one of numbers, said of a setting that is none. JSON Schema
+/// passes it over, so that it would be shown and never enforced.
+pub fn idle_limit(schema: &Value) -> Option<String> {
+    idle(schema, "")
+}
+
+fn idle(schema: &Value, path: &str) -> Option<String> {
+    const LIMITS: [&str; 6] =
+        ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf", "unit"];
+    let types = match schema.get("type") {
+        Some(Value::Array(several)) => several.iter().filter_map(Value::as_str).collect(),
+        said => Vec::from_iter(said.and_then(Value::as_str)),
+    };
+    let has = |ty: &str| types.contains(&ty);
+    // The unit of a list is that of its items.
+    let numbers = types.is_empty() || has("number") || has("integer");
+    let said = LIMITS.iter().find(|key| {
+        schema.get(**key).is_some() && !(numbers || **key == "unit" && (has("array") || has("object")))
+    });
+    if let Some(key) = said {
+        let todo = if has("array") { "put it into its items" } else { "leave it out" };
+        let (place, types) = (
+            if path.is_empty() { "the whole".to_owned() } else { format!("setting {path}") },
+            types.join(" or "),
+        );
+        return Some(format!("{place}: `{key}` holds for numbers, and this is of type {types}: {todo}"));
+    }
+    let inside =
+        properties(schema).into_iter().flatten().find_map(|(key, sub)| idle(sub, &setting_in(path, key)));
+    inside.or_else(|| idle(schema.get("items")?, path))
 }
 
 /// Settings that `patch` takes away (null) and that neither `config` nor the schema has, sorted as in [`validate`].

@@ -33,8 +33,8 @@ pub use class::{
     Tag, Wake,
 };
 pub use config::{
-    Violation, complete, defaults, difference, is_same, live_only, live_settings, merge, schema_fault,
-    unknown_nulls, validate, without_defaults,
+    Violation, complete, defaults, difference, idle_limit, is_same, live_only, live_settings, merge,
+    schema_fault, unknown_nulls, validate, without_defaults,
 };
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
 pub use copies::{CopyRun, MAX_COPIES};

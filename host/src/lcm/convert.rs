@@ -314,12 +314,18 @@ fn provided(provided: &wire::Provided, types: &mut Types) -> Result<model::Provi
     })
 }
 
-/// A limit that is shown must hold: the argument has to have a number for it.
+/// A limit that is shown must hold: the argument has to have a number for it, and a unit one or a time.
 fn limited(ty: model::Type, arg: &wire::Arg, command: &str) -> Result<model::Type, String> {
     if (arg.min.is_some() || arg.max.is_some()) && !ty.has_numbers() {
         let title = ty.title();
         return Err(format!(
             "command {command}: min and max of its argument are limits of numbers, and {title} has none: leave them out"
+        ));
+    }
+    if !(arg.unit.is_empty() || ty.has_numbers() || matches!(ty, model::Type::Prim(model::Prim::Stamp))) {
+        let (unit, title) = (&arg.unit, ty.title());
+        return Err(format!(
+            "command {command}: the unit \"{unit}\" of its argument is one of numbers, and {title} has none: leave it out"
         ));
     }
     Ok(ty)

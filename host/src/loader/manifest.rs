@@ -108,6 +108,9 @@ fn check_class<'a>(class: &'a Class, types: &mut Types<'a>) -> Result<(), String
     if let Some(wrong) = trocar_model::schema_fault(&class.config) {
         return Err(format!("its config schema is no JSON Schema: {wrong}"));
     }
+    if let Some(wrong) = trocar_model::idle_limit(&class.config) {
+        return Err(format!("its config schema: {wrong}"));
+    }
     if !matches!(class.safety.as_str(), "none" | "sensor" | "actuator") {
         return Err(format!("`{}` is no safety: say none, sensor or actuator", class.safety));
     }

@@ -87,6 +87,36 @@ fn what_is_wrong_is_named() {
             setting(json!({"type": "nmber"})),
             "setting gain: `nmber` is no type; did you mean number?",
         ),
+        (
+            "/classes/0/config",
+            setting(json!({"type": "string", "minimum": 3})),
+            "its config schema: setting gain: `minimum` holds for numbers, and this is of type string: leave it out",
+        ),
+        (
+            "/classes/0/config",
+            setting(json!({"type": ["array", "null"], "items": {"type": "number"}, "maximum": 3})),
+            "`maximum` holds for numbers, and this is of type array or null: put it into its items",
+        ),
+        (
+            "/classes/0/config",
+            setting(json!({"type": "array", "items": {"type": "boolean", "unit": "mm"}})),
+            "setting gain: `unit` holds for numbers, and this is of type boolean",
+        ),
+        (
+            "/classes/0/provided/0/commands/0/arg",
+            json!({"type": {"ref": "Mode"}, "min": 0}),
+            "min and max of its argument are limits of numbers, and Mode has none: leave them out",
+        ),
+        (
+            "/classes/0/provided/0/commands/0/arg",
+            json!({"type": {"array": {"text": 8}, "n": 2}, "max": 8}),
+            "min and max of its argument are limits of numbers",
+        ),
+        (
+            "/classes/0/provided/0/commands/0/arg",
+            json!({"type": {"list": "bool", "n": 2}, "unit": "mm"}),
+            "the unit \"mm\" of its argument is one of numbers",
+        ),
         ("/trocar", json!(2), "format 2"),
     ] {
         let text = refusal(pointer, value);

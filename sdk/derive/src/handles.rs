@@ -57,6 +57,13 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
             each(&mut inputs, &f.sig.ident)?;
         }
         let arg = argument(&mut inputs)?;
+        if let Some(said) = arg.as_ref().and_then(|a| a.set) {
+            return Err(syn::Error::new(
+                said,
+                "nothing is said of what a handler is given: its unit is said where the event is declared, and limits \
+                 are for the arguments of commands; remove #[arg(…)]",
+            ));
+        }
         let payload = match &arg {
             None => quote!(None),
             Some(Argument { ty, .. }) => quote!(Some(<#ty as ::trocar_sdk::Payload>::DESC)),

@@ -4,10 +4,11 @@
 //! as the author wrote it, minus our attributes.
 
 use crate::attrs::{self, Frame};
-use proc_macro2::{Ident, TokenStream};
+use proc_macro2::{Ident, Span, TokenStream};
 use quote::{format_ident, quote, quote_spanned};
 use syn::ext::IdentExt;
 use syn::parse::{Parse, ParseStream};
+use syn::spanned::Spanned;
 use syn::{Attribute, Expr, FnArg, ImplItem, ItemImpl, LitStr, Meta, Pat, ReturnType, Type};
 
 /// `"ctl"` or `"truth", tag = "truth"` or, for handlers, `"robot", direct`.
@@ -68,6 +69,10 @@ pub(crate) struct Argument {
     pub(crate) frame: Frame,
     min: String,
     max: String,
+    /// Where its limits, its unit and any setting of `#[arg(…)]` are said.
+    limited: Option<Span>,
+    measured: Option<Span>,
+    pub(crate) set: Option<Span>,
 }
 
 pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<TokenStream> {
@@ -102,11 +107,11 @@ pub(crate) fn expand(args: InterfaceArgs, mut item: ItemImpl) -> syn::Result<Tok
     let calls = commands.iter().enumerate().filter(|(_, c)| !c.is_read).map(|(i, c)| c.dispatch(i, class));
     let reads = commands.iter().enumerate().filter(|(_, c)| c.is_read).map(|(i, c)| c.dispatch(i, class));
     let declared = declared(class, &args.name, "DeclaresProvided");
-    let frames = commands.iter().map(Command::frames);
+    let checks = commands.iter().map(Command::checks);
     Ok(quote! {
         #item
         #declared
-        #(#frames)*
+        #(#checks)*
         impl #class {
             #[doc(hidden)]
             #[allow(non_upper_case_globals, dead_code, unused_variables)]
@@ -255,16 +260,24 @@ pub(crate) fn argument<'a>(
         frame: Frame::take(&mut typed.attrs)?,
         min: String::new(),
         max: String::new(),
+        limited: None,
+        measured: None,
+        set: None,
     };
     for attr in typed.attrs.iter().filter(|a| a.path().is_ident("arg")) {
         attr.parse_nested_meta(|meta| {
+            let said = Some(meta.path.span());
+            arg.set = said;
             if meta.path.is_ident("unit") {
+                arg.measured = said;
                 arg.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?;
             } else if meta.path.is_ident("doc") {
                 arg.doc = meta.value()?.parse::<LitStr>()?.value();
             } else if meta.path.is_ident("min") {
+                arg.limited = said;
                 arg.min = attrs::number(&meta.value()?.parse::<Expr>()?)?;
             } else if meta.path.is_ident("max") {
+                arg.limited = said;
                 arg.max = attrs::number(&meta.value()?.parse::<Expr>()?)?;
             } else {
                 return Err(meta.error("unknown setting; there are unit, min, max and doc"));
@@ -312,13 +325,14 @@ impl Command {
         }
     }
 
-    /// What is said to be in a coordinate frame has coordinates.
-    fn frames(&self) -> TokenStream {
+    /// What is said to be in a coordinate frame has coordinates; what is limited or measured has numbers.
+    fn checks(&self) -> TokenStream {
         let ret = &self.ret;
         let result = quote!(<<#ret as ::trocar_sdk::__private::Answer>::Value as ::trocar_sdk::Value>::DESC);
-        let arg = self.arg.as_ref().map(Argument::check_frame);
+        let frame = self.arg.as_ref().map(Argument::check_frame);
+        let numbers = self.arg.as_ref().map(Argument::check_numbers);
         let ret = self.ret_frame.check(&[result]);
-        quote!(#arg #ret)
+        quote!(#frame #numbers #ret)
     }
 
     fn dispatch(&self, id: usize, class: &Type) -> TokenStream {
@@ -334,6 +348,22 @@ impl Argument {
     pub(crate) fn check_frame(&self) -> TokenStream {
         let ty = &self.ty;
         self.frame.check(&[quote!(::core::option::Option::Some(<#ty as ::trocar_sdk::Payload>::DESC))])
+    }
+
+    /// Checks that limits and a unit are said of an argument that has numbers: elsewhere they would never hold.
+    fn check_numbers(&self) -> TokenStream {
+        let ty = &self.ty;
+        let check = |said: Option<Span>, fits: &str| {
+            said.map(|span| {
+                let fits = Ident::new(fits, span);
+                quote_spanned! {span =>
+                    const _: () = ::trocar_sdk::__private::#fits(<#ty as ::trocar_sdk::Payload>::DESC);
+                }
+            })
+        };
+        let limits = check(self.limited, "limits_fit");
+        let unit = check(self.measured, "unit_fits");
+        quote!(#limits #unit)
     }
 }
 

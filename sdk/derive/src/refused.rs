@@ -183,6 +183,11 @@ fn members_that_a_host_refuses_do_not_compile() {
     for (methods, why) in [
         (r#"#[on] fn a(&mut self) {} #[on(name = "a")] fn b(&mut self) {}"#, "`a` is used twice"),
         ("#[on] fn größer(&mut self) {}", "`größer` is not a name"),
+        (
+            "#[on] fn a(&mut self, #[arg(max = 3)] x: f64) {}",
+            "limits are for the arguments of commands; remove",
+        ),
+        (r#"#[on] fn a(&mut self, #[arg(unit = "mm")] x: f64) {}"#, "where the event is declared"),
     ] {
         refused(methods, &handled(methods), why);
     }

@@ -83,7 +83,7 @@ pub mod __private {
     pub use crate::export::{BUILT_WITH, manifest_text, plugin_name};
     pub use crate::function::{EventPort, FunctionPort};
     pub use crate::lease::{Layout, names as names_of};
-    pub use crate::ports::{Binder, frame_fits, payload_of, port_type};
+    pub use crate::ports::{Binder, frame_fits, limits_fit, payload_of, port_type, unit_fits};
     pub use crate::shims::{Export, init, text};
     pub use crate::stubs::Shared;
     pub use trocar_plugin_api::abi::{ClassTable, PluginTable, Status};

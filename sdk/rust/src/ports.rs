@@ -13,7 +13,7 @@ use core::marker::PhantomData;
 use trocar_plugin_api::abi::{
     EventSlot, FnSlot, IN_SAMPLE, InSlot, OutSlot, Ports, SAMPLE_FRESH, SAMPLE_STALE, SampleView,
 };
-use trocar_plugin_api::desc::{PortType, TypeDesc};
+use trocar_plugin_api::desc::{PortType, Prim, TypeDesc, TypeKind};
 
 /// What a port carries, before field settings are added.
 pub enum PortKind {
@@ -72,6 +72,25 @@ pub const fn frame_fits(payloads: &[Option<&'static TypeDesc>]) {
     panic!(
         "nothing here can be in a coordinate frame: a payload is wanted with coordinates (arrays of f64 or f32 in a struct, \
          such as the position of a Pose) whose fields do not say already in which frame they are"
+    );
+}
+
+/// Fails the build where limits are said of an argument without numbers: they would be shown and never hold.
+pub const fn limits_fit(ty: &TypeDesc) {
+    assert!(
+        ty.has_numbers(),
+        "min and max are limits of numbers, and this argument has none (a Flag, a Stamp, a Text and named values are no \
+         numbers): remove min and max, or take a number"
+    );
+}
+
+/// Fails the build where a unit is said of an argument without numbers and without a time.
+pub const fn unit_fits(ty: &TypeDesc) {
+    let time = matches!(ty.kind, TypeKind::Prim(Prim::Stamp));
+    assert!(
+        time || ty.has_numbers(),
+        "a unit is one of numbers, and this argument has none (a Flag, a Text and named values are no numbers): remove \
+         the unit, or take a number"
     );
 }
 

@@ -67,6 +67,68 @@ const CASES: &[(&str, &str, &str, &str)] = &[
         "",
     ),
     (
+        "limits_of_a_flag",
+        r#"#[derive(Component)] #[component(provides("ctl"))] struct Cam {}
+        #[provides("ctl")] impl Cam { #[command] fn light(&mut self, #[arg(min = 0)] on: Flag) {} }
+        impl Component for Cam {}"#,
+        "min and max are limits of numbers, and this argument has none",
+        "min",
+    ),
+    (
+        "limits_of_a_text",
+        r#"#[derive(Component)] #[component(provides("ctl"))] struct Cam {}
+        #[provides("ctl")] impl Cam { #[command] fn say(&mut self, #[arg(max = 80)] what: Text<80>) {} }
+        impl Component for Cam {}"#,
+        "named values are no numbers): remove min and max, or take a number",
+        "max",
+    ),
+    (
+        "limits_of_a_struct_without_numbers",
+        r#"#[derive(Payload, Clone, Copy)] #[repr(C)] struct Switch { at: Stamp, on: [Flag; 8] }
+        #[derive(Component)] #[component(provides("ctl"))] struct Cam {}
+        #[provides("ctl")] impl Cam { #[command] fn set(&mut self, #[arg(max = 3)] all: &List<Switch, 2>) {} }
+        impl Component for Cam {}"#,
+        "min and max are limits of numbers, and this argument has none",
+        "max",
+    ),
+    (
+        "limits_of_named_values",
+        r#"named_values! { pub struct Mode: u8 { OFF = 0, ON = 1 } }
+        #[derive(Component)] #[component(provides("ctl"))] struct Cam {}
+        #[provides("ctl")] impl Cam { #[read] fn look(s: &CamState, #[arg(min = 0, max = 1)] mode: Mode) -> f64 { 0.0 } }
+        impl Component for Cam {}"#,
+        "min and max are limits of numbers, and this argument has none",
+        "max",
+    ),
+    (
+        "unit_of_a_flag",
+        r#"#[derive(Component)] #[component(provides("ctl"))] struct Cam {}
+        #[provides("ctl")] impl Cam { #[command] fn light(&mut self, #[arg(unit = "mm")] on: Flag) {} }
+        impl Component for Cam {}"#,
+        "a unit is one of numbers, and this argument has none",
+        "unit",
+    ),
+    (
+        "limits_of_a_setting_that_is_a_text",
+        r#"#[derive(Config)] struct Cfg { #[config(live, min = 0, default = "x")] label: String }"#,
+        "min and max are for numbers, not for String: remove them, or take a number",
+        "",
+    ),
+    (
+        "unit_of_a_setting_that_is_a_flag",
+        r#"#[derive(Config)] struct Cfg { #[config(unit = "Hz", default = true)] fast: bool }"#,
+        "a unit is for numbers, not for bool: remove it, or take a number",
+        "",
+    ),
+    (
+        "limits_of_what_a_handler_is_given",
+        r#"#[derive(Component)] struct Cam {}
+        #[handles("robot")] impl Cam { #[on] fn moved(&mut self, #[arg(max = 3)] to: f64) {} }
+        impl Component for Cam {}"#,
+        "limits are for the arguments of commands; remove #[arg(…)]",
+        "max",
+    ),
+    (
         "two_classes_of_one_name",
         r#"#[derive(Component)] struct Cam {}
         impl Component for Cam {}
@@ -97,6 +159,15 @@ const CASES: &[(&str, &str, &str, &str)] = &[
         "",
     ),
 ];
+
+/// What compiles; limits that hold for a number somewhere inside are among it.
+const CONTROL: &str = r#"#[derive(Payload, Clone, Copy)] #[repr(C)] struct Goal { at: Stamp, x: [f64; 3] }
+    #[derive(Component)] #[component(provides("ctl"))] struct Cam {}
+    #[provides("ctl")] impl Cam {
+        #[command] fn go(&mut self, #[arg(unit = "mm", min = 0, max = 9)] all: &List<Goal, 2>) {}
+        #[command] fn wait(&mut self, #[arg(unit = "ns")] until: Stamp) {}
+    }
+    impl Component for Cam {}"#;
 
 /// The same, where one mistake is one error: what follows from code that is not there is no business of the author's.
 const ALONE: &[(&str, &str, &str)] = &[
@@ -159,7 +230,7 @@ fn every_case_fails_with_its_sentence_at_its_place() {
     // The same versions as here, so nothing is asked of a registry.
     std::fs::copy(here.join("../../Cargo.lock"), project.join("Cargo.lock")).unwrap();
     // One that compiles, so that a case cannot fail for what surrounds it.
-    let control = ("control", "#[derive(Component)] struct Cam {} impl Component for Cam {}", "", "");
+    let control = ("control", CONTROL, "", "");
     let alone = ALONE.iter().map(|(name, source, ..)| (name, source));
     let cases = CASES.iter().chain([&control]).map(|(name, source, ..)| (name, source));
     for (name, source) in cases.chain(alone) {

@@ -74,7 +74,7 @@ fn a_file_is_tried_as_a_host_would_try_it() {
         // Its manifest reads well: only its tables, which take code to be seen, say something else.
         ("liar.so", other_name, "PLUGIN_BAD_FILE", "Sexver"),
     ];
-    for (name, bytes, reason, word) in cases {
+    for (name, bytes, reason, word) in cases.into_iter().chain(with_limits_of_nothing()) {
         let file = world.write(name, bytes).display().to_string();
         let refused = trocar.run(&["plugin", "check", &file, "--json"]).ends_with(REFUSED).json();
         assert_eq!(refused["reason"], reason, "{name}: {refused}");
@@ -86,6 +86,38 @@ fn a_file_is_tried_as_a_host_would_try_it() {
         .says("nowhere.so")
         .says("target/release");
     trocar.run(&["plugin", "check", &good, "--class", "Server"]).ends_with(USAGE).says("--as");
+}
+
+/// Plugins whose manifests, as an author in C writes them by hand, limit what is no number.
+fn with_limits_of_nothing() -> [(&'static str, Vec<u8>, &'static str, &'static str); 3] {
+    let changed = |plugin: &str, from: &str, to: &str| {
+        replace_in(&fs::read(Built::plugin(plugin)).unwrap(), from.as_bytes(), to.as_bytes())
+    };
+    let measured = r#""type":"i32","unit":"mm","min":0,"max":100"#;
+    let flag = r#""type":"bool","unit":"","min":0,"max":100 "#;
+    let measured_flag = r#""type":"bool","unit":"mm"                 "#;
+    let (number, text) =
+        (r#""type":"number","description":"Frequency"#, r#""type":"string","description":"Frequency"#);
+    [
+        (
+            "flag.so",
+            changed("example", measured, flag),
+            "PLUGIN_BAD_FILE",
+            "min and max of its argument are limits",
+        ),
+        (
+            "mm.so",
+            changed("example", measured, measured_flag),
+            "PLUGIN_BAD_FILE",
+            "the unit \"mm\" of its argument",
+        ),
+        (
+            "text.so",
+            changed("sine", number, text),
+            "PLUGIN_BAD_FILE",
+            "`minimum` holds for numbers, and this is of type string",
+        ),
+    ]
 }
 
 #[test]

@@ -130,6 +130,16 @@ mod tests {
             let why = with(ty.into()).unwrap_err();
             assert!(why.contains("command turn: min and max of its argument are limits of numbers"), "{why}");
         }
+        let with_unit = |ty: &str| {
+            class(|class| {
+                let arg = class.pointer_mut("/provided/0/commands/0/arg").unwrap();
+                (arg["type"], arg["unit"]) = (ty.into(), "ns".into());
+                arg.as_object_mut().unwrap().remove("frame");
+            })
+        };
+        assert!(with_unit("u64").is_ok() && with_unit("stamp").is_ok());
+        let why = with_unit("bool").unwrap_err();
+        assert!(why.contains("command turn: the unit \"ns\" of its argument is one of numbers"), "{why}");
     }
 
     #[test]

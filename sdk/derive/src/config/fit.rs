@@ -53,7 +53,12 @@ pub(super) fn kinds(field: &Field, s: &Settings) -> syn::Result<()> {
     let Some(leaf) = leaf(&field.ty) else { return Ok(()) };
     let number = !matches!(leaf.as_str(), "bool" | "String");
     if !(number || s.min.is_empty() && s.max.is_empty()) {
-        return Err(syn::Error::new_spanned(field, format!("min and max are for numbers, not for {leaf}")));
+        let why = format!("min and max are for numbers, not for {leaf}: remove them, or take a number");
+        return Err(syn::Error::new_spanned(field, why));
+    }
+    if !(number || s.unit.is_empty()) {
+        let why = format!("a unit is for numbers, not for {leaf}: remove it, or take a number");
+        return Err(syn::Error::new_spanned(field, why));
     }
     if let Some(choice) = &s.choice {
         let Expr::Array(items) = choice else {
