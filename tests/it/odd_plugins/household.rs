@@ -1,4 +1,4 @@
-//! A plugin in C that changes the locale of the process, or closes its standard streams.
+//! A plugin in C that changes the locale of the process or what signals do in it, or closes its standard streams.
 //!
 //! Promise: each is put back, whichever entry did it, and named at the component that did it; the host and
 //! that component go on.
@@ -10,18 +10,18 @@ use std::process::Command;
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, World, eventually, repository, skip};
 
-const ENTRIES: [&str; 3] = ["start", "step", "command"];
+pub(super) const ENTRIES: [&str; 3] = ["start", "step", "command"];
 const STREAMS: [&str; 3] = ["standard input", "standard output", "standard error"];
 
-struct Scene {
-    host: HostProcess,
-    grpc: Grpcurl,
-    _world: World,
+pub(super) struct Scene {
+    pub(super) host: HostProcess,
+    pub(super) grpc: Grpcurl,
+    pub(super) world: World,
 }
 
 impl Scene {
     /// A host that offers the plugin; `None` without a C compiler, and the test is then skipped by name.
-    fn new() -> Option<Self> {
+    pub(super) fn new() -> Option<Self> {
         let world = World::new();
         let mut compiler = Command::new("cc");
         compiler.args(["-std=c11", "-O1", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]);
@@ -36,29 +36,34 @@ impl Scene {
         let host = HostProcess::start(&world);
         let grpc = host.grpcurl();
         grpc.await_class("host", "untidy");
-        Some(Self { host, grpc, _world: world })
+        Some(Self { host, grpc, world })
     }
 
     /// Makes `host/u`, which does this in that entry.
-    fn strikes(&self, does: &str, entry: &str) {
+    pub(super) fn strikes(&self, does: &str, entry: &str) {
         self.grpc.create("host/u", "untidy", json!({ "does": does, "entry": entry }));
         self.grpc.start("host/u");
         self.grpc.invoke("host/u/ctl/poke", Value::Null);
     }
 
-    fn warnings(&self, path: &str) -> String {
+    pub(super) fn warnings(&self, path: &str) -> String {
         self.grpc.component(path)["stats"]["warnings"].to_string()
     }
 
-    fn await_named(&self, what: &str, words: &[&str]) -> String {
+    pub(super) fn await_named(&self, what: &str, words: &[&str]) -> String {
         eventually(what, || match self.warnings("host/u") {
             said if words.iter().all(|words| said.contains(words)) => Ok(said),
             said => Err(said),
         })
     }
 
+    /// What a command of the component answers.
+    pub(super) fn answers(&self, path: &str) -> Value {
+        self.grpc.invoke(path, Value::Null)
+    }
+
     /// It runs; then it is taken away.
-    fn remove(&self) {
+    pub(super) fn remove(&self) {
         assert_eq!(self.grpc.state("host/u"), "ACTIVE", "it is named, not punished");
         self.grpc.ok("GcmService/Remove", json!({ "path": "host/u", "force": true }));
     }
@@ -105,6 +110,41 @@ fn standard_streams_closed_in_any_entry_are_put_back_and_their_closer_is_named()
             assert_eq!(now.as_ref(), Some(&before[fd]), "the {stream}, closed in {entry}");
         }
         scene.remove();
+    }
+    assert_eq!(scene.grpc.ok("grpc.health.v1.Health/Check", json!({}))["status"], "SERVING");
+}
+
+/// What signals do in a process, as the kernel has it: those that are ignored, and those that are caught.
+fn dispositions(pid: u32) -> Vec<String> {
+    let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let lines = status.lines().filter(|line| line.starts_with("SigIgn:") || line.starts_with("SigCgt:"));
+    lines.map(str::to_owned).collect()
+}
+
+#[test]
+fn signals_taken_in_any_entry_are_put_back_and_their_taker_is_named() {
+    let Some(scene) = Scene::new() else { return };
+    scene.grpc.create("host/other", "untidy", json!({}));
+    scene.grpc.start("host/other");
+    let before = dispositions(scene.host.pid());
+    assert_eq!(scene.answers("host/other/ctl/is_told"), true, "a host is not ended by a peer that went");
+    scene.grpc.ok("GcmService/Remove", json!({ "path": "host/other", "force": true }));
+    for (does, signal) in [("sigfpe", "SIGFPE"), ("sigpipe", "SIGPIPE")] {
+        for entry in ENTRIES {
+            let what = format!("who takes {signal} in {entry} is named");
+            scene.strikes(does, entry);
+            let words = format!("it changed what {signal} does in the process, which was put back");
+            let said = scene.await_named(&what, &[&words]);
+            assert_eq!(said.contains(&format!("start: {words}")), entry == "start", "{what}: {said}");
+            assert_eq!(
+                dispositions(scene.host.pid()),
+                before,
+                "{signal}, taken in {entry}, is put back: {said}"
+            );
+            // Before it was put back this would have ended the host, and every component in it.
+            assert_eq!(scene.answers("host/u/ctl/is_told"), true, "{signal}, taken in {entry}");
+            scene.remove();
+        }
     }
     assert_eq!(scene.grpc.ok("grpc.health.v1.Health/Check", json!({}))["status"], "SERVING");
 }

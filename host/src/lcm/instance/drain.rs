@@ -16,7 +16,7 @@ use super::super::boundary::{
 };
 use super::super::dynamic::Goal;
 use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
-use super::super::supervise::Entry;
+use super::super::supervise::{Entry, Misdeed};
 use super::super::{context, pending};
 use super::{Entered, Instance, Misuse};
 
@@ -178,7 +178,9 @@ impl Instance {
         }
         let watched = self.watch.begin(Entry::Event, 0);
         let mut err = entered.err_buf();
+        let rounding = os::rounding();
         let status = entered.on_event(handler, payload.as_ptr(), &raw mut err);
+        self.keep_rounding(rounding);
         self.watch.leave(watched);
         if status != STATUS_OK {
             self.handler_failed(entered, status, &mut err);
@@ -240,7 +242,9 @@ impl Instance {
         let err = if err.is_null() { &raw mut own } else { err };
         let before = context::swap_component(Arc::as_ptr(&self.host));
         let watched = self.watch.begin_command(command);
+        let rounding = os::rounding();
         let status = entered.command(command, arg, ret, err);
+        self.keep_rounding(rounding);
         self.watch.leave(watched);
         context::swap_component(before);
         self.counters.command();
@@ -253,6 +257,16 @@ impl Instance {
             self.publish_state(entered);
         }
         if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }
+    }
+
+    /// Puts the rounding mode back to what it was before a command or handler: the code that runs next on this thread may be
+    /// its caller's. Real-time, no system call.
+    #[inline]
+    fn keep_rounding(&self, before: u32) {
+        if os::rounding() != before {
+            os::reset_rounding(before);
+            self.watch.misdeed(Misdeed::RoundingInCall);
+        }
     }
 
     #[cold]

@@ -76,10 +76,12 @@ pub(in crate::lcm) enum Misdeed {
     Rounding = 1,
     Signals = 2,
     Directory = 4,
+    RoundingInCall = 8,
 }
 
 impl Misdeed {
-    pub(super) const ALL: [Misdeed; 3] = [Misdeed::Rounding, Misdeed::Signals, Misdeed::Directory];
+    pub(super) const ALL: [Misdeed; 4] =
+        [Misdeed::Rounding, Misdeed::Signals, Misdeed::Directory, Misdeed::RoundingInCall];
 
     /// What is said of it.
     pub(super) fn says(self) -> &'static str {
@@ -87,6 +89,9 @@ impl Misdeed {
             Misdeed::Rounding => "step: it changed the rounding mode of its thread, which was put back",
             Misdeed::Signals => "step: it changed the signal mask of its thread, which was put back",
             Misdeed::Directory => "step: it changed the working directory of the process",
+            Misdeed::RoundingInCall => {
+                "a command or event handler: it changed the rounding mode of its thread, which was put back"
+            }
         }
     }
 }
