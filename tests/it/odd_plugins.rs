@@ -3,6 +3,7 @@
 //! Promise: what it answers is judged, what it says is shown and never obeyed, and the process stays as it was.
 
 mod arithmetic;
+mod forked;
 mod household;
 
 use std::fs;

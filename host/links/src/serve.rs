@@ -11,7 +11,7 @@ use std::sync::Arc;
 use rustix::event::{PollFd, PollFlags, Timespec};
 use rustix::io::Errno;
 use rustix::net::SocketFlags;
-use trocar_rt::os::now_ns;
+use trocar_rt::os::{Unshared, now_ns, unshared};
 use trocar_rt::pulse::{Life, Pulse};
 use trocar_rt::will::Will;
 
@@ -40,6 +40,8 @@ const AT_ONCE: usize = 16;
 
 pub(crate) struct Server<H> {
     card: Card,
+    /// A forked child that kept it would let others dial a process that has ended, and wait.
+    _unshared: Unshared,
     listener: OwnedFd,
     /// A file kept so that somebody can be told when the process may open no more; `None` while that is so.
     spare: Option<OwnedFd>,
@@ -103,6 +105,7 @@ impl<H: Handler> Server<H> {
             watch: Watch::new(shared.clone()),
             card,
             spare: None,
+            _unshared: unshared(&listener),
             listener,
             listen_ns: 0,
             place_ns: now_ns() + PLACE_NS,
