@@ -1,5 +1,7 @@
-//! Callers that connect and say nothing, more of them than a process may have files.
+//! Callers that connect and stay: those that say nothing, more of them than a process may have files, and those that have
+//! asked something, more than a port serves.
 
+use std::io::{self, Read, Write};
 use std::net::TcpStream;
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -10,6 +12,8 @@ use super::holds;
 
 pub(super) const CALLERS: u64 = 1100;
 const FILES: u64 = 1024;
+/// Connections that programs of the host's own user may have.
+const SERVED: usize = 768;
 
 /// So many files for this program, which holds the other ends.
 fn may_open(files: u64) -> bool {
@@ -64,4 +68,65 @@ fn a_thousand_silent_callers_keep_nobody_away_and_are_let_go() {
         if now.files <= before.files + 2 { Ok(()) } else { Err(format!("{now:?}, before {before:?}")) }
     });
     assert_eq!(crowd.0.len() as u64, CALLERS, "they held on until now");
+}
+
+/// A connection of a program that asks for something and stays.
+struct Asking(TcpStream);
+
+impl Asking {
+    /// What comes back is the begin of an answer; nothing, or an error, where it was sent away.
+    fn ask(host: &HostProcess) -> io::Result<Asking> {
+        let mut asking = Asking(TcpStream::connect(host.address())?);
+        write!(asking.0, "GET /healthz HTTP/1.1\r\nHost: {}\r\n\r\n", host.address())?;
+        if asking.0.read(&mut [0; 64])? > 0 { Ok(asking) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+    }
+}
+
+#[test]
+fn more_callers_than_a_port_serves_are_sent_away_with_the_limit_and_stop_has_a_way_of_its_own() {
+    if !may_open(4 * CALLERS) {
+        skip("this machine lets a program open too few files to play so many callers");
+        return;
+    }
+    let world = World::with_plugins(&["example"]);
+    let host = HostProcess::start_with(&world, "host", &[]);
+    super::limits::limit(&host, "nofile", "4096:4096");
+    let (grpc, trocar) = (host.grpcurl(), Trocar::at(&world, host.address()));
+    grpc.await_class("host", "Server");
+    grpc.create("host/server", "Server", json!({}));
+    grpc.start("host/server");
+    let mut callers = Vec::new();
+    let sent_away = loop {
+        match Asking::ask(&host) {
+            Ok(caller) => callers.push(caller),
+            Err(sent_away) => break sent_away,
+        }
+        assert!(
+            callers.len() <= SERVED,
+            "{} callers have a connection, and no more than {SERVED} may",
+            callers.len()
+        );
+    };
+    // Connections of the calls before may be closing.
+    assert!(callers.len() + 8 >= SERVED, "only {} were served, then: {sent_away}", callers.len());
+    let said = host.printed();
+    assert!(
+        said.contains("was sent away: this user's programs have 768 connections here, which is the most"),
+        "{said}"
+    );
+    assert!(said.contains("`ss -tnp` names them"), "what to do: {said}");
+    trocar.run(&["stop", "host/server"]).ends_with(0);
+    trocar.run(&["start", "host/server"]).ends_with(0);
+    callers.drain(..8);
+    eventually("there is room again where callers have gone", || {
+        grpc.call("GcmService/Stop", json!({ "path": "host/server" })).map(|_| ()).map_err(|e| e.to_string())
+    });
+    // Those that asked and are within the limit keep their connections.
+    let all = callers.len();
+    let kept = callers.iter_mut().filter_map(|caller| {
+        let asked = write!(caller.0, "GET /healthz HTTP/1.1\r\nHost: {}\r\n\r\n", host.address());
+        let answered = asked.is_ok() && caller.0.read(&mut [0; 64]).is_ok_and(|read| read > 0);
+        answered.then_some(())
+    });
+    assert_eq!(kept.count(), all, "nobody that was served is sent away for another");
 }

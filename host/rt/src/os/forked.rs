@@ -10,7 +10,7 @@ use std::sync::Once;
 use std::sync::atomic::{AtomicI32, Ordering};
 
 /// So many files can be named: what is listened at, and callers.
-const MOST: usize = 1024;
+const MOST: usize = 4096;
 const NONE: i32 = -1;
 
 static FILES: [AtomicI32; MOST] = [const { AtomicI32::new(NONE) }; MOST];

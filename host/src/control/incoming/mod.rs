@@ -55,6 +55,7 @@ pub(super) struct Incoming {
     pause: Option<Pin<Box<Sleep>>>,
     nobody: Seldom,
     guests: Seldom,
+    own: Seldom,
 }
 
 impl Incoming {
@@ -70,13 +71,13 @@ impl Incoming {
 
     fn new(listener: Listener, user: u32) -> Incoming {
         let seats = Arc::default();
-        let (nobody, guests) = (Seldom::default(), Seldom::default());
+        let [nobody, guests, own] = [(); 3].map(|()| Seldom::default());
         let _unshared = match &listener {
             Listener::Tcp(listener) => Some(unshared(listener)),
             // Looks after that by itself.
             Listener::Unix(..) => None,
         };
-        Incoming { _unshared, listener, user, seats, held: None, pause: None, nobody, guests }
+        Incoming { _unshared, listener, user, seats, held: None, pause: None, nobody, guests, own }
     }
 
     /// Opens the spare files anew, as far as there are some.
@@ -136,6 +137,15 @@ impl Incoming {
         let guest = (!peer.is_of(self.user)).then(|| peer.user());
         match self.seats.take(guest) {
             Some(seat) => Some(Connection::new(stream, peer, seat)),
+            None if guest.is_none() => {
+                let most = seats::OWN;
+                let why = format!(
+                    "{peer} was sent away: this user's programs have {most} connections here, which is the most: end some \
+                     (`ss -tnp` names them); `trocar stop` has a socket of its own"
+                );
+                self.own.warn(now_ns(), &why);
+                None
+            }
             None => {
                 let most = seats::OF_ONE;
                 let why = format!(

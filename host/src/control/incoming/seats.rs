@@ -1,11 +1,12 @@
 //! Places of the port: how many callers may be there, and who gives way when files run short.
 //!
-//! Invariant: the last [`KEPT`] files a process may open are not for callers of its TCP port; another user's
-//! programs have at most [`GUESTS`] connections in all. A caller that has said something never gives way.
+//! Invariant: the last [`KEPT`] files a process may open are not for callers of its TCP port; the host's user's
+//! programs have at most [`OWN`] connections, all other users' [`GUESTS`]. A caller that has said something
+//! never gives way.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 
@@ -19,6 +20,10 @@ const GUESTS: usize = 64;
 /// Connections of the programs of one other user: nobody takes the places of the rest.
 pub(super) const OF_ONE: usize = 16;
 
+/// Connections of the programs of the host's own user, at one port or socket: a program that opens them without
+/// end takes neither the files nor the memory of the host, and none of Stop's socket.
+pub(super) const OWN: usize = 768;
+
 /// A user as the kernel has it; `None`: it does not say.
 pub(super) type User = Option<u32>;
 
@@ -28,6 +33,8 @@ pub(super) struct Seats {
     /// Callers that have said nothing yet, in the order they came; dropping what is kept of one lets it go.
     silent: Mutex<BTreeMap<u64, oneshot::Sender<()>>>,
     guests: Mutex<BTreeMap<User, usize>>,
+    /// Those of the host's own user.
+    own: AtomicUsize,
     next: AtomicU64,
 }
 
@@ -51,7 +58,8 @@ enum Life {
 }
 
 impl Seats {
-    /// A place, if there is one for such a caller; `guest`: another user, whose places are counted.
+    /// A place, if there is one for such a caller; `guest`: another user, whose places are counted apart. Where
+    /// the host's own user has none left, one of those that have said nothing yet gives way.
     pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
         if let Some(user) = guest {
             let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);
@@ -61,6 +69,9 @@ impl Seats {
                 return None;
             }
             guests.insert(user, own + 1);
+        } else if self.own.fetch_add(1, Ordering::Relaxed) >= OWN && !self.give_up_one() {
+            self.own.fetch_sub(1, Ordering::Relaxed);
+            return None;
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (keep, given_up) = oneshot::channel();
@@ -100,14 +111,16 @@ impl Seat {
 impl Drop for Seat {
     fn drop(&mut self) {
         self.seats.silent().remove(&self.number);
-        if let Some(user) = self.guest {
-            let mut guests = self.seats.guests.lock().unwrap_or_else(PoisonError::into_inner);
-            let left = guests.get(&user).map_or(0, |own| own - 1);
-            if left == 0 {
-                guests.remove(&user);
-            } else {
-                guests.insert(user, left);
-            }
+        let Some(user) = self.guest else {
+            self.seats.own.fetch_sub(1, Ordering::Relaxed);
+            return;
+        };
+        let mut guests = self.seats.guests.lock().unwrap_or_else(PoisonError::into_inner);
+        let left = guests.get(&user).map_or(0, |own| own - 1);
+        if left == 0 {
+            guests.remove(&user);
+        } else {
+            guests.insert(user, left);
         }
     }
 }
@@ -169,6 +182,23 @@ mod tests {
         assert_eq!(guests.len(), GUESTS, "and all of them together");
         guests.clear();
         assert!(seats.guests.lock().unwrap().is_empty());
+    }
+
+    #[test]
+    fn the_own_user_has_so_many_places_and_who_says_nothing_gives_way_first() {
+        let seats = Arc::new(Seats::default());
+        let mut callers: Vec<Seat> = (0..OWN).map(|_| seats.take(None).unwrap()).collect();
+        callers[1..].iter_mut().for_each(Seat::speaks);
+        let mut late = seats.take(None).expect("the silent one gives way");
+        late.speaks();
+        assert!(has_to_go(&mut callers[0]) && !has_to_go(&mut callers[1]));
+        assert!(seats.take(None).is_none(), "all have spoken");
+        assert!(seats.take(Some(Some(7))).is_some(), "guests have places of their own");
+        // The one that had to go, and one more.
+        callers.drain(..2);
+        assert!(seats.take(None).is_some());
+        drop((callers, late));
+        assert_eq!(seats.own.load(Ordering::Relaxed), 0);
     }
 
     #[test]

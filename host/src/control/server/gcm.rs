@@ -441,7 +441,8 @@ impl GcmService for Edge {
             let why = "it is negative; 0 means each in one message".into();
             refuse(Refusal::ArgumentInvalid { what: "Watch".into(), why, field: "page_size".into() })
         })?;
-        Ok(Response::new(watch(gcm.watch(), gcm.term(), from_revision, size)))
+        let held = self.watches.take()?;
+        Ok(Response::new(watch(gcm.watch(), gcm.term(), from_revision, size, held)))
     }
 }
 

@@ -14,6 +14,9 @@ mod wait;
 mod watch;
 
 pub(super) use interact::FOLLOWED;
+#[cfg(test)]
+pub(super) use watch::WATCHES;
+pub(super) use watch::Watches;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -49,6 +52,8 @@ pub(super) struct Edge {
     pub(super) lines: Arc<Lines>,
     /// One permit for each output or event that may still be followed here.
     pub(super) followed: Arc<Semaphore>,
+    /// The Watches that may still be opened here.
+    pub(super) watches: Arc<Watches>,
     /// Its sender goes when this port closes: calls that wait for something end then.
     pub(super) closing: Receiver<()>,
 }

@@ -10,6 +10,7 @@ use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 
+use super::super::server::WATCHES;
 use super::super::{PortRules, ServeConfig, ServeError, Server};
 use super::{System, connect, create, in_time, serve, start, stop};
 
@@ -276,6 +277,31 @@ async fn a_port_lets_so_much_be_followed_and_no_more_until_somebody_ends() {
     drop(open.pop());
     // Asked again until the end of the other is seen.
     in_time(async || s.interact().subscribe(ask(EACH)).await).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_port_serves_so_many_watches_and_no_more_until_one_ends() {
+    let s = System::start().await;
+    let from_now = || v1::WatchRequest { from_revision: 0, page_size: 0 };
+    // One connection has no streams left when all Watches there may be are its own.
+    let mut other = GcmServiceClient::new(connect(&s.server).await);
+    let mut open = Vec::new();
+    for n in 0..WATCHES {
+        let gcm = if n % 2 == 0 { s.gcm() } else { other.clone() };
+        let mut watch = { gcm }.watch(from_now()).await.unwrap().into_inner();
+        assert!(watch.next().await.unwrap().is_ok(), "Watch {n} tells what there is");
+        open.push(watch);
+    }
+    let refused = other.watch(from_now()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted);
+    assert!(refused.message().contains("256 Watches are open at this port"), "{refused}");
+    assert!(refused.message().contains("end some of those calls, or ask List"), "what to do: {refused}");
+    // Whoever watches is told of changes as ever, and everything else is answered.
+    s.gcm().create(create("host/b")).await.unwrap();
+    assert!(open[0].next().await.unwrap().is_ok());
+    drop(open.pop());
+    // Asked again until the end of the other is seen.
+    in_time(async || s.gcm().watch(from_now()).await).await.unwrap();
 }
 
 #[tokio::test]
