@@ -15,6 +15,8 @@ mod given_up;
 mod helps;
 #[path = "processes/isolated.rs"]
 mod isolated;
+#[path = "processes/numbers.rs"]
+mod numbers;
 #[path = "processes/refusals.rs"]
 mod refusals;
 #[path = "processes/system.rs"]

@@ -400,3 +400,31 @@ export async function a_program_whose_viewer_only_reads_tells_its_page_and_refus
   await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
   await box(page, 'host/sine').locator('[data-state]', { hasText: 'STOPPED' }).waitFor();
 }
+
+export async function whole_numbers_of_64_bits_are_shown_and_sent_to_the_last_digit(world) {
+  const host = await world.host();
+  const [exact, signed, several] = ['9007199254740993', '-9007199254740993', '18446744073709551615'];
+  await create(host.addr, 'echo', 'host/echo', { exact, signed, several: [several] });
+  await start(host.addr, 'host/echo');
+  const has = async (member) => (await grpcurl(host.addr, 'InteractService/Invoke', { path: `host/echo/ctl/${member}` })).json;
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  await menu(page, 'host/echo', 'Configure…');
+  const form = page.locator('[data-configure]');
+  const field = (name) => form.getByLabel(new RegExp(`^${name}`));
+  is([await field('exact').inputValue(), await field('signed').inputValue()], [exact, signed], 'what is configured now');
+  is(await form.locator('[data-wrong]').allInnerTexts().then((all) => all.filter(Boolean)), [], 'nothing is wrong with it');
+  // The next numbers there are: each is another one as a double.
+  await field('exact').fill('9007199254740995');
+  await field('signed').fill('-9007199254740995');
+  is(await form.locator('[data-wrong]').allInnerTexts().then((all) => all.filter(Boolean)), [], 'nor with what was typed');
+  await page.getByRole('button', { name: 'Configure', exact: true }).click();
+  await eventually('it is configured', async () => (await has('exact')) === '9007199254740995', () => has('exact'));
+  is([await has('signed'), await has('first_of_several')], ['-9007199254740995', several], 'what the component has');
+  const config = (await grpcurl(host.addr, 'GcmService/GetState', { path: 'host/echo' })).component.config;
+  is([config.exact, config.signed, config.several], ['9007199254740995', '-9007199254740995', [several]], 'what it is configured with');
+  // Opened anew it shows what was sent.
+  await page.keyboard.press('Escape');
+  await menu(page, 'host/echo', 'Configure…');
+  is([await field('exact').inputValue(), await field('signed').inputValue()], ['9007199254740995', '-9007199254740995'], 'shown');
+}

@@ -148,3 +148,15 @@ export async function a_slider_reaches_few_whole_numbers_by_a_key_each_and_tiny_
     await eventually(`place ${place} is ${wanted}`, async () => (await config('host/kalman')).acceleration === wanted, () => config('host/kalman'));
   }
 }
+
+export async function whole_numbers_of_64_bits_are_set_and_shown_to_the_last_digit(world) {
+  const { page, config } = await settingsOf(world, { 'host/echo': 'echo' });
+  for (const [name, number] of [['exact', '9007199254740993'], ['signed', '-9007199254740993']]) {
+    const setting = page.locator(`[data-tuning="host/echo"] [data-setting="${name}"]`);
+    const box = setting.getByRole('textbox');
+    await box.fill(number);
+    await box.press('Enter');
+    await eventually(`${name} is what was typed`, async () => (await config('host/echo'))[name] === number, () => config('host/echo'));
+    await eventually(`${name} is shown`, async () => (await setting.getAttribute('data-value')) === JSON.stringify(number) && (await box.inputValue()) === number, () => box.inputValue());
+  }
+}

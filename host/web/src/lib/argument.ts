@@ -60,8 +60,8 @@ function primitive(p: Primitive): Schema {
     case Primitive.F64:
       return { type: 'number' };
     case Primitive.STAMP:
-      return { type: 'integer', wide: true, optional: true, default: 0, unit: 'ns', holds: HOLDS[p], description: 'Of the host’s clock' };
+      return { type: 'integer', optional: true, default: 0, unit: 'ns', holds: HOLDS[p], description: 'Of the host’s clock' };
     default:
-      return { type: 'integer', wide: p === Primitive.U64 || p === Primitive.I64, holds: HOLDS[p] };
+      return { type: 'integer', holds: HOLDS[p] };
   }
 }

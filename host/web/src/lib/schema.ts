@@ -24,8 +24,6 @@ export interface Schema {
   anyOf?: Schema[];
   /// Of payload types: lowest and highest number the type holds at all.
   holds?: [number, number];
-  /// 64 bits: what a JSON number cannot hold exactly goes as text.
-  wide?: boolean;
   /// Most bytes of a text in UTF-8.
   bytes?: number;
   /// May be left out of its structure, and begins so.
@@ -40,6 +38,9 @@ const MOST_ROWS = 16;
 
 export const isGroup = (v: unknown): v is Values => typeof v === 'object' && v !== null && !Array.isArray(v);
 const isNumeric = (kind: Kind) => kind === 'number' || kind === 'integer';
+
+/// Whole numbers may have 64 bits: what a JSON number cannot hold exactly comes and goes as text.
+export const isWhole = (s: Schema) => kindOf(s) === 'integer';
 
 /// Number of items, where no other is allowed.
 export function fixedLength(s: Schema): number | undefined {
@@ -120,7 +121,7 @@ function wrongNumber(s: Schema, whole: boolean, value: unknown): string {
   if (value === '') return 'a number is missing';
   if (!whole && /^(NaN|-?Infinity)$/.test(String(value))) return '';
   const n = Number(value);
-  if (Number.isNaN(n) || (typeof value === 'string' && !(s.wide && /^-?\d+$/.test(value)))) return `${String(value)} is no number`;
+  if (Number.isNaN(n) || (typeof value === 'string' && !(whole && /^-?\d+$/.test(value)))) return `${String(value)} is no number`;
   if (whole && !Number.isInteger(n)) return `${n} is no whole number`;
   const unit = s.unit ? ` ${s.unit}` : '';
   for (const low of [s.minimum, s.holds?.[0]]) if (low !== undefined && n < low) return `${value} is below ${low}${unit}`;

@@ -2,7 +2,7 @@
 ///
 /// Invariant: what cannot be read as what it should be goes to the server as it was typed, which knows best what to say; JSON that is
 /// none is refused here, as nobody could say what was meant.
-import { isGroup, itemOf, type Kind, type Schema } from './schema';
+import { isGroup, isWhole, itemOf, type Kind, type Schema } from './schema';
 
 /// What the value is to be, out of the text; undefined: nothing.
 /// Throws a sentence where that cannot be said.
@@ -27,7 +27,7 @@ export function read(s: Schema, kind: Kind, text: string): unknown {
 function number(s: Schema, text: string): number | string {
   const n = Number(text);
   if (!Number.isFinite(n)) return text;
-  return s.wide && !Number.isSafeInteger(n) && /^[-+]?\d+$/.test(text) ? text.replace('+', '') : n;
+  return isWhole(s) && !Number.isSafeInteger(n) && /^[-+]?\d+$/.test(text) ? text.replace('+', '') : n;
 }
 
 export function write(kind: Kind, value: unknown): string {
