@@ -109,8 +109,8 @@ impl TypeDesc {
         }
     }
 
-    /// True when a value of this type holds numbers, which limits may be said of. Flags, stamps, texts and named values are
-    /// none.
+    /// True when a value of this type holds numbers, which limits may be said of. Flags, stamps, texts and
+    /// named values are none.
     pub const fn has_numbers(&self) -> bool {
         match &self.kind {
             TypeKind::Prim(p) => !matches!(p, Prim::Bool | Prim::Stamp),

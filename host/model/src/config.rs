@@ -247,8 +247,8 @@ fn setting_in(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
-/// The first limit or unit of a setting that holds for nothing: one of numbers, said of a setting that is none. JSON Schema
-/// passes it over, so that it would be shown and never enforced.
+/// The first limit or unit of a setting that holds for nothing: one of numbers, said of a setting that is
+/// none. JSON Schema passes it over, so that it would be shown and never enforced.
 pub fn idle_limit(schema: &Value) -> Option<String> {
     idle(schema, "")
 }

@@ -350,7 +350,8 @@ impl Argument {
         self.frame.check(&[quote!(::core::option::Option::Some(<#ty as ::trocar_sdk::Payload>::DESC))])
     }
 
-    /// Checks that limits and a unit are said of an argument that has numbers: elsewhere they would never hold.
+    /// Checks that limits and a unit are said of an argument that has numbers: elsewhere they would never
+    /// hold.
     fn check_numbers(&self) -> TokenStream {
         let ty = &self.ty;
         let check = |said: Option<Span>, fits: &str| {

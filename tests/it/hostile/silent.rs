@@ -1,5 +1,5 @@
-//! Callers that connect and stay: those that say nothing, more of them than a process may have files, and those that have
-//! asked something, more than a port serves.
+//! Callers that connect and stay: those that say nothing, more of them than a process may have files, and
+//! those that have asked something, more than a port serves.
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;

@@ -1,4 +1,5 @@
-//! A plugin in C that changes the locale of the process or what signals do in it, or closes its standard streams.
+//! A plugin in C that changes the locale of the process or what signals do in it, or closes its standard
+//! streams.
 //!
 //! Promise: each is put back, whichever entry did it, and named at the component that did it; the host and
 //! that component go on.

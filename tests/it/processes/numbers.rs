@@ -1,7 +1,7 @@
 //! Whole numbers of 64 bits in a system file.
 //!
-//! Promise: the component has what the file says, to the last digit, and everything that shows its configuration
-//! shows that: `run` and `up` alike.
+//! Promise: the component has what the file says, to the last digit, and everything that shows its
+//! configuration shows that: `run` and `up` alike.
 
 use serde_json::{Value, json};
 use trocar_tests::{HostProcess, Trocar, World};

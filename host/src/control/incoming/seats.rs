@@ -1,8 +1,8 @@
 //! Places of the port: how many callers may be there, and who gives way when files run short.
 //!
-//! Invariant: the last [`KEPT`] files a process may open are not for callers of its TCP port; the host's user's
-//! programs have at most [`OWN`] connections, all other users' [`GUESTS`]. A caller that has said something
-//! never gives way.
+//! Invariant: the last [`KEPT`] files a process may open are not for callers of its TCP port; the host's
+//! user's programs have at most [`OWN`] connections, all other users' [`GUESTS`]. A caller that has said
+//! something never gives way.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -20,8 +20,8 @@ const GUESTS: usize = 64;
 /// Connections of the programs of one other user: nobody takes the places of the rest.
 pub(super) const OF_ONE: usize = 16;
 
-/// Connections of the programs of the host's own user, at one port or socket: a program that opens them without
-/// end takes neither the files nor the memory of the host, and none of Stop's socket.
+/// Connections of the programs of the host's own user, at one port or socket: a program that opens them
+/// without end takes neither the files nor the memory of the host, and none of Stop's socket.
 pub(super) const OWN: usize = 768;
 
 /// A user as the kernel has it; `None`: it does not say.
@@ -58,8 +58,8 @@ enum Life {
 }
 
 impl Seats {
-    /// A place, if there is one for such a caller; `guest`: another user, whose places are counted apart. Where
-    /// the host's own user has none left, one of those that have said nothing yet gives way.
+    /// A place, if there is one for such a caller; `guest`: another user, whose places are counted apart.
+    /// Where the host's own user has none left, one of those that have said nothing yet gives way.
     pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
         if let Some(user) = guest {
             let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);

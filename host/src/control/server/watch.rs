@@ -21,8 +21,9 @@ use crate::control::convert;
 
 pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
 
-/// Most Watches that a port serves at a time. Each is told of every change of the graph by a task and messages of
-/// its own, so that without a bound one program that opens them without end takes the memory of all.
+/// Most Watches that a port serves at a time. Each is told of every change of the graph by a task and
+/// messages of its own, so that without a bound one program that opens them without end takes the memory of
+/// all.
 pub(in crate::control) const WATCHES: usize = 256;
 
 /// The places of those who watch.

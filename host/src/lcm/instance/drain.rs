@@ -259,8 +259,8 @@ impl Instance {
         if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }
     }
 
-    /// Puts the rounding mode back to what it was before a command or handler: the code that runs next on this thread may be
-    /// its caller's. Real-time, no system call.
+    /// Puts the rounding mode back to what it was before a command or handler: the code that runs next on
+    /// this thread may be its caller's. Real-time, no system call.
     #[inline]
     fn keep_rounding(&self, before: u32) {
         if os::rounding() != before {
