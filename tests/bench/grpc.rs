@@ -12,6 +12,11 @@ use crate::table::{Goal, Table, median, timed};
 
 /// Components created, of each of two classes.
 const CREATED: usize = 40;
+/// Processes of the large system.
+const PROCESSES: usize = 50;
+/// GetStates that are timed.
+const ASKED: usize = 200;
+
 /// A listing is there at once for whoever typed it.
 const LISTED: Goal = Goal::Ns(50e6);
 
@@ -34,6 +39,37 @@ pub(crate) fn measure(table: &mut Table) {
         let what = format!("`trocar {}`", args[..args.len() - 2].join(" "));
         table.row(&what, timed(|| run(args)), LISTED, "`trocar --version`", bare);
     }
+    table.title(&format!("GetState of one component, at a GCM of {PROCESSES} processes (one connection)"));
+    let (one, many) = runtime.block_on(states());
+    table.row("GetState", many, Goal::Times(2.0), "the same GCM with one process", one);
+}
+
+/// What a GetState takes at a GCM of one process, and when there are many, ns.
+async fn states() -> (f64, f64) {
+    let world = World::new();
+    world.drop_in(&Built::plugin("example"));
+    let gcm = HostProcess::start_gcm(&world);
+    let attached = |name: &str| HostProcess::start_with(&world, name, &["--gcm", gcm.address()]);
+    let mut hosts = vec![attached("p1")];
+    let grpc = gcm.grpcurl();
+    grpc.await_class("p1", "example/Server");
+    grpc.create("p1/server", "example/Server", serde_json::json!({}));
+    let mut client = client_of(gcm.address()).await;
+    let one = state(&mut client).await;
+    hosts.extend((2..=PROCESSES).map(|n| attached(&format!("p{n}"))));
+    (1..=PROCESSES).for_each(|n| _ = grpc.await_class(&format!("p{n}"), "example/Server"));
+    (one, state(&mut client).await)
+}
+
+/// The median of many GetStates, ns.
+async fn state(client: &mut GcmServiceClient<Channel>) -> f64 {
+    let mut took = Vec::new();
+    for _ in 0..ASKED {
+        let began = Instant::now();
+        client.get_state(v1::GetStateRequest { path: "p1/server".into() }).await.expect("GetState");
+        took.push(began.elapsed().as_nanos() as f64);
+    }
+    median(took)
 }
 
 /// The program, until it has ended well.
@@ -42,14 +78,18 @@ fn run(args: &[&str]) {
     assert!(ended.status.success(), "{args:?}: {}", String::from_utf8_lossy(&ended.stderr));
 }
 
-async fn requests(address: &str) -> (f64, [f64; 3]) {
+async fn client_of(address: &str) -> GcmServiceClient<Channel> {
     let channel = Channel::from_shared(format!("http://{address}"))
         .expect("a host prints a good address")
         .connect_timeout(Duration::from_secs(5))
         .connect()
         .await
         .expect("the host answers");
-    let mut gcm = GcmServiceClient::new(channel);
+    GcmServiceClient::new(channel)
+}
+
+async fn requests(address: &str) -> (f64, [f64; 3]) {
+    let mut gcm = client_of(address).await;
     let (mut create, mut connect, mut start, mut state) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for i in 0..CREATED {
         let (server, client) = (format!("host/s{i}"), format!("host/c{i}"));

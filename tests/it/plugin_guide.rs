@@ -6,6 +6,7 @@ mod embedded;
 mod templates;
 mod timed;
 
+use std::collections::BTreeSet;
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -74,6 +75,21 @@ fn a_plugin_made_by_the_guide_runs_in_a_host() {
     trocar.run(&["start", "host/f"]).ends_with(0);
     trocar.run(&["ls"]).ends_with(0).says("host/f").says("ACTIVE");
     assert_eq!(grpc.state("host/f"), "ACTIVE");
+}
+
+#[test]
+fn a_plugin_that_is_begun_without_a_network_is_built_of_what_trocar_was_built_of() {
+    let world = World::new();
+    Trocar::new(&world).run(&["plugin", "new", "my-filter"]).ends_with(0);
+    let project = world.path("my-filter");
+    cargo(&project, &["build", "--release", "--offline"]);
+    let lock = |of: &Path| fs::read_to_string(of.join("Cargo.lock")).unwrap();
+    let versions = |lock: &str| {
+        let packages = lock.split("[[package]]").filter(|package| package.contains("source = "));
+        packages.map(|package| package.lines().skip(1).take(2).collect::<String>()).collect::<BTreeSet<_>>()
+    };
+    let (ours, all) = (versions(&lock(&project)), versions(&lock(&repository())));
+    assert!(!ours.is_empty() && ours.is_subset(&all), "others than trocar's: {:?}", ours.difference(&all));
 }
 
 /// The library of the guide's plugin, begun and built by the commands of the guide.

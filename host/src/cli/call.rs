@@ -37,6 +37,7 @@ pub(super) async fn run(args: CallArgs, session: &Session) -> Done {
     let unit = if reply.unit.is_empty() { String::new() } else { format!(" {}", reply.unit) };
     match (&reply.value, reply.executed) {
         (Some(value), _) => {
+            let value = out::without_padding(value);
             let short = value.to_string();
             let text = if short.len() > ONE_LINE { format!("{value:#}") } else { short };
             out::text(&format!("{}{unit}\n", out::lines(&text)));

@@ -81,7 +81,7 @@ pub(super) async fn run(args: EchoArgs, session: &Session) -> Done {
             let skipped =
                 if item.skipped > 0 { format!("  ({} skipped)", item.skipped) } else { String::new() };
             let seconds = item.stamp_ns as f64 / 1e9;
-            let value = units::cut(&item.value.to_string(), out::LONG);
+            let value = units::cut(&out::without_padding(&item.value).to_string(), out::LONG);
             out::say(&format!("{seconds:.6} s  {}  {value}{skipped}", item.path));
         }
         left -= 1;
@@ -97,7 +97,7 @@ async fn one_row(paths: &[String], row: Row, session: &Session) -> Done {
             continue;
         }
         let seconds = row.stamp_ns as f64 / 1e9;
-        let value = units::cut(&row.value.to_string(), out::LONG);
+        let value = units::cut(&out::without_padding(&row.value).to_string(), out::LONG);
         out::say(&format!("{seconds:.6} s  {path}  tick {}  {value}", row.tick));
     }
     Ok(Exit::Ok)

@@ -257,6 +257,7 @@ fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
     out::line(&format!("host {} listening on {}", config.name, address(host)));
     out::line(&format!("  {gcm}, plugins {}, state {}", dirs.join(" "), host.state_dir().path().display()));
     out::line(&format!("  viewer {}", viewer(config.gcm.as_deref().unwrap_or(&address(host)))));
+    out::line(&format!("  trocar ls --gcm {}", config.gcm.as_deref().unwrap_or(&address(host))));
     out::line("  Ctrl-C stops it, devices safe first");
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Invariant: nothing else of the command line prints answers.
 
+use serde_json::Value;
 use std::io::{ErrorKind, Write};
 
 use super::failure::Exit;
@@ -52,4 +53,15 @@ pub(super) fn news(line: &str, to_stderr: bool) {
 /// Documentation, which comes with the line breaks of its source, as one harmless line.
 pub(super) fn one_line(doc: &str) -> String {
     harmless(&doc.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
+}
+/// A value as people read it: without the fields `reserved`, which only fill a payload up to its alignment.
+pub(super) fn without_padding(value: &Value) -> Value {
+    match value {
+        Value::Object(fields) => {
+            let shown = fields.iter().filter(|(name, _)| *name != "reserved");
+            shown.map(|(name, value)| (name.clone(), without_padding(value))).collect()
+        }
+        Value::Array(items) => items.iter().map(without_padding).collect(),
+        plain => plain.clone(),
+    }
 }

@@ -13,7 +13,7 @@ use serde_json::json;
 use super::failure::{Done, Exit, Failure};
 use super::out;
 use super::session::Session;
-use template::Template;
+use template::{Sdk, Template};
 
 /// Begins a new plugin in a new directory.
 #[derive(Args, Debug)]
@@ -39,7 +39,7 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
             "choose another name, or go to another directory",
         ));
     }
-    let (sdk, found) = template.sdk(args.sdk.as_deref())?;
+    let sdk = template.sdk(args.sdk.as_deref())?;
     write(dir, template.files(), &args.name, &sdk).map_err(|e| {
         // Half a plugin helps nobody.
         let _ = fs::remove_dir_all(dir);
@@ -50,22 +50,25 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
         )
     })?;
     if session.json() {
-        return session.print_json(&json!({ "directory": dir, "sdk": sdk, "sdk_found": found }));
+        return session.print_json(&json!({ "directory": dir, "sdk": sdk.text, "sdk_found": sdk.found }));
     }
-    if !found {
+    if !sdk.found {
         out::complain("warning", &template.not_found(&args.name));
     }
     out::text(&template.next_steps(&args.name));
     Ok(Exit::Ok)
 }
 
-fn write(dir: &Path, files: &[(&str, &str)], name: &str, sdk: &str) -> std::io::Result<()> {
+fn write(dir: &Path, files: &[(&str, &str)], name: &str, sdk: &Sdk) -> std::io::Result<()> {
     for (path, text) in files {
         let path = dir.join(path);
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent)?;
         }
-        fs::write(path, fill(text, name, sdk))?;
+        fs::write(path, fill(text, name, &sdk.text))?;
+    }
+    if let Some(lock) = &sdk.lock {
+        fs::copy(lock, dir.join("Cargo.lock"))?;
     }
     Ok(())
 }

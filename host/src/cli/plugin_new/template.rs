@@ -9,6 +9,18 @@ use clap::ValueEnum;
 
 use super::super::failure::Failure;
 
+/// The SDK that a new plugin is built with.
+#[derive(Debug)]
+pub(super) struct Sdk {
+    /// For `{{sdk}}`.
+    pub(super) text: String,
+    /// Are its sources on this machine?
+    pub(super) found: bool,
+    /// What trocar itself was built with. A plugin that begins with it wants no version that is not on this
+    /// machine already, which may have no network.
+    pub(super) lock: Option<PathBuf>,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Template {
     /// Rust: a low-pass with an input, an output, a setting and a command.
@@ -68,11 +80,11 @@ impl Template {
         )
     }
 
-    /// The text for `{{sdk}}`, and whether sources were found for it.
+    /// The SDK of this template, beside this program or where it was said to be.
     ///
     /// # Errors
     /// The directory that was asked for is not the SDK.
-    pub(super) fn sdk(self, asked: Option<&Path>) -> Result<(String, bool), Failure> {
+    pub(super) fn sdk(self, asked: Option<&Path>) -> Result<Sdk, Failure> {
         let found = match asked {
             Some(dir) => Some(self.within(dir).ok_or_else(|| self.is_not_the_sdk(dir))?),
             None => std::env::current_exe()
@@ -86,7 +98,9 @@ impl Template {
             (false, Some(dir)) => in_a_makefile(dir),
             (false, None) => "TROCAR_DIRECTORY/sdk/c".into(),
         };
-        Ok((text, absolute.is_some()))
+        // What trocar itself is built with lies at the root of its sources.
+        let lock = absolute.as_ref().filter(|_| self.is_rust()).map(|dir| dir.join("../../Cargo.lock"));
+        Ok(Sdk { text, found: absolute.is_some(), lock: lock.filter(|lock| lock.is_file()) })
     }
 
     /// The part of the SDK that this template needs, where `dir` is `sdk/rust` or `sdk/c`.
@@ -188,9 +202,10 @@ mod tests {
         let sdk = Path::new(env!("CARGO_MANIFEST_DIR")).join("../sdk").canonicalize().unwrap();
         for template in Template::value_variants() {
             for half in ["rust", "c"] {
-                let (text, found) = template.sdk(Some(&sdk.join(half))).unwrap();
+                let Sdk { text, found, lock } = template.sdk(Some(&sdk.join(half))).unwrap();
                 let needed = sdk.join(if template.is_rust() { "rust" } else { "c" });
                 assert!(found && text.contains(needed.to_str().unwrap()), "{template:?} {half}: {text}");
+                assert_eq!(lock.is_some(), template.is_rust(), "{template:?}: {lock:?}");
             }
         }
     }

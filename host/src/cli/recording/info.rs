@@ -271,6 +271,11 @@ pub(super) fn size(bytes: u64) -> String {
     }
 }
 
+/// Taps of what nobody called and nobody said: every component has some, and a pattern for all of its outputs takes them along.
+fn is_idle_tap(view: &InfoView, topic: &TopicView) -> bool {
+    view.counted == Counted::Read && topic.topic.contains("/tap_") && topic.messages == 0 && topic.lost == 0
+}
+
 fn show(view: &InfoView) {
     out::say(&format!(
         "{}: {}, {:.3} s, {}, {}{}",
@@ -294,7 +299,8 @@ fn show(view: &InfoView) {
         },
     ));
     let mut table = Table::new(&["TOPIC", "MESSAGES", "RATE", "BYTES", "LOST", "TYPE"]);
-    for topic in &view.topics {
+    let idle = view.topics.iter().filter(|topic| is_idle_tap(view, topic)).count();
+    for topic in view.topics.iter().filter(|topic| !is_idle_tap(view, topic)) {
         table.row([
             units::cut(&topic.topic, 120),
             if view.counted == Counted::Part && topic.messages == 0 {
@@ -310,6 +316,12 @@ fn show(view: &InfoView) {
     }
     if !table.is_empty() {
         out::text(&table.render(2, style::stdout()));
+    }
+    if idle > 0 {
+        let taps = units::count(idle as u64, "tap");
+        out::say(&format!(
+            "{taps} of commands, events and rows were recorded and brought nothing (--json lists them)"
+        ));
     }
     for topic in view.topics.iter().filter(|t| t.interrupted > 0) {
         out::complain("warning", &super::interrupted(&topic.topic, topic.interrupted));
