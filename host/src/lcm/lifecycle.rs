@@ -7,7 +7,7 @@ use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED, STATUS_INVALID};
 
 use super::boundary::EntryError;
 use super::dynamic;
-use super::instance::{Entered, Instance};
+use super::instance::{CALLS_ON_TRIAL, Entered, Instance};
 use super::supervise::Entry as Inside;
 
 /// What an entry came to: the name of the one that failed, and why.
@@ -94,6 +94,7 @@ pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     instance.stats.reset(instance.period_ns());
     let inner = entered.inner();
     inner.cycle_at_start = inner.cycle;
+    inner.on_trial = CALLS_ON_TRIAL;
     inner.started = true;
     run(instance, entered, "start", |e| e.start())
 }

@@ -18,7 +18,7 @@ use super::super::dynamic::Goal;
 use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
 use super::super::supervise::{Entry, Misdeed};
 use super::super::{context, pending};
-use super::{Entered, Instance, Misuse};
+use super::{CALLS_ON_TRIAL, Entered, Instance, Misuse};
 
 /// A command that was queued is not carried out: its tap is told.
 #[cold]
@@ -50,6 +50,16 @@ fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> O
         Goal::Servo if periods_ns > 0 => Some(SERVO_NS.max(periods_ns)),
         Goal::Servo => Some(GOAL_NS),
     }
+}
+
+/// The rounding mode before one of its calls, while those are looked at.
+#[inline]
+fn look_at_rounding(entered: &mut Entered<'_>) -> Option<u32> {
+    let on_trial = &mut entered.inner().on_trial;
+    (*on_trial > 0).then(|| {
+        *on_trial -= 1;
+        os::rounding()
+    })
 }
 
 impl Instance {
@@ -178,9 +188,9 @@ impl Instance {
         }
         let watched = self.watch.begin(Entry::Event, 0);
         let mut err = entered.err_buf();
-        let rounding = os::rounding();
+        let rounding = look_at_rounding(entered);
         let status = entered.on_event(handler, payload.as_ptr(), &raw mut err);
-        self.keep_rounding(rounding);
+        self.keep_rounding(entered, rounding);
         self.watch.leave(watched);
         if status != STATUS_OK {
             self.handler_failed(entered, status, &mut err);
@@ -242,9 +252,9 @@ impl Instance {
         let err = if err.is_null() { &raw mut own } else { err };
         let before = context::swap_component(Arc::as_ptr(&self.host));
         let watched = self.watch.begin_command(command);
-        let rounding = os::rounding();
+        let rounding = look_at_rounding(entered);
         let status = entered.command(command, arg, ret, err);
-        self.keep_rounding(rounding);
+        self.keep_rounding(entered, rounding);
         self.watch.leave(watched);
         context::swap_component(before);
         self.counters.command();
@@ -262,9 +272,10 @@ impl Instance {
     /// Puts the rounding mode back to what it was before a command or handler: the code that runs next on
     /// this thread may be its caller's. Real-time, no system call.
     #[inline]
-    fn keep_rounding(&self, before: u32) {
-        if os::rounding() != before {
-            os::reset_rounding(before);
+    fn keep_rounding(&self, entered: &mut Entered<'_>, before: Option<u32>) {
+        if before.is_some_and(|before| os::rounding() != before) {
+            os::reset_rounding(before.unwrap_or_default());
+            entered.inner().on_trial = CALLS_ON_TRIAL;
             self.watch.misdeed(Misdeed::RoundingInCall);
         }
     }

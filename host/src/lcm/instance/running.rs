@@ -299,7 +299,13 @@ impl Instance {
         loop {
             if let Some(mut entered) = self.object.try_enter() {
                 let before = context::swap_component(Arc::as_ptr(&self.host));
+                let rounding = os::rounding();
                 self.drain(&mut entered);
+                // No step of its own ends behind it.
+                if os::rounding() != rounding {
+                    os::reset_rounding(rounding);
+                    self.watch.misdeed(Misdeed::RoundingInCall);
+                }
                 context::swap_component(before);
                 self.pay_safe(&mut entered);
                 drop(entered);
