@@ -74,6 +74,9 @@ def test_structs_lists_texts_and_enumerations_come_as_people_think_of_them():
     thing = _values.to_value(ty, raw)
     assert thing.joints.tolist() == [1.5, -2] and thing.name == "abc" and thing.mode == "FAST" and repr(thing.n) == f"{2**63} px"
     assert thing.units == {"joints": "m|rad", "name": "", "mode": "", "n": "px"} and "m|rad" in repr(thing)
+    outer = structure("Outer", 72, ("thing", 0, ty, ""))
+    units = {"thing": "", "thing.joints": "m|rad", "thing.name": "", "thing.mode": "", "thing.n": "px"}
+    assert _values.units_in(outer) == units and _values.units_of(outer) == {"thing": ""}
     with pytest.raises(AttributeError, match="has no field 'jonits'"):
         thing.jonits
     with pytest.raises(AttributeError, match="cannot be changed"):

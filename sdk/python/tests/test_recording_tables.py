@@ -95,7 +95,11 @@ def test_rows_have_the_time_that_was_asked_for(tmp_path, quiet):
     assert wall[0] == pd.Timestamp((1_700_000_010 * S) - 5_000_000, tz="UTC") and rec.begin.timestamp() == 1_700_000_010
     assert arm.to_pandas("big", start=0.995, end=1.995).index.tolist() == [0.995, 1.995]
     assert arm.to_pandas("big", start=1, end=2, time="log_time").index.tolist() == [1, 2]
-    assert len(arm.to_pandas(start=100)) == 0
+    none = arm.to_pandas("big", start=100)
+    assert (len(none), list(none.columns)) == (0, ["big"]), "nothing lies in that time, and the columns are there"
+    assert list(arm.to_pandas(start=100).columns) == list(arm.to_pandas().columns)
+    with pytest.raises(trocar.TrocarError, match="has no column 'bog'"):
+        arm.to_pandas("bog", start=100)
     for bad in ({"time": "publish"}, {"clock": "local"}, {"columns": []}, {"columns": [3]}):
         with pytest.raises(trocar.TrocarError, match="is"):
             arm.to_pandas(**bad)

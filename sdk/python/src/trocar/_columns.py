@@ -143,6 +143,11 @@ class Columns:
             column.pad(self.rows)
         return self.all
 
+    def emptied(self) -> None:
+        """Forgets all rows; the columns stay."""
+        self.all = {name: Column(column.kind, column.names) for name, column in self.all.items()}
+        self.rows = 0
+
     def unmet(self) -> list[str]:
         """Wanted names that no column has."""
         return [w for w in self._wanted or () if not any(_names(w, name) for name in self.all)]

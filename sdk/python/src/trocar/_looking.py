@@ -140,7 +140,7 @@ class Looking:
         wanted = range(newest - (rows or 1) + 1, newest)
         got = [*self._read_ticks(path, [t for t in wanted if t >= 0]), got[0]]
         out = _values.to_rows(ports.state, [g.encoded for g in got]).view(_values.Rows)
-        out.units, out.path = _values.units_of(ports.state), path
+        out.units, out.path = _values.units_in(ports.state), path
         out.seq = np.array([g.seq for g in got], "u8")
         out.stamp_ns = np.array([g.stamp_ns for g in got], "u8")
         out.age_s = got[-1].age_ns / 1e9
@@ -185,7 +185,7 @@ class Looking:
                 return _values.to_value(ty, got.encoded)
             out = _values.to_rows(ty, [got.encoded]).view(_values.Rows)
             out = out.reshape(out.shape[1:])
-            out.units = _values.units_of(ty)
+            out.units = _values.units_in(ty)
         else:
             return _values.plain(got.json)
         out.seq, out.stamp_ns, out.age_s, out.path = got.seq, got.stamp_ns, got.age_ns / 1e9, path

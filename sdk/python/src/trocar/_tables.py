@@ -35,6 +35,11 @@ class Tables:
             if (low is None or stamp >= low) and (high is None or stamp <= high):
                 out.add(value)
                 stamps.append((m.log_time, m.publish_time, m.sequence))
+        if none := not stamps:
+            # Nothing lies in that time: the columns are those of the first message.
+            for _, value in self._read():
+                out.add(value)
+                break
         out.end()
         if unmet := out.unmet() if out.rows else []:
             there = list(flattened(self))
@@ -44,6 +49,8 @@ class Tables:
                 "FIELD_NOT_FOUND",
                 field=unmet[0],
             )
+        if none:
+            out.emptied()
         self.unreadable = max(before, self.unreadable)
         return np.array(stamps, "u8").reshape(-1, 3), out
 

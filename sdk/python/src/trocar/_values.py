@@ -127,8 +127,9 @@ class Record(Mapping):
 class Rows(np.ndarray):
     """Rows of a state table, or a sample, as a structured numpy array.
 
-    ``units`` has the unit of each field, ``seq`` the number of each row (its tick) or sample, ``stamp_ns`` when it was published
-    (ns of the host's monotonic clock), ``age_s`` how old the newest was when it was read, s.
+    ``units`` has the unit of each field, also of one inside of another (``"pose.position"``), ``seq`` the number of each row (its tick)
+    or sample, ``stamp_ns`` when it was published (ns of the host's monotonic clock), ``age_s`` how old the newest was when it was
+    read, s.
     """
 
     units: dict[str, str]
@@ -249,6 +250,17 @@ def to_rows(ty: Any, encoded: list[bytes]) -> np.ndarray:
 def units_of(ty: Any) -> dict[str, str]:
     """The unit of each field of a struct."""
     return {f.name: f.unit for f in ty.structure.fields} if shape_of(ty) == "structure" else {}
+
+
+def units_in(ty: Any) -> dict[str, str]:
+    """The same, also of fields inside of fields: ``"pose.position"``."""
+    out = units_of(ty)
+    for field in ty.structure.fields if out else ():
+        inner = field.type
+        while shape_of(inner) in ("array", "list"):
+            inner = inner.array.item if shape_of(inner) == "array" else inner.list.item
+        out.update({f"{field.name}.{name}": unit for name, unit in units_in(inner).items()})
+    return out
 
 
 def to_value(ty: Any, encoded: bytes, unit: str = "") -> Any:
