@@ -73,7 +73,7 @@ fn in_three_processes_it_is_one_system_and_leaves_nothing_behind() {
     };
     assert_eq!(of(&list, "processes", "name"), ["host", "oct", "robot"], "{list}");
     let states = of(&list, "components", "state");
-    assert_eq!(states, ["COMPONENT_STATE_ACTIVE"; 14], "{list}");
+    assert_eq!(states, ["COMPONENT_STATE_ACTIVE"; 15], "{list}");
     let far = of(&list, "connections", "carrier").iter().filter(|c| *c == "memfd").count();
     assert_eq!(far, 10, "what the robot's and the OCT's processes have to do with others: {list}");
 

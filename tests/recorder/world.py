@@ -183,7 +183,7 @@ class World:
         return self.run(*words, "--deadline", "20s", code=code)
 
     def read(self, path):
-        return json.loads(self.call(path).stdout)
+        return self.json("call", path, "--deadline", "20s")["value"]
 
     def follow(self, component, event):
         """Hears an event of a component from now on."""

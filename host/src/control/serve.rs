@@ -222,8 +222,7 @@ fn taken(addr: SocketAddr, own: Option<&Name>, occupant: &Occupant) -> ServeErro
         Occupant::Managed { by, .. } => Some(by.clone()),
         Occupant::Stranger => None,
     };
-    let elsewhere = "listen elsewhere: --listen 127.0.0.1:0 takes a free port and prints it, and the commands that ask there are \
-                     told it as --gcm or TROCAR_GCM";
+    let elsewhere = "listen elsewhere: --listen 127.0.0.1:0 takes a free port and prints it, for TROCAR_GCM of those who ask";
     let help = match gcm {
         Some(gcm) => format!(
             "`trocar ls --gcm {gcm}` shows what runs there, and `trocar host --gcm {gcm} --listen 127.0.0.1:0 --name NAME` \

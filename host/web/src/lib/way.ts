@@ -43,9 +43,9 @@ export interface Size {
 }
 
 /// The first of these sizes that has a place on the way beside the cards, and the middle of that place.
-/// The last size, at the place where it covers least, if none has one.
-export function spot(way: Placed[], cards: Box[], sizes: Size[]): Placed & { size: number } {
-  const places = along(way);
+/// The last size, at the place where it covers least, if none has one. `shared`: other wires leave the same output.
+export function spot(way: Placed[], cards: Box[], sizes: Size[], shared: boolean): Placed & { size: number } {
+  const places = along(way, shared);
   let least = { ...places[0]!, size: sizes.length - 1, covers: Infinity };
   for (const [n, size] of sizes.entries()) {
     for (const at of places) {
@@ -58,10 +58,10 @@ export function spot(way: Placed[], cards: Box[], sizes: Size[]): Placed & { siz
 }
 
 /// Places on a way: the middles of its parts, the longest first, and then others.
-function along(way: Placed[]): Placed[] {
+function along(way: Placed[], shared: boolean): Placed[] {
   const parts = way.slice(1).map((b, i) => ({ a: way[i]!, b, long: length(way[i]!, b) }));
-  // A part that several wires of one output share is the first: the last ones are this wire's own.
-  const own = parts.length > 2 ? parts.slice(1) : parts;
+  // The part that wires of one output have in common is the first.
+  const own = shared && parts.length > 2 ? parts.slice(1) : parts;
   own.sort((p, q) => q.long - p.long);
   return [0.5, 0.3, 0.7, 0.15, 0.85].flatMap((t) => own.map(({ a, b }) => ({ x: a.x + (b.x - a.x) * t, y: a.y + (b.y - a.y) * t })));
 }
