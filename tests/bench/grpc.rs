@@ -44,7 +44,7 @@ pub(crate) fn measure(table: &mut Table) {
     table.row("GetState", many, Goal::Times(2.0), "the same GCM with one process", one);
 }
 
-/// What a GetState takes at a GCM of one process, and when there are many, ns.
+/// The time of a GetState at a GCM of one process, and when there are many, ns.
 async fn states() -> (f64, f64) {
     let world = World::new();
     world.drop_in(&Built::plugin("example"));

@@ -2,8 +2,9 @@
 //!
 //! Invariant: nothing else of the command line prints answers.
 
-use serde_json::Value;
 use std::io::{ErrorKind, Write};
+
+use serde_json::Value;
 
 use super::failure::Exit;
 pub(super) use crate::plain::{harmless, json, lines, paragraph};

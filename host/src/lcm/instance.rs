@@ -20,6 +20,7 @@ use trocar_rt::state::{StateReader, StateWriter, state_table};
 use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
 
+pub(super) use self::drain::CALLS_ON_TRIAL;
 pub(super) use self::running::Stepped;
 use self::running::Terms;
 pub(super) use self::status::Loss;
@@ -224,10 +225,6 @@ struct Faces {
     /// Shared by those that work its reads out themselves.
     rows: Option<Arc<ShownRows>>,
 }
-
-/// Calls after a Start, and after one that did it, that are looked at for the rounding mode they leave. To read that
-/// word costs 10 to 20 ns on some processors, several times what a direct call does: not each can be.
-pub(super) const CALLS_ON_TRIAL: u32 = 256;
 
 /// What only the holder of the entry lock touches.
 pub(super) struct Inner {

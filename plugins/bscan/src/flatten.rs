@@ -1,6 +1,7 @@
 //! The component `flatten`: the image of a scan as it looks with the pigment epithelium straight.
 //!
-//! Invariant: it shows; nobody measures in what it gives. Columns are moved up and down and are otherwise as they came.
+//! Invariant: it shows; nobody measures in its images. Columns are moved up and down and are otherwise as
+//! they came.
 
 use trocar_sdk::data::{ImageHeader, ImageView, PixelFormat};
 use trocar_sdk::prelude::*;
@@ -24,8 +25,8 @@ struct FlattenConfig {
     max_rows: u32,
 }
 
-/// Lays the pigment epithelium of an OCT image straight, as clinical instruments do: what the tip did to follow the surface is no longer
-/// seen, and what stands above the epithelium is: the retina's thickness, the pit, a membrane.
+/// Lays the pigment epithelium of an OCT image straight, as clinical instruments do: the way of the tip is no
+/// longer seen, and all that stands above the epithelium is: the retina's thickness, the pit, a membrane.
 #[derive(Component)]
 #[component(name = "flatten", model = "on_signal")]
 pub struct Flatten {

@@ -8,7 +8,8 @@ const BESIDE: usize = 6;
 const LEAST: u16 = 16;
 /// Columns to each side of which half see the epithelium where one does: what lies alone is an error.
 const NEIGHBOURS: usize = 3;
-/// By how many rows they may differ, and by how many more from one column to the next: the tip goes back fast where a membrane begins.
+/// They differ by so many rows at most, and by so many more from one column to the next: the tip goes back
+/// fast where a membrane begins.
 const APART: [usize; 2] = [2, 6];
 /// Columns to each side whose mean a column takes.
 const MEAN: usize = 1;
@@ -20,7 +21,7 @@ pub(crate) struct Layer {
     columns: Vec<u8>,
     max_rows: usize,
     seen: Vec<Option<u16>>,
-    /// What was seen and is believed, and between that.
+    /// Rows that are believed, and straight lines between them.
     between: Vec<f32>,
     rows: Vec<Option<u16>>,
 }
@@ -37,8 +38,8 @@ impl Layer {
         }
     }
 
-    /// The row of the epithelium in each column of an image, given row after row; `None` for columns that are black, and for all when
-    /// it is in none of them. An image larger than there is room for has no columns at all.
+    /// The row of the epithelium in each column of an image, which is given row after row; `None` for columns
+    /// that are black, and for all when none has it. An image larger than there is room for has no columns.
     pub(crate) fn trace<'a>(
         &mut self,
         width: usize,
@@ -105,7 +106,8 @@ impl Layer {
         (2 * near >= all).then_some(here)
     }
 
-    /// Goes straight from each column that is believed to the next, and on as it is at both ends; NaN when none is.
+    /// Goes straight from each column that is believed to the next, and on as it is at both ends; NaN when
+    /// none is.
     fn fill(&mut self) {
         self.between.clear();
         let mut last: Option<f32> = None;

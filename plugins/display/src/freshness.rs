@@ -31,8 +31,8 @@ impl Stale {
     }
 }
 
-/// When a picture that comes `now` was taken at the latest: a camera whose clock is ahead would show a picture that stands still as a
-/// live one for as long.
+/// The time of a picture that comes `now`, which is at the latest now: a camera whose clock is ahead would
+/// show a picture that stands still as a live one for as long.
 pub(crate) fn taken(stamp: Stamp, now: Stamp) -> Stamp {
     if stamp.is_valid() { stamp.min(now) } else { now }
 }
@@ -43,7 +43,7 @@ impl Freshness {
         self.limit_ns.store((limit_s * 1e9) as u64, Ordering::Relaxed);
     }
 
-    /// A picture of this time is the newest one; one without a stamp, or of a time that is still to come, is of now.
+    /// A picture of this time is the newest one; one without a stamp, or of a time still to come, is of now.
     pub(crate) fn renewed(&self, stamp: Stamp, now: Stamp) {
         self.newest_ns.store(taken(stamp, now).ns(), Ordering::Relaxed);
     }

@@ -52,7 +52,7 @@ impl Oct {
         self.mean_below(world, at_m, places, |_| ILM_M)
     }
 
-    /// The same with the tip as high as brings the ILM to the optical path that `ilm_m` says of what is there, m.
+    /// The same with the tip so high that the ILM has the optical path that `ilm_m` says for the place, m.
     fn mean_below(
         &mut self,
         world: &World,

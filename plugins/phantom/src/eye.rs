@@ -35,12 +35,12 @@ impl Eye {
         globe + self.sunk_m(x, y)
     }
 
-    /// How deep the pit is at `x`, `y`, as a part of its depth in the middle.
+    /// Depth of the pit at `x`, `y`, as a part of that in its middle.
     pub fn pit(&self, x: f64, y: f64) -> f64 {
         (-(x * x + y * y) / (self.pit_radius_m * self.pit_radius_m)).exp()
     }
 
-    /// How far the ILM lies below the globe at `x`, `y`, m: in the pit, and less than nothing on a vessel.
+    /// Depth of the ILM below the globe at `x`, `y`, m: the pit's, less than nothing on a vessel.
     pub fn sunk_m(&self, x: f64, y: f64) -> f64 {
         self.pit_depth_m * self.pit(x, y) - self.vessel_m(x, y)
     }

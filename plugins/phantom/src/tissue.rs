@@ -72,7 +72,7 @@ pub struct Tissue {
     pub layers: Layers,
 }
 
-/// What a column of scatterers hangs on.
+/// The layer that a column of scatterers hangs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layers {
     /// From the ILM down: they follow the surface, and are missing where that dips into the pit.
@@ -92,7 +92,7 @@ pub struct Shade {
     pub outer: f64,
 }
 
-/// What lies below the tip.
+/// The retina below the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
     /// x and y on the retina, m.

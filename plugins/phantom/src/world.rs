@@ -50,8 +50,8 @@ pub struct Below {
     pub distance_m: f64,
     /// From the tip to the ILM, m.
     pub ilm_m: f64,
-    /// From the tip to the pigment epithelium, which lies as deep below the globe in the pit and under vessels as
-    /// beside them, m. Its depth counts along the tool, as that of all layers.
+    /// From the tip to the pigment epithelium, m. Its depth below the globe is the same in the pit and under
+    /// vessels as beside them, and counts along the tool, as that of all layers.
     pub epithelium_m: f64,
     /// Height of the membrane there, m; 0 where there is none.
     pub membrane_m: f64,

@@ -69,7 +69,7 @@ pub(crate) struct Argument {
     pub(crate) frame: Frame,
     min: String,
     max: String,
-    /// Where its limits, its unit and any setting of `#[arg(…)]` are said.
+    /// The places of its limits, of its unit and of any setting of `#[arg(…)]`.
     limited: Option<Span>,
     measured: Option<Span>,
     pub(crate) set: Option<Span>,
@@ -325,7 +325,7 @@ impl Command {
         }
     }
 
-    /// What is said to be in a coordinate frame has coordinates; what is limited or measured has numbers.
+    /// An argument in a coordinate frame has coordinates; one with limits or a unit has numbers.
     fn checks(&self) -> TokenStream {
         let ret = &self.ret;
         let result = quote!(<<#ret as ::trocar_sdk::__private::Answer>::Value as ::trocar_sdk::Value>::DESC);

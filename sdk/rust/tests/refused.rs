@@ -160,7 +160,7 @@ const CASES: &[(&str, &str, &str, &str)] = &[
     ),
 ];
 
-/// What compiles; limits that hold for a number somewhere inside are among it.
+/// The one that compiles; its limits hold for numbers inside of a list.
 const CONTROL: &str = r#"#[derive(Payload, Clone, Copy)] #[repr(C)] struct Goal { at: Stamp, x: [f64; 3] }
     #[derive(Component)] #[component(provides("ctl"))] struct Cam {}
     #[provides("ctl")] impl Cam {

@@ -22,7 +22,8 @@ fn may_open(files: u64) -> bool {
     now.maximum.is_none_or(|most| most >= files) && setrlimit(Resource::Nofile, wanted).is_ok()
 }
 
-/// A host with a running component and few files for all its callers; `None` where this program may not have as many as it plays.
+/// A host with a running component and few files for all its callers; `None` where this program may not have
+/// as many callers as it plays.
 pub(super) fn few_files() -> Option<(World, HostProcess)> {
     if !may_open(4 * CALLERS) {
         return None;
@@ -74,7 +75,7 @@ fn a_thousand_silent_callers_keep_nobody_away_and_are_let_go() {
 struct Asking(TcpStream);
 
 impl Asking {
-    /// What comes back is the begin of an answer; nothing, or an error, where it was sent away.
+    /// The begin of an answer comes back; nothing, or an error, where it was sent away.
     fn ask(host: &HostProcess) -> io::Result<Asking> {
         let mut asking = Asking(TcpStream::connect(host.address())?);
         write!(asking.0, "GET /healthz HTTP/1.1\r\nHost: {}\r\n\r\n", host.address())?;
@@ -121,7 +122,7 @@ fn more_callers_than_a_port_serves_are_sent_away_with_the_limit_and_stop_has_a_w
     eventually("there is room again where callers have gone", || {
         grpc.call("GcmService/Stop", json!({ "path": "host/server" })).map(|_| ()).map_err(|e| e.to_string())
     });
-    // Those that asked and are within the limit keep their connections.
+    // Callers that asked and are within the limit keep their connections.
     let all = callers.len();
     let kept = callers.iter_mut().filter_map(|caller| {
         let asked = write!(caller.0, "GET /healthz HTTP/1.1\r\nHost: {}\r\n\r\n", host.address());

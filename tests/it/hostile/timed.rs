@@ -1,7 +1,7 @@
-//! How long `trocar stop` takes beside callers that connect and say nothing.
+//! The time that `trocar stop` takes beside callers that connect and say nothing.
 //!
-//! Promise: 50 ms at most for 99 of 100, the program's own start included, beside more of them than the host may have files. Only
-//! `./tests/run --times` runs this test.
+//! Promise: 50 ms at most for 99 of 100, the program's own start included, beside more callers than the host
+//! may have files. Only `./tests/run --times` runs this test.
 
 use std::time::{Duration, Instant};
 
@@ -31,7 +31,7 @@ fn ninety_nine_of_a_hundred_stops_get_through_in_50_ms_beside_a_thousand_silent_
     assert!(crowded <= MOST, "{crowded:.1?} at p99, {alone:.1?} alone");
 }
 
-/// What so many stops of a running component took.
+/// The times of so many stops of a running component.
 fn times(world: &World, host: &HostProcess) -> Vec<Duration> {
     let trocar = Trocar::at(world, host.address());
     trocar.run(&["stop", "host/server"]).ends_with(0);

@@ -58,7 +58,7 @@ impl Scene {
         })
     }
 
-    /// What a command of the component answers.
+    /// The answer of a command of the component.
     pub(super) fn answers(&self, path: &str) -> Value {
         self.grpc.invoke(path, Value::Null)
     }
@@ -115,7 +115,7 @@ fn standard_streams_closed_in_any_entry_are_put_back_and_their_closer_is_named()
     assert_eq!(scene.grpc.ok("grpc.health.v1.Health/Check", json!({}))["status"], "SERVING");
 }
 
-/// What signals do in a process, as the kernel has it: those that are ignored, and those that are caught.
+/// Signals that a process ignores, and those it catches, as the kernel has it.
 fn dispositions(pid: u32) -> Vec<String> {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let lines = status.lines().filter(|line| line.starts_with("SigIgn:") || line.starts_with("SigCgt:"));

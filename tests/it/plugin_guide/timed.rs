@@ -1,7 +1,7 @@
 //! The guide's example, the sine into the new filter at 1 kHz, for as long as a first look takes.
 //!
-//! Promise: at most 0.1 % of what is written is lost between the two, on a machine with nothing else to do and beside a program
-//! that keeps one processor busy. Only `./tests/run --times` runs these tests.
+//! Promise: at most 0.1 % of all samples is lost between the two, on a machine with nothing else to do and
+//! beside a program that keeps one processor busy. Only `./tests/run --times` runs these tests.
 
 use serde_json::json;
 use trocar_tests::{HostProcess, Trocar, World, eventually, number};
@@ -46,7 +46,7 @@ fn of_twenty_seconds_of_the_guides_example_one_in_a_thousand_is_lost_at_most_als
     }
 }
 
-/// What the connection of the guide lost until so many samples had passed, by the commands of the guide.
+/// Types the guide's commands; gives the losses of its connection until so many samples had passed.
 fn lost(file: &Path) -> u64 {
     let world = World::with_plugins(&["sine"]);
     world.drop_in(file);
@@ -64,7 +64,7 @@ fn lost(file: &Path) -> u64 {
     ] {
         trocar.run(words).ends_with(0);
     }
-    // What was written before the filter started went to nobody.
+    // Samples from before the filter started went to nobody.
     let counts = || {
         let all = grpc.ok("GcmService/List", json!({}))["connections"].clone();
         let [passed, dropped, skipped] = ["passed", "dropped", "skipped"].map(|what| number(&all[0][what]));

@@ -26,7 +26,7 @@ const HAS: [(&str, &str); 3] = [
     ("first_of_several", "18446744073709551615"),
 ];
 
-/// What runs has and shows the numbers of the file.
+/// The running system has and shows the numbers of the file.
 #[track_caller]
 fn is_exact(trocar: &Trocar, world: &World, address: &str) {
     let grpc = trocar_tests::Grpcurl::new(address);

@@ -16,8 +16,8 @@ pub(super) struct Sdk {
     pub(super) text: String,
     /// Are its sources on this machine?
     pub(super) found: bool,
-    /// What trocar itself was built with. A plugin that begins with it wants no version that is not on this
-    /// machine already, which may have no network.
+    /// The versions that trocar itself was built with. A plugin that begins with them wants none that is not
+    /// on this machine already, which may have no network.
     pub(super) lock: Option<PathBuf>,
 }
 
@@ -98,7 +98,7 @@ impl Template {
             (false, Some(dir)) => in_a_makefile(dir),
             (false, None) => "TROCAR_DIRECTORY/sdk/c".into(),
         };
-        // What trocar itself is built with lies at the root of its sources.
+        // The lock file of trocar itself lies at the root of its sources.
         let lock = absolute.as_ref().filter(|_| self.is_rust()).map(|dir| dir.join("../../Cargo.lock"));
         Ok(Sdk { text, found: absolute.is_some(), lock: lock.filter(|lock| lock.is_file()) })
     }

@@ -271,7 +271,8 @@ pub(super) fn size(bytes: u64) -> String {
     }
 }
 
-/// Taps of what nobody called and nobody said: every component has some, and a pattern for all of its outputs takes them along.
+/// Taps that had nothing to tell: every component has some, and a pattern for all of its outputs takes them
+/// along.
 fn is_idle_tap(view: &InfoView, topic: &TopicView) -> bool {
     view.counted == Counted::Read && topic.topic.contains("/tap_") && topic.messages == 0 && topic.lost == 0
 }

@@ -30,12 +30,19 @@ pub(super) type User = Option<u32>;
 /// The places of one port.
 #[derive(Debug, Default)]
 pub(super) struct Seats {
-    /// Callers that have said nothing yet, in the order they came; dropping what is kept of one lets it go.
-    silent: Mutex<BTreeMap<u64, oneshot::Sender<()>>>,
+    /// Callers that have said nothing yet, in the order they came.
+    silent: Mutex<BTreeMap<u64, Silent>>,
     guests: Mutex<BTreeMap<User, usize>>,
-    /// Those of the host's own user.
+    /// Places that the host's own user has.
     own: AtomicUsize,
     next: AtomicU64,
+}
+
+/// A caller that has said nothing yet; dropping it lets the caller go.
+#[derive(Debug)]
+struct Silent {
+    _keep: oneshot::Sender<()>,
+    is_guest: bool,
 }
 
 /// The place of a caller; free again when it is dropped.
@@ -59,7 +66,7 @@ enum Life {
 
 impl Seats {
     /// A place, if there is one for such a caller; `guest`: another user, whose places are counted apart.
-    /// Where the host's own user has none left, one of those that have said nothing yet gives way.
+    /// If the host's own user has none left, one of its own callers that have said nothing yet gives way.
     pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
         if let Some(user) = guest {
             let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);
@@ -69,13 +76,13 @@ impl Seats {
                 return None;
             }
             guests.insert(user, own + 1);
-        } else if self.own.fetch_add(1, Ordering::Relaxed) >= OWN && !self.give_up_one() {
+        } else if self.own.fetch_add(1, Ordering::Relaxed) >= OWN && !self.give_up_an_own_one() {
             self.own.fetch_sub(1, Ordering::Relaxed);
             return None;
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (keep, given_up) = oneshot::channel();
-        self.silent().insert(number, keep);
+        self.silent().insert(number, Silent { _keep: keep, is_guest: guest.is_some() });
         Some(Seat { seats: self.clone(), number, life: Life::Silent(given_up), guest })
     }
 
@@ -84,7 +91,14 @@ impl Seats {
         self.silent().pop_first().is_some()
     }
 
-    fn silent(&self) -> std::sync::MutexGuard<'_, BTreeMap<u64, oneshot::Sender<()>>> {
+    /// The same among callers of the host's own user: others have places of their own.
+    fn give_up_an_own_one(&self) -> bool {
+        let mut silent = self.silent();
+        let first = silent.iter().find(|(_, caller)| !caller.is_guest).map(|(number, _)| *number);
+        first.is_some_and(|number| silent.remove(&number).is_some())
+    }
+
+    fn silent(&self) -> std::sync::MutexGuard<'_, BTreeMap<u64, Silent>> {
         self.silent.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -192,8 +206,10 @@ mod tests {
         let mut late = seats.take(None).expect("the silent one gives way");
         late.speaks();
         assert!(has_to_go(&mut callers[0]) && !has_to_go(&mut callers[1]));
+        let mut guest = seats.take(Some(Some(7))).expect("guests have places of their own");
         assert!(seats.take(None).is_none(), "all have spoken");
-        assert!(seats.take(Some(Some(7))).is_some(), "guests have places of their own");
+        assert!(!has_to_go(&mut guest), "a guest makes no room for the own user");
+        drop(guest);
         // The one that had to go, and one more.
         callers.drain(..2);
         assert!(seats.take(None).is_some());

@@ -18,7 +18,11 @@ use super::super::dynamic::Goal;
 use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
 use super::super::supervise::{Entry, Misdeed};
 use super::super::{context, pending};
-use super::{CALLS_ON_TRIAL, Entered, Instance, Misuse};
+use super::{Entered, Instance, Misuse};
+
+/// Calls after a Start, and after one that did it, that are looked at for the rounding mode they leave. To read
+/// that word costs 10 to 20 ns on some processors, several times a direct call: not each can be.
+pub(in crate::lcm) const CALLS_ON_TRIAL: u32 = 256;
 
 /// A command that was queued is not carried out: its tap is told.
 #[cold]
@@ -273,8 +277,9 @@ impl Instance {
     /// this thread may be its caller's. Real-time, no system call.
     #[inline]
     fn keep_rounding(&self, entered: &mut Entered<'_>, before: Option<u32>) {
-        if before.is_some_and(|before| os::rounding() != before) {
-            os::reset_rounding(before.unwrap_or_default());
+        let Some(before) = before else { return };
+        if os::rounding() != before {
+            os::reset_rounding(before);
             entered.inner().on_trial = CALLS_ON_TRIAL;
             self.watch.misdeed(Misdeed::RoundingInCall);
         }

@@ -42,8 +42,17 @@ export interface Size {
   height: number;
 }
 
+/// Figures in a line, in lines below each other, and no more than the rate and losses.
+const PLAIN: Size[] = [{ width: 150, height: 15 }, { width: 74, height: 28 }, { width: 48, height: 15 }];
+/// The same where something was dropped.
+const LOSSY: Size[] = [{ width: 220, height: 15 }, { width: 84, height: 41 }, { width: 84, height: 28 }];
+
+/// The sizes that figures can have, the best first; `letters`: how much larger than usual.
+export const sizesOf = (lossy: boolean, letters: number): Size[] =>
+  (lossy ? LOSSY : PLAIN).map(({ width, height }) => ({ width: width * letters, height: height * letters }));
+
 /// The first of these sizes that has a place on the way beside the cards, and the middle of that place.
-/// The last size, at the place where it covers least, if none has one. `shared`: other wires leave the same output.
+/// The last size, at the place where it covers least, if none has one. `shared`: other wires leave the output.
 export function spot(way: Placed[], cards: Box[], sizes: Size[], shared: boolean): Placed & { size: number } {
   const places = along(way, shared);
   let least = { ...places[0]!, size: sizes.length - 1, covers: Infinity };

@@ -8,10 +8,10 @@ use trocar_sdk::testing::Bench;
 use crate::rig::{APEX_Z_M, Rig, Setup, seeds};
 use crate::{BScan, Flatten, Phase, ScanColumn, ScanDone, ScanRequest};
 
-/// Where the phantom has inner layers below its surface, and where it has none, m of optical path.
+/// Depths of the phantom's inner layers below its surface, and depths without any, m of optical path.
 const INNER_M: [f64; 2] = [35e-6, 90e-6];
 const NONE_M: [f64; 2] = [62e-6, 140e-6];
-/// Where it has none above and below its pigment epithelium.
+/// Distances from its pigment epithelium, up and down, without any.
 const ABOVE_M: f64 = 55e-6;
 const UNDER_M: f64 = 60e-6;
 /// From the surface to the epithelium, beside pit and vessels.
@@ -81,8 +81,8 @@ impl Seen {
         best as f64 + if a - 2.0 * b + c < 0.0 { 0.5 * (a - c) / (a - 2.0 * b + c) } else { 0.0 }
     }
 
-    /// Does a column have a layer of its own at a row: within one of it a local maximum, 5 dB above what lies four rows
-    /// above and below it?
+    /// Does a column have a layer of its own at a row: within one of it a local maximum, 5 dB above what lies
+    /// four rows above and below it?
     fn has_layer(&self, column: usize, wanted: f64) -> bool {
         let place = self.peak(column, wanted, 2.0);
         let row = place.round() as usize;
