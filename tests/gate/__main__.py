@@ -132,6 +132,9 @@ class Run:
     def _build(self, kind, build):
         """The parts of the suites that this build makes executables for; none where it failed, which is told."""
         began = time.monotonic()
+        if not self.screen.live:
+            # A first build takes minutes: whoever reads a file or a pipe sees that something happens.
+            self.screen.line(f"builds  {kind}")
         if not build():
             log = self.workshop.logs / f"{self.workshop.last}.log"
             self.broken_builds.append(kind)

@@ -27,7 +27,7 @@ use super::caller::{Access, READERS, own_user};
 use super::doors::Doors;
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
-use super::server::{Edge, FOLLOWED, Watches};
+use super::server::{Edge, FOLLOWED, Standing};
 use super::web::{self, PortRules};
 use crate::gcm::{Gcm, Lines};
 use crate::lcm::{Lcm, News};
@@ -100,7 +100,7 @@ impl Server {
             managed_by: config.managed_by,
             lines,
             followed: Arc::new(Semaphore::new(FOLLOWED)),
-            watches: Arc::new(Watches::default()),
+            standing: Arc::new(Standing::default()),
             closing: closing.clone(),
         };
         let access = Access {

@@ -95,11 +95,11 @@ pub struct Way {
 const RUNS: usize = 5;
 
 thread_local! {
-    /// A process of a lab that was dropped on this thread was lost to its GCM, although nobody ended either.
+    /// A process of a lab that was dropped on this thread was lost to its GCM or to the other one, although nobody ended either.
     static WAS_AWAY: Cell<bool> = const { Cell::new(false) };
 }
 
-/// A process of the lab that is dropped here was lost to its GCM for a while.
+/// A process of the lab that is dropped here was lost to its GCM, or to the other one, for a while.
 pub(super) fn note_away() {
     WAS_AWAY.set(true);
 }
@@ -118,8 +118,8 @@ impl Way {
         }
     }
 
-    /// Plays a case. A machine that gives a process of the built program no time for long makes its GCM think it lost, as it should:
-    /// that is another promise's business, and such a run is done again.
+    /// Plays a case. A machine that gives a process no time for long makes its GCM, or the process it is linked to, think it lost, as it
+    /// should: that is another promise's business, and such a run is done again.
     ///
     /// # Panics
     /// As the case.
@@ -129,7 +129,7 @@ impl Way {
         static RESTLESS: Mutex<()> = Mutex::new(());
         let one_at_a_time = || RESTLESS.lock().unwrap_or_else(PoisonError::into_inner);
         let _alone = self.deployment.never_rests().then(one_at_a_time);
-        if !self.deployment.built_processes() {
+        if !self.deployment.two_processes() {
             return case(&self);
         }
         for _ in 1..RUNS {

@@ -12,7 +12,7 @@ use tokio::runtime::Runtime;
 use trocar::Host;
 use trocar::gcm::{ExecuteOptions, Executed, Gcm};
 use trocar::host::HostBuilder;
-use trocar::lcm::{Invoke, Payload, Reply};
+use trocar::lcm::{Invoke, LogLine, Payload, Reply};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel, MemberId, Refusal, Request, Which};
 
 use super::way::note_away;
@@ -415,16 +415,19 @@ impl Drop for OpensAtEnd<'_> {
 impl Drop for Lab {
     fn drop(&mut self) {
         self.open_gate();
-        if self
-            .spawned
-            .values()
-            .any(|process| process.printed().contains(" is lost (this process stood still for "))
-        {
+        let stood_still =
+            |process: &HostProcess| process.printed().contains(" is lost (this process stood still for ");
+        if self.spawned.values().any(stood_still) {
             note_away();
         }
         self.spawned.clear();
         for host in [self.other.take(), self.host.take()].into_iter().flatten() {
             runtime().block_on(host.shutdown());
+        }
+        // Told by now, if at all: a link between the two hosts whose thread got no processor.
+        let silent = |line: &LogLine| line.message.contains(": nothing was heard of it for ");
+        if self.gcm.lines().tail().0.iter().any(silent) {
+            note_away();
         }
     }
 }

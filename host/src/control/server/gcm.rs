@@ -337,8 +337,9 @@ impl GcmService for Edge {
         let r = request.into_inner();
         let gcm = self.gcm()?;
         let pages = Pages::of(&r).map_err(refuse)?;
-        let listed = listed(gcm.watch(), &r, until - room(until), self.closing.clone()).await;
-        let Listed { whole, mut part, etag } = listed.map_err(refuse)?;
+        let places = &self.standing.lists;
+        let listed = listed(gcm.watch(), &r, until - room(until), self.closing.clone(), places).await?;
+        let Listed { whole, mut part, etag } = listed;
         let mut classes = if r.classes { classes(&part) } else { Vec::new() };
         let next_page_token = pages.cut(&mut part, &mut classes);
         let ids: Vec<ComponentId> = part.components.keys().cloned().collect();
@@ -407,6 +408,7 @@ impl GcmService for Edge {
             self.may_call(request.extensions(), &call.path).map_err(refuse)?;
         }
         let Wait { what, until } = Wait::read(request).map_err(refuse)?;
+        let _held = self.standing.waits.take()?;
         let (id, item) = match what {
             Awaited::States(id, states) => {
                 self.gcm()?.wait_for(&id, &states, until).await.map_err(refuse)?;
@@ -441,7 +443,7 @@ impl GcmService for Edge {
             let why = "it is negative; 0 means each in one message".into();
             refuse(Refusal::ArgumentInvalid { what: "Watch".into(), why, field: "page_size".into() })
         })?;
-        let held = self.watches.take()?;
+        let held = self.standing.watches.take()?;
         Ok(Response::new(watch(gcm.watch(), gcm.term(), from_revision, size, held)))
     }
 }

@@ -167,6 +167,7 @@ impl InteractService for Edge {
         let wanted = Wanted::parse(&r.path, &r.level).map_err(refuse)?;
         let graph = self.gcm.as_ref().map(Gcm::graph);
         wanted.names_somebody(graph.as_deref(), &self.lines).map_err(refuse)?;
-        Ok(Response::new(Box::pin(logs::stream(&self.lines, wanted, r.follow, r.last))))
+        let follows = if r.follow { Some(self.standing.logs.take()?) } else { None };
+        Ok(Response::new(Box::pin(logs::stream(&self.lines, wanted, follows, r.last))))
     }
 }

@@ -9,10 +9,13 @@ use std::time::Instant;
 
 use prost_reflect::prost::Message;
 use tokio::sync::watch;
+use tonic::Status;
 use trocar_model::{ComponentId, Refusal, SystemGraph};
 use trocar_proto::v1;
 
 use super::part::keep_only;
+use super::refuse;
+use super::standing::Places;
 use crate::control::convert::{self, Figures};
 
 /// What is listed.
@@ -26,18 +29,23 @@ pub(super) struct Listed {
 /// What `request` names; where it has an etag, once that is another one, or what there is at `until`, or when the port closes.
 ///
 /// # Errors
-/// There is nothing of that name.
+/// There is nothing of that name, or as many wait already as may.
 pub(super) async fn listed(
     mut graphs: watch::Receiver<Arc<SystemGraph>>,
     request: &v1::ListRequest,
     until: Instant,
     mut closing: watch::Receiver<()>,
-) -> Result<Listed, Refusal> {
+    places: &Places,
+) -> Result<Listed, Status> {
+    let mut held = None;
     loop {
         let whole = graphs.borrow_and_update().clone();
-        let part = part(&whole, &request.path)?;
+        let part = part(&whole, &request.path).map_err(refuse)?;
         let etag = etag(&whole, &part);
         if etag == request.unless_etag {
+            if held.is_none() {
+                held = Some(places.take()?);
+            }
             tokio::select! {
                 changed = graphs.changed() => if changed.is_ok() { continue },
                 () = tokio::time::sleep_until(until.into()) => {}

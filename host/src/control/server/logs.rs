@@ -1,6 +1,6 @@
 //! Log lines: those kept, then, for who follows, those that come.
 
-use tokio::sync::{broadcast, mpsc};
+use tokio::sync::{OwnedSemaphorePermit, broadcast, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 use trocar_model::{ComponentId, Name, Pattern, Refusal, SystemGraph};
@@ -91,11 +91,11 @@ impl Wanted {
     }
 }
 
-/// The stream of lines, of those kept the `last` ones, 0 = all; it ends after those kept unless they are to be followed.
+/// The stream of lines, of those kept the `last` ones, 0 = all; it ends after those kept unless it follows, which has a place.
 pub(super) fn stream(
     lines: &Lines,
     wanted: Wanted,
-    follow: bool,
+    follows: Option<OwnedSemaphorePermit>,
     last: u32,
 ) -> ReceiverStream<Result<v1::LogsResponse, Status>> {
     let (kept, mut live) = lines.tail();
@@ -110,9 +110,7 @@ pub(super) fn stream(
                 return;
             }
         }
-        if !follow {
-            return;
-        }
+        let Some(_held) = follows else { return };
         loop {
             let heard = tokio::select! {
                 () = tell.closed() => return,

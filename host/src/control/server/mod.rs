@@ -9,14 +9,15 @@ mod page;
 mod part;
 mod past;
 mod plugin;
+mod standing;
 mod system;
 mod wait;
 mod watch;
 
 pub(super) use interact::FOLLOWED;
 #[cfg(test)]
-pub(super) use watch::WATCHES;
-pub(super) use watch::Watches;
+pub(super) use standing::STANDING;
+pub(super) use standing::Standing;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -52,8 +53,8 @@ pub(super) struct Edge {
     pub(super) lines: Arc<Lines>,
     /// One permit for each output or event that may still be followed here.
     pub(super) followed: Arc<Semaphore>,
-    /// The Watches that may still be opened here.
-    pub(super) watches: Arc<Watches>,
+    /// The calls that may still stay open here.
+    pub(super) standing: Arc<Standing>,
     /// Its sender goes when this port closes: calls that wait for something end then.
     pub(super) closing: Receiver<()>,
 }

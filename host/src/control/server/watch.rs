@@ -4,58 +4,20 @@
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
+use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
-use trocar_links::Seldom;
 use trocar_model::{Connection, SystemGraph};
 use trocar_proto::v1;
 use trocar_proto::v1::watch_response::News;
-use trocar_rt::os::now_ns;
 
 use super::page;
 use crate::control::convert;
 
 pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
-
-/// Most Watches that a port serves at a time. Each is told of every change of the graph by a task and
-/// messages of its own, so that without a bound one program that opens them without end takes the memory of
-/// all.
-pub(in crate::control) const WATCHES: usize = 256;
-
-/// The places of those who watch.
-#[derive(Debug)]
-pub(in crate::control) struct Watches {
-    free: Arc<Semaphore>,
-    refused: Mutex<Seldom>,
-}
-
-impl Default for Watches {
-    fn default() -> Watches {
-        Watches { free: Arc::new(Semaphore::new(WATCHES)), refused: Mutex::default() }
-    }
-}
-
-impl Watches {
-    /// A place, free again when it is dropped.
-    ///
-    /// # Errors
-    /// RESOURCE_EXHAUSTED, with the limit and what to do; the log says how often.
-    pub(super) fn take(&self) -> Result<OwnedSemaphorePermit, Status> {
-        self.free.clone().try_acquire_owned().map_err(|_| {
-            let said = format!(
-                "{WATCHES} Watches are open at this port, which is the most: end some of those calls, or ask List with \
-                 unless_etag, which answers at the next change"
-            );
-            let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
-            refused.warn(now_ns(), &format!("a Watch was refused: {said}"));
-            Status::resource_exhausted(said)
-        })
-    }
-}
 
 /// A watcher that knows revision `from` already gets no snapshot when nothing is newer; messages have `size`
 /// items at most, 0 = any number.

@@ -2,15 +2,17 @@
 
 use std::pin::pin;
 
+use tokio::task::JoinSet;
 use tokio_stream::StreamExt;
-use tonic::Code;
+use tonic::{Code, Status};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
+use trocar_proto::v1::interact_service_client::InteractServiceClient;
 
-use super::super::server::WATCHES;
+use super::super::server::STANDING;
 use super::super::{PortRules, ServeConfig, ServeError, Server};
 use super::{System, connect, create, in_time, serve, start, stop};
 
@@ -286,7 +288,7 @@ async fn a_port_serves_so_many_watches_and_no_more_until_one_ends() {
     // One connection has no streams left when all Watches there may be are its own.
     let mut other = GcmServiceClient::new(connect(&s.server).await);
     let mut open = Vec::new();
-    for n in 0..WATCHES {
+    for n in 0..STANDING {
         let gcm = if n % 2 == 0 { s.gcm() } else { other.clone() };
         let mut watch = { gcm }.watch(from_now()).await.unwrap().into_inner();
         assert!(watch.next().await.unwrap().is_ok(), "Watch {n} tells what there is");
@@ -302,6 +304,86 @@ async fn a_port_serves_so_many_watches_and_no_more_until_one_ends() {
     drop(open.pop());
     // Asked again until the end of the other is seen.
     in_time(async || s.gcm().watch(from_now()).await).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_port_serves_so_many_calls_that_wait_and_no_more_until_one_ends() {
+    let s = System::start().await;
+    s.gcm().create(create("host/a")).await.unwrap();
+    let listed = s.gcm().list(v1::ListRequest::default()).await.unwrap().into_inner();
+    let of_logs = || v1::LogsRequest { follow: true, ..Default::default() };
+    let of_list = || v1::ListRequest { unless_etag: listed.etag.clone(), ..Default::default() };
+    let of_wait = || v1::WaitForRequest { path: "host/a".into(), ..Default::default() };
+    // Each kind has places of its own; one connection has too few streams for all of them.
+    let mut others = Vec::new();
+    for _ in 0..3 {
+        others.push(connect(&s.server).await);
+    }
+    let gcm = |kind: usize| GcmServiceClient::new(others[kind].clone());
+    let mut followed = Vec::new();
+    for _ in 0..STANDING {
+        let mut interact = InteractServiceClient::new(others[0].clone());
+        followed.push(interact.logs(of_logs()).await.unwrap());
+    }
+    let (mut lists, mut waits) = (JoinSet::new(), JoinSet::new());
+    for _ in 0..STANDING {
+        let (list, list_of) = (gcm(1), of_list());
+        lists.spawn(placed(async move || list.clone().list(list_of.clone()).await));
+        let (wait, wait_of) = (gcm(2), of_wait());
+        waits.spawn(placed(async move || wait.clone().wait_for(wait_of.clone()).await));
+    }
+    let refused = s.interact().logs(of_logs()).await.err();
+    is_refused(refused.as_ref(), "256 Logs that follow are open", "without `follow`");
+    // Those that were sent may not all have come yet.
+    let refused = in_time(async || full(s.gcm().list(soon(of_list())).await)).await.ok();
+    is_refused(refused.as_ref(), "256 Lists that wait for a change are open", "without unless_etag");
+    let refused = in_time(async || full(s.gcm().wait_for(soon(of_wait())).await)).await.ok();
+    is_refused(refused.as_ref(), "256 WaitFors are open", "ask Watch");
+    // What does not wait is answered as ever, and what waits hears what it waits for.
+    s.gcm().list(v1::ListRequest::default()).await.unwrap();
+    s.gcm().start(start("host/a")).await.unwrap();
+    while let Some(answer) = lists.join_next().await {
+        answer.unwrap().unwrap();
+    }
+    while let Some(answer) = waits.join_next().await {
+        answer.unwrap().unwrap();
+    }
+    followed.pop();
+    in_time(async || s.interact().logs(of_logs()).await).await.unwrap();
+    in_time(async || s.gcm().wait_for(of_wait()).await).await.unwrap();
+}
+
+/// Asks until there is a place: one who looked whether all were taken may have had the last.
+async fn placed<T>(mut ask: impl AsyncFnMut() -> Result<T, Status>) -> Result<T, Status> {
+    loop {
+        match ask().await {
+            Err(refused) if is_full(&refused) => tokio::task::yield_now().await,
+            answer => return answer,
+        }
+    }
+}
+
+/// The refusal for want of a place; whatever else was answered is to be asked again.
+fn full<T>(answer: Result<T, Status>) -> Result<Status, Status> {
+    answer.err().filter(is_full).ok_or_else(|| Status::unavailable("it had a place"))
+}
+
+fn is_full(refused: &Status) -> bool {
+    refused.code() == Code::ResourceExhausted
+}
+
+fn is_refused(refused: Option<&Status>, why: &str, what_to_do: &str) {
+    let refused = refused.expect("there is no place for it");
+    assert!(is_full(refused), "{refused}");
+    assert!(refused.message().contains(why), "{refused}");
+    assert!(refused.message().contains(what_to_do), "what to do: {refused}");
+}
+
+/// With a deadline that ends it where it has a place.
+fn soon<T>(message: T) -> tonic::Request<T> {
+    let mut request = tonic::Request::new(message);
+    request.set_timeout(std::time::Duration::from_millis(50));
+    request
 }
 
 #[tokio::test]
