@@ -158,14 +158,14 @@ impl Futex {
     }
 
     /// As the kernel does it: the comparison and going to sleep are one step. With a deadline it times out at
-    /// once, which is one of the things a real clock may do.
+    /// once, which is one of the things a real clock may do; with the last of all deadlines it never does.
     #[cfg(loom)]
     pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>, _: Scope) -> crate::os::WaitResult {
         let guard = self.queue.0.lock().expect("no model panics inside the futex");
         if self.word.load(Ordering::Relaxed) != expected {
             return crate::os::WaitResult::Changed;
         }
-        if deadline_ns.is_some() {
+        if deadline_ns.is_some_and(|at| at < u64::MAX) {
             return crate::os::WaitResult::TimedOut;
         }
         drop(self.queue.1.wait(guard));

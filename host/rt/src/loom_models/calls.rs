@@ -95,6 +95,26 @@ fn loom_a_call_that_is_ended_meets_its_server_and_is_answered_once() {
     });
 }
 
+/// Nothing but a wake ends the sleep of a caller without a deadline: who forgets it leaves loom nobody to go on with.
+#[test]
+fn loom_a_caller_that_sleeps_is_woken_by_the_answer_and_by_the_end_of_its_server() {
+    let ends: [fn(&ReplyPool, u64); 3] = [
+        |pool, token| pool.begin(token, -1).unwrap().finish(7, |_, _| 0),
+        |pool, token| drop(pool.begin(token, 7).unwrap()),
+        |pool, _| pool.end_all(7),
+    ];
+    for end in ends {
+        model(move || {
+            let pool = ReplyPool::new(1, 1, 0);
+            let ticket = pool.acquire().unwrap();
+            let (other, token) = (Arc::clone(&pool), ticket.token());
+            let thread = thread::spawn(move || end(&other, token));
+            assert_eq!(ticket.wait(u64::MAX, |_, _| ()), Reply::Done(7));
+            thread.join().unwrap();
+        });
+    }
+}
+
 /// A value whose reads and whose end loom orders.
 struct Tracked(loom::cell::UnsafeCell<u32>, Arc<AtomicUsize>);
 
