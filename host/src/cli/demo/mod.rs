@@ -132,7 +132,7 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
             show.rest(&addr).await;
             done
         }
-        Ok(false) => Ok(Exit::Interrupted),
+        Ok(false) => Ok(early()),
         Err(failure) => Err(built(failure)),
     };
     host.shutdown().await;
@@ -169,10 +169,16 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
             done
         }
         Some(Err(failure)) => Err(built(failure)),
-        None => Ok(Exit::Interrupted),
+        None => Ok(early()),
     };
     system.take_down().await;
     done
+}
+
+/// It was asked to end before there was anything to tell of.
+fn early() -> Exit {
+    out::complain("note", "the demo was ended while it started, so there is no summary");
+    Exit::Interrupted
 }
 
 /// How a running demo is shown.
