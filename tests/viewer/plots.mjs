@@ -308,6 +308,25 @@ export async function a_read_only_page_has_plots_without_settings_and_a_narrow_o
   is(wide, [], 'what is beyond the edge');
 }
 
+export async function what_is_asked_for_in_a_panel_of_a_narrow_window_is_seen(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr, '', { viewport: { width: 300, height: 700 } });
+  await settled(page);
+  await interfacesOf(page, 'host/sine');
+  await plot(page, OUTPUT.path, OUTPUT.number);
+  await reaches('points', () => points(page), 5);
+  is(await page.locator('.inspector').count(), 0, 'the panel makes room');
+  // With a panel open again the button brings the plots, and takes them away.
+  await box(page, 'host/sine').locator('header').click();
+  await page.locator('.inspector').waitFor();
+  await tool(page, 'Plots');
+  await page.locator('.plots').waitFor();
+  await tool(page, 'Plots');
+  await page.locator('.plots').waitFor({ state: 'detached' });
+}
+
 export async function eight_plots_of_four_curves_leave_the_page_answering(world) {
   const { page, plotted } = await eightPlots(world);
   await plotted();

@@ -15,6 +15,7 @@ use trocar_rt::os;
 
 use super::logs::clock;
 use super::out::paragraph;
+use super::units::count;
 use crate::lcm::LogLine;
 
 /// Size at which a file becomes the old one, bytes; two are kept.
@@ -133,7 +134,8 @@ impl Drop for Diverted {
         let kept = LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
         let mut text = String::new();
         if kept.all > kept.newest.len() {
-            text = format!("{} lines before these:\n", kept.all - kept.newest.len());
+            let before = count((kept.all - kept.newest.len()) as u64, "line");
+            text = format!("{before} before these:\n");
         }
         kept.newest.iter().for_each(|line| text.push_str(&format!("{line}\n")));
         let _ = os::standard_error().write_all(text.as_bytes());

@@ -146,6 +146,12 @@ mod tests {
     }
 
     #[test]
+    fn one_and_several_have_words_of_their_own() {
+        let said = [(0, "line"), (1, "class"), (2, "class"), (1, "output")].map(|(n, one)| count(n, one));
+        assert_eq!(said, ["0 lines", "1 class", "2 classes", "1 output"]);
+    }
+
+    #[test]
     fn typed_times_are_read_with_their_unit() {
         let read: Vec<u64> = ["1s", "20ms", "1.5 s", "250us", "1min"].map(|t| parse_time(t).unwrap()).into();
         assert_eq!(read, [1_000_000_000, 20_000_000, 1_500_000_000, 250_000, 60_000_000_000]);

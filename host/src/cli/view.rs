@@ -526,7 +526,8 @@ impl ChangeView {
     pub(super) fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for p in &self.processes {
-            lines.push(format!("process {}  {}  {} classes", p.name, p.state, p.classes.len()));
+            let classes = super::units::count(p.classes.len() as u64, "class");
+            lines.push(format!("process {}  {}  {classes}", p.name, p.state));
         }
         for c in &self.components {
             let fault = if c.fault.is_empty() { String::new() } else { format!("  {}", c.fault) };

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use trocar_model::{
-    Component, ComponentId, ConnectOptions, Connection, Name, PortId, PortType, ProcessState, State,
-    StopReason, SystemGraph, default_max_age, least_execution, without_defaults,
+    Component, ComponentId, ConnectOptions, Connection, Name, PortId, PortType, ProcessState, Programs,
+    State, StopReason, SystemGraph, default_max_age, least_execution, without_defaults,
 };
 
 use super::write::Picture;
@@ -25,8 +25,8 @@ pub struct Running<'a> {
 }
 
 /// Settings of processes and components that a GCM is not told.
-const NOT_KNOWN: &str = "trust, listen, state, env, restart, memory and allow_exec of processes and resume of components are not \
-                         known to a GCM: where they were other than usual, take them from the file it was started by";
+const NOT_KNOWN: &str = "trust, listen, state, env, restart and memory of processes and resume of components are not known to a \
+                         GCM: where they were other than usual, take them from the file it was started by";
 
 impl Running<'_> {
     /// The system as a file that lies in `folder` says it, and notes on what such a file does not say.
@@ -65,6 +65,8 @@ impl Running<'_> {
 
     fn process(&self, name: &Name, folder: &Path, notes: &mut Vec<String>) -> ProcessSpec {
         let mut spec = ProcessSpec::new(name.clone());
+        let offered = self.graph.processes.get(name).into_iter().flat_map(|process| &process.classes);
+        spec.allow_exec = offered.into_iter().any(|class| class.programs == Programs::Allowed);
         match self.plugins.get(name) {
             Some(dirs) => spec.plugins = dirs.iter().map(|dir| relative(dir, folder)).collect(),
             None => notes.push(format!("process {name} does not tell its plugin directories: add them")),

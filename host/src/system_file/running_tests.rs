@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 use serde_json::json;
-use trocar_model::{ClassInfo, ProcessState, Request, State, StopReason, SystemGraph, plan_all};
+use trocar_model::{ClassInfo, ProcessState, Programs, Request, State, StopReason, SystemGraph, plan_all};
 
 use super::tests::processes_of;
 use super::{Difference, Running, SystemFile};
@@ -87,6 +87,16 @@ fn a_system_is_saved_as_a_person_would_write_it() {
     let (text, notes) = saved(&graph);
     assert_eq!(text, RICH, "{text}");
     assert!(notes.len() == 1 && notes[0].contains("not known to a GCM"), "{notes:?}");
+}
+
+#[test]
+fn a_process_that_may_start_programs_is_saved_so() {
+    let mut graph = made(&parse(RICH), &["host"]);
+    for (programs, may) in [(Programs::None, false), (Programs::Refused, false), (Programs::Allowed, true)] {
+        let class = ClassInfo { programs, ..(*classes()[0]).clone() };
+        graph.processes.values_mut().next().unwrap().classes.push(Arc::new(class));
+        assert_eq!(parse(&saved(&graph).0).processes[0].allow_exec, may, "{programs:?}");
+    }
 }
 
 #[test]

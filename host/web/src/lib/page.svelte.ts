@@ -13,6 +13,8 @@ interface Note {
 }
 
 const query = new URLSearchParams(location.search);
+/// A window with room below the graph for a panel or for the dock (App.svelte hides the dock).
+const narrow = matchMedia('(max-width: 760px)');
 
 class Page {
   /// Nothing can be changed from this page: its address says so, or the server, which then refuses it, too.
@@ -74,15 +76,33 @@ class Page {
     this.command = command;
   }
 
-  picture(path: string) {
+  /// Whether that is what stands below the graph now.
+  sees(what: Dock): boolean {
+    return this.docked && this.dock === what && !(narrow.matches && (this.selected || this.palette));
+  }
+
+  /// Shows that below the graph; in a narrow window a panel makes room for it.
+  show(what: Dock) {
     this.docked = true;
-    this.dock = 'video';
+    this.dock = what;
+    if (!narrow.matches) return;
+    this.selected = '';
+    this.palette = false;
+  }
+
+  /// Shows it, or takes it away.
+  toggle(what: Dock) {
+    if (this.sees(what)) this.docked = false;
+    else this.show(what);
+  }
+
+  picture(path: string) {
+    this.show('video');
     if (!this.pictures.includes(path)) this.pictures = [...this.pictures, path];
   }
 
   event(path: string) {
-    this.docked = true;
-    this.dock = 'events';
+    this.show('events');
     events.follow(path);
   }
 }

@@ -98,8 +98,7 @@ class Plots {
 
   /// Adds a number to a plot, or makes one for it.
   add(signal: Signal, into = this.all.find((p) => p.number === this.target)) {
-    page.docked = true;
-    page.dock = 'plots';
+    page.show('plots');
     const already = into ? undefined : this.all.find((p) => p.curves.every((c) => sameSignal(c.signal, signal)));
     const why = into?.why(signal) ?? already?.why(signal);
     if (why) page.tell(why, true);
