@@ -1,8 +1,8 @@
 /// Plots as engineers use them: units, several curves, looking back, cursors, files and fingers.
 import fs from 'node:fs';
-import { interfacesOf, latest, points } from './following.mjs';
+import { interfacesOf, latest, plot, points } from './following.mjs';
 import { CREST, drop, eightPlots, OUTPUT, sineShown } from './plotting.mjs';
-import { box, eventually, grpcurl, holds, is, reaches, shot, tool } from './world.mjs';
+import { box, create, eventually, grpcurl, holds, is, reaches, settled, shot, start, tool } from './world.mjs';
 
 const ROW = { path: 'host/sine', field: 'latest.value', source: 'state', unit: '' };
 const READ = { path: 'host/sine/signal/value', field: '', source: 'read', unit: '' };
@@ -315,7 +315,7 @@ export async function what_is_asked_for_in_a_panel_of_a_narrow_window_is_seen(wo
   const page = await world.viewer(host.addr, '', { viewport: { width: 300, height: 700 } });
   await settled(page);
   await interfacesOf(page, 'host/sine');
-  await plot(page, OUTPUT.path, OUTPUT.number);
+  await plot(page, 'host/sine/value', 'value');
   await reaches('points', () => points(page), 5);
   is(await page.locator('.inspector').count(), 0, 'the panel makes room');
   // With a panel open again the button brings the plots, and takes them away.
